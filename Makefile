@@ -1,0 +1,43 @@
+# `make demo` and `make test` set up what they need first; the second time that costs nothing.
+# Another interpreter gets an environment of its own: `make test PYTHON=python3.12`.
+
+PYTHON ?= python3
+VENV ?= .venv$(addprefix -,$(filter-out python3,$(notdir $(PYTHON))))
+BIN := $(VENV)/bin
+PIP_INSTALL := $(BIN)/python -m pip install -qq --disable-pip-version-check
+PYTEST_ARGS ?=
+
+.PHONY: help demo test lint colcon clean
+
+help: ## List these targets
+	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "make %-7s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
+
+demo: $(VENV)/.run-ready ## Set up, then run the demonstration
+	$(BIN)/geomid demo
+
+test: lint ## Set up, then run the static checks and the tests
+	$(BIN)/python -m pytest $(PYTEST_ARGS)
+
+lint: $(VENV)/.test-ready ## Set up, then run ruff and mypy
+	$(BIN)/ruff check
+	$(BIN)/mypy
+
+colcon: $(VENV)/.test-ready ## Build and test as a ROS workspace does, into build/, install/ and log/
+	$(BIN)/colcon build
+	$(BIN)/colcon test
+	$(BIN)/colcon test-result --verbose
+
+clean: ## Remove environments, builds and caches
+	rm -rf .venv .venv-* build install log out *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis
+	find . -name __pycache__ -prune -exec rm -rf {} +
+
+$(VENV)/.run-ready: requirements.txt constraints.txt setup.py setup.cfg
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "Python 3.11 or 3.12 is needed: make PYTHON=python3.12 ...")'
+	$(PYTHON) -m venv $(VENV)
+	$(PIP_INSTALL) --requirement requirements.txt
+	$(PIP_INSTALL) --no-deps --no-build-isolation --editable .
+	@touch $@
+
+$(VENV)/.test-ready: $(VENV)/.run-ready requirements-test.txt
+	$(PIP_INSTALL) --requirement requirements-test.txt
+	@touch $@

@@ -1,0 +1,22 @@
+"""One family of errors. Each message says what was found, what was expected and what to do about it."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable
+
+
+class GeomidError(Exception):
+    """Anything this package raises on purpose; commands print it without a traceback."""
+
+
+class InputError(GeomidError):
+    """Input from outside (file, topic, option, parameter) that cannot be used."""
+
+
+def unknown_name(kind: str, name: str, valid: Iterable[str]) -> InputError:
+    """The error for a name that does not exist; it lists those that do and guesses which was meant."""
+    names = sorted(valid)
+    close = difflib.get_close_matches(name, names, n=1)
+    guess = f" Did you mean '{close[0]}'?" if close else ""
+    return InputError(f"unknown {kind} '{name}'.{guess} Valid: {', '.join(names) or '(none)'}")

@@ -1,0 +1,1 @@
+"""Floor 2: from rows to an estimate."""

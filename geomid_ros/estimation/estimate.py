@@ -1,0 +1,68 @@
+"""The result: what was found for each link and effect, how sure it is, and how it was found."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from geomid_ros.types import FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class LinkEstimate:
+    """A body under its moving link's name (``merged``: fixed links that are counted in).
+
+    ``mass`` [kg], ``com (3,)`` [m] in the link's frame, ``inertia (3, 3)`` [kg m^2] about the centre of mass in the
+    link's axes, each with its standard deviation; ``parameters (10,)`` the same about the link's origin.
+    ``distance_from_prior``: geodesic. ``from_data``: share that came from the data rather than the prior, 0 to 1.
+    ``min_eigenvalue_ratio``: smallest eigenvalue of ``P0^-1/2 P P0^-1/2``. ``cannot_tell``: quantities that the motion
+    said little about.
+    """
+
+    name: str
+    merged: tuple[str, ...]
+    mass: float
+    com: FloatArray
+    inertia: FloatArray
+    std_mass: float
+    std_com: FloatArray
+    std_inertia: FloatArray
+    parameters: FloatArray
+    distance_from_prior: float
+    from_data: float
+    min_eigenvalue_ratio: float
+    cannot_tell: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class EffectEstimate:
+    """An effect's coefficient at a joint."""
+
+    name: str
+    joint: str
+    value: float
+    unit: str
+    std: float
+    from_data: float
+
+
+@dataclass(frozen=True, eq=False)
+class Estimate:
+    """All that a solve found.
+
+    ``parameters (D,)`` of the measurement model; ``gamma`` the prior's share; ``sigmas`` and ``rms_*`` by channel in the
+    channel's unit, NaN where nothing was measured.
+    """
+
+    converged: bool
+    reason: str
+    seconds: float
+    steps: int
+    gamma: float
+    rows_accepted: int
+    links: tuple[LinkEstimate, ...]
+    effects: tuple[EffectEstimate, ...]
+    parameters: FloatArray
+    channels: tuple[str, ...]
+    sigmas: FloatArray
+    rms_nominal: FloatArray
+    rms: FloatArray

@@ -1,0 +1,197 @@
+"""From the summarised rows to an estimate: starting point, prior's weight, solve, uncertainty."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+
+import numpy as np
+
+from geomid_ros.errors import InputError
+from geomid_ros.estimation.estimate import EffectEstimate, Estimate, LinkEstimate
+from geomid_ros.estimation.gamma import choose_gamma
+from geomid_ros.estimation.objective import ResidualObjective
+from geomid_ros.estimation.solvers import Solution, trust_region
+from geomid_ros.estimation.starting_point import (
+    channel_sizes,
+    first_sigmas,
+    prior_parameters,
+    scales_of_reals,
+)
+from geomid_ros.estimation.summary import RowSummary
+from geomid_ros.estimation.uncertainty import Uncertainty, physical_sensitivity, physical_values, uncertainty
+from geomid_ros.geometry import pseudo_inertia, spd
+from geomid_ros.geometry.manifold import ParameterManifold, Point
+from geomid_ros.model.measurement import MeasurementModel
+from geomid_ros.types import FloatArray, frozen
+
+QUANTITIES = ("mass", "com x", "com y", "com z", "Ixx", "Ixy", "Iyy", "Ixz", "Iyz", "Izz")
+_SIGMA_ROUNDS = 3
+# A quantity is called told when the data at least halved the standard deviation that the prior alone leaves.
+_TOLD = 0.5
+
+
+@dataclass(frozen=True)
+class EstimatorSettings:
+    """``gamma``: weight of the prior as a share of the rows' (the paper's is 0.01), or None to find it on held-out
+    blocks of time. ``sigma``: standard deviations by channel name where they are known; others are estimated from the
+    residuals. ``tolerance`` (on the gradient, relative to the sum of the weights) and ``max_steps`` of the solver."""
+
+    gamma: float | None = None
+    sigma: dict[str, float] | None = None
+    tolerance: float = 1e-10
+    max_steps: int = 300
+
+
+@dataclass(frozen=True, eq=False)
+class WarmStart:
+    """Where the last solve ended: the next one begins there and keeps the prior's weight it found."""
+
+    parameters: FloatArray
+    gamma: float
+    sigmas: FloatArray
+
+
+def estimate(
+    model: MeasurementModel,
+    summary: RowSummary,
+    settings: EstimatorSettings = EstimatorSettings(),
+    prior: FloatArray | None = None,
+    warm: WarmStart | None = None,
+) -> Estimate:
+    """Solve for all parameters from the summarised rows.
+
+    Without ``warm`` the result depends on the rows alone. ``prior (D,)`` replaces the URDF's inertias and the fitted
+    start of the effects. Minimises :class:`ResidualObjective` on the compressed rows, at most D of them, in rounds that
+    take the channels' standard deviations from the residuals. Raises InputError when nothing was measured.
+    """
+    begin = time.perf_counter()
+    if summary.rows == 0:
+        raise InputError("no usable rows: nothing was measured, or the robot never moved")
+    sizes = channel_sizes(summary, model.dimension)
+    manifold = model.manifold(scales_of_reals(model, sizes))
+    prior_point = manifold.point(prior_parameters(model, summary, prior))
+    configured = _configured_sigmas(model, settings)
+    sigmas = warm.sigmas if warm else first_sigmas(summary, model.dimension)
+    sigmas = np.where(np.isfinite(configured), configured, sigmas)
+    gamma = warm.gamma if warm else settings.gamma
+    if gamma is None:
+        gamma = choose_gamma(manifold, summary, sigmas, prior_point).gamma
+    point = manifold.point(warm.parameters) if warm else prior_point
+    for _ in range(_SIGMA_ROUNDS):
+        objective = _objective(manifold, summary, sigmas, prior_point, gamma)
+        solution = trust_region(objective, point, settings.tolerance, settings.max_steps)
+        point = solution.point
+        residual = robust_rms(summary, point.parameters)
+        sigmas = np.where(np.isfinite(configured), configured, np.where(np.isfinite(residual), residual, sigmas))
+        sigmas = np.maximum(sigmas, 1e-9 * sizes)
+    sure = _uncertainty(summary, sigmas, objective, solution)
+    return Estimate(
+        solution.converged,
+        solution.reason,
+        time.perf_counter() - begin,
+        solution.steps,
+        gamma,
+        summary.rows,
+        _links(model, manifold, prior_point, solution.point, sure),
+        _effects(model, manifold, solution.point, sure),
+        solution.point.parameters,
+        tuple(channel.name for channel in model.channels),
+        frozen(sigmas),
+        frozen(summary.rms(nominal_parameters(model))),
+        frozen(summary.rms(solution.point.parameters)),
+    )
+
+
+def nominal_parameters(model: MeasurementModel) -> FloatArray:
+    """The model as the URDF has it: its inertias and no effects, ``(D,)``."""
+    return np.concatenate([model.nominal_inertias, np.zeros(len(model.coefficients))])
+
+
+def robust_rms(summary: RowSummary, parameters: FloatArray) -> FloatArray:
+    """Each channel's RMS residual, the median over the folds of time: a burst in one of them does not count."""
+    by_fold = np.array([summary.rms(parameters, [fold]) for fold in range(summary.folds)])
+    known = np.any(np.isfinite(by_fold), axis=0)
+    result = np.full(by_fold.shape[1], np.nan)
+    result[known] = np.nanmedian(by_fold[:, known], axis=0)
+    return result
+
+
+def _configured_sigmas(model: MeasurementModel, settings: EstimatorSettings) -> FloatArray:
+    configured = settings.sigma or {}
+    return np.array([configured.get(channel.name, np.nan) for channel in model.channels])
+
+
+def _objective(
+    manifold: ParameterManifold, summary: RowSummary, sigmas: FloatArray, prior: Point, gamma: float
+) -> ResidualObjective:
+    rows, targets = summary.compressed(sigmas, manifold.dimension)
+    return ResidualObjective(manifold, rows, targets, np.ones(len(rows)), prior, gamma)
+
+
+def _uncertainty(summary: RowSummary, sigmas: FloatArray, objective: ResidualObjective, solution: Solution) -> Uncertainty:
+    point, manifold = solution.point, objective.manifold
+    gradients = []
+    for fold in range(summary.folds):
+        rows, targets = summary.compressed(sigmas, manifold.dimension, [fold])
+        if len(rows):
+            gradients.append((rows @ point.parameters - targets) @ manifold.whiten(point, rows))
+    return uncertainty(
+        solution.evaluation.information, objective.prior_weight, gradients, manifold.log(point, objective.prior)
+    )
+
+
+def _links(
+    model: MeasurementModel, manifold: ParameterManifold, prior: Point, point: Point, sure: Uncertainty
+) -> tuple[LinkEstimate, ...]:
+    parameters = pseudo_inertia.to_parameters(point.pseudo_inertias)
+    values = physical_values(point)
+    central = pseudo_inertia.central_inertia(parameters)
+    sensitivity = physical_sensitivity(manifold, point)
+    distances = spd.distance(prior.pseudo_inertias, point.pseudo_inertias)
+    ratios = spd.relative_eigenvalues(prior.pseudo_inertias, point.pseudo_inertias)[:, 0]
+    links = []
+    for index, name in enumerate(model.body_names):
+        block = manifold.link(index)
+        derivative = sensitivity[index]
+        std = np.sqrt(np.einsum("ij,jk,ik->i", derivative, sure.covariance[block, block], derivative))
+        untold = sure.prior_spread * np.linalg.norm(derivative, axis=1)
+        share = float(np.trace(sure.resolution[block, block])) / 10.0
+        links.append(
+            LinkEstimate(
+                name,
+                model.robot.bodies[model.identified[index]].merged,
+                float(values[index, 0]),
+                frozen(values[index, 1:4]),
+                frozen(central[index]),
+                float(std[0]),
+                frozen(std[1:4]),
+                frozen(_symmetric3(std[4:])),
+                frozen(parameters[index]),
+                float(distances[index]),
+                min(1.0, max(0.0, share)),
+                float(ratios[index]),
+                tuple(q for q, s, u in zip(QUANTITIES, std, untold, strict=True) if s > _TOLD * u),
+            )
+        )
+    return tuple(links)
+
+
+def _symmetric3(entries: FloatArray) -> FloatArray:
+    matrix = np.empty((3, 3))
+    rows, columns = pseudo_inertia.INERTIA_ENTRIES
+    matrix[rows, columns] = matrix[columns, rows] = entries
+    return matrix
+
+
+def _effects(
+    model: MeasurementModel, manifold: ParameterManifold, point: Point, sure: Uncertainty
+) -> tuple[EffectEstimate, ...]:
+    first = manifold.inertial.stop
+    _, diagonal = manifold.jacobian(point)
+    std = diagonal * np.sqrt(np.diag(sure.covariance)[first:])
+    shares = np.clip(np.diag(sure.resolution)[first:], 0.0, 1.0)
+    return tuple(
+        EffectEstimate(c.effect.name, c.joint_name, float(value), c.unit, float(s), float(share))
+        for c, value, s, share in zip(model.coefficients, point.parameters[first:], std, shares, strict=True)
+    )

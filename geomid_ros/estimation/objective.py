@@ -1,0 +1,191 @@
+"""The objective (19), weighted squared distances to the rows' hyperplanes and to the prior; and that of Remark 3."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Protocol
+
+import numpy as np
+
+from geomid_ros.geometry import projection, symmetric
+from geomid_ros.geometry.manifold import ParameterManifold, Point
+from geomid_ros.types import BoolArray, FloatArray, frozen
+
+# The kernels run without the GIL, so chunks share the cores; results do not depend on how many there are, because
+# the chunks are fixed and are summed in order.
+_CHUNK = 2048
+_THREADS = 2
+_pool = ThreadPoolExecutor(_THREADS, thread_name_prefix="geomid-projection")
+
+
+@dataclass(frozen=True, eq=False)
+class Evaluation:
+    """Half of an objective at a point: its value, its gradient ``(D,)`` and its Hessian ``(D, D)`` along geodesics.
+
+    ``information`` is the part of the Hessian that the rows contribute at distance zero (Gauss-Newton): with weights
+    from true standard deviations it is the Fisher information of the rows.
+    """
+
+    value: float
+    gradient: FloatArray
+    information: FloatArray
+    hessian: FloatArray
+
+
+class Objective(Protocol):
+    """What a solver minimises."""
+
+    @property
+    def manifold(self) -> ParameterManifold:
+        """Where its points live."""
+
+    @property
+    def scale(self) -> float:
+        """The natural size of a gradient: the sum of all weights."""
+
+    @property
+    def prior_weight(self) -> float:
+        """The factor of the squared distance to the prior."""
+
+    def evaluate(self, point: Point) -> Evaluation:
+        """Value, gradient and Hessian at ``point``."""
+
+
+@dataclass(frozen=True, eq=False)
+class GeodesicObjective:
+    """(19) for rows ``(N, D)``, targets ``(N,)`` and standard deviations ``(N,)`` of ``rows . parameters = targets``.
+
+    ``gamma`` is the prior's weight as a share of the sum of the rows' weights. A row whose hyperplane has no projection
+    from the prior is set aside.
+    """
+
+    manifold: ParameterManifold
+    rows: FloatArray
+    targets: FloatArray
+    sigmas: FloatArray
+    prior: Point
+    gamma: float
+
+    @cached_property
+    def weights(self) -> FloatArray:
+        """Remark 2: ``w_i = a_i^T M^-1 a_i / sigma_i^2`` with M the metric at the prior; 0 for rows set aside."""
+        return frozen(np.where(self.set_aside, 0.0, row_weights(self.manifold, self.prior, self.rows, self.sigmas)))
+
+    @cached_property
+    def set_aside(self) -> BoolArray:
+        """Rows that take no part because Proposition 2 gives them no projection from the prior, ``(N,)``."""
+        normals = self.manifold.whiten(self.prior, self.rows)
+        status = projection.project(self.manifold, self.prior, normals, self.targets).status
+        result: BoolArray = status != projection.ROOT
+        return result
+
+    @cached_property
+    def prior_weight(self) -> float:
+        """The factor of the squared distance to the prior in (19)."""
+        return float(self.gamma * np.sum(self.weights))
+
+    @cached_property
+    def scale(self) -> float:
+        """Sum of all weights."""
+        return float(np.sum(self.weights)) + self.prior_weight
+
+    def evaluate(self, point: Point) -> Evaluation:
+        """Half of (19) at ``point`` with its derivatives in the tangent coordinates there."""
+        value, gradient, hessian = _prior_terms(self.manifold, point, self.prior, self.prior_weight)
+        information = np.zeros_like(hessian)
+        for terms in _pool.map(lambda chunk: self._row_terms(point, chunk), self._chunks()):
+            value += terms[0]
+            gradient = gradient + terms[1]
+            information += terms[2]
+            hessian += terms[3]
+        return Evaluation(value, gradient, information, information + hessian)
+
+    def _chunks(self) -> Iterator[slice]:
+        for start in range(0, len(self.rows), _CHUNK):
+            yield slice(start, start + _CHUNK)
+
+    def _row_terms(self, point: Point, chunk: slice) -> tuple[float, FloatArray, FloatArray, FloatArray]:
+        weights = self.weights[chunk]
+        normals = self.manifold.whiten(point, self.rows[chunk])
+        projected = projection.project(self.manifold, point, normals, self.targets[chunk], weights)
+        scaled = projected.direction * np.sqrt(weights)[:, None]
+        return (
+            float(weights @ projected.half_squared),
+            -weights @ projected.tangent,
+            scaled.T @ scaled,
+            projected.curvature,
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class ResidualObjective:
+    """Remark 3: ``sum (a_i . parameters - b_i)^2 / sigma_i^2 + gamma sum(w) d(Phi, Phi_0)^2``, weights as in (19).
+
+    Where residuals are small against the measured values it agrees with (19) to first order. It differs in two ways that
+    matter far from the prior: it has no rows to set aside, and it does not reward what makes distances short, large
+    masses above all. It depends on the rows only through their least-squares content, so that compressed rows lose nothing.
+    """
+
+    manifold: ParameterManifold
+    rows: FloatArray
+    targets: FloatArray
+    sigmas: FloatArray
+    prior: Point
+    gamma: float
+
+    @cached_property
+    def scale(self) -> float:
+        """Sum of all weights."""
+        total = float(np.sum(row_weights(self.manifold, self.prior, self.rows, self.sigmas)))
+        return (1.0 + self.gamma) * total
+
+    @cached_property
+    def prior_weight(self) -> float:
+        """The factor of the squared distance to the prior."""
+        return self.gamma / (1.0 + self.gamma) * self.scale
+
+    def evaluate(self, point: Point) -> Evaluation:
+        """Half of the objective at ``point`` with its derivatives in the tangent coordinates there."""
+        value, gradient, hessian = _prior_terms(self.manifold, point, self.prior, self.prior_weight)
+        residuals = (self.rows @ point.parameters - self.targets) / self.sigmas
+        normals = self.manifold.whiten(point, self.rows) / self.sigmas[:, None]
+        slope = residuals @ normals
+        information = normals.T @ normals
+        hessian += information + _bend(self.manifold, slope)
+        return Evaluation(value + 0.5 * float(residuals @ residuals), gradient + slope, information, hessian)
+
+
+def row_weights(manifold: ParameterManifold, prior: Point, rows: FloatArray, sigmas: FloatArray) -> FloatArray:
+    """Weights ``(N,)`` of Remark 2."""
+    result: FloatArray = np.sum(manifold.whiten(prior, rows) ** 2, axis=1) / sigmas**2
+    return result
+
+
+def _prior_terms(
+    manifold: ParameterManifold, point: Point, prior: Point, weight: float
+) -> tuple[float, FloatArray, FloatArray]:
+    to_prior = manifold.log(point, prior)
+    hessian = weight * manifold.half_squared_distance_hessian(point, prior)
+    return 0.5 * weight * float(to_prior @ to_prior), -weight * to_prior, hessian
+
+
+_UNITS = symmetric.to_matrix(np.eye(symmetric.SIZE))
+_PRODUCTS = np.einsum("kim,lmj->klij", _UNITS, _UNITS)
+
+
+def _bend(manifold: ParameterManifold, slope: FloatArray) -> FloatArray:
+    """Second derivative along geodesics of the linear function whose first derivative is ``slope``.
+
+    Per link ``tr(X exp(tQ))`` has the second derivative ``tr(X Q^2)``; a positive coefficient's is the first again.
+    """
+    hessian = np.zeros((manifold.dimension, manifold.dimension))
+    for index in range(manifold.links):
+        matrix = symmetric.to_matrix(slope[manifold.link(index)])
+        block = np.einsum("ij,klji->kl", matrix, _PRODUCTS)
+        hessian[manifold.link(index), manifold.link(index)] = 0.5 * (block + block.T)
+    positive = np.arange(manifold.positive.start, manifold.positive.stop)
+    hessian[positive, positive] = slope[positive]
+    return hessian

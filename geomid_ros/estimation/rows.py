@@ -1,0 +1,79 @@
+"""The paper's estimator on raw rows, with no robot and no ROS: ``A Phi = b`` with a prior, nothing else."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from geomid_ros.errors import InputError, unknown_name
+from geomid_ros.estimation.gamma import PAPER
+from geomid_ros.estimation.objective import GeodesicObjective, ResidualObjective
+from geomid_ros.estimation.solvers import SOLVERS, Solution, trust_region
+from geomid_ros.geometry import pseudo_inertia
+from geomid_ros.geometry.manifold import ParameterManifold
+from geomid_ros.types import BoolArray, FloatArray, frozen
+
+
+@dataclass(frozen=True, eq=False)
+class RowsSolution:
+    """``parameters (links, 10)``; the rows ``(N,)`` that were set aside; and the solve itself."""
+
+    parameters: FloatArray
+    set_aside: BoolArray
+    solution: Solution
+
+
+def solve_rows(
+    rows: FloatArray,
+    targets: FloatArray,
+    sigmas: FloatArray,
+    prior: FloatArray,
+    gamma: float = PAPER,
+    solver: str = "trust_region",
+    max_steps: int = 20000,
+) -> RowsSolution:
+    """Minimise (19) for rows ``(N, 10 links)``, targets and standard deviations ``(N,)`` (one number serves all).
+
+    ``prior (links, 10)`` and the columns of ``rows`` are in pinocchio's order (m, hx, hy, hz, Ixx, Ixy, Iyy, Ixz, Iyz,
+    Izz) about each link frame's origin, SI units. ``gamma``: weight of the prior as a share of the sum of the rows'
+    weights. ``solver``: ``trust_region``, which starts from the minimiser of Remark 3 where that is lower, or
+    ``cyclic``, the paper's alternation. Raises InputError for shapes that do not fit, numbers that are not finite, and
+    a prior that is no body.
+
+    >>> found = solve_rows(np.eye(1, 10), np.array([2.5]), 0.1, [[2, 0, 0, 0, 1, 0, 1, 0, 0, 1]])
+    >>> 2.4 < found.parameters[0, 0] < 2.5  # a mass of 2 kg was expected, 2.5 kg measured
+    True
+    """
+    rows, targets = np.asarray(rows, dtype=np.float64), np.asarray(targets, dtype=np.float64)
+    prior = np.atleast_2d(np.asarray(prior, dtype=np.float64))
+    sigmas = np.broadcast_to(np.asarray(sigmas, dtype=np.float64), targets.shape)
+    _check(rows, targets, sigmas, prior)
+    if solver not in SOLVERS:
+        raise unknown_name("solver", solver, SOLVERS)
+    manifold = ParameterManifold(len(prior), 0, np.zeros(0))
+    start = manifold.point(prior.ravel())
+    objective = GeodesicObjective(manifold, rows, targets, sigmas, start, gamma)
+    if solver == "trust_region":
+        direct = trust_region(ResidualObjective(manifold, rows, targets, sigmas, start, gamma), start, 1e-4).point
+        if objective.evaluate(direct).value < objective.evaluate(start).value:
+            start = direct
+    solution = SOLVERS[solver](objective, start, max_steps=max_steps)
+    parameters = frozen(pseudo_inertia.to_parameters(solution.point.pseudo_inertias))
+    return RowsSolution(parameters, objective.set_aside, solution)
+
+
+def _check(rows: FloatArray, targets: FloatArray, sigmas: FloatArray, prior: FloatArray) -> None:
+    if prior.shape[1] != pseudo_inertia.SIZE or rows.shape != (len(targets), prior.size):
+        raise InputError(
+            f"rows {rows.shape}, targets {targets.shape} and prior {prior.shape} do not fit: "
+            "expected (N, 10 links), (N,) and (links, 10)"
+        )
+    for name, array in (("rows", rows), ("targets", targets), ("sigmas", sigmas), ("prior", prior)):
+        if not np.all(np.isfinite(array)):
+            raise InputError(f"{name} has entries that are not finite")
+    if np.any(sigmas <= 0.0):
+        raise InputError("standard deviations must be greater than zero")
+    smallest = np.linalg.eigvalsh(pseudo_inertia.from_parameters(prior))[:, 0]
+    if np.any(smallest <= 0.0):
+        raise InputError(f"the prior of link {int(np.argmin(smallest))} belongs to no body that can exist")

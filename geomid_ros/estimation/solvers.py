@@ -1,0 +1,116 @@
+"""Two solvers of one objective, (19)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from geomid_ros.estimation.objective import Evaluation, Objective
+from geomid_ros.geometry.manifold import Point
+from geomid_ros.types import FloatArray
+
+_ACCEPT = 1e-4
+_EXPAND_ABOVE = 0.75
+_SHRINK_BELOW = 0.25
+
+
+@dataclass(frozen=True, eq=False)
+class Solution:
+    """The end of a solve: where, whether it converged and why it stopped, and how the objective fell."""
+
+    point: Point
+    evaluation: Evaluation
+    converged: bool
+    reason: str
+    steps: int
+    values: tuple[float, ...]
+
+
+def trust_region(
+    objective: Objective, start: Point, tolerance: float = 1e-8, max_steps: int = 100, radius: float = 1.0
+) -> Solution:
+    """Newton steps on the manifold inside a trust region (geodesic radius); every accepted step descends.
+
+    The subproblem is solved exactly in the eigenbasis of the Hessian (More & Sorensen 1983); the radius
+    follows the ratio of actual to predicted decrease (Nocedal & Wright, "Numerical Optimization", algorithm 4.1).
+    """
+    scale = objective.scale
+    evaluation = objective.evaluate(start)
+    point, values = start, [evaluation.value]
+    for step in range(max_steps):
+        if np.linalg.norm(evaluation.gradient) <= tolerance * scale:
+            return Solution(point, evaluation, True, "gradient below tolerance", step, tuple(values))
+        eigenvalues, basis = np.linalg.eigh(evaluation.hessian)
+        while True:
+            tangent = _subproblem(eigenvalues, basis, evaluation.gradient, radius)
+            predicted = -(evaluation.gradient @ tangent + 0.5 * tangent @ evaluation.hessian @ tangent)
+            candidate = objective.manifold.exp(point, tangent)
+            trial = objective.evaluate(candidate)
+            ratio = (evaluation.value - trial.value) / predicted
+            length = float(np.linalg.norm(tangent))
+            if ratio >= _ACCEPT:
+                break
+            if predicted <= 1e-14 * evaluation.value or length < 1e-12:
+                return Solution(point, evaluation, True, "no decrease left in rounding", step, tuple(values))
+            radius = 0.25 * length
+        if ratio < _SHRINK_BELOW:
+            radius = 0.25 * length
+        elif ratio > _EXPAND_ABOVE and length > 0.99 * radius:
+            radius = 2.0 * radius
+        point, evaluation = candidate, trial
+        values.append(evaluation.value)
+    return Solution(point, evaluation, False, f"no convergence in {max_steps} steps", max_steps, tuple(values))
+
+
+def _subproblem(eigenvalues: FloatArray, basis: FloatArray, gradient: FloatArray, radius: float) -> FloatArray:
+    """The minimiser of the quadratic model within ``radius``: ``-(H + mu 1)^-1 g`` with the least mu >= 0 for which
+    ``H + mu 1`` is positive definite and the step fits."""
+    components = basis.T @ gradient
+
+    def length(damping: float) -> float:
+        return float(np.linalg.norm(components / (eigenvalues + damping)))
+
+    floor = 1e-12 * float(np.max(np.abs(eigenvalues)))
+    damping = max(0.0, floor - float(eigenvalues[0]))
+    if length(damping) > radius:
+        low, high = damping, damping + float(np.linalg.norm(gradient)) / radius
+        while high - low > 1e-3 * high:
+            damping = 0.5 * (low + high)
+            low, high = (damping, high) if length(damping) > radius else (low, damping)
+        damping = high
+    step: FloatArray = -(basis @ (components / (eigenvalues + damping)))
+    return step
+
+
+def cyclic(
+    objective: Objective, start: Point, tolerance: float = 1e-8, max_steps: int = 20000
+) -> Solution:
+    """The paper's alternation: project on every hyperplane, then move to the Karcher mean of the projections.
+
+    All projections of a cycle share the base point, so their mean's first Karcher step needs no further decomposition:
+    it is the weighted mean of the tangent vectors Q_i, and the whole mean has the same fixed points. A step that does
+    not descend is halved.
+    """
+    scale = objective.scale
+    evaluation = objective.evaluate(start)
+    point, values = start, [evaluation.value]
+    for step in range(max_steps):
+        if np.linalg.norm(evaluation.gradient) <= tolerance * scale:
+            return Solution(point, evaluation, True, "gradient below tolerance", step, tuple(values))
+        share = 1.0
+        while True:
+            candidate = objective.manifold.exp(point, -share / scale * evaluation.gradient)
+            trial = objective.evaluate(candidate)
+            if trial.value < evaluation.value:
+                break
+            share *= 0.5
+            if share < 1e-6:
+                return Solution(point, evaluation, True, "no decrease left in rounding", step, tuple(values))
+        point, evaluation = candidate, trial
+        values.append(evaluation.value)
+    return Solution(point, evaluation, False, f"no convergence in {max_steps} cycles", max_steps, tuple(values))
+
+
+SOLVERS: dict[str, Callable[..., Solution]] = {"trust_region": trust_region, "cyclic": cyclic}

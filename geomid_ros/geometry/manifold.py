@@ -1,0 +1,154 @@
+"""The product manifold on which a robot's parameters live.
+
+A point has three kinds of block: ``links`` pseudo-inertias in P(4), ``positives`` positive coefficients with the
+metric ``dc^2/c^2`` (that is P(1)), and real lines with a stated scale s and the metric ``dr^2/s^2``. Two vectors
+describe it:
+
+- *parameters* ``(D,)``: ten per link in pinocchio's order, then the positives, then the reals. Measurements are
+  linear in it: a row is ``a . parameters = b``.
+- *tangent coordinates* at a base point ``(D,)``: orthonormal for the metric there. A link's ten are the coordinates
+  (``symmetric``) of ``P^-1/2 V P^-1/2``, a positive's is ``dc/c``, a real's is ``dr/s``.
+
+``D = 10 links + positives + reals`` in both.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from geomid_ros.geometry import pseudo_inertia, spd, symmetric
+from geomid_ros.types import FloatArray, frozen
+
+
+@dataclass(frozen=True, eq=False)
+class Point:
+    """A point of a :class:`ParameterManifold`.
+
+    ``pseudo_inertias (links, 4, 4)`` SPD, ``positives (m,)`` greater than zero, ``reals (k,)``. Read-only.
+    """
+
+    pseudo_inertias: FloatArray
+    positives: FloatArray
+    reals: FloatArray
+
+    def __post_init__(self) -> None:
+        for name in ("pseudo_inertias", "positives", "reals"):
+            object.__setattr__(self, name, frozen(getattr(self, name)))
+
+    @cached_property
+    def root(self) -> FloatArray:
+        """Symmetric square roots of the pseudo-inertias, ``(links, 4, 4)``."""
+        return frozen(spd.spd_sqrt(self.pseudo_inertias))
+
+    @cached_property
+    def inverse_root(self) -> FloatArray:
+        """Inverses of the square roots, ``(links, 4, 4)``."""
+        return frozen(spd.spd_inv_sqrt(self.pseudo_inertias))
+
+    @cached_property
+    def parameters(self) -> FloatArray:
+        """The linear parameters ``(D,)``."""
+        inertial = pseudo_inertia.to_parameters(self.pseudo_inertias).ravel()
+        return frozen(np.concatenate([inertial, self.positives, self.reals]))
+
+
+@dataclass(frozen=True, eq=False)
+class ParameterManifold:
+    """P(4)^links x P(1)^positives x R^reals, with the scales ``(k,)`` of the real lines (greater than zero)."""
+
+    links: int
+    positives: int
+    scales: FloatArray
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "scales", frozen(self.scales))
+
+    @property
+    def dimension(self) -> int:
+        """D, the number of parameters and of tangent coordinates."""
+        return symmetric.SIZE * self.links + self.positives + len(self.scales)
+
+    @property
+    def inertial(self) -> slice:
+        """Where the links' entries stand in a vector of D."""
+        return slice(0, symmetric.SIZE * self.links)
+
+    @property
+    def positive(self) -> slice:
+        """Where the positive coefficients stand in a vector of D."""
+        return slice(self.inertial.stop, self.inertial.stop + self.positives)
+
+    @property
+    def real(self) -> slice:
+        """Where the real coefficients stand in a vector of D."""
+        return slice(self.positive.stop, self.dimension)
+
+    def link(self, index: int) -> slice:
+        """Where the entries of one link stand in a vector of D."""
+        return slice(symmetric.SIZE * index, symmetric.SIZE * (index + 1))
+
+    def point(self, parameters: FloatArray) -> Point:
+        """The point with these linear parameters ``(D,)``; the caller answers for their being possible."""
+        inertial = parameters[self.inertial].reshape(self.links, symmetric.SIZE)
+        return Point(
+            pseudo_inertia.from_parameters(inertial), parameters[self.positive], parameters[self.real]
+        )
+
+    def _split(self, tangent: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        matrices = symmetric.to_matrix(tangent[self.inertial].reshape(self.links, symmetric.SIZE))
+        return matrices, tangent[self.positive], tangent[self.real]
+
+    def exp(self, base: Point, tangent: FloatArray) -> Point:
+        """The end of the geodesic (7) leaving ``base`` with tangent coordinates ``(D,)``."""
+        matrices, positive, real = self._split(tangent)
+        return Point(
+            spd.congruence(base.root, spd.sym_exp(matrices)),
+            base.positives * np.exp(positive),
+            base.reals + self.scales * real,
+        )
+
+    def log(self, base: Point, point: Point) -> FloatArray:
+        """Tangent coordinates ``(D,)`` at ``base`` of the geodesic to ``point`` (8)."""
+        whitened = spd.spd_log(spd.congruence(base.inverse_root, point.pseudo_inertias))
+        return np.concatenate(
+            [
+                symmetric.to_vector(whitened).ravel(),
+                np.log(point.positives / base.positives),
+                (point.reals - base.reals) / self.scales,
+            ]
+        )
+
+    def distance(self, a: Point, b: Point) -> float:
+        """Geodesic distance: the root of the sum of the blocks' squared distances (9)."""
+        return float(np.linalg.norm(self.log(a, b)))
+
+    def half_squared_distance_hessian(self, base: Point, point: Point) -> FloatArray:
+        """Hessian ``(D, D)`` of ``d(base, point)^2/2`` by the tangent coordinates at ``base``."""
+        log = spd.spd_log(spd.congruence(base.inverse_root, point.pseudo_inertias))
+        hessian = np.eye(self.dimension)
+        for index, block in enumerate(spd.half_squared_distance_hessian(log)):
+            hessian[self.link(index), self.link(index)] = block
+        return hessian
+
+    def jacobian(self, base: Point) -> tuple[FloatArray, FloatArray]:
+        """Derivative of the parameters by the tangent coordinates at ``base``, by blocks.
+
+        Returns the links' blocks ``(links, 10, 10)`` and the diagonal of the rest ``(positives + reals,)``. A row
+        ``a`` has the coordinates ``a J``: the coordinates of ``X-bar = P^1/2 X P^1/2`` of Proposition 2.
+        """
+        basis = pseudo_inertia.COEFFICIENT_BASIS[None]
+        blocks = symmetric.to_vector(spd.congruence(base.root[:, None], basis))
+        return blocks, np.concatenate([base.positives, self.scales])
+
+    def whiten(self, base: Point, rows: FloatArray) -> FloatArray:
+        """Coordinates ``(N, D)`` of rows ``(N, D)`` at ``base``; their norm is the rows' dual norm there."""
+        blocks, diagonal = self.jacobian(base)
+        whitened = np.empty(rows.shape)
+        for index in range(self.links):
+            whitened[:, self.link(index)] = rows[:, self.link(index)] @ blocks[index]
+        start = self.inertial.stop
+        whitened[:, start:] = rows[:, start:] * diagonal
+        return whitened

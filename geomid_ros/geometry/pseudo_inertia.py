@@ -1,0 +1,112 @@
+"""The linear map (3) between ten inertial parameters and the 4x4 pseudo-inertia.
+
+Parameters are in pinocchio's order ``(m, hx, hy, hz, Ixx, Ixy, Iyy, Ixz, Iyz, Izz)`` in kg, kg m and kg m^2, with
+the first moment ``h = m c`` and the inertia about the link frame's origin, in the link frame's axes. The
+pseudo-inertia is ``P = [[S, h], [h^T, m]]`` with the second moment ``S = tr(I)/2 1 - I``. A body with a non-negative
+density exists exactly when P is positive semi-definite.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from geomid_ros.geometry import symmetric
+from geomid_ros.types import FloatArray
+
+SIZE = symmetric.SIZE
+INERTIA_ENTRIES = (np.array([0, 0, 1, 0, 1, 2]), np.array([0, 1, 1, 2, 2, 2]))
+_INERTIA_ROWS, _INERTIA_COLUMNS = INERTIA_ENTRIES
+
+
+def rotational_inertia(parameters: FloatArray) -> FloatArray:
+    """Inertia matrices ``(..., 3, 3)`` about the frame's origin, of parameters ``(..., 10)``."""
+    inertia = np.empty((*parameters.shape[:-1], 3, 3))
+    inertia[..., _INERTIA_ROWS, _INERTIA_COLUMNS] = parameters[..., 4:]
+    inertia[..., _INERTIA_COLUMNS, _INERTIA_ROWS] = parameters[..., 4:]
+    return inertia
+
+
+def _trace_complement(matrix: FloatArray, share: float) -> FloatArray:
+    trace = np.trace(matrix, axis1=-2, axis2=-1)[..., None, None]
+    result: FloatArray = share * trace * np.eye(3) - matrix
+    return result
+
+
+def from_parameters(parameters: FloatArray) -> FloatArray:
+    """Pseudo-inertias ``(..., 4, 4)`` of parameters ``(..., 10)``: the map f of (3)."""
+    pseudo = np.empty((*parameters.shape[:-1], 4, 4))
+    pseudo[..., :3, :3] = _trace_complement(rotational_inertia(parameters), 0.5)
+    pseudo[..., :3, 3] = pseudo[..., 3, :3] = parameters[..., 1:4]
+    pseudo[..., 3, 3] = parameters[..., 0]
+    return pseudo
+
+
+def to_parameters(pseudo: FloatArray) -> FloatArray:
+    """Parameters ``(..., 10)`` of pseudo-inertias ``(..., 4, 4)``: the inverse of :func:`from_parameters`."""
+    inertia = _trace_complement(pseudo[..., :3, :3], 1.0)
+    parameters = np.empty((*pseudo.shape[:-2], SIZE))
+    parameters[..., 0] = pseudo[..., 3, 3]
+    parameters[..., 1:4] = pseudo[..., :3, 3]
+    parameters[..., 4:] = inertia[..., _INERTIA_ROWS, _INERTIA_COLUMNS]
+    return parameters
+
+
+# Row k is the coordinate vector of the pseudo-inertia of the k-th unit parameter vector.
+_PARAMETERS_TO_COORDINATES = symmetric.to_vector(from_parameters(np.eye(SIZE)))
+_COEFFICIENTS_TO_COORDINATES = np.linalg.inv(_PARAMETERS_TO_COORDINATES).T
+COEFFICIENT_BASIS = symmetric.to_matrix(_COEFFICIENTS_TO_COORDINATES)
+
+
+def coefficient_matrix(coefficients: FloatArray) -> FloatArray:
+    """Symmetric ``X (..., 4, 4)`` with ``tr(X P) = coefficients . parameters`` for every body (constraint (20))."""
+    matrix: FloatArray = np.einsum("...k,kij->...ij", coefficients, COEFFICIENT_BASIS)
+    return matrix
+
+
+def change_of_frame(
+    rotation: FloatArray, translation: FloatArray, length_unit: float = 1.0, mass_unit: float = 1.0
+) -> FloatArray:
+    """The matrix G of (13), with which ``P_a = G P_b G^T``.
+
+    ``rotation (3, 3)`` and ``translation (3,)`` place frame b in frame a (``r_a = R r_b + t``, in b's unit of
+    length); ``length_unit`` and ``mass_unit`` are the factors from b's units to a's.
+    """
+    factor = np.eye(4)
+    factor[:3, :3] = length_unit * rotation
+    factor[:3, 3] = length_unit * translation
+    return np.sqrt(mass_unit) * factor
+
+
+def centre_of_mass(parameters: FloatArray) -> FloatArray:
+    """Centre of mass ``(..., 3)`` in the link frame [m], of parameters ``(..., 10)``."""
+    centre: FloatArray = parameters[..., 1:4] / parameters[..., :1]
+    return centre
+
+
+def central_inertia(parameters: FloatArray) -> FloatArray:
+    """Inertia ``(..., 3, 3)`` about the centre of mass in the link frame's axes [kg m^2]."""
+    mass = parameters[..., :1, None]
+    centre = centre_of_mass(parameters)
+    outer = centre[..., :, None] * centre[..., None, :]
+    return rotational_inertia(parameters) - mass * _trace_complement(outer, 1.0)
+
+
+def assemble(mass: FloatArray, centre: FloatArray, central: FloatArray) -> FloatArray:
+    """Parameters ``(..., 10)`` from mass ``(...)``, centre of mass ``(..., 3)`` and central inertia ``(..., 3, 3)``."""
+    mass = np.asarray(mass, dtype=np.float64)[..., None]
+    outer = centre[..., :, None] * centre[..., None, :]
+    inertia = central + mass[..., None] * _trace_complement(outer, 1.0)
+    entries = inertia[..., _INERTIA_ROWS, _INERTIA_COLUMNS]
+    return np.concatenate([mass, mass * centre, entries], axis=-1)
+
+
+def equivalent_ellipsoid(parameters: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Semi-axes ``(..., 3)`` [m] and axes ``(..., 3, 3)`` (columns, link frame) of the uniform solid ellipsoid
+    with the same mass and inertia.
+
+    A uniform ellipsoid with semi-axes s has central second moment ``m diag(s^2)/5``.
+    """
+    central = central_inertia(parameters)
+    covariance = _trace_complement(central, 0.5) / parameters[..., :1, None]
+    values, axes = np.linalg.eigh(covariance)
+    return np.sqrt(5.0 * np.clip(values, 0.0, None)), axes

@@ -1,0 +1,103 @@
+"""The affine-invariant geometry of symmetric positive-definite matrices, P(n).
+
+Every function works on stacks: ``(..., n, n)``.
+
+The paper prints the metric (5) with a factor 1/2 and the distance (9) without it, so that the norm of
+``log_map`` would be the distance over sqrt(2). Here the metric is ``tr(P^-1 X P^-1 Y)``, without the factor:
+the distance is the one printed, and it is the norm of the logarithm. Minimisers do not depend on this choice.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from geomid_ros.geometry import symmetric
+from geomid_ros.types import FloatArray
+
+
+def _apply_to_eigenvalues(function: Callable[[FloatArray], FloatArray], matrix: FloatArray) -> FloatArray:
+    values, vectors = np.linalg.eigh(matrix)
+    result: FloatArray = (vectors * function(values)[..., None, :]) @ np.swapaxes(vectors, -1, -2)
+    return result
+
+
+def sym_exp(matrix: FloatArray) -> FloatArray:
+    """Matrix exponential of symmetric matrices ``(..., n, n)``."""
+    return _apply_to_eigenvalues(np.exp, matrix)
+
+
+def spd_log(matrix: FloatArray) -> FloatArray:
+    """Matrix logarithm of SPD matrices ``(..., n, n)``."""
+    return _apply_to_eigenvalues(np.log, matrix)
+
+
+def spd_sqrt(matrix: FloatArray) -> FloatArray:
+    """Symmetric square root of SPD matrices ``(..., n, n)``."""
+    return _apply_to_eigenvalues(np.sqrt, matrix)
+
+
+def spd_inv_sqrt(matrix: FloatArray) -> FloatArray:
+    """Inverse of the symmetric square root of SPD matrices ``(..., n, n)``."""
+    return _apply_to_eigenvalues(lambda values: 1.0 / np.sqrt(values), matrix)
+
+
+def congruence(factor: FloatArray, matrix: FloatArray) -> FloatArray:
+    """The group action ``G * P = G P G^T`` of GL(n), for stacks."""
+    result: FloatArray = factor @ matrix @ np.swapaxes(factor, -1, -2)
+    return result
+
+
+def inner(base: FloatArray, x: FloatArray, y: FloatArray) -> FloatArray:
+    """Inner product (5) of tangent vectors at ``base``, shape ``(...)``; see the module for the factor."""
+    product: FloatArray = np.einsum("...ij,...ji->...", np.linalg.solve(base, x), np.linalg.solve(base, y))
+    return product
+
+
+def exp_map(base: FloatArray, tangent: FloatArray) -> FloatArray:
+    """Exponential map (7): the end of the unit-time geodesic leaving ``base`` with velocity ``tangent``."""
+    return geodesic(base, tangent, 1.0)
+
+
+def geodesic(base: FloatArray, tangent: FloatArray, t: float) -> FloatArray:
+    """The point at time ``t`` of the geodesic (6) that leaves ``base`` with velocity ``tangent``."""
+    root, inverse = spd_sqrt(base), spd_inv_sqrt(base)
+    return congruence(root, sym_exp(t * congruence(inverse, tangent)))
+
+
+def log_map(base: FloatArray, point: FloatArray) -> FloatArray:
+    """Logarithm map (8): the initial velocity of the geodesic from ``base`` to ``point``."""
+    root, inverse = spd_sqrt(base), spd_inv_sqrt(base)
+    return congruence(root, spd_log(congruence(inverse, point)))
+
+
+def relative_eigenvalues(base: FloatArray, point: FloatArray) -> FloatArray:
+    """Eigenvalues of ``base^-1/2 point base^-1/2`` in ascending order, shape ``(..., n)``."""
+    values: FloatArray = np.linalg.eigvalsh(congruence(spd_inv_sqrt(base), point))
+    return values
+
+
+def distance(a: FloatArray, b: FloatArray) -> FloatArray:
+    """Geodesic distance (9), ``sqrt(sum log^2 eig(a^-1 b))``, shape ``(...)``."""
+    result: FloatArray = np.sqrt(np.sum(np.log(relative_eigenvalues(a, b)) ** 2, axis=-1))
+    return result
+
+
+def half_squared_distance_hessian(log: FloatArray) -> FloatArray:
+    """Hessian ``(..., 10, 10)`` of ``d(P, P_0)^2/2`` at P along geodesics, of 4x4 matrices, in whitened coordinates.
+
+    ``log (..., 4, 4)`` is ``log(P^-1/2 P_0 P^-1/2)``. In its eigenbasis the Hessian is diagonal with the entries
+    ``x coth x``, x half the difference of two eigenvalues (Pennec 2006, "A Riemannian framework for tensor computing",
+    gives the derivative of the logarithm it follows from); it is never below the identity.
+    """
+    values, vectors = np.linalg.eigh(log)
+    half = 0.5 * (values[..., symmetric.ROWS] - values[..., symmetric.COLUMNS])
+    safe = np.where(np.abs(half) < 1e-6, 1.0, half)
+    entries = np.where(np.abs(half) < 1e-6, 1.0, safe / np.tanh(safe))
+    v = np.swapaxes(vectors, -1, -2)
+    outer = v[..., symmetric.ROWS, :, None] * v[..., symmetric.COLUMNS, None, :]
+    basis = symmetric.to_vector(0.5 * (outer + np.swapaxes(outer, -1, -2)))
+    basis *= np.where(symmetric.ROWS == symmetric.COLUMNS, 1.0, np.sqrt(2.0))[:, None]
+    hessian: FloatArray = np.swapaxes(basis, -1, -2) @ (entries[..., None] * basis)
+    return hessian

@@ -1,0 +1,239 @@
+"""The linear measurement model: samples to rows ``a . parameters = b``, one per channel and instant.
+
+A channel is one measured number: a joint's effort or one axis of a wrench sensor. The parameters are those of
+:class:`~geomid_ros.geometry.manifold.ParameterManifold`: ten per identified body, then the effects' positive
+coefficients, then the real ones.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from geomid_ros.errors import InputError, unknown_name
+from geomid_ros.geometry.manifold import ParameterManifold
+from geomid_ros.model.effects import Effect, JointMotion
+from geomid_ros.model.robot import Robot
+from geomid_ros.model.samples import Samples
+from geomid_ros.model.sensors import WrenchSensor
+from geomid_ros.types import FloatArray, IntArray
+
+
+@dataclass(frozen=True)
+class Coefficient:
+    """An effect's coefficient at one joint."""
+
+    effect: Effect
+    joint: int
+    joint_name: str
+    unit: str
+
+
+@dataclass(frozen=True, eq=False)
+class Channel:
+    """One measured number: its name, unit, and the parameters (columns) that it can depend on."""
+
+    name: str
+    unit: str
+    columns: IntArray
+
+
+@dataclass(frozen=True, eq=False)
+class Rows:
+    """Rows of N instants: ``coefficients (N, channels, D)``, ``targets (N, channels)``, NaN where nothing is measured."""
+
+    coefficients: FloatArray
+    targets: FloatArray
+
+
+class MeasurementModel:
+    """Which parameters are unknown, which channels are measured, and the rows between them."""
+
+    def __init__(
+        self,
+        robot: Robot,
+        effects: Sequence[Effect],
+        sensors: Sequence[WrenchSensor] = (),
+        links: Sequence[str] | None = None,
+    ) -> None:
+        """``links`` are the bodies to identify (all unless given); the others keep their URDF's inertia."""
+        self.robot = robot
+        self.sensors = tuple(sensors)
+        self.identified = self._identified_bodies(links)
+        self.coefficients = self._coefficients(effects)
+        self._check_sensors()
+        self.channels = (*self._joint_channels(), *self._wrench_channels())
+        if not self.channels:
+            raise InputError(
+                "nothing that is measured can be predicted: a floating base needs at least one wrench sensor of role "
+                "external (a force plate, or contact sensors on all that touches the ground)"
+            )
+
+    def _identified_bodies(self, links: Sequence[str] | None) -> tuple[int, ...]:
+        names = self.robot.body_names
+        for link in links or ():
+            if link not in names:
+                raise unknown_name("link", link, names)
+        return tuple(index for index, name in enumerate(names) if links is None or name in links)
+
+    def _coefficients(self, effects: Sequence[Effect]) -> tuple[Coefficient, ...]:
+        if not self._efforts_usable:
+            return ()
+        ordered = sorted(effects, key=lambda effect: not effect.positive)
+        return tuple(
+            Coefficient(effect, index, joint.name, effect.units[joint.unit == "N"])
+            for effect in ordered
+            for index, joint in enumerate(self.robot.joints)
+        )
+
+    def _check_sensors(self) -> None:
+        for sensor in self.sensors:
+            on_robot = self.robot.is_on_robot(sensor.frame)
+            if sensor.role == "mounted" and not on_robot:
+                raise unknown_name("frame of a mounted wrench sensor", sensor.frame, self.robot.tree.links)
+            if sensor.role == "external" and not on_robot and not self.robot.floating_base:
+                raise unknown_name("frame (on a robot with a fixed base)", sensor.frame, self.robot.tree.links)
+        external = self._external
+        if len(external) > 1 and any(len(sensor.axes) < 6 for sensor in external):
+            raise InputError("of several external wrench sensors each must measure all six axes: their loads are added")
+
+    @property
+    def _external(self) -> list[WrenchSensor]:
+        return [sensor for sensor in self.sensors if sensor.role == "external"]
+
+    @property
+    def _efforts_usable(self) -> bool:
+        """A load on an unknown link (force plate) or an unmeasured one (floating base without sensors) reaches joints."""
+        on_robot = all(self.robot.is_on_robot(s.frame) and len(s.axes) == 6 for s in self._external)
+        return on_robot and (not self.robot.floating_base or bool(self._external))
+
+    @property
+    def dimension(self) -> int:
+        """D, the number of parameters."""
+        return 10 * len(self.identified) + len(self.coefficients)
+
+    @property
+    def positives(self) -> int:
+        """How many of the effects' coefficients are positive; they come first."""
+        return sum(coefficient.effect.positive for coefficient in self.coefficients)
+
+    @property
+    def body_names(self) -> tuple[str, ...]:
+        """Names of the identified bodies."""
+        return tuple(self.robot.bodies[index].name for index in self.identified)
+
+    @property
+    def nominal_inertias(self) -> FloatArray:
+        """The URDF's parameters of the identified bodies, ``(10 bodies,)``."""
+        return np.concatenate([self.robot.bodies[index].parameters for index in self.identified])
+
+    def manifold(self, scales: FloatArray) -> ParameterManifold:
+        """The manifold of the parameters, with the scales of the real coefficients."""
+        return ParameterManifold(len(self.identified), self.positives, scales)
+
+    def _columns(self, bodies: Sequence[int], joint: int | None) -> IntArray:
+        columns = [
+            10 * place + k for place, body in enumerate(self.identified) if body in bodies for k in range(10)
+        ]
+        first = 10 * len(self.identified)
+        columns += [first + k for k, coefficient in enumerate(self.coefficients) if coefficient.joint == joint]
+        return np.array(columns, dtype=np.int64)
+
+    def _joint_channels(self) -> list[Channel]:
+        if not self._efforts_usable:
+            return []
+        children = {joint.name: joint.child for joint in self.robot.tree.joints}
+        return [
+            Channel(joint.name, joint.unit, self._columns(self.robot.subtree(children[joint.name]), index))
+            for index, joint in enumerate(self.robot.joints)
+        ]
+
+    def _wrench_channels(self) -> list[Channel]:
+        channels = []
+        for sensor in self._row_sensors:
+            columns = self._columns(self._loaded_bodies(sensor), None)
+            topic = sensor.topic.strip("/")
+            channels += [Channel(f"{topic}/{axis}", "N" if axis[0] == "f" else "N m", columns) for axis in sensor.axes]
+        return channels
+
+    @property
+    def _row_sensors(self) -> list[WrenchSensor]:
+        """Sensors that make rows: every mounted one, and with a floating base the first external one for their sum."""
+        mounted = [sensor for sensor in self.sensors if sensor.role == "mounted"]
+        return mounted + (self._external[:1] if self.robot.floating_base else [])
+
+    def _loaded_bodies(self, sensor: WrenchSensor) -> list[int]:
+        if sensor.role == "mounted":
+            return self.robot.subtree(sensor.frame)
+        return list(range(len(self.robot.bodies)))
+
+    def rows(self, samples: Samples) -> Rows:
+        """The rows of N samples."""
+        bodies = np.zeros((len(samples), len(self.channels), len(self.robot.bodies), 10))
+        targets = np.empty((len(samples), len(self.channels)))
+        wrenches = samples.wrenches * np.array([sensor.sign for sensor in self.sensors])[:, None]
+        for index, (q, v, a) in enumerate(zip(*self.robot.configuration(samples), strict=True)):
+            joints = len(self.robot.joints) if self._efforts_usable else 0
+            if joints:
+                bodies[index, :joints] = self.robot.joint_effort_rows(q, v, a)
+                targets[index, :joints] = samples.effort[index]
+            if self.sensors:
+                self.robot.update_motion(q, v, a)
+                targets[index, :joints] += self._external_efforts(q, wrenches[index], joints)
+                bodies[index, joints:], targets[index, joints:] = self._wrench_rows(wrenches[index])
+        return self._assemble(samples, bodies, targets)
+
+    def _wrench_rows(self, wrenches: FloatArray) -> tuple[FloatArray, FloatArray]:
+        rows = [np.zeros((0, len(self.robot.bodies), 10))]
+        targets = [np.zeros(0)]
+        for sensor in self._row_sensors:
+            regressor = self.robot.wrench_rows(self._loaded_bodies(sensor), sensor.frame)
+            measured = self._total_external(wrenches) if sensor.role == "external" else self._of(sensor, wrenches)
+            rows.append(regressor[sensor.axis_indices])
+            targets.append(measured[sensor.axis_indices])
+        return np.concatenate(rows), np.concatenate(targets)
+
+    def _of(self, sensor: WrenchSensor, wrenches: FloatArray) -> FloatArray:
+        result: FloatArray = wrenches[self.sensors.index(sensor)]
+        return result
+
+    def _total_external(self, wrenches: FloatArray) -> FloatArray:
+        """Sum of the external wrenches, in the frame of the first."""
+        first = self.robot.placement(self._external[0].frame)
+        total = np.zeros(6)
+        for sensor in self._external:
+            move = first.actInv(self.robot.placement(sensor.frame)).toDualActionMatrix()
+            total += move @ self._of(sensor, wrenches)
+        return total
+
+    def _external_efforts(self, q: FloatArray, wrenches: FloatArray, joints: int) -> FloatArray:
+        """What the known external loads add to the joints' side of the equation, ``J^T w``, ``(joints,)``."""
+        total = np.zeros(joints)
+        for sensor in self._external if joints else ():
+            total += self.robot.frame_jacobian(q, sensor.frame).T @ self._of(sensor, wrenches)
+        return total
+
+    def _assemble(self, samples: Samples, bodies: FloatArray, targets: FloatArray) -> Rows:
+        count = len(samples)
+        inertial = bodies[:, :, list(self.identified)].reshape(count, len(self.channels), -1)
+        known = [index for index in range(len(self.robot.bodies)) if index not in self.identified]
+        for index in known:
+            targets -= bodies[:, :, index] @ self.robot.bodies[index].parameters
+        coefficients = np.concatenate(
+            [inertial, np.zeros((count, len(self.channels), len(self.coefficients)))], axis=2
+        )
+        first = inertial.shape[2]
+        for place, coefficient in enumerate(self.coefficients):
+            joint = coefficient.joint
+            motion = JointMotion(
+                samples.position[:, joint], samples.velocity[:, joint], samples.acceleration[:, joint]
+            )
+            coefficients[:, joint, first + place] = coefficient.effect.column(motion)
+        return Rows(coefficients, targets)
+
+    def predict(self, samples: Samples, parameters: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Measured and predicted values of every channel, each ``(N, channels)``, at parameters ``(D,)``."""
+        rows = self.rows(samples)
+        return rows.targets, rows.coefficients @ parameters

@@ -1,0 +1,255 @@
+"""A robot from its URDF: bodies to identify, joints to read. The only place that imports pinocchio."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import pinocchio as pin
+
+from geomid_ros.errors import InputError, unknown_name
+from geomid_ros.geometry import pseudo_inertia
+from geomid_ros.model import urdf_tree
+from geomid_ros.model.samples import Samples
+from geomid_ros.types import FloatArray, frozen
+
+GRAVITY = np.array([0.0, 0.0, -9.81])
+
+
+@dataclass(frozen=True, eq=False)
+class Body:
+    """A rigid body to identify: a moving link with what is fixed to it.
+
+    ``name`` is the URDF link in whose frame ``parameters (10,)`` are given; ``merged`` names the massive links that are
+    fixed to it and counted in. ``joint`` is pinocchio's index of the joint that moves it, ``to_joint (10, 10)`` takes
+    parameters from the link's frame to that joint's.
+    """
+
+    name: str
+    merged: tuple[str, ...]
+    joint: int
+    parameters: FloatArray
+    to_joint: FloatArray
+
+
+@dataclass(frozen=True)
+class Joint:
+    """A moving joint: ``q`` and ``v`` index pinocchio's configuration and velocity; ``unit`` is that of its effort."""
+
+    name: str
+    q: int
+    v: int
+    continuous: bool
+    unit: str
+    effort_limit: float
+
+
+class Robot:
+    """Bodies, joints and rigid-body quantities of one robot."""
+
+    def __init__(
+        self,
+        urdf: str,
+        *,
+        floating_base: bool = False,
+        cuts: Sequence[str] = (),
+        locked_joints: Sequence[str] = (),
+        gravity: FloatArray = GRAVITY,
+        source: str = "robot description",
+    ) -> None:
+        """Build from URDF text.
+
+        ``cuts`` are links at which a group of fixed links is divided (where a mounted sensor sits): the part from there
+        on is a body of its own. ``locked_joints`` are taken as fixed at zero. ``gravity (3,)`` in the base (world)
+        frame [m/s^2]. Raises InputError naming ``source`` and the link or joint.
+        """
+        self.source = source
+        self.urdf = urdf
+        self.floating_base = floating_base
+        self.tree = urdf_tree.parse(urdf, source)
+        self._model = _build(urdf, floating_base, source)
+        for name in locked_joints:
+            if not self._model.existJointName(name):
+                raise unknown_name("joint to lock", name, list(self._model.names)[1:])
+        if locked_joints:
+            indices = [self._model.getJointId(name) for name in locked_joints]
+            self._model = pin.buildReducedModel(self._model, indices, pin.neutral(self._model))
+        self._model.gravity.linear = np.asarray(gravity)
+        self._data = self._model.createData()
+        self._locked = frozenset(locked_joints)
+        self.joints = self._moving_joints()
+        self.bodies = self._bodies(cuts)
+        if not self.bodies:
+            raise InputError(f"{source}: no moving link has a mass; there is nothing to identify")
+
+    def _moving_joints(self) -> tuple[Joint, ...]:
+        first = 2 if self.floating_base else 1
+        types = {joint.name: joint.type for joint in self.tree.joints}
+        joints = []
+        for index in range(first, self._model.njoints):
+            model, name = self._model.joints[index], self._model.names[index]
+            if model.nv != 1:
+                raise InputError(f"{self.source}: joint '{name}' is {types[name]}; only joints of one axis can be read")
+            joints.append(
+                Joint(
+                    name,
+                    model.idx_q,
+                    model.idx_v,
+                    model.nq == 2,
+                    "N" if types[name] == "prismatic" else "N m",
+                    float(self._model.effortLimit[model.idx_v]),
+                )
+            )
+        return tuple(joints)
+
+    def _bodies(self, cuts: Sequence[str]) -> tuple[Body, ...]:
+        for link in cuts:
+            if link not in self.tree.links:
+                raise unknown_name("link", link, self.tree.links)
+        fixed = {joint.child for joint in self.tree.joints if self._is_fixed(joint)}
+        heads = [link for link in self.tree.links if link not in fixed or link in set(cuts)]
+        bodies = [self._body(head, set(cuts)) for head in heads]
+        return tuple(sorted((body for body in bodies if body is not None), key=lambda body: body.joint))
+
+    def _is_fixed(self, joint: urdf_tree.UrdfJoint) -> bool:
+        return joint.type == "fixed" or joint.name in self._locked
+
+    def _rigid_group(self, link: str, cuts: set[str]) -> list[str]:
+        group = [link]
+        for member in group:
+            group += [j.child for j in self.tree.children(member) if self._is_fixed(j) and j.child not in cuts]
+        return group
+
+    def _body(self, head: str, cuts: set[str]) -> Body | None:
+        frame = self._model.frames[self._model.getFrameId(head, pin.BODY)]
+        if frame.parentJoint == 0:
+            return None
+        group = self._rigid_group(head, cuts)
+        massive = [link for link in group if link in self.tree.inertials]
+        if not massive:
+            return None
+        parameters = np.zeros(10)
+        for link in massive:
+            placed = self._model.frames[self._model.getFrameId(link, pin.BODY)].placement
+            transform = _parameter_transform(frame.placement.actInv(placed))
+            parameters += transform @ self.tree.inertials[link]
+        self._check_possible(head, massive, parameters)
+        return Body(
+            head,
+            tuple(link for link in massive if link != head),
+            frame.parentJoint,
+            frozen(parameters),
+            frozen(_parameter_transform(frame.placement)),
+        )
+
+    def _check_possible(self, head: str, massive: list[str], parameters: FloatArray) -> None:
+        eigenvalues = np.linalg.eigvalsh(pseudo_inertia.from_parameters(parameters))
+        if eigenvalues[0] <= 1e-12 * eigenvalues[-1]:
+            merged = "" if massive == [head] else f" (with {', '.join(massive)})"
+            raise InputError(
+                f"{self.source}: the inertia of link '{head}'{merged} belongs to no body that can exist: its "
+                f"pseudo-inertia has the eigenvalue {eigenvalues[0]:.3g}. Each principal moment must be less than the "
+                "sum of the two others; correct the <inertial> in the URDF"
+            )
+
+    @property
+    def joint_names(self) -> tuple[str, ...]:
+        """Names of the moving joints, in the order of all joint arrays."""
+        return tuple(joint.name for joint in self.joints)
+
+    @property
+    def body_names(self) -> tuple[str, ...]:
+        """Names of the bodies, in the order of the parameters."""
+        return tuple(body.name for body in self.bodies)
+
+    def is_on_robot(self, frame: str) -> bool:
+        """Whether ``frame`` is a link of the URDF (and not the world)."""
+        return frame in self.tree.links
+
+    def subtree(self, frame: str) -> list[int]:
+        """Indices of the bodies at or after the link ``frame``."""
+        links = [frame]
+        for link in links:
+            links += [joint.child for joint in self.tree.children(link)]
+        return [index for index, body in enumerate(self.bodies) if body.name in links]
+
+    def configuration(self, samples: Samples) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Pinocchio's q ``(N, nq)``, v and a ``(N, nv)`` of samples."""
+        q = np.tile(pin.neutral(self._model), (len(samples), 1))
+        v, a = np.zeros((len(samples), self._model.nv)), np.zeros((len(samples), self._model.nv))
+        if self.floating_base:
+            q[:, :7], v[:, :6], a[:, :6] = samples.base_pose, samples.base_velocity, samples.base_acceleration
+        for index, joint in enumerate(self.joints):
+            position = samples.position[:, index]
+            if joint.continuous:
+                q[:, joint.q], q[:, joint.q + 1] = np.cos(position), np.sin(position)
+            else:
+                q[:, joint.q] = position
+            v[:, joint.v], a[:, joint.v] = samples.velocity[:, index], samples.acceleration[:, index]
+        return q, v, a
+
+    def joint_effort_rows(self, q: FloatArray, v: FloatArray, a: FloatArray) -> FloatArray:
+        """Regressor of the joints' efforts at one instant, ``(joints, bodies, 10)``, in the bodies' link frames."""
+        full = pin.computeJointTorqueRegressor(self._model, self._data, q, v, a)
+        velocity_rows = [joint.v for joint in self.joints]
+        rows = np.empty((len(self.joints), len(self.bodies), 10))
+        for index, body in enumerate(self.bodies):
+            start = 10 * (body.joint - 1)
+            rows[:, index] = full[velocity_rows, start : start + 10] @ body.to_joint
+        return rows
+
+    def update_motion(self, q: FloatArray, v: FloatArray, a: FloatArray) -> None:
+        """Compute placements, velocities and accelerations, for the frame queries that follow."""
+        pin.forwardKinematics(self._model, self._data, q, v, a)
+
+    def wrench_rows(self, bodies: Iterable[int], frame: str) -> FloatArray:
+        """Regressor ``(6, bodies, 10)`` of the wrench that moves ``bodies`` against gravity, (25) and (26).
+
+        Force and torque in the axes and about the origin of ``frame``, after :meth:`update_motion`; bodies that are not
+        listed have zeros.
+        """
+        rows = np.zeros((6, len(self.bodies), 10))
+        to_frame = self.placement(frame).inverse()
+        for index in bodies:
+            body = self.bodies[index]
+            in_world = self._data.oMi[body.joint]
+            acceleration = self._data.a[body.joint] - in_world.actInv(self._model.gravity)
+            regressor = pin.bodyRegressor(self._data.v[body.joint], acceleration)
+            rows[:, index] = (to_frame * in_world).toDualActionMatrix() @ regressor @ body.to_joint
+        return rows
+
+    def placement(self, frame: str) -> pin.SE3:
+        """Placement of a link's frame in the world after :meth:`update_motion`; the identity for the world itself."""
+        if not self.is_on_robot(frame):
+            return pin.SE3.Identity()
+        pinocchio_frame = self._model.frames[self._model.getFrameId(frame, pin.BODY)]
+        return self._data.oMi[pinocchio_frame.parentJoint] * pinocchio_frame.placement
+
+    def frame_jacobian(self, q: FloatArray, frame: str) -> FloatArray:
+        """Jacobian ``(6, joints)`` of a link's frame, in its own axes (linear, angular)."""
+        index = self._model.getFrameId(frame, pin.BODY)
+        jacobian = pin.computeFrameJacobian(self._model, self._data, q, index, pin.LOCAL)
+        return np.array(jacobian[:, [joint.v for joint in self.joints]])
+
+    def inverse_dynamics(self, q: FloatArray, v: FloatArray, a: FloatArray) -> FloatArray:
+        """Efforts ``(nv,)`` of the URDF's own inertias, by the recursive Newton-Euler algorithm."""
+        return np.array(pin.rnea(self._model, self._data, q, v, a))
+
+
+def _build(urdf: str, floating_base: bool, source: str) -> pin.Model:
+    try:
+        if floating_base:
+            return pin.buildModelFromXML(urdf, pin.JointModelFreeFlyer())
+        return pin.buildModelFromXML(urdf)
+    except (ValueError, RuntimeError) as error:
+        raise InputError(f"{source}: pinocchio cannot build a robot from this URDF ({error})") from error
+
+
+def _parameter_transform(placement: pin.SE3) -> FloatArray:
+    """The matrix that takes parameters from a frame placed at ``placement`` to the frame in which that is given."""
+    factor = pseudo_inertia.change_of_frame(placement.rotation, placement.translation)
+    units = pseudo_inertia.from_parameters(np.eye(10))
+    moved = pseudo_inertia.to_parameters(factor @ units @ factor.T)
+    result: FloatArray = moved.T
+    return result

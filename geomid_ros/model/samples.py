@@ -1,0 +1,54 @@
+"""What the robot was measured to do, as arrays over N instants. The joint axis follows :attr:`Robot.joints`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from typing import cast
+
+import numpy as np
+
+from geomid_ros.types import AnyArray, FloatArray, IntArray
+
+
+@dataclass(frozen=True, eq=False)
+class Samples:
+    """Aligned, filtered and differentiated measurements at N common instants. Arrays are read-only.
+
+    ``stamps (N,)`` ns; ``position, velocity, acceleration, effort (N, joints)`` in rad, m, N m, N (SI), NaN where an
+    effort is not measured; ``base_pose (N, 7)`` position and quaternion xyzw of the base in the world,
+    ``base_velocity, base_acceleration (N, 6)`` its spatial velocity and that velocity's derivative in the base frame
+    (linear, angular), all with 0 columns for a fixed base; ``wrenches (N, sensors, 6)`` force and torque.
+    """
+
+    stamps: IntArray
+    position: FloatArray
+    velocity: FloatArray
+    acceleration: FloatArray
+    effort: FloatArray
+    base_pose: FloatArray
+    base_velocity: FloatArray
+    base_acceleration: FloatArray
+    wrenches: FloatArray
+
+    def __post_init__(self) -> None:
+        for field in fields(self):
+            array = np.asarray(getattr(self, field.name))
+            array.setflags(write=False)
+            object.__setattr__(self, field.name, array)
+
+    def __len__(self) -> int:
+        return len(self.stamps)
+
+    def select(self, index: AnyArray | slice) -> Samples:
+        """The samples chosen by a mask, index array or slice."""
+        return Samples(*(getattr(self, field.name)[index] for field in fields(self)))
+
+    @staticmethod
+    def concatenate(parts: list[Samples]) -> Samples:
+        """All samples of ``parts`` (at least one), in order."""
+        return Samples(
+            *(
+                cast(AnyArray, np.concatenate([getattr(part, field.name) for part in parts]))
+                for field in fields(Samples)
+            )
+        )

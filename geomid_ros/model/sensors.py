@@ -1,0 +1,52 @@
+"""Wrench sensors: what a topic's six numbers are a measurement of."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from geomid_ros.errors import InputError, unknown_name
+
+AXES = ("fx", "fy", "fz", "tx", "ty", "tz")
+ROLES = {
+    "external": "a known load that the surroundings put on the robot (force plate, contact)",
+    "mounted": "a sensor inside the chain: the load that the part before it puts on all that comes after it",
+}
+
+
+@dataclass(frozen=True)
+class WrenchSensor:
+    """A wrench topic with a declared meaning.
+
+    ``frame``: the URDF link in whose frame the wrench is expressed, about whose origin; for a force plate the world.
+    ``axes``: those of ``AXES`` that are measured. ``sign``: -1 if the sensor reports the opposite (reaction) wrench.
+    """
+
+    topic: str
+    frame: str
+    role: str
+    axes: tuple[str, ...] = AXES
+    sign: float = 1.0
+
+    def __post_init__(self) -> None:
+        if self.role not in ROLES:
+            raise unknown_name("wrench role", self.role, ROLES)
+        for axis in self.axes:
+            if axis not in AXES:
+                raise unknown_name("wrench axis", axis, AXES)
+        if not self.axes or self.sign not in (1.0, -1.0):
+            raise InputError(f"wrench '{self.topic}': at least one axis and a sign of 1 or -1 are needed")
+
+    @property
+    def axis_indices(self) -> list[int]:
+        """Indices of the measured axes in (fx, fy, fz, tx, ty, tz)."""
+        return [AXES.index(axis) for axis in self.axes]
+
+    @staticmethod
+    def parse(text: str) -> WrenchSensor:
+        """From ``TOPIC:FRAME:ROLE[:AXES]``, axes separated by commas; a leading ``-`` of ROLE reverses the sign."""
+        parts = text.split(":")
+        if len(parts) not in (3, 4) or not all(parts):
+            raise InputError(f"wrench '{text}' is not of the form TOPIC:FRAME:ROLE[:AXES], e.g. /wrench:tool0:mounted:fz")
+        axes = tuple(parts[3].split(",")) if len(parts) == 4 else AXES
+        role, sign = (parts[2][1:], -1.0) if parts[2].startswith("-") else (parts[2], 1.0)
+        return WrenchSensor(parts[0], parts[1], role, axes, sign)

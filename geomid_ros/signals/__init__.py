@@ -1,0 +1,1 @@
+"""Floor 1: numbers of messages to aligned, filtered, differentiated samples."""

@@ -1,0 +1,106 @@
+"""Recording: a rosbag2 in mcap, with the topics of a real robot."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rosbags.interfaces import Qos, QosDurability, QosHistory, QosLiveliness, QosReliability, QosTime
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
+from rosbags.typesys import Stores, get_typestore
+
+from geomid_ros.simulation.recorder import Trace
+from geomid_ros.types import FloatArray
+
+START = 1_700_000_000
+"""Stamp of the first message [s]."""
+
+_NANO = 1_000_000_000
+_UNSET = QosTime(0, 0)
+_TYPES = get_typestore(Stores.ROS2_JAZZY)
+
+
+def write_bag(path: Path, trace: Trace, names: Sequence[str], urdf: str, frame: str | None) -> None:
+    """Write ``/robot_description``, ``/joint_states`` and, with a sensor ``frame``, ``/wrench`` to a new bag.
+
+    ``names`` are those of the trace's joints, in its order, which is also that of the messages.
+    """
+    writer = Writer(path, version=Writer.VERSION_LATEST, storage_plugin=StoragePlugin.MCAP)
+    writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
+    with writer:
+        description = _Topic(writer, "/robot_description", "std_msgs/msg/String", QosDurability.TRANSIENT_LOCAL)
+        states = _Topic(writer, "/joint_states", "sensor_msgs/msg/JointState")
+        wrenches = None if frame is None else _Topic(writer, "/wrench", "geometry_msgs/msg/WrenchStamped")
+        description.write(START * _NANO, _message("std_msgs/msg/String", data=urdf))
+        for row, stamp in enumerate(_stamps(trace.time)):
+            states.write(stamp, _joint_state(trace, row, stamp, names))
+            if wrenches is not None:
+                wrenches.write(stamp, _wrench(trace.wrench[row], stamp, frame))
+
+
+class _Topic:
+    """A topic of an open bag; messages are logged at their stamp [ns]."""
+
+    def __init__(
+        self, writer: Writer, name: str, kind: str, durability: QosDurability = QosDurability.VOLATILE
+    ) -> None:
+        self._writer = writer
+        self._kind = kind
+        self._connection = writer.add_connection(
+            name, kind, typestore=_TYPES, offered_qos_profiles=[_reliable(durability)]
+        )
+
+    def write(self, stamp: int, message: object) -> None:
+        self._writer.write(self._connection, stamp, _TYPES.serialize_cdr(message, self._kind))
+
+
+def _reliable(durability: QosDurability) -> Qos:
+    return Qos(
+        history=QosHistory.KEEP_LAST,
+        depth=1 if durability is QosDurability.TRANSIENT_LOCAL else 10,
+        reliability=QosReliability.RELIABLE,
+        durability=durability,
+        deadline=_UNSET,
+        lifespan=_UNSET,
+        liveliness=QosLiveliness.AUTOMATIC,
+        liveliness_lease_duration=_UNSET,
+        avoid_ros_namespace_conventions=False,
+    )
+
+
+def _stamps(time: FloatArray) -> Iterator[int]:
+    return (START * _NANO + round(instant * _NANO) for instant in time.tolist())
+
+
+def _message(kind: str, **fields: Any) -> Any:
+    return _TYPES.types[kind](**fields)
+
+
+def _header(stamp: int, frame: str) -> Any:
+    seconds, nanoseconds = divmod(stamp, _NANO)
+    time = _message("builtin_interfaces/msg/Time", sec=seconds, nanosec=nanoseconds)
+    return _message("std_msgs/msg/Header", stamp=time, frame_id=frame)
+
+
+def _joint_state(trace: Trace, row: int, stamp: int, names: Sequence[str]) -> Any:
+    return _message(
+        "sensor_msgs/msg/JointState",
+        header=_header(stamp, ""),
+        name=list(names),
+        position=np.ascontiguousarray(trace.position[row]),
+        velocity=np.ascontiguousarray(trace.velocity[row]),
+        effort=np.ascontiguousarray(trace.effort[row]),
+    )
+
+
+def _wrench(wrench: FloatArray, stamp: int, frame: str | None) -> Any:
+    force, torque = (
+        _message("geometry_msgs/msg/Vector3", x=x, y=y, z=z) for x, y, z in np.reshape(wrench, (2, 3)).tolist()
+    )
+    return _message(
+        "geometry_msgs/msg/WrenchStamped",
+        header=_header(stamp, frame or ""),
+        wrench=_message("geometry_msgs/msg/Wrench", force=force, torque=torque),
+    )

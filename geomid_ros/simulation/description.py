@@ -1,0 +1,199 @@
+"""The little that the simulator reads from a URDF by itself: inertials and joint limits.
+
+MuJoCo reads the kinematics from the same text, stripped of everything else.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass
+from xml.etree.ElementTree import Element, SubElement
+
+import numpy as np
+from defusedxml import ElementTree
+from defusedxml.common import DefusedXmlException
+
+from geomid_ros.errors import InputError
+from geomid_ros.types import FloatArray, frozen
+
+_LARGEST = 5_000_000
+_MOVING = {"revolute", "continuous", "prismatic"}
+_KINEMATIC = {"link": (), "joint": ("origin", "parent", "child", "axis", "limit")}
+
+
+@dataclass(frozen=True, eq=False)
+class LinkInertia:
+    """A link's ``mass`` [kg], centre of mass ``com (3,)`` [m] in the link frame, and ``inertia (3, 3)`` [kg m^2].
+
+    The inertia is about the centre of mass, in the link's axes.
+    """
+
+    name: str
+    mass: float
+    com: FloatArray
+    inertia: FloatArray
+
+
+@dataclass(frozen=True)
+class JointLimits:
+    """A moving joint's range [rad or m], top speed [rad/s or m/s] and top effort [N m or N]."""
+
+    name: str
+    lower: float
+    upper: float
+    velocity: float
+    effort: float
+
+    @property
+    def centre(self) -> float:
+        """Middle of the range."""
+        return 0.5 * (self.lower + self.upper)
+
+    @property
+    def half_range(self) -> float:
+        """Distance from the middle of the range to either end."""
+        return 0.5 * (self.upper - self.lower)
+
+
+@dataclass(frozen=True)
+class Description:
+    """A robot as its URDF says: ``text`` as given, ``kinematics`` the URDF with nothing but its tree of joints."""
+
+    text: str
+    kinematics: str
+    links: tuple[str, ...]
+    root: str
+    inertias: tuple[LinkInertia, ...]
+    joints: tuple[JointLimits, ...]
+
+
+def read_description(text: str) -> Description:
+    """Read a URDF; links without mass have no inertia."""
+    robot = _parse(text)
+    links = tuple(_attribute(link, "name") for link in robot.iter("link"))
+    inertias = tuple(_inertias(robot.iter("link")))
+    joints = tuple(_limits(joint) for joint in robot.iter("joint") if _kind(joint) in _MOVING)
+    if not joints:
+        raise InputError("the URDF has no moving joint; a simulation needs at least one.")
+    children = {_attribute(_child(joint, "child"), "link") for joint in robot.iter("joint")}
+    roots = [link for link in links if link not in children]
+    if len(roots) != 1:
+        raise InputError(f"the URDF's links form {len(roots)} trees, with the roots {roots}; connect them to one.")
+    return Description(text, _kinematics(robot), links, roots[0], inertias, joints)
+
+
+def _parse(text: str) -> Element:
+    if len(text) > _LARGEST:
+        raise InputError(f"the URDF has {len(text)} characters; at most {_LARGEST} are read.")
+    try:
+        robot: Element = ElementTree.fromstring(text, forbid_dtd=True)
+    except (ElementTree.ParseError, DefusedXmlException) as error:
+        raise InputError(f"the URDF has to be well-formed XML without a document type: {error}.") from error
+    if robot.tag != "robot":
+        raise InputError(f"expected a URDF, whose root element is <robot>; found <{robot.tag}>.")
+    return robot
+
+
+def _inertias(links: Iterable[Element]) -> Iterable[LinkInertia]:
+    for link in links:
+        inertial = link.find("inertial")
+        if inertial is not None and _number(_child(inertial, "mass"), "value") > 0.0:
+            yield _inertia(_attribute(link, "name"), inertial)
+
+
+def _inertia(name: str, inertial: Element) -> LinkInertia:
+    origin = inertial.find("origin")
+    com, rotation = (np.zeros(3), np.eye(3)) if origin is None else _placement(origin)
+    xx, xy, xz, yy, yz, zz = (
+        _number(_child(inertial, "inertia"), key) for key in ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
+    )
+    inertia = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+    return LinkInertia(
+        name, _number(_child(inertial, "mass"), "value"), frozen(com), frozen(rotation @ inertia @ rotation.T)
+    )
+
+
+def _placement(origin: Element) -> tuple[FloatArray, FloatArray]:
+    roll, pitch, yaw = _vector(origin, "rpy")
+    return _vector(origin, "xyz"), _turn(2, yaw) @ _turn(1, pitch) @ _turn(0, roll)
+
+
+def _turn(axis: int, angle: float) -> FloatArray:
+    """Rotation matrix ``(3, 3)`` by ``angle`` [rad] about a coordinate axis."""
+    turn = np.eye(3)
+    following, last = (axis + 1) % 3, (axis + 2) % 3
+    turn[following, following] = turn[last, last] = math.cos(angle)
+    turn[last, following] = math.sin(angle)
+    turn[following, last] = -math.sin(angle)
+    return turn
+
+
+def _limits(joint: Element) -> JointLimits:
+    name = _attribute(joint, "name")
+    limit = _child(joint, "limit")
+    velocity, effort = _number(limit, "velocity"), _number(limit, "effort")
+    endless = _kind(joint) == "continuous"
+    lower, upper = (-math.pi, math.pi) if endless else (_number(limit, "lower", "0"), _number(limit, "upper", "0"))
+    if not (velocity > 0.0 and effort > 0.0 and lower < upper):
+        raise InputError(f"joint '{name}' needs limits with velocity > 0, effort > 0 and lower < upper.")
+    return JointLimits(name, lower, upper, velocity, effort)
+
+
+def _kind(joint: Element) -> str:
+    kind = _attribute(joint, "type")
+    if kind not in {*_MOVING, "fixed"} or joint.find("mimic") is not None:
+        raise InputError(
+            f"joint '{joint.get('name')}' is of type '{kind}' or mimics another one; "
+            f"the simulator knows {', '.join(sorted(_MOVING))} and fixed joints."
+        )
+    return kind
+
+
+def _kinematics(robot: Element) -> str:
+    tree = Element("robot", {"name": robot.get("name", "robot")})
+    for part in robot:
+        if part.tag in _KINEMATIC:
+            copy = SubElement(tree, part.tag, part.attrib)
+            copy.extend(child for tag in _KINEMATIC[part.tag] if (child := part.find(tag)) is not None)
+    kinematics: str = ElementTree.tostring(tree, encoding="unicode")
+    return kinematics
+
+
+def _child(element: Element, tag: str) -> Element:
+    child = element.find(tag)
+    if child is None:
+        raise InputError(f"<{element.tag} name='{element.get('name', '')}'> has no <{tag}>; the simulator needs it.")
+    return child
+
+
+def _attribute(element: Element, key: str) -> str:
+    value = element.get(key)
+    if value is None:
+        raise InputError(f"a <{element.tag}> has no attribute '{key}'.")
+    return value
+
+
+def _vector(element: Element, key: str) -> FloatArray:
+    text = element.get(key, "0 0 0")
+    values = [_finite(word, element.tag, key) for word in text.split()]
+    if len(values) != 3:
+        raise InputError(f"<{element.tag} {key}='{text}'> has to hold three numbers.")
+    return np.array(values)
+
+
+def _number(element: Element, key: str, default: str | None = None) -> float:
+    text = element.get(key, default)
+    if text is None:
+        raise InputError(f"a <{element.tag}> has no attribute '{key}'.")
+    return _finite(text, element.tag, key)
+
+
+def _finite(text: str, tag: str, key: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value):
+        raise InputError(f"<{tag} {key}='{text}'> is not a finite number.")
+    return value

@@ -1,0 +1,46 @@
+"""True inertias: the URDF's, moved at random within the bodies that can exist."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from geomid_ros.errors import InputError
+from geomid_ros.simulation.description import LinkInertia
+from geomid_ros.types import FloatArray, frozen
+
+
+def perturbed(nominal: LinkInertia, size: float, rng: np.random.Generator) -> LinkInertia:
+    """A random body near ``nominal``, by congruence of its 4x4 pseudo-inertia: ``L exp(E) L^T`` where ``P = L L^T``.
+
+    ``E`` is symmetric with Gaussian entries of standard deviation ``size`` (``size / sqrt 2`` off the diagonal). Its
+    distribution does not change under rotations, so neither the choice of L nor the link's frame matters. The result
+    is symmetric positive definite for every E, and its geodesic distance to the nominal body is E's Frobenius norm.
+    """
+    root = np.linalg.cholesky(pseudo_inertia(nominal))
+    draw = size * rng.standard_normal((4, 4))
+    values, vectors = np.linalg.eigh(0.5 * (draw + draw.T))
+    return _body(nominal.name, root @ (vectors * np.exp(values)) @ vectors.T @ root.T)
+
+
+def pseudo_inertia(body: LinkInertia) -> FloatArray:
+    """``P (4, 4) = [[S, h], [h^T, m]]`` in the link frame, with the second moment S [kg m^2] and h = m com [kg m]."""
+    pseudo = np.empty((4, 4))
+    pseudo[:3, :3] = _swap_moments(body.inertia, 0.5) + body.mass * np.outer(body.com, body.com)
+    pseudo[:3, 3] = pseudo[3, :3] = body.mass * body.com
+    pseudo[3, 3] = body.mass
+    if np.linalg.eigvalsh(pseudo)[0] <= 0.0:
+        raise InputError(f"link '{body.name}' has an inertia that no body can have; correct it in the URDF.")
+    return pseudo
+
+
+def _body(name: str, pseudo: FloatArray) -> LinkInertia:
+    mass = float(pseudo[3, 3])
+    com = pseudo[:3, 3] / mass
+    inertia = _swap_moments(pseudo[:3, :3] - mass * np.outer(com, com), 1.0)
+    return LinkInertia(name, mass, frozen(com), frozen(0.5 * (inertia + inertia.T)))
+
+
+def _swap_moments(matrix: FloatArray, share: float) -> FloatArray:
+    """Second moment from rotational inertia (``share`` 1/2) and back (``share`` 1)."""
+    swapped: FloatArray = share * np.trace(matrix) * np.eye(3) - matrix
+    return swapped

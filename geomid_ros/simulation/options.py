@@ -1,0 +1,138 @@
+"""What to simulate, with the units of every field."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from geomid_ros.errors import InputError
+
+_POSITIVE = ("duration", "rate", "motion_period", "motion_range", "motion_speed", "longest_step")
+_NOT_NEGATIVE = (
+    "inertia_error",
+    "viscous_friction",
+    "coulomb_friction",
+    "rotor_inertia",
+    "effort_offset",
+    "position_noise",
+    "velocity_noise",
+    "effort_noise",
+    "force_noise",
+    "torque_noise",
+)
+_LONGEST_STEP = 1e-3  # dry friction stops a joint within a few milliseconds
+_SHARES = ("motion_range", "motion_speed")
+
+
+@dataclass(frozen=True)
+class JointEffect:
+    """One effect on one joint: the ``value`` of the effect called ``name`` on the joint called ``joint``.
+
+    Units on a turning joint: ``viscous_friction`` N m s/rad, ``coulomb_friction`` N m, ``rotor_inertia`` kg m^2 as the
+    joint feels it, ``effort_offset`` N m (measured minus true).
+    """
+
+    name: str
+    joint: str
+    value: float
+
+
+@dataclass(frozen=True)
+class SimulationOptions:
+    """A robot, its hidden truth, its motion and its sensors. SI units; per joint rad and N m, or m and N if it slides.
+
+    Robot:
+        robot: a shipped robot's name, or the path of a ``.urdf`` file (the nominal model; it goes into the bag).
+        seed: fixes the robot (inertias, effects, joint order) and, unless ``motion_seed`` is given, the recording.
+        motion_seed: fixes the motion and the sensors' noise; vary it to record the same robot again.
+
+    Recording:
+        duration: length [s]. rate: messages per second and topic [Hz].
+        wrench_frame: link whose connection to its parent carries a wrench sensor (``wrist_ft`` on the shipped robots);
+            None records no ``/wrench``.
+
+    True inertias:
+        inertia_error: size of the difference to the URDF; about the relative standard deviation of a link's mass.
+            The bodies stay physically possible whatever the size.
+
+    True joint effects: each joint's value is drawn between half and one and a half times the one described here.
+        viscous_friction: effort at the joint's velocity limit, as a share of its effort limit.
+        coulomb_friction: effort, as a share of the effort limit.
+        rotor_inertia: time that the bare rotor needs to its velocity limit at its effort limit [s].
+        effort_offset: constant error of the measured effort, of either sign, as a share of the effort limit.
+        effects: exact values for single joints in place of the drawn ones.
+
+    Noise (standard deviations; Gaussian and white):
+        position_noise [rad], velocity_noise [rad/s], effort_noise (share of the joint's effort limit),
+        force_noise [N], torque_noise [N m].
+
+    Motion (a sum of sines per joint, faded in from rest):
+        motion_period: period of the slowest sine [s]. motion_harmonics: number of sines, the fastest at
+        ``motion_harmonics / motion_period`` Hz. motion_range, motion_speed: largest excursion and speed as shares of
+        half the joint's range and of its velocity limit; the tighter one decides.
+
+    longest_step: upper bound of the integration step, at most 0.001 [s]; the step divides ``1 / rate``.
+    """
+
+    robot: str = "arm7"
+    seed: int = 1
+    motion_seed: int | None = None
+
+    duration: float = 12.0
+    rate: float = 100.0
+    wrench_frame: str | None = None
+
+    inertia_error: float = 0.2
+
+    viscous_friction: float = 0.03
+    coulomb_friction: float = 0.02
+    rotor_inertia: float = 0.002
+    effort_offset: float = 0.005
+    effects: tuple[JointEffect, ...] = ()
+
+    position_noise: float = 2e-5
+    velocity_noise: float = 1e-3
+    effort_noise: float = 2e-3
+    force_noise: float = 0.1
+    torque_noise: float = 5e-3
+
+    motion_period: float = 6.0
+    motion_harmonics: int = 6
+    motion_range: float = 0.7
+    motion_speed: float = 0.6
+
+    longest_step: float = 5e-4
+
+    def __post_init__(self) -> None:
+        self._require(_POSITIVE, "above 0", lambda value: value > 0.0)
+        self._require(_NOT_NEGATIVE, "at least 0", lambda value: value >= 0.0)
+        self._require(_SHARES, "at most 1", lambda value: value <= 1.0)
+        self._require(("longest_step",), f"at most {_LONGEST_STEP}", lambda value: value <= _LONGEST_STEP)
+        self._require(("motion_harmonics",), "at least 1", lambda value: value >= 1)
+        self._require(("seed",), "at least 0", lambda value: value >= 0)
+        if self.motion_seed is not None:
+            self._require(("motion_seed",), "at least 0", lambda value: value >= 0)
+        if self.samples < 2:
+            raise InputError(f"{self.duration} s at {self.rate} Hz are fewer than 2 samples; lengthen the duration.")
+
+    def _require(self, names: tuple[str, ...], requirement: str, holds: Callable[[float], bool]) -> None:
+        for name in names:
+            value = getattr(self, name)
+            if not (math.isfinite(value) and holds(value)):
+                raise InputError(f"simulation option {name} is {value}; it has to be {requirement}.")
+
+    @property
+    def samples(self) -> int:
+        """Number of instants recorded."""
+        return round(self.duration * self.rate)
+
+    @property
+    def substeps(self) -> int:
+        """Number of integration steps from one recorded instant to the next."""
+        return math.ceil(1.0 / (self.rate * self.longest_step) - 1e-9)
+
+    @property
+    def recording_seed(self) -> int:
+        """Seed of the motion and of the noise."""
+        return self.seed if self.motion_seed is None else self.motion_seed

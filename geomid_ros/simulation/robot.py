@@ -1,0 +1,38 @@
+"""The robot as it truly is."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from geomid_ros.simulation.description import Description, JointLimits, LinkInertia, read_description
+from geomid_ros.simulation.effects import drawn_effects
+from geomid_ros.simulation.inertias import perturbed
+from geomid_ros.simulation.options import JointEffect, SimulationOptions
+from geomid_ros.simulation.plant import Plant
+from geomid_ros.simulation.robots import robot_description
+from geomid_ros.simulation.seeds import Stream, generator
+
+
+@dataclass(frozen=True, eq=False)
+class Robot:
+    """The ``nominal`` model that its users know, the true ``bodies`` and ``effects``, and the ``plant`` made of them.
+
+    ``joints`` are in the plant's order, ``bodies`` in that of the URDF.
+    """
+
+    nominal: Description
+    bodies: tuple[LinkInertia, ...]
+    effects: tuple[JointEffect, ...]
+    plant: Plant
+    joints: tuple[JointLimits, ...]
+
+
+def build_robot(options: SimulationOptions) -> Robot:
+    """The robot that ``options`` and their seed describe."""
+    nominal = read_description(robot_description(options.robot))
+    numbers = generator(options.seed, Stream.INERTIA)
+    bodies = tuple(perturbed(body, options.inertia_error, numbers) for body in nominal.inertias)
+    effects = drawn_effects(options, nominal.joints, generator(options.seed, Stream.EFFECTS))
+    plant = Plant(nominal, bodies, effects, options.wrench_frame)
+    limits = {joint.name: joint for joint in nominal.joints}
+    return Robot(nominal, bodies, effects, plant, tuple(limits[name] for name in plant.joints))

@@ -1,0 +1,22 @@
+"""Independent streams of random numbers, so that changing one choice leaves the others as they were."""
+
+from __future__ import annotations
+
+from enum import IntEnum
+
+import numpy as np
+
+
+class Stream(IntEnum):
+    """What the numbers decide."""
+
+    INERTIA = 0
+    EFFECTS = 1
+    ORDER = 2
+    MOTION = 3
+    NOISE = 4
+
+
+def generator(seed: int, stream: Stream) -> np.random.Generator:
+    """The numbers of one stream of a seed, from their beginning."""
+    return np.random.default_rng([seed, stream])

@@ -1,0 +1,49 @@
+"""Build description shared by pip and colcon."""
+
+from glob import glob
+
+from setuptools import find_packages, setup
+
+NAME = "geomid_ros"
+
+setup(
+    name=NAME,
+    version="0.1.0",
+    description="Geometric identification of physically possible link inertias, online and from rosbags.",
+    license="Apache-2.0",
+    maintainer="geomid_ros maintainers",
+    maintainer_email="maintainers@geomid-ros.example",
+    python_requires=">=3.11",
+    packages=find_packages(include=[NAME, f"{NAME}.*"]),
+    package_data={NAME: ["py.typed"], "": ["*.urdf"]},
+    zip_safe=False,
+    data_files=[
+        ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
+        (f"share/{NAME}", ["package.xml"]),
+        (f"share/{NAME}/config", sorted(glob("config/*.yaml"))),
+        (f"share/{NAME}/launch", sorted(glob("launch/*.launch.py"))),
+    ],
+    install_requires=[
+        "PyYAML",
+        "click",
+        "defusedxml",
+        "matplotlib",
+        "numba",
+        "numpy>=1.26",
+        "pin",
+        "rich",
+        "rosbags",
+        "scipy>=1.11",
+    ],
+    extras_require={
+        "ros": ["ros-jazzy-common-interfaces", "ros-jazzy-rclpy[fastrtps]"],
+        "simulate": ["mujoco"],
+        "test": ["example-robot-data", "hypothesis", "pyriemann", "pytest"],
+    },
+    entry_points={
+        "console_scripts": [
+            f"geomid = {NAME}.cli:main",
+            f"geomid_node = {NAME}.ros.main:main",
+        ],
+    },
+)

@@ -1,0 +1,71 @@
+"""The principal branch of Lambert's W over its whole domain."""
+
+from __future__ import annotations
+
+import math
+from decimal import Decimal, localcontext
+
+import numpy as np
+import pytest
+from scipy.special import lambertw
+
+from geomid_ros.geometry.lambert import lambert_w
+
+EPSILON = float(np.finfo(float).eps)
+BRANCH_POINT = -1.0 / math.e
+OFF_THE_BRANCH = np.sort(np.concatenate([10.0 ** np.arange(-16.0, -0.4, 0.25), [3.67e-5, 3.69e-5]]))
+REGULAR = np.concatenate(
+    [-np.linspace(0.0, 0.36, 145), 10.0 ** np.arange(-300.0, 300.0, 3.7), np.linspace(0.0, 20.0, 401)]
+)
+
+
+def exact(z: float) -> float:
+    """W of the double ``z`` by bisection in fifty digits: slow, and free of floating point."""
+    with localcontext() as context:
+        context.prec = 50
+        target, low, high = Decimal(z), Decimal(-1), Decimal(2) + (Decimal(z) + 2).ln()
+        for _ in range(160):
+            middle = (low + high) / 2
+            low, high = (middle, high) if middle * middle.exp() < target else (low, middle)
+        return float(low)
+
+
+@pytest.mark.parametrize("off", OFF_THE_BRANCH)
+def test_it_solves_its_equation_next_to_the_branch_point(off: float) -> None:
+    z = BRANCH_POINT + off
+    w = lambert_w(z)
+    assert w >= -1.0
+    assert abs(w * math.exp(w) - z) <= 8 * EPSILON
+
+
+def test_it_solves_its_equation_everywhere_else() -> None:
+    w = np.array([lambert_w(float(z)) for z in REGULAR])
+    with np.errstate(over="ignore"):
+        residual = np.abs(w * np.exp(w) - REGULAR) / np.abs(np.where(REGULAR == 0.0, 1.0, REGULAR))
+    assert np.max(residual / (1.0 + np.abs(w))) <= 8 * EPSILON  # exp(w) itself has the relative error eps w
+
+
+def test_it_agrees_with_scipy() -> None:
+    expected = lambertw(REGULAR).real
+    found = np.array([lambert_w(float(z)) for z in REGULAR])
+    np.testing.assert_allclose(found, expected, rtol=0, atol=20 * EPSILON * np.max(1.0 / (1.0 + expected)) + 0.0)
+    np.testing.assert_allclose(found[REGULAR > 0], expected[REGULAR > 0], rtol=16 * EPSILON)
+
+
+@pytest.mark.parametrize("off", OFF_THE_BRANCH)
+def test_it_is_as_exact_at_the_branch_point_as_its_argument_allows(off: float) -> None:
+    """dW/dz = 1/(e (1 + W)) there: an argument rounded by eps/e moves W by about eps/(1 + W)."""
+    z = BRANCH_POINT + off
+    w = exact(z)
+    assert abs(lambert_w(z) - w) <= 4 * EPSILON / (1.0 + w) + 4 * EPSILON
+
+
+def test_it_never_decreases() -> None:
+    arguments = np.sort(np.concatenate([BRANCH_POINT + OFF_THE_BRANCH, REGULAR[REGULAR > -0.36]]))
+    w = np.array([lambert_w(float(z)) for z in arguments])
+    assert np.all(np.diff(w) >= -4 * EPSILON * np.abs(w[1:]))
+
+
+@pytest.mark.parametrize("z", [BRANCH_POINT - 1e-12, -0.5, -1e300, -math.inf])
+def test_it_is_minus_one_below_its_domain(z: float) -> None:
+    assert lambert_w(z) == -1.0

@@ -1,0 +1,185 @@
+"""The product of links, positive coefficients and reals."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from geomid_ros.geometry import spd
+from geomid_ros.geometry.manifold import ParameterManifold, Point
+from geomid_ros.types import FloatArray
+
+from . import bodies
+
+ROUNDING = 1e-9  # relative; links' condition numbers reach 1e5
+FINITE_DIFFERENCE = 1e-6
+SEEDS = pytest.mark.parametrize("seed", range(6))
+SHAPES = pytest.mark.parametrize(
+    "manifold",
+    [
+        ParameterManifold(3, 2, np.array([0.1, 20.0])),
+        ParameterManifold(1, 0, np.zeros(0)),
+        ParameterManifold(0, 3, np.ones(1)),
+        ParameterManifold(0, 0, np.array([5.0])),
+        ParameterManifold(2, 0, np.array([1e-3])),
+    ],
+    ids=["all", "link", "coefficients", "real", "links and real"],
+)
+ALL = ParameterManifold(3, 2, np.array([0.1, 20.0]))
+
+
+def finite_difference_jacobian(manifold: ParameterManifold, base: Point) -> FloatArray:
+    """Derivative ``(D, D)`` of the parameters by the tangent coordinates."""
+    h = 1e-5
+    steps = h * np.eye(manifold.dimension)
+    columns = [manifold.exp(base, step).parameters - manifold.exp(base, -step).parameters for step in steps]
+    return np.array(columns).T / (2.0 * h)
+
+
+@SHAPES
+def test_the_slices_share_out_the_vector(manifold: ParameterManifold) -> None:
+    every = np.arange(manifold.dimension)
+    inertial = np.concatenate([every[manifold.link(k)] for k in range(manifold.links)] or [every[:0]])
+    np.testing.assert_array_equal(every[manifold.inertial], inertial)
+    parts = [every[manifold.inertial], every[manifold.positive], every[manifold.real]]
+    np.testing.assert_array_equal(np.concatenate(parts), every)
+    assert [len(part) for part in parts] == [10 * manifold.links, manifold.positives, len(manifold.scales)]
+
+
+@SHAPES
+@SEEDS
+def test_parameters_round_trip(manifold: ParameterManifold, seed: int) -> None:
+    point = bodies.point(np.random.default_rng(seed), manifold)
+    np.testing.assert_allclose(manifold.point(point.parameters).parameters, point.parameters, rtol=ROUNDING, atol=1e-15)
+
+
+@SHAPES
+@SEEDS
+def test_log_after_exp_is_the_tangent(manifold: ParameterManifold, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    base, tangent = bodies.point(rng, manifold), rng.normal(size=manifold.dimension)
+    np.testing.assert_allclose(manifold.log(base, manifold.exp(base, tangent)), tangent, rtol=0, atol=10 * ROUNDING)
+
+
+@SHAPES
+@SEEDS
+def test_exp_after_log_is_the_point(manifold: ParameterManifold, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    base, other = bodies.point(rng, manifold), bodies.point(rng, manifold)
+    again = manifold.exp(base, manifold.log(base, other))
+    assert manifold.distance(again, other) <= 100 * ROUNDING
+
+
+@SEEDS
+def test_squared_distance_is_the_sum_over_the_blocks(seed: int) -> None:
+    """Appendix A; a positive's part is the logarithm of the ratio, a real's the difference over its scale."""
+    rng = np.random.default_rng(seed)
+    a, b = bodies.point(rng, ALL), bodies.point(rng, ALL)
+    links = spd.distance(a.pseudo_inertias, b.pseudo_inertias)
+    positives, reals = np.log(b.positives / a.positives), (b.reals - a.reals) / ALL.scales
+    expected = np.sqrt(np.sum(links**2) + np.sum(positives**2) + np.sum(reals**2))
+    assert ALL.distance(a, b) == pytest.approx(expected, rel=ROUNDING)
+    assert ALL.distance(a, b) == pytest.approx(ALL.distance(b, a), rel=ROUNDING)
+
+
+@SHAPES
+@SEEDS
+def test_exp_is_a_geodesic_of_unit_speed(manifold: ParameterManifold, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    base, tangent = bodies.point(rng, manifold), rng.normal(size=manifold.dimension)
+    a, b = manifold.exp(base, -0.3 * tangent), manifold.exp(base, 0.5 * tangent)
+    assert manifold.distance(a, b) == pytest.approx(0.8 * float(np.linalg.norm(tangent)), rel=ROUNDING)
+
+
+@SEEDS
+def test_a_positive_is_a_link_of_one_eigenvalue(seed: int) -> None:
+    """dc^2/c^2 is the metric of P(1): scaling a coefficient is as far as scaling one eigenvalue of a link."""
+    rng = np.random.default_rng(seed)
+    ratio, one = np.exp(rng.normal()), ParameterManifold(0, 1, np.zeros(0))
+    vectors = np.linalg.qr(rng.normal(size=(4, 4)))[0]
+    stretched = (vectors * [ratio, 1.0, 1.0, 1.0]) @ vectors.T
+    found = one.distance(one.point(np.array([0.7])), one.point(np.array([0.7 * ratio])))
+    assert found == pytest.approx(float(spd.distance(np.eye(4), stretched)), rel=ROUNDING)
+
+
+@SEEDS
+def test_units_of_coefficients_do_not_matter(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    a, b = bodies.point(rng, ALL), bodies.point(rng, ALL)
+    units, unit = np.array([60.0, 1e-3]), np.array([1e3, 0.5])
+    scaled = ParameterManifold(3, 2, unit * ALL.scales)
+    moved = [Point(p.pseudo_inertias, units * p.positives, unit * p.reals) for p in (a, b)]
+    assert scaled.distance(*moved) == pytest.approx(ALL.distance(a, b), rel=ROUNDING)
+
+
+@SHAPES
+@SEEDS
+def test_jacobian_is_the_derivative_of_the_parameters(manifold: ParameterManifold, seed: int) -> None:
+    base = bodies.point(np.random.default_rng(seed), manifold)
+    blocks, diagonal = manifold.jacobian(base)
+    expected = finite_difference_jacobian(manifold, base)
+    jacobian = np.zeros_like(expected)
+    for k, block in enumerate(blocks):
+        jacobian[manifold.link(k), manifold.link(k)] = block
+    rest = np.arange(manifold.inertial.stop, manifold.dimension)
+    jacobian[rest, rest] = diagonal
+    size = np.maximum(np.max(np.abs(expected), axis=1, keepdims=True), 1e-12)
+    np.testing.assert_allclose(jacobian / size, expected / size, rtol=0, atol=FINITE_DIFFERENCE)
+
+
+@SHAPES
+@SEEDS
+def test_whitened_rows_are_the_derivatives_of_the_measurements(manifold: ParameterManifold, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    base = bodies.point(rng, manifold)
+    rows = bodies.rows(rng, manifold, base, 5)
+    expected = rows @ finite_difference_jacobian(manifold, base)
+    np.testing.assert_allclose(manifold.whiten(base, rows), expected, rtol=0, atol=100 * FINITE_DIFFERENCE)
+
+
+@SEEDS
+def test_the_norm_of_a_whitened_row_is_its_dual_norm(seed: int) -> None:
+    """Remark 2: ``a^T M^-1 a`` with ``dphi^T M dphi`` the metric at the base, found by probing the metric itself."""
+    rng = np.random.default_rng(seed)
+    base = bodies.point(rng, ALL)
+    rows = bodies.rows(rng, ALL, base, 5)
+    gram = np.zeros((ALL.dimension, ALL.dimension))
+    units = [ALL.point(unit) for unit in np.eye(ALL.dimension)]
+    for i, x in enumerate(units):
+        for j, y in enumerate(units):
+            gram[i, j] = np.sum(spd.inner(base.pseudo_inertias, x.pseudo_inertias, y.pseudo_inertias))
+            gram[i, j] += np.sum(x.positives * y.positives / base.positives**2)
+            gram[i, j] += np.sum(x.reals * y.reals / ALL.scales**2)
+    scale = 1.0 / np.sqrt(np.diag(gram))
+    dual = np.einsum("ni,ij,nj->n", rows * scale, np.linalg.inv(gram * np.outer(scale, scale)), rows * scale)
+    np.testing.assert_allclose(np.sum(ALL.whiten(base, rows) ** 2, axis=1), dual, rtol=1e-6)
+
+
+@SHAPES
+@SEEDS
+def test_hessian_of_the_half_squared_distance_by_finite_differences(manifold: ParameterManifold, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    base = bodies.point(rng, manifold)
+    other = bodies.near(rng, manifold, base, 2.0)
+    hessian = manifold.half_squared_distance_hessian(base, other)
+    h = 1e-3
+    for v in rng.normal(size=(3, manifold.dimension)):
+        before, here, after = (0.5 * manifold.distance(manifold.exp(base, t * v), other) ** 2 for t in (-h, 0.0, h))
+        assert v @ hessian @ v == pytest.approx((before - 2.0 * here + after) / h**2, rel=1e-4)
+
+
+def test_points_are_read_only_copies() -> None:
+    reals = np.zeros(2)
+    point = Point(np.eye(4)[None], np.ones(2), reals)
+    reals[0] = 1.0
+    assert point.reals[0] == 0.0
+    for array in (
+        point.pseudo_inertias,
+        point.positives,
+        point.reals,
+        point.root,
+        point.inverse_root,
+        point.parameters,
+    ):
+        with pytest.raises(ValueError, match="read-only"):
+            array[...] = 0.0

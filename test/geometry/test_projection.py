@@ -1,0 +1,193 @@
+"""Projection on hyperplanes within the neighbourhood: Proposition 2 and its extension to coefficients."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.optimize import minimize
+
+from geomid_ros.geometry import pseudo_inertia, spd
+from geomid_ros.geometry.manifold import ParameterManifold, Point
+from geomid_ros.geometry.projection import ROOT
+from geomid_ros.types import FloatArray
+
+from . import bodies
+from .planes import (
+    ALL,
+    MASS,
+    POSITIVE,
+    SEEDS,
+    SHAPES,
+    neighbourhood,
+    norms,
+    one,
+    project,
+)
+
+EPSILON = float(np.finfo(float).eps)
+ON_THE_PLANE = 1e-11  # residual over the row's dual norm
+ROUNDING = 1e-9
+REALS = ParameterManifold(0, 0, np.array([0.1, 20.0, 3.0]))
+
+
+@SHAPES
+@SEEDS
+def test_the_projected_point_lies_on_the_hyperplane(manifold: ParameterManifold, seed: int) -> None:
+    point, rows, targets = neighbourhood(seed, manifold)
+    found = project(manifold, point, rows, targets)
+    lengths = norms(manifold, point, rows)
+    for k, row in enumerate(rows):
+        landed = manifold.exp(point, found.tangent[k]).parameters
+        scale = max(lengths[k], float(np.abs(row) @ np.abs(landed)) * 1e-4)
+        assert abs(row @ landed - targets[k]) <= ON_THE_PLANE * scale
+
+
+@SHAPES
+@SEEDS
+def test_half_squared_is_half_the_squared_length_of_the_logarithm(manifold: ParameterManifold, seed: int) -> None:
+    point, rows, targets = neighbourhood(seed, manifold)
+    found = project(manifold, point, rows, targets)
+    np.testing.assert_allclose(found.half_squared, 0.5 * np.sum(found.tangent**2, axis=1), rtol=ROUNDING)
+    landed = [manifold.distance(point, manifold.exp(point, tangent)) for tangent in found.tangent]
+    np.testing.assert_allclose(np.sqrt(2.0 * found.half_squared), landed, rtol=ROUNDING)
+
+
+@SEEDS
+def test_the_logarithm_back_is_the_multiplier_times_the_normal(seed: int) -> None:
+    """The first-order condition before (24): ``Log_Phat(P) = lambda Phat X Phat``, one lambda for all blocks.
+
+    The same condition for a positive coefficient is ``-c-hat log(c-hat/c) = lambda c-hat a c-hat``, and for a real
+    ``(r - r-hat)/scale^2 = lambda a``.
+    """
+    point, rows, targets = neighbourhood(seed, ALL)
+    found = project(ALL, point, rows, targets)
+    for row, tangent in zip(rows, found.tangent, strict=True):
+        there = ALL.exp(point, tangent)
+        coefficients = pseudo_inertia.coefficient_matrix(row[ALL.inertial].reshape(-1, 10))
+        multiplier = (point.reals - there.reals)[0] / (ALL.scales[0] ** 2 * row[ALL.real][0])
+        back = spd.log_map(there.pseudo_inertias, point.pseudo_inertias)
+        expected = multiplier * spd.congruence(there.pseudo_inertias, coefficients)
+        sizes = np.max(np.abs(there.pseudo_inertias), axis=(1, 2), keepdims=True)
+        np.testing.assert_allclose(back / sizes, expected / sizes, rtol=0, atol=1e-7)
+        expected = multiplier * there.positives * row[ALL.positive]
+        np.testing.assert_allclose(np.log(point.positives / there.positives), expected, rtol=0, atol=1e-8)
+        expected = multiplier * ALL.scales * row[ALL.real]
+        np.testing.assert_allclose((point.reals - there.reals) / ALL.scales, expected, rtol=0, atol=1e-8)
+
+
+@SEEDS
+def test_no_eigenvalue_grows_by_more_than_e(seed: int) -> None:
+    point, rows, targets = neighbourhood(seed, ALL)
+    for tangent in project(ALL, point, rows, targets).tangent:
+        there = ALL.exp(point, tangent)
+        assert np.max(spd.relative_eigenvalues(point.pseudo_inertias, there.pseudo_inertias)) <= np.e * (1.0 + ROUNDING)
+        assert np.max(there.positives / point.positives) <= np.e * (1.0 + ROUNDING)
+
+
+@SHAPES
+@SEEDS
+def test_no_sampled_point_of_the_hyperplane_in_the_neighbourhood_is_nearer(
+    manifold: ParameterManifold, seed: int
+) -> None:
+    """Straight lines from the projected point within the hyperplane, as far as the neighbourhood reaches."""
+    rng = np.random.default_rng(seed)
+    point, rows, targets = neighbourhood(seed, manifold, 10)
+    normals, found, sampled = manifold.whiten(point, rows), project(manifold, point, rows, targets), 0
+    for normal, row, target, tangent, half in zip(
+        normals, rows, targets, found.tangent, found.half_squared, strict=True
+    ):
+        there = manifold.exp(point, tangent).parameters
+        for size in 10.0 ** rng.uniform(-2.0, 0.5, size=30):
+            along = rng.normal(size=manifold.dimension)
+            along -= normal * (normal @ along) / (normal @ normal)
+            moved = there + size * parameter_step(manifold, point, along)
+            candidate = manifold.point(moved)
+            if np.min(np.linalg.eigvalsh(candidate.pseudo_inertias)) <= 0.0 or np.any(candidate.positives <= 0.0):
+                continue
+            step = manifold.log(point, candidate)
+            top = np.max(spd.relative_eigenvalues(point.pseudo_inertias, candidate.pseudo_inertias))
+            if max(top, *(candidate.positives / point.positives), 0.0) > np.e:
+                continue
+            assert abs(row @ moved - target) <= 1e-8 * np.linalg.norm(normal)
+            assert 0.5 * step @ step >= half * (1.0 - ROUNDING) - ROUNDING
+            sampled += 1
+    assert sampled >= 50
+
+
+def parameter_step(manifold: ParameterManifold, point: Point, tangent: FloatArray) -> FloatArray:
+    """The straight line of parameters that leaves ``point`` with these tangent coordinates."""
+    blocks, diagonal = manifold.jacobian(point)
+    inertial = np.einsum("lij,lj->li", blocks, tangent[manifold.inertial].reshape(-1, 10)).ravel()
+    return np.concatenate([inertial, diagonal * tangent[manifold.inertial.stop :]])
+
+
+@SHAPES
+@SEEDS
+def test_a_general_optimiser_finds_the_same_point(manifold: ParameterManifold, seed: int) -> None:
+    """SLSQP on the tangent coordinates: least length subject to landing on the hyperplane."""
+    point, rows, targets = neighbourhood(seed, manifold, 3)
+    found = project(manifold, point, rows, targets)
+    for k, (row, target) in enumerate(zip(rows, targets, strict=True)):
+        scale = float(norms(manifold, point, row[None])[0])
+
+        def residual(tangent: FloatArray, row: FloatArray = row, target: float = target, scale: float = scale) -> float:
+            return float(row @ manifold.exp(point, tangent).parameters - target) / scale
+
+        result = minimize(
+            lambda v: 0.5 * v @ v,
+            np.zeros(manifold.dimension),
+            jac=lambda v: v,
+            method="SLSQP",
+            constraints={"type": "eq", "fun": residual},
+            options={"maxiter": 200, "ftol": 1e-12},
+        )
+        assert abs(residual(result.x)) <= 1e-7
+        assert found.half_squared[k] == pytest.approx(result.fun, rel=1e-5, abs=1e-7)
+        np.testing.assert_allclose(found.tangent[k], result.x, rtol=0, atol=1e-3)
+
+
+@SEEDS
+def test_a_real_row_is_an_orthogonal_projection(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    point, row, target = bodies.point(rng, REALS), rng.normal(size=3), 50.0 * rng.normal()
+    found = one(REALS, point, row, target)
+    normal = row * REALS.scales
+    distance = (target - row @ point.reals) / np.linalg.norm(normal)
+    assert found.status[0] == ROOT
+    assert found.half_squared[0] == pytest.approx(0.5 * distance**2, rel=ROUNDING)
+    np.testing.assert_allclose(found.tangent[0], distance * normal / np.linalg.norm(normal), rtol=ROUNDING)
+
+
+@pytest.mark.parametrize("ratio", [1e-8, 0.1, 0.9, 1.0, 1.1, 2.0, 2.7])
+def test_a_positive_row_moves_the_coefficient_to_its_value(ratio: float) -> None:
+    point = POSITIVE.point(np.array([0.02]))
+    for sign in (1.0, -1.0):
+        found = one(POSITIVE, point, np.array([sign * 3.0]), sign * 3.0 * 0.02 * ratio)
+        assert found.status[0] == ROOT
+        assert found.tangent[0, 0] == pytest.approx(np.log(ratio), rel=1e-5, abs=ROUNDING)
+        assert found.half_squared[0] == pytest.approx(0.5 * np.log(ratio) ** 2, rel=1e-5, abs=ROUNDING)
+
+
+@pytest.mark.parametrize("seed", range(20))
+@pytest.mark.parametrize("count", [1, 4])
+def test_a_mass_row_moves_every_link_by_its_own_share(seed: int, count: int) -> None:
+    """Rank one: the row's only eigenvalue in a link is that link's mass. One link: its mass becomes the target."""
+    rng, manifold = np.random.default_rng(seed), ParameterManifold(count, 0, np.zeros(0))
+    point = bodies.point(rng, manifold)
+    masses = point.parameters[::10]
+    target = float(masses.sum()) * rng.uniform(0.3, 1.8)
+    found = one(manifold, point, np.tile(MASS, count), target)
+    moved = manifold.exp(point, found.tangent[0]).parameters[::10]
+    assert found.status[0] == ROOT
+    assert moved.sum() == pytest.approx(target, rel=ROUNDING)
+    ratios = moved / masses  # log(ratio)/ratio = -multiplier * mass
+    np.testing.assert_allclose(np.log(ratios) / moved, np.log(ratios[0]) / moved[0], rtol=1e-6, atol=1e-9)
+    assert found.half_squared[0] == pytest.approx(0.5 * np.sum(np.log(ratios) ** 2), rel=1e-8, abs=ROUNDING)
+
+
+@pytest.mark.parametrize("ratio", [1e-3, 1e-9, 1e-12, 1e-15, 1e-20])
+def test_targets_near_zero_are_reached_with_relative_accuracy(ratio: float) -> None:
+    """The distance is logarithmic: a coefficient of 1e-12 of what it was is not one of 1.01e-12."""
+    found = one(POSITIVE, POSITIVE.point(np.array([2.0])), np.array([3.0]), 6.0 * ratio)
+    assert found.status[0] == ROOT
+    assert found.tangent[0, 0] == pytest.approx(np.log(ratio), rel=ROUNDING)

@@ -1,0 +1,151 @@
+"""Which rows are the same row: sparse, satisfied, zero, scaled, batched, seen from other frames and in other units."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from geomid_ros.geometry import projection, pseudo_inertia, spd
+from geomid_ros.geometry.manifold import ParameterManifold
+from geomid_ros.geometry.projection import NO_ROOT_HIGH, NO_ROOT_LOW, ROOT
+
+from . import bodies
+from .planes import (
+    ALL,
+    LINK,
+    SEEDS,
+    neighbourhood,
+    norms,
+    one,
+    problem,
+    project,
+    row_of,
+)
+
+ROUNDING = 1e-9
+
+
+@SEEDS
+def test_a_row_leaves_the_blocks_it_does_not_touch(seed: int) -> None:
+    point, rows, _ = problem(seed, ALL, 20, 0.0)
+    rng, untouched = np.random.default_rng(seed), ALL.link(seed % 3)
+    rows[:, untouched] = 0.0
+    rows[:, ALL.positive.start] = 0.0
+    targets = rows @ point.parameters + 0.5 * rng.uniform(-1, 1, size=20) * norms(ALL, point, rows)
+    found = project(ALL, point, rows, targets)
+    for part in (untouched, ALL.positive.start):
+        assert not np.any(found.tangent[:, part])
+        assert not np.any(found.direction[:, part])
+        assert not np.any(found.curvature[part])
+
+
+@SEEDS
+def test_a_sparse_row_projects_as_on_the_manifold_of_its_blocks(seed: int) -> None:
+    """The second of three links, the first positive, no real: as if nothing else existed."""
+    point, rows, targets = problem(seed, ALL, 20, 0.0)
+    kept = np.r_[ALL.link(1), ALL.positive.start]
+    sparse = np.zeros_like(rows)
+    sparse[:, kept] = rows[:, kept]
+    small = ParameterManifold(1, 1, np.zeros(0))
+    targets = sparse @ point.parameters + 0.5 * norms(ALL, point, sparse)
+    whole, part = (
+        project(ALL, point, sparse, targets),
+        project(small, small.point(point.parameters[kept]), rows[:, kept], targets),
+    )
+    np.testing.assert_array_equal(whole.status, part.status)
+    np.testing.assert_allclose(whole.half_squared, part.half_squared, rtol=1e-8, atol=ROUNDING)
+    np.testing.assert_allclose(whole.tangent[:, kept], part.tangent, rtol=0, atol=1e-7)
+    np.testing.assert_allclose(whole.direction[:, kept], part.direction, rtol=0, atol=1e-7)
+    np.testing.assert_allclose(whole.curvature[np.ix_(kept, kept)], part.curvature, rtol=0, atol=1e-6)
+
+
+@SEEDS
+def test_a_satisfied_row_is_at_distance_zero(seed: int) -> None:
+    """There the Hessian is the Gauss-Newton term alone, along the unit normal."""
+    point, rows, targets = problem(seed, ALL, 20, 0.0)
+    found, normals = project(ALL, point, rows, targets), ALL.whiten(point, rows)
+    assert np.all(found.status == ROOT)
+    np.testing.assert_allclose(found.half_squared, np.zeros(20), rtol=0, atol=1e-18)
+    np.testing.assert_allclose(found.tangent, np.zeros_like(rows), rtol=0, atol=ROUNDING)
+    units = normals / np.linalg.norm(normals, axis=1, keepdims=True)
+    np.testing.assert_allclose(found.direction, units, rtol=0, atol=ROUNDING)
+    np.testing.assert_allclose(found.curvature, np.zeros((ALL.dimension,) * 2), rtol=0, atol=ROUNDING)
+
+
+@pytest.mark.parametrize(("target", "status"), [(0.0, ROOT), (1.0, NO_ROOT_LOW), (-1.0, NO_ROOT_HIGH)])
+def test_a_zero_row_moves_nothing(target: float, status: int) -> None:
+    point = bodies.point(np.random.default_rng(0), ALL)
+    found = one(ALL, point, np.zeros(ALL.dimension), target)
+    assert found.status[0] == status
+    assert found.half_squared[0] == 0.0
+    assert not np.any(found.tangent)
+    assert not np.any(found.direction)
+    assert not np.any(found.curvature)
+
+
+@SEEDS
+def test_rows_do_not_disturb_each_other(seed: int) -> None:
+    """Batched, singly and reversed, with zero, sparse and rootless rows among them."""
+    point, rows, targets = problem(seed, ALL, 12, 4.0)
+    rows[3], rows[5, ALL.link(0)], rows[8, : ALL.real.start] = 0.0, 0.0, 0.0
+    normals = ALL.whiten(point, rows)
+    together = projection.project(ALL, point, normals, targets)
+    reverse = projection.project(ALL, point, normals[::-1], targets[::-1])
+    for k in range(12):
+        single = projection.project(ALL, point, normals[k : k + 1], targets[k : k + 1])
+        for name in ("half_squared", "tangent", "direction", "status"):
+            np.testing.assert_array_equal(getattr(together, name)[k], getattr(single, name)[0])
+            np.testing.assert_array_equal(getattr(reverse, name)[11 - k], getattr(single, name)[0])
+
+
+def test_no_rows_is_a_projection_too() -> None:
+    point = bodies.point(np.random.default_rng(0), ALL)
+    found = project(ALL, point, np.zeros((0, ALL.dimension)), np.zeros(0))
+    assert found.tangent.shape == (0, ALL.dimension)
+    assert not np.any(found.curvature)
+
+
+@SEEDS
+def test_the_length_and_sign_of_a_row_do_not_matter(seed: int) -> None:
+    point, rows, targets = neighbourhood(seed, ALL)
+    found = project(ALL, point, rows, targets)
+    for factor in (-1.0, 1e-6, 1e6):
+        scaled = project(ALL, point, factor * rows, factor * targets)
+        np.testing.assert_array_equal(scaled.status, found.status)
+        np.testing.assert_allclose(scaled.half_squared, found.half_squared, rtol=1e-8, atol=ROUNDING)
+        np.testing.assert_allclose(scaled.tangent, found.tangent, rtol=0, atol=1e-7)
+
+
+@SEEDS
+def test_the_distance_to_a_hyperplane_has_no_frame_and_no_units(seed: int) -> None:
+    """Every link gets its own frame and units, coefficients too; rows follow, so that a . parameters stays."""
+    point, rows, targets = problem(seed, ALL, 20, 4.0)
+    rng = np.random.default_rng(seed)
+    linear = np.diag(np.concatenate([np.ones(10 * ALL.links), 10.0 ** rng.uniform(-2.0, 2.0, size=4)]))
+    for k in range(ALL.links):
+        units = 10.0 ** rng.uniform(-1.0, 1.0, size=2)
+        factor = pseudo_inertia.change_of_frame(bodies.rotation(rng), 0.3 * rng.normal(size=3), *units)
+        images = spd.congruence(factor, pseudo_inertia.from_parameters(np.eye(10)))
+        linear[ALL.link(k), ALL.link(k)] = pseudo_inertia.to_parameters(images).T
+    moved = ParameterManifold(ALL.links, ALL.positives, ALL.scales * np.diag(linear)[ALL.real])
+    here = project(ALL, point, rows, targets)
+    there = project(moved, moved.point(linear @ point.parameters), rows @ np.linalg.inv(linear), targets)
+    np.testing.assert_array_equal(there.status, here.status)
+    np.testing.assert_allclose(there.half_squared, here.half_squared, rtol=1e-6, atol=1e-9)
+
+
+@SEEDS
+def test_a_link_with_a_diagonal_normal_is_four_positives(seed: int) -> None:
+    """A diagonal X-bar is four positive coefficients: the links' and the positives' formulas agree."""
+    rng = np.random.default_rng(seed)
+    eigenvalues, positives = rng.normal(size=4), ParameterManifold(0, 4, np.zeros(0))
+    link = LINK.point(pseudo_inertia.to_parameters(np.eye(4)))
+    row = row_of(link, np.diag(eigenvalues))
+    target = float(eigenvalues.sum()) + 0.5 * np.linalg.norm(eigenvalues)
+    as_link, as_positives = (
+        one(LINK, link, row, target),
+        one(positives, positives.point(np.ones(4)), eigenvalues, target),
+    )
+    assert as_link.status[0] == as_positives.status[0]
+    assert as_link.half_squared[0] == pytest.approx(as_positives.half_squared[0], rel=ROUNDING)
+    np.testing.assert_allclose(as_link.tangent[0, :4], as_positives.tangent[0], rtol=0, atol=ROUNDING)

@@ -1,0 +1,192 @@
+"""The map (3) between parameters and pseudo-inertias, against point masses, quadrature, textbooks and pinocchio."""
+
+from __future__ import annotations
+
+import numpy as np
+import pinocchio
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+from geomid_ros.geometry import pseudo_inertia
+from geomid_ros.types import FloatArray
+
+from . import bodies
+
+ROUNDING = 1e-12
+SEEDS = pytest.mark.parametrize("seed", range(10))
+theorem = settings(max_examples=40, deadline=None, derandomize=True, database=None)
+ten = arrays(np.float64, 10, elements=st.floats(-1e3, 1e3))
+
+
+@SEEDS
+def test_pseudo_inertia_is_the_sum_over_point_masses(seed: int) -> None:
+    cloud = bodies.cloud(np.random.default_rng(seed))
+    pseudo = pseudo_inertia.from_parameters(bodies.parameters_of_cloud(*cloud))
+    expected = bodies.pseudo_inertia_of_cloud(*cloud)
+    np.testing.assert_allclose(pseudo, expected, rtol=0, atol=ROUNDING * np.max(np.abs(expected)))
+
+
+def test_pseudo_inertia_of_a_box_is_the_integral_of_its_density() -> None:
+    """Textbook inertia of a shifted box on one side, quadrature of (3) over its volume on the other."""
+    mass, (a, b, c), centre = 3.0, (0.2, 0.5, 0.9), np.array([0.3, -0.1, 0.7])
+    central = mass / 12.0 * np.diag([b**2 + c**2, a**2 + c**2, a**2 + b**2])
+    about_origin = central + mass * (centre @ centre * np.eye(3) - np.outer(centre, centre))
+    parameters = np.array([mass, *(mass * centre), *(about_origin[pair] for pair in bodies.PINOCCHIO_PAIRS)])
+
+    nodes, shares = np.polynomial.legendre.leggauss(3)
+    grid = np.stack(np.meshgrid(nodes, nodes, nodes, indexing="ij"), axis=-1).reshape(-1, 3)
+    weights = np.einsum("i,j,k->ijk", shares, shares, shares).ravel() / 8.0
+    integral = bodies.pseudo_inertia_of_cloud(mass * weights, centre + 0.5 * grid * [a, b, c])
+    np.testing.assert_allclose(pseudo_inertia.from_parameters(parameters), integral, rtol=ROUNDING, atol=ROUNDING)
+
+
+@theorem
+@given(ten)
+def test_parameters_survive_the_round_trip(parameters: FloatArray) -> None:
+    pseudo = pseudo_inertia.from_parameters(parameters)
+    np.testing.assert_allclose(pseudo, pseudo.T, rtol=0, atol=0)
+    np.testing.assert_allclose(pseudo_inertia.to_parameters(pseudo), parameters, rtol=0, atol=1e3 * ROUNDING)
+
+
+@theorem
+@given(ten, ten, st.floats(-10.0, 10.0))
+def test_the_map_is_linear(x: FloatArray, y: FloatArray, factor: float) -> None:
+    image = pseudo_inertia.from_parameters(x + factor * y)
+    expected = pseudo_inertia.from_parameters(x) + factor * pseudo_inertia.from_parameters(y)
+    np.testing.assert_allclose(image, expected, rtol=0, atol=1e4 * ROUNDING)
+
+
+@theorem
+@given(ten, ten)
+def test_a_row_is_the_trace_with_its_coefficient_matrix(row: FloatArray, parameters: FloatArray) -> None:
+    """(18) and (20) are the same constraint, for impossible bodies as well."""
+    matrix = pseudo_inertia.coefficient_matrix(row)
+    np.testing.assert_allclose(matrix, matrix.T, rtol=0, atol=0)
+    trace = np.trace(matrix @ pseudo_inertia.from_parameters(parameters))
+    assert trace == pytest.approx(row @ parameters, rel=0, abs=1e7 * ROUNDING)
+
+
+@SEEDS
+def test_stacks_are_mapped_one_by_one(seed: int) -> None:
+    stack = np.random.default_rng(seed).normal(size=(2, 3, 10))
+    for function in (pseudo_inertia.from_parameters, pseudo_inertia.coefficient_matrix):
+        single = np.array([[function(parameters) for parameters in half] for half in stack])
+        np.testing.assert_allclose(function(stack), single, rtol=0, atol=ROUNDING)
+    pseudo = pseudo_inertia.from_parameters(stack)
+    np.testing.assert_allclose(pseudo_inertia.to_parameters(pseudo), stack, rtol=0, atol=ROUNDING)
+
+
+@SEEDS
+def test_non_negative_density_gives_a_positive_semi_definite_matrix(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    for count in (1, 2, 3, 4, 20):
+        values = np.linalg.eigvalsh(
+            pseudo_inertia.from_parameters(bodies.parameters_of_cloud(*bodies.cloud(rng, count)))
+        )
+        assert values[0] >= -ROUNDING * values[-1]
+        assert np.sum(values > 1e-10 * values[-1]) == min(count, 4)
+
+
+@SEEDS
+def test_a_positive_definite_matrix_has_a_non_negative_density(seed: int) -> None:
+    """Four equal point masses realise it: the columns of a square root, turned until their last entries agree."""
+    pseudo = bodies.spd(np.random.default_rng(seed))
+    root = np.linalg.cholesky(pseudo)
+    target = np.full(4, 0.5 * np.linalg.norm(root[3]))
+    mirror = root[3] - target
+    turned = root - 2.0 * np.outer(root @ mirror, mirror) / (mirror @ mirror)
+    masses, positions = turned[3] ** 2, (turned[:3] / turned[3]).T
+    np.testing.assert_allclose(
+        pseudo_inertia.to_parameters(pseudo), bodies.parameters_of_cloud(masses, positions), rtol=0, atol=1e-10
+    )
+
+
+def test_an_inertia_that_breaks_the_triangle_inequality_is_not_positive_definite() -> None:
+    """Positive mass and positive-definite inertia are necessary, not sufficient (section II)."""
+    parameters = np.array([1.0, 0, 0, 0, 1.0, 0, 1.0, 0, 0, 2.5])
+    assert np.linalg.eigvalsh(pseudo_inertia.rotational_inertia(parameters))[0] > 0.0
+    assert np.linalg.eigvalsh(pseudo_inertia.from_parameters(parameters))[0] < 0.0
+
+
+@SEEDS
+def test_change_of_frame_and_units_moves_the_point_masses(seed: int) -> None:
+    """(10) to (13)."""
+    rng = np.random.default_rng(seed)
+    masses, positions = bodies.cloud(rng)
+    rotation, translation = bodies.rotation(rng), rng.normal(size=3)
+    length_unit, mass_unit = 10.0 ** rng.uniform(-3.0, 3.0, size=2)
+    factor = pseudo_inertia.change_of_frame(rotation, translation, length_unit, mass_unit)
+    moved = bodies.pseudo_inertia_of_cloud(mass_unit * masses, length_unit * (positions @ rotation.T + translation))
+    image = factor @ bodies.pseudo_inertia_of_cloud(masses, positions) @ factor.T
+    np.testing.assert_allclose(image, moved, rtol=0, atol=ROUNDING * np.max(np.abs(moved)))
+
+
+@SEEDS
+def test_change_of_frame_agrees_with_pinocchio(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    parameters = bodies.links(rng, 1)[0]
+    placement = pinocchio.SE3(bodies.rotation(rng), rng.normal(size=3))
+    moved = placement.act(pinocchio.Inertia.FromDynamicParameters(parameters)).toDynamicParameters()
+    factor = pseudo_inertia.change_of_frame(placement.rotation, placement.translation)
+    image = pseudo_inertia.to_parameters(factor @ pseudo_inertia.from_parameters(parameters) @ factor.T)
+    np.testing.assert_allclose(image, moved, rtol=0, atol=ROUNDING * np.max(np.abs(moved)))
+
+
+@SEEDS
+def test_mass_centre_and_central_inertia_agree_with_pinocchio(seed: int) -> None:
+    for parameters in bodies.links(np.random.default_rng(seed), 3):
+        inertia = pinocchio.Inertia.FromDynamicParameters(parameters)
+        size = np.max(np.abs(parameters[4:]))
+        np.testing.assert_allclose(pseudo_inertia.centre_of_mass(parameters), inertia.lever, rtol=1e-10)
+        central = pseudo_inertia.central_inertia(parameters)
+        np.testing.assert_allclose(central, inertia.inertia, rtol=0, atol=ROUNDING * size)
+        again = pseudo_inertia.assemble(np.array(inertia.mass), inertia.lever, inertia.inertia)
+        np.testing.assert_allclose(again, parameters, rtol=1e-10, atol=ROUNDING * size)
+
+
+@SEEDS
+def test_assemble_undoes_centre_and_central_inertia_for_stacks(seed: int) -> None:
+    parameters = bodies.links(np.random.default_rng(seed), 6).reshape(2, 3, 10)
+    centre, central = pseudo_inertia.centre_of_mass(parameters), pseudo_inertia.central_inertia(parameters)
+    again = pseudo_inertia.assemble(parameters[..., 0], centre, central)
+    np.testing.assert_allclose(again, parameters, rtol=0, atol=ROUNDING * np.max(np.abs(parameters)))
+
+
+@SEEDS
+def test_central_inertia_does_not_see_a_translation(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    masses, positions = bodies.cloud(rng)
+    shift = rng.normal(size=3)
+    here, there = (bodies.parameters_of_cloud(masses, positions + s) for s in (0.0 * shift, shift))
+    np.testing.assert_allclose(
+        pseudo_inertia.central_inertia(there),
+        pseudo_inertia.central_inertia(here),
+        rtol=0,
+        atol=ROUNDING * here[0] * 10,
+    )
+
+
+@SEEDS
+def test_equivalent_ellipsoid_of_a_uniform_ellipsoid_is_itself(seed: int) -> None:
+    """Textbook: central inertia ``m/5 (b^2 + c^2)`` and so on, about its own axes."""
+    rng = np.random.default_rng(seed)
+    mass, semi_axes = 10.0 ** rng.uniform(-2.0, 2.0), np.sort(rng.uniform(0.01, 1.0, size=3))
+    turn, centre = bodies.rotation(rng), rng.normal(size=3)
+    central = turn @ np.diag(mass / 5.0 * (np.sum(semi_axes**2) - semi_axes**2)) @ turn.T
+    found, axes = pseudo_inertia.equivalent_ellipsoid(pseudo_inertia.assemble(np.array(mass), centre, central))
+    np.testing.assert_allclose(found, semi_axes, rtol=1e-8)
+    np.testing.assert_allclose(np.abs(np.sum(axes * turn, axis=0)), np.ones(3), rtol=0, atol=1e-6)
+
+
+@SEEDS
+def test_equivalent_ellipsoid_reproduces_the_inertia_of_any_body(seed: int) -> None:
+    parameters = bodies.links(np.random.default_rng(seed), 4)
+    semi_axes, axes = pseudo_inertia.equivalent_ellipsoid(parameters)
+    second_moment = (axes * semi_axes[:, None, :] ** 2) @ np.swapaxes(axes, -1, -2) / 5.0
+    inertia = np.trace(second_moment, axis1=-2, axis2=-1)[:, None, None] * np.eye(3) - second_moment
+    central = pseudo_inertia.central_inertia(parameters)
+    for k in range(4):
+        size = np.max(np.abs(parameters[k, 4:]))
+        np.testing.assert_allclose(parameters[k, 0] * inertia[k], central[k], rtol=0, atol=ROUNDING * size)

@@ -1,0 +1,244 @@
+"""The affine-invariant geometry (5) to (9), Proposition 1 and the line element (15)."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import scipy.linalg
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from geomid_ros.geometry import pseudo_inertia, spd, symmetric
+from geomid_ros.types import FloatArray
+
+from . import bodies
+
+ROUNDING = 1e-10  # relative; the matrices' condition numbers reach 1e4
+FINITE_DIFFERENCE = 1e-6
+SEEDS = pytest.mark.parametrize("seed", range(8))
+theorem = settings(max_examples=40, deadline=None, derandomize=True, database=None)
+generators = st.integers(0, 2**32 - 1).map(np.random.default_rng)
+
+
+def norm(base: FloatArray, tangent: FloatArray) -> FloatArray:
+    return np.sqrt(spd.inner(base, tangent, tangent))
+
+
+def general_linear(rng: np.random.Generator) -> FloatArray:
+    """A random element of GL(4), of either orientation, that scales its directions differently."""
+    return rng.normal(size=(4, 4)) @ np.diag(10.0 ** rng.uniform(-1.0, 1.0, size=4))
+
+
+@SEEDS
+def test_matrix_functions_are_scipys(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    matrix, tangent = bodies.spd(rng), bodies.symmetric(rng)
+    np.testing.assert_allclose(spd.sym_exp(tangent), scipy.linalg.expm(tangent), rtol=0, atol=ROUNDING)
+    np.testing.assert_allclose(spd.spd_log(matrix), scipy.linalg.logm(matrix), rtol=0, atol=ROUNDING)
+    np.testing.assert_allclose(spd.spd_sqrt(matrix), scipy.linalg.sqrtm(matrix), rtol=0, atol=ROUNDING)
+    np.testing.assert_allclose(spd.spd_inv_sqrt(matrix) @ spd.spd_sqrt(matrix), np.eye(4), rtol=0, atol=ROUNDING)
+
+
+@theorem
+@given(generators)
+def test_inner_product_is_the_invariant_trace(rng: np.random.Generator) -> None:
+    """``tr(P^-1 X P^-1 Y)``, symmetric, and unchanged when GL(4) moves point and vectors together."""
+    base, (x, y), g = bodies.spd(rng), bodies.symmetric(rng, 2), general_linear(rng)
+    inverse = np.linalg.inv(base)
+    scale = norm(base, x) * norm(base, y)
+    assert abs(spd.inner(base, x, y) - np.trace(inverse @ x @ inverse @ y)) <= ROUNDING * scale
+    assert abs(spd.inner(base, x, y) - spd.inner(base, y, x)) <= ROUNDING * scale
+    moved = spd.inner(spd.congruence(g, base), spd.congruence(g, x), spd.congruence(g, y))
+    assert abs(spd.inner(base, x, y) - moved) <= 1e4 * ROUNDING * scale
+
+
+@theorem
+@given(generators)
+def test_exp_after_log_is_the_point(rng: np.random.Generator) -> None:
+    base, other = bodies.spd(rng, 2)
+    np.testing.assert_allclose(spd.exp_map(base, spd.log_map(base, other)), other, rtol=0, atol=10 * ROUNDING)
+
+
+@theorem
+@given(generators)
+def test_log_after_exp_is_the_tangent(rng: np.random.Generator) -> None:
+    base, direction = bodies.spd(rng), bodies.symmetric(rng)
+    tangent = direction * 3.0 / norm(base, direction)
+    np.testing.assert_allclose(spd.log_map(base, spd.exp_map(base, tangent)), tangent, rtol=0, atol=100 * ROUNDING)
+
+
+@theorem
+@given(generators)
+def test_gl4_carries_logarithms_to_logarithms_and_keeps_distances(rng: np.random.Generator) -> None:
+    (base, other), g = bodies.spd(rng, 2), general_linear(rng)
+    moved = spd.log_map(spd.congruence(g, base), spd.congruence(g, other))
+    expected = spd.congruence(g, spd.log_map(base, other))
+    np.testing.assert_allclose(moved, expected, rtol=0, atol=1e-7 * np.max(np.abs(expected)))
+    moved_distance = spd.distance(spd.congruence(g, base), spd.congruence(g, other))
+    assert moved_distance == pytest.approx(float(spd.distance(base, other)), rel=1e-7)
+
+
+@SEEDS
+def test_distance_between_bodies_has_no_frame_and_no_units(seed: int) -> None:
+    """Proposition 1, on point masses that are moved and measured anew (length units may differ by axis, (10))."""
+    rng = np.random.default_rng(seed)
+    clouds = [bodies.cloud(rng), bodies.cloud(rng)]
+    turn, shift, mass_unit = bodies.rotation(rng), rng.normal(size=3), 10.0 ** rng.uniform(-2.0, 2.0)
+    units = 10.0 ** rng.uniform(-2.0, 2.0) * rng.uniform(0.5, 2.0, size=3)
+    moved = [(mass_unit * masses, (positions @ turn.T + shift) * units) for masses, positions in clouds]
+    here, there = (
+        spd.distance(*(pseudo_inertia.from_parameters(bodies.parameters_of_cloud(*cloud)) for cloud in pair))
+        for pair in (clouds, moved)
+    )
+    assert there == pytest.approx(here, rel=1e-6)
+
+
+@theorem
+@given(generators)
+def test_distance_is_a_metric(rng: np.random.Generator) -> None:
+    a, b, c = bodies.spd(rng, 3)
+    assert spd.distance(a, b) > 0.0
+    assert spd.distance(a, a) == pytest.approx(0.0, abs=ROUNDING)
+    assert spd.distance(a, b) == pytest.approx(spd.distance(b, a), rel=ROUNDING)
+    assert spd.distance(a, c) <= spd.distance(a, b) + spd.distance(b, c) + ROUNDING
+    assert spd.distance(np.linalg.inv(a), np.linalg.inv(b)) == pytest.approx(spd.distance(a, b), rel=1e-8)
+
+
+@theorem
+@given(generators)
+def test_distance_is_the_norm_of_the_logarithm(rng: np.random.Generator) -> None:
+    a, b = bodies.spd(rng, 2)
+    assert spd.distance(a, b) == pytest.approx(norm(a, spd.log_map(a, b)), rel=10 * ROUNDING)
+
+
+@theorem
+@given(generators)
+def test_distance_by_generalised_eigenvalues(rng: np.random.Generator) -> None:
+    a, b = bodies.spd(rng, 2)
+    values = scipy.linalg.eigvalsh(b, a)
+    np.testing.assert_allclose(spd.relative_eigenvalues(a, b), values, rtol=100 * ROUNDING)
+    assert spd.distance(a, b) == pytest.approx(np.linalg.norm(np.log(values)), rel=10 * ROUNDING)
+
+
+@SEEDS
+def test_it_agrees_with_pyriemann(seed: int) -> None:
+    distance = pytest.importorskip("pyriemann.utils.distance")
+    tangent_space = pytest.importorskip("pyriemann.utils.tangentspace")
+    geodesic = pytest.importorskip("pyriemann.utils.geodesic")
+    a, b = bodies.spd(np.random.default_rng(seed), 2)
+    log = spd.log_map(a, b)
+    assert spd.distance(a, b) == pytest.approx(distance.distance_riemann(a, b), rel=ROUNDING)
+    np.testing.assert_allclose(log, tangent_space.log_map_riemann(b, a, C12=True), rtol=0, atol=10 * ROUNDING)
+    np.testing.assert_allclose(
+        spd.exp_map(a, log), tangent_space.exp_map_riemann(log, a, Cm12=True), atol=10 * ROUNDING
+    )
+    expected = geodesic.geodesic_riemann(a, b, alpha=0.3)
+    np.testing.assert_allclose(spd.geodesic(a, log, 0.3), expected, rtol=0, atol=10 * ROUNDING)
+
+
+@SEEDS
+def test_geodesics_have_constant_speed(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    base, tangent = bodies.spd(rng), bodies.symmetric(rng)
+    for s, t in ((0.0, 1.0), (0.2, 0.7), (-0.5, 0.4)):
+        between = spd.distance(spd.geodesic(base, tangent, s), spd.geodesic(base, tangent, t))
+        assert between == pytest.approx(abs(t - s) * norm(base, tangent), rel=100 * ROUNDING)
+
+
+@SEEDS
+def test_geodesics_leave_with_the_given_velocity(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    base, tangent = bodies.spd(rng), bodies.symmetric(rng)
+    h = 1e-5
+    velocity = (spd.geodesic(base, tangent, h) - spd.geodesic(base, tangent, -h)) / (2.0 * h)
+    np.testing.assert_allclose(velocity, tangent, rtol=0, atol=FINITE_DIFFERENCE)
+
+
+@SEEDS
+def test_stacks_are_treated_one_by_one(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    a, b, x = bodies.spd(rng, 3, 2), bodies.spd(rng, 3, 2), bodies.symmetric(rng, 3, 2)
+    for function, arguments in (
+        (spd.distance, (a, b)),
+        (spd.log_map, (a, b)),
+        (spd.exp_map, (a, x)),
+        (spd.inner, (a, x, x)),
+        (spd.relative_eigenvalues, (a, b)),
+        (spd.half_squared_distance_hessian, (x,)),
+    ):
+        single = np.array([[function(*(stack[i, j] for stack in arguments)) for j in range(2)] for i in range(3)])
+        np.testing.assert_allclose(function(*arguments), single, rtol=ROUNDING, atol=ROUNDING)
+
+
+def half_squared_along(base: FloatArray, other: FloatArray, direction: FloatArray, t: float) -> float:
+    """d^2/2 to ``other`` at time t of the geodesic from ``base`` whose whitened velocity is ``direction (10,)``."""
+    root = spd.spd_sqrt(base)
+    moved = spd.congruence(root, spd.sym_exp(t * symmetric.to_matrix(direction)))
+    return 0.5 * float(spd.distance(moved, other)) ** 2
+
+
+@SEEDS
+@pytest.mark.parametrize("spread", [0.1, 1.0, 2.0])
+def test_hessian_of_the_half_squared_distance_by_finite_differences(seed: int, spread: float) -> None:
+    rng = np.random.default_rng(seed)
+    base, other = bodies.spd(rng), bodies.spd(rng, spread=spread)
+    inverse = spd.spd_inv_sqrt(base)
+    hessian = spd.half_squared_distance_hessian(spd.spd_log(spd.congruence(inverse, other)))
+    np.testing.assert_allclose(hessian, hessian.T, rtol=0, atol=ROUNDING)
+    h = 1e-3
+    for v in rng.normal(size=(4, 10)) / np.sqrt(10.0):
+        before, here, after = (half_squared_along(base, other, v, t) for t in (-h, 0.0, h))
+        assert v @ hessian @ v == pytest.approx((before - 2.0 * here + after) / h**2, rel=1e-5)
+
+
+def test_hessian_is_the_identity_at_the_point_itself_and_along_scalings() -> None:
+    for log in (np.zeros((4, 4)), 2.0 * np.eye(4)):
+        np.testing.assert_allclose(spd.half_squared_distance_hessian(log), np.eye(10), rtol=0, atol=ROUNDING)
+
+
+@SEEDS
+def test_hessian_is_never_below_the_identity(seed: int) -> None:
+    """P(4) has no positive curvature; the six directions that commute with the logarithm are flat or more."""
+    log = 3.0 * bodies.symmetric(np.random.default_rng(seed))
+    values = np.linalg.eigvalsh(spd.half_squared_distance_hessian(log))
+    np.testing.assert_allclose(values[:4], np.ones(4), rtol=0, atol=ROUNDING)
+    assert values[4] > 1.0
+
+
+def test_the_papers_masses() -> None:
+    """Section III-B: 3 kg and 1 kg are about seven times farther apart than 15 kg and 13 kg."""
+    masses, positions = bodies.cloud(np.random.default_rng(0))
+    unit = bodies.pseudo_inertia_of_cloud(masses / masses.sum(), positions)
+    light, heavy = spd.distance(3.0 * unit, 1.0 * unit), spd.distance(15.0 * unit, 13.0 * unit)
+    assert light == pytest.approx(2.0 * np.log(3.0), rel=ROUNDING)  # four eigenvalues, each log 3
+    assert 6.5 < light / heavy < 8.0
+
+
+@SEEDS
+def test_line_element_in_mass_centre_and_covariance(seed: int) -> None:
+    """(15), times the two by which the metric here differs from the printed one."""
+    rng = np.random.default_rng(seed)
+    mass, centre, covariance = rng.uniform(0.1, 50.0), rng.normal(size=3), bodies.spd(rng)[:3, :3]
+    d_mass, d_centre, d_covariance = rng.normal(), rng.normal(size=3), bodies.symmetric(rng)[:3, :3]
+
+    unit = np.block([[covariance + np.outer(centre, centre), centre[:, None]], [centre[None], np.ones((1, 1))]])
+    d_second = d_covariance + np.outer(d_centre, centre) + np.outer(centre, d_centre)
+    d_unit = np.block([[d_second, d_centre[:, None]], [d_centre[None], np.zeros((1, 1))]])
+    tangent = d_mass * unit + mass * d_unit
+
+    relative = np.linalg.solve(covariance, d_covariance)
+    printed = 2.0 * (d_mass / mass) ** 2 + d_mass / mass * np.trace(relative)
+    printed += d_centre @ np.linalg.solve(covariance, d_centre) + 0.5 * np.trace(relative @ relative)
+    assert spd.inner(mass * unit, tangent, tangent) == pytest.approx(2.0 * printed, rel=1e-8)
+
+
+def test_a_centre_of_mass_moves_farther_across_a_bar_than_along_it() -> None:
+    """Fig. 2 (a)."""
+    covariance = np.diag([1.0, 0.01, 0.01])
+
+    def at(centre: FloatArray) -> FloatArray:
+        return np.block([[covariance + np.outer(centre, centre), centre[:, None]], [centre[None], np.ones((1, 1))]])
+
+    origin = at(np.zeros(3))
+    along, across = (spd.distance(origin, at(0.3 * np.eye(3)[axis])) for axis in (0, 1))
+    assert across > 4.0 * along

@@ -1,0 +1,42 @@
+"""Simulations shared by the tests of this folder."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+
+from geomid_ros.simulation.options import SimulationOptions
+from geomid_ros.simulation.recorder import Trace
+from geomid_ros.simulation.robot import Robot, build_robot
+from geomid_ros.simulation.robots import WRIST_FRAME
+from geomid_ros.simulation.simulate import record
+from geomid_ros.simulation.truth import write_truth
+
+from .independent import Independent
+
+
+@dataclass(frozen=True)
+class Run:
+    """One simulation, noise-free, and what pinocchio makes of its truth file."""
+
+    robot: Robot
+    trace: Trace
+    independent: Independent
+
+
+def simulated(options: SimulationOptions, folder: Path) -> Run:
+    """Run a simulation and read its truth file, written into ``folder``, by the independent route."""
+    robot = build_robot(options)
+    trace = record(robot, options)
+    write_truth(folder / "truth.json", robot, options)
+    return Run(robot, trace, Independent.read(robot.nominal.text, folder / "truth.json"))
+
+
+@pytest.fixture(scope="session", params=["arm3", "arm7"])
+def run(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Run:
+    """Every shipped robot for five seconds."""
+    pytest.importorskip("mujoco")
+    options = SimulationOptions(robot=request.param, seed=3, duration=5.0, wrench_frame=WRIST_FRAME)
+    return simulated(options, tmp_path_factory.mktemp("truth"))

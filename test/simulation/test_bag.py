@@ -1,0 +1,167 @@
+"""What a recording holds, and that it depends on the seed and on nothing else."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from rosbags.interfaces import QosDurability
+
+from geomid_ros.errors import InputError
+from geomid_ros.simulation import JointEffect, SimulationOptions, SimulationResult, simulate
+from geomid_ros.simulation.bag import START
+from geomid_ros.simulation.robots import WRIST_FRAME, robot_description
+
+from .reading import Recorded, recorded
+
+pytest.importorskip("mujoco")
+
+OPTIONS = SimulationOptions(robot="arm3", duration=2.0, wrench_frame=WRIST_FRAME)
+
+
+def stamps(messages: list[Any]) -> list[int]:
+    return [message.header.stamp.sec * 10**9 + message.header.stamp.nanosec for message in messages]
+
+
+def numbers(value: Any) -> Iterator[float]:
+    """Every number inside a JSON value."""
+    if isinstance(value, dict):
+        value = list(value.values())
+    if isinstance(value, list):
+        for entry in value:
+            yield from numbers(entry)
+    elif isinstance(value, float):
+        yield value
+
+
+@pytest.fixture(scope="module")
+def result(tmp_path_factory: pytest.TempPathFactory) -> SimulationResult:
+    return simulate(tmp_path_factory.mktemp("bags") / "arm", OPTIONS)
+
+
+@pytest.fixture(scope="module")
+def bag(result: SimulationResult) -> Recorded:
+    return recorded(result.bag)
+
+
+def test_topics_and_counts(result: SimulationResult, bag: Recorded) -> None:
+    assert {topic: len(messages) for topic, messages in bag.messages.items()} == {
+        "/robot_description": 1,
+        "/joint_states": 200,
+        "/wrench": 200,
+    }
+    assert result.samples == 200
+
+
+def test_description_is_the_nominal_urdf_and_waits_for_late_subscribers(bag: Recorded) -> None:
+    assert bag.messages["/robot_description"][0].data == robot_description("arm3")
+    assert bag.durability["/robot_description"] is QosDurability.TRANSIENT_LOCAL
+    assert bag.raw[0][0] == "/robot_description"
+
+
+def test_joint_states_are_complete(bag: Recorded) -> None:
+    for message in bag.messages["/joint_states"]:
+        assert sorted(message.name) == ["joint1", "joint2", "joint3"]
+        assert message.name == bag.messages["/joint_states"][0].name
+        for values in (message.position, message.velocity, message.effort):
+            assert values.shape == (3,)
+            assert np.isfinite(values).all()
+
+
+def test_stamps_are_regular_and_agree(bag: Recorded) -> None:
+    expected = [START * 10**9 + index * 10**7 for index in range(200)]
+    assert stamps(bag.messages["/joint_states"]) == expected
+    assert stamps(bag.messages["/wrench"]) == expected
+    logged = [stamp for _, stamp, _ in bag.raw]
+    assert logged == sorted(logged)
+
+
+def test_wrench_names_its_frame(bag: Recorded) -> None:
+    assert {message.header.frame_id for message in bag.messages["/wrench"]} == {WRIST_FRAME}
+
+
+def test_no_sensor_no_wrench(tmp_path: Path) -> None:
+    bag = recorded(simulate(tmp_path / "arm", replace(OPTIONS, wrench_frame=None)).bag)
+    assert set(bag.messages) == {"/robot_description", "/joint_states"}
+
+
+def test_columns_follow_the_names(tmp_path: Path) -> None:
+    """Joints of different ranges rest at different angles, which tells them apart."""
+    silent = replace(OPTIONS, position_noise=0.0, seed=2)
+    first = recorded(simulate(tmp_path / "arm", silent).bag).messages["/joint_states"][0]
+    assert first.name != ["joint1", "joint2", "joint3"]
+    assert dict(zip(first.name, first.position, strict=True))["joint2"] == pytest.approx(-0.4)
+
+
+def test_same_options_same_bytes(tmp_path: Path, result: SimulationResult) -> None:
+    again = simulate(tmp_path / "arm", OPTIONS)
+    for name in ("arm.mcap", "metadata.yaml"):
+        assert (again.bag / name).read_bytes() == (result.bag / name).read_bytes()
+    assert again.truth.read_bytes() == result.truth.read_bytes()
+
+
+def test_another_seed_is_another_robot(tmp_path: Path, result: SimulationResult, bag: Recorded) -> None:
+    other = simulate(tmp_path / "arm", replace(OPTIONS, seed=2))
+    assert recorded(other.bag).raw[1] != bag.raw[1]
+    links, others = (json.loads(path.read_text())["links"] for path in (result.truth, other.truth))
+    assert links[1]["mass"] != others[1]["mass"]
+
+
+def test_another_motion_of_the_same_robot(tmp_path: Path, result: SimulationResult, bag: Recorded) -> None:
+    other = simulate(tmp_path / "arm", replace(OPTIONS, motion_seed=9))
+    assert recorded(other.bag).raw[100] != bag.raw[100]
+    before, after = (json.loads(path.read_text()) for path in (result.truth, other.truth))
+    assert before["links"] == after["links"]
+    assert before["effects"] == after["effects"]
+
+
+def test_bag_carries_no_truth(result: SimulationResult, bag: Recorded) -> None:
+    truth = json.loads(result.truth.read_text())
+    planted = {value for value in numbers([truth["links"], truth["effects"]]) if value != 0.0}
+    description = bag.messages["/robot_description"][0].data
+    content = b"".join(data for _, _, data in bag.raw)
+    assert len(planted) > 40
+    for value in planted:
+        assert repr(value) not in description
+        assert np.float64(value).tobytes() not in content
+    assert sorted(path.name for path in result.bag.iterdir()) == ["arm.mcap", "metadata.yaml"]
+
+
+def test_noise_is_as_large_as_the_truth_says(result: SimulationResult, bag: Recorded, tmp_path: Path) -> None:
+    silent = replace(OPTIONS, position_noise=0.0, velocity_noise=0.0, effort_noise=0.0)
+    quiet = recorded(simulate(tmp_path / "arm", silent).bag)
+    truth = json.loads(result.truth.read_text())
+    names = bag.messages["/joint_states"][0].name
+    order = [truth["joints"].index(name) for name in names]
+    for channel in ("position", "velocity", "effort"):
+        loud, still = (
+            np.array([getattr(message, channel) for message in each.messages["/joint_states"]]) for each in (bag, quiet)
+        )
+        np.testing.assert_allclose((loud - still).std(0), np.array(truth["noise"][channel])[order], rtol=0.2)
+
+
+def test_given_effects_replace_drawn_ones(tmp_path: Path) -> None:
+    given = JointEffect("viscous_friction", "joint2", 1.25)
+    result = simulate(tmp_path / "arm", replace(OPTIONS, effects=(given,)))
+    effects = json.loads(result.truth.read_text())["effects"]
+    assert {"name": "viscous_friction", "joint": "joint2", "value": 1.25} in effects
+    assert len(effects) == 12
+
+
+def test_progress_rises_to_one(tmp_path: Path) -> None:
+    heard: list[float] = []
+    simulate(tmp_path / "arm", OPTIONS, heard.append)
+    assert heard == sorted(heard)
+    assert (heard[0], heard[-1]) == (0.0, 1.0)
+
+
+def test_nothing_is_overwritten(result: SimulationResult) -> None:
+    before = result.truth.read_bytes()
+    with pytest.raises(InputError, match="exists already"):
+        simulate(result.bag, OPTIONS)
+    assert result.truth.read_bytes() == before

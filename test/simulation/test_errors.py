@@ -1,0 +1,89 @@
+"""Requests that cannot be met are refused with what would work."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from geomid_ros.errors import InputError
+from geomid_ros.simulation import JointEffect, SimulationOptions, simulate
+from geomid_ros.simulation.robots import robot_description
+
+QUICK = SimulationOptions(robot="arm3", duration=1.0)
+
+
+def test_unknown_robot_lists_the_known_ones(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"unknown robot 'arm8'.*arm3, arm7"):
+        simulate(tmp_path / "bag", replace(QUICK, robot="arm8"))
+    assert not list(tmp_path.iterdir())
+
+
+def test_missing_mujoco_says_how_to_get_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "mujoco", None)
+    with pytest.raises(InputError, match="pip install mujoco"):
+        simulate(tmp_path / "bag", QUICK)
+
+
+def test_importing_loads_neither_mujoco_nor_ros() -> None:
+    code = "import sys, geomid_ros.simulation; print({'mujoco', 'rclpy', 'pinocchio'} & set(sys.modules))"
+    assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout == "set()\n"
+
+
+@pytest.mark.parametrize(
+    ("option", "value"),
+    [
+        ("duration", 0.0),
+        ("duration", 0.001),
+        ("duration", float("inf")),
+        ("rate", -1.0),
+        ("rate", float("nan")),
+        ("seed", -1),
+        ("motion_seed", -1),
+        ("inertia_error", -0.1),
+        ("effort_noise", -1.0),
+        ("motion_speed", 1.5),
+        ("motion_harmonics", 0),
+        ("longest_step", 0.01),
+    ],
+)
+def test_impossible_option_is_named(option: str, value: Any) -> None:
+    with pytest.raises(InputError, match=option):
+        replace(QUICK, **{option: value})
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"wrench_frame": "hand"}, "unknown wrench frame 'hand'.*wrist_ft"),
+        ({"wrench_frame": "base_link"}, "unknown wrench frame"),
+        ({"effects": (JointEffect("magic", "joint1", 1.0),)}, "unknown effect 'magic'.*coulomb_friction"),
+        ({"effects": (JointEffect("rotor_inertia", "elbow", 1.0),)}, "unknown joint 'elbow'.*joint1"),
+        ({"robot": "nowhere.urdf"}, "cannot read the URDF nowhere.urdf"),
+    ],
+)
+def test_unknown_names_are_answered_with_the_known(changes: dict[str, Any], message: str, tmp_path: Path) -> None:
+    pytest.importorskip("mujoco")
+    with pytest.raises(InputError, match=message):
+        simulate(tmp_path / "bag", replace(QUICK, **changes))
+
+
+def test_what_mujoco_cannot_build_is_passed_on(tmp_path: Path) -> None:
+    pytest.importorskip("mujoco")
+    orphan = tmp_path / "orphan.urdf"
+    orphan.write_text(robot_description("arm3").replace('<parent link="link2"/>', '<parent link="link9"/>'))
+    with pytest.raises(InputError, match="MuJoCo cannot build this robot"):
+        simulate(tmp_path / "bag", replace(QUICK, robot=str(orphan)))
+
+
+def test_drives_too_weak_for_the_motion(tmp_path: Path) -> None:
+    pytest.importorskip("mujoco")
+    weak = tmp_path / "weak.urdf"
+    weak.write_text(robot_description("arm3").replace('effort="30"', 'effort="2"'))
+    with pytest.raises(InputError, match="drives are too weak"):
+        simulate(tmp_path / "bag", replace(QUICK, robot=str(weak), duration=4.0))
+    assert not (tmp_path / "bag").exists()

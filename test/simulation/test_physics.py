@@ -1,0 +1,100 @@
+"""MuJoCo's robot obeys the equation of motion that pinocchio writes down for the planted truth."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from geomid_ros.simulation.effects import measured_effort
+from geomid_ros.simulation.motion import FADE_IN
+from geomid_ros.simulation.options import SimulationOptions
+from geomid_ros.simulation.plant import Plant
+from geomid_ros.simulation.robot import build_robot
+from geomid_ros.simulation.robots import WRIST_FRAME
+from geomid_ros.simulation.simulate import record
+
+from .conftest import Run, simulated
+
+pytest.importorskip("mujoco")
+
+EXACT = 1e-11  # N, N m: rounding, three orders above what was seen
+MOVING = 0.03  # rad/s; below, MuJoCo's dry friction is not yet constant
+QUICK = SimulationOptions(robot="arm3", duration=4.0, coulomb_friction=0.0)
+
+
+def test_joint_order_is_pinocchios(run: Run) -> None:
+    assert run.robot.plant.joints == tuple(run.independent.model.names)[1:]
+
+
+def test_effort_is_the_inverse_dynamics_of_the_truth(run: Run) -> None:
+    dry = run.trace.effort - run.independent.smooth_effort(run.trace)
+    expected = run.independent.coefficients("coulomb_friction") * np.sign(run.trace.velocity)
+    moving = np.abs(run.trace.velocity) > MOVING
+    assert moving.mean() > 0.75
+    np.testing.assert_allclose(dry[moving], expected[moving], rtol=0.0, atol=EXACT)
+
+
+def test_dry_friction_never_exceeds_its_coefficient(run: Run) -> None:
+    dry = run.trace.effort - run.independent.smooth_effort(run.trace)
+    assert np.all(np.abs(dry) <= run.independent.coefficients("coulomb_friction") + EXACT)
+
+
+@pytest.mark.parametrize("robot", ["arm3", "arm7"])
+def test_effort_without_dry_friction_at_every_instant(robot: str, tmp_path: Path) -> None:
+    smooth = simulated(replace(QUICK, robot=robot), tmp_path)
+    expected = smooth.independent.smooth_effort(smooth.trace)
+    np.testing.assert_allclose(smooth.trace.effort, expected, rtol=0.0, atol=EXACT)
+
+
+def test_wrench_is_what_the_arm_applies_to_the_tool(run: Run) -> None:
+    expected = run.independent.carried_wrench(run.trace, WRIST_FRAME, "tool")
+    np.testing.assert_allclose(run.trace.wrench, expected, rtol=0.0, atol=EXACT)
+
+
+def test_wrench_at_rest_points_up_and_weighs_the_tool() -> None:
+    robot = build_robot(replace(QUICK, wrench_frame=WRIST_FRAME))
+    held = np.zeros(len(robot.joints))
+    effort = Plant(robot.nominal, robot.bodies).inverse_dynamics(held, held, held)
+    np.testing.assert_allclose(robot.plant.acceleration(held, held, effort), 0.0, atol=1e-9)
+    tool = next(body for body in robot.bodies if body.name == "tool")
+    assert np.linalg.norm(robot.plant.wrench()[:3]) == pytest.approx(9.81 * tool.mass, rel=1e-9)
+    assert robot.plant.wrench()[2] > 0.9 * 9.81 * tool.mass
+
+
+def test_a_row_belongs_to_one_instant() -> None:
+    """Neither effort nor acceleration leads or lags the motion: half a step of skew would show as 1e-2."""
+    options = replace(QUICK, rate=2000.0)
+    trace = record(build_robot(options), options)
+    step = 1.0 / options.rate
+    smooth = np.abs(trace.time[2:-2] - FADE_IN) > 4 * step
+    for values, rates in ((trace.velocity, trace.acceleration), (trace.position, trace.velocity)):
+        slope = (values[:-4] - 8.0 * values[1:-3] + 8.0 * values[3:-1] - values[4:]) / (12.0 * step)
+        np.testing.assert_allclose(slope[smooth], rates[2:-2][smooth], rtol=0.0, atol=2e-5)
+
+
+def test_integration_has_converged() -> None:
+    options = replace(QUICK, duration=2.5)
+    coarse, fine = (record(build_robot(options), replace(options, longest_step=step)) for step in (5e-4, 1e-4))
+    np.testing.assert_allclose(coarse.position, fine.position, rtol=0.0, atol=1e-6)
+    np.testing.assert_allclose(coarse.effort, fine.effort, rtol=0.0, atol=1e-4)
+
+
+def test_robot_follows_its_motion_inside_its_limits(run: Run) -> None:
+    for joint, position, velocity in zip(run.robot.joints, run.trace.position.T, run.trace.velocity.T, strict=True):
+        assert joint.lower < position.min() < position.max() < joint.upper
+        assert np.abs(velocity).max() < joint.velocity
+
+
+def test_offset_shows_only_in_the_measurement(run: Run) -> None:
+    seen = measured_effort(run.trace.effort, run.robot.plant.joints, run.robot.effects)
+    expected = np.broadcast_to(run.independent.coefficients("effort_offset"), seen.shape)
+    np.testing.assert_allclose(seen - run.trace.effort, expected, rtol=0.0, atol=EXACT)
+
+
+def test_fixed_links_keep_their_mass(run: Run) -> None:
+    carried = sum(link["mass"] for link in run.independent.truth["links"] if link["moves"])
+    assert carried == pytest.approx(sum(body.mass for body in run.robot.bodies if body.name != "base_link"))
+    assert carried == pytest.approx(sum(inertia.mass for inertia in run.independent.model.inertias[1:]))

@@ -1,0 +1,77 @@
+"""The bags in `bags/` are what their recipe makes."""
+
+from __future__ import annotations
+
+import json
+import runpy
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from geomid_ros.simulation.robots import robot_description
+from geomid_ros.types import FloatArray
+
+from .reading import Recorded, recorded
+
+BAGS = Path(__file__).parents[2] / "bags"
+NAMES = ("arm7", "arm3")
+LARGEST = 1_000_000  # bytes
+OTHER_MACHINE = 1e-6  # rad, rad/s, N, N m: other versions of the libraries round otherwise
+
+
+@pytest.fixture(scope="module")
+def again(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The recipe, followed once more."""
+    pytest.importorskip("mujoco")
+    folder = tmp_path_factory.mktemp("again")
+    runpy.run_path(str(BAGS / "make_bags.py"))["make_bags"](folder)
+    return folder
+
+
+def joint_values(bag: Recorded) -> FloatArray:
+    states = bag.messages["/joint_states"]
+    return np.array([[state.position, state.velocity, state.effort] for state in states])
+
+
+def wrench_values(bag: Recorded) -> FloatArray:
+    wrenches = [message.wrench for message in bag.messages["/wrench"]]
+    return np.array([[getattr(part, axis) for part in (w.force, w.torque) for axis in "xyz"] for w in wrenches])
+
+
+def truth(folder: Path, name: str) -> Any:
+    return json.loads((folder / f"{name}.truth.json").read_text())
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_recipe_gives_the_same_bag(again: Path, name: str) -> None:
+    shipped, made = recorded(BAGS / name), recorded(again / name)
+    assert shipped.messages["/joint_states"][0].name == made.messages["/joint_states"][0].name
+    np.testing.assert_allclose(joint_values(shipped), joint_values(made), rtol=0.0, atol=OTHER_MACHINE)
+    np.testing.assert_allclose(wrench_values(shipped), wrench_values(made), rtol=0.0, atol=OTHER_MACHINE)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_recipe_gives_the_same_truth(again: Path, name: str) -> None:
+    shipped, made = truth(BAGS, name), truth(again, name)
+    assert shipped["options"] == made["options"]
+    for one, other in zip(shipped["links"], made["links"], strict=True):
+        assert one["name"] == other["name"]
+        np.testing.assert_allclose(np.ravel(one["inertia"]), np.ravel(other["inertia"]), rtol=0.0, atol=1e-12)
+    for one, other in zip(shipped["effects"], made["effects"], strict=True):
+        assert one == pytest.approx(other)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_shipped_files_are_small_and_nominal(name: str) -> None:
+    assert sum(path.stat().st_size for path in (BAGS / name).iterdir()) < LARGEST
+    nominal = robot_description(name)
+    assert (BAGS / f"{name}.urdf").read_text(encoding="utf-8") == nominal
+    assert recorded(BAGS / name).messages["/robot_description"][0].data == nominal
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_joints_are_shuffled(name: str) -> None:
+    names = recorded(BAGS / name).messages["/joint_states"][0].name
+    assert names != sorted(names)

@@ -1,0 +1,94 @@
+"""The package as a ROS workspace sees it: built, sourced, run and tested by colcon, outside this tree."""
+
+import os
+import re
+import shlex
+import shutil
+import subprocess
+import sys
+from importlib.metadata import version
+from pathlib import Path
+from xml.etree import ElementTree
+
+import pytest
+
+import geomid_ros
+
+ROOT = Path(__file__).parents[1]
+EXECUTABLES = ("geomid", "geomid_node")
+QUICK = "test/test_launch.py"  # what `colcon test` runs here: every test runs without it anyway
+
+pytestmark = pytest.mark.skipif("COLCON" in os.environ, reason="colcon runs this test: it would build within a build")
+
+
+def run(command: str, workspace: Path) -> str:
+    """What a bash command printed; fails with its whole output."""
+    result = subprocess.run(
+        ["bash", "-c", command], cwd=workspace, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, check=False
+    )
+    assert result.returncode == 0, f"{command}\n{result.stdout}"
+    return result.stdout
+
+
+def colcon(arguments: str, workspace: Path) -> str:
+    return run(f"{shlex.quote(sys.executable)} -m colcon {arguments}", workspace)
+
+
+def contents(folder: Path) -> set[Path]:
+    """The files below a folder, relative to it, compiled ones left out."""
+    files = (path.relative_to(folder) for path in folder.rglob("*") if path.is_file())
+    return {path for path in files if "__pycache__" not in path.parts}
+
+
+@pytest.fixture(scope="module")
+def workspace(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A workspace in which the files of this tree, as git sees them, have been built."""
+    workspace = tmp_path_factory.mktemp("workspace")
+    files = run("git ls-files --cached --others --exclude-standard -z", ROOT).split("\0")
+    for file in filter(lambda name: (ROOT / name).is_file(), files):
+        copy = workspace / "src" / "geomid_ros" / file
+        copy.parent.mkdir(parents=True, exist_ok=True)
+        shutil.copy(ROOT / file, copy)
+    colcon("build", workspace)
+    return workspace
+
+
+def test_one_version() -> None:
+    declared = ElementTree.parse(ROOT / "package.xml").findtext("version")
+    assert declared == geomid_ros.__version__ == version("geomid_ros")
+
+
+@pytest.mark.parametrize("folder", ["config", "launch"])
+def test_shared_files_are_installed(workspace: Path, folder: str) -> None:
+    installed = workspace / "install/geomid_ros/share/geomid_ros" / folder
+    assert contents(installed) == contents(workspace / "src/geomid_ros" / folder)
+
+
+def test_package_is_indexed(workspace: Path) -> None:
+    share = workspace / "install/geomid_ros/share"
+    assert (share / "geomid_ros/package.xml").is_file()
+    assert (share / "ament_index/resource_index/packages/geomid_ros").is_file()
+
+
+def test_executables_are_where_ros2_run_looks(workspace: Path) -> None:
+    folder = workspace / "install/geomid_ros/lib/geomid_ros"
+    assert {path.name for path in folder.iterdir()} == set(EXECUTABLES)
+    assert all(os.access(folder / name, os.X_OK) for name in EXECUTABLES)
+
+
+def test_sourced_workspace_holds_the_whole_package(workspace: Path) -> None:
+    """Folders without ``__init__.py`` and data that ``setup.py`` does not name would be missing."""
+    where = shlex.quote("import geomid_ros; print(geomid_ros.__path__[0])")
+    installed = Path(run(f". install/setup.bash && {shlex.quote(sys.executable)} -c {where}", workspace).strip())
+    assert installed.is_relative_to(workspace / "install")
+    assert contents(installed) == contents(workspace / "src/geomid_ros/geomid_ros")
+
+
+def test_sourced_workspace_runs_the_command_line(workspace: Path) -> None:
+    run(". install/setup.bash && install/geomid_ros/lib/geomid_ros/geomid --help", workspace)
+
+
+def test_colcon_test_passes(workspace: Path) -> None:
+    colcon(f"test --pytest-args {QUICK}", workspace)
+    summary = colcon("test-result --all", workspace)
+    assert re.search(r"[1-9]\d* tests, 0 errors, 0 failures, 0 skipped", summary), summary
