@@ -22,6 +22,8 @@ setup(
         (f"share/{NAME}", ["package.xml"]),
         (f"share/{NAME}/config", sorted(glob("config/*.yaml"))),
         (f"share/{NAME}/launch", sorted(glob("launch/*.launch.py"))),
+        (f"share/{NAME}/bags", sorted(glob("bags/*.*"))),
+        *((f"share/{NAME}/{bag}", sorted(glob(f"{bag}/*"))) for bag in ("bags/arm3", "bags/arm7")),
     ],
     install_requires=[
         "PyYAML",

@@ -50,7 +50,8 @@ class Estimate:
     """All that a solve found.
 
     ``parameters (D,)`` of the measurement model; ``gamma`` the prior's share; ``sigmas`` and ``rms_*`` by channel in the
-    channel's unit, NaN where nothing was measured.
+    channel's unit, NaN where nothing was measured. ``rows_set_aside``: of the compressed rows, those without a
+    projection from the prior (only (19) sets rows aside).
     """
 
     converged: bool
@@ -59,6 +60,7 @@ class Estimate:
     steps: int
     gamma: float
     rows_accepted: int
+    rows_set_aside: int
     links: tuple[LinkEstimate, ...]
     effects: tuple[EffectEstimate, ...]
     parameters: FloatArray

@@ -6,12 +6,13 @@ import time
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.fft import dct
 
-from geomid_ros.errors import InputError
+from geomid_ros.errors import InputError, unknown_name
 from geomid_ros.estimation.estimate import EffectEstimate, Estimate, LinkEstimate
-from geomid_ros.estimation.gamma import choose_gamma
-from geomid_ros.estimation.objective import ResidualObjective
-from geomid_ros.estimation.solvers import Solution, trust_region
+from geomid_ros.estimation.gamma import PAPER, choose_gamma
+from geomid_ros.estimation.objective import GeodesicObjective, ResidualObjective
+from geomid_ros.estimation.solvers import SOLVERS, Solution, trust_region
 from geomid_ros.estimation.starting_point import (
     channel_sizes,
     first_sigmas,
@@ -26,7 +27,10 @@ from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.types import FloatArray, frozen
 
 QUANTITIES = ("mass", "com x", "com y", "com z", "Ixx", "Ixy", "Iyy", "Ixz", "Iyz", "Izz")
-_SIGMA_ROUNDS = 3
+OBJECTIVES = ("residual", "geodesic")
+_MOST_SIGMA_ROUNDS = 20
+_SIGMA_TOLERANCE = 1e-9
+_LEAST_GRADIENT = 1e-14  # relative to the sum of the weights; rounding allows no less
 # A quantity is called told when the data at least halved the standard deviation that the prior alone leaves.
 _TOLD = 0.5
 
@@ -35,12 +39,22 @@ _TOLD = 0.5
 class EstimatorSettings:
     """``gamma``: weight of the prior as a share of the rows' (the paper's is 0.01), or None to find it on held-out
     blocks of time. ``sigma``: standard deviations by channel name where they are known; others are estimated from the
-    residuals. ``tolerance`` (on the gradient, relative to the sum of the weights) and ``max_steps`` of the solver."""
+    residuals. ``objective``: ``residual`` (Remark 3) or ``geodesic`` ((19), and then ``solver``: ``trust_region`` or
+    ``cyclic``). ``tolerance``: how far from the minimum the result may lie, as a geodesic distance; ``max_steps`` of the
+    solver."""
 
     gamma: float | None = None
     sigma: dict[str, float] | None = None
+    objective: str = "residual"
+    solver: str = "trust_region"
     tolerance: float = 1e-10
     max_steps: int = 300
+
+    def __post_init__(self) -> None:
+        if self.objective not in OBJECTIVES:
+            raise unknown_name("objective", self.objective, OBJECTIVES)
+        if self.solver not in SOLVERS:
+            raise unknown_name("solver", self.solver, SOLVERS)
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,8 +76,9 @@ def estimate(
     """Solve for all parameters from the summarised rows.
 
     Without ``warm`` the result depends on the rows alone. ``prior (D,)`` replaces the URDF's inertias and the fitted
-    start of the effects. Minimises :class:`ResidualObjective` on the compressed rows, at most D of them, in rounds that
-    take the channels' standard deviations from the residuals. Raises InputError when nothing was measured.
+    start of the effects; NaN in it stands for not known. Minimises :class:`ResidualObjective` on the compressed rows,
+    at most D of them, in rounds that take the channels' standard deviations from the residuals, and from there, if that
+    is asked for, (19). Raises InputError when nothing was measured.
     """
     begin = time.perf_counter()
     if summary.rows == 0:
@@ -75,16 +90,29 @@ def estimate(
     sigmas = warm.sigmas if warm else first_sigmas(summary, model.dimension)
     sigmas = np.where(np.isfinite(configured), configured, sigmas)
     gamma = warm.gamma if warm else settings.gamma
+    if gamma is None and settings.objective == "geodesic":
+        gamma = PAPER
     if gamma is None:
         gamma = choose_gamma(manifold, summary, sigmas, prior_point).gamma
+    # The prior bounds the curvature from below: a gradient of so little of the prior's weight is so little off.
+    tolerance = max(settings.tolerance * gamma, _LEAST_GRADIENT)
     point = manifold.point(warm.parameters) if warm else prior_point
-    for _ in range(_SIGMA_ROUNDS):
-        objective = _objective(manifold, summary, sigmas, prior_point, gamma)
-        solution = trust_region(objective, point, settings.tolerance, settings.max_steps)
-        point = solution.point
+    for _ in range(_MOST_SIGMA_ROUNDS):
+        objective = _residual_objective(manifold, summary, sigmas, prior_point, gamma)
+        point = trust_region(objective, point, tolerance, settings.max_steps).point
+        before = sigmas
         residual = robust_rms(summary, point.parameters)
         sigmas = np.where(np.isfinite(configured), configured, np.where(np.isfinite(residual), residual, sigmas))
         sigmas = np.maximum(sigmas, 1e-9 * sizes)
+        if np.all(np.abs(sigmas - before) <= _SIGMA_TOLERANCE * sigmas):
+            break
+    objective = _residual_objective(manifold, summary, sigmas, prior_point, gamma)
+    solution = trust_region(objective, point, tolerance, settings.max_steps)
+    set_aside = 0
+    if settings.objective == "geodesic":
+        geodesic = _geodesic_objective(objective)
+        set_aside = int(np.count_nonzero(geodesic.set_aside))
+        solution = SOLVERS[settings.solver](geodesic, solution.point, tolerance, settings.max_steps)
     sure = _uncertainty(summary, sigmas, objective, solution)
     return Estimate(
         solution.converged,
@@ -93,6 +121,7 @@ def estimate(
         solution.steps,
         gamma,
         summary.rows,
+        set_aside,
         _links(model, manifold, prior_point, solution.point, sure),
         _effects(model, manifold, solution.point, sure),
         solution.point.parameters,
@@ -122,11 +151,27 @@ def _configured_sigmas(model: MeasurementModel, settings: EstimatorSettings) -> 
     return np.array([configured.get(channel.name, np.nan) for channel in model.channels])
 
 
-def _objective(
+def _residual_objective(
     manifold: ParameterManifold, summary: RowSummary, sigmas: FloatArray, prior: Point, gamma: float
 ) -> ResidualObjective:
     rows, targets = summary.compressed(sigmas, manifold.dimension)
     return ResidualObjective(manifold, rows, targets, np.ones(len(rows)), prior, gamma)
+
+
+def _geodesic_objective(objective: ResidualObjective) -> GeodesicObjective:
+    """(19) for the same rows, combined orthogonally so that each carries a like share of their information.
+
+    Least squares does not care how rows are combined, distances to hyperplanes do: a row with little information and as
+    much noise as the others has no projection. The combination starts from the principal directions at the prior, in
+    the metric there, and fixes their signs by the residuals, so that it depends on no choice of frames or units.
+    """
+    manifold, prior = objective.manifold, objective.prior
+    left = np.linalg.svd(manifold.whiten(prior, objective.rows), full_matrices=False)[0].T
+    residuals = left @ (objective.rows @ prior.parameters - objective.targets)
+    signs = np.where(residuals < 0.0, -1.0, 1.0) * np.random.default_rng(0).choice((-1.0, 1.0), len(left))
+    mixing = dct(signs[:, None] * left, axis=0, norm="ortho")
+    rows, targets = mixing @ objective.rows, mixing @ objective.targets
+    return GeodesicObjective(manifold, rows, targets, np.ones(len(rows)), prior, objective.gamma)
 
 
 def _uncertainty(summary: RowSummary, sigmas: FloatArray, objective: ResidualObjective, solution: Solution) -> Uncertainty:

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.optimize import lsq_linear
+from scipy.optimize import nnls
 
 from geomid_ros.estimation.summary import RowSummary
 from geomid_ros.model.measurement import MeasurementModel
-from geomid_ros.types import FloatArray
+from geomid_ros.types import FloatArray, IntArray
 
 # A positive coefficient without evidence starts where its effect is this share of the channel's size.
 _LEAST_SHARE = 1e-2
 _LEAST_SIGMA_SHARE = 1e-6
+_RIDGE = 1e-8
 
 
 def channel_sizes(summary: RowSummary, dimension: int) -> FloatArray:
@@ -28,9 +29,16 @@ def first_sigmas(summary: RowSummary, dimension: int) -> FloatArray:
         factor = np.concatenate([part.factor for part in parts])
         count, columns = sum(part.count for part in parts), factor.shape[1] - 1
         if count > columns:
-            remainder = abs(np.linalg.qr(factor, mode="r")[-1, -1]) if len(factor) > columns else 0.0
-            sigmas[index] = remainder / np.sqrt(count - columns)
+            sigmas[index] = _least_residual(factor) / np.sqrt(count - columns)
     return np.maximum(sigmas, _LEAST_SIGMA_SHARE * sizes)
+
+
+def _least_residual(factor: FloatArray) -> float:
+    """Norm of the least-squares residual of ``[A b]``, with so little regularisation that only rounding is damped."""
+    damping = np.diag(np.sqrt(_RIDGE) * np.linalg.norm(factor[:, :-1], axis=0))
+    regular = np.concatenate([factor[:, :-1], damping])
+    target = np.concatenate([factor[:, -1], np.zeros(len(damping))])
+    return float(np.linalg.norm(target - regular @ np.linalg.lstsq(regular, target, rcond=None)[0]))
 
 
 def scales_of_reals(model: MeasurementModel, sizes: FloatArray) -> FloatArray:
@@ -39,37 +47,48 @@ def scales_of_reals(model: MeasurementModel, sizes: FloatArray) -> FloatArray:
     return np.array([sizes[coefficient.joint] for coefficient in reals])
 
 
-def prior_parameters(
-    model: MeasurementModel, summary: RowSummary, known: FloatArray | None
-) -> FloatArray:
-    """The prior's parameters ``(D,)``: ``known`` if given, else the URDF's inertias and, for the effects, the
-    non-negative least-squares fit of each joint's effects alone on what those inertias leave unexplained.
+def prior_parameters(model: MeasurementModel, summary: RowSummary, known: FloatArray | None) -> FloatArray:
+    """The prior's parameters ``(D,)``: ``known`` where it is given and not NaN; else the URDF's inertias and, for the
+    effects, the non-negative least-squares fit of each joint's effects alone on what the inertias leave unexplained.
 
     No CAD file knows a joint's friction. The metric on positive coefficients is relative, so that their prior must have
     the right order of magnitude; the data have it.
     """
-    if known is not None:
-        return known
     parameters = np.concatenate([model.nominal_inertias, np.zeros(len(model.coefficients))])
+    first = len(model.nominal_inertias)
+    if known is not None:
+        inertial = known[:first]
+        parameters[:first] = np.where(np.isfinite(inertial), inertial, parameters[:first])
     sizes = channel_sizes(summary, model.dimension)
-    first = 10 * len(model.identified)
     for index, parts in enumerate(summary.parts()):
         columns = model.channels[index].columns
-        effects = np.flatnonzero(columns >= first)
-        if not len(effects):
-            continue
-        factor = np.concatenate([part.factor for part in parts])
-        chosen = columns[effects]
-        if len(factor) == 0:
-            parameters[chosen] = np.where(chosen < first + model.positives, 1.0, 0.0)
-            continue
-        remainder = factor[:, -1] - factor[:, :-1] @ parameters[columns]
-        regressor = factor[:, effects]
-        positive = chosen < first + model.positives
-        lower = np.where(positive, 0.0, -np.inf)
-        fitted = lsq_linear(regressor, remainder, bounds=(lower, np.inf)).x
-        count = sum(part.count for part in parts)
-        column_sizes = np.maximum(np.linalg.norm(regressor, axis=0) / np.sqrt(count), 1e-9)
-        least = _LEAST_SHARE * sizes[index] / column_sizes
-        parameters[chosen] = np.where(positive, np.maximum(fitted, least), fitted)
+        chosen = columns[columns >= first]
+        if len(chosen):
+            factor = np.concatenate([part.factor for part in parts])
+            count = sum(part.count for part in parts)
+            parameters[chosen] = _fitted_effects(factor, count, columns, parameters, chosen, sizes[index], model)
+    if known is not None:
+        parameters = np.where(np.isfinite(known), known, parameters)
     return parameters
+
+
+def _fitted_effects(
+    factor: FloatArray,
+    count: float,
+    columns: IntArray,
+    parameters: FloatArray,
+    chosen: IntArray,
+    size: float,
+    model: MeasurementModel,
+) -> FloatArray:
+    positive = chosen < len(model.nominal_inertias) + model.positives
+    if not len(factor):
+        return np.where(positive, 1.0, 0.0)
+    inertial = columns < chosen[0]
+    remainder = factor[:, -1] - factor[:, :-1][:, inertial] @ parameters[columns[inertial]]
+    regressor = factor[:, :-1][:, ~inertial]
+    halves, _ = nnls(np.hstack([regressor, -regressor[:, ~positive]]), remainder)
+    fitted = halves[: len(chosen)]
+    fitted[~positive] -= halves[len(chosen) :]
+    column_sizes = np.maximum(np.linalg.norm(regressor, axis=0) / np.sqrt(count), 1e-9)
+    return np.where(positive, np.maximum(fitted, _LEAST_SHARE * size / column_sizes), fitted)

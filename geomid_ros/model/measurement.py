@@ -17,7 +17,7 @@ from geomid_ros.geometry.manifold import ParameterManifold
 from geomid_ros.model.effects import Effect, JointMotion
 from geomid_ros.model.robot import Robot
 from geomid_ros.model.samples import Samples
-from geomid_ros.model.sensors import WrenchSensor
+from geomid_ros.model.sensors import WORLD_FRAMES, WrenchSensor
 from geomid_ros.types import FloatArray, IntArray
 
 
@@ -42,7 +42,7 @@ class Channel:
 
 @dataclass(frozen=True, eq=False)
 class Rows:
-    """Rows of N instants: ``coefficients (N, channels, D)``, ``targets (N, channels)``, NaN where nothing is measured."""
+    """Rows of N instants: ``coefficients (N, channels, D)``, ``targets (N, channels)``, NaN where not measured."""
 
     coefficients: FloatArray
     targets: FloatArray
@@ -67,8 +67,9 @@ class MeasurementModel:
         self.channels = (*self._joint_channels(), *self._wrench_channels())
         if not self.channels:
             raise InputError(
-                "nothing that is measured can be predicted: a floating base needs at least one wrench sensor of role "
-                "external (a force plate, or contact sensors on all that touches the ground)"
+                "nothing that is measured can be predicted: joint efforts need every external wrench sensor to be on a "
+                "link and to measure all six axes; a floating base needs at least one wrench sensor of role external "
+                "(a force plate, or contact sensors on all that touches the ground)"
             )
 
     def _identified_bodies(self, links: Sequence[str] | None) -> tuple[int, ...]:
@@ -90,14 +91,32 @@ class MeasurementModel:
 
     def _check_sensors(self) -> None:
         for sensor in self.sensors:
-            on_robot = self.robot.is_on_robot(sensor.frame)
-            if sensor.role == "mounted" and not on_robot:
-                raise unknown_name("frame of a mounted wrench sensor", sensor.frame, self.robot.tree.links)
-            if sensor.role == "external" and not on_robot and not self.robot.floating_base:
-                raise unknown_name("frame (on a robot with a fixed base)", sensor.frame, self.robot.tree.links)
+            if sensor.role == "mounted":
+                self._check_mounted(sensor)
+            elif not self.robot.is_on_robot(sensor.frame):
+                world = WORLD_FRAMES if self.robot.floating_base else ()
+                if sensor.frame not in world:
+                    raise unknown_name("frame of an external wrench", sensor.frame, (*self.robot.tree.links, *world))
+        topics = [sensor.topic for sensor in self.sensors]
+        if len(set(topics)) < len(topics):
+            raise InputError(f"two wrench sensors have the same topic: {', '.join(topics)}")
         external = self._external
         if len(external) > 1 and any(len(sensor.axes) < 6 for sensor in external):
             raise InputError("of several external wrench sensors each must measure all six axes: their loads are added")
+
+    def _check_mounted(self, sensor: WrenchSensor) -> None:
+        if not self.robot.is_on_robot(sensor.frame):
+            raise unknown_name("frame of a mounted wrench sensor", sensor.frame, self.robot.tree.links)
+        if not self.robot.is_divided_at(sensor.frame):
+            raise InputError(
+                f"a wrench sensor is mounted at link '{sensor.frame}', at which the robot's bodies are not divided: "
+                "name this link in the robot's cuts"
+            )
+        if not self._loaded_bodies(sensor):
+            raise InputError(
+                f"the wrench sensor mounted at link '{sensor.frame}' carries nothing: neither this link nor one that "
+                "comes after it has a mass in the URDF"
+            )
 
     @property
     def _external(self) -> list[WrenchSensor]:
@@ -105,7 +124,8 @@ class MeasurementModel:
 
     @property
     def _efforts_usable(self) -> bool:
-        """A load on an unknown link (force plate) or an unmeasured one (floating base without sensors) reaches joints."""
+        """Whether all loads that reach the joints are known: not those of a force plate, which rest on some link, nor
+        those of a floating base without sensors."""
         on_robot = all(self.robot.is_on_robot(s.frame) and len(s.axes) == 6 for s in self._external)
         return on_robot and (not self.robot.floating_base or bool(self._external))
 
@@ -127,16 +147,14 @@ class MeasurementModel:
     @property
     def nominal_inertias(self) -> FloatArray:
         """The URDF's parameters of the identified bodies, ``(10 bodies,)``."""
-        return np.concatenate([self.robot.bodies[index].parameters for index in self.identified])
+        return np.array([self.robot.bodies[index].parameters for index in self.identified]).ravel()
 
     def manifold(self, scales: FloatArray) -> ParameterManifold:
         """The manifold of the parameters, with the scales of the real coefficients."""
         return ParameterManifold(len(self.identified), self.positives, scales)
 
     def _columns(self, bodies: Sequence[int], joint: int | None) -> IntArray:
-        columns = [
-            10 * place + k for place, body in enumerate(self.identified) if body in bodies for k in range(10)
-        ]
+        columns = [10 * place + k for place, body in enumerate(self.identified) if body in bodies for k in range(10)]
         first = 10 * len(self.identified)
         columns += [first + k for k, coefficient in enumerate(self.coefficients) if coefficient.joint == joint]
         return np.array(columns, dtype=np.int64)
@@ -173,7 +191,7 @@ class MeasurementModel:
         """The rows of N samples."""
         bodies = np.zeros((len(samples), len(self.channels), len(self.robot.bodies), 10))
         targets = np.empty((len(samples), len(self.channels)))
-        wrenches = samples.wrenches * np.array([sensor.sign for sensor in self.sensors])[:, None]
+        wrenches = self._measured_wrenches(samples)
         for index, (q, v, a) in enumerate(zip(*self.robot.configuration(samples), strict=True)):
             joints = len(self.robot.joints) if self._efforts_usable else 0
             if joints:
@@ -184,6 +202,13 @@ class MeasurementModel:
                 targets[index, :joints] += self._external_efforts(q, wrenches[index], joints)
                 bodies[index, joints:], targets[index, joints:] = self._wrench_rows(wrenches[index])
         return self._assemble(samples, bodies, targets)
+
+    def _measured_wrenches(self, samples: Samples) -> FloatArray:
+        """The wrenches ``(N, sensors, 6)`` with the sensors' signs, and zero where an axis is not measured."""
+        wrenches = np.zeros(samples.wrenches.shape)
+        for index, sensor in enumerate(self.sensors):
+            wrenches[:, index, sensor.axis_indices] = sensor.sign * samples.wrenches[:, index, sensor.axis_indices]
+        return wrenches
 
     def _wrench_rows(self, wrenches: FloatArray) -> tuple[FloatArray, FloatArray]:
         rows = [np.zeros((0, len(self.robot.bodies), 10))]
@@ -221,15 +246,11 @@ class MeasurementModel:
         known = [index for index in range(len(self.robot.bodies)) if index not in self.identified]
         for index in known:
             targets -= bodies[:, :, index] @ self.robot.bodies[index].parameters
-        coefficients = np.concatenate(
-            [inertial, np.zeros((count, len(self.channels), len(self.coefficients)))], axis=2
-        )
+        coefficients = np.concatenate([inertial, np.zeros((count, len(self.channels), len(self.coefficients)))], axis=2)
         first = inertial.shape[2]
         for place, coefficient in enumerate(self.coefficients):
             joint = coefficient.joint
-            motion = JointMotion(
-                samples.position[:, joint], samples.velocity[:, joint], samples.acceleration[:, joint]
-            )
+            motion = JointMotion(samples.position[:, joint], samples.velocity[:, joint], samples.acceleration[:, joint])
             coefficients[:, joint, first + place] = coefficient.effect.column(motion)
         return Rows(coefficients, targets)
 

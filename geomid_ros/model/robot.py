@@ -22,8 +22,8 @@ class Body:
     """A rigid body to identify: a moving link with what is fixed to it.
 
     ``name`` is the URDF link in whose frame ``parameters (10,)`` are given; ``merged`` names the massive links that are
-    fixed to it and counted in. ``joint`` is pinocchio's index of the joint that moves it, ``to_joint (10, 10)`` takes
-    parameters from the link's frame to that joint's.
+    fixed to it and counted in. ``joint`` is pinocchio's index of the joint that moves it (0: none, it stands in the
+    world on a mounted sensor), ``to_joint (10, 10)`` takes parameters from the link's frame to that joint's.
     """
 
     name: str
@@ -68,26 +68,33 @@ class Robot:
         self.urdf = urdf
         self.floating_base = floating_base
         self.tree = urdf_tree.parse(urdf, source)
-        self._model = _build(urdf, floating_base, source)
-        for name in locked_joints:
-            if not self._model.existJointName(name):
-                raise unknown_name("joint to lock", name, list(self._model.names)[1:])
-        if locked_joints:
-            indices = [self._model.getJointId(name) for name in locked_joints]
-            self._model = pin.buildReducedModel(self._model, indices, pin.neutral(self._model))
+        self._first_joint = 2 if floating_base else 1
+        self._locked = frozenset(locked_joints)
+        self._model = self._without_locked(_build(urdf, floating_base, source))
         self._model.gravity.linear = np.asarray(gravity)
         self._data = self._model.createData()
-        self._locked = frozenset(locked_joints)
         self.joints = self._moving_joints()
         self.bodies = self._bodies(cuts)
         if not self.bodies:
             raise InputError(f"{source}: no moving link has a mass; there is nothing to identify")
+        self._velocity_rows = [joint.v for joint in self.joints]
+        self._moved = [index for index, body in enumerate(self.bodies) if body.joint > 0]
+        self._moved_by = [self.bodies[index].joint - 1 for index in self._moved]
+        self._to_joints = np.array([self.bodies[index].to_joint for index in self._moved])
+
+    def _without_locked(self, model: pin.Model) -> pin.Model:
+        moving = {model.names[index]: index for index in range(self._first_joint, model.njoints)}
+        for name in sorted(self._locked):
+            if name not in moving:
+                raise unknown_name("joint to lock", name, moving)
+        if not self._locked:
+            return model
+        return pin.buildReducedModel(model, [moving[name] for name in sorted(self._locked)], pin.neutral(model))
 
     def _moving_joints(self) -> tuple[Joint, ...]:
-        first = 2 if self.floating_base else 1
         types = {joint.name: joint.type for joint in self.tree.joints}
         joints = []
-        for index in range(first, self._model.njoints):
+        for index in range(self._first_joint, self._model.njoints):
             model, name = self._model.joints[index], self._model.names[index]
             if model.nv != 1:
                 raise InputError(f"{self.source}: joint '{name}' is {types[name]}; only joints of one axis can be read")
@@ -108,8 +115,10 @@ class Robot:
             if link not in self.tree.links:
                 raise unknown_name("link", link, self.tree.links)
         fixed = {joint.child for joint in self.tree.joints if self._is_fixed(joint)}
-        heads = [link for link in self.tree.links if link not in fixed or link in set(cuts)]
-        bodies = [self._body(head, set(cuts)) for head in heads]
+        if not self.floating_base:
+            fixed.add(self.tree.root)
+        self._heads = [link for link in self.tree.links if link not in fixed or link in set(cuts)]
+        bodies = [self._body(head, set(cuts)) for head in self._heads]
         return tuple(sorted((body for body in bodies if body is not None), key=lambda body: body.joint))
 
     def _is_fixed(self, joint: urdf_tree.UrdfJoint) -> bool:
@@ -123,8 +132,6 @@ class Robot:
 
     def _body(self, head: str, cuts: set[str]) -> Body | None:
         frame = self._model.frames[self._model.getFrameId(head, pin.BODY)]
-        if frame.parentJoint == 0:
-            return None
         group = self._rigid_group(head, cuts)
         massive = [link for link in group if link in self.tree.inertials]
         if not massive:
@@ -154,6 +161,11 @@ class Robot:
             )
 
     @property
+    def name(self) -> str:
+        """The robot's name in its URDF."""
+        return str(self._model.name)
+
+    @property
     def joint_names(self) -> tuple[str, ...]:
         """Names of the moving joints, in the order of all joint arrays."""
         return tuple(joint.name for joint in self.joints)
@@ -166,6 +178,10 @@ class Robot:
     def is_on_robot(self, frame: str) -> bool:
         """Whether ``frame`` is a link of the URDF (and not the world)."""
         return frame in self.tree.links
+
+    def is_divided_at(self, link: str) -> bool:
+        """Whether no body reaches across the link ``link``: it moves on its parent, or it is one of the cuts."""
+        return link in self._heads
 
     def subtree(self, frame: str) -> list[int]:
         """Indices of the bodies at or after the link ``frame``."""
@@ -192,11 +208,9 @@ class Robot:
     def joint_effort_rows(self, q: FloatArray, v: FloatArray, a: FloatArray) -> FloatArray:
         """Regressor of the joints' efforts at one instant, ``(joints, bodies, 10)``, in the bodies' link frames."""
         full = pin.computeJointTorqueRegressor(self._model, self._data, q, v, a)
-        velocity_rows = [joint.v for joint in self.joints]
-        rows = np.empty((len(self.joints), len(self.bodies), 10))
-        for index, body in enumerate(self.bodies):
-            start = 10 * (body.joint - 1)
-            rows[:, index] = full[velocity_rows, start : start + 10] @ body.to_joint
+        by_joint = full[self._velocity_rows].reshape(len(self.joints), -1, 10)[:, self._moved_by]
+        rows = np.zeros((len(self.joints), len(self.bodies), 10))
+        rows[:, self._moved] = (by_joint.transpose(1, 0, 2) @ self._to_joints).transpose(1, 0, 2)
         return rows
 
     def update_motion(self, q: FloatArray, v: FloatArray, a: FloatArray) -> None:
@@ -226,11 +240,27 @@ class Robot:
         pinocchio_frame = self._model.frames[self._model.getFrameId(frame, pin.BODY)]
         return self._data.oMi[pinocchio_frame.parentJoint] * pinocchio_frame.placement
 
+    def link_frames(self, pose: Samples) -> dict[str, tuple[FloatArray, FloatArray]]:
+        """Rotation ``(3, 3)`` and origin ``(3,)`` in the world of every link's frame, at the one sample ``pose``."""
+        (q,), (v,), (a,) = self.configuration(pose)
+        self.update_motion(q, v, a)
+        placements = {link: self.placement(link) for link in self.tree.links}
+        return {link: (np.array(m.rotation), np.array(m.translation)) for link, m in placements.items()}
+
+    def parent_body(self, link: str) -> str | None:
+        """The next body above ``link`` in the chain, the root link if there is none, None for the root itself."""
+        parents = {joint.child: joint.parent for joint in self.tree.joints}
+        while link in parents:
+            link = parents[link]
+            if link in self.body_names or link not in parents:
+                return link
+        return None
+
     def frame_jacobian(self, q: FloatArray, frame: str) -> FloatArray:
         """Jacobian ``(6, joints)`` of a link's frame, in its own axes (linear, angular)."""
         index = self._model.getFrameId(frame, pin.BODY)
         jacobian = pin.computeFrameJacobian(self._model, self._data, q, index, pin.LOCAL)
-        return np.array(jacobian[:, [joint.v for joint in self.joints]])
+        return np.array(jacobian[:, self._velocity_rows])
 
     def inverse_dynamics(self, q: FloatArray, v: FloatArray, a: FloatArray) -> FloatArray:
         """Efforts ``(nv,)`` of the URDF's own inertias, by the recursive Newton-Euler algorithm."""

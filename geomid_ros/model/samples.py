@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
-from typing import cast
 
 import numpy as np
 
@@ -46,9 +45,4 @@ class Samples:
     @staticmethod
     def concatenate(parts: list[Samples]) -> Samples:
         """All samples of ``parts`` (at least one), in order."""
-        return Samples(
-            *(
-                cast(AnyArray, np.concatenate([getattr(part, field.name) for part in parts]))
-                for field in fields(Samples)
-            )
-        )
+        return Samples(*(np.concatenate([getattr(part, field.name) for part in parts]) for field in fields(Samples)))

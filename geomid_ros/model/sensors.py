@@ -11,14 +11,16 @@ ROLES = {
     "external": "a known load that the surroundings put on the robot (force plate, contact)",
     "mounted": "a sensor inside the chain: the load that the part before it puts on all that comes after it",
 }
+WORLD_FRAMES = ("world", "map", "odom")  # names of the frame in which the poses of a floating base are given
 
 
 @dataclass(frozen=True)
 class WrenchSensor:
     """A wrench topic with a declared meaning.
 
-    ``frame``: the URDF link in whose frame the wrench is expressed, about whose origin; for a force plate the world.
-    ``axes``: those of ``AXES`` that are measured. ``sign``: -1 if the sensor reports the opposite (reaction) wrench.
+    ``frame``: the URDF link in whose frame the wrench is expressed, about whose origin; for a force plate (a fixed
+    sensor under a floating base) one of ``WORLD_FRAMES``. ``axes``: those of ``AXES`` that are measured. ``sign``: -1
+    if the sensor reports the opposite (reaction) wrench.
     """
 
     topic: str
@@ -46,7 +48,8 @@ class WrenchSensor:
         """From ``TOPIC:FRAME:ROLE[:AXES]``, axes separated by commas; a leading ``-`` of ROLE reverses the sign."""
         parts = text.split(":")
         if len(parts) not in (3, 4) or not all(parts):
-            raise InputError(f"wrench '{text}' is not of the form TOPIC:FRAME:ROLE[:AXES], e.g. /wrench:tool0:mounted:fz")
+            form = "TOPIC:FRAME:ROLE[:AXES], e.g. /wrench:tool0:mounted:fz"
+            raise InputError(f"wrench '{text}' is not of the form {form}")
         axes = tuple(parts[3].split(",")) if len(parts) == 4 else AXES
         role, sign = (parts[2][1:], -1.0) if parts[2].startswith("-") else (parts[2], 1.0)
         return WrenchSensor(parts[0], parts[1], role, axes, sign)

@@ -16,6 +16,10 @@ from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.types import FloatArray
 
 _MAX_BYTES = 5_000_000
+_MAX_NESTING = 64
+_MAX_LINKS = 1000
+_MOVING_TYPES = ("revolute", "continuous", "prismatic", "planar", "floating")
+_JOINT_TYPES = ("fixed", *_MOVING_TYPES)
 
 
 @dataclass(frozen=True)
@@ -45,28 +49,56 @@ class UrdfTree:
 
 def parse(text: str, source: str) -> UrdfTree:
     """Read a URDF's tree. Raises InputError naming ``source`` and the element when it is not usable."""
-    if len(text.encode()) > _MAX_BYTES:
+    robot = _read_xml(text, source)
+    links = tuple(_name(element, source) for element in robot.findall("link"))
+    joints = tuple(_joint(element, source) for element in robot.findall("joint"))
+    if len(links) > _MAX_LINKS:
+        raise InputError(f"{source}: {len(links)} links are more than the {_MAX_LINKS} that a robot may have")
+    _refuse_duplicates(links, "link", source)
+    _refuse_duplicates([joint.name for joint in joints], "joint", source)
+    inertials = {link.get("name", ""): _inertial(link, source) for link in robot.findall("link")}
+    massive = {name: parameters for name, parameters in inertials.items() if parameters is not None}
+    return UrdfTree(links, joints, _root(links, joints, source), massive)
+
+
+def _read_xml(text: str, source: str) -> Element:
+    if len(text.encode(errors="replace")) > _MAX_BYTES:
         raise InputError(f"{source}: larger than {_MAX_BYTES // 1_000_000} MB, not a robot description")
     try:
-        robot = ElementTree.fromstring(text)
+        robot: Element = ElementTree.fromstring(text, forbid_dtd=True)
     except (ElementTree.ParseError, DefusedXmlException, ValueError) as error:
         raise InputError(f"{source}: not a URDF, its XML cannot be read ({error})") from error
     if robot.tag != "robot":
         raise InputError(f"{source}: not a URDF, its root element is <{robot.tag}> instead of <robot>")
-    links = tuple(_name(element, source) for element in robot.findall("link"))
-    joints = tuple(_joint(element, source) for element in robot.findall("joint"))
-    _refuse_duplicates(links, "link", source)
-    _refuse_duplicates([joint.name for joint in joints], "joint", source)
+    level = [robot]
+    for _ in range(_MAX_NESTING):
+        level = [child for element in level for child in element]
+    if level:
+        raise InputError(f"{source}: not a URDF, its elements are nested more than {_MAX_NESTING} deep")
+    return robot
+
+
+def _root(links: tuple[str, ...], joints: tuple[UrdfJoint, ...], source: str) -> str:
+    """The link from which joints lead to every other link in exactly one way."""
+    moved_by: dict[str, str] = {}
     for joint in joints:
         for link in (joint.parent, joint.child):
             if link not in links:
                 raise InputError(f"{source}: joint '{joint.name}' names the link '{link}', which does not exist")
-    inertials = {link.get("name", ""): _inertial(link, source) for link in robot.findall("link")}
-    roots = [link for link in links if link not in {joint.child for joint in joints}]
+        if joint.child in moved_by:
+            both = f"'{moved_by[joint.child]}' and '{joint.name}'"
+            raise InputError(f"{source}: link '{joint.child}' is the child of two joints, {both}; a URDF is a tree")
+        moved_by[joint.child] = joint.name
+    roots = [link for link in links if link not in moved_by]
     if len(roots) != 1:
         raise InputError(f"{source}: expected one root link, found {len(roots)}: {', '.join(roots) or 'none'}")
-    massive = {name: parameters for name, parameters in inertials.items() if parameters is not None}
-    return UrdfTree(links, joints, roots[0], massive)
+    reached = set(roots)
+    for _ in joints:
+        reached |= {joint.child for joint in joints if joint.parent in reached}
+    for link in links:
+        if link not in reached:
+            raise InputError(f"{source}: link '{link}' hangs in a loop of joints and not on the root '{roots[0]}'")
+    return roots[0]
 
 
 def _name(element: Element, source: str) -> str:
@@ -77,11 +109,20 @@ def _name(element: Element, source: str) -> str:
 
 
 def _joint(element: Element, source: str) -> UrdfJoint:
-    name = _name(element, source)
+    where = f"{source}: joint '{_name(element, source)}'"
     parent, child = element.find("parent"), element.find("child")
     if parent is None or child is None:
-        raise InputError(f"{source}: joint '{name}' lacks a parent or a child link")
-    return UrdfJoint(name, element.get("type", ""), parent.get("link", ""), child.get("link", ""))
+        raise InputError(f"{where} lacks a parent or a child link")
+    kind = element.get("type", "")
+    if kind not in _JOINT_TYPES:
+        raise InputError(f"{where} is of the unknown type '{kind}'. Valid: {', '.join(_JOINT_TYPES)}")
+    _numbers(element, "origin", ("xyz",), [0.0, 0.0, 0.0], where)
+    _numbers(element, "origin", ("rpy",), [0.0, 0.0, 0.0], where)
+    if kind in _MOVING_TYPES and not any(_numbers(element, "axis", ("xyz",), [1.0, 0.0, 0.0], where)):
+        raise InputError(f"{where}: its <axis> has no direction")
+    if kind in ("revolute", "prismatic"):
+        _numbers(element, "limit", ("effort", "velocity"), None, where)
+    return UrdfJoint(element.get("name", ""), kind, parent.get("link", ""), child.get("link", ""))
 
 
 def _refuse_duplicates(names: Iterable[str], kind: str, source: str) -> None:
@@ -98,19 +139,21 @@ def _inertial(link: Element, source: str) -> FloatArray | None:
     if inertial is None:
         return None
     where = f"{source}: link '{link.get('name')}'"
-    (mass,) = _numbers(inertial.find("mass"), ("value",), None, where)
-    xx, xy, xz, yy, yz, zz = _numbers(inertial.find("inertia"), ("ixx", "ixy", "ixz", "iyy", "iyz", "izz"), None, where)
+    (mass,) = _numbers(inertial, "mass", ("value",), None, where)
+    entries = _numbers(inertial, "inertia", ("ixx", "ixy", "ixz", "iyy", "iyz", "izz"), None, where)
+    centre = _numbers(inertial, "origin", ("xyz",), [0.0, 0.0, 0.0], where)
+    angles = _numbers(inertial, "origin", ("rpy",), [0.0, 0.0, 0.0], where)
     if mass == 0.0:
         return None
-    centre = _numbers(inertial.find("origin"), ("xyz",), [0.0, 0.0, 0.0], where)
-    rotation = Rotation.from_euler("xyz", _numbers(inertial.find("origin"), ("rpy",), [0.0, 0.0, 0.0], where))
-    axes = rotation.as_matrix()
+    xx, xy, xz, yy, yz, zz = entries
+    axes = Rotation.from_euler("xyz", angles).as_matrix()
     central = axes @ np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]) @ axes.T
     return pseudo_inertia.assemble(np.array(mass), np.array(centre), central)
 
 
-def _numbers(element: Element | None, keys: tuple[str, ...], default: list[float] | None, where: str) -> list[float]:
+def _numbers(parent: Element, tag: str, keys: tuple[str, ...], default: list[float] | None, where: str) -> list[float]:
     """The finite numbers of an element's attributes; ``default`` if it or they are absent, an error if that is None."""
+    element = parent.find(tag)
     texts = [element.get(key) for key in keys] if element is not None else [None]
     if default is not None and texts == [None]:
         return default
@@ -120,6 +163,6 @@ def _numbers(element: Element | None, keys: tuple[str, ...], default: list[float
     except ValueError:
         numbers = []
     if len(numbers) != expected or not np.all(np.isfinite(numbers)):
-        shown = "nothing" if element is None else ", ".join(f'{key}="{element.get(key)}"' for key in keys)
-        raise InputError(f"{where}: its <inertial> has {shown}, expected {expected} finite numbers for {', '.join(keys)}")
+        found = "is absent" if element is None else "has " + ", ".join(f'{key}="{element.get(key)}"' for key in keys)
+        raise InputError(f"{where}: its <{tag}> {found}; expected {expected} finite numbers as {', '.join(keys)}")
     return numbers

@@ -19,6 +19,8 @@ _FIRST_DIFFERENCE = np.array([-1.0, 9.0, -45.0, 0.0, 45.0, -9.0, 1.0]) / 60.0
 _SECOND_DIFFERENCE = np.array([2.0, -27.0, 270.0, -490.0, 270.0, -27.0, 2.0]) / 180.0
 _HALF_DIFFERENCE = 3
 LOWEST_RATE_PER_CUTOFF = 2.5
+_LARGEST_NOISE_GAIN = 2.0
+_DIFFERENT_NODES = ~np.eye(4, dtype=bool)
 
 
 def derivative_kernels(cutoff: float, period: float) -> FloatArray:
@@ -41,10 +43,18 @@ def derivative_kernels(cutoff: float, period: float) -> FloatArray:
 
 
 def cubic_weights(nodes: FloatArray, times: FloatArray) -> FloatArray:
-    """Lagrange weights ``(N, 4)`` of four increasing ``nodes (N, 4)`` for the values at ``times (N,)``."""
-    weights = np.ones(nodes.shape)
-    for i in range(4):
-        for j in range(4):
-            if i != j:
-                weights[:, i] *= (times - nodes[:, j]) / (nodes[:, i] - nodes[:, j])
+    """Weights ``(N, 4)`` of four increasing ``nodes (N, 4)`` for the values at ``times (N,)`` between the middle two.
+
+    Lagrange's cubic; where the nodes lie so unevenly (messages in bursts) that it would amplify noise, the line between
+    the middle nodes.
+    """
+    spacings = nodes[:, :, None] - nodes[:, None, :]
+    factors = np.ones(spacings.shape)
+    np.divide((times[:, None] - nodes)[:, None, :], spacings, out=factors, where=_DIFFERENT_NODES)
+    weights: FloatArray = factors.prod(axis=2)
+    noisy = np.sum(weights**2, axis=1) > _LARGEST_NOISE_GAIN**2
+    if np.any(noisy):
+        share = (times - nodes[:, 1]) / (nodes[:, 2] - nodes[:, 1])
+        linear = np.stack([np.zeros_like(share), 1.0 - share, share, np.zeros_like(share)], axis=1)
+        weights[noisy] = linear[noisy]
     return weights

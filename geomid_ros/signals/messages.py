@@ -51,15 +51,16 @@ class WrenchStamped(Protocol):
 
 
 def stamp_of(header: Header) -> int:
-    """A header's stamp in nanoseconds since the epoch."""
-    return int(header.stamp.sec) * 1_000_000_000 + int(header.stamp.nanosec)
+    """A header's stamp in nanoseconds since the epoch; -1 if its parts are out of range."""
+    seconds, nanoseconds = int(header.stamp.sec), int(header.stamp.nanosec)
+    if seconds < 0 or not 0 <= nanoseconds < 1_000_000_000:
+        return -1
+    return seconds * 1_000_000_000 + nanoseconds
 
 
 def feed_joint_state(pipeline: SignalPipeline, message: JointState) -> None:
     """Pass a joint message on."""
-    pipeline.push_joints(
-        stamp_of(message.header), message.name, message.position, message.velocity, message.effort
-    )
+    pipeline.push_joints(stamp_of(message.header), message.name, message.position, message.velocity, message.effort)
 
 
 def feed_odometry(pipeline: SignalPipeline, message: Odometry) -> None:

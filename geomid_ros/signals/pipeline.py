@@ -6,20 +6,26 @@ same samples, with a fixed lag behind the data (:attr:`SignalPipeline.lag`).
 
 from __future__ import annotations
 
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 
-from geomid_ros.errors import InputError
+from geomid_ros.errors import InputError, unknown_name
 from geomid_ros.model.samples import Samples
 from geomid_ros.model.sensors import WrenchSensor
 from geomid_ros.signals.streams import Grid, PoseStream, Stream, VectorStream
-from geomid_ros.types import FloatArray
+from geomid_ros.types import BoolArray, FloatArray
 
+JOINT_STATES = "joint_states"
+ODOM = "odom"
 _PERIOD_ROUNDING = 10_000  # [ns] an inferred period is rounded to this
 _MESSAGES_TO_INFER_PERIOD = 32
+_MOST_WAITING = 10_000  # messages kept until the period is known
+_HORIZON = 60_000_000_000  # [ns] a topic that falls behind the others by more is not waited for
+_LATE_MESSAGES_OF_A_RESET_CLOCK = 10
+_LARGEST_NUMBER = 1e9  # in SI units; no robot measures more
 
 
 @dataclass(frozen=True)
@@ -37,6 +43,16 @@ class SignalSettings:
     effort_gain: float | dict[str, float] = 1.0
     samples_per_cutoff_period: float = 8.0
 
+    def __post_init__(self) -> None:
+        for name in ("cutoff", "max_gap", "samples_per_cutoff_period"):
+            if not 0.0 < getattr(self, name) < np.inf:
+                raise InputError(f"signal setting {name} is {getattr(self, name)}, expected a number greater than zero")
+        if self.period != 0.0 and not _PERIOD_ROUNDING * 1e-9 <= self.period < np.inf:
+            raise InputError(f"signal setting period is {self.period}, expected 0 or at least {_PERIOD_ROUNDING} ns")
+        gains = self.effort_gain.values() if isinstance(self.effort_gain, dict) else (self.effort_gain,)
+        if not all(np.isfinite(gain) and gain != 0.0 for gain in gains):
+            raise InputError(f"effort gain {self.effort_gain}: expected finite numbers other than zero")
+
 
 @dataclass
 class Ledger:
@@ -47,7 +63,7 @@ class Ledger:
     rejected: Counter[str] = field(default_factory=Counter)
 
 
-class _Rejected(Exception):
+class _RejectedError(Exception):
     """A message that cannot be used; its text is the reason that is counted."""
 
 
@@ -61,18 +77,29 @@ class SignalPipeline:
         floating_base: bool = False,
         sensors: Sequence[WrenchSensor] = (),
         settings: SignalSettings = SignalSettings(),
+        continuous: Sequence[str] = (),
     ) -> None:
+        """``continuous`` names the joints without end: their positions may jump by whole turns between messages, and
+        are given from -pi to pi in samples."""
         self._joints = tuple(joints)
-        self._sensors = tuple(sensors)
+        self._sensors = {sensor.topic: sensor for sensor in sensors}
+        if len(self._sensors) < len(sensors) or {JOINT_STATES, ODOM} & set(self._sensors):
+            topics = ", ".join(sensor.topic for sensor in sensors)
+            raise InputError(f"wrench topics must differ from each other, '{JOINT_STATES}' and '{ODOM}': {topics}")
         self._floating_base = floating_base
         self._settings = settings
+        self._max_gap = round(settings.max_gap * 1e9)
         self._gains = self._effort_gains()
-        self._effort_seen = np.zeros(len(self._joints), dtype=bool)
+        self._continuous = np.array([joint in continuous for joint in self._joints], dtype=bool)
+        self._position = np.zeros(len(self._joints))
+        self._effort_stamps = np.zeros(len(self._joints), dtype=np.int64)
         self._velocity = _VelocityChoice(len(self._joints))
         self._grid: Grid | None = None
         self._streams: dict[str, Stream] = {}
-        self._waiting: list[tuple[str, int, FloatArray]] = []
+        self._waiting: deque[tuple[str, int, FloatArray]] = deque()
+        self._first_stamps: deque[int] = deque(maxlen=_MESSAGES_TO_INFER_PERIOD)
         self._last: dict[str, int] = {}
+        self._late: Counter[str] = Counter()
         self._next_instant = 0
         self._pending: list[Samples] = []
         self.ledgers: dict[str, Ledger] = {}
@@ -85,7 +112,7 @@ class SignalPipeline:
             return np.full(len(self._joints), float(gain))
         for name in gain:
             if name not in self._joints:
-                raise InputError(f"effort gain for '{name}', which is not a joint. Joints: {', '.join(self._joints)}")
+                raise unknown_name("joint with an effort gain", name, self._joints)
         return np.array([gain.get(name, 1.0) for name in self._joints])
 
     @property
@@ -102,93 +129,130 @@ class SignalPipeline:
         effort: Sequence[float],
     ) -> None:
         """Take a joint message with any order of joints; ``stamp`` in ns. What cannot be used is counted."""
-        self._push("joint_states", stamp, lambda: self._joint_vector(names, position, velocity, effort))
+        self._push(JOINT_STATES, stamp, lambda: self._joint_vector(stamp, names, position, velocity, effort))
 
     def push_base_pose(self, stamp: int, pose: Sequence[float]) -> None:
         """Take the base's pose in the world, position [m] and quaternion xyzw."""
-        self._push("odom", stamp, lambda: _pose_vector(pose))
+        self._push(ODOM, stamp, lambda: _pose_vector(pose))
 
     def push_wrench(self, topic: str, stamp: int, frame: str, wrench: Sequence[float]) -> None:
         """Take force [N] and torque [N m] of a sensor's topic, expressed in ``frame`` (as the message says)."""
-        sensor = next(sensor for sensor in self._sensors if sensor.topic == topic)
-        self._push(topic, stamp, lambda: _wrench_vector(sensor, frame, wrench))
+        if topic not in self._sensors:
+            raise unknown_name("wrench topic", topic, self._sensors)
+        self._push(topic, stamp, lambda: _wrench_vector(self._sensors[topic], frame, wrench))
 
     def _push(self, topic: str, stamp: int, read: Callable[[], FloatArray]) -> None:
         ledger = self.ledgers.setdefault(topic, Ledger())
         ledger.received += 1
         try:
-            if stamp <= 0:
-                raise _Rejected("stamp is zero")
-            if stamp <= self._last.get(topic, 0):
-                raise _Rejected("stamp not later than the one before")
+            self._check_stamp(topic, stamp)
             values = read()
-        except _Rejected as reason:
+        except _RejectedError as reason:
             ledger.rejected[str(reason)] += 1
             return
         ledger.accepted += 1
         self._last[topic] = stamp
         if self._grid is None:
-            self._waiting.append((topic, stamp, values))
-            self._infer_period()
+            self._wait(topic, stamp, values)
         else:
-            self._take(topic, stamp, values)
+            self._take(self._grid, topic, stamp, values)
 
-    def _take(self, topic: str, stamp: int, values: FloatArray) -> None:
+    def _check_stamp(self, topic: str, stamp: int) -> None:
+        """A few late messages are rejected; many in a row mean that the clock was set back, and all starts afresh."""
+        if stamp <= 0:
+            raise _RejectedError("stamp is zero" if stamp == 0 else "stamp is not valid")
+        behind = self._last.get(topic, 0) - stamp
+        self._late[topic] = self._late[topic] + 1 if behind > self._max_gap else 0
+        if self._late[topic] == _LATE_MESSAGES_OF_A_RESET_CLOCK:
+            self._forget()
+        elif behind >= 0:
+            raise _RejectedError("stamp not later than the one before")
+
+    def _forget(self) -> None:
+        self._last.clear()
+        self._late.clear()
+        self._waiting.clear()
+        self._first_stamps.clear()
+        self._effort_stamps[:] = 0
+        self._next_instant = 0
+        if self._grid is not None:
+            self._open_streams(self._grid)
+
+    def _wait(self, topic: str, stamp: int, values: FloatArray) -> None:
+        """Keep what arrives before the period is known."""
+        self._waiting.append((topic, stamp, values))
+        if len(self._waiting) > _MOST_WAITING:
+            ledger = self.ledgers[self._waiting.popleft()[0]]
+            ledger.accepted -= 1
+            ledger.rejected["no joint states to go with"] += 1
+        if topic == JOINT_STATES:
+            self._first_stamps.append(stamp)
+            if len(self._first_stamps) == _MESSAGES_TO_INFER_PERIOD:
+                period = float(np.median(np.diff(self._first_stamps)))
+                self._start(max(_PERIOD_ROUNDING, round(period / _PERIOD_ROUNDING) * _PERIOD_ROUNDING))
+
+    def _take(self, grid: Grid, topic: str, stamp: int, values: FloatArray) -> None:
         """Pass values on and make what samples they complete at once, before a later gap restarts a stream."""
         self._streams[topic].push(stamp, values)
-        if self._grid is not None:
-            samples = self._ready_samples(self._grid)
-            if samples is not None:
-                self._pending.append(samples)
+        samples = self._ready_samples(grid)
+        if samples is not None:
+            self._pending.append(samples)
+        self._drop_before((stamp - _HORIZON) // grid.period)
 
     def _joint_vector(
-        self, names: Sequence[str], position: Sequence[float], velocity: Sequence[float], effort: Sequence[float]
+        self,
+        stamp: int,
+        names: Sequence[str],
+        position: Sequence[float],
+        velocity: Sequence[float],
+        effort: Sequence[float],
     ) -> FloatArray:
         if not names:
-            raise _Rejected("no joint names")
+            raise _RejectedError("no joint names")
         index = {name: place for place, name in enumerate(names)}
         if len(index) != len(names):
-            raise _Rejected("a joint is named twice")
+            raise _RejectedError("a joint is named twice")
         missing = next((joint for joint in self._joints if joint not in index), None)
         if missing is not None:
-            raise _Rejected(f"joint '{missing}' is missing")
+            raise _RejectedError(f"joint '{missing}' is missing")
         for kind, values in (("position", position), ("velocity", velocity), ("effort", effort)):
             if len(values) not in ((len(names),) if kind == "position" else (0, len(names))):
-                raise _Rejected(f"{kind} has {len(values)} entries for {len(names)} names")
+                raise _RejectedError(f"{kind} has {len(values)} entries for {len(names)} names")
         order = [index[joint] for joint in self._joints]
         vector = np.full((3, len(order)), np.nan)
         for row, values in enumerate((position, velocity, effort)):
             if len(values):
                 vector[row] = np.asarray(values, dtype=np.float64)[order]
-        if not np.all(np.isfinite(vector[0])):
-            raise _Rejected("position not finite")
+        if not np.all(_usable(vector[0])):
+            raise _RejectedError("position not finite")
         vector[2] *= self._gains
-        finite = np.isfinite(vector[2])
-        lost = np.flatnonzero(self._effort_seen & ~finite)
-        if len(lost):
-            raise _Rejected(f"effort of '{self._joints[int(lost[0])]}' not finite")
-        self._effort_seen |= finite
-        vector[1:][~np.isfinite(vector[1:])] = np.nan
+        vector[1:][~_usable(vector[1:])] = np.nan
+        self._check_effort(stamp, vector[2])
+        turns = np.where(self._continuous, np.round((self._position - vector[0]) / (2.0 * np.pi)), 0.0)
+        vector[0] += 2.0 * np.pi * turns
+        self._position = vector[0].copy()
         return vector.ravel()
 
-    def _infer_period(self) -> None:
-        stamps = [stamp for topic, stamp, _ in self._waiting if topic == "joint_states"]
-        if len(stamps) >= _MESSAGES_TO_INFER_PERIOD:
-            period = float(np.median(np.diff(stamps)))
-            self._start(max(_PERIOD_ROUNDING, round(period / _PERIOD_ROUNDING) * _PERIOD_ROUNDING))
+    def _check_effort(self, stamp: int, effort: FloatArray) -> None:
+        """An effort that fails for less than the longest gap costs the message, one that fails for longer its joint."""
+        measured = np.isfinite(effort)
+        lost = np.flatnonzero(~measured & (self._effort_stamps > 0) & (stamp - self._effort_stamps <= self._max_gap))
+        if len(lost):
+            raise _RejectedError(f"effort of '{self._joints[int(lost[0])]}' missing or not finite")
+        self._effort_stamps[measured] = stamp
 
     def _start(self, period: int) -> None:
         grid = Grid(period, self._settings.cutoff, self._settings.samples_per_cutoff_period)
-        max_gap = round(self._settings.max_gap * 1e9)
         self._grid = grid
-        self._streams["joint_states"] = VectorStream(grid, max_gap)
-        if self._floating_base:
-            self._streams["odom"] = PoseStream(grid, max_gap)
-        for sensor in self._sensors:
-            self._streams[sensor.topic] = VectorStream(grid, max_gap)
+        self._open_streams(grid)
         for topic, stamp, values in self._waiting:
-            self._take(topic, stamp, values)
+            self._take(grid, topic, stamp, values)
         self._waiting.clear()
+
+    def _open_streams(self, grid: Grid) -> None:
+        self._streams = {topic: VectorStream(grid, self._max_gap) for topic in (JOINT_STATES, *self._sensors)}
+        if self._floating_base:
+            self._streams[ODOM] = PoseStream(grid, self._max_gap)
 
     def collect(self) -> Samples | None:
         """The samples that have become ready since the last call, oldest first; None if there are none."""
@@ -205,27 +269,33 @@ class SignalPipeline:
         if not instants:
             return None
         samples = self._samples(grid, instants)
-        self._next_instant = instants[-1] + 1
-        for stream in self._streams.values():
-            stream.drop_before(self._next_instant)
+        self._drop_before(instants[-1] + 1)
         return samples
+
+    def _drop_before(self, instant: int) -> None:
+        if instant > self._next_instant:
+            self._next_instant = instant
+            for stream in self._streams.values():
+                stream.drop_before(instant)
 
     def _samples(self, grid: Grid, instants: range) -> Samples:
         count, joints = len(instants), len(self._joints)
         value, first, second = (
-            part.reshape(count, 3, joints) for part in self._streams["joint_states"].filtered(instants)
+            part.reshape(count, 3, joints) for part in self._streams[JOINT_STATES].filtered(instants)
         )
+        position = value[:, 0]
+        position[:, self._continuous] = np.remainder(position[:, self._continuous] + np.pi, 2.0 * np.pi) - np.pi
         velocity, acceleration = self._velocity.choose(value[:, 1], first[:, 1], first[:, 0], second[:, 0])
         pose = base_velocity = base_acceleration = np.zeros((count, 0))
         if self._floating_base:
-            pose, base_velocity, base_acceleration = self._streams["odom"].filtered(instants)
+            pose, base_velocity, base_acceleration = self._streams[ODOM].filtered(instants)
         wrenches = np.zeros((count, len(self._sensors), 6))
-        for index, sensor in enumerate(self._sensors):
-            wrenches[:, index] = self._streams[sensor.topic].filtered(instants)[0]
+        for index, topic in enumerate(self._sensors):
+            wrenches[:, index] = self._streams[topic].filtered(instants)[0]
         stamps = np.array([instant * grid.period for instant in instants], dtype=np.int64)
         return Samples(
             stamps,
-            value[:, 0],
+            position,
             velocity,
             acceleration,
             value[:, 2],
@@ -239,8 +309,8 @@ class SignalPipeline:
 class _VelocityChoice:
     """Per joint: the message's velocity while it agrees with the position's derivative, else that derivative.
 
-    They agree while the mean squared difference over the recent past is below 5 % of the derivative's mean square, both
-    with a memory of about 100 samples, and not before that many were seen.
+    They agree while the root mean square of their difference over the recent past is below 5 % of the derivative's,
+    both with a memory of about 100 samples, and not before that many were seen.
     """
 
     _MEMORY = 100
@@ -271,21 +341,27 @@ class _VelocityChoice:
         return velocity, acceleration
 
 
+def _usable(values: FloatArray) -> BoolArray:
+    """False for NaN, infinity and numbers that no robot measures."""
+    usable: BoolArray = np.abs(values) < _LARGEST_NUMBER
+    return usable
+
+
 def _pose_vector(pose: Sequence[float]) -> FloatArray:
-    values = np.asarray(pose, dtype=np.float64)
-    if not np.all(np.isfinite(values)):
-        raise _Rejected("pose not finite")
+    values = np.array(pose, dtype=np.float64)
+    if not np.all(_usable(values)):
+        raise _RejectedError("pose not finite")
     norm = float(np.linalg.norm(values[3:]))
     if abs(norm - 1.0) > 1e-2:
-        raise _Rejected("quaternion is not of length 1")
+        raise _RejectedError("quaternion is not of length 1")
     values[3:] /= norm
     return values
 
 
 def _wrench_vector(sensor: WrenchSensor, frame: str, wrench: Sequence[float]) -> FloatArray:
     if frame and frame != sensor.frame:
-        raise _Rejected(f"frame '{frame}' is not the declared '{sensor.frame}'")
-    values = np.asarray(wrench, dtype=np.float64)
-    if not np.all(np.isfinite(values[sensor.axis_indices])):
-        raise _Rejected("wrench not finite")
+        raise _RejectedError(f"frame '{frame}' is not the declared '{sensor.frame}'")
+    values = np.array(wrench, dtype=np.float64)
+    if not np.all(_usable(values[sensor.axis_indices])):
+        raise _RejectedError("wrench not finite")
     return values

@@ -1,0 +1,113 @@
+"""``geomid demo``: watch a robot's inertias being identified live."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import click
+from rich.console import Console
+from rich.live import Live
+from rich.table import Table
+
+from geomid_ros.commands.identify import Topics, read_samples
+from geomid_ros.errors import InputError
+from geomid_ros.files.bags import Bag
+from geomid_ros.files.configuration import Configuration
+from geomid_ros.files.report.drawing import draw_identification
+from geomid_ros.files.results import read_estimate
+from geomid_ros.files.shared_files import shared_file
+from geomid_ros.files.urdf import read_urdf
+from geomid_ros.model.samples import Samples
+from geomid_ros.session import Session
+
+_WRENCH = {
+    "wrenches": ["wrist"],
+    "wrench.wrist.topic": "/wrench",
+    "wrench.wrist.frame": "wrist_ft",
+    "wrench.wrist.role": "mounted",
+}
+
+
+@click.command()
+@click.option(
+    "--out", type=click.Path(path_type=Path), default=Path("geomid_out/demo"), show_default=True, help="Folder for results."
+)
+@click.option("--rate", default=1.0, show_default=True, help="Times real time.")
+def demo(out: Path, rate: float) -> None:
+    """Watch a robot's inertias being identified live.
+
+    Plays a recording of a simulated arm with a wrist sensor into a node, both in processes of their own, and shows the
+    estimates as they arrive. The arm's true inertias differ from its URDF by about 20 %; the node knows nothing of them.
+    """
+    try:
+        from geomid_ros.ros.live_run import LiveRun  # noqa: PLC0415 the other commands need no ROS
+    except ImportError as error:
+        raise InputError(f"ROS 2 is needed for the demonstration, and cannot be imported ({error})") from error
+    bag, urdf = shared_file("bags/arm7"), shared_file("bags/arm7.urdf")
+    truth = _true_masses(shared_file("bags/arm7.truth.json"))
+    configuration = Configuration({**_WRENCH, "solve_period": 0.3 / rate}, "demo")
+    session = Session(read_urdf(urdf), configuration, str(urdf))
+    console = Console()
+    console.print("A node identifies a simulated arm live, from joint states and a wrench sensor at the wrist.")
+    with LiveRun(bag, urdf, configuration, out.resolve(), rate) as run, Live(console=console, refresh_per_second=8) as live:
+        for masses, stream in run.watch():
+            live.update(_table(session, masses, truth, stream))
+    document = read_estimate(out / "estimate.json")
+    difference = _compare_with_offline(session, bag, document, out / "identification.png")
+    _conclude(console, session, document, truth, difference, out)
+
+
+def _true_masses(path: Path) -> dict[str, float]:
+    links = json.loads(path.read_text(encoding="utf-8"))["links"]
+    return {link["name"]: link["mass"] for link in links}
+
+
+def _true_mass(session: Session, name: str, truth: dict[str, float]) -> float:
+    body = session.robot.bodies[session.robot.body_names.index(name)]
+    return sum(truth.get(link, 0.0) for link in (name, *body.merged))
+
+
+def _table(session: Session, masses: dict[str, float], truth: dict[str, float], stream: str) -> Table:
+    table = Table(title="link masses [kg]", caption=stream)
+    for heading in ("link", "URDF", "identified", "truth"):
+        table.add_column(heading, justify="left" if heading == "link" else "right", min_width=10)
+    nominal = session.model.nominal_inertias.reshape(-1, 10)[:, 0]
+    for name, urdf_mass in zip(session.model.body_names, nominal, strict=True):
+        now = f"{masses[name]:.3f}" if name in masses else "..."
+        table.add_row(name, f"{urdf_mass:.3f}", now, f"{_true_mass(session, name, truth):.3f}")
+    return table
+
+
+def _compare_with_offline(session: Session, bag: Path, live: dict[str, Any], picture: Path) -> float:
+    """Identify from the bag itself and draw it; the largest relative difference in mass to the live estimate."""
+    with Bag(bag) as recording:
+        batches = list(read_samples(recording, session, session.pipeline, Topics("joint_states", "odom")))
+    for samples in batches:
+        session.identifier.add(samples)
+    estimate = session.identifier.solve()
+    draw_identification(picture, session, estimate, Samples.concatenate(batches), "the recording")
+    masses = {link["name"]: link["mass"] for link in live["links"]}
+    return max(abs(link.mass - masses[link.name]) / link.mass for link in estimate.links)
+
+
+def _conclude(
+    console: Console, session: Session, document: dict[str, Any], truth: dict[str, float], difference: float, out: Path
+) -> None:
+    tool = max(document["links"], key=lambda link: link["from_data"])
+    true_mass = _true_mass(session, tool["name"], truth)
+    untold = [link["name"] for link in document["links"] if "mass" in link["cannot_tell"]]
+    rms = document["rms"]
+    shares = [1.0 - rms["train"][channel] / nominal for channel, nominal in rms["nominal"].items()]
+    console.print(
+        f"\nFound from {document['rows']['accepted']} rows: the best known body is {tool['name']} with "
+        f"{tool['mass']:.4f} ± {tool['std']['mass']:.4f} kg (truth {true_mass:.4f}), {100 * tool['from_data']:.0f} % from data.\n"
+        f"The motion cannot tell the mass of {', '.join(untold) or 'no link'} by itself; these stay near the URDF.\n"
+        f"Of what the URDF left unexplained {100 * sum(shares) / len(shares):.0f} % is explained now (mean over channels); "
+        f"all bodies are possible.\n"
+        f"The same bag identified offline gives the same masses within {difference:.0e} (relative).\n\n"
+        f"Picture: {out / 'identification.png'}\nURDF:    {out / 'identified.urdf'}\nNumbers: {out / 'estimate.json'}",
+        highlight=False,
+        soft_wrap=True,
+    )

@@ -1,0 +1,1 @@
+"""Floor 4: bags, robot descriptions, configuration and results on disk."""

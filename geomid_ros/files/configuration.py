@@ -1,0 +1,229 @@
+"""The one table of parameters, which the node declares, the command line reads from the same YAML file, and README prints."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, TypeAlias
+
+import numpy as np
+import yaml
+
+from geomid_ros.errors import InputError, unknown_name
+from geomid_ros.estimation.estimator import EstimatorSettings
+from geomid_ros.estimation.identifier import BufferSettings
+from geomid_ros.model.effects import EFFECTS, Effect, effect
+from geomid_ros.model.sensors import AXES, WrenchSensor
+from geomid_ros.signals.pipeline import SignalSettings
+from geomid_ros.types import FloatArray
+
+Value: TypeAlias = bool | int | float | str | list[str] | list[float]
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """A parameter: name, default (its type is the parameter's), description, and for numbers the closed range.
+
+    In names ``*`` stands for a joint, a channel or a wrench sensor's name; such parameters exist as often as they are set.
+    """
+
+    name: str
+    default: Value
+    description: str
+    minimum: float | None = None
+    maximum: float | None = None
+
+
+# ROS cannot tell the type of an empty list: one empty string stands for it.
+_NONE = [""]
+
+PARAMETERS = (
+    Parameter("robot_description", "", "URDF text; empty: taken from the topic robot_description"),
+    Parameter("model", "", "estimate.json of an earlier run to start from instead of the URDF's inertias"),
+    Parameter("links", _NONE, "moving links to identify; empty: all that have a mass"),
+    Parameter("effects", list(EFFECTS), f"effects identified at every joint: {', '.join(EFFECTS)}"),
+    Parameter("floating_base", False, "the base moves; its pose is read from the topic odom"),
+    Parameter("locked_joints", _NONE, "joints of the URDF that never move and are in no message, taken as at zero"),
+    Parameter("gravity", [0.0, 0.0, -9.81], "gravity in the base (world) frame [m/s^2]"),
+    Parameter("wrenches", _NONE, "names of wrench sensors; each is described under wrench.NAME"),
+    Parameter("wrench.*.topic", "", "topic of the sensor's geometry_msgs/WrenchStamped; empty: the sensor's name"),
+    Parameter("wrench.*.frame", "", "frame the wrench is given in: a link, or for a force plate the world (odom)"),
+    Parameter("wrench.*.role", "mounted", "mounted (inside the chain, feels all that is distal) or external (a known load)"),
+    Parameter("wrench.*.axes", list(AXES), "axes that are measured"),
+    Parameter("wrench.*.sign", 1.0, "-1 if the sensor reports the reaction", -1.0, 1.0),
+    Parameter("effort_gain", 1.0, "factor from the messages' efforts to N m (or N); negative reverses the sign", -1e6, 1e6),
+    Parameter("joint.*.effort_gain", 1.0, "the same for one joint", -1e6, 1e6),
+    Parameter("filter.cutoff", 5.0, "cutoff of the zero-phase low-pass on all signals [Hz]", 0.05, 500.0),
+    Parameter("filter.period", 0.0, "period of the common time grid [s]; 0: that of the first joint messages", 0.0, 1.0),
+    Parameter("filter.max_gap", 0.5, "a longer pause of a topic starts a new segment [s]", 0.001, 60.0),
+    Parameter("gamma", 0.0, "weight of the prior as a share of the rows'; 0: found on held-out blocks of time", 0.0, 1e6),
+    Parameter("objective", "residual", "what is minimised: residual (Remark 3 of the paper) or geodesic (its (19))"),
+    Parameter("solver", "trust_region", "solver of the geodesic objective: trust_region or cyclic (the paper's)"),
+    Parameter("sigma.*", 1.0, "standard deviation of a channel [N m, N], where known (else from residuals)", 1e-9, 1e9),
+    Parameter("forgetting", 1.0, "factor per row on the weight of a channel's earlier rows; 1: nothing is forgotten", 0.9, 1.0),
+    Parameter("still_speed", 1e-3, "slower than this everywhere counts as standing still [rad/s, m/s]", 0.0, 10.0),
+    Parameter("still_distance", 1e-2, "while standing still, a pose nearer to the last one says nothing new [rad, m]", 0.0, 10.0),
+    Parameter("solve_period", 1.0, "seconds between estimates while data come in [s]", 0.05, 3600.0),
+    Parameter("active", True, "take data from the start; otherwise wait for ~/start"),
+    Parameter("output_folder", "", "folder that ~/save and the end of the node write to; empty: the working directory"),
+)
+_BY_NAME = {parameter.name: parameter for parameter in PARAMETERS}
+
+
+def find_parameter(name: str) -> Parameter:
+    """The parameter that a full name belongs to; an unknown one is answered with the valid ones."""
+    if name in _BY_NAME:
+        return _BY_NAME[name]
+    first, _, rest = name.partition(".")
+    for parameter in PARAMETERS:
+        head, star, tail = parameter.name.partition(".*")
+        if star and first == head and rest.endswith(tail) and len(rest) > len(tail):
+            return parameter
+    raise unknown_name("parameter", name, _BY_NAME)
+
+
+class Configuration:
+    """Checked parameters, and the settings of the lower floors that they make."""
+
+    def __init__(self, values: Mapping[str, Any] | None = None, source: str = "parameters") -> None:
+        """``values`` by full name; what is not given has its default. Raises InputError naming ``source`` and the key."""
+        self.source = source
+        self._values = {name: self._checked(name, value) for name, value in (values or {}).items()}
+
+    @staticmethod
+    def read(path: Path) -> Configuration:
+        """Read a ROS parameter file: ``node_name: ros__parameters: ...``."""
+        try:
+            document = yaml.safe_load(path.read_text(encoding="utf-8"))
+        except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
+            raise InputError(f"{path}: the parameter file cannot be read ({str(error).splitlines()[0]})") from error
+        nodes = [n["ros__parameters"] for n in (document or {}).values() if isinstance(n, dict) and "ros__parameters" in n] \
+            if isinstance(document, dict) else []
+        if len(nodes) != 1 or not isinstance(nodes[0], dict):
+            raise InputError(f"{path}: expected one node with a 'ros__parameters' section, found {len(nodes)}")
+        return Configuration(_flatten(nodes[0]), str(path))
+
+    def with_values(self, values: Mapping[str, Any]) -> Configuration:
+        """A copy in which these values replace what was there."""
+        return Configuration({**self._values, **values}, self.source)
+
+    @property
+    def given(self) -> dict[str, Value]:
+        """The values that were given, by full name."""
+        return dict(self._values)
+
+    def _checked(self, name: str, value: Any) -> Value:
+        try:
+            parameter = find_parameter(name)
+        except InputError as error:
+            raise InputError(f"{self.source}: {error}") from error
+        default = parameter.default
+        if isinstance(default, float) and isinstance(value, int) and not isinstance(value, bool):
+            value = float(value)
+        if isinstance(default, list):
+            value = self._checked_list(name, value, type(default[0]))
+        elif type(value) is not type(default):
+            raise InputError(f"{self.source}: {name} is {value!r}, expected a {type(default).__name__}")
+        if isinstance(value, float):
+            low, high = parameter.minimum, parameter.maximum
+            if not np.isfinite(value) or (low is not None and value < low) or (high is not None and value > high):
+                raise InputError(f"{self.source}: {name} is {value:g}, expected a number from {low:g} to {high:g}")
+        checked: Value = value
+        return checked
+
+    def _checked_list(self, name: str, value: Any, kind: type) -> list[Any]:
+        entries = list(value) if isinstance(value, (list, tuple)) or hasattr(value, "tolist") else [value]
+        if kind is float:
+            entries = [float(entry) if isinstance(entry, int) else entry for entry in entries]
+        if not all(isinstance(entry, kind) for entry in entries):
+            raise InputError(f"{self.source}: {name} is {value!r}, expected a list of {kind.__name__}")
+        return [entry for entry in entries if entry != ""]
+
+    def __getitem__(self, name: str) -> Any:
+        """The value of a parameter."""
+        default = find_parameter(name).default
+        return self._values.get(name, [e for e in default if e != ""] if isinstance(default, list) else default)
+
+    def _under(self, prefix: str, suffix: str = "") -> dict[str, Any]:
+        """Values of all ``prefix.NAME suffix`` that are set, by NAME."""
+        head = prefix + "."
+        return {
+            name[len(head) : len(name) - len(suffix)]: value
+            for name, value in self._values.items()
+            if name.startswith(head) and name.endswith(suffix)
+        }
+
+    @property
+    def effects(self) -> list[Effect]:
+        """The effects to identify."""
+        return [self._named(effect, name) for name in self["effects"]]
+
+    def _named(self, find: Any, name: str) -> Any:
+        try:
+            return find(name)
+        except InputError as error:
+            raise InputError(f"{self.source}: {error}") from error
+
+    @property
+    def links(self) -> list[str] | None:
+        """The links to identify, None for all."""
+        return self["links"] or None
+
+    @property
+    def gravity(self) -> FloatArray:
+        """Gravity ``(3,)`` in the base frame."""
+        if len(self["gravity"]) != 3:
+            raise InputError(f"{self.source}: gravity has {len(self['gravity'])} entries, expected 3")
+        return np.array(self["gravity"])
+
+    @property
+    def sensors(self) -> list[WrenchSensor]:
+        """The declared wrench sensors."""
+        for name in {full.split(".")[1] for full in self._values if full.startswith("wrench.")}:
+            if name not in self["wrenches"]:
+                raise InputError(f"{self.source}: wrench.{name} is described but 'wrenches' does not list '{name}'")
+        return [self._sensor(name) for name in self["wrenches"]]
+
+    def _sensor(self, name: str) -> WrenchSensor:
+        def value(key: str) -> Any:
+            return self[f"wrench.{name}.{key}"]
+
+        if not value("frame"):
+            raise InputError(f"{self.source}: wrench.{name}.frame is not given")
+        return WrenchSensor(
+            value("topic") or name, value("frame"), value("role"), tuple(value("axes")), value("sign")
+        )
+
+    def signals(self, joints: Sequence[str]) -> SignalSettings:
+        """Settings of the signal pipeline for a robot with these joints."""
+        own = self._under("joint", ".effort_gain")
+        common = self["effort_gain"]
+        gains = {joint: own.get(joint, common) for joint in joints} | own
+        return SignalSettings(
+            cutoff=self["filter.cutoff"],
+            period=self["filter.period"],
+            max_gap=self["filter.max_gap"],
+            effort_gain=gains if own else common,
+        )
+
+    @property
+    def estimator(self) -> EstimatorSettings:
+        """Settings of the estimator; channel names in ``sigma.*`` may use dots for slashes."""
+        sigma = {name.replace(".", "/"): value for name, value in self._under("sigma").items()}
+        return EstimatorSettings(self["gamma"] or None, sigma or None, self["objective"], self["solver"])
+
+    @property
+    def buffer(self) -> BufferSettings:
+        """Settings of the row buffer."""
+        return BufferSettings(self["still_speed"], self["still_distance"], self["forgetting"])
+
+
+def _flatten(tree: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+    flat: dict[str, Any] = {}
+    for key, value in tree.items():
+        if isinstance(value, dict):
+            flat |= _flatten(value, f"{prefix}{key}.")
+        else:
+            flat[f"{prefix}{key}"] = value
+    return flat

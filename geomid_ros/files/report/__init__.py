@@ -1,0 +1,1 @@
+"""What `geomid` hands to people: the report of an identification."""

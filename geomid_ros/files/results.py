@@ -1,0 +1,128 @@
+"""``estimate.json``: an estimate on disk, written for people and programs, and read again as a starting point."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from geomid_ros.errors import InputError
+from geomid_ros.estimation.estimate import Estimate
+from geomid_ros.files.atomic import write_text
+from geomid_ros.geometry import pseudo_inertia
+from geomid_ros.model.measurement import MeasurementModel
+from geomid_ros.types import FloatArray
+
+FORMAT = 1
+
+
+def estimate_document(
+    estimate: Estimate, rows_rejected: Mapping[str, int], held_out: FloatArray | None = None
+) -> dict[str, Any]:
+    """The document of an estimate; ``held_out (channels,)`` are RMS residuals on data that were not used."""
+    rms = {"nominal": estimate.rms_nominal, "train": estimate.rms, "held_out": held_out}
+    return {
+        "format": FORMAT,
+        "converged": estimate.converged,
+        "reason": estimate.reason,
+        "seconds": round(estimate.seconds, 3),
+        "gamma": estimate.gamma,
+        "rows": {
+            "accepted": estimate.rows_accepted,
+            "set_aside": estimate.rows_set_aside,
+            "rejected": {reason: count for reason, count in sorted(rows_rejected.items()) if count},
+        },
+        "links": [
+            {
+                "name": link.name,
+                "merged": list(link.merged),
+                "mass": link.mass,
+                "com": link.com.tolist(),
+                "inertia": link.inertia.tolist(),
+                "std": {
+                    "mass": link.std_mass,
+                    "com": link.std_com.tolist(),
+                    "inertia": link.std_inertia.tolist(),
+                },
+                "distance_from_prior": link.distance_from_prior,
+                "from_data": link.from_data,
+                "min_eigenvalue_ratio": link.min_eigenvalue_ratio,
+                "cannot_tell": list(link.cannot_tell),
+            }
+            for link in estimate.links
+        ],
+        "effects": [
+            {
+                "name": effect.name,
+                "joint": effect.joint,
+                "value": effect.value,
+                "unit": effect.unit,
+                "std": effect.std,
+                "from_data": effect.from_data,
+            }
+            for effect in estimate.effects
+        ],
+        "rms": {
+            kind: _by_channel(estimate.channels, values) for kind, values in rms.items() if values is not None
+        },
+        "sigma": _by_channel(estimate.channels, estimate.sigmas),
+    }
+
+
+def _by_channel(channels: Sequence[str], values: FloatArray) -> dict[str, float | None]:
+    return {
+        name: None if math.isnan(value) else float(value) for name, value in zip(channels, values, strict=True)
+    }
+
+
+def write_estimate(path: Path, document: Mapping[str, Any]) -> None:
+    """Write an estimate's document."""
+    write_text(path, json.dumps(document, indent=2, allow_nan=False) + "\n")
+
+
+def read_estimate(path: Path) -> dict[str, Any]:
+    """Read an estimate's document. Raises InputError naming the file."""
+    try:
+        document = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise InputError(f"{path}: the model cannot be read ({error})") from error
+    if not isinstance(document, dict) or not {"links", "effects"} <= document.keys():
+        raise InputError(f"{path}: not an estimate.json, it has no 'links' and 'effects'")
+    if document.get("format") != FORMAT:
+        raise InputError(f"{path}: has format {document.get('format')}, this version reads format {FORMAT}")
+    return document
+
+
+def known_inertias(document: Mapping[str, Any], source: str) -> dict[str, FloatArray]:
+    """Parameters ``(10,)`` in pinocchio's order of the links in a document, by name."""
+    try:
+        inertias = {
+            link["name"]: pseudo_inertia.assemble(
+                np.array(float(link["mass"])), np.array(link["com"], dtype=float), np.array(link["inertia"], dtype=float)
+            )
+            for link in document["links"]
+        }
+    except (KeyError, TypeError, ValueError) as error:
+        raise InputError(f"{source}: a link lacks a valid mass, com or inertia ({error})") from error
+    for name, parameters in inertias.items():
+        if parameters.shape != (10,) or not np.all(np.isfinite(parameters)) or not _is_body(parameters):
+            raise InputError(f"{source}: the inertia of link '{name}' belongs to no body that can exist")
+    return inertias
+
+
+def _is_body(parameters: FloatArray) -> bool:
+    return bool(np.linalg.eigvalsh(pseudo_inertia.from_parameters(parameters))[0] > 0.0)
+
+
+def known_coefficients(document: Mapping[str, Any], model: MeasurementModel, source: str) -> FloatArray:
+    """The effects' coefficients of ``model`` from a document, ``(coefficients,)``, NaN where it has none."""
+    values = {(entry["name"], entry["joint"]): float(entry["value"]) for entry in document["effects"]}
+    found = np.array([values.get((c.effect.name, c.joint_name), np.nan) for c in model.coefficients])
+    positive = np.array([c.effect.positive for c in model.coefficients], dtype=bool)
+    if np.any(found[positive] <= 0.0):
+        raise InputError(f"{source}: an effect that must be positive is not")
+    return found

@@ -1,0 +1,106 @@
+"""A node and a player in processes of their own, and somebody who watches: for the demonstration."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from types import TracebackType
+
+import rclpy
+import yaml
+from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import InertiaStamped
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from std_srvs.srv import Trigger
+
+from geomid_ros.errors import GeomidError
+from geomid_ros.files.configuration import Configuration
+from geomid_ros.files.urdf import read_urdf
+
+_START_TIMEOUT = 20.0
+_SAVE_TIMEOUT = 30.0
+
+
+class LiveRun:
+    """Runs ``geomid_node`` and ``geomid play`` on a bag, in a ROS domain of their own."""
+
+    def __init__(self, bag: Path, urdf: Path, configuration: Configuration, out: Path, rate: float) -> None:
+        # A domain that robots on this network hardly use; the children inherit it.
+        os.environ["ROS_DOMAIN_ID"] = str(102 + os.getpid() % 120)
+        self._folder = tempfile.TemporaryDirectory(prefix="geomid-")
+        parameters = Path(self._folder.name) / "parameters.yaml"
+        values = {**configuration.given, "robot_description": read_urdf(urdf), "output_folder": str(out)}
+        parameters.write_text(yaml.safe_dump({"/**": {"ros__parameters": values}}), encoding="utf-8")
+        node = [sys.executable, "-m", "geomid_ros.ros.main", "--ros-args", "--params-file", str(parameters)]
+        player = [sys.executable, "-m", "geomid_ros", "play", str(bag), "--rate", str(rate)]
+        self._log = open(Path(self._folder.name) / "log", "w+b")  # noqa: SIM115 closed with the run
+        self._node = self._start(node)
+        self._player = self._start(player)
+        rclpy.init()
+        self._watcher = rclpy.create_node("geomid_demo")
+        self._masses: dict[str, float] = {}
+        self._stream = "waiting for the first estimate"
+        latched = QoSProfile(depth=256, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+        self._watcher.create_subscription(InertiaStamped, "geomid/inertias", self._on_inertia, latched)
+        self._watcher.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 10)
+
+    def _start(self, command: list[str]) -> subprocess.Popen[bytes]:
+        return subprocess.Popen(command, stdout=self._log, stderr=self._log)
+
+    def __enter__(self) -> LiveRun:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        for process in (self._player, self._node):
+            process.send_signal(signal.SIGINT)
+        for process in (self._player, self._node):
+            try:
+                process.wait(timeout=10.0)
+            except subprocess.TimeoutExpired:
+                process.kill()
+        self._watcher.destroy_node()
+        rclpy.try_shutdown()
+        self._log.close()
+        self._folder.cleanup()
+
+    def _on_inertia(self, message: InertiaStamped) -> None:
+        self._masses[message.header.frame_id] = message.inertia.m
+
+    def _on_diagnostics(self, message: DiagnosticArray) -> None:
+        self._stream = next(status.message for status in message.status if status.name.endswith(": stream"))
+
+    def watch(self) -> Iterator[tuple[dict[str, float], str]]:
+        """Link masses and the state of the stream, several times a second, until all is played and saved."""
+        while self._player.poll() is None:
+            self._require(self._node, "the node")
+            rclpy.spin_once(self._watcher, timeout_sec=0.1)
+            yield self._masses, self._stream
+        self._require(self._player, "the player")
+        self._save()
+        yield self._masses, self._stream
+
+    def _require(self, process: subprocess.Popen[bytes], name: str) -> None:
+        if process.poll() not in (None, 0):
+            self._log.seek(0)
+            raise GeomidError(f"{name} ended unexpectedly:\n{self._log.read().decode(errors='replace')}")
+
+    def _save(self) -> None:
+        client = self._watcher.create_client(Trigger, "geomid/save")
+        if not client.wait_for_service(timeout_sec=_START_TIMEOUT):
+            raise GeomidError("the node offers no service to save with")
+        answer = client.call_async(Trigger.Request())
+        rclpy.spin_until_future_complete(self._watcher, answer, timeout_sec=_SAVE_TIMEOUT)
+        result = answer.result()
+        if result is None or not result.success:
+            raise GeomidError(f"the node could not save: {result.message if result else 'no answer'}")
+        end = time.monotonic() + 0.5  # the estimates that the save published
+        while time.monotonic() < end:
+            rclpy.spin_once(self._watcher, timeout_sec=0.05)

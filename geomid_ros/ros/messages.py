@@ -1,0 +1,73 @@
+"""Estimates as ROS messages."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from builtin_interfaces.msg import Time
+from geometry_msgs.msg import InertiaStamped
+from scipy.spatial.transform import Rotation
+from sensor_msgs.msg import JointState
+from std_msgs.msg import ColorRGBA
+from visualization_msgs.msg import Marker, MarkerArray
+
+from geomid_ros.estimation.estimate import LinkEstimate
+from geomid_ros.geometry import pseudo_inertia
+from geomid_ros.model.robot import Robot
+from geomid_ros.model.samples import Samples
+from geomid_ros.types import FloatArray
+
+_LARGEST_MARKER = 2.0  # [m] a link that cannot be told may have any size; RViz need not show it
+
+
+def time_message(nanoseconds: int) -> Time:
+    """A stamp from nanoseconds since the epoch."""
+    return Time(sec=nanoseconds // 1_000_000_000, nanosec=nanoseconds % 1_000_000_000)
+
+
+def inertia_message(link: LinkEstimate, stamp: int) -> InertiaStamped:
+    """A link's inertia: frame_id is the link, com in its frame, inertia about the centre of mass in its axes."""
+    message = InertiaStamped()
+    message.header.frame_id = link.name
+    message.header.stamp = time_message(stamp)
+    inertia = message.inertia
+    inertia.m = link.mass
+    inertia.com.x, inertia.com.y, inertia.com.z = map(float, link.com)
+    entries = {"ixx": (0, 0), "ixy": (0, 1), "ixz": (0, 2), "iyy": (1, 1), "iyz": (1, 2), "izz": (2, 2)}
+    for name, index in entries.items():
+        setattr(inertia, name, float(link.inertia[index]))
+    return message
+
+
+def predicted_message(robot: Robot, samples: Samples, index: int, efforts: FloatArray) -> JointState:
+    """The filtered motion of one sample with the efforts that the estimate predicts; its stamp is the data's."""
+    message = JointState()
+    message.header.stamp = time_message(int(samples.stamps[index]))
+    message.name = list(robot.joint_names)
+    message.position = samples.position[index].tolist()
+    message.velocity = samples.velocity[index].tolist()
+    message.effort = efforts.tolist()
+    return message
+
+
+def marker_message(links: Sequence[LinkEstimate], stamp: int) -> MarkerArray:
+    """The links' equivalent ellipsoids in their frames, from blue (from the prior) to orange (from the data)."""
+    return MarkerArray(markers=[_marker(index, link, stamp) for index, link in enumerate(links)])
+
+
+def _marker(index: int, link: LinkEstimate, stamp: int) -> Marker:
+    semi_axes, axes = pseudo_inertia.equivalent_ellipsoid(link.parameters)
+    axes[:, 2] = np.cross(axes[:, 0], axes[:, 1])  # eigenvectors may be left-handed
+    marker = Marker(ns="identified", id=index, type=Marker.SPHERE, action=Marker.ADD, frame_locked=True)
+    marker.header.frame_id = link.name
+    marker.header.stamp = time_message(stamp)
+    pose = marker.pose
+    pose.position.x, pose.position.y, pose.position.z = map(float, link.com)
+    quaternion = Rotation.from_matrix(axes).as_quat()
+    pose.orientation.x, pose.orientation.y, pose.orientation.z, pose.orientation.w = map(float, quaternion)
+    size = np.minimum(2.0 * semi_axes, _LARGEST_MARKER)
+    marker.scale.x, marker.scale.y, marker.scale.z = map(float, size)
+    share = link.from_data
+    marker.color = ColorRGBA(r=0.2 + 0.7 * share, g=0.45, b=0.9 - 0.7 * share, a=0.5)
+    return marker

@@ -1,0 +1,192 @@
+"""The identification node: topics in, estimates out; the work is done by :class:`Worker`."""
+
+from __future__ import annotations
+
+from collections import Counter
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import InertiaStamped, WrenchStamped
+from nav_msgs.msg import Odometry
+from rclpy.clock import Clock, ClockType
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.qos_overriding_options import QoSOverridingOptions
+from rclpy.task import Future
+from sensor_msgs.msg import JointState
+from std_msgs.msg import String
+from std_srvs.srv import Trigger
+from visualization_msgs.msg import MarkerArray
+
+from geomid_ros.errors import GeomidError
+from geomid_ros.estimation.estimate import Estimate
+from geomid_ros.files.urdf import with_identified_inertias
+from geomid_ros.model.samples import Samples
+from geomid_ros.ros.diagnostics import diagnostic_array
+from geomid_ros.ros.messages import inertia_message, marker_message, predicted_message
+from geomid_ros.ros.parameters import read_parameters
+from geomid_ros.ros.worker import Status, Worker
+from geomid_ros.session import Session
+from geomid_ros.types import FloatArray
+
+# Best effort matches publishers of either kind; the depth carries a 1 kHz stream over pauses of Python.
+_SENSOR_QOS = QoSProfile(
+    depth=2000, history=HistoryPolicy.KEEP_LAST, reliability=ReliabilityPolicy.BEST_EFFORT
+)
+_NO_DESCRIPTION = "no robot description yet"
+_STOPPED = "stopped"
+
+
+def _latched(depth: int = 1) -> QoSProfile:
+    return QoSProfile(depth=depth, durability=DurabilityPolicy.TRANSIENT_LOCAL, reliability=ReliabilityPolicy.RELIABLE)
+
+
+class GeomidNode(Node):
+    """Subscribes to ``joint_states``, wrench topics, ``odom`` and ``robot_description``; publishes what it finds."""
+
+    def __init__(self) -> None:
+        super().__init__("geomid", automatically_declare_parameters_from_overrides=True)
+        self._configuration = read_parameters(self)
+        self._active: bool = self._configuration["active"]
+        self._worker: Worker | None = None
+        self._urdf = ""
+        self._problem = ""
+        self._dropped: Counter[str] = Counter()
+        sensors = self._configuration.sensors
+        self._inertias = self.create_publisher(InertiaStamped, "~/inertias", _latched(256))
+        self._predicted = self.create_publisher(JointState, "~/predicted_joint_states", 1000)
+        self._identified = self.create_publisher(String, "~/robot_description", _latched())
+        self._markers = self.create_publisher(MarkerArray, "~/markers", _latched())
+        self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
+        self.create_service(Trigger, "~/start", partial(self._set_active, active=True))
+        self.create_service(Trigger, "~/stop", partial(self._set_active, active=False))
+        self.create_service(Trigger, "~/reset", self._reset)
+        self.create_service(Trigger, "~/save", self._save)
+        if self._configuration["robot_description"]:
+            self._build(self._configuration["robot_description"], "parameter robot_description")
+        else:
+            self.create_subscription(String, "robot_description", self._on_description, _latched())
+        self._listen(JointState, "joint_states", lambda worker, message: worker.joint_state(message))
+        if self._configuration["floating_base"]:
+            self._listen(Odometry, "odom", lambda worker, message: worker.odometry(message))
+        for sensor in sensors:
+            topic = sensor.topic
+            self._listen(WrenchStamped, topic, lambda worker, message, topic=topic: worker.wrench(topic, message))
+        # On the steady clock: simulated time may stand still, and that is when one wants to hear why.
+        self.create_timer(1.0, self._publish_diagnostics, clock=Clock(clock_type=ClockType.STEADY_TIME))
+
+    def _listen(self, kind: type, topic: str, take: Any) -> None:
+        def callback(message: Any) -> None:
+            if self._worker is None:
+                self._dropped[_NO_DESCRIPTION] += 1
+            elif not self._active:
+                self._worker.dropped[_STOPPED] += 1
+            else:
+                take(self._worker, message)
+
+        self.create_subscription(
+            kind, topic, callback, _SENSOR_QOS, qos_overriding_options=QoSOverridingOptions.with_default_policies()
+        )
+
+    def _on_description(self, message: String) -> None:
+        if message.data == self._urdf:
+            return
+        if self._worker is not None:
+            self._problem = "the robot description has changed; it is used after ~/reset"
+            self._urdf = message.data
+            self.get_logger().error(self._problem)
+            return
+        try:
+            self._build(message.data, "topic robot_description")
+        except GeomidError as error:
+            self._problem = str(error)
+            self.get_logger().error(self._problem)
+
+    def _build(self, urdf: str, source: str) -> None:
+        """Begin to identify the robot of this description. Raises InputError when it does not fit the parameters."""
+        session = Session(urdf, self._configuration, source)
+        if self._worker is not None:
+            self._worker.close()
+        self._urdf, self._problem = urdf, ""
+        self._worker = Worker(session, self._configuration["solve_period"], self._publish_prediction, self._publish_estimate)
+        self.get_logger().info(
+            f"identifying {len(session.model.body_names)} links from {len(session.model.channels)} channels"
+        )
+
+    def _publish_prediction(self, session: Session, samples: Samples, parameters: FloatArray) -> None:
+        if self._predicted.get_subscription_count() == 0:
+            return
+        joints = len(session.robot.joints)
+        efforts = session.model.predict(samples, parameters)[1][:, :joints]
+        for index in range(len(samples)):
+            self._predicted.publish(predicted_message(session.robot, samples, index, efforts[index]))
+
+    def _publish_estimate(self, session: Session, estimate: Estimate) -> None:
+        stamp = self.get_clock().now().nanoseconds
+        for link in estimate.links:
+            self._inertias.publish(inertia_message(link, stamp))
+        self._identified.publish(String(data=with_identified_inertias(session.urdf, estimate.links)))
+        self._markers.publish(marker_message(estimate.links, stamp))
+
+    def _publish_diagnostics(self) -> None:
+        if self._worker is not None:
+            status = self._worker.status(self._active)
+        else:
+            status = Status(self._active, 0, 0.0, 0, {}, Counter(), Counter(), None, _NO_DESCRIPTION)
+        status.dropped.update(self._dropped)
+        if self._problem:
+            status = Status(**{**status.__dict__, "problem": self._problem})
+        array = diagnostic_array(self.get_name(), status)
+        array.header.stamp = self.get_clock().now().to_msg()
+        self._diagnostics.publish(array)
+
+    def _set_active(self, request: Trigger.Request, response: Trigger.Response, active: bool) -> Trigger.Response:
+        self._active = active
+        response.success, response.message = True, "identifying" if active else "stopped; rows and estimate are kept"
+        return response
+
+    def _reset(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        if self._worker is None:
+            response.success, response.message = False, _NO_DESCRIPTION
+            return response
+        if self._urdf != self._worker.session.urdf:
+            try:
+                self._build(self._urdf, "topic robot_description")
+            except GeomidError as error:
+                response.success, response.message = False, str(error)
+                return response
+        self._worker.reset()
+        response.success, response.message = True, "all rows forgotten"
+        return response
+
+    async def _save(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        if self._worker is None:
+            response.success, response.message = False, _NO_DESCRIPTION
+            return response
+        future: Future = Future(executor=self.executor)
+        worker = self._worker
+        worker.final_estimate(lambda result: future.set_result(self._saved(worker.session, result)))
+        response.success, response.message = await future
+        return response
+
+    def _saved(self, session: Session, result: Estimate | GeomidError) -> tuple[bool, str]:
+        if isinstance(result, GeomidError):
+            return False, str(result)
+        folder = Path(self._configuration["output_folder"] or ".").resolve()
+        try:
+            session.save(folder, result)
+        except GeomidError as error:
+            return False, str(error)
+        return True, f"written: {folder / 'estimate.json'}, {folder / 'identified.urdf'}"
+
+    def close(self) -> None:
+        """End the threads; with an output folder, the last estimate is saved there."""
+        if self._worker is None:
+            return
+        self._worker.close()
+        estimate = self._worker.estimate
+        if estimate is not None and self._configuration["output_folder"]:
+            _, message = self._saved(self._worker.session, estimate)
+            self.get_logger().info(message)
