@@ -71,6 +71,8 @@ class Session:
             floating_base=self.robot.floating_base,
             sensors=self.model.sensors,
             settings=self.configuration.signals(self.robot.joint_names),
+            continuous=[joint.name for joint in self.robot.joints if joint.continuous],
+            effect_columns=self.model.effect_columns,
         )
 
     def advance(self) -> Samples | None:

@@ -49,8 +49,8 @@ class EffectEstimate:
 class Estimate:
     """All that a solve found.
 
-    ``parameters (D,)`` of the measurement model; ``gamma`` the prior's share; ``sigmas`` and ``rms_*`` by channel in the
-    channel's unit, NaN where nothing was measured. ``rows_set_aside``: of the compressed rows, those without a
+    ``parameters (D,)`` of the measurement model; ``gamma`` the prior's share; ``sigmas`` and ``rms_*`` by channel in
+    the channel's unit, NaN where nothing was measured. ``rows_set_aside``: of the compressed rows, those without a
     projection from the prior (only (19) sets rows aside).
     """
 

@@ -40,8 +40,8 @@ class EstimatorSettings:
     """``gamma``: weight of the prior as a share of the rows' (the paper's is 0.01), or None to find it on held-out
     blocks of time. ``sigma``: standard deviations by channel name where they are known; others are estimated from the
     residuals. ``objective``: ``residual`` (Remark 3) or ``geodesic`` ((19), and then ``solver``: ``trust_region`` or
-    ``cyclic``). ``tolerance``: how far from the minimum the result may lie, as a geodesic distance; ``max_steps`` of the
-    solver."""
+    ``cyclic``). ``tolerance``: how far from the minimum the result may lie, as a geodesic distance; ``max_steps`` of
+    the solver."""
 
     gamma: float | None = None
     sigma: dict[str, float] | None = None
@@ -55,6 +55,12 @@ class EstimatorSettings:
             raise unknown_name("objective", self.objective, OBJECTIVES)
         if self.solver not in SOLVERS:
             raise unknown_name("solver", self.solver, SOLVERS)
+        numbers = {f"sigma of '{name}'": value for name, value in (self.sigma or {}).items()}
+        if self.gamma is not None:
+            numbers["gamma"] = self.gamma
+        for name, value in numbers.items():
+            if not 0.0 < value < np.inf:
+                raise InputError(f"{name} is {value:g}, expected a number greater than zero")
 
 
 @dataclass(frozen=True, eq=False)
@@ -147,8 +153,11 @@ def robust_rms(summary: RowSummary, parameters: FloatArray) -> FloatArray:
 
 
 def _configured_sigmas(model: MeasurementModel, settings: EstimatorSettings) -> FloatArray:
-    configured = settings.sigma or {}
-    return np.array([configured.get(channel.name, np.nan) for channel in model.channels])
+    configured, names = settings.sigma or {}, [channel.name for channel in model.channels]
+    for name in configured:
+        if name not in names:
+            raise unknown_name("channel with a configured standard deviation", name, names)
+    return np.array([configured.get(name, np.nan) for name in names])
 
 
 def _residual_objective(
@@ -174,7 +183,9 @@ def _geodesic_objective(objective: ResidualObjective) -> GeodesicObjective:
     return GeodesicObjective(manifold, rows, targets, np.ones(len(rows)), prior, objective.gamma)
 
 
-def _uncertainty(summary: RowSummary, sigmas: FloatArray, objective: ResidualObjective, solution: Solution) -> Uncertainty:
+def _uncertainty(
+    summary: RowSummary, sigmas: FloatArray, objective: ResidualObjective, solution: Solution
+) -> Uncertainty:
     point, manifold = solution.point, objective.manifold
     gradients = []
     for fold in range(summary.folds):

@@ -17,7 +17,6 @@ PAPER = 1e-2
 CANDIDATES = tuple(10.0 ** (-0.5 * k) for k in range(2, 13))
 _TOLERANCE = 1e-3
 _STEPS = 100
-_WORSE_IN_A_ROW = 4
 # A stronger prior is preferred to a weaker one whose held-out loss is smaller by less than this.
 _NEGLIGIBLE = 0.01
 
@@ -30,14 +29,12 @@ class GammaChoice:
     losses: dict[float, float]
 
 
-def choose_gamma(
-    manifold: ParameterManifold, summary: RowSummary, sigmas: FloatArray, prior: Point
-) -> GammaChoice:
+def choose_gamma(manifold: ParameterManifold, summary: RowSummary, sigmas: FloatArray, prior: Point) -> GammaChoice:
     """The strongest prior whose squared error on folds that were not fitted, in units of ``sigmas (channels,)``, is
     practically the least.
 
-    Each fold is judged by the fit to the others. Fits go from strong to weak priors, each from where the last one ended,
-    and stop when the loss has risen several times in a row.
+    Each fold is judged by the fit to the others. Fits go from strong to weak priors, each from where the last one
+    ended. All are tried: the loss may rise before it falls.
     """
     folds = [fold for fold in range(summary.folds) if np.any(np.isfinite(summary.rms(prior.parameters, [fold])))]
     if len(folds) < 2:
@@ -45,17 +42,13 @@ def choose_gamma(
     training = [summary.compressed(sigmas, manifold.dimension, [f for f in folds if f != fold]) for fold in folds]
     points = [prior] * len(folds)
     losses: dict[float, float] = {}
-    rises = 0
     for gamma in CANDIDATES:
         loss = 0.0
         for place, (fold, (rows, targets)) in enumerate(zip(folds, training, strict=True)):
             objective = ResidualObjective(manifold, rows, targets, np.ones(len(rows)), prior, gamma)
             points[place] = trust_region(objective, points[place], _TOLERANCE * gamma, _STEPS).point
             loss += _squared_error(summary, sigmas, points[place].parameters, fold)
-        rises = rises + 1 if losses and loss > min(losses.values()) else 0
         losses[gamma] = loss
-        if rises >= _WORSE_IN_A_ROW:
-            break
     enough = (1.0 + _NEGLIGIBLE) * min(losses.values())
     return GammaChoice(max(gamma for gamma, loss in losses.items() if loss <= enough), losses)
 

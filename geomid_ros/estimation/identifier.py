@@ -8,9 +8,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from geomid_ros.errors import InputError
 from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.estimation.estimator import EstimatorSettings, WarmStart, estimate
-from geomid_ros.estimation.summary import RowSummary
+from geomid_ros.estimation.summary import RowSummary, usable
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.samples import Samples
 from geomid_ros.types import FloatArray
@@ -31,6 +32,12 @@ class BufferSettings:
     folds: int = 4
     block: int = 100
 
+    def __post_init__(self) -> None:
+        if not 0.0 < self.forgetting <= 1.0:
+            raise InputError(f"forgetting is {self.forgetting:g}, expected a factor above 0 and up to 1")
+        if self.folds < 1 or self.block < 1:
+            raise InputError(f"{self.folds} folds of {self.block} instants, expected at least one of each")
+
 
 class Identifier:
     """Accumulates samples' rows and solves for the parameters. One thread may add while another solves.
@@ -41,15 +48,15 @@ class Identifier:
     def __init__(
         self,
         model: MeasurementModel,
-        estimator: EstimatorSettings = EstimatorSettings(),
-        buffer: BufferSettings = BufferSettings(),
+        estimator: EstimatorSettings | None = None,
+        buffer: BufferSettings | None = None,
         prior: FloatArray | None = None,
     ) -> None:
         """``prior (D,)``: start from these parameters instead of the URDF's (see :func:`estimate`)."""
         self.model = model
         self.rows_rejected: Counter[str] = Counter()
-        self._estimator = estimator
-        self._buffer = buffer
+        self._estimator = estimator or EstimatorSettings()
+        self._buffer = buffer or BufferSettings()
         self._prior = prior
         self._last_pose: FloatArray | None = None
         self._lock = threading.Lock()
@@ -71,7 +78,7 @@ class Identifier:
         rows = self.model.rows(samples)
         with self._lock:
             for index in range(len(samples)):
-                measured = np.isfinite(rows.targets[index])
+                measured = usable(rows.coefficients[index], rows.targets[index])
                 self.rows_rejected[NOT_MEASURED] += int(np.count_nonzero(~measured))
                 if self._is_still(samples, index):
                     self.rows_rejected[STANDING_STILL] += int(np.count_nonzero(measured))
@@ -81,11 +88,14 @@ class Identifier:
     def _is_still(self, samples: Samples, index: int) -> bool:
         speed = np.max(np.abs(np.append(samples.velocity[index], samples.base_velocity[index])))
         pose = np.append(samples.position[index], samples.base_pose[index])
-        if speed < self._buffer.still_speed and self._last_pose is not None:
-            if np.max(np.abs(pose - self._last_pose)) < self._buffer.still_distance:
-                return True
-        self._last_pose = pose
-        return False
+        still = (
+            self._last_pose is not None
+            and speed < self._buffer.still_speed
+            and bool(np.max(np.abs(pose - self._last_pose)) < self._buffer.still_distance)
+        )
+        if not still:
+            self._last_pose = pose
+        return still
 
     @property
     def rows(self) -> int:
@@ -93,13 +103,11 @@ class Identifier:
         with self._lock:
             return self._summary.rows
 
+    def snapshot(self) -> RowSummary:
+        """A copy of all that was added so far."""
+        with self._lock:
+            return self._summary.snapshot()
+
     def solve(self, warm: WarmStart | None = None) -> Estimate:
         """The estimate from all rows so far; without ``warm`` it depends on nothing else."""
-        with self._lock:
-            snapshot = self._summary.snapshot()
-        return estimate(self.model, snapshot, self._estimator, self._prior, warm)
-
-    def rms(self, parameters: FloatArray) -> FloatArray:
-        """RMS residual of each channel over all rows taken, at parameters ``(D,)``."""
-        with self._lock:
-            return self._summary.rms(parameters)
+        return estimate(self.model, self.snapshot(), self._estimator, self._prior, warm)

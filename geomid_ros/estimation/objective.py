@@ -124,9 +124,11 @@ class GeodesicObjective:
 class ResidualObjective:
     """Remark 3: ``sum (a_i . parameters - b_i)^2 / sigma_i^2 + gamma sum(w) d(Phi, Phi_0)^2``, weights as in (19).
 
-    Where residuals are small against the measured values it agrees with (19) to first order. It differs in two ways that
-    matter far from the prior: it has no rows to set aside, and it does not reward what makes distances short, large
-    masses above all. It depends on the rows only through their least-squares content, so that compressed rows lose nothing.
+    Near the prior, and where residuals are small against the measured values, it agrees with (19) to first order. It
+    differs in two ways that matter far from there: it has no rows to set aside, and it does not reward what makes
+    distances short, large masses above all (let everything grow alike: a row's residual grows in proportion, the
+    distance to its hyperplane does not). It depends on the rows only through their least-squares content, so that
+    compressed rows lose nothing.
     """
 
     manifold: ParameterManifold

@@ -47,8 +47,11 @@ def solve_rows(
     """
     rows, targets = np.asarray(rows, dtype=np.float64), np.asarray(targets, dtype=np.float64)
     prior = np.atleast_2d(np.asarray(prior, dtype=np.float64))
-    sigmas = np.broadcast_to(np.asarray(sigmas, dtype=np.float64), targets.shape)
+    sigmas = np.asarray(sigmas, dtype=np.float64)
     _check(rows, targets, sigmas, prior)
+    if not 0.0 < gamma < np.inf:
+        raise InputError(f"gamma is {gamma:g}, expected a number greater than zero")
+    sigmas = np.broadcast_to(sigmas, targets.shape)
     if solver not in SOLVERS:
         raise unknown_name("solver", solver, SOLVERS)
     manifold = ParameterManifold(len(prior), 0, np.zeros(0))
@@ -64,10 +67,15 @@ def solve_rows(
 
 
 def _check(rows: FloatArray, targets: FloatArray, sigmas: FloatArray, prior: FloatArray) -> None:
-    if prior.shape[1] != pseudo_inertia.SIZE or rows.shape != (len(targets), prior.size):
+    fitting = prior.ndim == 2 and prior.shape[1] == pseudo_inertia.SIZE and targets.ndim == 1
+    if not fitting or rows.shape != (len(targets), prior.size):
         raise InputError(
             f"rows {rows.shape}, targets {targets.shape} and prior {prior.shape} do not fit: "
             "expected (N, 10 links), (N,) and (links, 10)"
+        )
+    if sigmas.shape not in ((), targets.shape):
+        raise InputError(
+            f"standard deviations {sigmas.shape} do not fit targets {targets.shape}: expected one each, or one"
         )
     for name, array in (("rows", rows), ("targets", targets), ("sigmas", sigmas), ("prior", prior)):
         if not np.all(np.isfinite(array)):

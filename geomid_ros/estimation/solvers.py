@@ -84,9 +84,7 @@ def _subproblem(eigenvalues: FloatArray, basis: FloatArray, gradient: FloatArray
     return step
 
 
-def cyclic(
-    objective: Objective, start: Point, tolerance: float = 1e-8, max_steps: int = 20000
-) -> Solution:
+def cyclic(objective: Objective, start: Point, tolerance: float = 1e-8, max_steps: int = 20000) -> Solution:
     """The paper's alternation: project on every hyperplane, then move to the Karcher mean of the projections.
 
     All projections of a cycle share the base point, so their mean's first Karcher step needs no further decomposition:

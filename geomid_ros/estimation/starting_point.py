@@ -5,12 +5,18 @@ from __future__ import annotations
 import numpy as np
 from scipy.optimize import nnls
 
+from geomid_ros.errors import InputError
 from geomid_ros.estimation.summary import RowSummary
+from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.types import FloatArray, IntArray
 
 # A positive coefficient without evidence starts where its effect is this share of the channel's size.
 _LEAST_SHARE = 1e-2
+# In rad/s, rad/s^2 (m/s, m/s^2): what a joint at rest seems to move, which must not pass for evidence, and the least
+# motion for which a coefficient is made large enough to show.
+_NOISE_MOTION = 1e-2
+_LEAST_MOTION = 0.1
 _LEAST_SIGMA_SHARE = 1e-6
 _RIDGE = 1e-8
 
@@ -57,6 +63,7 @@ def prior_parameters(model: MeasurementModel, summary: RowSummary, known: FloatA
     parameters = np.concatenate([model.nominal_inertias, np.zeros(len(model.coefficients))])
     first = len(model.nominal_inertias)
     if known is not None:
+        _check_possible(known, model)
         inertial = known[:first]
         parameters[:first] = np.where(np.isfinite(inertial), inertial, parameters[:first])
     sizes = channel_sizes(summary, model.dimension)
@@ -70,6 +77,20 @@ def prior_parameters(model: MeasurementModel, summary: RowSummary, known: FloatA
     if known is not None:
         parameters = np.where(np.isfinite(known), known, parameters)
     return parameters
+
+
+def _check_possible(known: FloatArray, model: MeasurementModel) -> None:
+    """Raise InputError unless a prior ``(D,)``, in which NaN is allowed, is a point of the model's manifold."""
+    if known.shape != (model.dimension,):
+        raise InputError(f"the prior has the shape {known.shape}, the model has {model.dimension} parameters")
+    first = len(model.nominal_inertias)
+    for name, body in zip(model.body_names, known[:first].reshape(-1, 10), strict=True):
+        if np.all(np.isfinite(body)) and np.linalg.eigvalsh(pseudo_inertia.from_parameters(body))[0] <= 0.0:
+            raise InputError(f"the prior of link '{name}' belongs to no body that can exist")
+    for coefficient, value in zip(model.coefficients, known[first:], strict=True):
+        if coefficient.effect.positive and value <= 0.0:
+            what = f"{coefficient.effect.name} of joint '{coefficient.joint_name}'"
+            raise InputError(f"the prior's {what} is {value:g}, expected a number greater than zero")
 
 
 def _fitted_effects(
@@ -87,8 +108,11 @@ def _fitted_effects(
     inertial = columns < chosen[0]
     remainder = factor[:, -1] - factor[:, :-1][:, inertial] @ parameters[columns[inertial]]
     regressor = factor[:, :-1][:, ~inertial]
-    halves, _ = nnls(np.hstack([regressor, -regressor[:, ~positive]]), remainder)
+    split = np.hstack([regressor, -regressor[:, ~positive]])
+    damping = _NOISE_MOTION * np.sqrt(count) * np.eye(split.shape[1])
+    halves, _ = nnls(np.concatenate([split, damping]), np.append(remainder, np.zeros(len(damping))))
     fitted = halves[: len(chosen)]
     fitted[~positive] -= halves[len(chosen) :]
-    column_sizes = np.maximum(np.linalg.norm(regressor, axis=0) / np.sqrt(count), 1e-9)
-    return np.where(positive, np.maximum(fitted, _LEAST_SHARE * size / column_sizes), fitted)
+    column_sizes = np.maximum(np.linalg.norm(regressor, axis=0) / np.sqrt(count), _LEAST_MOTION)
+    result: FloatArray = np.where(positive, np.maximum(fitted, _LEAST_SHARE * size / column_sizes), fitted)
+    return result

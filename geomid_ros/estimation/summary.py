@@ -10,27 +10,35 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import cast
 
 import numpy as np
 
 from geomid_ros.model.measurement import Channel
-from geomid_ros.types import FloatArray
+from geomid_ros.types import BoolArray, FloatArray
 
 
 @dataclass
 class ChannelSummary:
-    """The rows of one channel: the factor ``(<= columns + 1, columns + 1)`` of ``[A b]``, and how many they were."""
+    """Rows of one channel: the factor ``(<= columns + 1, columns + 1)`` of ``[A b]``, and the sum of their weights.
+
+    ``taken``: how many rows of the channel had been added, to any fold, when the weights were last brought up to date.
+    """
 
     factor: FloatArray
     count: float = 0.0
+    taken: int = 0
 
-    def add(self, rows: FloatArray, targets: FloatArray, forgetting: float) -> None:
-        """Add rows ``(N, columns)``; all earlier ones count ``forgetting**N`` as much."""
-        fade = forgetting ** len(targets)
-        augmented = np.column_stack([rows, targets])
-        stacked = np.concatenate([np.sqrt(fade) * self.factor, augmented])
-        self.factor = np.linalg.qr(stacked, mode="r")
-        self.count = fade * self.count + len(targets)
+    def fade(self, share: float) -> None:
+        """Multiply the weights of all rows by ``share``."""
+        self.factor = np.sqrt(share) * self.factor
+        self.count *= share
+
+    def add(self, rows: FloatArray, targets: FloatArray, weights: FloatArray) -> None:
+        """Add rows ``(N, columns)`` with ``weights (N,)``."""
+        augmented = np.sqrt(weights)[:, None] * np.column_stack([rows, targets])
+        self.factor = triangular(np.concatenate([self.factor, augmented]))
+        self.count += float(np.sum(weights))
 
     def squared_error(self, parameters: FloatArray) -> float:
         """``|A x - b|^2`` at parameters ``(columns,)``."""
@@ -49,25 +57,36 @@ class RowSummary:
         self._block = block
         self._forgetting = forgetting
         self._instants = 0
-        self._summaries = [[ChannelSummary(np.zeros((0, len(c.columns) + 1))) for c in self.channels] for _ in range(folds)]
-        self._waiting: list[list[list[tuple[FloatArray, float]]]] = [[[] for _ in self.channels] for _ in range(folds)]
+        self._taken = [0] * len(self.channels)
+        self._summaries = [
+            [ChannelSummary(np.zeros((0, len(c.columns) + 1))) for c in self.channels] for _ in range(folds)
+        ]
+        # Rows, their targets, and their place among all rows of the channel.
+        self._waiting: list[list[list[tuple[FloatArray, float, int]]]] = [
+            [[] for _ in self.channels] for _ in range(folds)
+        ]
 
     def add(self, coefficients: FloatArray, targets: FloatArray) -> None:
-        """Add one instant's rows: ``coefficients (channels, D)``, ``targets (channels,)``, NaN where not measured."""
+        """Add one instant's rows: ``coefficients (channels, D)``, ``targets (channels,)``, those that are usable."""
         fold = self._instants // self._block % self.folds
         self._instants += 1
-        for index in np.flatnonzero(np.isfinite(targets)):
+        for index in np.flatnonzero(usable(coefficients, targets)):
+            self._taken[index] += 1
             waiting = self._waiting[fold][index]
-            waiting.append((coefficients[index, self.channels[index].columns], float(targets[index])))
+            row = coefficients[index, self.channels[index].columns]
+            waiting.append((row, float(targets[index]), self._taken[index]))
             if len(waiting) >= self._CHUNK:
                 self._absorb(fold, int(index))
 
     def _absorb(self, fold: int, index: int) -> None:
-        waiting = self._waiting[fold][index]
+        part, waiting, taken = self._summaries[fold][index], self._waiting[fold][index], self._taken[index]
+        if self._forgetting < 1.0:
+            part.fade(self._forgetting ** (taken - part.taken))
         if waiting:
-            rows, targets = zip(*waiting, strict=True)
-            self._summaries[fold][index].add(np.array(rows), np.array(targets), self._forgetting)
+            rows, targets, places = zip(*waiting, strict=True)
+            part.add(np.array(rows), np.array(targets), self._forgetting ** (taken - np.array(places)))
             waiting.clear()
+        part.taken = taken
 
     def parts(self, folds: Sequence[int] | None = None) -> list[list[ChannelSummary]]:
         """Per channel the summaries of the chosen folds (all unless given), everything added so far included."""
@@ -81,6 +100,7 @@ class RowSummary:
         """A copy that later additions do not change."""
         copy = RowSummary(self.channels, self.folds, self._block, self._forgetting)
         copy._instants = self._instants
+        copy._taken = list(self._taken)
         copy._summaries = [[replace(part) for part in fold] for fold in self._parts_by_fold()]
         return copy
 
@@ -89,9 +109,8 @@ class RowSummary:
 
     @property
     def rows(self) -> int:
-        """Number of rows added (faded ones counted by their weight)."""
-        waiting = sum(len(channel) for fold in self._waiting for channel in fold)
-        return round(sum(s.count for fold in self._summaries for s in fold)) + waiting
+        """Number of rows added, forgotten ones included."""
+        return sum(self._taken)
 
     def rms(self, parameters: FloatArray, folds: Sequence[int] | None = None) -> FloatArray:
         """Root mean square of each channel's residual at parameters ``(D,)``, ``(channels,)``; NaN without rows."""
@@ -119,5 +138,16 @@ class RowSummary:
                     widened[:, channel.columns] = part.factor[:, :-1] / sigma
                     widened[:, -1] = part.factor[:, -1] / sigma
                     stacked.append(widened)
-        factor = np.linalg.qr(np.concatenate(stacked), mode="r")[:dimension]
+        factor = triangular(np.concatenate(stacked))[:dimension]
         return factor[:, :-1], factor[:, -1]
+
+
+def usable(coefficients: FloatArray, targets: FloatArray) -> BoolArray:
+    """Which rows ``(N, D)`` have a target ``(N,)`` and coefficients that are numbers: a single NaN would spoil all."""
+    result: BoolArray = np.isfinite(targets) & np.all(np.isfinite(coefficients), axis=1)
+    return result
+
+
+def triangular(matrix: FloatArray) -> FloatArray:
+    """The factor R of a QR decomposition: ``|R x| = |matrix x|`` for every x."""
+    return cast(FloatArray, np.linalg.qr(matrix, mode="r"))

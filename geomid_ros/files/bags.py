@@ -5,10 +5,9 @@ from __future__ import annotations
 from collections.abc import Collection, Iterator
 from pathlib import Path
 from types import TracebackType
-from typing import Any
+from typing import Any, Self
 
-from rosbags.rosbag2 import Reader, ReaderError
-from rosbags.serde import SerdeError
+from rosbags.rosbag2 import Reader
 from rosbags.typesys import Stores, get_typestore
 
 from geomid_ros.errors import InputError
@@ -29,14 +28,16 @@ class Bag:
         if path.is_dir() and not (path / "metadata.yaml").is_file():
             inside = sorted(p.name for p in path.iterdir() if p.suffix in (".mcap", ".db3"))
             hint = f"name the file itself ({path / inside[0]}) or" if inside else "record it again, or"
-            raise InputError(f"{path}: a folder without metadata.yaml is no rosbag; {hint} run 'ros2 bag reindex' on it")
+            raise InputError(
+                f"{path}: a folder without metadata.yaml is no rosbag; {hint} run 'ros2 bag reindex' on it"
+            )
         try:
             self._reader = Reader(path)
             self._reader.open()
-        except (ReaderError, OSError, ValueError, KeyError, TypeError, AssertionError) as error:
+        except Exception as error:  # noqa: BLE001 damaged files make the reader's libraries raise errors of any kind
             raise InputError(f"{path}: cannot be read as a rosbag2 recording ({_first_line(error)})") from error
 
-    def __enter__(self) -> Bag:
+    def __enter__(self) -> Self:
         return self
 
     def __exit__(
@@ -53,11 +54,6 @@ class Bag:
     def start(self) -> int:
         """When the first message was recorded [ns]."""
         return self._reader.start_time
-
-    @property
-    def end(self) -> int:
-        """When the last message was recorded [ns]."""
-        return self._reader.end_time - 1
 
     def find_topic(self, name: str, message_type: str, option: str) -> str:
         """The topic called ``name``, with or without a leading slash, checked to carry ``message_type``.
@@ -83,7 +79,7 @@ class Bag:
         for topic, time, raw, kind in self._raw_messages(topics):
             try:
                 yield topic, time, _typestore.deserialize_cdr(raw, kind)
-            except (SerdeError, KeyError, ValueError, IndexError, AssertionError) as error:
+            except Exception as error:  # noqa: BLE001 as above
                 raise InputError(
                     f"{self.path}: message on {topic} at {time} ns is not a valid {kind} ({_first_line(error)})"
                 ) from error
@@ -102,10 +98,10 @@ class Bag:
             for connection, time, raw in self._reader.messages(connections):
                 read += 1
                 yield connection.topic, time, bytes(raw), connection.msgtype
-        except (ReaderError, OSError, ValueError, EOFError, AssertionError) as error:
+        except Exception as error:  # noqa: BLE001 as above
             raise InputError(
                 f"{self.path}: damaged or cut off after {read} messages ({_first_line(error)}); "
-                "nothing was written. 'ros2 bag reindex' or 'mcap recover' may save the rest"
+                "'ros2 bag reindex' or 'mcap recover' may save the rest"
             ) from error
 
 

@@ -1,31 +1,33 @@
-"""The one table of parameters, which the node declares, the command line reads from the same YAML file, and README prints."""
+"""The one table of parameters: the node declares it, the command line reads the same YAML file, README prints it."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any, TypeAlias, TypeVar
 
 import numpy as np
-import yaml
 
 from geomid_ros.errors import InputError, unknown_name
 from geomid_ros.estimation.estimator import EstimatorSettings
 from geomid_ros.estimation.identifier import BufferSettings
+from geomid_ros.files.parameter_file import read_parameter_file
 from geomid_ros.model.effects import EFFECTS, Effect, effect
 from geomid_ros.model.sensors import AXES, WrenchSensor
 from geomid_ros.signals.pipeline import SignalSettings
 from geomid_ros.types import FloatArray
 
 Value: TypeAlias = bool | int | float | str | list[str] | list[float]
+T = TypeVar("T")
 
 
 @dataclass(frozen=True)
 class Parameter:
     """A parameter: name, default (its type is the parameter's), description, and for numbers the closed range.
 
-    In names ``*`` stands for a joint, a channel or a wrench sensor's name; such parameters exist as often as they are set.
+    In names ``*`` stands for the name of a joint, a channel or a wrench sensor; such parameters exist as often as they
+    are set.
     """
 
     name: str
@@ -37,6 +39,9 @@ class Parameter:
 
 # ROS cannot tell the type of an empty list: one empty string stands for it.
 _NONE = [""]
+# Parameters that every node has, by the beginning of their names: not ours to check.
+_OF_ROS = ("use_sim_time", "qos_overrides.", "start_type_description_service")
+_KINDS = {bool: "true or false", float: "a number", str: "a text"}
 
 PARAMETERS = (
     Parameter("robot_description", "", "URDF text; empty: taken from the topic robot_description"),
@@ -49,13 +54,13 @@ PARAMETERS = (
     Parameter("wrenches", _NONE, "names of wrench sensors; each is described under wrench.NAME"),
     Parameter("wrench.*.topic", "", "topic of the sensor's geometry_msgs/WrenchStamped; empty: the sensor's name"),
     Parameter("wrench.*.frame", "", "frame the wrench is given in: a link, or for a force plate the world (odom)"),
-    Parameter("wrench.*.role", "mounted", "mounted (inside the chain, feels all that is distal) or external (a known load)"),
+    Parameter("wrench.*.role", "mounted", "mounted (in the chain, feels all that is distal) or external (a known load)"),
     Parameter("wrench.*.axes", list(AXES), "axes that are measured"),
     Parameter("wrench.*.sign", 1.0, "-1 if the sensor reports the reaction", -1.0, 1.0),
-    Parameter("effort_gain", 1.0, "factor from the messages' efforts to N m (or N); negative reverses the sign", -1e6, 1e6),
+    Parameter("effort_gain", 1.0, "factor from messages' efforts to N m (or N); negative reverses the sign", -1e6, 1e6),
     Parameter("joint.*.effort_gain", 1.0, "the same for one joint", -1e6, 1e6),
     Parameter("filter.cutoff", 5.0, "cutoff of the zero-phase low-pass on all signals [Hz]", 0.05, 500.0),
-    Parameter("filter.period", 0.0, "period of the common time grid [s]; 0: that of the first joint messages", 0.0, 1.0),
+    Parameter("filter.period", 0.0, "period of the time grid [s]; 0: that of the first joint messages", 0.0, 1.0),
     Parameter("filter.max_gap", 0.5, "a longer pause of a topic starts a new segment [s]", 0.001, 60.0),
     Parameter("gamma", 0.0, "weight of the prior as a share of the rows'; 0: found on held-out blocks of time", 0.0, 1e6),
     Parameter("objective", "residual", "what is minimised: residual (Remark 3 of the paper) or geodesic (its (19))"),

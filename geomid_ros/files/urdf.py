@@ -13,19 +13,19 @@ from geomid_ros.estimation.estimate import LinkEstimate
 
 
 def read_urdf(path: Path) -> str:
-    """The text of a URDF file."""
+    """The text of a URDF file, with the line ends it has."""
     try:
-        return path.read_text(encoding="utf-8")
+        return path.read_bytes().decode("utf-8")
     except (OSError, UnicodeDecodeError) as error:
         raise InputError(f"{path}: the robot description cannot be read ({error})") from error
 
 
 @dataclass
 class _LinkSpan:
-    """Where, in the bytes of a URDF, a link and its inertial stand: offsets of the first byte and behind the last."""
+    """Where, in the bytes of a URDF, a link's first tag and its inertial stand: offsets of the first byte and behind
+    the last."""
 
-    start: int
-    end: int = 0
+    tag: tuple[int, int]
     inertial: tuple[int, int] | None = None
 
 
@@ -40,7 +40,7 @@ def with_identified_inertias(urdf: str, links: Sequence[LinkEstimate]) -> str:
     edits: list[tuple[int, int, bytes]] = []
     for link in links:
         edits.append(_insertion(data, spans[link.name], _inertial(link)))
-        edits += [(*spans[name].inertial, b"") for name in link.merged if spans[name].inertial]  # type: ignore[misc]
+        edits += [(*inertial, b"") for name in link.merged if (inertial := spans[name].inertial)]
     for start, end, text in sorted(edits, reverse=True):
         data = data[:start] + text + data[end:]
     return data.decode()
@@ -50,11 +50,10 @@ def _insertion(data: bytes, span: _LinkSpan, inertial: bytes) -> tuple[int, int,
     """The edit (start, end, text) that gives a link this inertial."""
     if span.inertial:
         return (*span.inertial, inertial)
-    tag_end = data.index(b">", span.start) + 1
-    if data[tag_end - 2 : tag_end] == b"/>":
-        opened = data[span.start : tag_end - 2].rstrip() + b">"
-        return span.start, tag_end, opened + b"\n    " + inertial + b"\n  </link>"
-    return tag_end, tag_end, b"\n    " + inertial
+    start, end = span.tag
+    if data[:end].endswith(b"/>"):
+        return start, end, data[start : end - 2].rstrip() + b">\n    " + inertial + b"\n  </link>"
+    return end, end, b"\n    " + inertial
 
 
 def _inertial(link: LinkEstimate) -> bytes:
@@ -73,19 +72,19 @@ def _link_spans(data: bytes) -> Mapping[str, _LinkSpan]:
     path: list[str] = []
     current: list[_LinkSpan] = []
     inertial_start = 0
-    parser = expat.ParserCreate()
+    parser = expat.ParserCreate("utf-8")  # whatever the XML declaration says: the text was decoded before
 
     def start(tag: str, attributes: dict[str, str]) -> None:
         nonlocal inertial_start
         path.append(tag)
         if path == ["robot", "link"]:
-            current[:] = [_LinkSpan(parser.CurrentByteIndex)]
+            current[:] = [_LinkSpan((parser.CurrentByteIndex, _end_of_tag(data, parser.CurrentByteIndex)))]
             spans[attributes["name"]] = current[0]
         elif path == ["robot", "link", "inertial"]:
             inertial_start = parser.CurrentByteIndex
 
-    def end(tag: str) -> None:
-        if path == ["robot", "link", "inertial"]:
+    def end(_tag: str) -> None:
+        if path == ["robot", "link", "inertial"] and current[0].inertial is None:
             current[0].inertial = (inertial_start, _end_of_tag(data, parser.CurrentByteIndex))
         path.pop()
 
@@ -95,11 +94,12 @@ def _link_spans(data: bytes) -> Mapping[str, _LinkSpan]:
     return spans
 
 
-_TAG = re.compile(rb"<[^>]*>")
+_QUOTED = re.compile(rb"""[^>"']+|"[^"]*"|'[^']*'""")
 
 
 def _end_of_tag(data: bytes, start: int) -> int:
-    """Behind the tag that begins at ``start`` (an end tag, or the whole of an empty element)."""
-    match = _TAG.match(data, start)
-    assert match is not None
-    return match.end()
+    """Behind the tag that begins at ``start``; in quotes, a ``>`` ends nothing."""
+    end = start
+    while part := _QUOTED.match(data, end):
+        end = part.end()
+    return end + 1

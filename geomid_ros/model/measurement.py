@@ -62,7 +62,8 @@ class MeasurementModel:
         self.robot = robot
         self.sensors = tuple(sensors)
         self.identified = self._identified_bodies(links)
-        self.coefficients = self._coefficients(effects)
+        self.effects = tuple(effects)
+        self.coefficients = self._coefficients()
         self._check_sensors()
         self.channels = (*self._joint_channels(), *self._wrench_channels())
         if not self.channels:
@@ -79,10 +80,10 @@ class MeasurementModel:
                 raise unknown_name("link", link, names)
         return tuple(index for index, name in enumerate(names) if links is None or name in links)
 
-    def _coefficients(self, effects: Sequence[Effect]) -> tuple[Coefficient, ...]:
+    def _coefficients(self) -> tuple[Coefficient, ...]:
         if not self._efforts_usable:
             return ()
-        ordered = sorted(effects, key=lambda effect: not effect.positive)
+        ordered = sorted(self.effects, key=lambda effect: not effect.positive)
         return tuple(
             Coefficient(effect, index, joint.name, effect.units[joint.unit == "N"])
             for effect in ordered
@@ -248,11 +249,22 @@ class MeasurementModel:
             targets -= bodies[:, :, index] @ self.robot.bodies[index].parameters
         coefficients = np.concatenate([inertial, np.zeros((count, len(self.channels), len(self.coefficients)))], axis=2)
         first = inertial.shape[2]
+        columns = samples.effects
+        if columns.shape[2] != len(self.effects):
+            columns = self.effect_columns(samples.position, samples.velocity, samples.acceleration)
         for place, coefficient in enumerate(self.coefficients):
-            joint = coefficient.joint
-            motion = JointMotion(samples.position[:, joint], samples.velocity[:, joint], samples.acceleration[:, joint])
-            coefficients[:, joint, first + place] = coefficient.effect.column(motion)
+            column = columns[:, coefficient.joint, self.effects.index(coefficient.effect)]
+            coefficients[:, coefficient.joint, first + place] = column
         return Rows(coefficients, targets)
+
+    def effect_columns(self, position: FloatArray, velocity: FloatArray, acceleration: FloatArray) -> FloatArray:
+        """Effort per unit of each effect's coefficient ``(N, joints, effects)`` for a motion, each ``(N, joints)``."""
+        columns = np.zeros((*position.shape, len(self.effects)))
+        for joint in range(position.shape[1]):
+            motion = JointMotion(position[:, joint], velocity[:, joint], acceleration[:, joint])
+            for index, effect in enumerate(self.effects):
+                columns[:, joint, index] = effect.column(motion)
+        return columns
 
     def predict(self, samples: Samples, parameters: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Measured and predicted values of every channel, each ``(N, channels)``, at parameters ``(D,)``."""

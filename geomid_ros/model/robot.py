@@ -15,6 +15,7 @@ from geomid_ros.model.samples import Samples
 from geomid_ros.types import FloatArray, frozen
 
 GRAVITY = np.array([0.0, 0.0, -9.81])
+_ROOT_JOINT = "floating base of geomid_ros"  # must not be the name of a joint of the URDF
 
 
 @dataclass(frozen=True, eq=False)
@@ -188,7 +189,8 @@ class Robot:
         links = [frame]
         for link in links:
             links += [joint.child for joint in self.tree.children(link)]
-        return [index for index, body in enumerate(self.bodies) if body.name in links]
+        carried = set(links)
+        return [index for index, body in enumerate(self.bodies) if body.name in carried]
 
     def configuration(self, samples: Samples) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Pinocchio's q ``(N, nq)``, v and a ``(N, nv)`` of samples."""
@@ -270,7 +272,7 @@ class Robot:
 def _build(urdf: str, floating_base: bool, source: str) -> pin.Model:
     try:
         if floating_base:
-            return pin.buildModelFromXML(urdf, pin.JointModelFreeFlyer())
+            return pin.buildModelFromXML(urdf, pin.JointModelFreeFlyer(), _ROOT_JOINT)
         return pin.buildModelFromXML(urdf)
     except (ValueError, RuntimeError) as error:
         raise InputError(f"{source}: pinocchio cannot build a robot from this URDF ({error})") from error

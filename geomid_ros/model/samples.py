@@ -17,6 +17,9 @@ class Samples:
     effort is not measured; ``base_pose (N, 7)`` position and quaternion xyzw of the base in the world,
     ``base_velocity, base_acceleration (N, 6)`` its spatial velocity and that velocity's derivative in the base frame
     (linear, angular), all with 0 columns for a fixed base; ``wrenches (N, sensors, 6)`` force and torque.
+    ``effects (N, joints, effects)`` are the effects' columns (:meth:`MeasurementModel.effect_columns`), computed before
+    the filter and filtered as the efforts were; with 0 effects they are computed from the motion given here, which is
+    right when that is exact.
     """
 
     stamps: IntArray
@@ -28,8 +31,11 @@ class Samples:
     base_velocity: FloatArray
     base_acceleration: FloatArray
     wrenches: FloatArray
+    effects: FloatArray = None  # type: ignore[assignment]  # replaced by an array without columns
 
     def __post_init__(self) -> None:
+        if self.effects is None:
+            object.__setattr__(self, "effects", np.zeros((*self.position.shape, 0)))
         for field in fields(self):
             array = np.asarray(getattr(self, field.name))
             array.setflags(write=False)

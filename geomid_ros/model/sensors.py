@@ -35,8 +35,11 @@ class WrenchSensor:
         for axis in self.axes:
             if axis not in AXES:
                 raise unknown_name("wrench axis", axis, AXES)
-        if not self.axes or self.sign not in (1.0, -1.0):
-            raise InputError(f"wrench '{self.topic}': at least one axis and a sign of 1 or -1 are needed")
+        if not self.axes or len(set(self.axes)) < len(self.axes) or self.sign not in (1.0, -1.0):
+            raise InputError(
+                f"wrench '{self.topic}': at least one axis, each once, and a sign of 1 or -1 are needed, "
+                f"not {', '.join(self.axes) or 'none'} and {self.sign:g}"
+            )
 
     @property
     def axis_indices(self) -> list[int]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from functools import cached_property
 from xml.etree.ElementTree import Element
 
 import numpy as np
@@ -18,8 +19,9 @@ from geomid_ros.types import FloatArray
 _MAX_BYTES = 5_000_000
 _MAX_NESTING = 64
 _MAX_LINKS = 1000
-_MOVING_TYPES = ("revolute", "continuous", "prismatic", "planar", "floating")
-_JOINT_TYPES = ("fixed", *_MOVING_TYPES)
+_MAX_NUMBER = 1e50  # products of three still fit
+_MAX_AXES = 128  # pinocchio's memory grows with their cube
+_AXES = {"fixed": 0, "revolute": 1, "continuous": 1, "prismatic": 1, "planar": 3, "floating": 6}
 
 
 @dataclass(frozen=True)
@@ -44,7 +46,14 @@ class UrdfTree:
 
     def children(self, link: str) -> list[UrdfJoint]:
         """The joints that leave ``link``."""
-        return [joint for joint in self.joints if joint.parent == link]
+        return self._children.get(link, [])
+
+    @cached_property
+    def _children(self) -> dict[str, list[UrdfJoint]]:
+        children: dict[str, list[UrdfJoint]] = {}
+        for joint in self.joints:
+            children.setdefault(joint.parent, []).append(joint)
+        return children
 
 
 def parse(text: str, source: str) -> UrdfTree:
@@ -54,6 +63,9 @@ def parse(text: str, source: str) -> UrdfTree:
     joints = tuple(_joint(element, source) for element in robot.findall("joint"))
     if len(links) > _MAX_LINKS:
         raise InputError(f"{source}: {len(links)} links are more than the {_MAX_LINKS} that a robot may have")
+    axes = sum(_AXES[joint.type] for joint in joints)
+    if axes > _MAX_AXES:
+        raise InputError(f"{source}: joints of {axes} axes are more than the {_MAX_AXES} that a robot may have")
     _refuse_duplicates(links, "link", source)
     _refuse_duplicates([joint.name for joint in joints], "joint", source)
     inertials = {link.get("name", ""): _inertial(link, source) for link in robot.findall("link")}
@@ -114,11 +126,11 @@ def _joint(element: Element, source: str) -> UrdfJoint:
     if parent is None or child is None:
         raise InputError(f"{where} lacks a parent or a child link")
     kind = element.get("type", "")
-    if kind not in _JOINT_TYPES:
-        raise InputError(f"{where} is of the unknown type '{kind}'. Valid: {', '.join(_JOINT_TYPES)}")
+    if kind not in _AXES:
+        raise InputError(f"{where} is of the unknown type '{kind}'. Valid: {', '.join(_AXES)}")
     _numbers(element, "origin", ("xyz",), [0.0, 0.0, 0.0], where)
     _numbers(element, "origin", ("rpy",), [0.0, 0.0, 0.0], where)
-    if kind in _MOVING_TYPES and not any(_numbers(element, "axis", ("xyz",), [1.0, 0.0, 0.0], where)):
+    if kind != "fixed" and not any(_numbers(element, "axis", ("xyz",), [1.0, 0.0, 0.0], where)):
         raise InputError(f"{where}: its <axis> has no direction")
     if kind in ("revolute", "prismatic"):
         _numbers(element, "limit", ("effort", "velocity"), None, where)
@@ -162,7 +174,7 @@ def _numbers(parent: Element, tag: str, keys: tuple[str, ...], default: list[flo
         numbers = [float(part) for text in texts for part in (text or "").split()]
     except ValueError:
         numbers = []
-    if len(numbers) != expected or not np.all(np.isfinite(numbers)):
+    if len(numbers) != expected or not np.all(np.abs(numbers) < _MAX_NUMBER):
         found = "is absent" if element is None else "has " + ", ".join(f'{key}="{element.get(key)}"' for key in keys)
         raise InputError(f"{where}: its <{tag}> {found}; expected {expected} finite numbers as {', '.join(keys)}")
     return numbers

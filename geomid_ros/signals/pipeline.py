@@ -15,7 +15,7 @@ import numpy as np
 from geomid_ros.errors import InputError, unknown_name
 from geomid_ros.model.samples import Samples
 from geomid_ros.model.sensors import WrenchSensor
-from geomid_ros.signals.streams import Grid, PoseStream, Stream, VectorStream
+from geomid_ros.signals.streams import EffectColumns, Grid, JointStream, PoseStream, Stream, VectorStream
 from geomid_ros.types import BoolArray, FloatArray
 
 JOINT_STATES = "joint_states"
@@ -67,6 +67,11 @@ class _RejectedError(Exception):
     """A message that cannot be used; its text is the reason that is counted."""
 
 
+def no_effects(position: FloatArray, velocity: FloatArray, acceleration: FloatArray) -> FloatArray:
+    """Columns of no effects."""
+    return np.zeros((*position.shape, 0))
+
+
 class SignalPipeline:
     """Feeds: :meth:`push_joints`, :meth:`push_base_pose`, :meth:`push_wrench`; result: :meth:`collect`."""
 
@@ -78,8 +83,11 @@ class SignalPipeline:
         sensors: Sequence[WrenchSensor] = (),
         settings: SignalSettings = SignalSettings(),
         continuous: Sequence[str] = (),
+        effect_columns: EffectColumns = no_effects,
     ) -> None:
-        """``continuous`` names the joints without end: their positions may jump by whole turns between messages, and
+        """``effect_columns`` computes the columns that samples carry (:meth:`MeasurementModel.effect_columns`).
+
+        ``continuous`` names the joints without end: their positions may jump by whole turns between messages, and
         are given from -pi to pi in samples."""
         self._joints = tuple(joints)
         self._sensors = {sensor.topic: sensor for sensor in sensors}
@@ -89,6 +97,7 @@ class SignalPipeline:
         self._floating_base = floating_base
         self._settings = settings
         self._max_gap = round(settings.max_gap * 1e9)
+        self._effect_columns = effect_columns
         self._gains = self._effort_gains()
         self._continuous = np.array([joint in continuous for joint in self._joints], dtype=bool)
         self._position = np.zeros(len(self._joints))
@@ -118,7 +127,7 @@ class SignalPipeline:
     @property
     def lag(self) -> float:
         """Seconds by which samples trail the newest message; 0 until the rate is known."""
-        return self._grid.half * self._grid.period * 1e-9 if self._grid is not None else 0.0
+        return self._grid.lag * self._grid.period * 1e-9 if self._grid is not None else 0.0
 
     def push_joints(
         self,
@@ -250,7 +259,9 @@ class SignalPipeline:
         self._waiting.clear()
 
     def _open_streams(self, grid: Grid) -> None:
-        self._streams = {topic: VectorStream(grid, self._max_gap) for topic in (JOINT_STATES, *self._sensors)}
+        self._joint_stream = JointStream(grid, self._max_gap, len(self._joints), self._effect_columns)
+        self._streams = {JOINT_STATES: self._joint_stream}
+        self._streams |= {topic: VectorStream(grid, self._max_gap) for topic in self._sensors}
         if self._floating_base:
             self._streams[ODOM] = PoseStream(grid, self._max_gap)
 
@@ -303,6 +314,7 @@ class SignalPipeline:
             base_velocity,
             base_acceleration,
             wrenches,
+            self._joint_stream.effects(instants),
         )
 
 

@@ -7,12 +7,23 @@ to listen: a node that joins late and a reader of the whole bag make the same sa
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Callable
+from typing import TypeAlias
 
 import numpy as np
 
 from geomid_ros.model import se3
 from geomid_ros.signals.kernels import cubic_weights, derivative_kernels
 from geomid_ros.types import FloatArray
+
+# Position, velocity and acceleration, each (N, joints), to effects' columns (N, joints, effects).
+EffectColumns: TypeAlias = Callable[[FloatArray, FloatArray, FloatArray], FloatArray]
+
+
+# How much higher than the filter's is the cutoff of the motion that effects are computed on; and the highest that a
+# grid allows, as a share of its rate.
+_SHARPER = 4.0
+_SHARPEST = 0.4
 
 
 class Grid:
@@ -22,6 +33,8 @@ class Grid:
         self.period = period
         self.kernels = derivative_kernels(cutoff, period * 1e-9)
         self.half = self.kernels.shape[1] // 2
+        self.sharp_kernels = derivative_kernels(min(_SHARPER * cutoff, _SHARPEST / (period * 1e-9)), period * 1e-9)
+        self.lag = self.half + self.sharp_kernels.shape[1] // 2
         self.stride = max(1, int(1e9 / (samples_per_cutoff_period * cutoff * period)))
 
 
@@ -64,6 +77,45 @@ class Stream(ABC):
         """Instants before this one will not be asked for again."""
 
 
+class _GridValues:
+    """Vectors at consecutive grid instants, the oldest at ``first``."""
+
+    def __init__(self) -> None:
+        self.first = 0
+        self.values: list[FloatArray] = []
+
+    @property
+    def end(self) -> int:
+        """The instant behind the last."""
+        return self.first + len(self.values)
+
+    def extend(self, start: int, values: FloatArray) -> None:
+        """Append ``values (N, ...)``, which begin at instant ``start``: the end, unless there are none yet."""
+        if not self.values:
+            self.first = start
+        self.values += list(values)
+
+    def correlated(self, instants: range, kernels: FloatArray) -> FloatArray:
+        """Correlations ``(kernels, N, values)`` with ``kernels (kernels, 2 half + 1)`` around each instant."""
+        half = kernels.shape[1] // 2
+        values = np.array(self.values[instants.start - half - self.first : instants[-1] + half + 1 - self.first])
+        windows = np.lib.stride_tricks.sliding_window_view(values, 2 * half + 1, axis=0)[:: instants.step]
+        # Without BLAS: its rounding depends on how many instants are asked for at once.
+        result: FloatArray = np.einsum("kl,ncl->knc", kernels, windows)
+        return result
+
+    def inside(self, half: int) -> range:
+        """Instants with ``half`` neighbours on both sides."""
+        return range(self.first + half, self.end - half)
+
+    def drop_before(self, instant: int) -> None:
+        """Forget older instants."""
+        surplus = instant - self.first
+        if surplus > 0:
+            del self.values[:surplus]
+            self.first += surplus
+
+
 class VectorStream(Stream):
     """A stream of plain vectors, interpolated by local cubics and filtered component by component."""
 
@@ -73,8 +125,7 @@ class VectorStream(Stream):
 
     def _restart(self) -> None:
         self._nodes: list[tuple[int, FloatArray]] = []
-        self._first = 0
-        self._on_grid: list[FloatArray] = []
+        self._on_grid = _GridValues()
 
     def _take(self, stamp: int, values: FloatArray) -> None:
         self._nodes.append((stamp, values))
@@ -82,38 +133,66 @@ class VectorStream(Stream):
             return
         self._nodes = self._nodes[-4:]
         start, end = self._nodes[1][0], self._nodes[2][0]
-        next_instant = self._first + len(self._on_grid) if self._on_grid else -(-start // self._grid.period)
+        next_instant = self._on_grid.end if self._on_grid.values else -(-start // self._grid.period)
         instants = range(next_instant, end // self._grid.period + 1)
         if not instants:
             return
-        if not self._on_grid:
-            self._first = instants.start
         origin = self._nodes[0][0]
         nodes = np.array([[float(stamp - origin) for stamp, _ in self._nodes]])
         times = np.array([float(k * self._grid.period - origin) for k in instants])
         weights = cubic_weights(np.repeat(nodes, len(times), axis=0), times)
         stacked = np.array([values for _, values in self._nodes])
-        self._on_grid += list(np.einsum("ni,ij->nj", weights, stacked))
+        self._on_grid.extend(instants.start, np.einsum("ni,ij->nj", weights, stacked))
 
     def ready(self) -> range:
-        half = self._grid.half
-        return range(self._first + half, self._first + len(self._on_grid) - half)
+        return self._on_grid.inside(self._grid.half)
 
     def filtered(self, instants: range) -> tuple[FloatArray, FloatArray, FloatArray]:
-        half = self._grid.half
-        begin = instants.start - half - self._first
-        last = instants[-1] + half + 1 - self._first
-        values = np.array(self._on_grid[begin:last])
-        windows = np.lib.stride_tricks.sliding_window_view(values, 2 * half + 1, axis=0)[:: instants.step]
-        # Without BLAS: its rounding depends on how many instants are asked for at once.
-        value, first, second = np.einsum("kl,ncl->knc", self._grid.kernels, windows)
+        value, first, second = self._on_grid.correlated(instants, self._grid.kernels)
         return value, first, second
 
     def drop_before(self, instant: int) -> None:
-        surplus = instant - self._grid.half - self._first
-        if surplus > 0:
-            del self._on_grid[:surplus]
-            self._first += surplus
+        self._on_grid.drop_before(instant - self._grid.half)
+
+
+class JointStream(VectorStream):
+    """Joint messages' vectors (positions first), and with them the columns of effects.
+
+    Friction jumps when a joint reverses, and the measured effort shows the jump as the filter has smoothed it. So the
+    effects are computed on a sharper motion, at every instant of the grid, and filtered as the efforts are.
+    """
+
+    def __init__(self, grid: Grid, max_gap: int, joints: int, columns: EffectColumns) -> None:
+        self._joints = joints
+        self._columns = columns
+        self._sharp_half = grid.sharp_kernels.shape[1] // 2
+        super().__init__(grid, max_gap)
+
+    def _restart(self) -> None:
+        super()._restart()
+        self._columns_on_grid = _GridValues()
+
+    def _take(self, stamp: int, values: FloatArray) -> None:
+        super()._take(stamp, values)
+        possible = self._on_grid.inside(self._sharp_half)
+        start = self._columns_on_grid.end if self._columns_on_grid.values else possible.start
+        instants = range(start, possible.stop)
+        if instants:
+            motion = self._on_grid.correlated(instants, self._grid.sharp_kernels)[:, :, : self._joints]
+            self._columns_on_grid.extend(start, self._columns(*motion).reshape(len(instants), -1))
+
+    def ready(self) -> range:
+        motion, columns = super().ready(), self._columns_on_grid.inside(self._grid.half)
+        return range(max(motion.start, columns.start), min(motion.stop, columns.stop))
+
+    def effects(self, instants: range) -> FloatArray:
+        """Filtered columns ``(N, joints, effects)`` at ``instants`` (all ready)."""
+        (columns,) = self._columns_on_grid.correlated(instants, self._grid.kernels[:1])
+        return columns.reshape(len(instants), self._joints, -1)
+
+    def drop_before(self, instant: int) -> None:
+        self._columns_on_grid.drop_before(instant - self._grid.half)
+        self._on_grid.drop_before(min(instant - self._grid.half, self._columns_on_grid.end - self._sharp_half))
 
 
 class PoseStream(Stream):

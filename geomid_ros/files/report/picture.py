@@ -417,12 +417,12 @@ def _draw_floor(axes: Axes, view: _View, floor: FloatArray) -> None:
 
 def _draw_compass(axes: Axes, view: _View, inch: float, label: str) -> None:
     """The world's axes in the lower left corner, and a label beside them."""
-    start = np.array([axes.get_xlim()[0], axes.get_ylim()[0]]) + 0.35 * inch
+    start = np.array([axes.get_xlim()[0], axes.get_ylim()[0]]) + 0.2 * inch
     for axis, name in zip(view.rotation[:2].T, "xyz", strict=True):
         axes.plot(*np.transpose([start, start + 0.33 * inch * axis]), color=_FAINT, lw=1.3, zorder=0.1)
         end = start + 0.45 * inch * axis
         _text(axes, end[0], end[1], name, 8.5, _FAINT, ha="center")
-    _text(axes, start[0] - 0.1 * inch, start[1] - 0.27 * inch, label, 8.5, _FAINT)
+    _text(axes, start[0] + 0.6 * inch, start[1] - 0.05 * inch, label, 8.5, _FAINT)
 
 
 def _draw_sticks(axes: Axes, view: _View, bodies: Sequence[BodyDrawing]) -> None:

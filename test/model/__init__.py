@@ -1,0 +1,1 @@
+"""Tests of floor 1, the model: against pinocchio built and asked apart from the code under test."""

@@ -1,0 +1,205 @@
+"""Descriptions that cannot be used: one InputError each, which names the source and the element."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from geomid_ros.errors import InputError
+from geomid_ros.model.measurement import MeasurementModel
+from geomid_ros.model.robot import Robot
+
+SOURCE = "/robot_description"
+MASS = '<mass value="2"/>'
+INERTIA = '<inertia ixx="1" ixy="0" ixz="0" iyy="1" iyz="0" izz="1"/>'
+LIMIT = '<limit effort="10" velocity="3" lower="-1" upper="1"/>'
+AXIS = '<axis xyz="0 0 1"/>'
+LAUGHS = '<!DOCTYPE robot [<!ENTITY a "ha">' + "".join(
+    f'<!ENTITY {b} "{10 * f"&{a};"}">' for a, b in zip("abcdefgh", "bcdefghi", strict=True)
+)
+
+
+def link(name: str, inside: str = MASS + INERTIA) -> str:
+    return f'<link name="{name}"><inertial>{inside}</inertial></link>'
+
+
+def joint(name: str, parent: str, child: str, kind: str = "revolute", inside: str = AXIS + LIMIT) -> str:
+    ends = f'<parent link="{parent}"/><child link="{child}"/>'
+    return f'<joint name="{name}" type="{kind}">{ends}{inside}</joint>'
+
+
+def robot(*parts: str) -> str:
+    return f'<robot name="r">{"".join(parts)}</robot>'
+
+
+ARM = (link("base"), link("upper"), link("lower"), joint("shoulder", "base", "upper"), joint("elbow", "upper", "lower"))
+
+
+def replaced(old: str, new: str, place: int = 2) -> str:
+    """The arm with something else in one of its parts (2: the link ``lower``, 4: the joint ``elbow``)."""
+    assert old in ARM[place]
+    return robot(*ARM[:place], ARM[place].replace(old, new), *ARM[place + 1 :])
+
+
+BAD = {
+    "empty": ("", ["XML"]),
+    "not XML": ("robot: arm", ["XML"]),
+    "cut off": (robot(*ARM)[:-20], ["XML"]),
+    "a template": (robot("<xacro:include filename='arm.xacro'/>"), ["XML"]),
+    "a null byte": (robot(*ARM, "\0"), ["XML"]),
+    "half a character": (robot(*ARM, "\ud800"), ["XML"]),
+    "billion laughs": (f"{LAUGHS}]>{robot('&i;', *ARM)}", ["XML", "DTD"]),
+    "a file as an entity": (f'<!DOCTYPE r [<!ENTITY x SYSTEM "file:///etc/passwd">]>{robot("&x;")}', ["XML", "DTD"]),
+    "a DTD": (f'<!DOCTYPE robot SYSTEM "http://localhost/r.dtd">{robot(*ARM)}', ["XML", "DTD"]),
+    "nested deeply": (robot(*ARM, 70 * "<a>", 70 * "</a>"), ["64"]),
+    "nested very deeply": (robot(*ARM, 300_000 * "<a>", 300_000 * "</a>"), ["64"]),
+    "too large": (robot(*ARM, f"<!--{5_000_000 * 'x'}-->"), ["5 MB"]),
+    "too large in bytes": (robot(*ARM, f"<!--{1_700_000 * '界'}-->"), ["5 MB"]),
+    "too many links": (robot(*(f'<link name="l{i}"/>' for i in range(1001))), ["1001 links"]),
+    "too many joints": (
+        robot(*(link(f"l{i}") for i in range(130)), *(joint(f"j{i}", f"l{i}", f"l{i + 1}") for i in range(129))),
+        ["129 axes"],
+    ),
+    "wrong root": ("<sdf version='1.6'/>", ["<sdf>", "<robot>"]),
+    "no links": (robot(), ["root"]),
+    "robot without a name": (robot(*ARM).replace(' name="r"', ""), []),
+    "link without a name": (robot(*ARM, "<link/>"), ["<link>"]),
+    "joint without a name": (replaced(' name="elbow"', "", 4), ["<joint>"]),
+    "two links of one name": (robot(*ARM, link("upper")), ["link", "'upper'"]),
+    "two joints of one name": (robot(*ARM, link("x"), joint("elbow", "base", "x")), ["joint", "'elbow'"]),
+    "two roots": (robot(*ARM, link("stray")), ["root", "base", "stray"]),
+    "a missing child": (robot(*ARM, joint("wrist", "lower", "hand")), ["'wrist'", "'hand'"]),
+    "a missing parent": (robot(*ARM, link("hand"), joint("wrist", "arm", "hand")), ["'wrist'", "'arm'"]),
+    "no parent": (replaced('<parent link="upper"/>', "", 4), ["'elbow'", "parent"]),
+    "a child without a name": (replaced('<child link="lower"/>', "<child/>", 4), ["'elbow'", "''"]),
+    "a child of two": (robot(*ARM, joint("third", "base", "lower")), ["'lower'", "'elbow'", "'third'"]),
+    "a cycle below the root": (robot(*ARM, joint("back", "lower", "upper")), ["'upper'", "'shoulder'", "'back'"]),
+    "a cycle through the root": (robot(*ARM, joint("back", "lower", "base")), ["root"]),
+    "a cycle apart": (robot(*ARM, link("x"), link("y"), joint("a", "x", "y"), joint("b", "y", "x")), ["'x'", "loop"]),
+    "its own child": (robot(*ARM, link("x"), joint("a", "x", "x")), ["'x'"]),
+    "an unknown type": (replaced("revolute", "ball", 4), ["'elbow'", "'ball'", "prismatic"]),
+    "planar": (replaced("revolute", "planar", 4), ["'elbow'", "planar"]),
+    "floating": (replaced("revolute", "floating", 4), ["'elbow'", "floating"]),
+    "an axis without direction": (replaced("0 0 1", "0 0 0", 4), ["'elbow'", "axis"]),
+    "an axis of two numbers": (replaced("0 0 1", "0 1", 4), ["'elbow'", "axis", "0 1"]),
+    "an axis of NaN": (replaced("0 0 1", "0 nan 1", 4), ["'elbow'", "axis", "nan"]),
+    "a joint at infinity": (replaced(AXIS, '<origin xyz="inf 0 0"/>' + AXIS, 4), ["'elbow'", "origin", "inf"]),
+    "a joint turned by NaN": (replaced(AXIS, '<origin rpy="0 0 nan"/>' + AXIS, 4), ["'elbow'", "origin", "nan"]),
+    "no limits": (replaced(LIMIT, "", 4), ["'elbow'", "limit"]),
+    "limits in words": (replaced('effort="10"', 'effort="much"', 4), ["'elbow'", "limit", "much"]),
+    "inertia in words": (replaced('ixx="1"', 'ixx="one"'), ["'lower'", "inertia", "one"]),
+    "an inertia too few": (replaced('ixx="1"', ""), ["'lower'", "inertia", "ixx"]),
+    "inertia of NaN": (replaced('ixy="0"', 'ixy="nan"'), ["'lower'", "inertia", "nan"]),
+    "infinite inertia": (replaced('izz="1"', 'izz="1e999"'), ["'lower'", "inertia", "1e999"]),
+    "infinite mass": (replaced('value="2"', 'value="inf"'), ["'lower'", "mass", "inf"]),
+    "mass in words": (replaced('value="2"', 'value="2 kg"'), ["'lower'", "mass", "2 kg"]),
+    "mass without a value": (replaced(' value="2"', ""), ["'lower'", "mass"]),
+    "no mass": (replaced(MASS, ""), ["'lower'", "mass"]),
+    "no inertia": (replaced(INERTIA, ""), ["'lower'", "inertia"]),
+    "centre of mass at NaN": (replaced(MASS, MASS + '<origin xyz="0 nan 0"/>'), ["'lower'", "origin", "nan"]),
+    "axes turned by NaN": (replaced(MASS, MASS + '<origin rpy="0 nan 0"/>'), ["'lower'", "origin", "nan"]),
+    "negative mass": (replaced('value="2"', 'value="-2"'), ["'lower'"]),
+    "a plate thicker than it is": (replaced('izz="1"', 'izz="2.1"'), ["'lower'", "sum of the two others"]),
+    "a mass beyond the universe's": (replaced('value="2"', 'value="1e308"'), ["'lower'", "mass", "1e308"]),
+    "a point": (replaced(INERTIA, INERTIA.replace('"1"', '"0"')), ["'lower'"]),
+    "a rod without a width": (replaced('izz="1"', 'izz="0"'), ["'lower'"]),
+    "a product larger than its moments": (replaced('ixy="0"', 'ixy="1.2"'), ["'lower'"]),
+    "no mass at all": (robot('<link name="a"/>', '<link name="b"/>', joint("j", "a", "b")), ["mass"]),
+    "nothing moves": (robot(link("a"), link("b"), joint("j", "a", "b", "fixed")), ["moving"]),
+}
+
+
+@pytest.mark.parametrize("case", BAD)
+@pytest.mark.parametrize("floating", [False, True])
+def test_a_bad_description_is_refused(case: str, floating: bool) -> None:
+    if floating and case == "nothing moves":
+        pytest.skip("a floating base moves")
+    text, named = BAD[case]
+    start = time.perf_counter()
+    with pytest.raises(InputError) as caught:
+        Robot(text, floating_base=floating, source=SOURCE)
+    assert time.perf_counter() - start < 2.0
+    for word in (SOURCE, *named):
+        assert word in str(caught.value)
+    assert len(str(caught.value)) < 1000
+
+
+def test_the_arm_itself_is_fine() -> None:
+    arm = Robot(robot(*ARM), source=SOURCE)
+    assert arm.body_names == ("upper", "lower")
+    np.testing.assert_array_equal(arm.bodies[0].parameters, [2, 0, 0, 0, 1, 0, 1, 0, 0, 1])
+
+
+def test_an_impossible_base_does_not_matter_while_it_stands() -> None:
+    text = robot(link("base", MASS + INERTIA.replace('izz="1"', 'izz="3"')), *ARM[1:])
+    assert Robot(text).body_names == ("upper", "lower")
+    with pytest.raises(InputError, match="'base'"):
+        Robot(text, floating_base=True)
+
+
+def test_an_impossible_part_is_named_with_what_it_is_merged_with() -> None:
+    bad = link("tool", MASS + INERTIA.replace('izz="1"', 'izz="9"'))
+    with pytest.raises(InputError, match=r"'lower' \(with lower, tool\)"):
+        Robot(robot(*ARM, bad, joint("flange", "lower", "tool", "fixed")))
+
+
+def test_meshes_are_not_opened() -> None:
+    mesh = '<visual><geometry><mesh filename="package://nowhere/arm.stl"/></geometry></visual>'
+    assert Robot(replaced("</inertial>", "</inertial>" + mesh)).body_names == ("upper", "lower")
+
+
+def test_elements_of_other_tools_are_passed_over() -> None:
+    other = '<gazebo reference="lower"><link name="x"/></gazebo><transmission><joint name="elbow"/></transmission>'
+    assert Robot(robot(*ARM, other)).joint_names == ("shoulder", "elbow")
+
+
+@pytest.mark.parametrize("name", ["universe", "root_joint"])
+@pytest.mark.parametrize("floating", [False, True])
+def test_pinocchios_own_names_may_be_used(name: str, floating: bool) -> None:
+    text = robot(*ARM[:-1], joint(name, "upper", "lower"))
+    arm = Robot(text, floating_base=floating)
+    assert arm.joint_names == ("shoulder", name)
+    assert Robot(text, floating_base=floating, locked_joints=[name]).joint_names == ("shoulder",)
+
+
+def broken(parts: Sequence[str], cuts: Sequence[tuple[float, float, str]]) -> str:
+    """The arm's text with pieces of it replaced."""
+    text = robot(*parts)
+    for begin, length, patch in cuts:
+        place = int(begin * len(text))
+        text = text[:place] + patch + text[place + int(20 * length) :]
+    return text
+
+
+def test_a_long_chain_is_read_quickly() -> None:
+    """As long as one may be: pinocchio's memory grows with the cube of the joints."""
+    links, joints = [link(f"l{i}") for i in range(129)], [joint(f"j{i}", f"l{i}", f"l{i + 1}") for i in range(128)]
+    tails = [f'<link name="t{i}"/>' for i in range(800)]
+    ties = [joint(f"f{i}", f"t{i - 1}" if i else "l128", f"t{i}", "fixed", "") for i in range(800)]
+    start = time.perf_counter()
+    chain = Robot(robot(*links, *tails, *joints, *ties))
+    MeasurementModel(chain, [])
+    assert len(chain.bodies) == 128
+    assert time.perf_counter() - start < 3.0
+
+
+fractions = st.floats(0.0, 1.0, exclude_max=True)
+patches = st.one_of(st.sampled_from(["", "-", "1e308", "nan", "0", " ", "/", '"', ">", "base", "fixed"]), st.text(max_size=3))
+
+
+@settings(max_examples=150, deadline=None, derandomize=True, database=None)
+@given(st.permutations(ARM), st.lists(st.tuples(fractions, fractions, patches), min_size=1, max_size=3), st.booleans())
+def test_damage_anywhere_raises_nothing_else(
+    parts: list[str], cuts: list[tuple[float, float, str]], floating: bool
+) -> None:
+    try:
+        arm = Robot(broken(parts, cuts), floating_base=floating, source=SOURCE)
+    except InputError as error:
+        assert SOURCE in str(error)
+    else:
+        assert all(np.all(np.isfinite(body.parameters)) for body in arm.bodies)

@@ -1,0 +1,172 @@
+"""Rows of joint efforts times parameters are the efforts of inverse dynamics, plus the effects' terms."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from geomid_ros.model.effects import EFFECTS, effect
+from geomid_ros.model.measurement import MeasurementModel
+from geomid_ros.model.robot import Robot
+from geomid_ros.model.sensors import WrenchSensor
+from geomid_ros.types import FloatArray
+
+from .robots import Reference, random_parameters, random_samples, urdf, with_values
+
+EXACT = 1e-9  # relative to the largest number of a channel
+
+FIXED = pytest.mark.parametrize(
+    "name",
+    [
+        "ur5_robot.urdf",
+        "panda.urdf",  # prismatic fingers, a merged hand
+        "kinova.urdf",  # continuous joints between others
+        "double_pendulum_continuous.urdf",
+        "talos_reduced.urdf",  # 32 joints, deep groups of fixed links
+        "human.urdf",  # massless links between the joints
+    ],
+)
+
+
+def assert_equal(actual: FloatArray, expected: FloatArray) -> None:
+    sizes = np.max(np.abs(expected), axis=0)
+    assert np.any(sizes > 0.0)
+    np.testing.assert_allclose(actual / np.maximum(sizes, 1e-3), expected / np.maximum(sizes, 1e-3), rtol=0, atol=EXACT)
+
+
+@FIXED
+def test_nominal_parameters_give_the_efforts_of_the_urdf(name: str) -> None:
+    robot = Robot(urdf(name))
+    model = MeasurementModel(robot, [])
+    samples = random_samples(robot, seed=1)
+    measured, predicted = model.predict(samples, model.nominal_inertias)
+    assert_equal(predicted, Reference(urdf(name)).inverse_dynamics(samples, robot.joint_names)[1])
+    np.testing.assert_array_equal(measured, samples.effort)
+    assert [channel.name for channel in model.channels] == list(robot.joint_names)
+
+
+@FIXED
+def test_any_bodies_give_the_efforts_of_a_robot_made_of_them(name: str) -> None:
+    robot = Robot(urdf(name))
+    parameters = random_parameters(robot, seed=2)
+    reference = Reference(urdf(name))
+    reference.set_inertias(dict(zip(robot.body_names, parameters, strict=True)))
+    samples = random_samples(robot, seed=3)
+    predicted = MeasurementModel(robot, []).predict(samples, parameters.ravel())[1]
+    assert_equal(predicted, reference.inverse_dynamics(samples, robot.joint_names)[1])
+
+
+def test_effects_add_their_terms() -> None:
+    """Viscous c v, Coulomb c tanh(v / 0.02), rotor c a, offset c; positive ones first, each joint by joint."""
+    robot = Robot(urdf("ur5_robot.urdf"))
+    names = ["effort_offset", "rotor_inertia", "coulomb_friction", "viscous_friction"]
+    model = MeasurementModel(robot, [effect(name) for name in names])
+    order = ["rotor_inertia", "coulomb_friction", "viscous_friction", "effort_offset"]
+    assert [(c.effect.name, c.joint_name) for c in model.coefficients] == [
+        (name, joint) for name in order for joint in robot.joint_names
+    ]
+    assert (model.positives, model.dimension) == (18, 60 + 24)
+
+    rotor, coulomb, viscous, offset = np.random.default_rng(4).normal(size=(4, 6))
+    samples = random_samples(robot, seed=5)
+    predicted = model.predict(samples, np.concatenate([model.nominal_inertias, rotor, coulomb, viscous, offset]))[1]
+    efforts = Reference(urdf("ur5_robot.urdf")).inverse_dynamics(samples, robot.joint_names)[1]
+    friction = viscous * samples.velocity + coulomb * np.tanh(samples.velocity / 0.02)
+    assert_equal(predicted, efforts + rotor * samples.acceleration + friction + offset)
+
+
+def test_a_row_says_which_parameters_it_can_depend_on() -> None:
+    """The columns of a channel are all that differ from zero, and on a serial arm no others are given."""
+    robot = Robot(urdf("panda.urdf"))
+    model = MeasurementModel(robot, list(EFFECTS.values()))
+    rows = model.rows(random_samples(robot, seed=6)).coefficients
+    for place, channel in enumerate(model.channels):
+        outside = np.setdiff1d(np.arange(model.dimension), channel.columns)
+        assert not np.any(rows[:, place, outside])
+    assert [len(channel.columns) for channel in model.channels] == [10 * n + 4 for n in (9, 8, 7, 6, 5, 4, 3, 1, 1)]
+
+
+def test_units_follow_the_joints_kind() -> None:
+    model = MeasurementModel(Robot(urdf("panda.urdf")), list(EFFECTS.values()))
+    assert [channel.unit for channel in model.channels] == ["N m"] * 7 + ["N"] * 2
+    units = {(c.effect.name, c.unit) for c in model.coefficients}
+    assert units == {
+        ("viscous_friction", "N m s/rad"),
+        ("viscous_friction", "N s/m"),
+        ("coulomb_friction", "N m"),
+        ("coulomb_friction", "N"),
+        ("rotor_inertia", "kg m^2"),
+        ("rotor_inertia", "kg"),
+        ("effort_offset", "N m"),
+        ("effort_offset", "N"),
+    }
+
+
+def test_a_continuous_joint_may_turn_for_ever() -> None:
+    robot = Robot(urdf("kinova.urdf"))
+    model = MeasurementModel(robot, [])
+    samples = random_samples(robot, seed=7)
+    turns = 2.0 * np.pi * np.array([joint.continuous for joint in robot.joints])
+    assert np.count_nonzero(turns) == 3
+    turned = with_values(samples, position=samples.position - 3.0 * turns)
+    assert_equal(model.rows(turned).coefficients, model.rows(samples).coefficients)
+
+
+def test_links_that_are_not_identified_keep_their_share() -> None:
+    """With a subset of links, rows times its parameters plus the others' known share is the measurement."""
+    robot = Robot(urdf("panda.urdf"))
+    chosen = ["panda_link6", "panda_link3"]
+    whole, part = MeasurementModel(robot, [effect("viscous_friction")]), MeasurementModel(robot, [], links=chosen)
+    assert part.body_names == ("panda_link3", "panda_link6")
+    samples = random_samples(robot, seed=8)
+    parameters = random_parameters(robot, seed=9)[:2]
+    measured, predicted = part.predict(samples, parameters.ravel())
+
+    reference = Reference(urdf("panda.urdf"))
+    bodies = dict(zip(whole.body_names, whole.nominal_inertias.reshape(-1, 10), strict=True))
+    reference.set_inertias(bodies | dict(zip(part.body_names, parameters, strict=True)))
+    efforts = reference.inverse_dynamics(samples, robot.joint_names)[1]
+    assert_equal(samples.effort - measured + predicted, efforts)
+    np.testing.assert_array_equal(part.channels[5].columns, np.arange(10, 20))
+
+
+def test_effects_alone_can_be_identified() -> None:
+    robot = Robot(urdf("ur5_robot.urdf"))
+    model = MeasurementModel(robot, [effect("effort_offset")], links=[])
+    samples = random_samples(robot, seed=10)
+    efforts = Reference(urdf("ur5_robot.urdf")).inverse_dynamics(samples, robot.joint_names)[1]
+    rows = model.rows(samples)
+    assert_equal(samples.effort - rows.targets, efforts)
+    assert model.nominal_inertias.shape == (0,)
+    assert rows.coefficients.shape == (5, 6, 6)
+
+
+def test_gravity_may_point_anywhere() -> None:
+    tilted = (3.0, -4.0, -7.0)
+    robot = Robot(urdf("ur5_robot.urdf"), gravity=np.array(tilted))
+    samples = random_samples(robot, seed=11)
+    model = MeasurementModel(robot, [])
+    expected = Reference(urdf("ur5_robot.urdf"), gravity=tilted).inverse_dynamics(samples, robot.joint_names)[1]
+    assert_equal(model.predict(samples, model.nominal_inertias)[1], expected)
+
+
+def test_an_effort_that_is_not_measured_is_no_target() -> None:
+    robot = Robot(urdf("ur5_robot.urdf"))
+    samples = random_samples(robot, seed=12)
+    effort = samples.effort.copy()
+    effort[:, 2] = np.nan
+    rows = MeasurementModel(robot, []).rows(with_values(samples, effort=effort))
+    np.testing.assert_array_equal(np.isnan(rows.targets), np.isnan(effort))
+    assert np.all(np.isfinite(rows.coefficients))
+
+
+def test_samples_are_rows_of_time() -> None:
+    """Rows of many samples are the rows of each, whatever came before."""
+    robot = Robot(urdf("talos_reduced.urdf"), floating_base=True)
+    sensors = [WrenchSensor("/plate", "world", "external")]
+    model = MeasurementModel(robot, [], sensors)
+    samples = random_samples(robot, seed=13, sensors=1)
+    together = model.rows(samples)
+    apart = [model.rows(samples.select([index])) for index in reversed(range(len(samples)))]
+    np.testing.assert_array_equal(together.coefficients, np.concatenate([r.coefficients for r in reversed(apart)]))
+    np.testing.assert_array_equal(together.targets, np.concatenate([r.targets for r in reversed(apart)]))

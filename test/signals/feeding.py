@@ -1,0 +1,153 @@
+"""Messages made from formulas, and pipelines fed with them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, field, fields, replace
+from typing import TypeAlias
+
+import numpy as np
+
+from geomid_ros.model.samples import Samples
+from geomid_ros.signals.pipeline import SignalPipeline
+from geomid_ros.types import FloatArray, IntArray
+
+START = 1_700_000_000_000_000_000  # [ns] an ordinary day's clock
+JOINTS = ("shoulder", "elbow", "wrist")
+Formula: TypeAlias = Callable[[FloatArray], FloatArray]
+
+
+def seconds(stamps: IntArray) -> FloatArray:
+    """Seconds since ``START``."""
+    return (np.asarray(stamps) - START) * 1e-9
+
+
+def regular(period: float, duration: float, offset: float = 0.0) -> IntArray:
+    """Stamps ``(N,)`` every ``period`` seconds."""
+    return START + np.round((offset + period * np.arange(int(duration / period))) * 1e9).astype(np.int64)
+
+
+def jittered(period: float, duration: float, seed: int = 0) -> IntArray:
+    """Stamps off the regular ones by up to a third of the period."""
+    stamps = regular(period, duration)
+    return stamps + np.random.default_rng(seed).integers(-int(period / 3e-9), int(period / 3e-9), len(stamps))
+
+
+@dataclass(frozen=True)
+class Message:
+    """One message: its topic's kind and what is pushed."""
+
+    stamp: int
+
+
+@dataclass(frozen=True)
+class JointMessage(Message):
+    """A joint message; ``velocity`` may be empty."""
+
+    name: Sequence[str]
+    position: Sequence[float]
+    velocity: Sequence[float]
+    effort: Sequence[float]
+
+    def push(self, pipeline: SignalPipeline) -> None:
+        pipeline.push_joints(self.stamp, self.name, self.position, self.velocity, self.effort)
+
+
+@dataclass(frozen=True)
+class WrenchMessage(Message):
+    """A wrench message."""
+
+    wrench: Sequence[float]
+    topic: str = "/wrench"
+    frame: str = "tool"
+
+    def push(self, pipeline: SignalPipeline) -> None:
+        pipeline.push_wrench(self.topic, self.stamp, self.frame, self.wrench)
+
+
+@dataclass(frozen=True)
+class PoseMessage(Message):
+    """A pose of the base."""
+
+    pose: Sequence[float]
+
+    def push(self, pipeline: SignalPipeline) -> None:
+        pipeline.push_base_pose(self.stamp, self.pose)
+
+
+@dataclass(frozen=True)
+class Motion:
+    """Joints that move as sums of two sines below the cutoff, each joint its own; efforts likewise."""
+
+    frequencies: FloatArray = field(default_factory=lambda: np.array([[0.3, 0.9], [0.5, 1.3], [0.7, 1.1]]))
+    amplitudes: FloatArray = field(default_factory=lambda: np.array([[1.0, 0.2], [0.8, 0.1], [0.5, 0.3]]))
+
+    def derivative(self, stamps: IntArray, order: int) -> FloatArray:
+        """Position ``(N, joints)`` for order 0, then its derivatives."""
+        rate = 2.0 * np.pi * self.frequencies
+        phase = seconds(stamps)[:, None, None] * rate + 0.5 * np.pi * order
+        return np.sum(self.amplitudes * rate**order * np.sin(phase), axis=2)
+
+    def effort(self, stamps: IntArray) -> FloatArray:
+        """Efforts ``(N, joints)``."""
+        return 10.0 * np.cos(2.0 * np.pi * seconds(stamps)[:, None] * self.frequencies[:, 0])
+
+
+def joint_messages(stamps: IntArray, motion: Motion | None = None, velocity: bool = False) -> list[JointMessage]:
+    """Joint messages of a motion."""
+    motion = motion or Motion()
+    position, rate, effort = motion.derivative(stamps, 0), motion.derivative(stamps, 1), motion.effort(stamps)
+    return [
+        JointMessage(int(stamp), JOINTS, position[i], rate[i] if velocity else (), effort[i])
+        for i, stamp in enumerate(stamps)
+    ]
+
+
+def wrench_messages(stamps: IntArray) -> list[WrenchMessage]:
+    """Wrenches of six sines."""
+    return [WrenchMessage(int(stamp), wrench) for stamp, wrench in zip(stamps, wrenches(stamps), strict=True)]
+
+
+def wrenches(stamps: IntArray) -> FloatArray:
+    """The wrenches' formula, ``(N, 6)``."""
+    return np.sin(2.0 * np.pi * seconds(stamps)[:, None] * np.linspace(0.2, 1.2, 6) + np.arange(6.0))
+
+
+def in_time(*topics: Iterable[Message]) -> list[Message]:
+    """All messages in the order of their stamps."""
+    return sorted((message for topic in topics for message in topic), key=lambda message: message.stamp)
+
+
+def feed(pipeline: SignalPipeline, messages: Iterable[Message]) -> Samples:
+    """Push all messages, then collect."""
+    for message in messages:
+        message.push(pipeline)
+    samples = pipeline.collect()
+    assert samples is not None
+    return samples
+
+
+def without(message: JointMessage, joint: str) -> JointMessage:
+    """The message without one of its joints."""
+    kept = [place for place, name in enumerate(message.name) if name != joint]
+    arrays = {
+        key: [getattr(message, key)[place] for place in kept] if len(getattr(message, key)) else ()
+        for key in ("name", "position", "velocity", "effort")
+    }
+    return replace(message, **arrays)
+
+
+def assert_same(actual: Samples, expected: Samples, tolerance: float = 1e-9) -> None:
+    """All arrays of two batches agree, relative to the size of each column."""
+    np.testing.assert_array_equal(actual.stamps, expected.stamps)
+    assert len(actual) > 0
+    for kind in (f.name for f in fields(Samples) if f.name != "stamps"):
+        first, second = getattr(actual, kind), getattr(expected, kind)
+        assert first.shape == second.shape
+        size = np.maximum(np.nanmax(np.abs(second), axis=0, initial=0.0), 1e-3)
+        np.testing.assert_allclose(first / size, second / size, rtol=0, atol=tolerance, err_msg=kind)
+
+
+def balanced(pipeline: SignalPipeline) -> bool:
+    """Whether every ledger accounts for every message."""
+    return all(book.received == book.accepted + book.rejected.total() for book in pipeline.ledgers.values())

@@ -1,0 +1,256 @@
+"""Topics of different rates come out at common instants, which do not depend on who listened when."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from geomid_ros.errors import InputError
+from geomid_ros.model.samples import Samples
+from geomid_ros.model.sensors import WrenchSensor
+from geomid_ros.signals.pipeline import SignalPipeline, SignalSettings
+from geomid_ros.types import IntArray
+
+from .feeding import (
+    JOINTS,
+    START,
+    Message,
+    Motion,
+    assert_same,
+    balanced,
+    feed,
+    in_time,
+    joint_messages,
+    jittered,
+    regular,
+    wrench_messages,
+    wrenches,
+)
+
+SENSOR = WrenchSensor("/wrench", "tool", "mounted")
+TOLERANCE = 1e-3  # the filter's ripple, relative
+
+
+def pipeline(period: float = 0.01, **settings: float) -> SignalPipeline:
+    return SignalPipeline(JOINTS, sensors=[SENSOR], settings=SignalSettings(period=period, **settings))
+
+
+def recording(duration: float = 6.0) -> list[Message]:
+    """Joints at 100 Hz, a wrench at 500 Hz that is stamped 0.7 ms later."""
+    return in_time(joint_messages(regular(0.01, duration)), wrench_messages(regular(0.002, duration, offset=0.0007)))
+
+
+def common(samples: Samples, stamps: IntArray) -> Samples:
+    """The samples at these instants."""
+    return samples.select(np.isin(samples.stamps, stamps))
+
+
+@pytest.mark.parametrize("period", [0.01, 0.004, 0.0023], ids=["joints'", "in between", "odd"])
+def test_topics_of_different_rates_are_aligned(period: float) -> None:
+    """Positions, efforts and wrenches each equal their formula at the same instants."""
+    samples = feed(pipeline(period), recording())
+    motion, stamps = Motion(), samples.stamps
+    assert np.all(stamps % round(period * 1e9) == 0)
+    for order, kind in enumerate(("position", "velocity", "acceleration")):
+        formula = motion.derivative(stamps, order)
+        size = np.max(np.abs(formula))
+        np.testing.assert_allclose(getattr(samples, kind), formula, rtol=0, atol=3 * TOLERANCE * size)
+    np.testing.assert_allclose(samples.effort, motion.effort(stamps), rtol=0, atol=TOLERANCE * 10.0)
+    np.testing.assert_allclose(samples.wrenches[:, 0], wrenches(stamps), rtol=0, atol=2 * TOLERANCE)
+    assert samples.base_pose.shape == (len(stamps), 0)
+
+
+def test_every_array_has_the_shape_that_is_written() -> None:
+    samples = feed(pipeline(), recording())
+    count = len(samples)
+    shapes = {name: getattr(samples, name).shape for name in vars(samples)}
+    assert shapes == {
+        "stamps": (count,),
+        "position": (count, 3),
+        "velocity": (count, 3),
+        "acceleration": (count, 3),
+        "effort": (count, 3),
+        "base_pose": (count, 0),
+        "base_velocity": (count, 0),
+        "base_acceleration": (count, 0),
+        "wrenches": (count, 1, 6),
+    }
+    assert samples.stamps.dtype == np.int64
+    with pytest.raises(ValueError, match="read-only"):
+        samples.position[0] = 0.0
+
+
+@pytest.mark.parametrize("period", [0.01, 0.0], ids=["configured", "inferred"])
+def test_collecting_often_or_once_is_the_same(period: float) -> None:
+    messages = recording()
+    often, parts = pipeline(period), []
+    for message in messages:
+        message.push(often)
+        part = often.collect()
+        if part is not None:
+            parts.append(part)
+    assert len(parts) > 50
+    assert_same(Samples.concatenate(parts), feed(pipeline(period), messages), tolerance=1e-12)
+    assert often.collect() is None
+
+
+@pytest.mark.parametrize("period", [0.01, 0.0], ids=["configured", "inferred"])
+@pytest.mark.parametrize("late", [1, 7, 333, 1400])
+def test_it_does_not_matter_when_listening_began(period: float, late: int) -> None:
+    """Who joins later makes the same samples of what is left."""
+    messages = recording()
+    first, second = feed(pipeline(period), messages), feed(pipeline(period), messages[late:])
+    assert 0 < len(second) < len(first)
+    np.testing.assert_array_equal(second.stamps, first.stamps[-len(second) :])
+    assert_same(second, common(first, second.stamps), tolerance=1e-12)
+
+
+def test_the_period_is_that_of_the_joints() -> None:
+    """The median of the first ones, so that a few lost messages do not matter; to ten microseconds."""
+    stamps = regular(0.01, 6.0)
+    lossy = np.delete(stamps + np.random.default_rng(1).integers(-3000, 3000, len(stamps)), [3, 4, 11, 25])
+    alone = SignalPipeline(JOINTS)
+    samples = feed(alone, joint_messages(lossy))
+    assert np.all(samples.stamps % 10_000_000 == 0)
+    assert alone.lag == pytest.approx(SignalPipeline(JOINTS, settings=SignalSettings(period=0.01)).lag)
+
+
+def test_messages_before_the_period_is_known_are_not_lost() -> None:
+    """Inferring the period delays samples, it does not cost any."""
+    messages = recording()
+    assert_same(feed(pipeline(0.0), messages), feed(pipeline(0.01), messages), tolerance=1e-12)
+
+
+def test_joints_may_be_too_slow_for_the_cutoff() -> None:
+    slow = SignalPipeline(JOINTS)
+    with pytest.raises(InputError, match="5 Hz is too high for data at 10 Hz"):
+        feed(slow, joint_messages(regular(0.1, 6.0)))
+
+
+def test_who_waits_for_ever_for_joints_does_not_fill_the_memory() -> None:
+    """A wrench topic alone: the oldest messages are given up and counted."""
+    alone = pipeline(0.0)
+    for message in wrench_messages(regular(0.001, 11.0)):
+        message.push(alone)
+    assert alone.collect() is None
+    assert len(alone._waiting) == 10_000
+    assert alone.ledgers["/wrench"].rejected == {"no joint states to go with": 1000}
+    assert balanced(alone)
+
+
+def test_a_topic_that_falls_silent_does_not_fill_the_memory() -> None:
+    """Joints go on for two minutes after the wrench stopped; when it is back, so are the samples."""
+    stamps = regular(0.02, 130.0)
+    wrench = wrench_messages(stamps)
+    messages = in_time(joint_messages(stamps), [*wrench[:200], *wrench[6200:]])
+    waiting = pipeline(0.02)
+    samples = feed(waiting, messages)
+    kept = waiting._streams["joint_states"]._on_grid
+    assert len(kept) < 100
+    assert_same(samples, common(feed(pipeline(0.02), in_time(joint_messages(stamps), wrench)), samples.stamps), 1e-9)
+    assert np.max(np.diff(samples.stamps)) > 120e9
+    longest = 0
+    waiting = pipeline(0.02)
+    for message in messages[: 200 + 6200]:
+        message.push(waiting)
+        longest = max(longest, len(waiting._streams["joint_states"]._on_grid))
+    assert longest <= 62.0 / 0.02
+
+
+def segments(samples: Samples) -> list[Samples]:
+    """The samples divided where more than twice the usual step lies between two."""
+    steps = np.diff(samples.stamps)
+    ends = np.flatnonzero(steps > 2 * np.median(steps)) + 1
+    return [samples.select(part) for part in np.split(np.arange(len(samples)), ends)]
+
+
+@pytest.mark.parametrize("topic", ["joints", "wrench"])
+def test_a_gap_starts_a_new_segment(topic: str) -> None:
+    """Nothing is interpolated or filtered across: each side is what it would be alone."""
+    gap = (START + 3_000_000_000, START + 3_700_000_000)
+    stamps, dense = regular(0.01, 7.0), regular(0.002, 7.0, offset=0.0007)
+    joints, wrench = joint_messages(stamps), wrench_messages(dense)
+    broken = joints if topic == "joints" else wrench
+    kept = [message for message in broken if not gap[0] < message.stamp < gap[1]]
+    assert len(kept) < len(broken)
+    messages = in_time(kept, wrench if topic == "joints" else joints)
+    both = segments(feed(pipeline(), messages))
+    assert len(both) == 2
+    for part, alone in zip(both, (lambda t: t <= gap[0], lambda t: t >= gap[1]), strict=True):
+        assert_same(part, feed(pipeline(), [message for message in messages if alone(message.stamp)]), tolerance=1e-12)
+    half = round(pipeline().lag * 1e9)
+    assert both[0].stamps[-1] <= gap[0] - half
+    assert both[1].stamps[0] >= gap[1] + half
+
+
+def test_a_pause_shorter_than_a_gap_is_bridged() -> None:
+    stamps = regular(0.01, 6.0)
+    kept = stamps[(stamps < START + 3_000_000_000) | (stamps > START + 3_030_000_000)]
+    samples = feed(pipeline(), in_time(joint_messages(kept), wrench_messages(stamps)))
+    assert len(segments(samples)) == 1
+    np.testing.assert_allclose(samples.position, Motion().derivative(samples.stamps, 0), rtol=0, atol=3 * TOLERANCE)
+    assert len(segments(feed(pipeline(max_gap=0.02), in_time(joint_messages(kept), wrench_messages(stamps))))) == 2
+
+
+def test_irregular_joints_are_aligned_with_an_irregular_wrench() -> None:
+    messages = in_time(joint_messages(jittered(0.01, 6.0)), wrench_messages(jittered(0.003, 6.0, seed=1)))
+    samples = feed(pipeline(), messages)
+    np.testing.assert_allclose(samples.position, Motion().derivative(samples.stamps, 0), rtol=0, atol=3 * TOLERANCE)
+    np.testing.assert_allclose(samples.wrenches[:, 0], wrenches(samples.stamps), rtol=0, atol=3 * TOLERANCE)
+
+
+def test_the_order_of_joints_is_each_messages_own() -> None:
+    rng = np.random.default_rng(2)
+    messages = joint_messages(regular(0.01, 6.0), velocity=True)
+    shuffled = []
+    for message in messages:
+        order = rng.permutation(len(JOINTS))
+        arrays = {key: np.array(getattr(message, key))[order] for key in ("position", "velocity", "effort")}
+        shuffled.append(replace(message, name=[JOINTS[place] for place in order], **arrays))
+    settings = SignalSettings(period=0.01)
+    expected = feed(SignalPipeline(JOINTS, settings=settings), messages)
+    assert_same(feed(SignalPipeline(JOINTS, settings=settings), shuffled), expected, tolerance=0.0)
+
+
+@pytest.mark.parametrize("gain", [-2.5, {"elbow": -2.5}])
+def test_effort_gains_make_newton_metres(gain: float | dict[str, float]) -> None:
+    """One number for all joints, or one by name; negative reverses the sign. Nothing else changes."""
+    messages = joint_messages(regular(0.01, 6.0))
+    plain = feed(SignalPipeline(JOINTS, settings=SignalSettings(period=0.01)), messages)
+    scaled = feed(SignalPipeline(JOINTS, settings=SignalSettings(period=0.01, effort_gain=gain)), messages)
+    factors = np.full(3, gain) if isinstance(gain, float) else np.array([1.0, -2.5, 1.0])
+    np.testing.assert_allclose(scaled.effort, plain.effort * factors, rtol=1e-12)
+    np.testing.assert_array_equal(scaled.position, plain.position)
+
+
+@pytest.mark.parametrize("low", [-np.pi, 0.0], ids=["-pi to pi", "0 to 2 pi"])
+def test_a_continuous_joint_may_be_reported_within_one_turn(low: float) -> None:
+    """It turns without end at 4 rad/s; its message jumps by a turn each time, its motion does not."""
+    stamps = regular(0.01, 8.0)
+    motion = Motion()
+    position = motion.derivative(stamps, 0)
+    position[:, 1] += 4.0 * (stamps - START) * 1e-9
+    wrapped = position.copy()
+    wrapped[:, 1] = np.remainder(position[:, 1] - low, 2.0 * np.pi) + low
+    assert np.count_nonzero(np.abs(np.diff(wrapped[:, 1])) > np.pi) > 3
+    messages = joint_messages(stamps, motion)
+    settings = SignalSettings(period=0.01)
+    results = []
+    for values in (position, wrapped):
+        moved = [replace(message, position=row) for message, row in zip(messages, values, strict=True)]
+        results.append(feed(SignalPipeline(JOINTS, settings=settings, continuous=["elbow"]), moved))
+    straight, jumping = results
+    np.testing.assert_allclose(np.exp(1j * jumping.position), np.exp(1j * straight.position), rtol=0, atol=1e-12)
+    np.testing.assert_allclose(jumping.velocity, straight.velocity, rtol=0, atol=1e-11)
+    np.testing.assert_allclose(jumping.acceleration, straight.acceleration, rtol=0, atol=1e-9)
+    assert np.all(np.abs(jumping.position[:, 1]) <= np.pi)
+    np.testing.assert_array_equal(jumping.position[:, [0, 2]], straight.position[:, [0, 2]])
+
+
+@pytest.mark.parametrize("topic", ["/wrench", "joint_states", "odom"])
+def test_topics_must_differ(topic: str) -> None:
+    sensors = [SENSOR, WrenchSensor(topic, "foot", "external")]
+    with pytest.raises(InputError, match="topics must differ"):
+        SignalPipeline(JOINTS, sensors=sensors)

@@ -1,0 +1,175 @@
+"""The filter: zero phase, its pass and stop band, derivatives, polynomials, and interpolation."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from geomid_ros.errors import InputError
+from geomid_ros.signals.kernels import cubic_weights, derivative_kernels
+from geomid_ros.signals.pipeline import SignalPipeline, SignalSettings
+from geomid_ros.types import FloatArray, IntArray
+
+from .feeding import START, JointMessage, feed, jittered, regular, seconds
+
+CUTOFF = 5.0
+RATES = pytest.mark.parametrize("rate", [50, 125, 1000])
+
+
+def filtered(stamps: IntArray, values: FloatArray, rate: float) -> dict[str, FloatArray]:
+    """One joint through the pipeline: time [s], value, first and second derivative; effort is its own negative."""
+    pipeline = SignalPipeline(["joint"], settings=SignalSettings(cutoff=CUTOFF, period=1.0 / rate))
+    messages = [JointMessage(int(t), ["joint"], [x], [], [-x]) for t, x in zip(stamps, values, strict=True)]
+    samples = feed(pipeline, messages)
+    np.testing.assert_allclose(samples.effort, -samples.position, rtol=0, atol=1e-12 * np.max(np.abs(values)))
+    return {
+        "time": seconds(samples.stamps),
+        "value": samples.position[:, 0],
+        "first": samples.velocity[:, 0],
+        "second": samples.acceleration[:, 0],
+    }
+
+
+def gain_and_phase(time: FloatArray, values: FloatArray, frequency: float) -> tuple[float, float]:
+    """Of a response to ``sin(2 pi f t)``, by least squares."""
+    angle = 2.0 * np.pi * frequency * time
+    (sine, cosine), *_ = np.linalg.lstsq(np.column_stack([np.sin(angle), np.cos(angle)]), values, rcond=None)
+    return float(np.hypot(sine, cosine)), float(np.arctan2(cosine, sine))
+
+
+@RATES
+@pytest.mark.parametrize("frequency", [0.2, 0.7, 1.5, 2.4])
+def test_the_passband_comes_out_unchanged(rate: float, frequency: float) -> None:
+    """No phase shift at all, the gain within 1e-3; derivatives carry omega and a quarter turn each."""
+    stamps = regular(1.0 / rate, 6.0)
+    out = filtered(stamps, np.sin(2.0 * np.pi * frequency * seconds(stamps)), rate)
+    rotation = 2.0 * np.pi * frequency
+    for order, kind in enumerate(("value", "first", "second")):
+        gain, phase = gain_and_phase(out["time"], out[kind], frequency)
+        assert gain / rotation**order == pytest.approx(1.0, abs=1e-3)
+        quarter_turns = np.exp(1j * (phase - 0.5 * np.pi * order))
+        assert abs(np.angle(quarter_turns)) < 1e-6
+
+
+@RATES
+@pytest.mark.parametrize("factor", [1.55, 2.0, 3.3])
+def test_the_stopband_is_gone(rate: float, factor: float) -> None:
+    """Nor does it come back by the derivatives: they are those of the filtered signal."""
+    frequency = factor * CUTOFF
+    stamps = regular(1.0 / rate, 6.0)
+    out = filtered(stamps, np.sin(2.0 * np.pi * frequency * seconds(stamps)), rate)
+    for order, kind in enumerate(("value", "first", "second")):
+        assert np.max(np.abs(out[kind])) < 1.2e-3 * (2.0 * np.pi * frequency) ** order
+
+
+@RATES
+def test_the_cutoff_is_where_half_comes_through(rate: float) -> None:
+    stamps = regular(1.0 / rate, 6.0)
+    out = filtered(stamps, np.sin(2.0 * np.pi * CUTOFF * seconds(stamps)), rate)
+    assert gain_and_phase(out["time"], out["value"], CUTOFF)[0] == pytest.approx(0.5, abs=0.02)
+
+
+@pytest.mark.parametrize("stamps", [regular(0.008, 4.0), jittered(0.008, 4.0)], ids=["regular", "irregular"])
+def test_polynomials_are_exact(stamps: IntArray) -> None:
+    """A line comes out as it is; of a cubic the second derivative does, and both are the filtered cubic's own."""
+    rate = 125.0
+    line, cubic = np.array([0.7, -0.4]), np.array([0.3, -0.5, 0.2, 0.8])  # highest power first
+    out = filtered(stamps, np.polyval(line, seconds(stamps)), rate)
+    time = out["time"]
+    np.testing.assert_allclose(out["value"], np.polyval(line, time), rtol=0, atol=1e-10)
+    np.testing.assert_allclose(out["first"], line[0], rtol=0, atol=1e-10)
+    np.testing.assert_allclose(out["second"], 0.0, rtol=0, atol=1e-8)
+
+    out = filtered(stamps, np.polyval(cubic, seconds(stamps)), rate)
+    smooth = np.polyfit(time, out["value"], 3)
+    np.testing.assert_allclose(np.polyval(smooth, time), out["value"], rtol=0, atol=1e-10)
+    np.testing.assert_allclose(smooth[:2], cubic[:2], rtol=0, atol=1e-9)
+    np.testing.assert_allclose(out["first"], np.polyval(np.polyder(smooth), time), rtol=0, atol=1e-9)
+    np.testing.assert_allclose(out["second"], np.polyval(np.polyder(cubic, 2), time), rtol=0, atol=1e-7)
+
+
+def test_irregular_stamps_are_respected() -> None:
+    """Stamps off by a third of a period: at 1 Hz interpolation loses nothing that matters."""
+    stamps = jittered(0.008, 6.0, seed=3)
+    assert np.ptp(np.diff(stamps)) > 0.005e9
+    out = filtered(stamps, np.sin(2.0 * np.pi * seconds(stamps)), 125.0)
+    rotation = 2.0 * np.pi
+    np.testing.assert_allclose(out["value"], np.sin(rotation * out["time"]), rtol=0, atol=1e-3)
+    np.testing.assert_allclose(out["first"] / rotation, np.cos(rotation * out["time"]), rtol=0, atol=1e-3)
+    np.testing.assert_allclose(out["second"] / rotation**2, -np.sin(rotation * out["time"]), rtol=0, atol=1e-3)
+
+
+def test_samples_lie_on_whole_periods_at_eight_in_a_cutoff_period() -> None:
+    stamps = regular(0.002, 3.0, offset=0.0007)
+    out = filtered(stamps, seconds(stamps), 500.0)
+    grid = np.round(out["time"] * 1e9).astype(np.int64) + START
+    assert np.all(grid % 2_000_000 == 0)
+    assert np.all(np.diff(grid) == 24_000_000)  # at most 1 / (8 * 5 Hz)
+
+
+def test_the_lag_is_half_a_kernel() -> None:
+    """Samples end where the kernel's later half meets the last data; the pipeline says so."""
+    pipeline = SignalPipeline(["joint"], settings=SignalSettings(cutoff=CUTOFF, period=0.01))
+    stamps = regular(0.01, 4.0)
+    samples = feed(pipeline, [JointMessage(int(t), ["joint"], [0.0], [], [0.0]) for t in stamps])
+    trailing = (stamps[-1] - samples.stamps[-1]) * 1e-9
+    assert pipeline.lag <= trailing <= pipeline.lag + 0.05
+    assert pipeline.lag == pytest.approx(2.0 / CUTOFF + 0.03, abs=0.011)
+    assert SignalPipeline(["joint"]).lag == 0.0
+
+
+def test_too_coarse_a_grid_is_refused() -> None:
+    with pytest.raises(InputError, match=r"5 Hz is too high for data at 10 Hz: at most 4 Hz"):
+        derivative_kernels(5.0, 0.1)
+    with pytest.raises(InputError, match="too high"):
+        SignalPipeline(["joint"], settings=SignalSettings(period=0.1))
+
+
+def test_cubic_weights_are_exact_for_cubics() -> None:
+    rng = np.random.default_rng(0)
+    nodes = np.cumsum(rng.uniform(0.6, 1.4, size=(50, 4)), axis=1)
+    times = nodes[:, 1] + rng.uniform(size=50) * (nodes[:, 2] - nodes[:, 1])
+    weights = cubic_weights(nodes, times)
+    for power in range(4):
+        np.testing.assert_allclose(np.sum(weights * nodes**power, axis=1), times**power, rtol=1e-12)
+
+
+def test_cubic_weights_give_back_the_nodes() -> None:
+    nodes = np.array([[0.0, 1.0, 2.5, 4.0]])
+    np.testing.assert_array_equal(cubic_weights(nodes, np.array([1.0])), [[0.0, 1.0, 0.0, 0.0]])
+    np.testing.assert_array_equal(cubic_weights(nodes, np.array([2.5])), [[0.0, 0.0, 1.0, 0.0]])
+
+
+@pytest.mark.parametrize("gap", [1e-1, 1e-2, 1e-6])
+def test_bursts_do_not_amplify_noise(gap: float) -> None:
+    """Two messages stamped at almost the same time: a cubic through both would swing out; exact for lines still."""
+    for nodes in ([0.0, gap, 1.0, 2.0], [-1.0, 0.0, 1.0, 1.0 + gap], [0.0, 1.0, 1.0 + gap, 2.0]):
+        middle = np.array(nodes)[None]
+        for share in (0.0, 0.3, 0.5, 1.0):
+            time = middle[:, 1] + share * (middle[:, 2] - middle[:, 1])
+            weights = cubic_weights(middle, time)
+            assert np.sum(weights**2) <= 4.0
+            np.testing.assert_allclose([np.sum(weights), np.sum(weights * middle)], [1.0, time[0]], atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"cutoff": 0.0},
+        {"cutoff": -1.0},
+        {"cutoff": float("nan")},
+        {"max_gap": 0.0},
+        {"max_gap": float("inf")},
+        {"period": -0.01},
+        {"period": 1e-9},
+        {"period": float("nan")},
+        {"samples_per_cutoff_period": 0.0},
+        {"effort_gain": 0.0},
+        {"effort_gain": float("inf")},
+        {"effort_gain": {"joint": float("nan")}},
+    ],
+)
+def test_settings_without_a_meaning_are_refused(wrong: dict[str, float]) -> None:
+    (name,) = wrong
+    with pytest.raises(InputError, match=name.replace("_", ".")):
+        SignalSettings(**wrong)
