@@ -55,9 +55,6 @@ _PLATE = {
 CASES = {
     "UR10": Case("ur10_unisa_rosbag2/ur10.urdf", "ur10_unisa_rosbag2/ur10_exciting_trajectory", hold_out=0.3),
     "AIRBOT": Case("airbot_play/airbot_play.urdf", "airbot_play/chirp", "airbot_play/trapez"),
-    "AIRBOT, weak prior": Case(
-        "airbot_play/airbot_play.urdf", "airbot_play/chirp", "airbot_play/trapez", configuration={"gamma": 1e-7}
-    ),
     "LWR4+": Case("kuka_lwr4_hw/kuka_lwr4.urdf", "kuka_lwr4_hw/measurements_1", "kuka_lwr4_hw/measurements_2"),
     "human": Case(
         "human_forceplate/human_94kg.urdf",
@@ -113,8 +110,9 @@ def _split(session: Session, case: Case) -> tuple[Samples, Samples]:
 
 
 def _samples(session: Session, name: str) -> Samples:
+    topics = Topics("joint_states", "odom")
     with Bag(DATA / name) as bag:
-        return Samples.concatenate(list(read_samples(bag, session, session.new_pipeline(), Topics("joint_states", "odom"))))
+        return Samples.concatenate(list(read_samples(bag, session, session.new_pipeline(), topics)))
 
 
 def _least_squares(session: Session, train: Samples) -> FloatArray:

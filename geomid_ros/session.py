@@ -8,9 +8,11 @@ from typing import Any
 
 import numpy as np
 
+from geomid_ros.errors import InputError
 from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.estimation.estimator import nominal_parameters
 from geomid_ros.estimation.identifier import Identifier
+from geomid_ros.files.atomic import write_text
 from geomid_ros.files.configuration import Configuration
 from geomid_ros.files.results import (
     estimate_document,
@@ -19,12 +21,11 @@ from geomid_ros.files.results import (
     read_estimate,
     write_estimate,
 )
-from geomid_ros.files.atomic import write_text
 from geomid_ros.files.urdf import with_identified_inertias
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.robot import Robot
 from geomid_ros.model.samples import Samples
-from geomid_ros.signals.pipeline import SignalPipeline
+from geomid_ros.signals.pipeline import JOINT_STATES, ODOM, SignalPipeline
 from geomid_ros.types import FloatArray
 
 
@@ -46,7 +47,10 @@ class Session:
         )
         self.model = MeasurementModel(self.robot, configuration.effects, sensors, configuration.links)
         self.identifier = Identifier(
-            self.model, configuration.estimator, configuration.buffer, self._prior(configuration["model"])
+            self.model,
+            configuration.estimator([channel.name for channel in self.model.channels]),
+            configuration.buffer,
+            self._prior(configuration["model"]),
         )
         self.pipeline = self.new_pipeline()
 
@@ -56,8 +60,17 @@ class Session:
             return None
         document = read_estimate(Path(path))
         known = known_inertias(document, path)
+        if not known.keys() & set(self.model.body_names):
+            names = f"{', '.join(known) or 'none'}; those of this robot: {', '.join(self.model.body_names)}"
+            raise InputError(f"{path}: an estimate of another robot. Its links: {names}")
         inertias = [known.get(name, np.full(10, np.nan)) for name in self.model.body_names]
         return np.concatenate([*inertias, known_coefficients(document, self.model, path)])
+
+    @property
+    def topics(self) -> tuple[str, ...]:
+        """The topics that data are expected on, as the pipeline calls them."""
+        base = (ODOM,) if self.robot.floating_base else ()
+        return (JOINT_STATES, *base, *(sensor.topic for sensor in self.model.sensors))
 
     @property
     def nominal_parameters(self) -> FloatArray:
@@ -94,7 +107,7 @@ class Session:
 
     def save(self, folder: Path, estimate: Estimate, held_out: FloatArray | None = None) -> Mapping[str, Any]:
         """Write ``estimate.json`` and ``identified.urdf`` into ``folder``; returns the former's document."""
-        document = estimate_document(estimate, self.identifier.rows_rejected, held_out)
+        document = estimate_document(estimate, dict(self.identifier.rows_rejected), held_out)
         write_text(folder / "identified.urdf", with_identified_inertias(self.urdf, estimate.links))
         write_estimate(folder / "estimate.json", document)
         return document

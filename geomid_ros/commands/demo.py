@@ -32,14 +32,19 @@ _WRENCH = {
 
 @click.command()
 @click.option(
-    "--out", type=click.Path(path_type=Path), default=Path("geomid_out/demo"), show_default=True, help="Folder for results."
+    "--out",
+    type=click.Path(path_type=Path, file_okay=False),
+    default=Path("geomid_out/demo"),
+    show_default=True,
+    help="Folder for results.",
 )
-@click.option("--rate", default=1.0, show_default=True, help="Times real time.")
+@click.option("--rate", default=1.0, show_default=True, type=click.FloatRange(0.1, 10.0), help="Times real time.")
 def demo(out: Path, rate: float) -> None:
     """Watch a robot's inertias being identified live.
 
-    Plays a recording of a simulated arm with a wrist sensor into a node, both in processes of their own, and shows the
-    estimates as they arrive. The arm's true inertias differ from its URDF by about 20 %; the node knows nothing of them.
+    Plays a recording of a simulated arm with a wrist sensor into a node, both in processes of their own, and shows
+    the estimates as they arrive. The arm's true inertias differ from its URDF by about 20 %; the node knows nothing of
+    them.
     """
     try:
         from geomid_ros.ros.live_run import LiveRun  # noqa: PLC0415 the other commands need no ROS
@@ -47,11 +52,14 @@ def demo(out: Path, rate: float) -> None:
         raise InputError(f"ROS 2 is needed for the demonstration, and cannot be imported ({error})") from error
     bag, urdf = shared_file("bags/arm7"), shared_file("bags/arm7.urdf")
     truth = _true_masses(shared_file("bags/arm7.truth.json"))
-    configuration = Configuration({**_WRENCH, "solve_period": 0.3 / rate}, "demo")
+    configuration = Configuration({**_WRENCH, "solve_period": max(0.1, 0.3 / rate)}, "demo")
     session = Session(read_urdf(urdf), configuration, str(urdf))
     console = Console()
     console.print("A node identifies a simulated arm live, from joint states and a wrench sensor at the wrist.")
-    with LiveRun(bag, urdf, configuration, out.resolve(), rate) as run, Live(console=console, refresh_per_second=8) as live:
+    with (
+        LiveRun(bag, urdf, configuration, out.resolve(), rate) as run,
+        Live(console=console, refresh_per_second=8) as live,
+    ):
         for masses, stream in run.watch():
             live.update(_table(session, masses, truth, stream))
     document = read_estimate(out / "estimate.json")
@@ -89,7 +97,7 @@ def _compare_with_offline(session: Session, bag: Path, live: dict[str, Any], pic
     estimate = session.identifier.solve()
     draw_identification(picture, session, estimate, Samples.concatenate(batches), "the recording")
     masses = {link["name"]: link["mass"] for link in live["links"]}
-    return max(abs(link.mass - masses[link.name]) / link.mass for link in estimate.links)
+    return max(abs(link.mass / float(masses[link.name]) - 1.0) for link in estimate.links)
 
 
 def _conclude(
@@ -102,10 +110,11 @@ def _conclude(
     shares = [1.0 - rms["train"][channel] / nominal for channel, nominal in rms["nominal"].items()]
     console.print(
         f"\nFound from {document['rows']['accepted']} rows: the best known body is {tool['name']} with "
-        f"{tool['mass']:.4f} ± {tool['std']['mass']:.4f} kg (truth {true_mass:.4f}), {100 * tool['from_data']:.0f} % from data.\n"
+        f"{tool['mass']:.4f} ± {tool['std']['mass']:.4f} kg (truth {true_mass:.4f}), "
+        f"{100 * tool['from_data']:.0f} % from data.\n"
         f"The motion cannot tell the mass of {', '.join(untold) or 'no link'} by itself; these stay near the URDF.\n"
-        f"Of what the URDF left unexplained {100 * sum(shares) / len(shares):.0f} % is explained now (mean over channels); "
-        f"all bodies are possible.\n"
+        f"Of what the URDF left unexplained {100 * sum(shares) / len(shares):.0f} % is explained now (mean over "
+        f"channels); all bodies are possible.\n"
         f"The same bag identified offline gives the same masses within {difference:.0e} (relative).\n\n"
         f"Picture: {out / 'identification.png'}\nURDF:    {out / 'identified.urdf'}\nNumbers: {out / 'estimate.json'}",
         highlight=False,

@@ -18,7 +18,6 @@ from geomid_ros.files.bags import Bag
 from geomid_ros.files.configuration import Configuration
 from geomid_ros.files.report.drawing import draw_identification
 from geomid_ros.files.urdf import read_urdf
-from geomid_ros.model.effects import effect
 from geomid_ros.model.samples import Samples
 from geomid_ros.model.sensors import WrenchSensor
 from geomid_ros.session import Session
@@ -71,23 +70,12 @@ def configured(
         values["model"] = str(model)
     if effects is not None:
         values["effects"] = [] if effects == "none" else [name.strip() for name in effects.split(",")]
-        for name in values["effects"]:
-            effect(name)
     if links:
         values["links"] = [name.strip() for name in links.split(",")]
     if floating_base:
         values["floating_base"] = True
     if wrench:
-        sensors = {f"wrench{index}": WrenchSensor.parse(text) for index, text in enumerate(wrench)}
-        values["wrenches"] = list(sensors)
-        for name, sensor in sensors.items():
-            values |= {
-                f"wrench.{name}.topic": sensor.topic,
-                f"wrench.{name}.frame": sensor.frame,
-                f"wrench.{name}.role": sensor.role,
-                f"wrench.{name}.axes": list(sensor.axes),
-                f"wrench.{name}.sign": sensor.sign,
-            }
+        configuration = configuration.with_sensors([WrenchSensor.parse(text) for text in wrench])
     return configuration.with_values(values)
 
 
@@ -128,8 +116,7 @@ def _why_no_samples(bag: Bag, session: Session, pipeline: SignalPipeline) -> str
         for topic, ledger in pipeline.ledgers.items()
         for reason, count in ledger.rejected.most_common(2)
     ]
-    silent = [topic for topic in ("joint_states", *(s.topic for s in session.model.sensors)) if topic not in pipeline.ledgers]
-    reasons += [f"{topic}: no messages" for topic in silent]
+    reasons += [f"{topic}: no messages" for topic in session.topics if topic not in pipeline.ledgers]
     if not reasons:
         reasons = [f"it is shorter than the filter's window ({2 * pipeline.lag:.1f} s) or its topics do not overlap"]
     joints = ", ".join(session.robot.joint_names)
@@ -142,7 +129,11 @@ def _why_no_samples(bag: Bag, session: Session, pipeline: SignalPipeline) -> str
 @click.option("--hold-out", type=click.FloatRange(0.0, 0.9), help="Share of the time, at the end, kept to test on.")
 @click.option("--validate", multiple=True, type=click.Path(path_type=Path), help="A bag to test on; may be repeated.")
 @click.option(
-    "--out", type=click.Path(path_type=Path), default=Path("geomid_out"), show_default=True, help="Folder for results."
+    "--out",
+    type=click.Path(path_type=Path, file_okay=False),
+    default=Path("geomid_out"),
+    show_default=True,
+    help="Folder for results.",
 )
 @click.option("--json", "as_json", is_flag=True, help="Print estimate.json instead of tables.")
 def identify(
@@ -177,7 +168,7 @@ def identify(
     for path in validate:
         _read_bag(path, session, topics, 1.0, train, held_out)
     if not train:
-        raise InputError(f"{', '.join(map(str, bags))}: too short, nothing is left to identify from beside what is held out")
+        raise InputError(f"{', '.join(map(str, bags))}: too short, nothing is left to identify from")
     _check_efforts(session, train, bags)
     for samples in train:
         session.identifier.add(samples)

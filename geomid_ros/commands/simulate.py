@@ -36,7 +36,8 @@ def simulate(
 ) -> None:
     """Record a simulated robot into the new rosbag OUT, and what is true of it into OUT.truth.json.
 
-    The bag holds the nominal URDF; the robot that moves has other inertias, and friction. Needs MuJoCo (pip install mujoco).
+    The bag holds the nominal URDF; the robot that moves has other inertias, and friction. Needs MuJoCo (pip install
+    mujoco).
     """
     options = SimulationOptions(
         robot=robot,

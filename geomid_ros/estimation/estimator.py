@@ -28,8 +28,6 @@ from geomid_ros.types import FloatArray, frozen
 
 QUANTITIES = ("mass", "com x", "com y", "com z", "Ixx", "Ixy", "Iyy", "Ixz", "Iyz", "Izz")
 OBJECTIVES = ("residual", "geodesic")
-_MOST_SIGMA_ROUNDS = 20
-_SIGMA_TOLERANCE = 1e-9
 _LEAST_GRADIENT = 1e-14  # relative to the sum of the weights; rounding allows no less
 # A quantity is called told when the data at least halved the standard deviation that the prior alone leaves.
 _TOLD = 0.5
@@ -83,8 +81,9 @@ def estimate(
 
     Without ``warm`` the result depends on the rows alone. ``prior (D,)`` replaces the URDF's inertias and the fitted
     start of the effects; NaN in it stands for not known. Minimises :class:`ResidualObjective` on the compressed rows,
-    at most D of them, in rounds that take the channels' standard deviations from the residuals, and from there, if that
-    is asked for, (19). Raises InputError when nothing was measured.
+    at most D of them, and from there, if that is asked for, (19). The channels' standard deviations are those of what
+    no parameters can explain: by the residuals of a fit that the prior holds back, the channel that happens to fit best
+    would gain weight until the others no longer count. Raises InputError when nothing was measured.
     """
     begin = time.perf_counter()
     if summary.rows == 0:
@@ -93,8 +92,7 @@ def estimate(
     manifold = model.manifold(scales_of_reals(model, sizes))
     prior_point = manifold.point(prior_parameters(model, summary, prior))
     configured = _configured_sigmas(model, settings)
-    sigmas = warm.sigmas if warm else first_sigmas(summary, model.dimension)
-    sigmas = np.where(np.isfinite(configured), configured, sigmas)
+    sigmas = np.where(np.isfinite(configured), configured, first_sigmas(summary, model.dimension))
     gamma = warm.gamma if warm else settings.gamma
     if gamma is None and settings.objective == "geodesic":
         gamma = PAPER
@@ -103,15 +101,6 @@ def estimate(
     # The prior bounds the curvature from below: a gradient of so little of the prior's weight is so little off.
     tolerance = max(settings.tolerance * gamma, _LEAST_GRADIENT)
     point = manifold.point(warm.parameters) if warm else prior_point
-    for _ in range(_MOST_SIGMA_ROUNDS):
-        objective = _residual_objective(manifold, summary, sigmas, prior_point, gamma)
-        point = trust_region(objective, point, tolerance, settings.max_steps).point
-        before = sigmas
-        residual = robust_rms(summary, point.parameters)
-        sigmas = np.where(np.isfinite(configured), configured, np.where(np.isfinite(residual), residual, sigmas))
-        sigmas = np.maximum(sigmas, 1e-9 * sizes)
-        if np.all(np.abs(sigmas - before) <= _SIGMA_TOLERANCE * sigmas):
-            break
     objective = _residual_objective(manifold, summary, sigmas, prior_point, gamma)
     solution = trust_region(objective, point, tolerance, settings.max_steps)
     set_aside = 0
@@ -141,15 +130,6 @@ def estimate(
 def nominal_parameters(model: MeasurementModel) -> FloatArray:
     """The model as the URDF has it: its inertias and no effects, ``(D,)``."""
     return np.concatenate([model.nominal_inertias, np.zeros(len(model.coefficients))])
-
-
-def robust_rms(summary: RowSummary, parameters: FloatArray) -> FloatArray:
-    """Each channel's RMS residual, the median over the folds of time: a burst in one of them does not count."""
-    by_fold = np.array([summary.rms(parameters, [fold]) for fold in range(summary.folds)])
-    known = np.any(np.isfinite(by_fold), axis=0)
-    result = np.full(by_fold.shape[1], np.nan)
-    result[known] = np.nanmedian(by_fold[:, known], axis=0)
-    return result
 
 
 def _configured_sigmas(model: MeasurementModel, settings: EstimatorSettings) -> FloatArray:

@@ -29,7 +29,7 @@ class BufferSettings:
     still_speed: float = 1e-3
     still_distance: float = 1e-2
     forgetting: float = 1.0
-    folds: int = 4
+    folds: int = 8
     block: int = 100
 
     def __post_init__(self) -> None:

@@ -14,6 +14,7 @@ from geomid_ros.types import FloatArray
 _ACCEPT = 1e-4
 _EXPAND_ABOVE = 0.75
 _SHRINK_BELOW = 0.25
+_ROUNDING = 1e-13  # relative to the value
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,7 +32,8 @@ class Solution:
 def trust_region(
     objective: Objective, start: Point, tolerance: float = 1e-8, max_steps: int = 100, radius: float = 1.0
 ) -> Solution:
-    """Newton steps on the manifold inside a trust region (geodesic radius); every accepted step descends.
+    """Newton steps on the manifold inside a trust region (geodesic radius); every accepted step descends. Where
+    rounding hides the descent the gradient shows it.
 
     The subproblem is solved exactly in the eigenbasis of the Hessian (More & Sorensen 1983); the radius
     follows the ratio of actual to predicted decrease (Nocedal & Wright, "Numerical Optimization", algorithm 4.1).
@@ -52,7 +54,9 @@ def trust_region(
             length = float(np.linalg.norm(tangent))
             if ratio >= _ACCEPT:
                 break
-            if predicted <= 1e-14 * evaluation.value or length < 1e-12:
+            if predicted <= _ROUNDING * evaluation.value or length < 1e-12:
+                if np.linalg.norm(trial.gradient) <= 0.5 * np.linalg.norm(evaluation.gradient):
+                    break
                 return Solution(point, evaluation, True, "no decrease left in rounding", step, tuple(values))
             radius = 0.25 * length
         if ratio < _SHRINK_BELOW:

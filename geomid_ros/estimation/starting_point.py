@@ -17,7 +17,8 @@ _LEAST_SHARE = 1e-2
 # motion for which a coefficient is made large enough to show.
 _NOISE_MOTION = 1e-2
 _LEAST_MOTION = 0.1
-_LEAST_SIGMA_SHARE = 1e-6
+# No model predicts a channel better than this share of its size.
+_LEAST_SIGMA_SHARE = 1e-3
 _RIDGE = 1e-8
 
 

@@ -51,7 +51,7 @@ class RowSummary:
     # Rows wait until so many are there: a QR of many at once costs less than one of each.
     _CHUNK = 128
 
-    def __init__(self, channels: Sequence[Channel], folds: int = 4, block: int = 100, forgetting: float = 1.0) -> None:
+    def __init__(self, channels: Sequence[Channel], folds: int = 8, block: int = 100, forgetting: float = 1.0) -> None:
         self.channels = tuple(channels)
         self.folds = folds
         self._block = block

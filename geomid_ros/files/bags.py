@@ -34,7 +34,7 @@ class Bag:
         try:
             self._reader = Reader(path)
             self._reader.open()
-        except Exception as error:  # noqa: BLE001 damaged files make the reader's libraries raise errors of any kind
+        except Exception as error:  # damaged files make the reader's libraries raise errors of any kind
             raise InputError(f"{path}: cannot be read as a rosbag2 recording ({_first_line(error)})") from error
 
     def __enter__(self) -> Self:
@@ -79,7 +79,7 @@ class Bag:
         for topic, time, raw, kind in self._raw_messages(topics):
             try:
                 yield topic, time, _typestore.deserialize_cdr(raw, kind)
-            except Exception as error:  # noqa: BLE001 as above
+            except Exception as error:
                 raise InputError(
                     f"{self.path}: message on {topic} at {time} ns is not a valid {kind} ({_first_line(error)})"
                 ) from error
@@ -98,7 +98,7 @@ class Bag:
             for connection, time, raw in self._reader.messages(connections):
                 read += 1
                 yield connection.topic, time, bytes(raw), connection.msgtype
-        except Exception as error:  # noqa: BLE001 as above
+        except Exception as error:
             raise InputError(
                 f"{self.path}: damaged or cut off after {read} messages ({_first_line(error)}); "
                 "'ros2 bag reindex' or 'mcap recover' may save the rest"

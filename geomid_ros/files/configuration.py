@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any, TypeAlias, TypeVar
 
@@ -54,7 +55,7 @@ PARAMETERS = (
     Parameter("wrenches", _NONE, "names of wrench sensors; each is described under wrench.NAME"),
     Parameter("wrench.*.topic", "", "topic of the sensor's geometry_msgs/WrenchStamped; empty: the sensor's name"),
     Parameter("wrench.*.frame", "", "frame the wrench is given in: a link, or for a force plate the world (odom)"),
-    Parameter("wrench.*.role", "mounted", "mounted (in the chain, feels all that is distal) or external (a known load)"),
+    Parameter("wrench.*.role", "mounted", "mounted (in the chain: feels all distal parts) or external (a known load)"),
     Parameter("wrench.*.axes", list(AXES), "axes that are measured"),
     Parameter("wrench.*.sign", 1.0, "-1 if the sensor reports the reaction", -1.0, 1.0),
     Parameter("effort_gain", 1.0, "factor from messages' efforts to N m (or N); negative reverses the sign", -1e6, 1e6),
@@ -62,13 +63,13 @@ PARAMETERS = (
     Parameter("filter.cutoff", 5.0, "cutoff of the zero-phase low-pass on all signals [Hz]", 0.05, 500.0),
     Parameter("filter.period", 0.0, "period of the time grid [s]; 0: that of the first joint messages", 0.0, 1.0),
     Parameter("filter.max_gap", 0.5, "a longer pause of a topic starts a new segment [s]", 0.001, 60.0),
-    Parameter("gamma", 0.0, "weight of the prior as a share of the rows'; 0: found on held-out blocks of time", 0.0, 1e6),
+    Parameter("gamma", 0.0, "weight of the prior as a share of the rows'; 0: found on held-out blocks", 0.0, 1e6),
     Parameter("objective", "residual", "what is minimised: residual (Remark 3 of the paper) or geodesic (its (19))"),
     Parameter("solver", "trust_region", "solver of the geodesic objective: trust_region or cyclic (the paper's)"),
     Parameter("sigma.*", 1.0, "standard deviation of a channel [N m, N], where known (else from residuals)", 1e-9, 1e9),
-    Parameter("forgetting", 1.0, "factor per row on the weight of a channel's earlier rows; 1: nothing is forgotten", 0.9, 1.0),
+    Parameter("forgetting", 1.0, "factor per row on a channel's earlier rows; 1: nothing is forgotten", 0.9, 1.0),
     Parameter("still_speed", 1e-3, "slower than this everywhere counts as standing still [rad/s, m/s]", 0.0, 10.0),
-    Parameter("still_distance", 1e-2, "while standing still, a pose nearer to the last one says nothing new [rad, m]", 0.0, 10.0),
+    Parameter("still_distance", 1e-2, "at a standstill, a pose nearer to the last one is not new [rad, m]", 0.0, 10.0),
     Parameter("solve_period", 1.0, "seconds between estimates while data come in [s]", 0.05, 3600.0),
     Parameter("active", True, "take data from the start; otherwise wait for ~/start"),
     Parameter("output_folder", "", "folder that ~/save and the end of the node write to; empty: the working directory"),
@@ -92,26 +93,31 @@ class Configuration:
     """Checked parameters, and the settings of the lower floors that they make."""
 
     def __init__(self, values: Mapping[str, Any] | None = None, source: str = "parameters") -> None:
-        """``values`` by full name; what is not given has its default. Raises InputError naming ``source`` and the key."""
+        """``values`` by full name; what is not given has its default. Parameters of ROS itself are passed over.
+
+        Raises InputError naming ``source`` and the key.
+        """
         self.source = source
-        self._values = {name: self._checked(name, value) for name, value in (values or {}).items()}
+        own = {name: value for name, value in (values or {}).items() if not name.startswith(_OF_ROS)}
+        self._values = {name: self._checked(name, value) for name, value in own.items()}
 
     @staticmethod
     def read(path: Path) -> Configuration:
-        """Read a ROS parameter file: ``node_name: ros__parameters: ...``."""
-        try:
-            document = yaml.safe_load(path.read_text(encoding="utf-8"))
-        except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
-            raise InputError(f"{path}: the parameter file cannot be read ({str(error).splitlines()[0]})") from error
-        nodes = [n["ros__parameters"] for n in (document or {}).values() if isinstance(n, dict) and "ros__parameters" in n] \
-            if isinstance(document, dict) else []
-        if len(nodes) != 1 or not isinstance(nodes[0], dict):
-            raise InputError(f"{path}: expected one node with a 'ros__parameters' section, found {len(nodes)}")
-        return Configuration(_flatten(nodes[0]), str(path))
+        """Read a ROS parameter file."""
+        return Configuration(read_parameter_file(path), str(path))
 
     def with_values(self, values: Mapping[str, Any]) -> Configuration:
         """A copy in which these values replace what was there."""
         return Configuration({**self._values, **values}, self.source)
+
+    def with_sensors(self, sensors: Sequence[WrenchSensor]) -> Configuration:
+        """A copy with these wrench sensors instead of those that were there."""
+        values = {name: value for name, value in self._values.items() if not name.startswith("wrench")}
+        values["wrenches"] = names = [f"sensor{index}" for index in range(len(sensors))]
+        for name, sensor in zip(names, sensors, strict=True):
+            described = {key: getattr(sensor, key) for key in ("topic", "frame", "role", "axes", "sign")}
+            values |= {f"wrench.{name}.{key}": value for key, value in described.items()}
+        return Configuration(values, self.source)
 
     @property
     def given(self) -> dict[str, Value]:
@@ -119,17 +125,14 @@ class Configuration:
         return dict(self._values)
 
     def _checked(self, name: str, value: Any) -> Value:
-        try:
-            parameter = find_parameter(name)
-        except InputError as error:
-            raise InputError(f"{self.source}: {error}") from error
+        parameter = self._naming_source("", lambda: find_parameter(name))
         default = parameter.default
         if isinstance(default, float) and isinstance(value, int) and not isinstance(value, bool):
             value = float(value)
         if isinstance(default, list):
             value = self._checked_list(name, value, type(default[0]))
         elif type(value) is not type(default):
-            raise InputError(f"{self.source}: {name} is {value!r}, expected a {type(default).__name__}")
+            raise InputError(f"{self.source}: {name} is {value!r}, expected {_KINDS[type(default)]}")
         if isinstance(value, float):
             low, high = parameter.minimum, parameter.maximum
             if not np.isfinite(value) or (low is not None and value < low) or (high is not None and value > high):
@@ -140,9 +143,11 @@ class Configuration:
     def _checked_list(self, name: str, value: Any, kind: type) -> list[Any]:
         entries = list(value) if isinstance(value, (list, tuple)) or hasattr(value, "tolist") else [value]
         if kind is float:
-            entries = [float(entry) if isinstance(entry, int) else entry for entry in entries]
-        if not all(isinstance(entry, kind) for entry in entries):
-            raise InputError(f"{self.source}: {name} is {value!r}, expected a list of {kind.__name__}")
+            entries = [float(entry) if type(entry) is int else entry for entry in entries]
+        right = all(isinstance(entry, kind) for entry in entries)
+        if not right or (kind is float and not np.all(np.isfinite(entries))):
+            what = "finite numbers" if kind is float else "texts"
+            raise InputError(f"{self.source}: {name} is {value!r}, expected a list of {what}")
         return [entry for entry in entries if entry != ""]
 
     def __getitem__(self, name: str) -> Any:
@@ -162,13 +167,14 @@ class Configuration:
     @property
     def effects(self) -> list[Effect]:
         """The effects to identify."""
-        return [self._named(effect, name) for name in self["effects"]]
+        return [self._naming_source("effects: ", partial(effect, name)) for name in dict.fromkeys(self["effects"])]
 
-    def _named(self, find: Any, name: str) -> Any:
+    def _naming_source(self, key: str, make: Callable[[], T]) -> T:
+        """What ``make`` makes; its error says that ``key`` of this source is what is wrong."""
         try:
-            return find(name)
+            return make()
         except InputError as error:
-            raise InputError(f"{self.source}: {error}") from error
+            raise InputError(f"{self.source}: {key}{error}") from error
 
     @property
     def links(self) -> list[str] | None:
@@ -196,8 +202,11 @@ class Configuration:
 
         if not value("frame"):
             raise InputError(f"{self.source}: wrench.{name}.frame is not given")
-        return WrenchSensor(
-            value("topic") or name, value("frame"), value("role"), tuple(value("axes")), value("sign")
+        return self._naming_source(
+            f"wrench.{name}: ",
+            lambda: WrenchSensor(
+                value("topic") or name, value("frame"), value("role"), tuple(value("axes")), value("sign")
+            ),
         )
 
     def signals(self, joints: Sequence[str]) -> SignalSettings:
@@ -205,30 +214,29 @@ class Configuration:
         own = self._under("joint", ".effort_gain")
         common = self["effort_gain"]
         gains = {joint: own.get(joint, common) for joint in joints} | own
-        return SignalSettings(
-            cutoff=self["filter.cutoff"],
-            period=self["filter.period"],
-            max_gap=self["filter.max_gap"],
-            effort_gain=gains if own else common,
+        return self._naming_source(
+            "",
+            lambda: SignalSettings(
+                cutoff=self["filter.cutoff"],
+                period=self["filter.period"],
+                max_gap=self["filter.max_gap"],
+                effort_gain=gains if own else common,
+            ),
         )
 
-    @property
-    def estimator(self) -> EstimatorSettings:
-        """Settings of the estimator; channel names in ``sigma.*`` may use dots for slashes."""
-        sigma = {name.replace(".", "/"): value for name, value in self._under("sigma").items()}
-        return EstimatorSettings(self["gamma"] or None, sigma or None, self["objective"], self["solver"])
+    def estimator(self, channels: Sequence[str]) -> EstimatorSettings:
+        """Settings of the estimator for a model with these channels; ``sigma.*`` may have dots for their slashes."""
+        by_name = {name: name for name in channels} | {name.replace("/", "."): name for name in channels}
+        sigma = {}
+        for name, value in self._under("sigma").items():
+            if name not in by_name:
+                raise InputError(f"{self.source}: sigma: {unknown_name('channel', name, channels)}")
+            sigma[by_name[name]] = value
+        return self._naming_source(
+            "", lambda: EstimatorSettings(self["gamma"] or None, sigma or None, self["objective"], self["solver"])
+        )
 
     @property
     def buffer(self) -> BufferSettings:
         """Settings of the row buffer."""
         return BufferSettings(self["still_speed"], self["still_distance"], self["forgetting"])
-
-
-def _flatten(tree: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
-    flat: dict[str, Any] = {}
-    for key, value in tree.items():
-        if isinstance(value, dict):
-            flat |= _flatten(value, f"{prefix}{key}.")
-        else:
-            flat[f"{prefix}{key}"] = value
-    return flat

@@ -23,7 +23,8 @@ FORMAT = 1
 def estimate_document(
     estimate: Estimate, rows_rejected: Mapping[str, int], held_out: FloatArray | None = None
 ) -> dict[str, Any]:
-    """The document of an estimate; ``held_out (channels,)`` are RMS residuals on data that were not used."""
+    """The document of an estimate; ``held_out (channels,)`` are RMS residuals on data that were not used, if any were
+    held out."""
     rms = {"nominal": estimate.rms_nominal, "train": estimate.rms, "held_out": held_out}
     return {
         "format": FORMAT,
@@ -67,7 +68,7 @@ def estimate_document(
             for effect in estimate.effects
         ],
         "rms": {
-            kind: _by_channel(estimate.channels, values) for kind, values in rms.items() if values is not None
+            kind: None if values is None else _by_channel(estimate.channels, values) for kind, values in rms.items()
         },
         "sigma": _by_channel(estimate.channels, estimate.sigmas),
     }
@@ -75,7 +76,7 @@ def estimate_document(
 
 def _by_channel(channels: Sequence[str], values: FloatArray) -> dict[str, float | None]:
     return {
-        name: None if math.isnan(value) else float(value) for name, value in zip(channels, values, strict=True)
+        name: float(value) if math.isfinite(value) else None for name, value in zip(channels, values, strict=True)
     }
 
 
@@ -102,14 +103,16 @@ def known_inertias(document: Mapping[str, Any], source: str) -> dict[str, FloatA
     try:
         inertias = {
             link["name"]: pseudo_inertia.assemble(
-                np.array(float(link["mass"])), np.array(link["com"], dtype=float), np.array(link["inertia"], dtype=float)
+                np.array(float(link["mass"])),
+                np.array(link["com"], dtype=float).reshape(3),
+                np.array(link["inertia"], dtype=float).reshape(3, 3),
             )
             for link in document["links"]
         }
     except (KeyError, TypeError, ValueError) as error:
         raise InputError(f"{source}: a link lacks a valid mass, com or inertia ({error})") from error
     for name, parameters in inertias.items():
-        if parameters.shape != (10,) or not np.all(np.isfinite(parameters)) or not _is_body(parameters):
+        if not np.all(np.isfinite(parameters)) or not _is_body(parameters):
             raise InputError(f"{source}: the inertia of link '{name}' belongs to no body that can exist")
     return inertias
 
@@ -120,9 +123,12 @@ def _is_body(parameters: FloatArray) -> bool:
 
 def known_coefficients(document: Mapping[str, Any], model: MeasurementModel, source: str) -> FloatArray:
     """The effects' coefficients of ``model`` from a document, ``(coefficients,)``, NaN where it has none."""
-    values = {(entry["name"], entry["joint"]): float(entry["value"]) for entry in document["effects"]}
+    try:
+        values = {(entry["name"], entry["joint"]): float(entry["value"]) for entry in document["effects"]}
+    except (KeyError, TypeError, ValueError) as error:
+        raise InputError(f"{source}: an effect lacks a valid name, joint or value ({error})") from error
     found = np.array([values.get((c.effect.name, c.joint_name), np.nan) for c in model.coefficients])
     positive = np.array([c.effect.positive for c in model.coefficients], dtype=bool)
-    if np.any(found[positive] <= 0.0):
-        raise InputError(f"{source}: an effect that must be positive is not")
+    if np.any(found[positive] <= 0.0) or np.any(np.isinf(found)):
+        raise InputError(f"{source}: an effect that must be positive and finite is not")
     return found

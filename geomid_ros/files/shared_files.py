@@ -12,8 +12,8 @@ from geomid_ros.errors import InputError
 
 def shared_file(relative: str) -> Path:
     """A file or folder that the package ships, such as ``bags/arm7``."""
-    prefixes = [Path(prefix) for prefix in (*os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep), sys.prefix) if prefix]
-    folders = [Path(geomid_ros.__file__).parents[1], *(prefix / "share" / "geomid_ros" for prefix in prefixes)]
+    prefixes = [*filter(None, os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)), sys.prefix]
+    folders = [Path(geomid_ros.__file__).parents[1], *(Path(prefix) / "share/geomid_ros" for prefix in prefixes)]
     for folder in folders:
         if (folder / relative).exists():
             return folder / relative

@@ -14,7 +14,7 @@ from geomid_ros.types import FloatArray
 _MAX_SWEEPS = 12
 
 
-@numba.njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
+@numba.njit(cache=True, nogil=True)
 def jacobi_eigh(a: FloatArray, v: FloatArray) -> None:
     """Diagonalise ``a (4, 4)`` in place; ``v (4, 4)`` receives the eigenvectors as columns.
 

@@ -11,7 +11,7 @@ _SERIES_LIMIT = 1e-4
 _HALLEY_STEPS = 8
 
 
-@numba.njit(cache=True, nogil=True, inline="never")  # type: ignore[untyped-decorator]
+@numba.njit(cache=True, nogil=True, inline="never")
 def lambert_w(z: float) -> float:
     """The solution ``w >= -1`` of ``w exp(w) = z`` for ``z >= -1/e``; -1 for smaller arguments.
 

@@ -18,8 +18,8 @@ extension to flat blocks; the rest is (21).
 
 **Where there is no root.** The half squared distance is the maximum over the interval of the concave dual function
 ``D(L) = sum W(L s)^2/2 + sum (L x)^2/2 + L C(L)``, whose slope is C; with the maximum at an end of the interval the
-same formula continues the distance beyond the neighbourhood, linearly in b, with a continuous gradient. The paper discards such rows; the
-estimator does so at the prior (:data:`NO_ROOT_LOW`, :data:`NO_ROOT_HIGH` say which), and the continuation keeps
+same formula continues the distance beyond the neighbourhood, linearly in b, with a continuous gradient. The paper
+discards such rows; (19) does so at the prior (:data:`NO_ROOT_LOW`, :data:`NO_ROOT_HIGH` say which), and the continuation keeps
 its objective finite and smooth when a later point of the iteration has no root for a row that was kept.
 
 **Second order.** Along geodesics from the point, the half squared distance of one row has the Hessian
@@ -73,7 +73,7 @@ class Projection:
     status: IntArray
 
 
-@numba.njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
+@numba.njit(cache=True, nogil=True)
 def _constraint(
     multiplier: float, values: FloatArray, count: int, flat: float, offset: float
 ) -> tuple[float, float, float]:
@@ -91,7 +91,7 @@ def _constraint(
     return total, slope, size
 
 
-@numba.njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
+@numba.njit(cache=True, nogil=True)
 def _root(values: FloatArray, count: int, flat: float, offset: float) -> tuple[float, int, float]:
     """Root of C by Newton's method kept inside a shrinking bracket; its status; the excess C at the returned L."""
     largest = 0.0
@@ -145,7 +145,7 @@ def _root(values: FloatArray, count: int, flat: float, offset: float) -> tuple[f
     return multiplier, ROOT, total
 
 
-@numba.njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
+@numba.njit(cache=True, nogil=True)
 def _decompose(x: FloatArray, basis: FloatArray, values: FloatArray, work: FloatArray, vectors: FloatArray) -> None:
     """Eigenvalues of one link's X-bar with coordinates ``x (10,)``, and in ``basis (10, 10)`` the coordinates of the
     orthonormal symmetric matrices ``v_k v_l^T`` of its eigenvectors, in the order of ``symmetric``."""
@@ -166,7 +166,7 @@ def _decompose(x: FloatArray, basis: FloatArray, values: FloatArray, work: Float
             basis[pair, entry] = product if entry < 4 else _ROOT_TWO * product
 
 
-@numba.njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
+@numba.njit(cache=True, nogil=True)
 def _pair_curvature(s_k: float, s_l: float, w_k: float, w_l: float) -> float:
     """``(s_k + s_l)(W_k - W_l) / (2 (s_k - s_l))`` with its limit for equal eigenvalues."""
     difference = s_k - s_l
@@ -176,7 +176,7 @@ def _pair_curvature(s_k: float, s_l: float, w_k: float, w_l: float) -> float:
     return middle / (1.0 + middle) if middle > -1.0 else 0.0  # two extreme eigenvalues beyond the end: a kink
 
 
-@numba.njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
+@numba.njit(cache=True, nogil=True)
 def _bend_with_the_end(
     x: FloatArray,
     excited: IntArray,
@@ -217,7 +217,7 @@ def _bend_with_the_end(
             curvature[i, j] += weight * (own * mover[i] * mover[j] - mover[i] * others[j] - others[i] * mover[j])
 
 
-@numba.njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
+@numba.njit(cache=True, nogil=True)
 def _project_rows(
     normals: FloatArray,
     offsets: FloatArray,

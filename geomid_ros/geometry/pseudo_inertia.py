@@ -53,7 +53,7 @@ def to_parameters(pseudo: FloatArray) -> FloatArray:
 
 # Row k is the coordinate vector of the pseudo-inertia of the k-th unit parameter vector.
 _PARAMETERS_TO_COORDINATES = symmetric.to_vector(from_parameters(np.eye(SIZE)))
-_COEFFICIENTS_TO_COORDINATES = np.linalg.inv(_PARAMETERS_TO_COORDINATES).T
+_COEFFICIENTS_TO_COORDINATES = np.asarray(np.linalg.inv(_PARAMETERS_TO_COORDINATES).T, dtype=np.float64)
 COEFFICIENT_BASIS = symmetric.to_matrix(_COEFFICIENTS_TO_COORDINATES)
 
 
@@ -74,7 +74,7 @@ def change_of_frame(
     factor = np.eye(4)
     factor[:3, :3] = length_unit * rotation
     factor[:3, 3] = length_unit * translation
-    return np.sqrt(mass_unit) * factor
+    return float(np.sqrt(mass_unit)) * factor
 
 
 def centre_of_mass(parameters: FloatArray) -> FloatArray:

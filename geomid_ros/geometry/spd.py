@@ -74,8 +74,7 @@ def log_map(base: FloatArray, point: FloatArray) -> FloatArray:
 
 def relative_eigenvalues(base: FloatArray, point: FloatArray) -> FloatArray:
     """Eigenvalues of ``base^-1/2 point base^-1/2`` in ascending order, shape ``(..., n)``."""
-    values: FloatArray = np.linalg.eigvalsh(congruence(spd_inv_sqrt(base), point))
-    return values
+    return np.asarray(np.linalg.eigvalsh(congruence(spd_inv_sqrt(base), point)), dtype=np.float64)
 
 
 def distance(a: FloatArray, b: FloatArray) -> FloatArray:

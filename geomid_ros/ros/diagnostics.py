@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
@@ -10,13 +11,26 @@ from geomid_ros.estimation.estimate import Estimate, LinkEstimate
 from geomid_ros.estimation.estimator import QUANTITIES
 from geomid_ros.ros.worker import Status
 
+NO_DESCRIPTION = "no robot description yet"
+STOPPED = "stopped"
 
-def diagnostic_array(node: str, status: Status) -> DiagnosticArray:
-    """The state of the stream and of every link."""
-    array = DiagnosticArray(status=[_stream(node, status)])
-    if status.estimate is not None:
-        array.status += [_link(node, link) for link in status.estimate.links]
-    return array
+
+class Diagnostics:
+    """Makes a node's diagnostic messages, one after the other: what is wrong is what went wrong since the last one."""
+
+    def __init__(self, node: str) -> None:
+        self._node = node
+        self._counts: Counter[str] = Counter()
+
+    def array(self, status: Status) -> DiagnosticArray:
+        """The state of the stream and of every link."""
+        counts = _counts(status)
+        level, message = _judgement(status, counts - self._counts)
+        self._counts = counts
+        array = DiagnosticArray(status=[_status(f"{self._node}: stream", level, message, _stream(status, counts))])
+        if status.estimate is not None:
+            array.status += [_link(self._node, link) for link in status.estimate.links]
+        return array
 
 
 def _status(name: str, level: bytes, message: str, values: Mapping[str, object]) -> DiagnosticStatus:
@@ -45,22 +59,32 @@ def _link(node: str, link: LinkEstimate) -> DiagnosticStatus:
     return _status(f"{node}: {link.name}", DiagnosticStatus.OK, f"mass {link.mass:.3f} kg", values)
 
 
-def _stream(node: str, status: Status) -> DiagnosticStatus:
+_RECEIVED = " received"
+_REFUSED = (" rejected: ", "dropped: ")
+
+
+def _counts(status: Status) -> Counter[str]:
+    """All that is counted of messages: received, accepted, and rejected or dropped by reason."""
+    counts: Counter[str] = Counter()
+    for topic, ledger in status.ledgers.items():
+        counts.update({f"{topic}{_RECEIVED}": ledger.received, f"{topic} accepted": ledger.accepted})
+        counts.update({f"{topic} rejected: {reason}": count for reason, count in ledger.rejected.items()})
+    counts.update({f"dropped: {reason}": count for reason, count in status.dropped.items()})
+    return counts
+
+
+def _stream(status: Status, counts: Mapping[str, int]) -> dict[str, object]:
     values: dict[str, object] = {
         "active": status.active,
         "rows": status.rows,
         "lag": status.lag,
         "queue": status.queue,
+        **counts,
+        **{f"rows rejected: {reason}": count for reason, count in (+status.rows_rejected).items()},
     }
-    for topic, ledger in status.ledgers.items():
-        values |= {f"{topic} received": ledger.received, f"{topic} accepted": ledger.accepted}
-        values |= {f"{topic} rejected: {reason}": count for reason, count in ledger.rejected.items()}
-    values |= {f"dropped: {reason}": count for reason, count in status.dropped.items()}
-    values |= {f"rows rejected: {reason}": count for reason, count in status.rows_rejected.items()}
-    level, message = _judgement(status)
     if status.estimate is not None:
         values |= _solve(status.estimate)
-    return _status(f"{node}: stream", level, message, values)
+    return values
 
 
 def _solve(estimate: Estimate) -> dict[str, object]:
@@ -74,17 +98,18 @@ def _solve(estimate: Estimate) -> dict[str, object]:
     return values
 
 
-def _judgement(status: Status) -> tuple[bytes, str]:
+def _judgement(status: Status, new: Counter[str]) -> tuple[bytes, str]:
+    """Level and message, given what was counted since the last diagnostics."""
     if status.problem:
         return DiagnosticStatus.ERROR, status.problem
+    if not status.topics:
+        return DiagnosticStatus.WARN, NO_DESCRIPTION
     if not status.active:
-        return DiagnosticStatus.OK, "stopped"
-    if not status.ledgers:
-        return DiagnosticStatus.WARN, "no messages yet"
-    refused = {
-        f"{topic}: {reason}": count for topic, ledger in status.ledgers.items() for reason, count in ledger.rejected.items()
-    }
-    refused |= {f"dropped: {reason}": count for reason, count in status.dropped.items()}
+        return DiagnosticStatus.OK, STOPPED
+    silent = [topic for topic in status.topics if new[topic + _RECEIVED] == 0]
+    if silent:
+        return DiagnosticStatus.WARN, f"no messages on {', '.join(silent)}"
+    refused = {reason: count for reason, count in new.items() if any(mark in reason for mark in _REFUSED)}
     if refused:
         worst = max(refused, key=lambda reason: refused[reason])
         return DiagnosticStatus.WARN, f"{worst} ({refused[worst]} messages)"

@@ -11,12 +11,14 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 from types import TracebackType
+from typing import Self
 
 import rclpy
 import yaml
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import InertiaStamped
 from rclpy.qos import DurabilityPolicy, QoSProfile
+from rclpy.utilities import try_shutdown
 from std_srvs.srv import Trigger
 
 from geomid_ros.errors import GeomidError
@@ -39,7 +41,7 @@ class LiveRun:
         parameters.write_text(yaml.safe_dump({"/**": {"ros__parameters": values}}), encoding="utf-8")
         node = [sys.executable, "-m", "geomid_ros.ros.main", "--ros-args", "--params-file", str(parameters)]
         player = [sys.executable, "-m", "geomid_ros", "play", str(bag), "--rate", str(rate)]
-        self._log = open(Path(self._folder.name) / "log", "w+b")  # noqa: SIM115 closed with the run
+        self._log = (Path(self._folder.name) / "log").open("w+b")
         self._node = self._start(node)
         self._player = self._start(player)
         rclpy.init()
@@ -51,9 +53,9 @@ class LiveRun:
         self._watcher.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 10)
 
     def _start(self, command: list[str]) -> subprocess.Popen[bytes]:
-        return subprocess.Popen(command, stdout=self._log, stderr=self._log)
+        return subprocess.Popen(command, stdout=self._log, stderr=self._log)  # noqa: S603 it is a command of ours
 
-    def __enter__(self) -> LiveRun:
+    def __enter__(self) -> Self:
         return self
 
     def __exit__(
@@ -67,7 +69,7 @@ class LiveRun:
             except subprocess.TimeoutExpired:
                 process.kill()
         self._watcher.destroy_node()
-        rclpy.try_shutdown()
+        try_shutdown()
         self._log.close()
         self._folder.cleanup()
 
@@ -75,7 +77,7 @@ class LiveRun:
         self._masses[message.header.frame_id] = message.inertia.m
 
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
-        self._stream = next(status.message for status in message.status if status.name.endswith(": stream"))
+        self._stream = next((s.message for s in message.status if s.name.endswith(": stream")), self._stream)
 
     def watch(self) -> Iterator[tuple[dict[str, float], str]]:
         """Link masses and the state of the stream, several times a second, until all is played and saved."""

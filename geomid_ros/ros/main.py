@@ -6,47 +6,65 @@ import os
 import signal
 import sys
 import threading
-from types import FrameType
+from typing import TYPE_CHECKING
+
+from geomid_ros.errors import GeomidError, InputError
+
+if TYPE_CHECKING:
+    from rclpy.executors import Executor
+
+    from geomid_ros.ros.node import GeomidNode
 
 
 def main() -> None:
     """Run the node until SIGINT or SIGTERM; exit status 0, or 2 with one message when it cannot start."""
-    # The matrices are small: threads of the linear algebra library would only wait for each other. numpy reads this once.
+    # rclpy's own handlers would invalidate the publishers before the last estimate is out.
+    stopping = threading.Event()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda *_: stopping.set())
+    # The matrices are small: threads of the linear algebra library would only wait for each other. numpy reads this
+    # once.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    import rclpy  # noqa: PLC0415
-    from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor  # noqa: PLC0415
-    from rclpy.signals import SignalHandlerOptions  # noqa: PLC0415
+    try:
+        _run(stopping)
+    except GeomidError as error:
+        print(f"geomid_node: {error}", file=sys.stderr)
+        sys.exit(2)
 
-    from geomid_ros.errors import GeomidError  # noqa: PLC0415
+
+def _run(stopping: threading.Event) -> None:
+    import rclpy  # noqa: PLC0415
+    from rclpy.executors import SingleThreadedExecutor  # noqa: PLC0415
+    from rclpy.signals import SignalHandlerOptions  # noqa: PLC0415
+    from rclpy.utilities import ok, try_shutdown  # noqa: PLC0415
+
     from geomid_ros.ros.node import GeomidNode  # noqa: PLC0415
 
-    stopping = threading.Event()
-
-    def stop(number: int, frame: FrameType | None) -> None:
-        stopping.set()
-
-    # rclpy's own handlers would invalidate the publishers before the last estimate is out.
-    rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, stop)
+    try:
+        rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
+    except RuntimeError as error:
+        raise InputError(f"the ROS arguments cannot be used ({error})") from error
     try:
         node = GeomidNode()
-    except GeomidError as error:
-        print(f"geomid_node: {error}", file=sys.stderr)  # noqa: T201
-        rclpy.try_shutdown()
-        sys.exit(2)
-    executor = SingleThreadedExecutor()
-    executor.add_node(node)
-    try:
-        while not stopping.is_set():
-            executor.spin_once(timeout_sec=0.1)
-    except ExternalShutdownException:
-        pass
+        executor = SingleThreadedExecutor()
+        executor.add_node(node)
+        try:
+            while ok() and not stopping.is_set():
+                _spin_once(executor, node)
+        finally:
+            node.close()
+            executor.remove_node(node)
+            node.destroy_node()
     finally:
-        node.close()
-        executor.remove_node(node)
-        node.destroy_node()
-        rclpy.try_shutdown()
+        try_shutdown()
+
+
+def _spin_once(executor: Executor, node: GeomidNode) -> None:
+    """Run what is due; an error of ours in it is reported, and the node lives on."""
+    try:
+        executor.spin_once(timeout_sec=0.1)
+    except Exception as error:  # noqa: BLE001 whatever it is, the other callbacks go on
+        node.report(f"{type(error).__name__}: {error}")
 
 
 if __name__ == "__main__":

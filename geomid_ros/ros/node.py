@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -10,7 +12,9 @@ from typing import Any
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import InertiaStamped, WrenchStamped
 from nav_msgs.msg import Odometry
-from rclpy.clock import Clock, ClockType
+from rclpy.clock import Clock
+from rclpy.clock_type import ClockType
+from rclpy.exceptions import NameValidationException
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.qos_overriding_options import QoSOverridingOptions
@@ -20,11 +24,11 @@ from std_msgs.msg import String
 from std_srvs.srv import Trigger
 from visualization_msgs.msg import MarkerArray
 
-from geomid_ros.errors import GeomidError
+from geomid_ros.errors import GeomidError, InputError
 from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.files.urdf import with_identified_inertias
 from geomid_ros.model.samples import Samples
-from geomid_ros.ros.diagnostics import diagnostic_array
+from geomid_ros.ros.diagnostics import NO_DESCRIPTION, STOPPED, Diagnostics
 from geomid_ros.ros.messages import inertia_message, marker_message, predicted_message
 from geomid_ros.ros.parameters import read_parameters
 from geomid_ros.ros.worker import Status, Worker
@@ -35,8 +39,11 @@ from geomid_ros.types import FloatArray
 _SENSOR_QOS = QoSProfile(
     depth=2000, history=HistoryPolicy.KEEP_LAST, reliability=ReliabilityPolicy.BEST_EFFORT
 )
-_NO_DESCRIPTION = "no robot description yet"
-_STOPPED = "stopped"
+_CHANGED = "the robot description has changed; it is used after ~/reset"
+
+
+def _take_wrench(topic: str, worker: Worker, message: WrenchStamped) -> None:
+    worker.wrench(topic, message)
 
 
 def _latched(depth: int = 1) -> QoSProfile:
@@ -47,62 +54,70 @@ class GeomidNode(Node):
     """Subscribes to ``joint_states``, wrench topics, ``odom`` and ``robot_description``; publishes what it finds."""
 
     def __init__(self) -> None:
-        super().__init__("geomid", automatically_declare_parameters_from_overrides=True)
+        try:
+            super().__init__("geomid", automatically_declare_parameters_from_overrides=True)
+        except ValueError as error:
+            raise InputError(f'a parameter has no value; an empty list is written as [""] ({error})') from error
         self._configuration = read_parameters(self)
         self._active: bool = self._configuration["active"]
         self._worker: Worker | None = None
-        self._urdf = ""
+        self._urdf = ""  # the latest, not necessarily the worker's
         self._problem = ""
         self._dropped: Counter[str] = Counter()
-        sensors = self._configuration.sensors
+        self._diagnostics = Diagnostics(self.get_fully_qualified_name().lstrip("/"))
         self._inertias = self.create_publisher(InertiaStamped, "~/inertias", _latched(256))
         self._predicted = self.create_publisher(JointState, "~/predicted_joint_states", 1000)
         self._identified = self.create_publisher(String, "~/robot_description", _latched())
         self._markers = self.create_publisher(MarkerArray, "~/markers", _latched())
-        self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
+        self._diagnostic_arrays = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
         self.create_service(Trigger, "~/start", partial(self._set_active, active=True))
         self.create_service(Trigger, "~/stop", partial(self._set_active, active=False))
         self.create_service(Trigger, "~/reset", self._reset)
         self.create_service(Trigger, "~/save", self._save)
+        self._listen(JointState, "joint_states", Worker.joint_state)
+        if self._configuration["floating_base"]:
+            self._listen(Odometry, "odom", Worker.odometry)
+        for sensor in self._configuration.sensors:
+            self._listen(WrenchStamped, sensor.topic, partial(_take_wrench, sensor.topic))
+        # On the steady clock: simulated time may stand still, and that is when one wants to hear why.
+        self.create_timer(1.0, self._publish_diagnostics, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        # Last, as it starts threads: from here on nothing fails that would leave them behind.
         if self._configuration["robot_description"]:
             self._build(self._configuration["robot_description"], "parameter robot_description")
         else:
             self.create_subscription(String, "robot_description", self._on_description, _latched())
-        self._listen(JointState, "joint_states", lambda worker, message: worker.joint_state(message))
-        if self._configuration["floating_base"]:
-            self._listen(Odometry, "odom", lambda worker, message: worker.odometry(message))
-        for sensor in sensors:
-            topic = sensor.topic
-            self._listen(WrenchStamped, topic, lambda worker, message, topic=topic: worker.wrench(topic, message))
-        # On the steady clock: simulated time may stand still, and that is when one wants to hear why.
-        self.create_timer(1.0, self._publish_diagnostics, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
-    def _listen(self, kind: type, topic: str, take: Any) -> None:
+    def _listen(self, kind: type, topic: str, take: Callable[[Worker, Any], None]) -> None:
         def callback(message: Any) -> None:
             if self._worker is None:
-                self._dropped[_NO_DESCRIPTION] += 1
+                self._dropped[NO_DESCRIPTION] += 1
             elif not self._active:
-                self._worker.dropped[_STOPPED] += 1
+                self._worker.drop(STOPPED)
             else:
                 take(self._worker, message)
 
-        self.create_subscription(
-            kind, topic, callback, _SENSOR_QOS, qos_overriding_options=QoSOverridingOptions.with_default_policies()
-        )
+        options = QoSOverridingOptions.with_default_policies()
+        try:
+            self.create_subscription(kind, topic, callback, _SENSOR_QOS, qos_overriding_options=options)
+        except NameValidationException as error:
+            raise InputError(f"parameters: topic '{topic}': {' '.join(str(error).split())}") from error
 
     def _on_description(self, message: String) -> None:
-        if message.data == self._urdf:
-            return
+        self._urdf = message.data
         if self._worker is not None:
-            self._problem = "the robot description has changed; it is used after ~/reset"
-            self._urdf = message.data
-            self.get_logger().error(self._problem)
+            changed = message.data != self._worker.session.urdf
+            self.report(_CHANGED if changed else "")
             return
         try:
             self._build(message.data, "topic robot_description")
         except GeomidError as error:
-            self._problem = str(error)
-            self.get_logger().error(self._problem)
+            self.report(str(error))
+
+    def report(self, problem: str) -> None:
+        """Let the log and the diagnostics tell of a problem, or of none."""
+        if problem and problem != self._problem:
+            self.get_logger().error(problem)
+        self._problem = problem
 
     def _build(self, urdf: str, source: str) -> None:
         """Begin to identify the robot of this description. Raises InputError when it does not fit the parameters."""
@@ -110,7 +125,9 @@ class GeomidNode(Node):
         if self._worker is not None:
             self._worker.close()
         self._urdf, self._problem = urdf, ""
-        self._worker = Worker(session, self._configuration["solve_period"], self._publish_prediction, self._publish_estimate)
+        self._worker = Worker(
+            session, self._configuration["solve_period"], self._publish_prediction, self._publish_estimate
+        )
         self.get_logger().info(
             f"identifying {len(session.model.body_names)} links from {len(session.model.channels)} channels"
         )
@@ -118,8 +135,8 @@ class GeomidNode(Node):
     def _publish_prediction(self, session: Session, samples: Samples, parameters: FloatArray) -> None:
         if self._predicted.get_subscription_count() == 0:
             return
-        joints = len(session.robot.joints)
-        efforts = session.model.predict(samples, parameters)[1][:, :joints]
+        joints = [i for i, channel in enumerate(session.model.channels) if channel.name in session.robot.joint_names]
+        efforts = session.model.predict(samples, parameters)[1][:, joints]
         for index in range(len(samples)):
             self._predicted.publish(predicted_message(session.robot, samples, index, efforts[index]))
 
@@ -131,25 +148,20 @@ class GeomidNode(Node):
         self._markers.publish(marker_message(estimate.links, stamp))
 
     def _publish_diagnostics(self) -> None:
-        if self._worker is not None:
-            status = self._worker.status(self._active)
-        else:
-            status = Status(self._active, 0, 0.0, 0, {}, Counter(), Counter(), None, _NO_DESCRIPTION)
+        status = self._worker.status(self._active) if self._worker is not None else Status(self._active)
         status.dropped.update(self._dropped)
-        if self._problem:
-            status = Status(**{**status.__dict__, "problem": self._problem})
-        array = diagnostic_array(self.get_name(), status)
+        array = self._diagnostics.array(replace(status, problem=self._problem or status.problem))
         array.header.stamp = self.get_clock().now().to_msg()
-        self._diagnostics.publish(array)
+        self._diagnostic_arrays.publish(array)
 
-    def _set_active(self, request: Trigger.Request, response: Trigger.Response, active: bool) -> Trigger.Response:
+    def _set_active(self, _: Trigger.Request, response: Trigger.Response, active: bool) -> Trigger.Response:
         self._active = active
         response.success, response.message = True, "identifying" if active else "stopped; rows and estimate are kept"
         return response
 
-    def _reset(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+    def _reset(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         if self._worker is None:
-            response.success, response.message = False, _NO_DESCRIPTION
+            response.success, response.message = False, NO_DESCRIPTION
             return response
         if self._urdf != self._worker.session.urdf:
             try:
@@ -161,9 +173,9 @@ class GeomidNode(Node):
         response.success, response.message = True, "all rows forgotten"
         return response
 
-    async def _save(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+    async def _save(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         if self._worker is None:
-            response.success, response.message = False, _NO_DESCRIPTION
+            response.success, response.message = False, NO_DESCRIPTION
             return response
         future: Future = Future(executor=self.executor)
         worker = self._worker
@@ -177,7 +189,7 @@ class GeomidNode(Node):
         folder = Path(self._configuration["output_folder"] or ".").resolve()
         try:
             session.save(folder, result)
-        except GeomidError as error:
+        except Exception as error:  # noqa: BLE001 whoever called must have an answer
             return False, str(error)
         return True, f"written: {folder / 'estimate.json'}, {folder / 'identified.urdf'}"
 

@@ -9,9 +9,6 @@ from rclpy.node import Node
 
 from geomid_ros.files.configuration import PARAMETERS, Configuration, Parameter, find_parameter
 
-# Parameters of ROS itself, which are not ours to check.
-_FOREIGN = ("use_sim_time", "qos_overrides", "start_type_description_service")
-
 
 def read_parameters(node: Node) -> Configuration:
     """The configuration of a node that declares what its overrides name.
@@ -19,13 +16,9 @@ def read_parameters(node: Node) -> Configuration:
     Declares every other parameter of the table with its default, and gives all their description and range. Raises
     InputError for unknown names and values out of range.
     """
-    given: dict[str, Any] = {
-        name: parameter.value
-        for name, parameter in node.get_parameters_by_prefix("").items()
-        if not name.startswith(_FOREIGN)
-    }
+    given: dict[str, Any] = {name: node.get_parameter(name).value for name in node.get_parameters_by_prefix("")}
     configuration = Configuration(given, "parameters")
-    for name in given:
+    for name in configuration.given:
         node.set_descriptor(name, _descriptor(find_parameter(name)))
     for parameter in PARAMETERS:
         if parameter.name not in given and "*" not in parameter.name:

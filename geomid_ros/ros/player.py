@@ -12,6 +12,7 @@ import rclpy
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, QoSProfile
+from rclpy.utilities import try_shutdown
 
 from geomid_ros.errors import InputError
 from geomid_ros.files.bags import Bag
@@ -33,24 +34,23 @@ def play(path: Path, rate: float, wait: float) -> Iterator[tuple[int, int]]:
         try:
             publishers = {topic: _publisher(node, topic, kind) for topic, kind in kinds.items()}
             _wait_for_subscribers(publishers, wait)
-            begin, published = time.monotonic(), 0
-            for topic, stamp, raw in bag.raw_messages(list(kinds)):
+            begin = time.monotonic()
+            for published, (topic, stamp, raw) in enumerate(bag.raw_messages(list(kinds)), start=1):
                 due = begin + (stamp - bag.start) * 1e-9 / rate
                 time.sleep(max(0.0, due - time.monotonic()))
                 publishers[topic].publish(raw)
-                published += 1
                 yield published, total
             time.sleep(_LINGER)
         finally:
             node.destroy_node()
-            rclpy.try_shutdown()
+            try_shutdown()
 
 
 def _message_class(path: Path, topic: str, kind: str | None) -> Any:
     package, _, name = (kind or "").partition("/msg/")
     try:
         return getattr(importlib.import_module(f"{package}.msg"), name)
-    except (ImportError, AttributeError, ValueError) as error:
+    except (ImportError, AttributeError, TypeError, ValueError) as error:
         raise InputError(f"{path}: topic {topic} is of type {kind}, which is not installed here") from error
 
 

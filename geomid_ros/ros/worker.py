@@ -8,8 +8,8 @@ import threading
 import time
 from collections import Counter
 from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, field
+from typing import Any, TypeAlias
 
 from geomid_ros.errors import GeomidError
 from geomid_ros.estimation.estimate import Estimate
@@ -23,20 +23,23 @@ from geomid_ros.types import FloatArray
 _MOST_WAITING = 20_000  # messages; more are dropped, and counted
 _GROWTH = 1.5  # the prior's weight is chosen anew when there are so many times the rows it was chosen with
 
+Done: TypeAlias = Callable[[Estimate | GeomidError], None]
+
 
 @dataclass(frozen=True)
 class Status:
-    """A snapshot for diagnostics."""
+    """A snapshot for diagnostics; ``topics`` are those that data are expected on, none without a robot description."""
 
     active: bool
-    rows: int
-    lag: float
-    queue: int
-    ledgers: dict[str, Ledger]
-    dropped: Counter[str]
-    rows_rejected: Counter[str]
-    estimate: Estimate | None
-    problem: str
+    problem: str = ""
+    topics: tuple[str, ...] = ()
+    rows: int = 0
+    lag: float = 0.0
+    queue: int = 0
+    ledgers: dict[str, Ledger] = field(default_factory=dict)
+    dropped: Counter[str] = field(default_factory=Counter)
+    rows_rejected: Counter[str] = field(default_factory=Counter)
+    estimate: Estimate | None = None
 
 
 class Worker:
@@ -54,29 +57,30 @@ class Worker:
         on_estimate: Callable[[Session, Estimate], None],
     ) -> None:
         self.session = session
-        self.dropped: Counter[str] = Counter()
-        self.problem = ""
         self._solve_period = solve_period
         self._on_samples = on_samples
         self._on_estimate = on_estimate
+        self._lock = threading.Lock()  # held while the session takes data, and for all that follows here
+        self._dropped: Counter[str] = Counter()
+        self._problem = ""
         self._estimate: Estimate | None = None
+        self._resets = 0
+        self._rows = 0  # ever taken; the identifier's own number falls behind when it forgets
         self._solved_rows = 0
         self._gamma_rows = 0
         self._inbox: queue.SimpleQueue[Callable[[], None] | None] = queue.SimpleQueue()
-        self._solve_requests: queue.SimpleQueue[Callable[[Estimate | GeomidError], None] | None] = queue.SimpleQueue()
-        self._threads = [
-            threading.Thread(target=self._take_messages, name="geomid-intake"),
-            threading.Thread(target=self._solve_repeatedly, name="geomid-solver"),
-        ]
-        for thread in self._threads:
-            thread.start()
+        self._solve_requests: queue.SimpleQueue[Done | None] = queue.SimpleQueue()
+        self._intake = threading.Thread(target=self._take_messages, name="geomid-intake")
+        self._solver = threading.Thread(target=self._solve_repeatedly, name="geomid-solver")
+        self._intake.start()
+        self._solver.start()
 
     def close(self) -> None:
-        """Stop both threads; what is being solved is finished first."""
+        """Stop both threads; the messages that wait and what is being solved are finished first."""
         self._inbox.put(None)
+        self._intake.join()
         self._solve_requests.put(None)
-        for thread in self._threads:
-            thread.join()
+        self._solver.join()
 
     def joint_state(self, message: Any) -> None:
         """Take a joint message."""
@@ -90,23 +94,16 @@ class Worker:
         """Take a wrench of the sensor declared with ``topic``."""
         self._put(lambda: feed_wrench(self.session.pipeline, topic, message))
 
-    def _put(self, feed: Callable[[], None]) -> None:
-        if self._inbox.qsize() >= _MOST_WAITING:
-            self.dropped["queue full"] += 1
-        else:
-            self._inbox.put(feed)
+    def drop(self, reason: str) -> None:
+        """Count a message that is not taken."""
+        with self._lock:
+            self._dropped[reason] += 1
 
     def reset(self) -> None:
         """Forget all rows and the estimate, after the messages that wait."""
+        self._inbox.put(self._forget)
 
-        def forget() -> None:
-            self.session.identifier.reset()
-            self._estimate = None
-            self._solved_rows = self._gamma_rows = 0
-
-        self._inbox.put(forget)
-
-    def final_estimate(self, done: Callable[[Estimate | GeomidError], None]) -> None:
+    def final_estimate(self, done: Done) -> None:
         """Solve from scratch for all messages received so far; ``done`` gets the result in the solver's thread."""
         self._inbox.put(lambda: self._solve_requests.put(done))
 
@@ -117,61 +114,92 @@ class Worker:
 
     def status(self, active: bool) -> Status:
         """What to report now."""
-        pipeline, identifier = self.session.pipeline, self.session.identifier
-        return Status(
-            active,
-            identifier.rows,
-            pipeline.lag,
-            self._inbox.qsize(),
-            copy.deepcopy(pipeline.ledgers),
-            Counter(self.dropped),
-            Counter({reason: count for reason, count in identifier.rows_rejected.items() if count}),
-            self._estimate,
-            self.problem,
-        )
+        with self._lock:
+            return Status(
+                active,
+                self._problem,
+                self.session.topics,
+                self.session.identifier.rows,
+                self.session.pipeline.lag,
+                self._inbox.qsize(),
+                copy.deepcopy(self.session.pipeline.ledgers),
+                self._dropped.copy(),
+                self.session.identifier.rows_rejected.copy(),
+                self._estimate,
+            )
+
+    def _put(self, feed: Callable[[], None]) -> None:
+        if self._inbox.qsize() >= _MOST_WAITING:
+            self.drop("queue full")
+        else:
+            self._inbox.put(lambda: self._take(feed))
 
     def _take_messages(self) -> None:
-        while (feed := self._inbox.get()) is not None:
+        while (task := self._inbox.get()) is not None:
             try:
-                feed()
-                samples = self.session.advance()
-                estimate = self._estimate
-                if samples is not None and estimate is not None:
-                    self._on_samples(self.session, samples, estimate.parameters)
+                task()
             except Exception as error:  # noqa: BLE001 the thread must outlive any message; what happened is reported
-                self.dropped[f"{type(error).__name__} while taking a message"] += 1
-                self.problem = f"a message could not be taken: {error}"
+                self.drop(f"{type(error).__name__} while taking a message")
+                self._problem = f"a message could not be taken: {error}"
+
+    def _take(self, feed: Callable[[], None]) -> None:
+        with self._lock:
+            rejected = self.session.identifier.rows_rejected.total()
+            feed()
+            samples = self.session.advance()
+            if samples is None:
+                return
+            rejected -= self.session.identifier.rows_rejected.total()
+            self._rows += len(samples) * len(self.session.model.channels) + rejected
+            estimate = self._estimate
+        if estimate is not None:
+            self._on_samples(self.session, samples, estimate.parameters)
+
+    def _forget(self) -> None:
+        with self._lock:
+            self.session.identifier.reset()
+            self._estimate = None
+            self._problem = ""
+            self._resets += 1
+            self._rows = self._solved_rows = self._gamma_rows = 0
 
     def _solve_repeatedly(self) -> None:
         next_solve = time.monotonic()
         while True:
             try:
                 done = self._solve_requests.get(timeout=max(0.0, next_solve - time.monotonic()))
-                if done is None:
-                    return
-                self._solve_once(None, done)
             except queue.Empty:
                 next_solve = time.monotonic() + self._solve_period
-                if self.session.identifier.rows > self._solved_rows:
-                    self._solve_once(self._warm_start(), lambda result: None)
+                if self._rows > self._solved_rows:
+                    self._solve_once(self._warm_start())
+                continue
+            if done is None:
+                return
+            done(self._solve_once(None))
 
     def _warm_start(self) -> WarmStart | None:
         """Where to start from; None chooses the prior's weight anew, when the rows have grown much since."""
-        if self._estimate is None or self.session.identifier.rows > _GROWTH * self._gamma_rows:
-            return None
-        return WarmStart(self._estimate.parameters, self._estimate.gamma, self._estimate.sigmas)
+        with self._lock:
+            if self._estimate is None or self._rows > _GROWTH * self._gamma_rows:
+                return None
+            return WarmStart(self._estimate.parameters, self._estimate.gamma, self._estimate.sigmas)
 
-    def _solve_once(self, warm: WarmStart | None, done: Callable[[Estimate | GeomidError], None]) -> None:
-        rows = self.session.identifier.rows
+    def _solve_once(self, warm: WarmStart | None) -> Estimate | GeomidError:
+        with self._lock:
+            rows, resets = self._rows, self._resets
         try:
             estimate = self.session.identifier.solve(warm)
+            with self._lock:
+                if resets != self._resets:  # it is of rows that were to be forgotten
+                    return estimate
+                self._problem = ""
+                self._estimate, self._solved_rows = estimate, rows
+                if warm is None:
+                    self._gamma_rows = rows
+            self._on_estimate(self.session, estimate)
         except Exception as error:  # noqa: BLE001 the last estimate stays; what happened is reported
-            self.problem = f"no estimate: {error}"
-            done(error if isinstance(error, GeomidError) else GeomidError(str(error)))
-            return
-        self.problem = ""
-        self._estimate, self._solved_rows = estimate, rows
-        if warm is None:
-            self._gamma_rows = rows
-        self._on_estimate(self.session, estimate)
-        done(estimate)
+            with self._lock:
+                if resets == self._resets:
+                    self._problem = f"no estimate: {error}"
+            return error if isinstance(error, GeomidError) else GeomidError(str(error))
+        return estimate

@@ -29,7 +29,7 @@ def derivative_kernels(cutoff: float, period: float) -> FloatArray:
     ``cutoff`` [Hz] is where h falls to one half, ``period`` [s] the grid's. The lag is half the taps. Raises InputError
     when the grid is too coarse for the cutoff.
     """
-    if cutoff * period * LOWEST_RATE_PER_CUTOFF > 1.0:
+    if cutoff * period * LOWEST_RATE_PER_CUTOFF > 1.0 + 1e-9:  # a cutoff at the limit is rounded
         raise InputError(
             f"filter cutoff of {cutoff:g} Hz is too high for data at {1 / period:.3g} Hz: "
             f"at most {1 / period / LOWEST_RATE_PER_CUTOFF:.3g} Hz"

@@ -67,7 +67,7 @@ class _RejectedError(Exception):
     """A message that cannot be used; its text is the reason that is counted."""
 
 
-def no_effects(position: FloatArray, velocity: FloatArray, acceleration: FloatArray) -> FloatArray:
+def no_effects(position: FloatArray, *_: FloatArray) -> FloatArray:
     """Columns of no effects."""
     return np.zeros((*position.shape, 0))
 

@@ -188,7 +188,8 @@ class JointStream(VectorStream):
     def effects(self, instants: range) -> FloatArray:
         """Filtered columns ``(N, joints, effects)`` at ``instants`` (all ready)."""
         (columns,) = self._columns_on_grid.correlated(instants, self._grid.kernels[:1])
-        return columns.reshape(len(instants), self._joints, -1)
+        result: FloatArray = columns.reshape(len(instants), self._joints, -1)
+        return result
 
     def drop_before(self, instant: int) -> None:
         self._columns_on_grid.drop_before(instant - self._grid.half)

@@ -98,7 +98,11 @@ class Reference:
         """Pinocchio's q, v, a of one instant, joint by joint by name."""
         q, v, a = pin.neutral(self.model), np.zeros(self.model.nv), np.zeros(self.model.nv)
         if self.floating_base:
-            q[:7], v[:6], a[:6] = samples.base_pose[index], samples.base_velocity[index], samples.base_acceleration[index]
+            q[:7], v[:6], a[:6] = (
+                samples.base_pose[index],
+                samples.base_velocity[index],
+                samples.base_acceleration[index],
+            )
         for place, name in enumerate(joints):
             joint = self.model.joints[self.model.getJointId(name)]
             angle = samples.position[index, place]

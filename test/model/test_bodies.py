@@ -72,6 +72,18 @@ def test_every_massive_link_that_moves_is_in_one_body(name: str, floating: bool)
     assert sum(body.parameters[0] for body in robot.bodies) == pytest.approx(total, rel=ROUNDING)
 
 
+def test_inertias_may_be_given_in_axes_of_their_own() -> None:
+    """Roll, pitch and yaw of an <inertial>, in that order about fixed axes, as pinocchio reads them."""
+    text = urdf("ur5_robot.urdf")
+    old = '<origin rpy="0 0 0" xyz="0.0 0.0 0.28"/>'
+    assert text.count(old) > 0
+    text = text.replace(old, '<origin rpy="0.3 -1.1 2.0" xyz="0.1 -0.2 0.28"/>')
+    model = Reference(text).model
+    for body in Robot(text).bodies:
+        values = model.inertias[body.joint].toDynamicParameters()
+        np.testing.assert_allclose(body.parameters, values, rtol=0, atol=ROUNDING * np.max(np.abs(values)))
+
+
 def test_names_of_merged_links() -> None:
     bodies = {body.name: body.merged for body in Robot(urdf("a1.urdf"), floating_base=True).bodies}
     assert bodies["base"] == ("trunk", "imu_link")

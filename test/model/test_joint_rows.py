@@ -56,6 +56,20 @@ def test_any_bodies_give_the_efforts_of_a_robot_made_of_them(name: str) -> None:
     assert_equal(predicted, reference.inverse_dynamics(samples, robot.joint_names)[1])
 
 
+@pytest.mark.parametrize(
+    ("name", "cut"), [("panda.urdf", "panda_hand"), ("talos_reduced.urdf", "wrist_left_ft_link"), ("a1.urdf", "FL_foot")]
+)
+def test_both_parts_of_a_divided_body_load_its_joints(name: str, cut: str) -> None:
+    robot = Robot(urdf(name), cuts=[cut])
+    assert cut in robot.body_names
+    parameters = random_parameters(robot, seed=20)
+    reference = Reference(urdf(name))
+    reference.set_inertias(dict(zip(robot.body_names, parameters, strict=True)))
+    samples = random_samples(robot, seed=21)
+    predicted = MeasurementModel(robot, []).predict(samples, parameters.ravel())[1]
+    assert_equal(predicted, reference.inverse_dynamics(samples, robot.joint_names)[1])
+
+
 def test_effects_add_their_terms() -> None:
     """Viscous c v, Coulomb c tanh(v / 0.02), rotor c a, offset c; positive ones first, each joint by joint."""
     robot = Robot(urdf("ur5_robot.urdf"))

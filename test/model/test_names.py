@@ -15,9 +15,7 @@ from geomid_ros.signals.pipeline import SignalPipeline, SignalSettings
 
 from .robots import urdf
 
-UR5_JOINTS = [
-    f"{part}_joint" for part in ("shoulder_pan", "shoulder_lift", "elbow", "wrist_1", "wrist_2", "wrist_3")
-]
+UR5_JOINTS = [f"{part}_joint" for part in ("shoulder_pan", "shoulder_lift", "elbow", "wrist_1", "wrist_2", "wrist_3")]
 
 
 def ur5() -> Robot:
@@ -48,7 +46,9 @@ CASES: dict[str, tuple[Callable[[], object], str, list[str]]] = {
         UR5_JOINTS,
     ),
     "wrench topic": (
-        lambda: SignalPipeline(["a"], sensors=[WrenchSensor("/ft", "l", "mounted")]).push_wrench("ft", 1, "l", [0.0] * 6),
+        lambda: SignalPipeline(["a"], sensors=[WrenchSensor("/ft", "l", "mounted")]).push_wrench(
+            "ft", 1, "l", [0.0] * 6
+        ),
         "/ft",
         ["/ft"],
     ),

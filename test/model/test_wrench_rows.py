@@ -66,8 +66,7 @@ def test_one_contact_sensor_carries_the_robot(name: str, foot: str, other_foot: 
     base = reference.inverse_dynamics(samples, robot.joint_names)[0]
     placements = [reference.placement(samples, i, robot.joint_names, foot) for i in range(len(samples))]
     to_foot = [
-        placement.actInv(pin.XYZQUATToSE3(pose))
-        for placement, pose in zip(placements, samples.base_pose, strict=True)
+        placement.actInv(pin.XYZQUATToSE3(pose)) for placement, pose in zip(placements, samples.base_pose, strict=True)
     ]
     predicted = model.predict(samples, model.nominal_inertias)[1]
     assert_equal(predicted[:, -6:], in_frames(base, to_foot))

@@ -108,13 +108,13 @@ def test_samples_lie_on_whole_periods_at_eight_in_a_cutoff_period() -> None:
 
 
 def test_the_lag_is_half_a_kernel() -> None:
-    """Samples end where the kernel's later half meets the last data; the pipeline says so."""
+    """Samples end where the later halves of two kernels (of motion, and of effects on it) meet the last data."""
     pipeline = SignalPipeline(["joint"], settings=SignalSettings(cutoff=CUTOFF, period=0.01))
     stamps = regular(0.01, 4.0)
     samples = feed(pipeline, [JointMessage(int(t), ["joint"], [0.0], [], [0.0]) for t in stamps])
     trailing = (stamps[-1] - samples.stamps[-1]) * 1e-9
     assert pipeline.lag <= trailing <= pipeline.lag + 0.05
-    assert pipeline.lag == pytest.approx(2.0 / CUTOFF + 0.03, abs=0.011)
+    assert pipeline.lag == pytest.approx((2.0 / CUTOFF + 0.03) + (0.5 / CUTOFF + 0.03), abs=0.011)
     assert SignalPipeline(["joint"]).lag == 0.0
 
 
@@ -123,6 +123,13 @@ def test_too_coarse_a_grid_is_refused() -> None:
         derivative_kernels(5.0, 0.1)
     with pytest.raises(InputError, match="too high"):
         SignalPipeline(["joint"], settings=SignalSettings(period=0.1))
+
+
+@pytest.mark.parametrize("period", [0.02139, 0.03659, 0.0496, 0.08])
+def test_a_grid_just_fine_enough_is_accepted(period: float) -> None:
+    """However the product of a rate and a cutoff at the limit is rounded."""
+    pipeline = SignalPipeline(["joint"], settings=SignalSettings(cutoff=5.0, period=period))
+    assert pipeline.lag > 0.4
 
 
 def test_cubic_weights_are_exact_for_cubics() -> None:

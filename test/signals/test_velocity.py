@@ -109,6 +109,7 @@ def test_standing_still_is_no_reason_to_doubt() -> None:
     half = len(STAMPS) // 2
     position, velocity = Motion().derivative(STAMPS, 0), true_velocity()
     position[half:], velocity[half:] = position[half], 0.0
-    messages = [replace(m, position=p, velocity=v) for m, p, v in zip(joint_messages(STAMPS), position, velocity, strict=True)]
+    rows = zip(joint_messages(STAMPS), position, velocity, strict=True)
+    messages = [replace(message, position=p, velocity=v) for message, p, v in rows]
     samples = feed(SignalPipeline(JOINTS, settings=SETTINGS), messages)
     np.testing.assert_allclose(samples.velocity[-100:], 0.0, rtol=0, atol=1e-9)

@@ -1,0 +1,252 @@
+"""The value of (19) and of Remark 3 by an independent route, and their derivatives."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from geometry import bodies
+from scipy.linalg import eigvalsh, expm, sqrtm
+from scipy.optimize import minimize
+
+from geomid_ros.estimation import objective as module
+from geomid_ros.estimation.objective import Objective, row_weights
+from geomid_ros.geometry.manifold import ParameterManifold, Point
+from geomid_ros.types import FloatArray
+
+from .problems import ALL, LINKS, Problem, human_like, problem
+
+SEEDS = pytest.mark.parametrize("seed", range(4))
+BOTH = pytest.mark.parametrize("kind", ["geodesic", "residual"])
+SMALL = ParameterManifold(1, 1, np.array([0.1]))
+GAMMA = 0.03
+NUMERICAL_MINIMUM = 1e-6
+ROUNDING = 1e-11
+
+
+def built(problem: Problem, kind: str, gamma: float = GAMMA) -> Objective:
+    return getattr(problem, kind)(gamma)
+
+
+def pseudo_inertia(parameters: FloatArray) -> FloatArray:
+    mass, first, inertia = parameters[0], parameters[1:4], np.zeros((3, 3))
+    for pair, value in zip(bodies.PINOCCHIO_PAIRS, parameters[4:10], strict=True):
+        inertia[pair] = inertia[pair[::-1]] = value
+    second = 0.5 * np.trace(inertia) * np.eye(3) - inertia
+    return np.block([[second, first[:, None]], [first[None], np.array([[mass]])]])
+
+
+def moved(parameters: FloatArray, step: FloatArray) -> FloatArray:
+    """The end of a geodesic of SMALL, by scipy: ten entries of a symmetric matrix, one logarithm, one real."""
+    entries = np.zeros((4, 4))
+    entries[np.triu_indices(4)] = step[:10]
+    root = sqrtm(pseudo_inertia(parameters)).real
+    pseudo = root @ expm(entries + np.triu(entries, 1).T) @ root
+    second = pseudo[:3, :3]
+    inertia = np.trace(second) * np.eye(3) - second
+    inertial = [pseudo[3, 3], *pseudo[:3, 3], *(inertia[pair] for pair in bodies.PINOCCHIO_PAIRS)]
+    return np.array([*inertial, parameters[10] * np.exp(step[10]), parameters[11] + SMALL.scales[0] * step[11]])
+
+
+def squared_length(step: FloatArray) -> float:
+    off_diagonal = np.not_equal(*np.triu_indices(4))
+    return float(np.sum(step**2) + np.sum(step[:10][off_diagonal] ** 2))
+
+
+def squared_distance(a: FloatArray, b: FloatArray) -> float:
+    """Between two parameter vectors of SMALL, by (9)."""
+    eigenvalues = eigvalsh(pseudo_inertia(b), pseudo_inertia(a))
+    return float(
+        np.sum(np.log(eigenvalues) ** 2) + np.log(b[10] / a[10]) ** 2 + ((b[11] - a[11]) / SMALL.scales[0]) ** 2
+    )
+
+
+def distance_to_hyperplane(parameters: FloatArray, row: FloatArray, target: float, length: float) -> float:
+    """Squared, by constrained minimisation over the end of the geodesic."""
+    found = minimize(
+        squared_length,
+        np.zeros(12),
+        method="SLSQP",
+        constraints={"type": "eq", "fun": lambda step: (row @ moved(parameters, step) - target) / length},
+        options={"ftol": 1e-14, "maxiter": 300},
+    )
+    assert abs(row @ moved(parameters, found.x) - target) <= 1e-7 * length
+    return float(found.fun)
+
+
+def metric(prior: Point, manifold: ParameterManifold) -> FloatArray:
+    """M of Remark 2 by its definition, ``tr(P^-1 f(e_k) P^-1 f(e_l))`` per link."""
+    matrix = np.zeros((manifold.dimension, manifold.dimension))
+    for link, pseudo in enumerate(prior.pseudo_inertias):
+        units = [np.linalg.solve(pseudo, pseudo_inertia(unit)) for unit in np.eye(10)]
+        block = np.array([[np.trace(a @ b) for a in units] for b in units])
+        matrix[manifold.link(link), manifold.link(link)] = block
+    start = manifold.inertial.stop
+    matrix[start:, start:] = np.diag(np.concatenate([prior.positives**-2.0, manifold.scales**-2.0]))
+    return matrix
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_19_is_the_weighted_sum_of_numerically_minimised_squared_distances(seed: int) -> None:
+    case = problem(seed, SMALL, count=5, noise=0.1, distance=0.5)
+    objective = case.geodesic(GAMMA)
+    assert not np.any(objective.set_aside)
+    here = bodies.near(np.random.default_rng(seed), SMALL, case.prior, 0.2)
+    weights = np.einsum("ni,ij,nj->n", case.rows, np.linalg.inv(metric(case.prior, SMALL)), case.rows) / case.sigmas**2
+    lengths = np.linalg.norm(SMALL.whiten(here, case.rows), axis=1)
+    distances = [
+        distance_to_hyperplane(here.parameters, row, target, length)
+        for row, target, length in zip(case.rows, case.targets, lengths, strict=True)
+    ]
+    prior = GAMMA * np.sum(weights) * squared_distance(here.parameters, case.prior.parameters)
+    expected = 0.5 * (weights @ np.array(distances) + prior)
+    assert objective.evaluate(here).value == pytest.approx(expected, rel=NUMERICAL_MINIMUM)
+
+
+@SEEDS
+def test_remark_3_is_the_squared_residual_and_the_weighted_distance_from_the_prior(seed: int) -> None:
+    case = problem(seed, SMALL, count=20)
+    weights = np.einsum("ni,ij,nj->n", case.rows, np.linalg.inv(metric(case.prior, SMALL)), case.rows) / case.sigmas**2
+    squares = ((case.rows @ case.truth.parameters - case.targets) / case.sigmas) ** 2
+    prior = GAMMA * np.sum(weights) * squared_distance(case.prior.parameters, case.truth.parameters)
+    found = case.residual(GAMMA).evaluate(case.truth).value
+    assert found == pytest.approx(0.5 * (np.sum(squares) + prior), rel=1e-9)
+
+
+@SEEDS
+def test_the_weights_are_those_of_remark_2(seed: int) -> None:
+    case = problem(seed, ALL)
+    inverse = np.linalg.inv(metric(case.prior, ALL))
+    expected = np.einsum("ni,ij,nj->n", case.rows, inverse, case.rows) / case.sigmas**2
+    np.testing.assert_allclose(row_weights(ALL, case.prior, case.rows, case.sigmas), expected, rtol=1e-7)
+    objective = case.geodesic(GAMMA)
+    np.testing.assert_allclose(objective.weights, expected, rtol=1e-7)
+    for kind in ("geodesic", "residual"):
+        assert built(case, kind).prior_weight == pytest.approx(GAMMA * np.sum(expected), rel=1e-7)
+        assert built(case, kind).scale == pytest.approx((1.0 + GAMMA) * np.sum(expected), rel=1e-7)
+
+
+@SEEDS
+@BOTH
+@pytest.mark.parametrize("manifold", [ALL, LINKS], ids=["all", "links"])
+def test_the_gradient_is_that_of_the_value_along_geodesics(manifold: ParameterManifold, kind: str, seed: int) -> None:
+    case = problem(seed, manifold, count=30, noise=0.2)
+    objective = built(case, kind)
+    here = bodies.near(np.random.default_rng(seed), manifold, case.prior, 0.8)
+    gradient, step = objective.evaluate(here).gradient, 1e-5
+    numerical = np.empty(manifold.dimension)
+    for k, unit in enumerate(np.eye(manifold.dimension)):
+        ahead, behind = (objective.evaluate(manifold.exp(here, sign * step * unit)).value for sign in (1.0, -1.0))
+        numerical[k] = (ahead - behind) / (2.0 * step)
+    np.testing.assert_allclose(gradient, numerical, rtol=0, atol=1e-6 * np.linalg.norm(gradient))
+
+
+@SEEDS
+@BOTH
+@pytest.mark.parametrize("manifold", [ALL, LINKS], ids=["all", "links"])
+def test_the_hessian_is_the_second_derivative_along_geodesics(
+    manifold: ParameterManifold, kind: str, seed: int
+) -> None:
+    case = problem(seed, manifold, count=30, noise=0.2)
+    objective, rng = built(case, kind), np.random.default_rng(seed)
+    here = bodies.near(rng, manifold, case.prior, 0.8)
+    at_rest, step = objective.evaluate(here), 1e-3
+    np.testing.assert_allclose(at_rest.hessian, at_rest.hessian.T, rtol=0, atol=ROUNDING * objective.scale)
+    for _ in range(20):
+        direction = rng.normal(size=manifold.dimension)
+        direction /= np.linalg.norm(direction)
+        ahead, behind = (objective.evaluate(manifold.exp(here, sign * step * direction)).value for sign in (1.0, -1.0))
+        numerical = (ahead - 2.0 * at_rest.value + behind) / step**2
+        assert direction @ at_rest.hessian @ direction == pytest.approx(numerical, abs=1e-5 * objective.scale)
+
+
+@SEEDS
+@BOTH
+def test_information_is_positive_semidefinite_and_the_hessian_where_the_rows_are_satisfied(
+    kind: str, seed: int
+) -> None:
+    case = problem(seed, ALL, noise=0.0, distance=0.0)
+    found = built(case, kind).evaluate(case.prior)
+    assert np.linalg.eigvalsh(found.information)[0] >= -ROUNDING * np.trace(found.information)
+    normals = ALL.whiten(case.prior, case.rows) / case.sigmas[:, None]
+    np.testing.assert_allclose(found.information, normals.T @ normals, rtol=0, atol=1e-9 * built(case, kind).scale)
+    with_prior = found.information + built(case, kind).prior_weight * np.eye(ALL.dimension)
+    np.testing.assert_allclose(found.hessian, with_prior, rtol=0, atol=1e-7 * built(case, kind).scale)
+
+
+@SEEDS
+def test_information_is_positive_semidefinite_anywhere(seed: int) -> None:
+    case = human_like(seed)
+    here = bodies.near(np.random.default_rng(seed), case.manifold, case.prior, 3.0)
+    for kind in ("geodesic", "residual"):
+        information = built(case, kind).evaluate(here).information
+        assert np.linalg.eigvalsh(information)[0] >= -ROUNDING * np.trace(information)
+
+
+@SEEDS
+@BOTH
+def test_a_row_may_be_written_in_other_units_and_with_the_other_sign(kind: str, seed: int) -> None:
+    case = problem(seed, ALL)
+    factors = np.random.default_rng(seed).choice([-1e3, -1.0, 1e-3], size=len(case.rows))
+    scaled = Problem(
+        ALL, case.prior, case.truth, factors[:, None] * case.rows, factors * case.targets, np.abs(factors) * case.sigmas
+    )
+    one, other = built(case, kind).evaluate(case.truth), built(scaled, kind).evaluate(case.truth)
+    assert other.value == pytest.approx(one.value, rel=1e-9)
+    np.testing.assert_allclose(other.gradient, one.gradient, rtol=0, atol=1e-9 * built(case, kind).scale)
+
+
+@BOTH
+def test_rows_add_up_whatever_the_chunks(kind: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    case = problem(0, ALL, count=50)
+    whole = built(case, kind).evaluate(case.truth)
+    order = np.random.default_rng(0).permutation(50)
+    monkeypatch.setattr(module, "_CHUNK", 7)
+    shuffled = Problem(ALL, case.prior, case.truth, case.rows[order], case.targets[order], case.sigmas[order])
+    parts = built(shuffled, kind).evaluate(case.truth)
+    assert parts.value == pytest.approx(whole.value, rel=ROUNDING)
+    for name in ("gradient", "information", "hessian"):
+        scale = np.abs(getattr(whole, name)).max()
+        np.testing.assert_allclose(getattr(parts, name), getattr(whole, name), rtol=0, atol=ROUNDING * scale)
+
+
+@SEEDS
+def test_near_the_prior_both_objectives_agree_to_first_order_in_the_residual(seed: int) -> None:
+    """Their difference shrinks at least one order faster than they do."""
+    differences = []
+    for size in (1e-2, 1e-3):
+        case = problem(seed, ALL, noise=0.0, distance=size)
+        values = [built(case, kind).evaluate(case.prior).value for kind in ("geodesic", "residual")]
+        differences.append(abs(values[0] / values[1] - 1.0))
+    assert differences[0] < 0.05
+    assert differences[1] < 0.2 * differences[0]
+
+
+def test_as_everything_grows_alike_distances_stay_bounded_and_residuals_do_not() -> None:
+    """Why (19) can prefer tonnes of mass to a small residual: Remark 3's objective cannot."""
+    case = problem(0, LINKS, count=30, noise=0.2)
+    rows = []
+    for kind in ("geodesic", "residual"):
+        objective = built(case, kind, gamma=1e-15)
+        grown = [LINKS.point(factor * case.truth.parameters) for factor in (1.0, 1e2, 1e4, 1e6)]
+        rows.append([objective.evaluate(point).value for point in grown])
+    geodesic, residual = np.array(rows)
+    assert geodesic[3] < 1.01 * geodesic[2] < 1.1 * geodesic[1]
+    assert residual[2] > 1e3 * residual[1]
+    assert residual[3] > 1e3 * residual[2]
+
+
+def test_rows_without_a_root_are_set_aside_and_count_nothing() -> None:
+    case = problem(3, LINKS, count=30)
+    impossible = np.array([True] * 5 + [False] * 25)
+    mass = np.eye(20)[0]
+    rows, targets = case.rows.copy(), case.targets.copy()
+    rows[:5], targets[:5] = mass, -np.arange(1.0, 6.0)  # a negative mass
+    mixed = Problem(LINKS, case.prior, case.truth, rows, targets, case.sigmas)
+    rest = Problem(LINKS, case.prior, case.truth, rows[5:], targets[5:], case.sigmas[5:])
+    objective = mixed.geodesic(GAMMA)
+    np.testing.assert_array_equal(objective.set_aside[:5], impossible[:5])
+    assert not np.any(objective.set_aside[5:])
+    assert not np.any(objective.weights[:5])
+    one, other = objective.evaluate(case.truth), rest.geodesic(GAMMA).evaluate(case.truth)
+    assert one.value == pytest.approx(other.value, rel=ROUNDING)
+    np.testing.assert_allclose(one.hessian, other.hessian, rtol=0, atol=ROUNDING * objective.scale)

@@ -1,0 +1,168 @@
+"""``solve_rows``: what the paper promises of its estimator, on rows with a planted truth."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from geometry import bodies
+
+from geomid_ros.errors import InputError
+from geomid_ros.estimation.rows import solve_rows
+from geomid_ros.geometry import pseudo_inertia, spd
+from geomid_ros.types import FloatArray
+
+from .problems import LINKS, Problem, human_like, problem
+
+SEEDS = pytest.mark.parametrize("seed", range(4))
+SAME = 1e-8  # geodesic distance
+ROD = np.array([[2.0, 0, 0, 0, 1, 0, 1, 0, 0, 1]])
+
+
+def solution(problem: Problem, gamma: float, solver: str = "trust_region") -> FloatArray:
+    return solve_rows(
+        problem.rows, problem.targets, problem.sigmas, problem.prior_table, gamma, solver=solver
+    ).parameters
+
+
+def distance(problem: Problem, a: FloatArray, b: FloatArray) -> float:
+    return problem.manifold.distance(problem.manifold.point(a.ravel()), problem.manifold.point(b.ravel()))
+
+
+def in_other_frames(problem: Problem, seed: int) -> tuple[Problem, FloatArray]:
+    """The same problem, every link in its own frame and units; and the map of parameters from here to there."""
+    rng = np.random.default_rng(seed)
+    linear = np.zeros((problem.manifold.dimension,) * 2)
+    for k in range(problem.manifold.links):
+        units = 10.0 ** rng.uniform(-1.0, 1.0, size=2)
+        factor = pseudo_inertia.change_of_frame(bodies.rotation(rng), 0.3 * rng.normal(size=3), *units)
+        images = spd.congruence(factor, pseudo_inertia.from_parameters(np.eye(10)))
+        linear[problem.manifold.link(k), problem.manifold.link(k)] = pseudo_inertia.to_parameters(images).T
+    there = [problem.manifold.point(linear @ point.parameters) for point in (problem.prior, problem.truth)]
+    rows = problem.rows @ np.linalg.inv(linear)
+    return Problem(problem.manifold, *there, rows, problem.targets, problem.sigmas), linear
+
+
+@pytest.mark.parametrize("gamma", [1e-1, 1e-2, 1e-3])
+@SEEDS
+def test_the_result_depends_on_no_choice_of_frames_and_units(seed: int, gamma: float) -> None:
+    """Proposition 1 carried to the estimate."""
+    for here in (problem(seed, LINKS), human_like(seed)):
+        there, linear = in_other_frames(here, seed)
+        moved_back = np.linalg.solve(linear, solution(there, gamma).ravel())
+        assert distance(here, solution(here, gamma), moved_back) < SAME
+
+
+@SEEDS
+def test_exact_rows_return_the_truth_when_they_tell_everything(seed: int) -> None:
+    """The prior's pull vanishes in proportion to gamma."""
+    case = problem(seed, LINKS, count=60, noise=0.0)
+    errors = [distance(case, solution(case, gamma), case.truth.parameters) for gamma in (1e-4, 1e-6, 1e-8)]
+    assert errors[2] < 1e-5
+    assert errors[2] < 0.02 * errors[1] < 4e-4 * errors[0]
+
+
+@SEEDS
+def test_a_strong_prior_is_returned(seed: int) -> None:
+    case = problem(seed, LINKS)
+    errors = [distance(case, solution(case, gamma), case.prior.parameters) for gamma in (1e2, 1e4, 1e6)]
+    assert errors[2] < 1e-5
+    assert errors[2] < 0.02 * errors[1] < 4e-4 * errors[0]
+
+
+@SEEDS
+def test_an_exact_row_is_met_halfway_between_prior_and_measurement(seed: int) -> None:
+    """One row: by symmetry the answer lies on the geodesic to the projection, at the share 1/(1 + gamma)."""
+    case = problem(seed, LINKS, count=1, distance=0.3)
+    for gamma in (0.1, 1.0, 10.0):
+        table = solution(case, gamma)
+        projected = solution(case, 1e-9)
+        total = distance(case, case.prior.parameters, projected)
+        assert distance(case, case.prior.parameters, table) == pytest.approx(total / (1.0 + gamma), rel=1e-6)
+        assert distance(case, table, projected) == pytest.approx(total * gamma / (1.0 + gamma), rel=1e-6)
+
+
+@SEEDS
+def test_both_solvers_agree(seed: int) -> None:
+    case = problem(seed, LINKS, count=20)
+    assert distance(case, solution(case, 0.1), solution(case, 0.1, "cyclic")) < 1e-6
+
+
+@SEEDS
+def test_links_stay_possible(seed: int) -> None:
+    case = human_like(seed, links=5, model_error=1.0, noise=1.0)
+    for gamma in (1e-1, 1e-3):
+        assert np.all(np.linalg.eigvalsh(pseudo_inertia.from_parameters(solution(case, gamma))) > 0.0)
+
+
+@SEEDS
+def test_order_and_repetition_of_rows_do_not_matter(seed: int) -> None:
+    case = human_like(seed)
+    order = np.random.default_rng(seed).permutation(2 * len(case.rows)) % len(case.rows)
+    twice = Problem(case.manifold, case.prior, case.truth, case.rows[order], case.targets[order], case.sigmas[order])
+    assert distance(case, solution(case, 1e-2), solution(twice, 1e-2)) < SAME
+
+
+@SEEDS
+def test_all_standard_deviations_may_be_in_other_units(seed: int) -> None:
+    """Gamma is a share: what all rows have in common cancels."""
+    case = problem(seed, LINKS)
+    other = Problem(LINKS, case.prior, case.truth, case.rows, case.targets, 1e3 * case.sigmas)
+    assert distance(case, solution(case, 1e-2), solution(other, 1e-2)) < SAME
+
+
+def test_rows_without_a_projection_are_set_aside_and_counted() -> None:
+    case = problem(1, LINKS, count=20)
+    rows = np.concatenate([np.eye(1, 20), case.rows, np.zeros((1, 20))])
+    targets = np.concatenate([[-3.0], case.targets, [1.0]])  # a negative mass; nothing that should be one
+    sigmas = np.concatenate([[0.1], case.sigmas, [0.1]])
+    found = solve_rows(rows, targets, sigmas, case.prior_table)
+    np.testing.assert_array_equal(np.flatnonzero(found.set_aside), [0, 21])
+    assert distance(case, found.parameters, solution(case, 1e-2)) < SAME
+
+
+def test_it_starts_from_the_minimiser_of_remark_3_where_that_is_lower() -> None:
+    case = human_like(0, links=5)
+    found = solve_rows(case.rows, case.targets, case.sigmas, case.prior_table, 1e-3)
+    objective = case.geodesic(1e-3)
+    assert found.solution.values[0] < 0.5 * objective.evaluate(case.prior).value
+
+
+def test_one_sigma_serves_all_and_results_are_read_only() -> None:
+    case = problem(0, LINKS)
+    one = solve_rows(case.rows, case.targets, 0.3, case.prior_table)
+    all_alike = solve_rows(case.rows, case.targets, np.full(len(case.rows), 0.3), case.prior_table)
+    np.testing.assert_array_equal(one.parameters, all_alike.parameters)
+    assert not one.parameters.flags.writeable
+
+
+def test_runs_are_repeatable() -> None:
+    case = human_like(2)
+    np.testing.assert_array_equal(solution(case, 1e-3), solution(case, 1e-3))
+
+
+@pytest.mark.parametrize(
+    ("change", "named"),
+    [
+        ({"rows": np.ones((3, 9))}, r"\(3, 9\)"),
+        ({"rows": np.ones((2, 10))}, r"\(2, 10\)"),
+        ({"targets": np.ones((3, 1))}, r"\(3, 1\)"),
+        ({"prior": np.ones((1, 9))}, r"\(1, 9\)"),
+        ({"prior": ROD[:, :, None]}, r"\(1, 10, 1\)"),
+        ({"sigmas": np.ones(2)}, r"\(2,\)"),
+        ({"sigmas": 0.0}, "standard deviations"),
+        ({"sigmas": np.array([1.0, -1.0, 1.0])}, "standard deviations"),
+        ({"rows": np.full((3, 10), np.nan)}, "rows"),
+        ({"targets": np.array([1.0, np.inf, 1.0])}, "targets"),
+        ({"prior": -ROD}, "link 0"),
+        ({"prior": np.concatenate([ROD, 0.0 * ROD]), "rows": np.ones((3, 20))}, "link 1"),
+        ({"gamma": 0.0}, "gamma"),
+        ({"gamma": -1.0}, "gamma"),
+        ({"gamma": np.nan}, "gamma"),
+        ({"gamma": np.inf}, "gamma"),
+        ({"solver": "newton"}, "cyclic, trust_region"),
+    ],
+)
+def test_bad_input_is_refused_by_name(change: dict[str, object], named: str) -> None:
+    usual = {"rows": np.ones((3, 10)), "targets": np.ones(3), "sigmas": 1.0, "prior": ROD}
+    with pytest.raises(InputError, match=named):
+        solve_rows(**(usual | change))

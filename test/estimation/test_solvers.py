@@ -1,0 +1,166 @@
+"""Both solvers end at the same minimum of the same objective, downhill all the way, wherever they start nearby."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from geometry import bodies
+
+from geomid_ros.estimation.objective import Objective
+from geomid_ros.estimation.solvers import SOLVERS, Solution, cyclic, trust_region
+from geomid_ros.geometry import projection
+from geomid_ros.geometry.manifold import ParameterManifold, Point
+from geomid_ros.geometry.mean import karcher_mean
+
+from .problems import ALL, LINKS, Problem, human_like, problem
+
+SEEDS = pytest.mark.parametrize("seed", range(4))
+BOTH = pytest.mark.parametrize("kind", ["geodesic", "residual"])
+GAMMA = 1e-2
+SAME_POINT = 1e-6  # geodesic distance
+
+
+def solved(problem: Problem, kind: str, gamma: float = GAMMA, tolerance: float = 1e-9) -> tuple[Objective, Solution]:
+    objective = getattr(problem, kind)(gamma)
+    return objective, trust_region(objective, problem.prior, tolerance)
+
+
+def projections(problem: Problem, point: Point) -> list[Point]:
+    """The projected points of all rows, Proposition 2."""
+    manifold = problem.manifold
+    found = projection.project(manifold, point, manifold.whiten(point, problem.rows), problem.targets)
+    assert np.all(found.status == projection.ROOT)
+    return [manifold.exp(point, tangent) for tangent in found.tangent]
+
+
+@SEEDS
+@BOTH
+@pytest.mark.parametrize("solver", SOLVERS)
+def test_every_step_descends(solver: str, kind: str, seed: int) -> None:
+    for case in (problem(seed, ALL), human_like(seed)):
+        objective = getattr(case, kind)(GAMMA)
+        solution = SOLVERS[solver](objective, case.prior, max_steps=50)
+        assert np.all(np.diff(solution.values) < 0.0)
+        assert solution.values[0] == objective.evaluate(case.prior).value
+        assert solution.values[-1] == solution.evaluation.value
+        assert len(solution.values) == solution.steps + 1
+
+
+@SEEDS
+@BOTH
+def test_the_end_is_stationary_and_a_minimum(kind: str, seed: int) -> None:
+    for case in (problem(seed, ALL), human_like(seed)):
+        objective, solution = solved(case, kind)
+        assert solution.converged
+        assert np.linalg.norm(solution.evaluation.gradient) <= 1e-9 * objective.scale
+        assert np.linalg.eigvalsh(solution.evaluation.hessian)[0] > 0.0
+        rng = np.random.default_rng(seed)
+        for distance in (1e-3, 0.1, 1.0):
+            for _ in range(10):
+                near = bodies.near(rng, case.manifold, solution.point, distance)
+                assert objective.evaluate(near).value > solution.evaluation.value
+
+
+@SEEDS
+@BOTH
+def test_the_same_minimum_from_other_starting_points(kind: str, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    for case in (problem(seed, ALL), human_like(seed)):
+        objective, solution = solved(case, kind)
+        for distance in (0.1, 0.5, 1.0):
+            start = bodies.near(rng, case.manifold, solution.point, distance)
+            again = trust_region(objective, start, 1e-9)
+            assert again.converged
+            assert case.manifold.distance(solution.point, again.point) < SAME_POINT
+
+
+@pytest.mark.parametrize("gamma", [1e-1, 1e-2, 1e-3])
+@SEEDS
+def test_trust_region_ends_at_or_below_the_papers_alternation(seed: int, gamma: float) -> None:
+    case = human_like(seed, links=3, instants=30)
+    objective, fast = solved(case, "geodesic", gamma)
+    slow = cyclic(objective, case.prior, tolerance=1e-9, max_steps=3000)
+    assert fast.evaluation.value <= slow.evaluation.value * (1.0 + 1e-12)
+    if slow.converged:
+        assert case.manifold.distance(fast.point, slow.point) < 1e-5
+
+
+@SEEDS
+def test_the_minimum_of_19_is_a_fixed_point_of_projection_and_karcher_mean(seed: int) -> None:
+    """The alternation of the paper as printed: slack variables by (21), (22), then the mean (23)."""
+    case = problem(seed, LINKS, count=25, distance=0.3)
+    objective, solution = solved(case, "geodesic", tolerance=1e-11)
+    assert not np.any(objective.set_aside)
+    points = [*projections(case, solution.point), case.prior]
+    weights = np.append(objective.weights, objective.prior_weight)
+    mean = karcher_mean(case.manifold, points, weights)
+    assert case.manifold.distance(mean, solution.point) < SAME_POINT
+
+
+@SEEDS
+def test_a_cycle_is_the_first_karcher_step_from_the_projections(seed: int) -> None:
+    case = problem(seed, LINKS, count=25, distance=0.3)
+    objective = case.geodesic(GAMMA)
+    one = cyclic(objective, case.prior, max_steps=1)
+    weights = np.append(objective.weights, objective.prior_weight)
+    logs = [case.manifold.log(case.prior, point) for point in [*projections(case, case.prior), case.prior]]
+    step = weights @ np.array(logs) / np.sum(weights)
+    assert case.manifold.distance(one.point, case.manifold.exp(case.prior, step)) < 1e-9
+
+
+@BOTH
+@pytest.mark.parametrize("solver", SOLVERS)
+def test_running_out_of_steps_is_not_called_convergence(solver: str, kind: str) -> None:
+    case = human_like(0)
+    solution = SOLVERS[solver](getattr(case, kind)(1e-4), case.prior, tolerance=1e-12, max_steps=2)
+    assert not solution.converged
+    assert solution.steps == 2
+    assert "2" in solution.reason
+
+
+@BOTH
+@pytest.mark.parametrize("solver", SOLVERS)
+def test_a_start_at_the_minimum_stays_there(solver: str, kind: str) -> None:
+    case = problem(0, ALL, noise=0.0, distance=0.0)
+    solution = SOLVERS[solver](getattr(case, kind)(GAMMA), case.prior)
+    assert solution.converged
+    assert solution.steps == 0
+
+
+@pytest.mark.parametrize("solver", SOLVERS)
+def test_without_rows_the_prior_is_the_answer(solver: str) -> None:
+    case = problem(0, ALL, count=0)
+    for kind in ("geodesic", "residual"):
+        solution = SOLVERS[solver](getattr(case, kind)(GAMMA), case.prior)
+        assert solution.converged
+        assert solution.point is case.prior
+
+
+@SEEDS
+def test_a_far_start_on_a_hard_problem_still_ends_downhill(seed: int) -> None:
+    """Weak prior, large model error: undamped Gauss-Newton steps diverge here."""
+    case = human_like(seed, links=6, model_error=0.5)
+    objective = case.geodesic(1e-4)
+    start = bodies.near(np.random.default_rng(seed), case.manifold, case.prior, 6.0)
+    solution = trust_region(objective, start, max_steps=500)
+    assert solution.converged
+    assert np.all(np.diff(solution.values) < 0.0)
+    assert np.linalg.norm(solution.evaluation.gradient) <= 1e-8 * objective.scale
+
+
+@pytest.mark.parametrize("scale", [1e-3, 1.0, 1e3])
+def test_reals_have_no_origin_and_no_unit(scale: float) -> None:
+    """With flat blocks alone both objectives are ridge regression, whose solution is linear algebra."""
+    rng = np.random.default_rng(0)
+    manifold = ParameterManifold(0, 0, scale * np.array([1.0, 2.0, 5.0]))
+    prior = manifold.point(scale * rng.normal(size=3))
+    rows = rng.normal(size=(20, 3))
+    targets = rows @ prior.parameters + scale * rng.normal(size=20)
+    case = Problem(manifold, prior, prior, rows, targets, np.full(20, 0.3 * scale))
+    weights = np.sum((rows * manifold.scales) ** 2, axis=1) / case.sigmas**2
+    ridge = GAMMA * np.sum(weights) * np.diag(manifold.scales**-2.0)
+    normal = rows.T @ rows / case.sigmas[0] ** 2 + ridge
+    expected = np.linalg.solve(normal, rows.T @ targets / case.sigmas[0] ** 2 + ridge @ prior.parameters)
+    for kind in ("geodesic", "residual"):
+        _, solution = solved(case, kind)
+        np.testing.assert_allclose(solution.point.parameters, expected, rtol=1e-7)

@@ -1,0 +1,46 @@
+"""Estimates made by hand, for tests of what is written of them."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from geomid_ros.estimation.estimate import EffectEstimate, Estimate, LinkEstimate
+from geomid_ros.geometry import pseudo_inertia
+
+
+def link_estimate(name: str, merged: tuple[str, ...] = (), seed: int = 0) -> LinkEstimate:
+    """A link with a body that can exist, made of random point masses."""
+    random = np.random.default_rng(seed)
+    masses, points = random.uniform(0.1, 1.0, 12), random.normal(scale=0.1, size=(12, 3))
+    mass, com = masses.sum(), masses @ points / masses.sum()
+    offsets = points - com
+    inertia = np.einsum("n,n,ij->ij", masses, np.sum(offsets**2, axis=1), np.eye(3)) - np.einsum(
+        "n,ni,nj->ij", masses, offsets, offsets
+    )
+    parameters = pseudo_inertia.assemble(np.array(mass), com, inertia)
+    deviation = np.full((3, 3), 1e-3)
+    return LinkEstimate(
+        name, merged, mass, com, inertia, 0.01, np.full(3, 0.002), deviation, parameters, 0.3, 0.5, 0.8, ("Ixx",)
+    )
+
+
+def estimate_of(*links: LinkEstimate, effects: tuple[EffectEstimate, ...] = ()) -> Estimate:
+    """An estimate of two channels, the second of which was not measured."""
+    parameters = np.concatenate([link.parameters for link in links] + [[e.value for e in effects]])
+    of_channels = np.array([0.5, np.nan])
+    return Estimate(
+        True,
+        "gradient",
+        0.25,
+        7,
+        1e-3,
+        120,
+        3,
+        links,
+        effects,
+        parameters,
+        ("joint1", "joint2"),
+        of_channels,
+        2.0 * of_channels,
+        of_channels,
+    )

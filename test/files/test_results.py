@@ -1,0 +1,160 @@
+"""estimate.json: its keys, what it says, and starting from it again."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from geomid_ros.errors import InputError
+from geomid_ros.estimation.estimate import EffectEstimate
+from geomid_ros.files.configuration import Configuration
+from geomid_ros.files.results import estimate_document, known_inertias, read_estimate, write_estimate
+from geomid_ros.files.urdf import read_urdf
+from geomid_ros.session import Session
+
+from .estimates import estimate_of, link_estimate
+from .recordings import BAGS
+
+ROUNDING = 1e-12  # relative: parameters go through the centre of mass and back
+EFFECT = EffectEstimate("coulomb_friction", "joint1", 0.5, "N m", 0.05, 0.9)
+ESTIMATE = estimate_of(link_estimate("link3", ("tool",), 1), link_estimate("link1", (), 2), effects=(EFFECT,))
+
+
+def document(held_out: Any = None) -> dict[str, Any]:
+    result: dict[str, Any] = json.loads(
+        json.dumps(estimate_document(ESTIMATE, {"standing still": 4, "not measured": 0}, held_out), allow_nan=False)
+    )
+    return result
+
+
+def test_the_document_has_the_documented_keys() -> None:
+    result = document()
+    assert result.keys() >= {"converged", "reason", "seconds", "rows", "links", "effects", "rms"}
+    assert result["rows"].keys() == {"accepted", "set_aside", "rejected"}
+    for link in result["links"]:
+        keys = {"name", "mass", "com", "inertia", "std", "distance_from_prior", "from_data", "min_eigenvalue_ratio"}
+        assert link.keys() >= keys
+        assert link["std"].keys() == {"mass", "com", "inertia"}
+        assert np.shape(link["com"]) == np.shape(link["std"]["com"]) == (3,)
+        assert np.shape(link["inertia"]) == np.shape(link["std"]["inertia"]) == (3, 3)
+    assert result["effects"][0].keys() >= {"name", "joint", "value", "unit", "std"}
+    assert result["rms"].keys() == {"nominal", "train", "held_out"}
+
+
+def test_the_document_says_what_the_estimate_says() -> None:
+    result = document(np.array([0.7, np.nan]))
+    assert (result["converged"], result["reason"], result["seconds"]) == (True, "gradient", 0.25)
+    assert result["rows"] == {"accepted": 120, "set_aside": 3, "rejected": {"standing still": 4}}
+    assert [link["name"] for link in result["links"]] == ["link3", "link1"]
+    for written, link in zip(result["links"], ESTIMATE.links, strict=True):
+        assert (written["mass"], written["com"], written["inertia"]) == (
+            link.mass,
+            link.com.tolist(),
+            link.inertia.tolist(),
+        )
+        assert written["from_data"] == link.from_data
+        assert written["merged"] == list(link.merged)
+    assert result["effects"][0]["value"] == EFFECT.value
+    assert result["rms"] == {
+        "nominal": {"joint1": 1.0, "joint2": None},
+        "train": {"joint1": 0.5, "joint2": None},
+        "held_out": {"joint1": 0.7, "joint2": None},
+    }
+
+
+def test_nothing_held_out_is_null() -> None:
+    assert document()["rms"]["held_out"] is None
+
+
+def test_round_trip(tmp_path: Path) -> None:
+    path = tmp_path / "out/estimate.json"
+    write_estimate(path, document())
+    assert read_estimate(path) == document()
+    assert json.loads(path.read_text()) == document()
+    known = known_inertias(read_estimate(path), str(path))
+    for link in ESTIMATE.links:
+        np.testing.assert_allclose(known[link.name], link.parameters, rtol=ROUNDING, atol=ROUNDING)
+
+
+def session_from(model: Path) -> Session:
+    configuration = Configuration({"model": str(model)}, "test")
+    return Session(read_urdf(BAGS / "arm3.urdf"), configuration, "arm3.urdf")
+
+
+def test_an_estimate_is_started_from(tmp_path: Path) -> None:
+    path = tmp_path / "estimate.json"
+    write_estimate(path, document())
+    prior = session_from(path).identifier._prior
+    assert prior is not None
+    link1, link2, link3 = prior[:30].reshape(3, 10)
+    np.testing.assert_allclose(link3, ESTIMATE.links[0].parameters, rtol=ROUNDING, atol=ROUNDING)
+    np.testing.assert_allclose(link1, ESTIMATE.links[1].parameters, rtol=ROUNDING, atol=ROUNDING)
+    assert np.all(np.isnan(link2)), "what the estimate does not know comes from the URDF"
+    assert sorted(prior[30:][np.isfinite(prior[30:])]) == [EFFECT.value]
+
+
+def edited(path: list[str | int], value: Any) -> Callable[[dict[str, Any]], None]:
+    def edit(result: dict[str, Any]) -> None:
+        target: Any = result
+        for key in path[:-1]:
+            target = target[key]
+        if value is None:
+            del target[path[-1]]
+        else:
+            target[path[-1]] = value
+
+    return edit
+
+
+UNUSABLE: dict[str, tuple[Callable[[dict[str, Any]], None], str]] = {
+    "no links": (edited(["links"], None), "no 'links'"),
+    "no effects": (edited(["effects"], None), "'effects'"),
+    "another format": (edited(["format"], 99), "format 99"),
+    "links is a number": (edited(["links"], 3), "valid mass"),
+    "a link is a text": (edited(["links", 0], "link"), "valid mass"),
+    "a link without mass": (edited(["links", 0, "mass"], None), "valid mass"),
+    "a mass that is a text": (edited(["links", 0, "mass"], "heavy"), "valid mass"),
+    "a centre in the plane": (edited(["links", 0, "com"], [1.0, 2.0]), "valid mass"),
+    "an inertia without shape": (edited(["links", 0, "inertia"], [1.0, 2.0]), "valid mass"),
+    "a negative mass": (edited(["links", 0, "mass"], -1.0), "'link3' belongs to no body"),
+    "a mass that is not a number": (edited(["links", 0, "mass"], float("nan")), "'link3' belongs to no body"),
+    "an impossible inertia": (edited(["links", 0, "inertia", 0], [9.0, 0.0, 0.0]), "'link3' belongs to no body"),
+    "effects is a number": (edited(["effects"], 3), "effect"),
+    "an effect without value": (edited(["effects", 0, "value"], None), "effect"),
+    "an effect that is a text": (edited(["effects", 0], "friction"), "effect"),
+    "negative friction": (edited(["effects", 0, "value"], -0.1), "must be positive"),
+    "infinite friction": (edited(["effects", 0, "value"], float("inf")), "must be positive and finite"),
+    "another robot": (
+        lambda result: [link.update(name="leg_" + link["name"]) for link in result["links"]] and None,
+        "another robot.*leg_link3.*link1, link2, link3",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", UNUSABLE)
+def test_an_estimate_that_cannot_be_used_is_refused(case: str, tmp_path: Path) -> None:
+    edit, message = UNUSABLE[case]
+    result = document()
+    edit(result)
+    path = tmp_path / "estimate.json"
+    path.write_text(json.dumps(result))
+    with pytest.raises(InputError, match=f"estimate.json: .*{message}"):
+        session_from(path)
+
+
+@pytest.mark.parametrize("text", ["", "{", "[]", "null", "3", "[" * 100_000, "\x00"])
+def test_what_is_no_json_object_is_refused(text: str, tmp_path: Path) -> None:
+    path = tmp_path / "estimate.json"
+    path.write_text(text)
+    with pytest.raises(InputError, match=r"estimate.json: "):
+        session_from(path)
+
+
+def test_a_missing_estimate_is_named(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"nowhere.json: the model cannot be read"):
+        session_from(tmp_path / "nowhere.json")

@@ -1,0 +1,219 @@
+"""The identified URDF: the inertials of the identified bodies are replaced, and every other byte is what it was."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from pathlib import Path
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from geomid_ros.errors import InputError
+from geomid_ros.estimation.estimate import LinkEstimate
+from geomid_ros.files.atomic import write_text
+from geomid_ros.files.urdf import read_urdf, with_identified_inertias
+from geomid_ros.geometry import pseudo_inertia
+from geomid_ros.model.robot import Robot
+
+from .estimates import link_estimate
+from .recordings import BAGS
+
+WRITTEN = 1e-8  # relative: nine digits are written
+
+INERTIAL = """<inertial >
+      <origin xyz="0.1 0 0" rpy="0.1 0.2 0.3"/> <!-- of the CAD -->
+      <mass value='1.5'/><inertia ixx="0.01" ixy="0" ixz="0" iyy="0.01" iyz="0" izz="0.01"/>
+    </inertial
+    >"""
+# @NAME@ stands where the inertial of link NAME is, or comes to be.
+ARM = """<link name="arm" note="1 > 0 and 'quoted'">
+    <!-- <inertial><mass value="3"/></inertial> -->
+    <visual><geometry><box size="1 1 1"/></geometry></visual>@arm@<!-- behind --><collision name="an inertial> ?"/>
+  </link>"""
+TEMPLATE = """<?xml version="1.0"?>
+<!-- <link name="arm"><inertial><mass value="9"/></inertial></link> -->
+<robot name="odd" xmlns:xacro="http://www.ros.org/wiki/xacro">
+\t<link   name = 'base'  ><!-- <inertial> --></link>
+  ARM
+  <gazebo reference="arm"><link name="arm"><inertial><mass value="8"/></inertial></link><![CDATA[<inertial>]]></gazebo>
+  <link name='größe'
+        type="\N{SNOWMAN}">@größe@</link>
+  <link name="cover">
+    @cover@<visual><geometry><sphere radius="1"/></geometry></visual></link>
+  <link name="frame"/>
+  <joint name="j1" type="revolute"><parent link="base"/><child link="arm"/><axis xyz="0 0 1"/>
+    <limit lower='-1' upper="1" effort="9" velocity="9"/></joint>
+  <joint name="j2" type="prismatic"><parent link="arm"/><child link="größe"/><axis xyz="1 0 0"/>
+    <limit lower="-1" upper="1" effort="9" velocity="9"/></joint>
+  <joint name="f1" type="fixed"><origin xyz="0 0 1"/><parent link="arm"/><child link="cover"/></joint>
+  <joint name="f2" type="fixed"><parent link="arm"/><child link="frame"/></joint>
+</robot>
+<!-- the end -->
+""".replace("ARM", ARM)
+MARK = re.compile(r"@(\w+)@")
+
+
+def filled(template: str) -> str:
+    return MARK.sub(lambda _: INERTIAL, template)
+
+
+def inserted(template: str, text: str) -> dict[str, str]:
+    """What stands in ``text`` at the marks of ``template``; fails if anything else differs."""
+    literal, names = MARK.split(template)[::2], MARK.findall(template)
+    match = re.fullmatch("(.*?)".join(map(re.escape, literal)), text, flags=re.DOTALL)
+    assert match is not None, text
+    return dict(zip(names, match.groups(), strict=True))
+
+
+def numbers(element: ElementTree.Element | None, *keys: str) -> list[float]:
+    assert element is not None
+    return [float(part) for key in keys for part in element.attrib[key].split()]
+
+
+def assert_is(inertial: str, link: LinkEstimate) -> None:
+    """The text is an <inertial> with the numbers of the link."""
+    element = ElementTree.fromstring(inertial)
+    assert element.tag == "inertial"
+    assert numbers(element.find("origin"), "rpy") == [0.0, 0.0, 0.0]
+    assert numbers(element.find("origin"), "xyz") == pytest.approx(link.com, rel=WRITTEN)
+    assert numbers(element.find("mass"), "value") == pytest.approx([link.mass], rel=WRITTEN)
+    entries = numbers(element.find("inertia"), "ixx", "ixy", "ixz", "iyy", "iyz", "izz")
+    assert entries == pytest.approx(link.inertia[np.triu_indices(3)], rel=WRITTEN)
+
+
+def assert_robot_has(urdf: str, links: Sequence[LinkEstimate]) -> None:
+    """Pinocchio reads the URDF and finds the identified bodies."""
+    bodies = {body.name: body for body in Robot(urdf).bodies}
+    for link in links:
+        assert bodies[link.name].merged == ()
+        np.testing.assert_allclose(bodies[link.name].parameters, link.parameters, rtol=0.0, atol=WRITTEN * link.mass)
+
+
+LINKS = (link_estimate("arm", ("cover",), 1), link_estimate("größe", (), 2))
+VARIANTS = {
+    "as it is": TEMPLATE,
+    "lines of Windows": TEMPLATE.replace("\n", "\r\n"),
+    "one line": TEMPLATE.replace("\n", " "),
+    "byte order mark": "\ufeff" + TEMPLATE,
+    "another encoding declared": TEMPLATE.replace('"1.0"?', '"1.0" encoding="ISO-8859-1"?'),
+    "no declaration": TEMPLATE.split("\n", 1)[1],
+}
+
+
+@pytest.mark.parametrize("variant", VARIANTS)
+def test_every_other_byte_is_kept(variant: str, tmp_path: Path) -> None:
+    template = VARIANTS[variant]
+    (tmp_path / "in.urdf").write_bytes(filled(template).encode())
+    written = tmp_path / "out.urdf"
+    write_text(written, with_identified_inertias(read_urdf(tmp_path / "in.urdf"), LINKS))
+    result = written.read_bytes().decode()
+    inertials = inserted(template, result)
+    assert_is(inertials["arm"], LINKS[0])
+    assert_is(inertials["größe"], LINKS[1])
+    assert inertials["cover"] == ""
+    assert_robot_has(result, LINKS)
+
+
+def test_writing_again_changes_nothing() -> None:
+    once = with_identified_inertias(filled(TEMPLATE), LINKS)
+    assert with_identified_inertias(once, LINKS) == once
+
+
+def test_links_that_are_not_identified_keep_their_inertial() -> None:
+    result = with_identified_inertias(filled(TEMPLATE), LINKS[1:])
+    inertials = inserted(TEMPLATE, result)
+    assert inertials["arm"] == inertials["cover"] == INERTIAL
+
+
+@pytest.mark.parametrize(
+    "tag",
+    ['<link name="arm"/>', "<link name='arm' />", '<link name="arm" note="a>b/>c"  />', '<link name="arm"\n/>'],
+)
+def test_a_link_without_inertial_gets_one_when_what_is_fixed_to_it_has_mass(tag: str) -> None:
+    opened = tag.removesuffix("/>").rstrip() + ">"
+    result = with_identified_inertias(filled(TEMPLATE.replace(ARM, tag)), LINKS)
+    inertials = inserted(TEMPLATE.replace(ARM, f"{opened}@arm@</link>"), result)
+    assert_is(inertials["arm"].strip(), LINKS[0])
+    assert inertials["cover"] == ""
+    assert_robot_has(result, LINKS)
+
+
+@pytest.mark.parametrize(
+    "inside", ["", "\n", "<!-- none > -->", "<visual><geometry><sphere radius='1'/></geometry></visual>"]
+)
+def test_an_open_link_without_inertial_gets_one(inside: str) -> None:
+    tag = "<link name=\"arm\" note='>'>"
+    result = with_identified_inertias(filled(TEMPLATE.replace(ARM, f"{tag}{inside}</link>")), LINKS)
+    inertials = inserted(TEMPLATE.replace(ARM, f"{tag}@arm@{inside}</link>"), result)
+    assert_is(inertials["arm"].strip(), LINKS[0])
+    assert_robot_has(result, LINKS)
+
+
+def test_of_two_inertials_the_first_counts() -> None:
+    """As for pinocchio and MuJoCo."""
+    doubled = TEMPLATE.replace("@größe@", "@größe@" + INERTIAL.replace("1.5", "7"))
+    inertials = inserted(doubled, with_identified_inertias(filled(doubled), LINKS))
+    assert_is(inertials["größe"], LINKS[1])
+
+
+def test_a_massless_fixed_link_keeps_what_it_has() -> None:
+    nothing = '<inertial><mass value="0"/><inertia ixx="0" ixy="0" ixz="0" iyy="0" iyz="0" izz="0"/></inertial>'
+    template = TEMPLATE.replace('<link name="frame"/>', f'<link name="frame">{nothing}</link>')
+    assert inserted(template, with_identified_inertias(filled(template), LINKS))["cover"] == ""
+
+
+@pytest.mark.parametrize("name", ["arm3", "arm7"])
+def test_shipped_robots(name: str) -> None:
+    text = read_urdf(BAGS / f"{name}.urdf")
+    bodies = Robot(text).bodies
+    links = [link_estimate(body.name, body.merged, seed) for seed, body in enumerate(bodies)]
+    result = with_identified_inertias(text, links)
+    assert_robot_has(result, links)
+    removed = sum(len(body.merged) for body in bodies)
+    assert removed > 0
+    assert result.count("<inertial>") == text.count("<inertial>") - removed
+    kept, had = (re.sub(r"<inertial>.*?</inertial>", "", part, flags=re.DOTALL) for part in (result, text))
+    assert kept == had
+
+
+def test_mujoco_finds_the_identified_bodies() -> None:
+    mujoco = pytest.importorskip("mujoco")
+    text = read_urdf(BAGS / "arm7.urdf")
+    links = [link_estimate(body.name, body.merged, seed) for seed, body in enumerate(Robot(text).bodies)]
+    model = mujoco.MjModel.from_xml_string(with_identified_inertias(text, links))
+    for link in links:
+        body = model.body(link.name)
+        axes = Rotation.from_quat(np.roll(body.iquat, -1)).as_matrix()
+        inertia = axes @ np.diag(body.inertia) @ axes.T
+        found = pseudo_inertia.assemble(np.array(body.mass[0]), body.ipos, inertia)
+        np.testing.assert_allclose(found, link.parameters, rtol=0.0, atol=WRITTEN * link.mass)
+
+
+def test_bodies_close_to_impossible_stay_possible() -> None:
+    """A rod as thin as a hair: digits that are not written must not make it impossible."""
+    axis = np.array([0.3, -0.5, 0.8])
+    inertia = 1e-2 * (np.eye(3) - np.outer(axis, axis) / (axis @ axis)) + 1e-9 * np.eye(3)
+    thin = link_estimate("arm", ("cover",))
+    parameters = pseudo_inertia.assemble(np.array(2.0), np.array([0.1, 0.2, 0.3]), inertia)
+    thin = LinkEstimate(**{**thin.__dict__, "mass": 2.0, "com": np.array([0.1, 0.2, 0.3]), "inertia": inertia})
+    assert np.linalg.eigvalsh(pseudo_inertia.from_parameters(parameters))[0] > 0.0
+    Robot(with_identified_inertias(filled(TEMPLATE), [thin, LINKS[1]]))
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda path: None, "No such file"),
+        (lambda path: path.mkdir(), "directory"),
+        (lambda path: path.write_bytes(b"<robot name='\xff\xfe'/>"), "utf-8"),
+    ],
+)
+def test_a_file_that_cannot_be_read_is_named(make: object, message: str, tmp_path: Path) -> None:
+    assert callable(make)
+    path = tmp_path / "robot.urdf"
+    make(path)
+    with pytest.raises(InputError, match=f"robot.urdf: the robot description cannot be read .*{message}"):
+        read_urdf(path)

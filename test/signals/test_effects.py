@@ -1,0 +1,65 @@
+"""Effects' columns go through the filter as the efforts do: friction's jump at a reversal is the same in both."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from geomid_ros.model.samples import Samples
+from geomid_ros.signals.pipeline import SignalPipeline, SignalSettings
+from geomid_ros.types import FloatArray
+
+from .feeding import JOINTS, START, Motion, assert_same, feed, jittered, joint_messages, regular
+
+
+def columns(position: FloatArray, velocity: FloatArray, acceleration: FloatArray) -> FloatArray:
+    """Viscous and Coulomb friction, rotor inertia, offset, and a spring."""
+    return np.stack([velocity, np.tanh(velocity / 0.02), acceleration, np.ones_like(position), position], axis=2)
+
+
+def pipeline(period: float = 0.008) -> SignalPipeline:
+    return SignalPipeline(JOINTS, settings=SignalSettings(period=period), effect_columns=columns)
+
+
+@pytest.mark.parametrize("effect", range(5))
+def test_a_column_is_what_an_effort_of_that_effect_becomes(effect: int) -> None:
+    """The effort is the effect's formula on the true motion: after the filter it equals the effect's column."""
+    stamps, motion = regular(0.008, 8.0), Motion()
+    truth = columns(*(motion.derivative(stamps, order) for order in range(3)))[:, :, effect]
+    samples = feed(pipeline(), [replace(m, effort=e) for m, e in zip(joint_messages(stamps), truth, strict=True)])
+    assert samples.effects.shape == (len(samples), 3, 5)
+    assert np.max(np.abs(samples.effects[:, :, effect] - samples.effort)) < 0.02 * np.max(np.abs(truth))
+
+
+def test_friction_on_the_filtered_motion_would_not_do() -> None:
+    """The sign of the filtered velocity jumps where the filtered friction passes smoothly."""
+    stamps, motion = regular(0.008, 8.0), Motion()
+    friction = np.tanh(motion.derivative(stamps, 1) / 0.02)
+    samples = feed(pipeline(), [replace(m, effort=e) for m, e in zip(joint_messages(stamps), friction, strict=True)])
+    rough = columns(samples.position, samples.velocity, samples.acceleration)[:, :, 1]
+    assert np.max(np.abs(rough - samples.effort)) > 0.3
+    assert np.max(np.abs(samples.effects[:, :, 1] - samples.effort)) < 0.02
+
+
+def test_columns_do_not_depend_on_when_or_how_often_one_listens() -> None:
+    messages = joint_messages(jittered(0.008, 6.0))
+    first, second = feed(pipeline(), messages), feed(pipeline(), messages[123:])
+    assert_same(second, first.select(np.isin(first.stamps, second.stamps)), tolerance=1e-12)
+    often, parts = pipeline(), []
+    for message in messages:
+        message.push(often)
+        part = often.collect()
+        parts += [part] if part is not None else []
+    assert_same(Samples.concatenate(parts), first, tolerance=1e-12)
+
+
+def test_columns_are_not_filtered_across_a_gap() -> None:
+    messages = joint_messages(regular(0.008, 8.0))
+    sides = [
+        [m for m in messages if m.stamp < START + 3_500_000_000],
+        [m for m in messages if m.stamp > START + 4_200_000_000],
+    ]
+    broken = feed(pipeline(), sides[0] + sides[1])
+    assert_same(broken, Samples.concatenate([feed(pipeline(), side) for side in sides]), tolerance=1e-12)

@@ -1,0 +1,281 @@
+"""What goes wrong beside a real robot: every message is accounted for, and the bad ones leave no trace."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from geomid_ros.model.samples import Samples
+from geomid_ros.model.sensors import WrenchSensor
+from geomid_ros.signals.pipeline import SignalPipeline, SignalSettings
+
+from .feeding import (
+    JOINTS,
+    JointMessage,
+    Message,
+    PoseMessage,
+    WrenchMessage,
+    assert_same,
+    balanced,
+    feed,
+    in_time,
+    joint_messages,
+    regular,
+    without,
+    wrench_messages,
+)
+
+SENSOR = WrenchSensor("/wrench", "tool", "mounted", ("fx", "fz"))
+EVERY = 7  # each seventh message is followed by a bad one
+NAN, INFINITY = float("nan"), float("inf")
+
+
+def pipeline(period: float = 0.01, *, floating_base: bool = False) -> SignalPipeline:
+    settings = SignalSettings(period=period)
+    return SignalPipeline(JOINTS, sensors=[SENSOR], settings=settings, floating_base=floating_base)
+
+
+def poses() -> list[PoseMessage]:
+    """The base turns and drifts."""
+    stamps = regular(0.02, 5.0)
+    angles = 0.3 * np.sin(np.arange(len(stamps)) * 0.02)
+    rows = np.column_stack([angles, -angles, angles**2, np.sin(angles / 2), 0 * angles, 0 * angles, np.cos(angles / 2)])
+    return [PoseMessage(int(stamp), row) for stamp, row in zip(stamps, rows, strict=True)]
+
+
+def clean() -> list[Message]:
+    return in_time(joint_messages(regular(0.01, 5.0), velocity=True), wrench_messages(regular(0.004, 5.0)))
+
+
+def entry(message: Message, key: str, place: int, value: float) -> Message:
+    """The message with another number in one place."""
+    values = np.array(getattr(message, key), dtype=float)
+    values[place] = value
+    return replace(message, **{key: values})
+
+
+def soon(message: Message) -> Message:
+    """The message a little later, between two others."""
+    return replace(message, stamp=message.stamp + 100_000)
+
+
+BAD_JOINTS: dict[str, tuple[Callable[[JointMessage], JointMessage], str]] = {
+    "stamp of zero": (lambda m: replace(m, stamp=0), "stamp is zero"),
+    "negative stamp": (lambda m: replace(m, stamp=-1), "stamp is not valid"),
+    "duplicate": (lambda m: m, "stamp not later than the one before"),
+    "duplicate with other numbers": (lambda m: entry(m, "position", 0, 9.0), "stamp not later than the one before"),
+    "out of order": (lambda m: replace(m, stamp=m.stamp - 15_000_000), "stamp not later than the one before"),
+    "seconds old": (lambda m: replace(m, stamp=m.stamp - 3_000_000_000), "stamp not later than the one before"),
+    "NaN position": (lambda m: entry(soon(m), "position", 1, NAN), "position not finite"),
+    "infinite position": (lambda m: entry(soon(m), "position", 1, -INFINITY), "position not finite"),
+    "position of 1e308": (lambda m: entry(soon(m), "position", 1, 1e308), "position not finite"),
+    "NaN effort": (lambda m: entry(soon(m), "effort", 2, NAN), "effort of 'wrist' missing or not finite"),
+    "infinite effort": (lambda m: entry(soon(m), "effort", 0, INFINITY), "effort of 'shoulder' missing or not finite"),
+    "effort of 1e308": (lambda m: entry(soon(m), "effort", 1, 1e308), "effort of 'elbow' missing or not finite"),
+    "no effort": (lambda m: replace(soon(m), effort=()), "effort of 'shoulder' missing or not finite"),
+    "a joint missing": (lambda m: without(soon(m), "elbow"), "joint 'elbow' is missing"),
+    "another robot's": (lambda m: replace(soon(m), name=[f"left_{n}" for n in m.name]), "joint 'shoulder' is missing"),
+    "no names": (lambda m: replace(soon(m), name=(), position=(), velocity=(), effort=()), "no joint names"),
+    "a name twice": (lambda m: replace(soon(m), name=("shoulder", "elbow", "elbow")), "a joint is named twice"),
+    "positions too few": (lambda m: replace(soon(m), position=m.position[:2]), "position has 2 entries for 3 names"),
+    "no positions": (lambda m: replace(soon(m), position=()), "position has 0 entries for 3 names"),
+    "velocities too many": (lambda m: replace(soon(m), velocity=[0.0] * 4), "velocity has 4 entries for 3 names"),
+    "efforts too few": (lambda m: replace(soon(m), effort=m.effort[:1]), "effort has 1 entries for 3 names"),
+}
+
+
+@pytest.mark.parametrize("period", [0.01, 0.0], ids=["configured", "inferred"])
+@pytest.mark.parametrize("case", BAD_JOINTS)
+def test_bad_joint_messages_leave_no_trace(case: str, period: float) -> None:
+    spoil, reason = BAD_JOINTS[case]
+    messages: list[Message] = []
+    bad = 0
+    for index, message in enumerate(clean()):
+        messages.append(message)
+        if isinstance(message, JointMessage) and index > 10 and index % EVERY == 0:
+            messages.append(spoil(message))
+            bad += 1
+    troubled = pipeline(period)
+    samples = feed(troubled, messages)
+    assert_same(samples, feed(pipeline(period), clean()), tolerance=1e-9)
+    ledger = troubled.ledgers["joint_states"]
+    assert ledger.rejected == {reason: bad}
+    assert (ledger.received, ledger.accepted) == (500 + bad, 500)
+    assert troubled.ledgers["/wrench"].rejected == {}
+    assert balanced(troubled)
+
+
+BAD_WRENCHES: dict[str, tuple[Callable[[WrenchMessage], WrenchMessage], str]] = {
+    "stamp of zero": (lambda m: replace(m, stamp=0), "stamp is zero"),
+    "duplicate": (lambda m: m, "stamp not later than the one before"),
+    "NaN": (lambda m: entry(soon(m), "wrench", 2, NAN), "wrench not finite"),
+    "infinite": (lambda m: entry(soon(m), "wrench", 0, INFINITY), "wrench not finite"),
+    "1e308": (lambda m: entry(soon(m), "wrench", 0, 1e308), "wrench not finite"),
+    "another frame": (lambda m: replace(soon(m), frame="base"), "frame 'base' is not the declared 'tool'"),
+}
+
+
+@pytest.mark.parametrize("case", BAD_WRENCHES)
+def test_bad_wrenches_leave_no_trace(case: str) -> None:
+    spoil, reason = BAD_WRENCHES[case]
+    messages: list[Message] = []
+    for message in clean():
+        messages += [message, spoil(message)] if isinstance(message, WrenchMessage) else [message]
+    troubled = pipeline()
+    assert_same(feed(troubled, messages), feed(pipeline(), clean()), tolerance=1e-9)
+    assert troubled.ledgers["/wrench"].rejected == {reason: 1250}
+    assert balanced(troubled)
+
+
+def test_an_axis_that_is_not_measured_may_hold_anything() -> None:
+    """The sensor has fx and fz; the rest of its messages is NaN, and so are those columns of the samples alone."""
+    holes = [entry(m, "wrench", 1, NAN) if isinstance(m, WrenchMessage) else m for m in clean()]
+    troubled = pipeline()
+    samples, expected = feed(troubled, holes), feed(pipeline(), clean())
+    np.testing.assert_array_equal(samples.wrenches[:, 0, [0, 2, 3, 4, 5]], expected.wrenches[:, 0, [0, 2, 3, 4, 5]])
+    assert troubled.ledgers["/wrench"].rejected == {}
+
+
+def test_a_wrench_without_a_frame_is_in_the_declared_one() -> None:
+    messages = [replace(m, frame="") if isinstance(m, WrenchMessage) else m for m in clean()]
+    assert_same(feed(pipeline(), messages), feed(pipeline(), clean()), tolerance=0.0)
+
+
+BAD_POSES: dict[str, tuple[Callable[[PoseMessage], PoseMessage], str]] = {
+    "stamp of zero": (lambda m: replace(m, stamp=0), "stamp is zero"),
+    "NaN": (lambda m: entry(soon(m), "pose", 0, NAN), "pose not finite"),
+    "1e308": (lambda m: entry(soon(m), "pose", 2, 1e308), "pose not finite"),
+    "no rotation": (lambda m: replace(soon(m), pose=[0.0] * 7), "quaternion is not of length 1"),
+    "twice a rotation": (lambda m: entry(soon(m), "pose", 6, 2.0), "quaternion is not of length 1"),
+}
+
+
+@pytest.mark.parametrize("case", BAD_POSES)
+def test_bad_poses_leave_no_trace(case: str) -> None:
+    spoil, reason = BAD_POSES[case]
+    spoiled = [bad for pose in poses() for bad in (pose, spoil(pose))]
+    troubled = pipeline(floating_base=True)
+    # Bad stamps have no place in time: sort by place, three topics merged by their good stamps.
+    order = in_time(clean(), poses())
+    messages = [bad for m in order for bad in ([m, spoil(m)] if isinstance(m, PoseMessage) else [m])]
+    assert len(messages) == len(spoiled) + len(clean())
+    samples = feed(troubled, messages)
+    assert_same(samples, feed(pipeline(floating_base=True), order), tolerance=1e-9)
+    assert troubled.ledgers["odom"].rejected == {reason: 250}
+    assert balanced(troubled)
+
+
+def test_the_callers_arrays_are_not_touched() -> None:
+    """A pose's quaternion is normalised, a wrench filtered: in copies."""
+    pose = np.array([1.0, 2.0, 3.0, 0.0, 0.0, 0.0, 1.005])
+    wrench = np.arange(6.0)
+    kept = pose.copy(), wrench.copy()
+    busy = pipeline(floating_base=True)
+    busy.push_base_pose(1_000, pose)
+    busy.push_wrench("/wrench", 1_000, "tool", wrench)
+    np.testing.assert_array_equal(pose, kept[0])
+    np.testing.assert_array_equal(wrench, kept[1])
+
+
+def test_extra_joints_are_passed_over() -> None:
+    """A gripper in the same message, with a NaN of its own."""
+    messages = []
+    for message in clean():
+        if isinstance(message, JointMessage):
+            message = replace(  # noqa: PLW2901
+                message,
+                name=("finger", *message.name, "thumb"),
+                **{key: [NAN, *getattr(message, key), 1e308] for key in ("position", "velocity", "effort")},
+            )
+        messages.append(message)
+    extra = pipeline()
+    assert_same(feed(extra, messages), feed(pipeline(), clean()), tolerance=0.0)
+    assert balanced(extra)
+    assert extra.ledgers["joint_states"].rejected == {}
+
+
+def test_an_effort_that_never_was_leaves_only_its_own_equation_out() -> None:
+    messages = [entry(m, "effort", 1, NAN) if isinstance(m, JointMessage) else m for m in clean()]
+    deaf = pipeline()
+    samples, expected = feed(deaf, messages), feed(pipeline(), clean())
+    assert np.all(np.isnan(samples.effort[:, 1]))
+    np.testing.assert_array_equal(samples.effort[:, [0, 2]], expected.effort[:, [0, 2]])
+    np.testing.assert_array_equal(samples.position, expected.position)
+    assert deaf.ledgers["joint_states"].rejected == {}
+
+
+def test_no_effort_at_all_is_no_reason_to_stop() -> None:
+    messages = [replace(m, effort=()) if isinstance(m, JointMessage) else m for m in clean()]
+    samples = feed(pipeline(), messages)
+    assert np.all(np.isnan(samples.effort))
+    np.testing.assert_array_equal(samples.position, feed(pipeline(), clean()).position)
+
+
+def test_an_effort_that_dies_costs_half_a_second_and_then_its_own_equation() -> None:
+    """Long enough a failure is no glitch: the other joints go on, in a new segment."""
+    messages = joint_messages(regular(0.01, 9.0))
+    dead = [entry(m, "effort", 2, NAN) if index >= 300 else m for index, m in enumerate(messages)]
+    settings = SignalSettings(period=0.01, max_gap=0.5)
+    dying = SignalPipeline(JOINTS, settings=settings)
+    samples = feed(dying, dead)
+    ledger = dying.ledgers["joint_states"]
+    assert ledger.rejected == {"effort of 'wrist' missing or not finite": 50}
+    assert balanced(dying)
+    expected = [feed(SignalPipeline(JOINTS, settings=settings), part) for part in (dead[:300], dead[350:])]
+    assert_same(samples, Samples.concatenate(expected), tolerance=1e-9)
+    assert np.all(np.isfinite(samples.effort[:, :2]))
+    assert np.all(np.isnan(expected[1].effort[:, 2]))
+
+
+@pytest.mark.parametrize("period", [0.01, 0.0], ids=["configured", "inferred"])
+def test_a_clock_set_back_starts_afresh(period: float) -> None:
+    """A simulation reset or a bag in a loop: ten late messages are the price, then all is as in a new pipeline."""
+    again = clean()
+    looped = pipeline(period)
+    samples = feed(looped, [*clean(), *again])
+    first = feed(pipeline(period), clean())
+    assert_same(samples.select(slice(len(first))), first, tolerance=0.0)
+    late = looped.ledgers["/wrench"].rejected["stamp not later than the one before"]
+    late += looped.ledgers["joint_states"].rejected["stamp not later than the one before"]
+    assert late < 20
+    assert balanced(looped)
+    second = samples.select(slice(len(first), None))
+    np.testing.assert_array_equal(second.position[-50:], first.position[-50:])
+    assert len(second) > 0.9 * len(first)
+
+
+def test_one_message_from_the_future_does_not_stop_everything() -> None:
+    """It would make every later one seem old; after ten of those the pipeline starts afresh."""
+    messages = joint_messages(regular(0.01, 9.0))
+    messages.insert(300, replace(messages[300], stamp=messages[300].stamp + 3_600_000_000_000))
+    startled = SignalPipeline(JOINTS, settings=SignalSettings(period=0.01))
+    samples = feed(startled, messages)
+    assert startled.ledgers["joint_states"].rejected == {"stamp not later than the one before": 9}
+    expected = feed(SignalPipeline(JOINTS, settings=SignalSettings(period=0.01)), messages[310:])
+    assert_same(samples.select(np.isin(samples.stamps, expected.stamps)), expected, tolerance=0.0)
+
+
+def test_a_clock_stepped_back_a_little_is_waited_out() -> None:
+    """Three tenths of a second, less than a gap: what lies twice in time is used once."""
+    stamps = regular(0.01, 6.0)
+    messages = joint_messages(stamps)
+    stepped = messages[:300] + messages[270:]
+    waiting = SignalPipeline(JOINTS, settings=SignalSettings(period=0.01))
+    samples = feed(waiting, stepped)
+    assert_same(samples, feed(SignalPipeline(JOINTS, settings=SignalSettings(period=0.01)), messages), tolerance=0.0)
+    assert waiting.ledgers["joint_states"].rejected == {"stamp not later than the one before": 30}
+
+
+def test_bad_messages_alone_make_no_samples() -> None:
+    silent = pipeline()
+    for message in clean():
+        if isinstance(message, JointMessage):
+            entry(message, "position", 0, NAN).push(silent)
+        else:
+            message.push(silent)
+    assert silent.collect() is None
+    assert silent.ledgers["joint_states"].accepted == 0
+    assert balanced(silent)

@@ -1,0 +1,157 @@
+"""Base poses: filtered and differentiated on SE(3)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from geomid_ros.model import se3
+from geomid_ros.model.samples import Samples
+from geomid_ros.signals.pipeline import SignalPipeline, SignalSettings
+from geomid_ros.types import FloatArray, IntArray
+
+from .feeding import JointMessage, PoseMessage, feed, in_time, jittered, regular, seconds
+
+STAMPS = regular(0.01, 4.0)
+Trajectory = Callable[[float], pin.SE3]
+
+
+def flown(trajectory: Trajectory, stamps: IntArray = STAMPS, *, flips: bool = False) -> Samples:
+    """Samples of a base on this trajectory (one joint stands by); quaternions change sign at random if asked."""
+    signs = np.random.default_rng(0).choice([-1.0, 1.0], len(stamps)) if flips else np.ones(len(stamps))
+    poses = []
+    for stamp, sign in zip(stamps, signs, strict=True):
+        pose = pin.SE3ToXYZQUAT(trajectory(float(seconds(stamp))))
+        pose[3:] *= sign
+        poses.append(PoseMessage(int(stamp), pose))
+    joints = [JointMessage(int(stamp), ["joint"], [0.0], [], [0.0]) for stamp in STAMPS]
+    pipeline = SignalPipeline(["joint"], floating_base=True, settings=SignalSettings(period=0.01))
+    return feed(pipeline, in_time(joints, poses))
+
+
+def screw(twist: FloatArray) -> Trajectory:
+    """A constant twist from some pose."""
+    start = pin.SE3(pin.exp3(np.array([0.4, -1.0, 2.0])), np.array([1.0, -2.0, 0.5]))
+    return lambda time: start * pin.exp6(time * twist)
+
+
+def wandering(time: float) -> pin.SE3:
+    """A smooth flight: translation and rotation vector are sines of up to 0.9 Hz."""
+    phase = 2.0 * np.pi * np.array([0.3, 0.5, 0.9]) * time
+    return pin.SE3(pin.exp3(0.5 * np.sin(phase)) @ pin.exp3(np.array([0.0, 0.0, 0.8 * time])), 0.3 * np.cos(phase))
+
+
+SCREWS = {
+    "at rest": np.zeros(6),
+    "straight": np.array([0.3, -0.2, 0.5, 0.0, 0.0, 0.0]),
+    "turning": np.array([0.0, 0.0, 0.0, 0.4, -1.0, 2.0]),
+    "a screw": np.array([1.0, -0.5, 0.3, 2.0, 3.0, -1.0]),
+}
+
+
+@pytest.mark.parametrize("stamps", [STAMPS, jittered(0.01, 4.0)], ids=["regular", "irregular"])
+@pytest.mark.parametrize("case", SCREWS)
+def test_a_constant_twist_is_found_exactly(case: str, stamps: IntArray) -> None:
+    """Twist and pose exact, acceleration zero; the screw turns through pi several times on the way."""
+    samples = flown(screw(SCREWS[case]), stamps, flips=True)
+    np.testing.assert_allclose(samples.base_velocity, np.tile(SCREWS[case], (len(samples), 1)), rtol=0, atol=1e-9)
+    np.testing.assert_allclose(samples.base_acceleration, 0.0, rtol=0, atol=1e-7)
+    for pose, time in zip(samples.base_pose, seconds(samples.stamps), strict=True):
+        error = pin.log6(pin.XYZQUATToSE3(pose).actInv(screw(SCREWS[case])(time)))
+        np.testing.assert_allclose(error.vector, 0.0, rtol=0, atol=1e-9)
+
+
+def test_a_flight_is_differentiated() -> None:
+    """Against central differences of the trajectory itself, by pinocchio's logarithm; body axes, (linear, angular)."""
+    samples = flown(wandering, flips=True)
+    step = 1e-4
+
+    def twist(time: float) -> FloatArray:
+        return pin.log6(wandering(time - step).actInv(wandering(time + step))).vector / (2.0 * step)
+
+    times = seconds(samples.stamps)
+    velocity = np.array([twist(t) for t in times])
+    acceleration = np.array([(twist(t + step) - twist(t - step)) / (2.0 * step) for t in times])
+    for found, expected in ((samples.base_velocity, velocity), (samples.base_acceleration, acceleration)):
+        np.testing.assert_allclose(found, expected, rtol=0, atol=1e-2 * np.max(np.abs(expected)))
+    errors = [
+        pin.log6(pin.XYZQUATToSE3(pose).actInv(wandering(t))).vector
+        for pose, t in zip(samples.base_pose, times, strict=True)
+    ]
+    np.testing.assert_allclose(errors, 0.0, rtol=0, atol=5e-3)
+
+
+def test_the_world_frame_does_not_matter() -> None:
+    """Moved to another world, all poses move with it, and body twists stay."""
+    move = pin.SE3(pin.exp3(np.array([2.0, -1.0, 1.5])), np.array([-3.0, 10.0, 4.0]))
+    here, there = flown(wandering), flown(lambda time: move * wandering(time))
+    np.testing.assert_allclose(there.base_velocity, here.base_velocity, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(there.base_acceleration, here.base_acceleration, rtol=0, atol=1e-8)
+    for ours, theirs in zip(here.base_pose, there.base_pose, strict=True):
+        error = pin.log6((move * pin.XYZQUATToSE3(ours)).actInv(pin.XYZQUATToSE3(theirs)))
+        np.testing.assert_allclose(error.vector, 0.0, rtol=0, atol=1e-9)
+
+
+def test_the_sign_of_a_quaternion_does_not_matter() -> None:
+    plain, flipped = flown(wandering), flown(wandering, flips=True)
+    for kind in ("base_velocity", "base_acceleration"):
+        np.testing.assert_allclose(getattr(flipped, kind), getattr(plain, kind), rtol=0, atol=1e-9)
+    cosines = np.abs(np.sum(flipped.base_pose[:, 3:] * plain.base_pose[:, 3:], axis=1))
+    np.testing.assert_allclose(cosines, 1.0, rtol=0, atol=1e-12)
+
+
+def test_velocity_and_acceleration_belong_to_the_pose() -> None:
+    """Differences of the filtered poses themselves give the velocities, and theirs the accelerations."""
+    samples = flown(wandering)
+    step = float(np.diff(seconds(samples.stamps))[0])
+    poses = [pin.XYZQUATToSE3(pose) for pose in samples.base_pose]
+    differences = [pin.log6(a.actInv(c)).vector / (2.0 * step) for a, c in zip(poses[:-2], poses[2:], strict=True)]
+    size = np.max(np.abs(samples.base_velocity))
+    np.testing.assert_allclose(differences, samples.base_velocity[1:-1], rtol=0, atol=0.02 * size)
+    rates = np.gradient(samples.base_velocity, step, axis=0)[1:-1]
+    size = np.max(np.abs(rates))
+    np.testing.assert_allclose(rates, samples.base_acceleration[1:-1], rtol=0, atol=0.02 * size)
+
+
+def test_collecting_often_or_late_is_the_same() -> None:
+    poses = [PoseMessage(int(t), pin.SE3ToXYZQUAT(wandering(float(seconds(t))))) for t in STAMPS]
+    joints = [JointMessage(int(stamp), ["joint"], [0.0], [], [0.0]) for stamp in STAMPS]
+    settings = SignalSettings(period=0.01)
+    messages, results = in_time(joints, poses), []
+    for late in (0, 1, 150):
+        pipeline = SignalPipeline(["joint"], floating_base=True, settings=settings)
+        parts = []
+        for message in messages[late:]:
+            message.push(pipeline)
+            part = pipeline.collect() if late else None
+            parts += [part] if part is not None else []
+        results.append(Samples.concatenate(parts) if parts else pipeline.collect())
+    whole = results[0]
+    for part in results[1:]:
+        assert 0 < len(part) <= len(whole)
+        for kind in ("stamps", "base_pose", "base_velocity", "base_acceleration"):
+            np.testing.assert_allclose(
+                getattr(part, kind), getattr(whole, kind)[-len(part) :], rtol=0, atol=1e-12, err_msg=kind
+            )
+
+
+@pytest.mark.parametrize("angle", [0.0, 1e-9, 1e-4, 0.0999, 0.1001, 1.0, 3.0, 3.1415])
+def test_the_logarithm_is_pinocchios(angle: float) -> None:
+    """Near and far, across the switch to the series, whatever the quaternions' signs."""
+    rng = np.random.default_rng(1)
+    axes = rng.normal(size=(20, 3))
+    axes /= np.linalg.norm(axes, axis=1, keepdims=True)
+    reference = pin.SE3(pin.exp3(rng.normal(size=3)), rng.normal(size=3))
+    moves = [pin.SE3(pin.exp3(angle * axis), rng.normal(size=3)) for axis in axes]
+    poses = np.array([pin.SE3ToXYZQUAT(reference * move) for move in moves])
+    poses[::2, 3:] *= -1.0
+    expected = np.array([pin.log6(move).vector for move in moves])
+    found = se3.relative_log(pin.SE3ToXYZQUAT(reference), poses)
+    np.testing.assert_allclose(found, expected, rtol=0, atol=1e-9)
+    back = np.array([se3.compose_exp(pin.SE3ToXYZQUAT(reference), twist) for twist in found])
+    cosines = np.abs(np.sum(back[:, 3:] * poses[:, 3:], axis=1))
+    np.testing.assert_allclose(cosines, 1.0, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(back[:, :3], poses[:, :3], rtol=0, atol=1e-12)
