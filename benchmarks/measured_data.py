@@ -22,6 +22,7 @@ from rich.console import Console
 from rich.table import Table
 
 from geomid_ros.commands.identify import Topics, read_samples
+from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.estimation.starting_point import prior_parameters
 from geomid_ros.files.bags import Bag
 from geomid_ros.files.configuration import Configuration
@@ -65,15 +66,18 @@ CASES = {
 }
 
 
-def main() -> None:
-    """Print one table per robot."""
-    if not DATA.is_dir():
-        sys.exit(f"the measured recordings are not there: {DATA}")
-    for name in sys.argv[1:] or CASES:
-        _report(name, CASES[name])
+@dataclass(frozen=True, eq=False)
+class Comparison:
+    """RMS on held-out data by method, ``(channels,)`` each; how many links are possible bodies; geomid's estimate."""
+
+    channels: tuple[str, ...]
+    errors: dict[str, FloatArray]
+    possible: dict[str, int]
+    estimate: Estimate
 
 
-def _report(name: str, case: Case) -> None:
+def compare(case: Case) -> Comparison:
+    """Fit every method to the same rows and try it on the same held-out samples."""
     session = Session(read_urdf(DATA / case.urdf), Configuration(case.configuration), case.urdf)
     train, test = _split(session, case)
     session.identifier.add(train)
@@ -84,16 +88,33 @@ def _report(name: str, case: Case) -> None:
         "least squares": _least_squares(session, train),
         "geomid": np.asarray(estimate.parameters),
     }
+    return Comparison(
+        tuple(channel.name for channel in session.model.channels),
+        {method: session.rms([test], parameters) for method, parameters in solutions.items()},
+        {method: _possible(session, parameters) for method, parameters in solutions.items()},
+        estimate,
+    )
+
+
+def main() -> None:
+    """Print one table per robot."""
+    if not DATA.is_dir():
+        sys.exit(f"the measured recordings are not there: {DATA}")
+    for name in sys.argv[1:] or CASES:
+        _report(name, compare(CASES[name]))
+
+
+def _report(name: str, found: Comparison) -> None:
     table = Table(title=f"{name}: RMS on held-out data", box=box.SIMPLE_HEAD, title_justify="left")
-    for heading in ("", *(channel.name for channel in session.model.channels), "total", "possible links"):
+    for heading in ("", *found.channels, "total", "possible links"):
         table.add_column(heading, justify="right", no_wrap=True)
-    errors = {kind: session.rms([test], parameters) for kind, parameters in solutions.items()}
-    for kind, rms in errors.items():
-        possible = f"{_possible(session, solutions[kind])} of {len(session.model.body_names)}"
-        table.add_row(kind, *(f"{value:.3g}" for value in rms), f"{np.sum(rms):.4g}", possible)
-    ratio = errors["geomid"] / errors["least squares"]
+    for method, rms in found.errors.items():
+        possible = f"{found.possible[method]} of {len(found.estimate.links)}"
+        table.add_row(method, *(f"{value:.3g}" for value in rms), f"{np.sum(rms):.4g}", possible)
+    ratio = found.errors["geomid"] / found.errors["least squares"]
     table.add_row("geomid / least squares", *(f"{value:.2f}" for value in ratio), "", "")
     Console(width=160).print(table)
+    estimate = found.estimate
     smallest = min(link.min_eigenvalue_ratio for link in estimate.links)
     masses = ", ".join(f"{link.mass:.3g}" for link in estimate.links)
     print(f"gamma {estimate.gamma:.1e}, smallest min_eigenvalue_ratio {smallest:.4f}, {estimate.seconds:.1f} s")
