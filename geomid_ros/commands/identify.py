@@ -126,7 +126,11 @@ def _why_no_samples(bag: Bag, session: Session, pipeline: SignalPipeline) -> str
 @click.command()
 @click.argument("bags", nargs=-1, required=True, type=click.Path(path_type=Path))
 @configuration_options
-@click.option("--hold-out", type=click.FloatRange(0.0, 0.9), help="Share of the time, at the end, kept to test on.")
+@click.option(
+    "--hold-out",
+    type=click.FloatRange(0.0, 0.9),
+    help="Share of each bag's time, at the end, kept to test on.  [default: 0.3, with --validate 0]",
+)
 @click.option("--validate", multiple=True, type=click.Path(path_type=Path), help="A bag to test on; may be repeated.")
 @click.option(
     "--out",
@@ -154,8 +158,8 @@ def identify(
 ) -> None:
     """Identify link inertias from rosbags.
 
-    Writes estimate.json, identified.urdf and identification.png. Without --validate the last part of each bag is held
-    out to test on (3/10 of the time, see --hold-out).
+    Reads BAGS (folders, or .mcap and .db3 files) and writes estimate.json, identified.urdf and identification.png. How
+    well the result predicts is judged on data that were held out: the end of each bag, or the bags of --validate.
     """
     configuration = configured(config, model, effects, links, floating_base, wrench)
     session = Session(read_urdf(urdf), configuration, str(urdf))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 
 import click
@@ -24,6 +25,6 @@ def play(bag: Path, rate: float, wait: float) -> None:
         raise InputError(f"ROS 2 is needed to play a bag, and cannot be imported ({error})") from error
     with progress_bar() as bar:
         task = bar.add_task(f"playing {bag.name}", total=None)
-        for done, total in published(bag, rate, wait):
+        for done, total in published(bag, rate, wait, partial(click.echo, err=True)):
             bar.update(task, completed=done, total=total)
     click.echo(f"Published all messages of {bag}")

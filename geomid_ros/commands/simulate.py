@@ -34,10 +34,10 @@ def simulate(
     inertia_error: float,
     wrench: bool,
 ) -> None:
-    """Record a simulated robot into the new rosbag OUT, and what is true of it into OUT.truth.json.
+    """Record a simulated robot into a new rosbag.
 
-    The bag holds the nominal URDF; the robot that moves has other inertias, and friction. Needs MuJoCo (pip install
-    mujoco).
+    Writes the rosbag OUT, and what is true of the robot into OUT.truth.json. The bag holds the nominal URDF; the robot
+    that moves has other inertias, and friction. Needs MuJoCo (pip install mujoco).
     """
     options = SimulationOptions(
         robot=robot,

@@ -28,6 +28,7 @@ from geomid_ros.types import FloatArray, frozen
 
 QUANTITIES = ("mass", "com x", "com y", "com z", "Ixx", "Ixy", "Iyy", "Ixz", "Iyz", "Izz")
 OBJECTIVES = ("residual", "geodesic")
+_ROUNDING = 1e-9
 _LEAST_GRADIENT = 1e-14  # relative to the sum of the weights; rounding allows no less
 # A quantity is called told when the data at least halved the standard deviation that the prior alone leaves.
 _TOLD = 0.5
@@ -99,7 +100,7 @@ def estimate(
     if gamma is None:
         gamma = choose_gamma(manifold, summary, sigmas, prior_point).gamma
     # The prior bounds the curvature from below: a gradient of so little of the prior's weight is so little off.
-    tolerance = max(settings.tolerance * gamma, _LEAST_GRADIENT)
+    tolerance = max(settings.tolerance * min(gamma, 1.0), _LEAST_GRADIENT)
     point = manifold.point(warm.parameters) if warm else prior_point
     objective = _residual_objective(manifold, summary, sigmas, prior_point, gamma)
     solution = trust_region(objective, point, tolerance, settings.max_steps)
@@ -155,7 +156,8 @@ def _geodesic_objective(objective: ResidualObjective) -> GeodesicObjective:
     the metric there, and fixes their signs by the residuals, so that it depends on no choice of frames or units.
     """
     manifold, prior = objective.manifold, objective.prior
-    left = np.linalg.svd(manifold.whiten(prior, objective.rows), full_matrices=False)[0].T
+    left, values, _ = np.linalg.svd(manifold.whiten(prior, objective.rows), full_matrices=False)
+    left = left.T[values >= _ROUNDING * values[0]]  # what no parameters can change has no directions of its own
     residuals = left @ (objective.rows @ prior.parameters - objective.targets)
     signs = np.where(residuals < 0.0, -1.0, 1.0) * np.random.default_rng(0).choice((-1.0, 1.0), len(left))
     mixing = dct(signs[:, None] * left, axis=0, norm="ortho")

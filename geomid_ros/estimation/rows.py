@@ -14,6 +14,9 @@ from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.geometry.manifold import ParameterManifold
 from geomid_ros.types import BoolArray, FloatArray, frozen
 
+_TOLERANCE = 1e-8  # geodesic distance from the minimum
+_LEAST_GRADIENT = 1e-14  # relative to the sum of the weights; rounding allows no less
+
 
 @dataclass(frozen=True, eq=False)
 class RowsSolution:
@@ -61,7 +64,8 @@ def solve_rows(
         direct = trust_region(ResidualObjective(manifold, rows, targets, sigmas, start, gamma), start, 1e-4).point
         if objective.evaluate(direct).value < objective.evaluate(start).value:
             start = direct
-    solution = SOLVERS[solver](objective, start, max_steps=max_steps)
+    # The prior bounds the curvature from below: a gradient of so little of the prior's weight is so little off.
+    solution = SOLVERS[solver](objective, start, max(_TOLERANCE * min(gamma, 1.0), _LEAST_GRADIENT), max_steps)
     parameters = frozen(pseudo_inertia.to_parameters(solution.point.pseudo_inertias))
     return RowsSolution(parameters, objective.set_aside, solution)
 

@@ -50,12 +50,13 @@ def trust_region(
             predicted = -(evaluation.gradient @ tangent + 0.5 * tangent @ evaluation.hessian @ tangent)
             candidate = objective.manifold.exp(point, tangent)
             trial = objective.evaluate(candidate)
-            ratio = (evaluation.value - trial.value) / predicted
+            ratio = float((evaluation.value - trial.value) / predicted)
             length = float(np.linalg.norm(tangent))
             if ratio >= _ACCEPT:
                 break
             if predicted <= _ROUNDING * evaluation.value or length < 1e-12:
                 if np.linalg.norm(trial.gradient) <= 0.5 * np.linalg.norm(evaluation.gradient):
+                    ratio = 1.0
                     break
                 return Solution(point, evaluation, True, "no decrease left in rounding", step, tuple(values))
             radius = 0.25 * length

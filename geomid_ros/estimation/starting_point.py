@@ -19,7 +19,8 @@ _NOISE_MOTION = 1e-2
 _LEAST_MOTION = 0.1
 # No model predicts a channel better than this share of its size.
 _LEAST_SIGMA_SHARE = 1e-3
-_RIDGE = 1e-8
+_ROUNDING = 1e-9
+_ROUNDING_COLUMN = 1e-12
 
 
 def channel_sizes(summary: RowSummary, dimension: int) -> FloatArray:
@@ -36,16 +37,18 @@ def first_sigmas(summary: RowSummary, dimension: int) -> FloatArray:
         factor = np.concatenate([part.factor for part in parts])
         count, columns = sum(part.count for part in parts), factor.shape[1] - 1
         if count > columns:
-            sigmas[index] = _least_residual(factor) / np.sqrt(count - columns)
+            residual, rank = _least_residual(factor)
+            sigmas[index] = residual / np.sqrt(count - rank)
     return np.maximum(sigmas, _LEAST_SIGMA_SHARE * sizes)
 
 
-def _least_residual(factor: FloatArray) -> float:
-    """Norm of the least-squares residual of ``[A b]``, with so little regularisation that only rounding is damped."""
-    damping = np.diag(np.sqrt(_RIDGE) * np.linalg.norm(factor[:, :-1], axis=0))
-    regular = np.concatenate([factor[:, :-1], damping])
-    target = np.concatenate([factor[:, -1], np.zeros(len(damping))])
-    return float(np.linalg.norm(target - regular @ np.linalg.lstsq(regular, target, rcond=None)[0]))
+def _least_residual(factor: FloatArray) -> tuple[float, int]:
+    """Norm of the least-squares residual of ``[A b]``, and the rank of A, in which rounding does not count."""
+    sizes = np.linalg.norm(factor[:, :-1], axis=0)
+    some = sizes > _ROUNDING_COLUMN * np.max(sizes)
+    regressor = factor[:, :-1][:, some] / sizes[some]
+    solution, _, rank, _ = np.linalg.lstsq(regressor, factor[:, -1], rcond=_ROUNDING)
+    return float(np.linalg.norm(factor[:, -1] - regressor @ solution)), int(rank)
 
 
 def scales_of_reals(model: MeasurementModel, sizes: FloatArray) -> FloatArray:

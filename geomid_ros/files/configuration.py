@@ -89,17 +89,23 @@ def find_parameter(name: str) -> Parameter:
     raise unknown_name("parameter", name, _BY_NAME)
 
 
+def _real(value: Any) -> Any:
+    """Integers serve as real numbers; what else is no real number stays what it is."""
+    return float(value) if type(value) is int and abs(value) < 2**63 else value
+
+
 class Configuration:
     """Checked parameters, and the settings of the lower floors that they make."""
 
     def __init__(self, values: Mapping[str, Any] | None = None, source: str = "parameters") -> None:
         """``values`` by full name; what is not given has its default. Parameters of ROS itself are passed over.
 
-        Raises InputError naming ``source`` and the key.
+        Raises InputError naming ``source`` and the key, for all that is wrong whatever the robot.
         """
         self.source = source
         own = {name: value for name, value in (values or {}).items() if not name.startswith(_OF_ROS)}
         self._values = {name: self._checked(name, value) for name, value in own.items()}
+        _ = self.effects, self.sensors, self.gravity, self.buffer, self.signals(()), self._estimator({})
 
     @staticmethod
     def read(path: Path) -> Configuration:
@@ -127,8 +133,8 @@ class Configuration:
     def _checked(self, name: str, value: Any) -> Value:
         parameter = self._naming_source("", lambda: find_parameter(name))
         default = parameter.default
-        if isinstance(default, float) and isinstance(value, int) and not isinstance(value, bool):
-            value = float(value)
+        if isinstance(default, float):
+            value = _real(value)
         if isinstance(default, list):
             value = self._checked_list(name, value, type(default[0]))
         elif type(value) is not type(default):
@@ -143,7 +149,7 @@ class Configuration:
     def _checked_list(self, name: str, value: Any, kind: type) -> list[Any]:
         entries = list(value) if isinstance(value, (list, tuple)) or hasattr(value, "tolist") else [value]
         if kind is float:
-            entries = [float(entry) if type(entry) is int else entry for entry in entries]
+            entries = [_real(entry) for entry in entries]
         right = all(isinstance(entry, kind) for entry in entries)
         if not right or (kind is float and not np.all(np.isfinite(entries))):
             what = "finite numbers" if kind is float else "texts"
@@ -232,6 +238,9 @@ class Configuration:
             if name not in by_name:
                 raise InputError(f"{self.source}: sigma: {unknown_name('channel', name, channels)}")
             sigma[by_name[name]] = value
+        return self._estimator(sigma)
+
+    def _estimator(self, sigma: dict[str, float]) -> EstimatorSettings:
         return self._naming_source(
             "", lambda: EstimatorSettings(self["gamma"] or None, sigma or None, self["objective"], self["solver"])
         )
@@ -239,4 +248,6 @@ class Configuration:
     @property
     def buffer(self) -> BufferSettings:
         """Settings of the row buffer."""
-        return BufferSettings(self["still_speed"], self["still_distance"], self["forgetting"])
+        return self._naming_source(
+            "", lambda: BufferSettings(self["still_speed"], self["still_distance"], self["forgetting"])
+        )

@@ -89,7 +89,7 @@ def read_estimate(path: Path) -> dict[str, Any]:
     """Read an estimate's document. Raises InputError naming the file."""
     try:
         document = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
+    except (OSError, ValueError, RecursionError) as error:
         raise InputError(f"{path}: the model cannot be read ({error})") from error
     if not isinstance(document, dict) or not {"links", "effects"} <= document.keys():
         raise InputError(f"{path}: not an estimate.json, it has no 'links' and 'effects'")

@@ -19,8 +19,9 @@ extension to flat blocks; the rest is (21).
 **Where there is no root.** The half squared distance is the maximum over the interval of the concave dual function
 ``D(L) = sum W(L s)^2/2 + sum (L x)^2/2 + L C(L)``, whose slope is C; with the maximum at an end of the interval the
 same formula continues the distance beyond the neighbourhood, linearly in b, with a continuous gradient. The paper
-discards such rows; (19) does so at the prior (:data:`NO_ROOT_LOW`, :data:`NO_ROOT_HIGH` say which), and the continuation keeps
-its objective finite and smooth when a later point of the iteration has no root for a row that was kept.
+discards such rows; (19) does so at the prior (:data:`NO_ROOT_LOW`, :data:`NO_ROOT_HIGH` say which), and the
+continuation keeps its objective finite and smooth when a later point of the iteration has no root for a row that was
+kept.
 
 **Second order.** Along geodesics from the point, the half squared distance of one row has the Hessian
 

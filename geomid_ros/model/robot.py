@@ -14,6 +14,9 @@ from geomid_ros.model import urdf_tree
 from geomid_ros.model.samples import Samples
 from geomid_ros.types import FloatArray, frozen
 
+# A body flatter than this is taken for one without thickness, from which no distance can be measured.
+_FLATTEST = 1e-10
+
 GRAVITY = np.array([0.0, 0.0, -9.81])
 _ROOT_JOINT = "floating base of geomid_ros"  # must not be the name of a joint of the URDF
 
@@ -152,13 +155,12 @@ class Robot:
         )
 
     def _check_possible(self, head: str, massive: list[str], parameters: FloatArray) -> None:
-        eigenvalues = np.linalg.eigvalsh(pseudo_inertia.from_parameters(parameters))
-        if eigenvalues[0] <= 1e-12 * eigenvalues[-1]:
+        if parameters[0] <= 0.0 or _flatness(parameters) <= _FLATTEST:
             merged = "" if massive == [head] else f" (with {', '.join(massive)})"
             raise InputError(
-                f"{self.source}: the inertia of link '{head}'{merged} belongs to no body that can exist: its "
-                f"pseudo-inertia has the eigenvalue {eigenvalues[0]:.3g}. Each principal moment must be less than the "
-                "sum of the two others; correct the <inertial> in the URDF"
+                f"{self.source}: the inertia of link '{head}'{merged} belongs to no body that can exist. The mass "
+                f"({parameters[0]:.3g} kg) must be positive and each principal moment of inertia less than the sum of "
+                "the two others; correct the <inertial> in the URDF"
             )
 
     @property
@@ -267,6 +269,16 @@ class Robot:
     def inverse_dynamics(self, q: FloatArray, v: FloatArray, a: FloatArray) -> FloatArray:
         """Efforts ``(nv,)`` of the URDF's own inertias, by the recursive Newton-Euler algorithm."""
         return np.array(pin.rnea(self._model, self._data, q, v, a))
+
+
+def _flatness(parameters: FloatArray) -> float:
+    """Smallest over largest central second moment of a body of positive mass; not positive for no body at all.
+
+    Unlike the eigenvalues of the pseudo-inertia it depends neither on units nor on where the frame is.
+    """
+    inertia = pseudo_inertia.central_inertia(parameters)
+    moments = np.linalg.eigvalsh(0.5 * np.trace(inertia) * np.eye(3) - inertia)
+    return float(moments[0] / abs(moments[-1])) if moments[-1] != 0.0 else 0.0
 
 
 def _build(urdf: str, floating_base: bool, source: str) -> pin.Model:

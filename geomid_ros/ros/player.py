@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import importlib
+import signal
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -12,24 +13,31 @@ import rclpy
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, QoSProfile
+from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import try_shutdown
 
-from geomid_ros.errors import InputError
 from geomid_ros.files.bags import Bag
 
 _LATCHED = ("robot_description", "tf_static")
 _LINGER = 1.0  # [s] what was published last must reach its subscribers before the publishers go
 
 
-def play(path: Path, rate: float, wait: float) -> Iterator[tuple[int, int]]:
-    """Publish everything in a bag at ``rate`` times its own pace, reporting (messages published, messages in all).
+def play(path: Path, rate: float, wait: float, skipped: Callable[[str], None]) -> Iterator[tuple[int, int]]:
+    """Publish a bag at ``rate`` times its own pace, reporting (messages published, messages in all).
 
-    Waits up to ``wait`` [s] for a subscriber on each topic that carries data, so that none misses the beginning.
+    Waits up to ``wait`` [s] for a subscriber on each topic that carries data, so that none misses the beginning. Topics
+    of types that are not installed are left out, and ``skipped`` is told of each.
     """
     with Bag(path) as bag:
-        kinds = {topic: _message_class(path, topic, kind) for topic, kind in bag.topics.items()}
+        kinds = {topic: _message_class(kind) for topic, kind in bag.topics.items()}
+        for topic in [topic for topic, kind in kinds.items() if kind is None]:
+            skipped(f"{topic} is left out: its type {bag.topics[topic]} is not installed here")
+            del kinds[topic]
         total = bag.count(list(kinds))
-        rclpy.init()
+        # rclpy's own handlers would invalidate the publishers while they publish.
+        rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, signal.default_int_handler)
         node = rclpy.create_node("geomid_play")
         try:
             publishers = {topic: _publisher(node, topic, kind) for topic, kind in kinds.items()}
@@ -46,12 +54,15 @@ def play(path: Path, rate: float, wait: float) -> Iterator[tuple[int, int]]:
             try_shutdown()
 
 
-def _message_class(path: Path, topic: str, kind: str | None) -> Any:
+def _message_class(kind: str | None) -> Any:
+    """The class of a message type, None if it is not installed."""
     package, _, name = (kind or "").partition("/msg/")
+    if not package.isidentifier():
+        return None
     try:
-        return getattr(importlib.import_module(f"{package}.msg"), name)
-    except (ImportError, AttributeError, TypeError, ValueError) as error:
-        raise InputError(f"{path}: topic {topic} is of type {kind}, which is not installed here") from error
+        return getattr(importlib.import_module(f"{package}.msg"), name, None)
+    except ImportError:
+        return None
 
 
 def _publisher(node: Node, topic: str, kind: Any) -> Publisher:

@@ -16,7 +16,8 @@ from geomid_ros.errors import InputError, unknown_name
 from geomid_ros.model.samples import Samples
 from geomid_ros.model.sensors import WrenchSensor
 from geomid_ros.signals.streams import EffectColumns, Grid, JointStream, PoseStream, Stream, VectorStream
-from geomid_ros.types import BoolArray, FloatArray
+from geomid_ros.signals.velocity_choice import VelocityChoice
+from geomid_ros.types import BoolArray, FloatArray, IntArray
 
 JOINT_STATES = "joint_states"
 ODOM = "odom"
@@ -101,8 +102,10 @@ class SignalPipeline:
         self._gains = self._effort_gains()
         self._continuous = np.array([joint in continuous for joint in self._joints], dtype=bool)
         self._position = np.zeros(len(self._joints))
+        self._names: list[str] = []
+        self._order = np.zeros(len(self._joints), dtype=np.int64)
         self._effort_stamps = np.zeros(len(self._joints), dtype=np.int64)
-        self._velocity = _VelocityChoice(len(self._joints))
+        self._velocity = VelocityChoice(len(self._joints))
         self._grid: Grid | None = None
         self._streams: dict[str, Stream] = {}
         self._waiting: deque[tuple[str, int, FloatArray]] = deque()
@@ -216,18 +219,10 @@ class SignalPipeline:
         velocity: Sequence[float],
         effort: Sequence[float],
     ) -> FloatArray:
-        if not names:
-            raise _RejectedError("no joint names")
-        index = {name: place for place, name in enumerate(names)}
-        if len(index) != len(names):
-            raise _RejectedError("a joint is named twice")
-        missing = next((joint for joint in self._joints if joint not in index), None)
-        if missing is not None:
-            raise _RejectedError(f"joint '{missing}' is missing")
+        order = self._order_of(names)
         for kind, values in (("position", position), ("velocity", velocity), ("effort", effort)):
             if len(values) not in ((len(names),) if kind == "position" else (0, len(names))):
                 raise _RejectedError(f"{kind} has {len(values)} entries for {len(names)} names")
-        order = [index[joint] for joint in self._joints]
         vector = np.full((3, len(order)), np.nan)
         for row, values in enumerate((position, velocity, effort)):
             if len(values):
@@ -237,10 +232,26 @@ class SignalPipeline:
         vector[2] *= self._gains
         vector[1:][~_usable(vector[1:])] = np.nan
         self._check_effort(stamp, vector[2])
-        turns = np.where(self._continuous, np.round((self._position - vector[0]) / (2.0 * np.pi)), 0.0)
-        vector[0] += 2.0 * np.pi * turns
-        self._position = vector[0].copy()
+        if np.any(self._continuous):
+            turns = np.where(self._continuous, np.round((self._position - vector[0]) / (2.0 * np.pi)), 0.0)
+            vector[0] += 2.0 * np.pi * turns
+            self._position = vector[0].copy()
         return vector.ravel()
+
+    def _order_of(self, names: Sequence[str]) -> IntArray:
+        """Where the robot's joints are among a message's names, most often as in the message before."""
+        if not names:
+            raise _RejectedError("no joint names")
+        if self._names != list(names):
+            index = {name: place for place, name in enumerate(names)}
+            if len(index) != len(names):
+                raise _RejectedError("a joint is named twice")
+            missing = next((joint for joint in self._joints if joint not in index), None)
+            if missing is not None:
+                raise _RejectedError(f"joint '{missing}' is missing")
+            self._names = list(names)
+            self._order = np.array([index[joint] for joint in self._joints], dtype=np.int64)
+        return self._order
 
     def _check_effort(self, stamp: int, effort: FloatArray) -> None:
         """An effort that fails for less than the longest gap costs the message, one that fails for longer its joint."""
@@ -316,41 +327,6 @@ class SignalPipeline:
             wrenches,
             self._joint_stream.effects(instants),
         )
-
-
-class _VelocityChoice:
-    """Per joint: the message's velocity while it agrees with the position's derivative, else that derivative.
-
-    They agree while the root mean square of their difference over the recent past is below 5 % of the derivative's,
-    both with a memory of about 100 samples, and not before that many were seen.
-    """
-
-    _MEMORY = 100
-    _RELATIVE_DISAGREEMENT = 0.05
-
-    def __init__(self, joints: int) -> None:
-        self._seen = np.zeros(joints)
-        self._difference = np.zeros(joints)
-        self._energy = np.zeros(joints)
-
-    def choose(
-        self, given: FloatArray, given_rate: FloatArray, derived: FloatArray, derived_rate: FloatArray
-    ) -> tuple[FloatArray, FloatArray]:
-        """Velocities and accelerations ``(N, joints)`` from the filtered message velocity and its derivative, and from
-        the filtered position's first and second derivative."""
-        velocity, acceleration = derived.copy(), derived_rate.copy()
-        for row in range(len(derived)):
-            usable = np.isfinite(given[row])
-            error = np.where(usable, given[row] - derived[row], 0.0)
-            self._seen = np.where(usable, self._seen + 1, 0.0)
-            share = 1.0 / np.minimum(np.maximum(self._seen, 1.0), self._MEMORY)
-            self._difference += share * (error**2 - self._difference)
-            self._energy += share * (derived[row] ** 2 - self._energy)
-            agrees = self._difference <= self._RELATIVE_DISAGREEMENT**2 * self._energy
-            use = usable & agrees & (self._seen >= self._MEMORY)
-            velocity[row, use] = given[row, use]
-            acceleration[row, use] = given_rate[row, use]
-        return velocity, acceleration
 
 
 def _usable(values: FloatArray) -> BoolArray:

@@ -176,7 +176,9 @@ class JointStream(VectorStream):
         super()._take(stamp, values)
         possible = self._on_grid.inside(self._sharp_half)
         start = self._columns_on_grid.end if self._columns_on_grid.values else possible.start
-        instants = range(start, possible.stop)
+        half, stride = self._grid.half, self._grid.stride
+        last_sample = (possible.stop - 1 - half) // stride * stride  # what only later samples need can wait
+        instants = range(start, last_sample + half + 1)
         if instants:
             motion = self._on_grid.correlated(instants, self._grid.sharp_kernels)[:, :, : self._joints]
             self._columns_on_grid.extend(start, self._columns(*motion).reshape(len(instants), -1))

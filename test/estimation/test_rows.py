@@ -8,7 +8,7 @@ from geometry import bodies
 
 from geomid_ros.errors import InputError
 from geomid_ros.estimation.rows import solve_rows
-from geomid_ros.geometry import pseudo_inertia, spd
+from geomid_ros.geometry import projection, pseudo_inertia, spd
 from geomid_ros.types import FloatArray
 
 from .problems import LINKS, Problem, human_like, problem
@@ -70,15 +70,14 @@ def test_a_strong_prior_is_returned(seed: int) -> None:
 
 
 @SEEDS
-def test_an_exact_row_is_met_halfway_between_prior_and_measurement(seed: int) -> None:
-    """One row: by symmetry the answer lies on the geodesic to the projection, at the share 1/(1 + gamma)."""
+def test_a_single_row_is_met_on_the_way_to_its_projection(seed: int) -> None:
+    """At the share 1/(1 + gamma) of the geodesic from the prior to the projection, by symmetry."""
     case = problem(seed, LINKS, count=1, distance=0.3)
+    normals = LINKS.whiten(case.prior, case.rows)
+    toward = projection.project(LINKS, case.prior, normals, case.targets).tangent[0]
     for gamma in (0.1, 1.0, 10.0):
-        table = solution(case, gamma)
-        projected = solution(case, 1e-9)
-        total = distance(case, case.prior.parameters, projected)
-        assert distance(case, case.prior.parameters, table) == pytest.approx(total / (1.0 + gamma), rel=1e-6)
-        assert distance(case, table, projected) == pytest.approx(total * gamma / (1.0 + gamma), rel=1e-6)
+        expected = LINKS.exp(case.prior, toward / (1.0 + gamma)).parameters
+        assert distance(case, solution(case, gamma), expected) < SAME
 
 
 @SEEDS

@@ -98,6 +98,11 @@ def test_an_estimate_is_started_from(tmp_path: Path) -> None:
     assert sorted(prior[30:][np.isfinite(prior[30:])]) == [EFFECT.value]
 
 
+def of_another_robot(result: dict[str, Any]) -> None:
+    for link in result["links"]:
+        link["name"] = "leg_" + link["name"]
+
+
 def edited(path: list[str | int], value: Any) -> Callable[[dict[str, Any]], None]:
     def edit(result: dict[str, Any]) -> None:
         target: Any = result
@@ -129,10 +134,7 @@ UNUSABLE: dict[str, tuple[Callable[[dict[str, Any]], None], str]] = {
     "an effect that is a text": (edited(["effects", 0], "friction"), "effect"),
     "negative friction": (edited(["effects", 0, "value"], -0.1), "must be positive"),
     "infinite friction": (edited(["effects", 0, "value"], float("inf")), "must be positive and finite"),
-    "another robot": (
-        lambda result: [link.update(name="leg_" + link["name"]) for link in result["links"]] and None,
-        "another robot.*leg_link3.*link1, link2, link3",
-    ),
+    "another robot": (of_another_robot, "another robot.*leg_link3.*link1, link2, link3"),
 }
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -206,13 +206,12 @@ def test_bodies_close_to_impossible_stay_possible() -> None:
 @pytest.mark.parametrize(
     ("make", "message"),
     [
-        (lambda path: None, "No such file"),
-        (lambda path: path.mkdir(), "directory"),
+        (Path.exists, "No such file"),
+        (Path.mkdir, "directory"),
         (lambda path: path.write_bytes(b"<robot name='\xff\xfe'/>"), "utf-8"),
     ],
 )
-def test_a_file_that_cannot_be_read_is_named(make: object, message: str, tmp_path: Path) -> None:
-    assert callable(make)
+def test_a_file_that_cannot_be_read_is_named(make: Callable[[Path], object], message: str, tmp_path: Path) -> None:
     path = tmp_path / "robot.urdf"
     make(path)
     with pytest.raises(InputError, match=f"robot.urdf: the robot description cannot be read .*{message}"):

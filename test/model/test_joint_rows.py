@@ -57,7 +57,8 @@ def test_any_bodies_give_the_efforts_of_a_robot_made_of_them(name: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "cut"), [("panda.urdf", "panda_hand"), ("talos_reduced.urdf", "wrist_left_ft_link"), ("a1.urdf", "FL_foot")]
+    ("name", "cut"),
+    [("panda.urdf", "panda_hand"), ("talos_reduced.urdf", "wrist_left_ft_link"), ("a1.urdf", "FL_foot")],
 )
 def test_both_parts_of_a_divided_body_load_its_joints(name: str, cut: str) -> None:
     robot = Robot(urdf(name), cuts=[cut])

@@ -37,7 +37,7 @@ def pipeline(period: float = 0.01, **settings: float) -> SignalPipeline:
     return SignalPipeline(JOINTS, sensors=[SENSOR], settings=SignalSettings(period=period, **settings))
 
 
-def recording(duration: float = 6.0) -> list[Message]:
+def recording(duration: float = 5.0) -> list[Message]:
     """Joints at 100 Hz, a wrench at 500 Hz that is stamped 0.7 ms later."""
     return in_time(joint_messages(regular(0.01, duration)), wrench_messages(regular(0.002, duration, offset=0.0007)))
 
@@ -98,7 +98,7 @@ def test_collecting_often_or_once_is_the_same(period: float) -> None:
 
 
 @pytest.mark.parametrize("period", [0.01, 0.0], ids=["configured", "inferred"])
-@pytest.mark.parametrize("late", [1, 7, 333, 1400])
+@pytest.mark.parametrize("late", [1, 333, 1400])
 def test_it_does_not_matter_when_listening_began(period: float, late: int) -> None:
     """Who joins later makes the same samples of what is left."""
     messages = recording()
@@ -142,21 +142,21 @@ def test_who_waits_for_ever_for_joints_does_not_fill_the_memory() -> None:
 
 
 def test_a_topic_that_falls_silent_does_not_fill_the_memory() -> None:
-    """Joints go on for two minutes after the wrench stopped; when it is back, so are the samples."""
-    stamps = regular(0.02, 130.0)
-    wrench = wrench_messages(stamps)
-    messages = in_time(joint_messages(stamps), [*wrench[:200], *wrench[6200:]])
-    waiting = pipeline(0.02)
-    samples = feed(waiting, messages)
-    assert len(waiting._streams["joint_states"]._on_grid.values) < 100
-    assert_same(samples, common(feed(pipeline(0.02), in_time(joint_messages(stamps), wrench)), samples.stamps), 1e-9)
-    assert np.max(np.diff(samples.stamps)) > 120e9
-    longest = 0
-    waiting = pipeline(0.02)
-    for message in messages[: 200 + 6200]:
+    """Joints go on for a minute and a half after the wrench stopped; when it is back, so are the samples."""
+    stamps = regular(0.05, 100.0)
+    joints, wrench = joint_messages(stamps), wrench_messages(stamps)
+    silent = [*wrench[:100], *wrench[1900:]]
+    waiting, longest = pipeline(0.05, cutoff=2.0), 0
+    for message in in_time(joints, silent):
         message.push(waiting)
         longest = max(longest, len(waiting._streams["joint_states"]._on_grid.values))
-    assert longest <= 62.0 / 0.02
+    assert 60.0 / 0.05 < longest < 65.0 / 0.05
+    assert len(waiting._streams["joint_states"]._on_grid.values) < 100
+    samples = waiting.collect()
+    assert samples is not None
+    assert np.max(np.diff(samples.stamps)) > 90e9
+    whole = feed(pipeline(0.05, cutoff=2.0), in_time(joints, wrench))
+    assert_same(samples, common(whole, samples.stamps), tolerance=1e-9)
 
 
 def segments(samples: Samples) -> list[Samples]:

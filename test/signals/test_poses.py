@@ -10,6 +10,7 @@ import pytest
 
 from geomid_ros.model import se3
 from geomid_ros.model.samples import Samples
+from geomid_ros.signals.kernels import derivative_kernels
 from geomid_ros.signals.pipeline import SignalPipeline, SignalSettings
 from geomid_ros.types import FloatArray, IntArray
 
@@ -84,6 +85,21 @@ def test_a_flight_is_differentiated() -> None:
     np.testing.assert_allclose(errors, 0.0, rtol=0, atol=5e-3)
 
 
+def test_the_filtered_pose_is_the_mean_on_the_group() -> None:
+    """Seen from it, the kernel-weighted logarithms of its neighbours cancel; their derivatives are the motion."""
+    kernels = derivative_kernels(5.0, 0.01)
+    half = kernels.shape[1] // 2
+    samples = flown(wandering)
+    for index in (0, 20, 55):
+        pose = pin.XYZQUATToSE3(samples.base_pose[index])
+        times = seconds(samples.stamps[index]) + 0.01 * np.arange(-half, half + 1)
+        logarithms = np.array([pin.log6(pose.actInv(wandering(float(time)))).vector for time in times])
+        mean, velocity, acceleration = kernels @ logarithms
+        np.testing.assert_allclose(mean, 0.0, rtol=0, atol=1e-10)
+        np.testing.assert_allclose(samples.base_velocity[index], velocity, rtol=0, atol=1e-8)
+        np.testing.assert_allclose(samples.base_acceleration[index], acceleration, rtol=0, atol=1e-6)
+
+
 def test_the_world_frame_does_not_matter() -> None:
     """Moved to another world, all poses move with it, and body twists stay."""
     move = pin.SE3(pin.exp3(np.array([2.0, -1.0, 1.5])), np.array([-3.0, 10.0, 4.0]))
@@ -101,6 +117,22 @@ def test_the_sign_of_a_quaternion_does_not_matter() -> None:
         np.testing.assert_allclose(getattr(flipped, kind), getattr(plain, kind), rtol=0, atol=1e-9)
     cosines = np.abs(np.sum(flipped.base_pose[:, 3:] * plain.base_pose[:, 3:], axis=1))
     np.testing.assert_allclose(cosines, 1.0, rtol=0, atol=1e-12)
+
+
+def test_quaternions_may_be_rounded() -> None:
+    """Lengths off by up to half a percent (single precision, careless drivers) are made good."""
+    lengths = iter(np.random.default_rng(2).uniform(0.995, 1.005, len(STAMPS)))
+    plain = flown(wandering)
+    joints = [JointMessage(int(stamp), ["joint"], [0.0], [], [0.0]) for stamp in STAMPS]
+    poses = []
+    for stamp in STAMPS:
+        pose = pin.SE3ToXYZQUAT(wandering(float(seconds(stamp))))
+        pose[3:] *= next(lengths)
+        poses.append(PoseMessage(int(stamp), pose))
+    pipeline = SignalPipeline(["joint"], floating_base=True, settings=SignalSettings(period=0.01))
+    rounded = feed(pipeline, in_time(joints, poses))
+    for kind in ("base_pose", "base_velocity", "base_acceleration"):
+        np.testing.assert_allclose(getattr(rounded, kind), getattr(plain, kind), rtol=0, atol=1e-9)
 
 
 def test_velocity_and_acceleration_belong_to_the_pose() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -13,7 +14,7 @@ from geomid_ros.types import FloatArray
 
 from .feeding import JOINTS, Motion, assert_same, feed, joint_messages, regular, seconds
 
-STAMPS = regular(0.01, 12.0)
+STAMPS = regular(0.01, 10.0)
 SETTINGS = SignalSettings(period=0.01)
 WARM_UP = 100  # samples that are seen before a velocity is believed
 
@@ -26,6 +27,12 @@ def fed(velocity: FloatArray | None) -> Samples:
     return feed(SignalPipeline(JOINTS, settings=SETTINGS), messages)
 
 
+@cache
+def derivatives() -> Samples:
+    """Samples of the motion without velocities in the messages."""
+    return fed(None)
+
+
 def true_velocity() -> FloatArray:
     return Motion().derivative(STAMPS, 1)
 
@@ -36,7 +43,7 @@ def marked() -> FloatArray:
 
 
 def test_without_velocities_the_position_is_differentiated() -> None:
-    samples, motion = fed(None), Motion()
+    samples, motion = derivatives(), Motion()
     np.testing.assert_allclose(samples.velocity, motion.derivative(samples.stamps, 1), rtol=0, atol=5e-3)
     np.testing.assert_allclose(samples.acceleration, motion.derivative(samples.stamps, 2), rtol=0, atol=3e-2)
 
@@ -57,12 +64,12 @@ WRONG = {
 
 @pytest.mark.parametrize("case", WRONG)
 def test_a_wrong_velocity_is_not_used(case: str) -> None:
-    assert_same(fed(WRONG[case](true_velocity())), fed(None), tolerance=0.0)
+    assert_same(fed(WRONG[case](true_velocity())), derivatives(), tolerance=0.0)
 
 
 def test_a_good_velocity_is_used() -> None:
     """After the warm-up it and its derivative are the samples; before, the position's derivatives."""
-    samples, derived = fed(marked()), fed(None)
+    samples, derived = fed(marked()), derivatives()
     positions_instead = [replace(m, position=v) for m, v in zip(joint_messages(STAMPS), marked(), strict=True)]
     given = feed(SignalPipeline(JOINTS, settings=SETTINGS), positions_instead)
     for kind, source in (("velocity", "position"), ("acceleration", "velocity")):
@@ -78,7 +85,7 @@ def test_each_joint_is_judged_alone() -> None:
     velocity = marked()
     velocity[:, 0] *= 2.0
     velocity[:, 2] = np.nan
-    samples, derived, good = fed(velocity), fed(None), fed(marked())
+    samples, derived, good = fed(velocity), derivatives(), fed(marked())
     for kind in ("velocity", "acceleration"):
         np.testing.assert_array_equal(getattr(samples, kind)[:, [0, 2]], getattr(derived, kind)[:, [0, 2]])
         np.testing.assert_array_equal(getattr(samples, kind)[:, 1], getattr(good, kind)[:, 1])
@@ -88,7 +95,7 @@ def test_a_velocity_that_turns_bad_is_given_up() -> None:
     """From the middle on it is twice what it should be: the last samples are the derivative again."""
     velocity = marked()
     velocity[len(STAMPS) // 2 :] *= 2.0
-    samples, derived = fed(velocity), fed(None)
+    samples, derived = fed(velocity), derivatives()
     np.testing.assert_array_equal(samples.velocity[-100:], derived.velocity[-100:])
     middle = len(samples) // 2 - 15
     assert np.all(samples.velocity[middle] != derived.velocity[middle])
@@ -97,7 +104,7 @@ def test_a_velocity_that_turns_bad_is_given_up() -> None:
 def test_a_velocity_missing_for_a_moment_is_derived_for_that_moment() -> None:
     velocity = marked()
     velocity[600, 1] = np.nan
-    samples, derived, good = fed(velocity), fed(None), fed(marked())
+    samples, derived, good = fed(velocity), derivatives(), fed(marked())
     near = np.abs(samples.stamps - STAMPS[600]) < 0.4e9
     np.testing.assert_array_equal(samples.velocity[near, 1], derived.velocity[near, 1])
     np.testing.assert_array_equal(samples.velocity[:, [0, 2]], good.velocity[:, [0, 2]])

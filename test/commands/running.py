@@ -1,0 +1,57 @@
+"""Running commands in this process."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+from click.testing import CliRunner, Result
+from files.recordings import BAGS
+
+from geomid_ros.commands.root import root
+
+WRIST = ("--wrench", "/wrench:wrist_ft:mounted")
+
+
+def geomid(*arguments: str | Path) -> Result:
+    """Run ``geomid`` with these arguments."""
+    return CliRunner().invoke(root, [str(argument) for argument in arguments], prog_name="geomid")
+
+
+def done(*arguments: str | Path) -> str:
+    """What a command prints that must succeed."""
+    result = geomid(*arguments)
+    assert result.exit_code == 0, result.output
+    assert result.stderr == ""
+    return str(result.stdout)
+
+
+def refused(*arguments: str | Path) -> str:
+    """The one message, without a traceback, of a command that must end with status 2."""
+    result = geomid(*arguments)
+    assert result.exit_code == 2, result.output
+    assert isinstance(result.exception, SystemExit), result.exception
+    assert result.stdout == ""
+    assert "Traceback" not in result.stderr
+    assert result.stderr.count("Error: ") == 1
+    message = result.stderr.partition("Error: ")[2]
+    assert 0 < len(message.splitlines()) <= 2, message
+    return str(message)
+
+
+def identify(robot: str, *arguments: str | Path) -> tuple[str | Path, ...]:
+    """The arguments that identify a shipped robot from its shipped bag, before others."""
+    return ("identify", BAGS / robot, "--urdf", BAGS / f"{robot}.urdf", *arguments)
+
+
+def read(out: Path) -> dict[str, Any]:
+    """The estimate in a folder."""
+    document: dict[str, Any] = json.loads((out / "estimate.json").read_text())
+    return document
+
+
+def link(document: dict[str, Any], name: str) -> dict[str, Any]:
+    """A link of an estimate."""
+    found: dict[str, Any] = next(entry for entry in document["links"] if entry["name"] == name)
+    return found

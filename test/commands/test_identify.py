@@ -1,0 +1,211 @@
+"""``geomid identify`` on the shipped bags: the truth is found, and the options do what they say."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from files.recordings import BAGS
+
+from geomid_ros.commands import identify as command
+from geomid_ros.files.urdf import read_urdf
+from geomid_ros.model.effects import EFFECTS
+from geomid_ros.model.robot import Robot
+from geomid_ros.simulation import SimulationOptions, simulate
+
+from .running import WRIST, done, identify, link, read
+
+FILES = {"estimate.json", "identified.urdf", "identification.png"}
+TOOL_MASS = 0.01  # relative error of the tool's mass, measured by the wrist's sensor
+EXPLAINED = 0.5  # at least so much of the URDF's error on held-out data is gone
+WRITTEN = 1e-8  # relative: the URDF has nine digits
+
+
+@pytest.fixture(scope="module", params=["arm3", "arm7"])
+def run(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> tuple[str, Path, str]:
+    """Robot, folder and output of an identification with the wrist's sensor."""
+    out = tmp_path_factory.mktemp(request.param) / "new/out"
+    return request.param, out, done(*identify(request.param, *WRIST, "--out", out))
+
+
+def test_it_writes_what_it_says(run: tuple[str, Path, str]) -> None:
+    _, out, output = run
+    assert {path.name for path in out.iterdir()} == FILES
+    for name in FILES:
+        assert str(out / name) in output
+
+
+def test_the_tool_is_found(run: tuple[str, Path, str]) -> None:
+    robot, out, _ = run
+    truth = {entry["name"]: entry for entry in json.loads((BAGS / f"{robot}.truth.json").read_text())["links"]}
+    tool = link(read(out), "wrist_ft")
+    assert tool["mass"] == pytest.approx(truth["tool"]["mass"], rel=TOOL_MASS)
+    assert tool["merged"] == ["tool"]
+    assert abs(tool["mass"] - truth["tool"]["mass"]) < 5.0 * tool["std"]["mass"]
+
+
+def test_held_out_data_are_predicted_better(run: tuple[str, Path, str]) -> None:
+    """On data that were not used: the table's column of what is explained."""
+    robot, _, output = run
+    lines = map(str.rstrip, output.partition("on held-out data")[2].splitlines())
+    rows = [line.split() for line in lines if line.endswith("%")]
+    assert len(rows) == {"arm3": 9, "arm7": 13}[robot]
+    assert all(float(explained) >= 100.0 * EXPLAINED for *_, explained, _ in rows), output
+
+
+def test_the_estimate_is_whole(run: tuple[str, Path, str]) -> None:
+    robot, out, _ = run
+    document = read(out)
+    assert document["converged"] is True
+    assert document["rows"]["accepted"] > 1000
+    assert document["rms"]["held_out"].keys() == document["rms"]["nominal"].keys()
+    joints = Robot(read_urdf(BAGS / f"{robot}.urdf")).joint_names
+    assert {(e["name"], e["joint"]) for e in document["effects"]} == {(e, j) for e in EFFECTS for j in joints}
+    for entry in document["links"]:
+        assert 0.0 <= entry["from_data"] <= 1.0
+        assert entry["min_eigenvalue_ratio"] > 0.0
+        assert np.linalg.eigvalsh(entry["inertia"])[0] > 0.0
+
+
+def test_the_urdf_holds_the_estimate(run: tuple[str, Path, str]) -> None:
+    _, out, _ = run
+    bodies = {body.name: body for body in Robot(read_urdf(out / "identified.urdf"), cuts=["wrist_ft"]).bodies}
+    for entry in read(out)["links"]:
+        body = bodies[entry["name"]]
+        assert body.merged == ()
+        assert body.parameters[0] == pytest.approx(entry["mass"], rel=WRITTEN)
+        np.testing.assert_allclose(body.parameters[1:4], entry["mass"] * np.array(entry["com"]), atol=1e-8)
+
+
+@pytest.fixture(autouse=True)
+def without_picture(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Drawing takes longer than all the rest; the fixtures of the module draw nevertheless."""
+    monkeypatch.setattr(command, "draw_identification", lambda *_: None)
+
+
+@pytest.fixture(scope="module")
+def second(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Another motion of the small arm."""
+    pytest.importorskip("mujoco")
+    bag = tmp_path_factory.mktemp("second") / "bag"
+    simulate(bag, SimulationOptions(robot="arm3", seed=2, motion_seed=7, duration=5.0, wrench_frame="wrist_ft"))
+    return bag
+
+
+def small(tmp_path: Path, *arguments: str | Path) -> dict[str, Any]:
+    """The printed estimate of the small arm, checked to be the written one."""
+    document: dict[str, Any] = json.loads(done(*identify("arm3", "--out", tmp_path, "--json", *arguments)))
+    assert document == read(tmp_path)
+    return document
+
+
+@pytest.fixture(scope="module")
+def plain(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
+    """The small arm's estimate without options."""
+    return small(tmp_path_factory.mktemp("plain"))
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
+    """The small arm's estimate from the whole bag."""
+    return small(tmp_path_factory.mktemp("whole"), "--hold-out", "0")
+
+
+def unclocked(document: dict[str, Any]) -> dict[str, Any]:
+    """An estimate without how long it took."""
+    return {key: value for key, value in document.items() if key != "seconds"}
+
+
+def test_hold_out_nothing(plain: dict[str, Any], whole: dict[str, Any], tmp_path: Path) -> None:
+    assert whole["rms"]["held_out"] is None
+    assert plain["rows"]["accepted"] == pytest.approx(0.7 * whole["rows"]["accepted"], abs=9)
+    assert "on the same data" in done(*identify("arm3", "--out", tmp_path, "--hold-out", "0"))
+
+
+def test_other_bags_to_validate_on(whole: dict[str, Any], second: Path, tmp_path: Path) -> None:
+    """All of the bag is identified from, and all of the other is tested on."""
+    validated = small(tmp_path, "--validate", second)
+    assert validated["links"] == whole["links"]
+    held_out, nominal = validated["rms"]["held_out"], validated["rms"]["nominal"]
+    assert held_out.keys() == nominal.keys()
+    assert all(held_out[channel] < nominal[channel] for channel in nominal)
+
+
+def test_two_bags(whole: dict[str, Any], second: Path, tmp_path: Path) -> None:
+    both = small(tmp_path, second, "--hold-out", "0")
+    assert both["rows"]["accepted"] > 1.4 * whole["rows"]["accepted"]
+    assert sum(entry["from_data"] for entry in both["links"]) > sum(entry["from_data"] for entry in whole["links"])
+
+
+def test_links_that_are_not_named_keep_their_inertia(tmp_path: Path) -> None:
+    document = small(tmp_path, "--links", "link3, link2")
+    assert [entry["name"] for entry in document["links"]] == ["link2", "link3"]
+    bodies = {body.name: body for body in Robot(read_urdf(tmp_path / "identified.urdf")).bodies}
+    nominal = {body.name: body for body in Robot(read_urdf(BAGS / "arm3.urdf")).bodies}
+    np.testing.assert_array_equal(bodies["link1"].parameters, nominal["link1"].parameters)
+
+
+def test_effects_that_are_named(tmp_path: Path) -> None:
+    document = small(tmp_path, "--effects", "coulomb_friction, rotor_inertia,coulomb_friction")
+    assert [entry["name"] for entry in document["effects"]] == 3 * ["coulomb_friction"] + 3 * ["rotor_inertia"]
+
+
+def test_no_effects(tmp_path: Path) -> None:
+    assert small(tmp_path, "--effects", "none")["effects"] == []
+    assert "Joint effects" not in done(*identify("arm3", "--out", tmp_path, "--effects", "none"))
+
+
+def test_the_node_s_file_says_the_same_as_options(tmp_path: Path) -> None:
+    (tmp_path / "robot.yaml").write_text(
+        """/**:
+  ros__parameters:
+    use_sim_time: true
+    effects: [viscous_friction, effort_offset]
+    gamma: 1e-3
+    wrenches: [wrist]
+    wrench: {wrist: {topic: /wrench, frame: wrist_ft}}
+    sigma: {wrench.fx: 0.1}
+"""
+    )
+    from_file = small(tmp_path / "a", "--config", tmp_path / "robot.yaml")
+    assert from_file["gamma"] == 1e-3
+    assert from_file["sigma"]["wrench/fx"] == 0.1
+    assert len(from_file["effects"]) == 6
+    options_win = small(tmp_path / "b", "--config", tmp_path / "robot.yaml", "--effects", "none", *WRIST)
+    assert options_win["effects"] == []
+    assert options_win["sigma"].keys() == from_file["sigma"].keys()
+
+
+def test_the_shipped_file_changes_nothing(plain: dict[str, Any], tmp_path: Path) -> None:
+    shipped = small(tmp_path, "--config", BAGS.parent / "config/geomid.yaml")
+    assert unclocked(shipped) == unclocked(plain)
+
+
+def test_an_estimate_is_started_from(tmp_path: Path) -> None:
+    """With a prior that nothing moves, what comes out is what went in."""
+    first = small(tmp_path / "a", *WRIST)
+    (tmp_path / "stiff.yaml").write_text("/**: {ros__parameters: {gamma: 1000000}}")
+    again = small(
+        tmp_path / "b", *WRIST, "--model", tmp_path / "a/estimate.json", "--config", tmp_path / "stiff.yaml"
+    )
+    for before, after in zip(first["links"], again["links"], strict=True):
+        assert after["mass"] == pytest.approx(before["mass"], rel=1e-3)
+        assert after["distance_from_prior"] < 1e-3
+    assert link(again, "wrist_ft")["mass"] != pytest.approx(0.5, rel=0.05), "the URDF's"
+
+
+def test_a_single_file_of_a_bag_gives_the_same(plain: dict[str, Any], tmp_path: Path) -> None:
+    arguments = ("--urdf", BAGS / "arm3.urdf", "--json", "--out", tmp_path)
+    document = json.loads(done("identify", BAGS / "arm3/arm3.mcap", *arguments))
+    assert unclocked(document) == unclocked(plain)
+
+
+def test_reversed_and_selected_axes(tmp_path: Path) -> None:
+    """The reaction wrench is no body's weight; an axis that is left out is no channel."""
+    document = small(tmp_path, "--wrench", "/wrench:wrist_ft:mounted:fz,fx")
+    assert {name for name in document["sigma"] if "/" in name} == {"wrench/fx", "wrench/fz"}
+    right = link(small(tmp_path, *WRIST), "wrist_ft")["mass"]
+    assert link(small(tmp_path, "--wrench", "/wrench:wrist_ft:-mounted"), "wrist_ft")["mass"] < 0.5 * right

@@ -1,0 +1,193 @@
+"""Whatever is wrong with what ``geomid identify`` is given: status 2, one message that names it, and no files."""
+
+from __future__ import annotations
+
+import re
+import shutil
+import subprocess
+import sys
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import numpy as np
+import pytest
+from files.recordings import BAGS, Recorded, altered, recorded, write_bag
+
+from .running import refused
+
+BAG, URDF = BAGS / "arm3", BAGS / "arm3.urdf"
+ARM3 = URDF.read_text()
+Arguments = Sequence[str | Path]
+
+
+def with_urdf(change: Callable[[str], str]) -> Callable[[Path], Arguments]:
+    """The small arm's bag with its URDF changed."""
+
+    def make(folder: Path) -> Arguments:
+        (folder / "changed.urdf").write_text(change(ARM3))
+        return BAG, "--urdf", folder / "changed.urdf"
+
+    return make
+
+
+def with_bag(change: Callable[[Recorded], Recorded | None]) -> Callable[[Path], Arguments]:
+    """The small arm's URDF with a changed copy of its bag."""
+    return lambda folder: (altered(BAG, folder / "changed", change), "--urdf", URDF)
+
+
+def with_options(*options: str) -> Callable[[Path], Arguments]:
+    return lambda _: (BAG, "--urdf", URDF, *options)
+
+
+def with_file(option: str, text: str) -> Callable[[Path], Arguments]:
+    """The small arm with an option that names a file with this text."""
+
+    def make(folder: Path) -> Arguments:
+        (folder / "file").write_text(text)
+        return BAG, "--urdf", URDF, option, folder / "file"
+
+    return make
+
+
+def joints(**fields: object) -> Callable[[Recorded], Recorded]:
+    """Changes joint messages."""
+    return lambda item: item.changed(**fields) if item.topic == "/joint_states" else item
+
+
+def without_topic(topic: str) -> Callable[[Recorded], Recorded | None]:
+    return lambda item: None if item.topic == topic else item
+
+
+def short_bag(folder: Path) -> Arguments:
+    return write_bag(folder / "short", recorded(BAG)[:100]), "--urdf", URDF
+
+
+def without_metadata(folder: Path) -> Arguments:
+    shutil.copytree(BAG, folder / "bare")
+    (folder / "bare/metadata.yaml").unlink()
+    return folder / "bare", "--urdf", URDF
+
+
+def cut_bag(folder: Path) -> Arguments:
+    data = (BAG / "arm3.mcap").read_bytes()
+    (folder / "cut.mcap").write_bytes(data[: len(data) // 2])
+    return folder / "cut.mcap", "--urdf", URDF
+
+
+def second_bag_bad(folder: Path) -> Arguments:
+    return BAG, folder / "nowhere", "--urdf", URDF
+
+
+NOTHING = np.array([])
+CASES: dict[str, tuple[Callable[[Path], Arguments], str]] = {
+    # bags
+    "no such bag": (lambda folder: (folder / "nowhere", "--urdf", URDF), "nowhere: no such bag"),
+    "second bag": (second_bag_bad, "nowhere: no such bag"),
+    "bag to validate on": (with_options("--validate", "nowhere"), "nowhere: no such bag"),
+    "bag without metadata": (without_metadata, r"bare: .*without metadata.yaml.*arm3.mcap"),
+    "bag cut off": (cut_bag, r"cut.mcap: cannot be read"),
+    "no joint states": (with_bag(without_topic("/joint_states")), r"no topic /joint_states.*--joint-topic.*/wrench"),
+    "no such topic": (with_options("--joint-topic", "/robot/joints"), r"no topic /robot/joints.*/joint_states"),
+    "no wrench": (with_options("--wrench", "/ft:wrist_ft:mounted"), r"no topic /ft, which --wrench names.*/wrench"),
+    "wrench on joints": (with_options("--wrench", "/joint_states:tool:mounted"), r"/joint_states is of type.*expected"),
+    "no odometry": (with_options("--floating-base", "--wrench", "/wrench:odom:external"), "no topic /odom.*--odom"),
+    "another robot's bag": (
+        lambda _: (BAG, "--urdf", BAGS / "arm7.urdf"),
+        r"arm3: no usable samples. joint_states: 800 of 800 .*'joint4' is missing.*moving joints: joint1.*joint7",
+    ),
+    "a joint the bag lacks": (
+        with_urdf(lambda text: text.replace('name="joint2"', 'name="elbow"')),
+        r"joint 'elbow' is missing.*joint1, elbow, joint3",
+    ),
+    "another frame": (with_options("--wrench", "/wrench:tool:mounted"), r"/wrench: .*'wrist_ft' is not .*'tool'"),
+    "too short": (short_bag, r"short: no usable samples. it is shorter than the filter's window"),
+    "efforts not finite": (with_bag(joints(effort=np.full(3, np.nan))), r"no effort is measured.*joint1, joint2"),
+    "efforts empty": (with_bag(joints(effort=NOTHING)), r"no effort is measured.*--wrench"),
+    "positions empty": (with_bag(joints(position=NOTHING)), r"position has 0 entries for 3 names"),
+    "no names": (with_bag(joints(name=[])), "no joint names"),
+    # robot descriptions
+    "no such URDF": (lambda folder: (BAG, "--urdf", folder / "no.urdf"), r"no.urdf: the robot description cannot be"),
+    "a folder as URDF": (lambda folder: (BAG, "--urdf", folder), r"the robot description cannot be read.*directory"),
+    "a bag as URDF": (lambda _: (BAG, "--urdf", BAG / "arm3.mcap"), r"arm3.mcap: the robot description cannot be read"),
+    "no XML": (with_urdf(lambda _: "robot: arm3"), r"changed.urdf: not a URDF, its XML cannot be read"),
+    "another XML": (with_urdf(lambda _: "<sdf/>"), r"changed.urdf: not a URDF, its root element is <sdf>"),
+    "half a URDF": (with_urdf(lambda text: text[: len(text) // 2]), r"changed.urdf: not a URDF"),
+    "entities": (with_urdf(lambda _: '<!DOCTYPE a [<!ENTITY b "c">]><robot name="&b;"/>'), r"changed.urdf: not a"),
+    "an impossible link": (
+        with_urdf(lambda text: text.replace('ixx="0.011367"', 'ixx="0.5"')),
+        r"changed.urdf: the inertia of link 'link2' belongs to no body that can exist",
+    ),
+    "no mass at all": (
+        with_urdf(lambda text: re.sub("<inertial>.*?</inertial>", "", text, flags=re.DOTALL)),
+        r"changed.urdf: no moving link has a mass",
+    ),
+    # options
+    "effect": (with_options("--effects", "viscous_fricton"), r"unknown effect 'viscous_fricton'. Did you mean"),
+    "link": (with_options("--links", "link2,link9"), r"unknown link 'link9'.*Valid: link1, link2, link3"),
+    "merged link": (with_options("--links", "tool"), r"unknown link 'tool'.*Valid: link1, link2, link3"),
+    "wrench's frame": (with_options("--wrench", "/wrench:wrist:mounted"), r"unknown link 'wrist'.*'wrist_ft'"),
+    "wrench's role": (with_options("--wrench", "/wrench:wrist_ft:fixed"), r"unknown wrench role 'fixed'.*mounted"),
+    "wrench's axis": (with_options("--wrench", "/wrench:wrist_ft:mounted:fx,my"), r"unknown wrench axis 'my'.*fx, fy"),
+    "wrench's form": (with_options("--wrench", "/wrench"), r"'/wrench' is not of the form TOPIC:FRAME:ROLE"),
+    "wrench twice": (with_options(*2 * ("--wrench", "/wrench:wrist_ft:mounted")), "same topic|must differ"),
+    "hold-out": (with_options("--hold-out", "1.5"), "--hold-out"),
+    "URDF": (lambda _: (BAG,), "--urdf"),
+    "unknown option": (with_options("--ouput", "x"), "--ouput.*--out"),
+    "no bag": (lambda _: ("--urdf", URDF), "BAGS"),
+    # files of options
+    "no such parameter file": (with_options("--config", "no.yaml"), r"no.yaml: the parameter file cannot be read"),
+    "parameter": (
+        with_file("--config", "/**: {ros__parameters: {filter: {cutof: 3}}}"),
+        r"file: unknown parameter 'filter.cutof'. Did you mean 'filter.cutoff'\?",
+    ),
+    "parameter's value": (with_file("--config", "/**: {ros__parameters: {gamma: -1}}"), r"file: gamma is -1, expected"),
+    "gain of no joint": (
+        with_file("--config", "/**: {ros__parameters: {joint: {elbow: {effort_gain: 2}}}}"),
+        r"joint .*'elbow'.*joint1, joint2, joint3",
+    ),
+    "cutoff too high": (with_file("--config", "/**: {ros__parameters: {filter: {cutoff: 90}}}"), "cutoff of 90 Hz"),
+    "no such model": (with_options("--model", "no.json"), r"no.json: the model cannot be read"),
+    "a model that is none": (with_file("--model", "{}"), r"file: not an estimate.json"),
+}
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_bad_input_is_refused(case: str, tmp_path: Path) -> None:
+    make, message = CASES[case]
+    out = tmp_path / "out"
+    text = refused("identify", *make(tmp_path), "--out", out)
+    assert re.search(message, text), text
+    assert not out.exists()
+
+
+def test_a_file_as_folder_for_results_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "results"
+    path.write_text("of last year")
+    assert "--out" in refused("identify", BAG, "--urdf", URDF, "--out", path)
+    assert path.read_text() == "of last year"
+    assert "cannot be written" in refused("identify", BAG, "--urdf", URDF, "--out", path / "below")
+
+
+def test_results_of_before_stay_when_there_are_no_new_ones(tmp_path: Path) -> None:
+    (tmp_path / "estimate.json").write_text("of last year")
+    refused("identify", BAG, "--urdf", URDF, "--out", tmp_path, "--effects", "friction")
+    assert [path.name for path in tmp_path.iterdir()] == ["estimate.json"]
+    assert (tmp_path / "estimate.json").read_text() == "of last year"
+
+
+def test_play_and_simulate_refuse_what_they_cannot_read(tmp_path: Path) -> None:
+    assert "no such bag" in refused("play", tmp_path / "nowhere")
+    assert "--rate" in refused("play", BAG, "--rate", "0")
+    assert "unknown robot 'arm8'" in refused("simulate", tmp_path / "bag", "--robot", "arm8")
+
+
+def test_no_traceback_in_a_process_of_its_own(tmp_path: Path) -> None:
+    command = [sys.executable, "-m", "geomid_ros", "identify", str(tmp_path / "nowhere"), "--urdf", str(URDF)]
+    result = subprocess.run(command, capture_output=True, text=True, check=False, cwd=tmp_path)
+    assert (result.returncode, result.stdout) == (2, "")
+    assert result.stderr == f"Error: {tmp_path / 'nowhere'}: no such bag\n"
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_an_unknown_command_is_refused() -> None:
+    assert "identfy" in refused("identfy")

@@ -1,0 +1,67 @@
+"""``geomid simulate``: what it records can be identified, and nothing is overwritten."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+
+import pytest
+from files.recordings import recorded
+
+from .running import WRIST, done, refused
+
+QUICK = ("--robot", "arm3", "--duration", "3", "--rate", "50", "--seed", "4")
+ROBOT = Path(__file__).parents[2] / "geomid_ros/simulation/robots/arm3.urdf"
+
+
+@pytest.fixture
+def out(tmp_path: Path) -> Path:
+    pytest.importorskip("mujoco")
+    return tmp_path / "bag"
+
+
+def test_it_records_what_was_asked_for(out: Path, tmp_path: Path) -> None:
+    output = done("simulate", out, *QUICK, "--wrench", "--inertia-error", "0.3", "--motion-seed", "5")
+    assert str(out) in output
+    assert str(out) + ".truth.json" in output
+    messages = recorded(out)
+    assert {item.topic for item in messages} == {"/joint_states", "/wrench", "/robot_description"}
+    assert sum(item.topic == "/joint_states" for item in messages) == 150
+    truth = json.loads((tmp_path / "bag.truth.json").read_text())
+    assert (truth["robot"], truth["seed"], truth["options"]["inertia_error"]) == ("arm3", 4, 0.3)
+    assert truth["motion_seed"] == 5
+
+
+def test_what_it_records_can_be_identified(out: Path, tmp_path: Path) -> None:
+    done("simulate", out, *QUICK, "--wrench")
+    options = ("--urdf", ROBOT, *WRIST, "--json", "--hold-out", "0", "--out", tmp_path / "results")
+    found = {link["name"]: link["mass"] for link in json.loads(done("identify", out, *options))["links"]}
+    truth = {link["name"]: link["mass"] for link in json.loads((tmp_path / "bag.truth.json").read_text())["links"]}
+    assert found["wrist_ft"] == pytest.approx(truth["tool"], rel=0.05)
+
+
+def test_without_a_wrench(out: Path) -> None:
+    done("simulate", out, *QUICK)
+    assert {item.topic for item in recorded(out)} == {"/joint_states", "/robot_description"}
+
+
+@pytest.mark.parametrize("existing", ["bag", "bag.truth.json"])
+def test_nothing_is_overwritten(existing: str, out: Path, tmp_path: Path) -> None:
+    (tmp_path / existing).write_text("of last year")
+    message = refused("simulate", out, *QUICK)
+    assert existing in message
+    assert [path.name for path in tmp_path.iterdir()] == [existing]
+    assert (tmp_path / existing).read_text() == "of last year"
+
+
+def test_without_mujoco_it_says_how_to_get_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "mujoco", None)
+    assert "pip install mujoco" in refused("simulate", tmp_path / "bag", *QUICK)
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("option", ["--duration", "--rate", "--inertia-error"])
+def test_impossible_numbers_are_refused(option: str, out: Path) -> None:
+    assert option.strip("-").replace("-", "_") in refused("simulate", out, *QUICK, option, "-1")
+    assert not out.exists()

@@ -1,0 +1,85 @@
+"""``estimate`` does not depend on how the robot is written down."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from geomid_ros.estimation.estimate import Estimate
+from geomid_ros.estimation.estimator import EstimatorSettings
+from geomid_ros.estimation.identifier import Identifier
+from geomid_ros.geometry import pseudo_inertia, spd
+from geomid_ros.model.effects import EFFECTS
+from geomid_ros.model.measurement import MeasurementModel
+from geomid_ros.model.robot import Robot
+
+from .arms import ALL_EFFECTS, Case, Motion, arm, samples, shipped
+from .frames import Rewritten, rewritten
+
+SAME = 1e-8
+CASES = pytest.mark.parametrize(("name", "seed"), [("arm3", 0), ("arm3", 1), ("arm7", 0)])
+SETTINGS = pytest.mark.parametrize(
+    "settings",
+    [
+        EstimatorSettings(gamma=1e-2),
+        EstimatorSettings(),
+        EstimatorSettings(objective="geodesic"),
+        EstimatorSettings(gamma=1e-4, sigma={"joint2": 0.3}),
+    ],
+    ids=["paper", "auto", "geodesic", "sigma"],
+)
+
+
+def solved(case: Case, settings: EstimatorSettings) -> Estimate:
+    identifier = Identifier(case.model, settings)
+    identifier.add(case.samples)
+    return identifier.solve()
+
+
+def solved_there(case: Case, other: Rewritten, settings: EstimatorSettings) -> Estimate:
+    robot = Robot(other.urdf, gravity=np.array([0.0, 0.0, -9.81 * other.length]))
+    model = MeasurementModel(robot, [EFFECTS[effect] for effect in ALL_EFFECTS])
+    unit = other.mass * other.length**2
+    scaled = EstimatorSettings(
+        settings.gamma, {name: unit * s for name, s in (settings.sigma or {}).items()}, settings.objective
+    )
+    identifier = Identifier(model, scaled)
+    moving = Motion(case.samples.position, case.samples.velocity, case.samples.acceleration)
+    identifier.add(samples(moving, unit * case.samples.effort))
+    return identifier.solve()
+
+
+@CASES
+@SETTINGS
+@pytest.mark.parametrize(("length", "mass"), [(1.0, 1.0), (100.0, 1000.0)], ids=["m kg", "cm g"])
+def test_frames_and_units_do_not_matter(
+    name: str, seed: int, settings: EstimatorSettings, length: float, mass: float
+) -> None:
+    case, other = arm(name, seed), rewritten(shipped(name), seed, length, mass)
+    here, there = solved(case, settings), solved_there(case, other, settings)
+    assert there.gamma == here.gamma
+    for one, two in zip(here.links, there.links, strict=True):
+        expected = pseudo_inertia.from_parameters(other.parameters(one.name, one.parameters))
+        assert spd.distance(expected, pseudo_inertia.from_parameters(two.parameters)) < SAME
+        assert two.std_mass == pytest.approx(mass * one.std_mass, rel=SAME)
+        assert two.from_data == pytest.approx(one.from_data, abs=SAME)
+        assert two.distance_from_prior == pytest.approx(one.distance_from_prior, abs=SAME)
+        assert two.min_eigenvalue_ratio == pytest.approx(one.min_eigenvalue_ratio, rel=SAME)
+    unit = mass * length**2
+    for one, two in zip(here.effects, there.effects, strict=True):
+        assert two.value == pytest.approx(unit * one.value, rel=SAME)
+        assert two.std == pytest.approx(unit * one.std, rel=SAME)
+    np.testing.assert_allclose(there.rms, unit * here.rms, rtol=SAME)
+    np.testing.assert_allclose(there.sigmas, unit * here.sigmas, rtol=SAME)
+
+
+@SETTINGS
+def test_the_chunks_in_which_samples_come_do_not_matter(settings: EstimatorSettings) -> None:
+    case = arm("arm3", 2)
+    whole = solved(case, settings)
+    identifier = Identifier(case.model, settings)
+    for start in range(0, len(case.samples), 77):
+        identifier.add(case.samples.select(slice(start, start + 77)))
+        identifier.snapshot()
+    pieces = identifier.solve()
+    np.testing.assert_allclose(pieces.parameters, whole.parameters, rtol=1e-6, atol=1e-9)

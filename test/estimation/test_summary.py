@@ -1,0 +1,229 @@
+"""The summary has the least-squares content of the rows, however they came, in bounded memory."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from geomid_ros.estimation.summary import RowSummary
+from geomid_ros.model.measurement import Channel
+from geomid_ros.types import FloatArray
+
+SEEDS = pytest.mark.parametrize("seed", range(4))
+DIMENSION = 12
+CHANNELS = (
+    Channel("wide", "N m", np.arange(DIMENSION)),
+    Channel("narrow", "N m", np.array([3, 4, 11])),
+    Channel("one", "N", np.array([7])),
+    Channel("silent", "N", np.array([0, 1])),
+)
+CONTENT = 1e-10
+
+
+def rows(seed: int, count: int) -> tuple[FloatArray, FloatArray]:
+    """Coefficients ``(count, channels, D)``, zero where a channel has no column; targets, some not measured."""
+    rng = np.random.default_rng(seed)
+    coefficients = np.zeros((count, len(CHANNELS), DIMENSION))
+    for index, channel in enumerate(CHANNELS):
+        coefficients[:, index, channel.columns] = rng.normal(size=(count, len(channel.columns)))
+    coefficients[:, 0] *= 10.0 ** np.linspace(-3, 3, DIMENSION)
+    targets = rng.normal(size=(count, len(CHANNELS)))
+    targets[rng.random(targets.shape) < 0.2] = np.nan
+    targets[:, 3] = np.nan
+    return coefficients, targets
+
+
+def summary(coefficients: FloatArray, targets: FloatArray, **settings: float) -> RowSummary:
+    result = RowSummary(CHANNELS, **settings)
+    for row, target in zip(coefficients, targets, strict=True):
+        result.add(row, target)
+    return result
+
+
+def weighted(coefficients: FloatArray, targets: FloatArray, channel: int, x: FloatArray, weights: FloatArray) -> float:
+    return float(np.nansum(weights * (coefficients[:, channel] @ x - targets[:, channel]) ** 2))
+
+
+def content(found: RowSummary, x: FloatArray, folds: list[int] | None = None) -> FloatArray:
+    """``|Ax - b|^2`` of each channel."""
+    return np.array(
+        [
+            sum(part.squared_error(x[channel.columns]) for part in parts)
+            for channel, parts in zip(found.channels, found.parts(folds), strict=True)
+        ]
+    )
+
+
+@SEEDS
+@pytest.mark.parametrize("count", [1, 5, 127, 128, 129, 1000])
+def test_squared_errors_are_those_of_the_rows(seed: int, count: int) -> None:
+    coefficients, targets = rows(seed, count)
+    found = summary(coefficients, targets)
+    for x in np.random.default_rng(seed).normal(size=(5, DIMENSION)):
+        expected = [weighted(coefficients, targets, k, x, np.ones(count)) for k in range(len(CHANNELS))]
+        np.testing.assert_allclose(content(found, x), expected, rtol=CONTENT)
+
+
+@SEEDS
+def test_each_fold_has_its_blocks_of_time(seed: int) -> None:
+    """In turn: instants 0 to 29 to the first fold, 30 to 59 to the second, and so on around."""
+    coefficients, targets = rows(seed, 500)
+    found = summary(coefficients, targets, folds=3, block=30)
+    fold = np.arange(500) // 30 % 3
+    x = np.random.default_rng(seed).normal(size=DIMENSION)
+    for chosen in ([0], [1], [2], [0, 2], [0, 1, 2]):
+        weights = np.isin(fold, chosen).astype(float)
+        expected = [weighted(coefficients, targets, k, x, weights) for k in range(len(CHANNELS))]
+        np.testing.assert_allclose(content(found, x, chosen), expected, rtol=CONTENT)
+
+
+@SEEDS
+@pytest.mark.parametrize("forgetting", [1.0, 0.99, 0.9])
+def test_looking_in_between_changes_nothing(seed: int, forgetting: float) -> None:
+    coefficients, targets = rows(seed, 700)
+    rng, x = np.random.default_rng(seed), np.random.default_rng(seed).normal(size=DIMENSION)
+    quiet = summary(coefficients, targets, block=50, forgetting=forgetting)
+    busy = RowSummary(CHANNELS, block=50, forgetting=forgetting)
+    for row, target in zip(coefficients, targets, strict=True):
+        busy.add(row, target)
+        if rng.random() < 0.1:
+            busy.parts(rng.choice(4, size=2, replace=False))
+        if rng.random() < 0.1:
+            busy.rms(x)
+        if rng.random() < 0.1:
+            copy = busy.snapshot()
+            busy = copy if rng.random() < 0.5 else busy
+    np.testing.assert_allclose(content(busy, x), content(quiet, x), rtol=CONTENT)
+    assert busy.rows == quiet.rows
+    for one, other in zip(busy.parts(), quiet.parts(), strict=True):
+        np.testing.assert_allclose([p.count for p in one], [p.count for p in other], rtol=CONTENT)
+
+
+@SEEDS
+def test_rows_may_come_in_any_order_within_a_fold(seed: int) -> None:
+    coefficients, targets = rows(seed, 300)
+    order = np.random.default_rng(seed).permutation(300)
+    x = np.random.default_rng(seed).normal(size=DIMENSION)
+    one = summary(coefficients, targets, folds=1)
+    other = summary(coefficients[order], targets[order], folds=1)
+    np.testing.assert_allclose(content(one, x), content(other, x), rtol=CONTENT)
+
+
+@SEEDS
+@pytest.mark.parametrize("count", [10, 400])
+def test_forgetting_is_exponential_weighting_of_each_channels_rows(seed: int, count: int) -> None:
+    """A row counts ``f**k`` after k later rows of its channel, whichever fold and chunk they are in."""
+    coefficients, targets = rows(seed, count)
+    factor = 0.97
+    found = summary(coefficients, targets, folds=3, block=20, forgetting=factor)
+    x = np.random.default_rng(seed).normal(size=DIMENSION)
+    for k in range(len(CHANNELS)):
+        measured = np.isfinite(targets[:, k])
+        later = np.cumsum(measured[::-1])[::-1] - measured
+        weights = factor**later
+        expected = weighted(coefficients, targets, k, x, weights)
+        assert content(found, x)[k] == pytest.approx(expected, rel=CONTENT)
+        assert sum(part.count for part in found.parts()[k]) == pytest.approx(np.sum(weights[measured]), rel=CONTENT)
+
+
+def test_long_after_the_past_weighs_nothing_and_nothing_breaks() -> None:
+    coefficients, targets = rows(0, 50)
+    found = summary(coefficients, 1e3 + targets, block=5, forgetting=0.5)
+    for _ in range(3000):
+        found.add(coefficients[0], np.zeros(4))
+    x = np.zeros(DIMENSION)
+    np.testing.assert_allclose(content(found, x)[:3], 0.0, atol=1e-200)
+    np.testing.assert_allclose(found.rms(x)[:3], 0.0, atol=1e-100)
+
+
+@SEEDS
+def test_rms_is_that_of_the_rows_and_unknown_without_any(seed: int) -> None:
+    coefficients, targets = rows(seed, 333)
+    found, x = summary(coefficients, targets), np.random.default_rng(seed).normal(size=DIMENSION)
+    errors = np.einsum("ncd,d->nc", coefficients, x) - targets
+    expected = np.sqrt(np.nanmean(errors[:, :3] ** 2, axis=0))
+    np.testing.assert_allclose(found.rms(x)[:3], expected, rtol=CONTENT)
+    assert np.isnan(found.rms(x)[3])
+
+
+@SEEDS
+@pytest.mark.parametrize("count", [3, 8, 200])
+def test_compressed_rows_have_the_weighted_content_up_to_a_constant(seed: int, count: int) -> None:
+    """The constant is what no parameters can explain."""
+    coefficients, targets = rows(seed, count)
+    sigmas = np.array([0.3, 2.0, 1e-2, 1.0])
+    found = summary(coefficients, targets, block=20)
+    a, b = found.compressed(sigmas, DIMENSION)
+    assert len(a) <= DIMENSION
+    points = np.random.default_rng(seed).normal(size=(6, DIMENSION))
+    raw = [
+        sum(weighted(coefficients, targets, k, x, np.full(count, sigmas[k] ** -2.0)) for k in range(4)) for x in points
+    ]
+    compressed = [np.sum((a @ x - b) ** 2) for x in points]
+    scale = max(raw)
+    for (raw_one, raw_two), (one, two) in zip(pairwise(raw), pairwise(compressed), strict=True):
+        assert one - two == pytest.approx(raw_one - raw_two, abs=1e-9 * scale)
+    present = [(coefficients[:, k] / sigmas[k])[np.isfinite(targets[:, k])] for k in range(4)]
+    measured = np.concatenate(present)
+    np.testing.assert_allclose(a.T @ a, measured.T @ measured, rtol=0, atol=1e-9 * np.linalg.norm(measured) ** 2)
+
+
+def test_a_number_that_is_none_spoils_nothing() -> None:
+    """NaN and infinity, in a target or in a coefficient: that row alone is left out."""
+    coefficients, targets = rows(1, 200)
+    spoilt, bad = coefficients.copy(), targets.copy()
+    bad[10, 0], bad[11, 1], bad[12, 2] = np.nan, np.inf, -np.inf
+    spoilt[20, 0, 5], spoilt[21, 1, 3] = np.nan, np.inf
+    expected = targets.copy()
+    for instant, channel in ((10, 0), (11, 1), (12, 2), (20, 0), (21, 1)):
+        expected[instant, channel] = np.nan
+    x = np.ones(DIMENSION)
+    np.testing.assert_array_equal(content(summary(spoilt, bad), x), content(summary(coefficients, expected), x))
+    assert summary(spoilt, bad).rows == np.count_nonzero(np.isfinite(expected))
+
+
+@pytest.mark.parametrize("forgetting", [1.0, 0.9])
+def test_rows_are_counted_whether_they_wait_or_not(forgetting: float) -> None:
+    coefficients, targets = rows(2, 300)
+    found = RowSummary(CHANNELS, forgetting=forgetting)
+    for count, (row, target) in enumerate(zip(coefficients, targets, strict=True), start=1):
+        found.add(row, target)
+        if count % 37 == 0:
+            assert found.rows == np.count_nonzero(np.isfinite(targets[:count]))
+    found.parts()
+    assert found.rows == np.count_nonzero(np.isfinite(targets))
+
+
+def test_memory_is_bounded() -> None:
+    coefficients, targets = rows(3, 400)
+    found = RowSummary(CHANNELS, folds=2)
+    most = 0
+    for _ in range(10):
+        for row, target in zip(coefficients, targets, strict=True):
+            found.add(row, target)
+            most = max(most, sum(len(channel) for fold in found._waiting for channel in fold))
+    assert most < 2 * len(CHANNELS) * RowSummary._CHUNK
+    for channel, parts in zip(CHANNELS, found.parts(), strict=True):
+        for part in parts:
+            columns = len(channel.columns) + 1
+            assert part.factor.shape[0] <= columns
+            assert part.factor.shape[1] == columns
+
+
+@pytest.mark.parametrize("forgetting", [1.0, 0.95])
+def test_a_snapshot_stays_as_it_was_and_goes_on_by_itself(forgetting: float) -> None:
+    coefficients, targets = rows(4, 600)
+    x = np.random.default_rng(4).normal(size=DIMENSION)
+    found = summary(coefficients[:250], targets[:250], forgetting=forgetting, block=40)
+    copy, before = found.snapshot(), content(found, x)
+    for row, target in zip(coefficients[250:], targets[250:], strict=True):
+        found.add(row, target)
+    found.parts()
+    np.testing.assert_array_equal(content(copy, x), before)
+    for row, target in zip(coefficients[250:], targets[250:], strict=True):
+        copy.add(row, target)
+    whole = summary(coefficients, targets, forgetting=forgetting, block=40)
+    for other in (found, copy):
+        np.testing.assert_allclose(content(other, x), content(whole, x), rtol=CONTENT)

@@ -1,0 +1,25 @@
+"""Stages for tests of this folder."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from importlib.util import find_spec
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import pytest
+
+if TYPE_CHECKING:
+    from .stage import Stage
+
+if find_spec("rclpy") is None:
+    collect_ignore_glob = ["*.py"]
+
+
+@pytest.fixture
+def stage(tmp_path: Path) -> Iterator[Stage]:
+    """A ROS domain for this test alone."""
+    from .stage import staged  # noqa: PLC0415 needs ROS
+
+    with staged(tmp_path) as stage:
+        yield stage

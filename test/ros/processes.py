@@ -1,0 +1,75 @@
+"""Processes of this package, each with its log, ended by their own number."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+import geomid_ros
+
+PATIENCE = 60.0  # [s] after which a process that should end is taken to hang
+
+
+class Process:
+    """A Python module of this package that runs in a ROS domain."""
+
+    def __init__(self, domain: int, folder: Path, arguments: Sequence[str | Path]) -> None:
+        """``folder`` becomes its working directory; its log lies beside."""
+        folder.mkdir(parents=True, exist_ok=True)
+        self.log = folder.with_suffix(f".{len(list(folder.parent.glob('*.log')))}.log")
+        package = str(Path(geomid_ros.__file__).parents[1])
+        # The environment as a whole: ROS from PyPI has prepared it for this process, and would do so again for a part.
+        environment = {**os.environ, "ROS_DOMAIN_ID": str(domain), "PYTHONUNBUFFERED": "1"}
+        environment["PYTHONPATH"] = os.pathsep.join(filter(None, (package, os.environ.get("PYTHONPATH"))))
+        with self.log.open("wb") as log:
+            self._process = subprocess.Popen(
+                [sys.executable, "-m", *map(str, arguments)],
+                cwd=folder,
+                env=environment,
+                stdin=subprocess.DEVNULL,
+                stdout=log,
+                stderr=subprocess.STDOUT,
+            )
+
+    @property
+    def output(self) -> str:
+        """What it has printed so far."""
+        return self.log.read_text(errors="replace")
+
+    @property
+    def running(self) -> bool:
+        """Whether it has not ended yet."""
+        return self._process.poll() is None
+
+    def send(self, number: signal.Signals) -> None:
+        """Send it a signal."""
+        self._process.send_signal(number)
+
+    def status(self) -> int:
+        """Its exit status, when it has ended."""
+        try:
+            return self._process.wait(PATIENCE)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.wait()
+            raise AssertionError(f"still running after {PATIENCE:g} s:\n{self.output}") from None
+
+    def end(self, number: signal.Signals = signal.SIGINT) -> int:
+        """Ask it to end; its exit status."""
+        if self.running:
+            self.send(number)
+        return self.status()
+
+
+def parameter_file(folder: Path, parameters: dict[str, Any]) -> Path:
+    """A parameter file for every node."""
+    path = folder / "parameters.yaml"
+    path.write_text(yaml.safe_dump({"/**": {"ros__parameters": parameters}}), encoding="utf-8")
+    return path

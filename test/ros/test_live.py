@@ -1,0 +1,221 @@
+"""A bag played into a node gives what the bag itself gives, and the topics say the same as the files."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from commands.running import WRIST, done, identify
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from files.recordings import BAGS
+from geometry_msgs.msg import InertiaStamped
+from sensor_msgs.msg import JointState
+from std_msgs.msg import String
+from visualization_msgs.msg import Marker, MarkerArray
+
+from geomid_ros.files.urdf import read_urdf
+from geomid_ros.model.robot import Robot
+
+from .observer import latched
+from .stage import WRIST as WRIST_PARAMETERS
+from .stage import Stage, description, messages, staged
+
+SAME = 1e-6  # relative: what is identified live and from the bag
+RATE = 4.0  # times real time
+DURATIONS = {"arm3": 8.0, "arm7": 12.0}  # [s] of the bags
+
+
+@dataclass
+class Live:
+    """A whole run: what was heard, saved, and identified from the bag itself."""
+
+    robot: str
+    offline: dict[str, Any]
+    saved: dict[str, Any] = field(default_factory=dict)
+    urdf: str = ""
+    answer: tuple[bool, str] = (False, "")
+    predicted: list[JointState] = field(default_factory=list)
+    diagnostics: list[DiagnosticArray] = field(default_factory=list)
+    inertias: list[InertiaStamped] = field(default_factory=list)
+    descriptions: list[String] = field(default_factory=list)
+    markers: list[MarkerArray] = field(default_factory=list)
+    late_inertias: list[InertiaStamped] = field(default_factory=list)
+    late_descriptions: list[String] = field(default_factory=list)
+    late_markers: list[MarkerArray] = field(default_factory=list)
+    status: int = -1
+    saved_at_end: dict[str, Any] = field(default_factory=dict)
+
+    @property
+    def links(self) -> list[str]:
+        return [link["name"] for link in self.saved["links"]]
+
+    @property
+    def stream(self) -> dict[str, str]:
+        """The last diagnostics of the stream."""
+        return {pair.key: pair.value for pair in self.diagnostics[-1].status[0].values}
+
+
+@pytest.fixture(scope="module", params=["arm3", "arm7"])
+def live(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Live]:
+    """The shipped bag of a robot, played into a node that knows only the nominal URDF and the wrist's sensor."""
+    folder = tmp_path_factory.mktemp("live")
+    command = identify(request.param, *WRIST, "--hold-out", "0", "--json", "--out", folder / "offline")
+    run = Live(request.param, json.loads(done(*command)))
+    with staged(folder) as stage:
+        perform(stage, run, folder / "out")
+    yield run
+
+
+def perform(stage: Stage, run: Live, out: Path) -> None:
+    parameters = {"robot_description": description(run.robot), "output_folder": str(out), "solve_period": 0.5}
+    node = stage.node({**parameters, **WRIST_PARAMETERS})
+    observer = stage.observer
+    run.predicted = observer.collect(JointState, "/geomid/predicted_joint_states")
+    run.diagnostics = observer.collect(DiagnosticArray, "/diagnostics")
+    run.inertias = observer.collect(InertiaStamped, "/geomid/inertias", latched())
+    run.descriptions = observer.collect(String, "/geomid/robot_description", latched())
+    run.markers = observer.collect(MarkerArray, "/geomid/markers", latched())
+    stage.spin_while(stage.play(BAGS / run.robot, RATE))
+    run.answer = observer.trigger("/geomid/save")
+    run.saved = json.loads((out / "estimate.json").read_text())
+    run.urdf = read_urdf(out / "identified.urdf")
+    run.late_inertias = observer.collect(InertiaStamped, "/geomid/inertias", latched())
+    run.late_descriptions = observer.collect(String, "/geomid/robot_description", latched())
+    run.late_markers = observer.collect(MarkerArray, "/geomid/markers", latched())
+    count = len(messages(run.robot)) // 2
+    stage.fed({"joint_states": count, "/wrench": count})
+    observer.wait_for(lambda: run.late_descriptions and run.late_markers, "what is latched")
+    run.status = node.end()
+    run.saved_at_end = json.loads((out / "estimate.json").read_text())
+
+
+def test_every_message_is_received_and_accepted(live: Live) -> None:
+    count = str(len(messages(live.robot)) // 2)
+    for topic in ("joint_states", "/wrench"):
+        assert live.stream[f"{topic} received"] == live.stream[f"{topic} accepted"] == count
+    assert not [key for key in live.stream if "rejected" in key or "dropped" in key]
+    assert live.stream["queue"] == "0"
+
+
+def test_live_equals_the_bag(live: Live) -> None:
+    assert live.answer[0], live.answer
+    assert live.saved["rows"] == live.offline["rows"]
+    assert live.links == [link["name"] for link in live.offline["links"]]
+    for ours, theirs in zip(live.saved["links"], live.offline["links"], strict=True):
+        assert ours["mass"] == pytest.approx(theirs["mass"], rel=SAME)
+        np.testing.assert_allclose(ours["com"], theirs["com"], rtol=0.0, atol=SAME * np.linalg.norm(theirs["com"]))
+        size = np.linalg.norm(theirs["inertia"])
+        np.testing.assert_allclose(ours["inertia"], theirs["inertia"], rtol=0.0, atol=SAME * size)
+        assert ours["std"]["mass"] == pytest.approx(theirs["std"]["mass"], rel=1e-3)
+    for our, their in zip(live.saved["effects"], live.offline["effects"], strict=True):
+        assert (our["name"], our["joint"]) == (their["name"], their["joint"])
+        assert our["value"] == pytest.approx(their["value"], rel=SAME)
+
+
+def of_message(message: InertiaStamped) -> dict[str, Any]:
+    """A published inertia as estimate.json has it."""
+    i = message.inertia
+    return {
+        "name": message.header.frame_id,
+        "mass": i.m,
+        "com": [i.com.x, i.com.y, i.com.z],
+        "inertia": [[i.ixx, i.ixy, i.ixz], [i.ixy, i.iyy, i.iyz], [i.ixz, i.iyz, i.izz]],
+    }
+
+
+def test_the_last_inertias_are_the_saved_ones(live: Live) -> None:
+    """One message per link, to the last digit: about the centre of mass, in the link's axes."""
+    number = len(live.links)
+    for heard in (live.inertias, live.late_inertias):
+        last = [of_message(message) for message in heard[-number:]]
+        assert last == [{key: link[key] for key in last[0]} for link in live.saved["links"]]
+    assert len(live.inertias) % number == 0
+    assert [message.header.frame_id for message in live.inertias[:number]] == live.links
+
+
+def test_who_comes_late_gets_all_links(live: Live) -> None:
+    assert {message.header.frame_id for message in live.late_inertias} == set(live.links)
+    assert live.late_descriptions[-1].data == live.descriptions[-1].data
+    assert len(live.late_markers) == 1
+
+
+def test_the_published_description_is_the_identified_urdf(live: Live) -> None:
+    assert live.descriptions[-1].data == live.urdf
+    bodies = {body.name: body for body in Robot(live.urdf, cuts=["wrist_ft"]).bodies}
+    for link in live.saved["links"]:
+        assert bodies[link["name"]].parameters[0] == pytest.approx(link["mass"], rel=1e-8)
+
+
+def test_markers(live: Live) -> None:
+    markers = live.late_markers[-1].markers
+    assert [marker.header.frame_id for marker in markers] == live.links
+    assert len({(marker.ns, marker.id) for marker in markers}) == len(markers)
+    for marker, link in zip(markers, live.saved["links"], strict=True):
+        assert marker.type == Marker.SPHERE
+        assert [marker.pose.position.x, marker.pose.position.y, marker.pose.position.z] == link["com"]
+        q = marker.pose.orientation
+        assert np.linalg.norm([q.x, q.y, q.z, q.w]) == pytest.approx(1.0, abs=1e-9)
+        assert 0.0 < min(marker.scale.x, marker.scale.y, marker.scale.z) < 2.0
+        assert all(0.0 <= part <= 1.0 for part in (marker.color.r, marker.color.g, marker.color.b, marker.color.a))
+
+
+def test_predicted_efforts_are_stamped_and_sized_as_the_data(live: Live) -> None:
+    measured = {
+        item.message.header.stamp.sec * 10**9 + item.message.header.stamp.nanosec: item.message
+        for item in messages(live.robot)
+        if item.topic == "/joint_states"
+    }
+    stamps = [message.header.stamp.sec * 10**9 + message.header.stamp.nanosec for message in live.predicted]
+    assert len(stamps) > 10
+    assert stamps == sorted(set(stamps))
+    assert set(stamps) <= set(measured)
+    joints = list(Robot(description(live.robot)).joint_names)
+    errors, efforts = [], []
+    for stamp, message in zip(stamps, live.predicted, strict=True):
+        assert list(message.name) == joints
+        assert len(message.position) == len(message.velocity) == len(joints)
+        effort = dict(zip(measured[stamp].name, measured[stamp].effort, strict=True))
+        errors.append(np.array(message.effort) - [effort[joint] for joint in joints])
+        efforts.append([effort[joint] for joint in joints])
+    rms_error, rms_effort = (np.sqrt(np.mean(np.square(part), axis=0)) for part in (errors[-50:], efforts))
+    assert np.all(rms_error < 0.5 * rms_effort)
+
+
+def test_diagnostics(live: Live) -> None:
+    """One array about every second; one status per link, `node: link`, and one for the stream; a scalar per key."""
+    stamps = [array.header.stamp.sec + 1e-9 * array.header.stamp.nanosec for array in live.diagnostics]
+    assert len(stamps) >= 2
+    assert 0.5 < np.median(np.diff(stamps)) < 5.0  # a busy machine may be late, never early
+    names = [status.name for status in live.diagnostics[-1].status]
+    assert names == ["geomid: stream", *(f"geomid: {link}" for link in live.links)]
+    for array in live.diagnostics:
+        assert len({status.name for status in array.status}) == len(array.status)
+        for status in array.status:
+            assert status.message
+            assert status.hardware_id
+            assert len({pair.key for pair in status.values}) == len(status.values)
+            assert status.level in (DiagnosticStatus.OK, DiagnosticStatus.WARN), status
+    for status, link in zip(live.diagnostics[-1].status[1:], live.saved["links"], strict=True):
+        values = {pair.key: pair.value for pair in status.values}
+        assert float(values["mass"]) == pytest.approx(link["mass"], rel=1e-5)
+        assert float(values["from data"]) == pytest.approx(link["from_data"], abs=1e-5)
+        for key, value in values.items():
+            if key not in ("merged", "cannot be told"):
+                float(value)
+    assert live.stream["converged"] == "True"
+
+
+def test_silence_is_reported(live: Live) -> None:
+    """The bag has ended: nothing comes any more."""
+    last = live.diagnostics[-1].status[0]
+    assert (last.level, last.message) == (DiagnosticStatus.WARN, "no messages on joint_states, /wrench")
+
+
+def test_the_end_keeps_what_was_saved(live: Live) -> None:
+    assert live.status == 0
+    assert live.saved_at_end["links"] == live.saved["links"]

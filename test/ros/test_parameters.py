@@ -1,0 +1,86 @@
+"""The node's parameters: checked at the start, described, and fixed from then on."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
+from rcl_interfaces.srv import DescribeParameters, GetParameters, ListParameters, SetParameters
+
+from geomid_ros.files.configuration import PARAMETERS
+
+from .processes import Process
+from .stage import Stage, description
+
+ARM3 = description("arm3")
+SHIPPED = Path(__file__).parents[2] / "config/geomid.yaml"
+SINGLE = [parameter for parameter in PARAMETERS if "*" not in parameter.name]
+
+def sensor(**described: Any) -> dict[str, Any]:
+    return {"wrenches": ["ft"], "wrench": {"ft": described}}
+
+
+# Parameters and what the one message must hold.
+REFUSED: dict[str, tuple[dict[str, Any], tuple[str, ...]]] = {
+    "unknown": ({"gama": 0.5}, ("unknown parameter 'gama'", "Did you mean 'gamma'", "solve_period")),
+    "empty list": ({"links": []}, ('an empty list is written as [""]',)),
+    "topic": (sensor(frame="tool", topic="not a topic"), ("not a topic", "Invalid topic")),
+    "frame": ({**sensor(frame="hand"), "robot_description": ARM3}, ("unknown link 'hand'", "wrist_ft")),
+}
+
+
+def test_what_cannot_be_used_is_refused_with_one_message(stage: Stage) -> None:
+    """Status 2, what is wrong, what would be right. All at once: starting takes its time."""
+    started: dict[str, Process] = {}
+    for case, (parameters, _) in REFUSED.items():
+        started[case] = stage.node(parameters, ready=False)
+    missing = stage.start("geomid_ros.ros.main", "--ros-args", "--params-file", stage.folder / "nowhere.yaml")
+    for case, (_, parts) in REFUSED.items():
+        process = started[case]
+        assert process.status() == 2, f"{case}: {process.output}"
+        (line,) = [line for line in process.output.splitlines() if line.startswith("geomid_node: ")]
+        for part in parts:
+            assert part in line, f"{case}: {line}"
+    assert missing.status() == 2
+    assert "nowhere.yaml" in missing.output
+
+
+def get(stage: Stage, names: list[str], namespace: str = "") -> list[ParameterValue]:
+    request = GetParameters.Request(names=names)
+    return list(stage.observer.call(GetParameters, f"{namespace}/geomid/get_parameters", request).values)
+
+
+def test_parameters_are_described(stage: Stage) -> None:
+    """Every one of the table, with its range; integers serve as real numbers; nothing changes later."""
+    stage.node({"gamma": 1, "joint": {"joint1": {"effort_gain": 2}}, "sigma": {"joint1": 0.5}})
+    listed = stage.observer.call(ListParameters, "/geomid/list_parameters", ListParameters.Request()).result.names
+    names = [parameter.name for parameter in SINGLE]
+    assert set(names) | {"joint.joint1.effort_gain", "sigma.joint1"} <= set(listed)
+    request = DescribeParameters.Request(names=names)
+    answers = stage.observer.call(DescribeParameters, "/geomid/describe_parameters", request).descriptors
+    for parameter, answer in zip(SINGLE, answers, strict=True):
+        assert answer.description == parameter.description
+        assert answer.read_only
+        ranges = [(entry.from_value, entry.to_value) for entry in answer.floating_point_range]
+        assert ranges == ([] if parameter.minimum is None else [(parameter.minimum, parameter.maximum)])
+    request = DescribeParameters.Request(names=["joint.joint1.effort_gain", "sigma.joint1"])
+    answers = stage.observer.call(DescribeParameters, "/geomid/describe_parameters", request).descriptors
+    assert [bool(answer.description and answer.floating_point_range) for answer in answers] == [True, True]
+    (gamma,) = get(stage, ["gamma"])
+    assert gamma.integer_value == 1
+    value = ParameterValue(type=ParameterType.PARAMETER_DOUBLE, double_value=0.5)
+    request = SetParameters.Request(parameters=[Parameter(name="gamma", value=value)])
+    (result,) = stage.observer.call(SetParameters, "/geomid/set_parameters", request).results
+    assert not result.successful
+    assert "read-only" in result.reason
+
+
+def test_the_shipped_file(stage: Stage) -> None:
+    """It starts the node, and gives what the node has without it."""
+    arguments = ("--ros-args", "--params-file", SHIPPED, "-p", "use_sim_time:=true", "-r", "__ns:=/with")
+    process = stage.start("geomid_ros.ros.main", *arguments)
+    stage.node({}, "-r", "__ns:=/without", name="without/geomid")
+    stage.serving(process, "with/geomid")
+    names = [parameter.name for parameter in SINGLE]
+    assert get(stage, names, "/with") == get(stage, names, "/without")

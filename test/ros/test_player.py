@@ -1,0 +1,53 @@
+"""``geomid play``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from files.recordings import BAGS, recorded, write_bag
+from geometry_msgs.msg import WrenchStamped
+from sensor_msgs.msg import JointState
+from std_msgs.msg import String
+
+from .observer import latched
+from .stage import Stage
+
+
+def test_it_publishes_what_was_recorded_in_its_order(stage: Stage, tmp_path: Path) -> None:
+    """The description first and latched; stamps as they were; nothing lost to who was there."""
+    items = recorded(BAGS / "arm3")[:401]
+    bag = write_bag(tmp_path / "bag", [item for item in items if item.topic != "/wrench"])
+    heard = stage.observer.collect(JointState, "/joint_states")
+    player = stage.play(bag, 8.0)
+    stage.spin_while(player)
+    assert f"Published all messages of {bag}" in player.output
+    expected = [item.message for item in items if item.topic == "/joint_states"]
+    assert len(heard) == len(expected)
+    for ours, theirs in zip(heard, expected, strict=True):
+        assert ours.header.stamp.sec == theirs.header.stamp.sec
+        assert ours.header.stamp.nanosec == theirs.header.stamp.nanosec
+        assert list(ours.name) == list(theirs.name)
+        assert list(ours.effort) == theirs.effort.tolist()
+
+
+def test_the_description_is_kept_for_who_comes_late(stage: Stage) -> None:
+    heard = stage.observer.collect(JointState, "/joint_states")
+    player = stage.play(BAGS / "arm3", 2.0)
+    stage.observer.collect(WrenchStamped, "/wrench")
+    stage.observer.wait_for(lambda: len(heard) > 50, "joint states")
+    descriptions = stage.observer.collect(String, "/robot_description", latched(1))
+    stage.observer.wait_for(lambda: descriptions, "the description")
+    assert descriptions[0].data == (BAGS / "arm3.urdf").read_text()
+    assert player.running
+
+
+def test_types_that_are_not_installed_are_left_out(stage: Stage, tmp_path: Path) -> None:
+    items = recorded(BAGS / "arm3")[:101]
+    bag = write_bag(tmp_path / "bag", [item for item in items if item.topic != "/wrench"])
+    for path in (bag / "metadata.yaml", bag / "bag.mcap"):
+        path.write_bytes(path.read_bytes().replace(b"std_msgs/msg/String", b"vendor_m/msg/Secret"))
+    heard = stage.observer.collect(JointState, "/joint_states")
+    player = stage.play(bag, 8.0)
+    stage.spin_while(player)
+    assert "/robot_description is left out: its type vendor_m/msg/Secret is not installed here" in player.output
+    assert len(heard) == 50

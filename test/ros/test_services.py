@@ -1,0 +1,113 @@
+"""start, stop, reset and save."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+from diagnostic_msgs.msg import DiagnosticStatus
+from geometry_msgs.msg import InertiaStamped
+
+from .observer import latched
+from .stage import KINDS, WRIST, Stage, description, messages
+
+ARM3 = {**WRIST, "robot_description": description("arm3"), "solve_period": 0.2}
+MESSAGES = messages()
+HALF = len(MESSAGES) // 2
+EACH = HALF // 2  # messages of either topic in half of the bag
+
+
+def test_stopped_messages_are_counted_and_cost_nothing(stage: Stage, tmp_path: Path) -> None:
+    stage.node({**ARM3, "active": False, "output_folder": str(tmp_path / "out")})
+    observer = stage.observer
+    observer.publish(MESSAGES[:HALF], KINDS)
+    array = observer.diagnostics(lambda values, _: values.get("dropped: stopped") == str(HALF), "dropped messages")
+    assert (array.status[0].level, array.status[0].message) == (DiagnosticStatus.OK, "stopped")
+    assert observer.trigger("/geomid/save") == (False, "no usable rows: nothing was measured, or the robot never moved")
+    assert observer.trigger("/geomid/start") == (True, "identifying")
+    observer.publish(MESSAGES[HALF:], KINDS)
+    stage.fed({"joint_states": EACH, "/wrench": EACH})
+    assert observer.trigger("/geomid/stop")[0]
+    observer.publish(MESSAGES[:10], KINDS)
+    array = observer.diagnostics(
+        lambda values, _: values.get("dropped: stopped") == str(HALF + 10), "more dropped messages"
+    )
+    values = {pair.key: pair.value for pair in array.status[0].values}
+    assert values["joint_states received"] == values["joint_states accepted"] == str(EACH)
+    assert observer.trigger("/geomid/save")[0], "what was identified before is kept"
+    rows = json.loads((tmp_path / "out/estimate.json").read_text())["rows"]["accepted"]
+    assert rows == int(values["rows"]) > 0
+
+
+def test_reset_forgets(stage: Stage, tmp_path: Path) -> None:
+    """Whenever it comes: an estimate that is being solved for is forgotten too."""
+    stage.node({**ARM3, "output_folder": str(tmp_path / "out")})
+    observer = stage.observer
+    observer.publish(MESSAGES[:HALF], KINDS)
+    stage.fed({"joint_states": EACH, "/wrench": EACH})
+    assert observer.trigger("/geomid/save")[0]
+    before = json.loads((tmp_path / "out/estimate.json").read_text())["rows"]["accepted"]
+    assert observer.trigger("/geomid/reset") == (True, "all rows forgotten")
+    success, reason = observer.trigger("/geomid/save")
+    assert not success
+    assert "no usable rows" in reason
+    for _ in range(2):
+        array = observer.diagnostics(lambda values, _: values["rows"] == "0", "no rows")
+        assert [status.name for status in array.status] == ["geomid: stream"]
+    observer.publish(MESSAGES[HALF : HALF + HALF // 2], KINDS)
+    stage.fed({"joint_states": EACH + EACH // 2, "/wrench": EACH + EACH // 2})
+    assert observer.trigger("/geomid/save")[0]
+    after = json.loads((tmp_path / "out/estimate.json").read_text())["rows"]["accepted"]
+    assert 0 < after < 0.7 * before
+
+
+def test_saving_where_nothing_can_be_written_is_answered(stage: Stage, tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("in the way")
+    node = stage.node({**ARM3, "output_folder": str(tmp_path / "file")})
+    observer = stage.observer
+    inertias = observer.collect(InertiaStamped, "/geomid/inertias", latched())
+    observer.publish(MESSAGES[:HALF], KINDS)
+    stage.fed({"joint_states": EACH, "/wrench": EACH})
+    success, reason = observer.trigger("/geomid/save")
+    assert not success
+    assert str(tmp_path / "file") in reason
+    assert "cannot be written" in reason
+    inertias.clear()
+    observer.publish(MESSAGES[HALF:], KINDS)
+    observer.wait_for(lambda: inertias, "estimates that go on")
+    assert node.end() == 0
+    assert (tmp_path / "file").read_text() == "in the way"
+
+
+def test_services_without_a_robot_say_what_is_missing(stage: Stage) -> None:
+    node = stage.node()
+    for service in ("reset", "save"):
+        assert stage.observer.trigger(f"/geomid/{service}") == (False, "no robot description yet")
+    assert stage.observer.trigger("/geomid/stop")[0]
+    assert stage.observer.trigger("/geomid/start")[0]
+    assert node.end() == 0
+
+
+def test_without_a_folder_save_writes_where_the_node_was_started(stage: Stage) -> None:
+    stage.node(ARM3)
+    stage.observer.publish(MESSAGES[:HALF], KINDS)
+    stage.fed({"joint_states": EACH, "/wrench": EACH})
+    success, message = stage.observer.trigger("/geomid/save")
+    assert success, message
+    written = {path.name: path for path in stage.folder.glob("process0/*")}
+    assert written.keys() == {"estimate.json", "identified.urdf"}
+    assert all(str(path) in message for path in written.values())
+
+
+@pytest.mark.parametrize("forgetting", [0.99])
+def test_a_node_that_forgets_goes_on_estimating(forgetting: float, stage: Stage) -> None:
+    """The rows it remembers become no more, but they become others."""
+    stage.node({**ARM3, "forgetting": forgetting})
+    observer = stage.observer
+    observer.publish(MESSAGES[:HALF], KINDS)
+    stage.fed({"joint_states": EACH, "/wrench": EACH})
+    inertias = observer.collect(InertiaStamped, "/geomid/inertias")
+    observer.publish(MESSAGES[HALF:], KINDS)
+    stage.fed({"joint_states": 2 * EACH, "/wrench": 2 * EACH})
+    assert len({message.inertia.m for message in inertias if message.header.frame_id == "link3"}) > 2
