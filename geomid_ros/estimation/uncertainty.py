@@ -14,6 +14,7 @@ from geomid_ros.types import FloatArray
 # The prior is never taken to be surer than this (a relative error per direction of the tangent space).
 LEAST_PRIOR_SPREAD = 0.1
 _STEP = 1e-5
+_ROUNDING = 1e-12
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,22 +40,24 @@ def uncertainty(
       correlated residuals make it larger. It is read off how much the folds' gradients ``(D,)`` scatter.
     - The prior's error is taken as equally large in all directions, with the spread seen where the data could tell.
     """
-    identity = np.eye(len(information))
-    inverse = np.linalg.inv(information + prior_weight * identity)
-    resolution = inverse @ information
-    noise = _inflation(information, prior_weight, fold_gradients) * information
-    told = float(np.trace(resolution))
-    spread = np.sqrt(max(float(from_prior @ resolution @ from_prior), 0.0) / told) if told > 0.0 else 0.0
-    spread = max(float(spread), LEAST_PRIOR_SPREAD)
-    covariance = inverse @ (noise + (prior_weight * spread) ** 2 * identity) @ inverse
-    return Uncertainty(covariance, resolution, spread)
+    values, vectors = np.linalg.eigh(information)
+    values = np.where(values > _ROUNDING * values[-1], values, 0.0)
+    prior_weight = max(prior_weight, float(np.finfo(float).tiny))
+    shares = values / (values + prior_weight)
+    told = float(np.sum(shares))
+    spread = float(np.sqrt(np.sum(shares * (vectors.T @ from_prior) ** 2) / told)) if told > 0.0 else 0.0
+    spread = max(spread, LEAST_PRIOR_SPREAD)
+    noise = _inflation(values, vectors, prior_weight, fold_gradients) * shares / (values + prior_weight)
+    variances = noise + ((1.0 - shares) * spread) ** 2
+    return Uncertainty((vectors * variances) @ vectors.T, (vectors * shares) @ vectors.T, spread)
 
 
-def _inflation(information: FloatArray, prior_weight: float, fold_gradients: Sequence[FloatArray]) -> float:
+def _inflation(
+    values: FloatArray, vectors: FloatArray, prior_weight: float, fold_gradients: Sequence[FloatArray]
+) -> float:
     """Factor by which the folds' gradients scatter more than independent residuals would let them, at least 1."""
     folds = len(fold_gradients)
-    values, vectors = np.linalg.eigh(information)
-    told = values > max(prior_weight, 1e-12 * values[-1])
+    told = values > prior_weight
     if folds < 2 or not np.any(told):
         return 1.0
     components = (np.array(fold_gradients) @ vectors[:, told]) / np.sqrt(values[told])

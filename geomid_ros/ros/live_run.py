@@ -77,7 +77,8 @@ class LiveRun:
         self._masses[message.header.frame_id] = message.inertia.m
 
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
-        self._stream = next((s.message for s in message.status if s.name.endswith(": stream")), self._stream)
+        stream = next(status for status in message.status if status.name.endswith(": stream"))
+        self._stream = next(f"{pair.value} rows" for pair in stream.values if pair.key == "rows")
 
     def watch(self) -> Iterator[tuple[dict[str, float], str]]:
         """Link masses and the state of the stream, several times a second, until all is played and saved."""

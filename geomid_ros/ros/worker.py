@@ -60,7 +60,7 @@ class Worker:
         self._solve_period = solve_period
         self._on_samples = on_samples
         self._on_estimate = on_estimate
-        self._lock = threading.Lock()  # held while the session takes data, and for all that follows here
+        self._lock = threading.Lock()  # held, never long, for the pipeline and for all that follows here
         self._dropped: Counter[str] = Counter()
         self._problem = ""
         self._estimate: Estimate | None = None
@@ -143,13 +143,14 @@ class Worker:
                 self._problem = f"a message could not be taken: {error}"
 
     def _take(self, feed: Callable[[], None]) -> None:
+        rejected = self.session.identifier.rows_rejected.total()
         with self._lock:
-            rejected = self.session.identifier.rows_rejected.total()
             feed()
-            samples = self.session.advance()
-            if samples is None:
-                return
-            rejected -= self.session.identifier.rows_rejected.total()
+        samples = self.session.advance()
+        if samples is None:
+            return
+        rejected -= self.session.identifier.rows_rejected.total()
+        with self._lock:
             self._rows += len(samples) * len(self.session.model.channels) + rejected
             estimate = self._estimate
         if estimate is not None:

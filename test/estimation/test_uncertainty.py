@@ -115,7 +115,7 @@ def test_physical_values_are_those_of_a_cloud() -> None:
 # --- what it says of an arm -----------------------------------------------------------------------------------------
 
 
-def solved(case: Case, coefficients: FloatArray, targets: FloatArray, gamma: float | None = None) -> Estimate:
+def solved(case: Case, coefficients: FloatArray, targets: FloatArray) -> Estimate:
     summary = RowSummary(case.model.channels)
     for row, target in zip(coefficients, targets, strict=True):
         summary.add(row, target)
@@ -149,15 +149,14 @@ def test_a_joint_at_rest_tells_nothing_of_its_friction() -> None:
             assert effect.std > 0.05 * effect.value
 
 
-def test_more_data_make_it_surer() -> None:
-    shares, deviations = [], []
+def test_more_data_shrink_the_deviations_of_what_they_tell() -> None:
+    """``from_data`` does not grow with them: the prior's weight is a share of theirs."""
+    deviations = []
     for seconds in (4, 16, 64):
         case = arm("arm3", 1, seconds=seconds)
         rows = case.model.rows(case.samples)
         found = solved(case, rows.coefficients, rows.targets)
-        shares.append(found.links[2].from_data)
         deviations.append([effect.std for effect in found.effects if effect.name == "coulomb_friction"])
-    assert shares[0] < shares[1] < shares[2]
     assert np.all(np.diff(deviations, axis=0) < 0.0)
 
 
@@ -166,7 +165,7 @@ def test_more_data_make_it_surer() -> None:
 
 def runs(name: str, correlation: float, size: float = 0.2) -> Iterator[tuple[Case, FloatArray, Estimate]]:
     """Independent robots of one kind, one motion, noise low-passed by ``x' = correlation x + white``."""
-    case = arm(name, 7)
+    case = arm(name, 7, seconds=10)
     coefficients = case.model.rows(case.samples).coefficients
     rng = np.random.default_rng(7)
     for _ in range(RUNS):
@@ -199,23 +198,22 @@ def coverage(name: str, correlation: float) -> dict[str, float]:
 # Least coverage of intervals that claim 95 %, by kind, as it stands. Rotor inertia is the weak spot: it starts from a
 # fit in which it stands in for wrong link inertias, farther off than the one prior spread that all directions share.
 WHITE = {
-    "viscous_friction": 0.80,
-    "coulomb_friction": 0.80,
+    "viscous_friction": 0.85,
+    "coulomb_friction": 0.85,
     "effort_offset": 0.88,
-    "rotor_inertia": 0.55,
-    "told": 0.80,
-    "untold": 0.85,
+    "rotor_inertia": 0.70,
+    "told": 0.85,
+    "untold": 0.88,
 }
-LOW_PASSED = WHITE | {"effort_offset": 0.70}
+# One factor inflates the noise of all directions; low-passed noise is worse for a constant than for the others.
+LOW_PASSED = WHITE | {"effort_offset": 0.75}
 
 
-@pytest.mark.parametrize("name", ["arm3", "arm7"])
 @pytest.mark.parametrize(
     ("correlation", "least"), [(0.0, WHITE), (0.95, LOW_PASSED)], ids=["white noise", "low-passed noise"]
 )
-def test_intervals_of_95_percent_hold_the_truth_about_that_often(
-    name: str, correlation: float, least: dict[str, float]
-) -> None:
-    found = coverage(name, correlation)
+def test_intervals_of_95_percent_hold_the_truth_about_that_often(correlation: float, least: dict[str, float]) -> None:
+    found = coverage("arm3", correlation)
+    assert set(found) == set(least)
     for kind, share in found.items():
         assert share >= least[kind], found

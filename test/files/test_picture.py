@@ -15,6 +15,7 @@ import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
+from geomid_ros.errors import GeomidError
 from geomid_ros.files.report import picture
 from geomid_ros.files.report.picture import BodyDrawing, Ellipsoid, Series, identification_picture
 
@@ -99,7 +100,7 @@ def test_same_input_gives_same_bytes(tmp_path: Path) -> None:
 
 def test_nothing_is_left_when_the_place_is_taken(tmp_path: Path) -> None:
     (tmp_path / "p.png").mkdir()
-    with pytest.raises(OSError, match=r"p\.png"):
+    with pytest.raises(GeomidError, match=r"p\.png"):
         identification_picture(tmp_path / "p.png", "title", chain(1), channels(1), "note")
     assert [file.name for file in tmp_path.iterdir()] == ["p.png"]
 
@@ -107,12 +108,11 @@ def test_nothing_is_left_when_the_place_is_taken(tmp_path: Path) -> None:
 def test_failing_write_leaves_the_old_picture(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "p.png").write_text("old")
 
-    def full(path: Path, data: bytes) -> int:
-        path.touch()
-        raise OSError(28, "no space left on device", len(data))
+    def full(descriptor: int) -> None:
+        raise OSError(28, "no space left on device", descriptor)
 
-    monkeypatch.setattr(Path, "write_bytes", full)
-    with pytest.raises(OSError, match="no space"):
+    monkeypatch.setattr(os, "fsync", full)
+    with pytest.raises(GeomidError, match="no space"):
         identification_picture(tmp_path / "p.png", "title", chain(1), channels(1), "note")
     assert [(file.name, file.read_text()) for file in tmp_path.iterdir()] == [("p.png", "old")]
 

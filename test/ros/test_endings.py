@@ -11,9 +11,7 @@ from files.recordings import BAGS
 from geometry_msgs.msg import InertiaStamped
 
 from .observer import latched
-from .stage import KINDS, WRIST, Stage, description, messages
-
-MESSAGES = messages()
+from .stage import WRIST, Stage, description
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM], ids=lambda number: number.name)
@@ -24,7 +22,7 @@ def test_a_busy_node_saves_its_last_estimate(number: signal.Signals, stage: Stag
     node = stage.node(parameters)
     player = stage.play(BAGS / "arm3", 2.0)
     inertias = stage.observer.collect(InertiaStamped, "/geomid/inertias", latched())
-    stage.observer.wait_for(lambda: len(inertias) > 20, "estimates")
+    stage.observer.wait_for(lambda: len(inertias) > 10, "estimates")
     for _ in range(3):
         node.send(number)
     assert node.status() == 0, node.output
@@ -47,15 +45,6 @@ def test_idle_nodes(stage: Stage, tmp_path: Path) -> None:
     assert waiting.end(signal.SIGTERM) == 0
     assert silent.end(signal.SIGINT) == 0
     assert not out.exists()
-
-
-def test_a_node_without_a_folder_writes_nothing_unasked(stage: Stage) -> None:
-    node = stage.node({**WRIST, "robot_description": description("arm3"), "solve_period": 0.1})
-    stage.observer.publish(MESSAGES[: len(MESSAGES) // 2], KINDS)
-    inertias = stage.observer.collect(InertiaStamped, "/geomid/inertias", latched())
-    stage.observer.wait_for(lambda: inertias, "an estimate")
-    assert node.end() == 0
-    assert list(stage.folder.glob("process0/*")) == []
 
 
 def test_a_node_told_to_end_while_it_starts(stage: Stage) -> None:

@@ -101,7 +101,7 @@ def test_bad_messages_cost_only_themselves(stage: Stage, tmp_path: Path) -> None
 
 
 def test_a_diagnostic_names_what_is_wrong_while_it_is(stage: Stage) -> None:
-    stage.node(PARAMETERS)
+    node = stage.node(PARAMETERS)
     good = messages()
     nan = np.full(3, np.nan)
     bad = [item.changed(position=nan) if item.topic == "/joint_states" else item for item in good]
@@ -113,3 +113,5 @@ def test_a_diagnostic_names_what_is_wrong_while_it_is(stage: Stage) -> None:
     last = stage.fed({"joint_states": 800, "/wrench": 800})
     stage.observer.diagnostics(lambda _, status: reason not in status.message, "it to be over")
     assert {pair.key: pair.value for pair in last.status[0].values}[reason] == "100", "it is still counted"
+    assert node.end() == 0
+    assert list(stage.folder.glob("process0/*")) == [], "without a folder nothing is written unasked"

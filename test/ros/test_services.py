@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
-import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import InertiaStamped
 
@@ -98,16 +97,3 @@ def test_without_a_folder_save_writes_where_the_node_was_started(stage: Stage) -
     written = {path.name: path for path in stage.folder.glob("process0/*")}
     assert written.keys() == {"estimate.json", "identified.urdf"}
     assert all(str(path) in message for path in written.values())
-
-
-@pytest.mark.parametrize("forgetting", [0.99])
-def test_a_node_that_forgets_goes_on_estimating(forgetting: float, stage: Stage) -> None:
-    """The rows it remembers become no more, but they become others."""
-    stage.node({**ARM3, "forgetting": forgetting})
-    observer = stage.observer
-    observer.publish(MESSAGES[:HALF], KINDS)
-    stage.fed({"joint_states": EACH, "/wrench": EACH})
-    inertias = observer.collect(InertiaStamped, "/geomid/inertias")
-    observer.publish(MESSAGES[HALF:], KINDS)
-    stage.fed({"joint_states": 2 * EACH, "/wrench": 2 * EACH})
-    assert len({message.inertia.m for message in inertias if message.header.frame_id == "link3"}) > 2

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import io
 import textwrap
-import uuid
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -28,6 +27,7 @@ from matplotlib.textpath import text_to_path
 from matplotlib.ticker import FuncFormatter, MaxNLocator, PercentFormatter
 from matplotlib.transforms import Affine2D
 
+from geomid_ros.files.atomic import write_bytes
 from geomid_ros.types import BoolArray, FloatArray, IntArray
 
 Place: TypeAlias = tuple[float, float, float, float]  # left, top, width, height [inch]
@@ -161,17 +161,7 @@ def identification_picture(
     _draw_series(figure, series)
     buffer = io.BytesIO()
     figure.savefig(buffer, format="png", metadata={"Software": None})
-    _write(path, buffer.getvalue())
-
-
-def _write(path: Path, content: bytes) -> None:
-    """By way of a temporary file beside ``path``."""
-    temporary = path.with_name(f".{path.name}.{uuid.uuid4().hex}")
-    try:
-        temporary.write_bytes(content)
-        temporary.replace(path)
-    finally:
-        temporary.unlink(missing_ok=True)
+    write_bytes(path, buffer.getvalue())
 
 
 # --- The sheet ---

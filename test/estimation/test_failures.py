@@ -1,0 +1,164 @@
+"""What goes wrong in practice: an estimate with an honest certainty or an error that says so, never anything else."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from geomid_ros.errors import InputError
+from geomid_ros.estimation.estimate import Estimate
+from geomid_ros.estimation.estimator import EstimatorSettings
+from geomid_ros.estimation.identifier import Identifier
+from geomid_ros.geometry import pseudo_inertia
+from geomid_ros.types import FloatArray
+
+from .arms import Case, arm
+
+pytestmark = pytest.mark.filterwarnings("error")
+
+
+def solved(case: Case, **settings: object) -> Estimate:
+    identifier = Identifier(case.model, EstimatorSettings(**settings))
+    identifier.add(case.samples)
+    return identifier.solve()
+
+
+def assert_sound(found: Estimate, silent: tuple[int, ...] = ()) -> None:
+    """No NaN but for channels that were never measured, links that can exist, certainty that is a number."""
+    measured = [index for index in range(len(found.channels)) if index not in silent]
+    assert np.all(np.isfinite(found.parameters))
+    assert np.all(np.isfinite(found.sigmas))
+    assert np.all(found.sigmas > 0.0)
+    assert np.all(np.isfinite(found.rms[measured]))
+    assert np.all(np.isnan(found.rms[list(silent)]))
+    for link in found.links:
+        assert np.linalg.eigvalsh(pseudo_inertia.from_parameters(link.parameters))[0] > 0.0
+        assert 0.0 <= link.from_data <= 1.0
+        numbers = [link.std_mass, *link.std_com, *link.std_inertia.ravel(), link.min_eigenvalue_ratio]
+        assert np.all(np.isfinite(numbers))
+        assert np.all(np.array(numbers) >= 0.0)
+    for effect in found.effects:
+        assert np.isfinite(effect.value)
+        assert np.isfinite(effect.std)
+        assert effect.std >= 0.0
+
+
+def measuring(change: Callable[[FloatArray], FloatArray]) -> Callable[[Case], Case]:
+    return lambda case: case.with_efforts(change(case.samples.effort.copy()))
+
+
+def only(instants: FloatArray | slice) -> Callable[[Case], Case]:
+    return lambda case: replace(case, samples=case.samples.select(instants))
+
+
+def put(instants: slice, value: float) -> Callable[[Case], Case]:
+    def change(effort: FloatArray) -> FloatArray:
+        effort[instants] = value
+        return effort
+
+    return measuring(change)
+
+
+def motionless(noise: float) -> Callable[[Case], Case]:
+    """Nothing moves, but for a speed just above what counts as still."""
+
+    def change(case: Case) -> Case:
+        rng = np.random.default_rng(0)
+        shape = case.samples.position.shape
+        held = np.broadcast_to(case.samples.position[:1], shape)
+        speeds = 2e-3 + noise * rng.random(shape)
+        samples = replace(case.samples, position=held, velocity=speeds, acceleration=noise * rng.normal(size=shape))
+        return replace(case, samples=samples)
+
+    return change
+
+
+TROUBLES = {
+    "one sample": only(slice(0, 1)),
+    "two samples": only(slice(0, 2)),
+    "fewer rows than parameters": only(slice(0, 8)),
+    "zero efforts": measuring(np.zeros_like),
+    "tiny efforts": measuring(lambda effort: 1e-200 * effort),
+    "constant efforts": measuring(lambda effort: np.full_like(effort, 3.0)),
+    "reversed efforts": measuring(np.negative),
+    "efforts of another robot": measuring(lambda effort: 1e3 * effort[::-1]),
+    "outliers in one fold": put(slice(100, 110), 1e6),
+    "outliers all over": put(slice(None, None, 97), 1e6),
+    "absurd outliers": put(slice(50, 52), 1e12),
+    "one sample, many times": only(np.zeros(400, dtype=np.int64)),
+    "every sample twice": only(np.repeat(np.arange(500), 2)),
+    "motionless": motionless(0.0),
+    "nearly motionless": motionless(1e-3),
+    "noise alone": measuring(lambda effort: np.random.default_rng(0).normal(size=effort.shape)),
+}
+
+
+@pytest.mark.parametrize("objective", ["residual", "geodesic"])
+@pytest.mark.parametrize("trouble", TROUBLES)
+def test_troubles_end_in_a_sound_estimate(trouble: str, objective: str) -> None:
+    assert_sound(solved(TROUBLES[trouble](arm("arm3", 0, seconds=6)), objective=objective))
+
+
+@pytest.mark.parametrize("trouble", ["one sample", "outliers in one fold", "constant efforts", "motionless"])
+@pytest.mark.parametrize("effects", [(), ("viscous_friction",), ("effort_offset",)], ids=str)
+def test_troubles_with_other_effects(trouble: str, effects: tuple[str, ...]) -> None:
+    assert_sound(solved(TROUBLES[trouble](arm("arm3", 0, seconds=6, effects=effects))))
+
+
+@pytest.mark.parametrize("silent", [(0,), (2,), (0, 1)])
+def test_channels_that_are_never_measured(silent: tuple[int, ...]) -> None:
+    case = arm("arm3", 0, seconds=6)
+    effort = case.samples.effort.copy()
+    effort[:, list(silent)] = np.nan
+    found = solved(case.with_efforts(effort))
+    assert_sound(found, silent)
+    for effect in found.effects:
+        if effect.joint in {f"joint{index + 1}" for index in silent}:
+            assert effect.from_data == pytest.approx(0.0, abs=1e-9)
+
+
+def test_a_joint_that_never_moves_does_not_get_a_friction_of_tonnes() -> None:
+    """Predictions of later motions of that joint stay of the order of the prior's."""
+    case = arm("arm3", 0, seconds=10)
+    moved = {name: getattr(case.samples, name).copy() for name in ("position", "velocity", "acceleration")}
+    for array in moved.values():
+        array[:, 2] = 0.0
+    held = replace(case, samples=replace(case.samples, **moved))
+    found = solved(held)
+    assert_sound(found)
+    assert max(abs(effect.value) for effect in found.effects) < 10.0
+
+
+@pytest.mark.parametrize("gamma", [1e-15, 1e-12, 1e-9, 1e3, 1e12])
+def test_extreme_weights_of_the_prior(gamma: float) -> None:
+    assert_sound(solved(arm("arm3", 0, seconds=6), gamma=gamma))
+
+
+@pytest.mark.parametrize("sigma", [1e-9, 1.0, 1e9])
+def test_configured_sigmas(sigma: float) -> None:
+    found = solved(arm("arm3", 0, seconds=6), sigma={"joint2": sigma})
+    assert_sound(found)
+    assert found.sigmas[1] == sigma
+
+
+@pytest.mark.parametrize(
+    ("settings", "named"),
+    [
+        ({"gamma": 0.0}, "gamma"),
+        ({"gamma": -1.0}, "gamma"),
+        ({"gamma": np.nan}, "gamma"),
+        ({"gamma": np.inf}, "gamma"),
+        ({"sigma": {"joint1": 0.0}}, "sigma of 'joint1'"),
+        ({"sigma": {"joint1": -1.0}}, "sigma of 'joint1'"),
+        ({"sigma": {"joint1": np.nan}}, "sigma of 'joint1'"),
+        ({"sigma": {"jiont1": 1.0}}, "Did you mean 'joint1'"),
+        ({"objective": "residuals"}, "Did you mean 'residual'"),
+        ({"solver": "newton"}, "trust_region"),
+    ],
+)
+def test_settings_that_cannot_work_are_refused_by_name(settings: dict[str, object], named: str) -> None:
+    with pytest.raises(InputError, match=named):
+        solved(arm("arm3", 0, seconds=1), **settings)

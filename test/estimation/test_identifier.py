@@ -1,0 +1,188 @@
+"""The one object that node and command line drive: what it takes, what it leaves, and two threads at once."""
+
+from __future__ import annotations
+
+import threading
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from geomid_ros.errors import InputError
+from geomid_ros.estimation.estimator import EstimatorSettings, WarmStart
+from geomid_ros.estimation.identifier import NOT_MEASURED, STANDING_STILL, BufferSettings, Identifier
+from geomid_ros.estimation.summary import RowSummary
+from geomid_ros.types import FloatArray
+
+from .arms import Case, Motion, arm, samples
+
+
+def content(summary: RowSummary) -> FloatArray:
+    """The least-squares content, as squared errors at a few points."""
+    points = np.random.default_rng(0).normal(size=(5, max(int(c.columns.max()) for c in summary.channels) + 1))
+    return np.array(
+        [
+            [sum(part.squared_error(x[channel.columns]) for part in parts) for x in points]
+            for channel, parts in zip(summary.channels, summary.parts(), strict=True)
+        ]
+    )
+
+
+def still(case: Case, seconds: float, drift: float = 0.0, velocity: float = 0.0) -> Case:
+    """Standing at the last pose, or drifting away from it at so many rad/s while no velocity is seen."""
+    times = np.arange(round(100 * seconds))[:, None] / 100.0
+    position = case.samples.position[-1] + drift * times
+    zero = np.zeros_like(position)
+    moving = Motion(position, zero + velocity, zero)
+    return replace(case, samples=samples(moving, np.broadcast_to(case.samples.effort[-1], position.shape)))
+
+
+def fed(case: Case, *more: Case, **buffer: float) -> Identifier:
+    identifier = Identifier(case.model, buffer=BufferSettings(**buffer))
+    for one in (case, *more):
+        identifier.add(one.samples)
+    return identifier
+
+
+def test_all_that_moves_is_taken() -> None:
+    case = arm("arm3", 0, seconds=5)
+    identifier = fed(case)
+    assert identifier.rows == 3 * 500
+    assert identifier.rows_rejected[NOT_MEASURED] == 0
+    assert identifier.rows_rejected[STANDING_STILL] == 0
+
+
+def test_standing_still_adds_nothing_and_pushes_nothing_out() -> None:
+    case = arm("arm3", 0, seconds=5)
+    before = fed(case)
+    after = fed(case, still(case, 30.0), forgetting=0.999)
+    assert after.rows_rejected[STANDING_STILL] >= 3 * 2999
+    assert after.rows - before.rows <= 3
+    without = fed(case, forgetting=0.999)
+    np.testing.assert_allclose(content(after.snapshot()), content(without.snapshot()), rtol=0.02)
+
+
+def test_one_instant_of_every_pose_is_taken_however_often_it_comes_back_in_a_row() -> None:
+    case = arm("arm3", 0, seconds=1)
+    poses = [still(replace(case, samples=case.samples.select(slice(0, k))), 2.0) for k in (1, 50, 100)]
+    identifier = fed(poses[0], *poses[1:])
+    assert identifier.rows == 3 * 3
+
+
+@pytest.mark.parametrize(("drift", "taken"), [(0.005, 15), (0.0005, 2)])
+def test_a_slow_drift_is_taken_pose_by_pose(drift: float, taken: int) -> None:
+    """Every 0.01 rad, over 30 s."""
+    case = arm("arm3", 0, seconds=1)
+    identifier = fed(still(case, 30.0, drift))
+    assert 3 * taken <= identifier.rows <= 3 * (taken + 1)
+
+
+def test_what_counts_as_still_is_configured() -> None:
+    case = still(arm("arm3", 0, seconds=1), 1.0, velocity=0.01)
+    assert fed(case).rows == 300
+    assert fed(case, still_speed=0.02).rows == 3
+    assert fed(case, still_speed=0.02, still_distance=0.0).rows == 300
+
+
+def test_what_is_not_measured_is_counted_channel_by_channel() -> None:
+    case = arm("arm3", 0, seconds=2)
+    effort = case.samples.effort.copy()
+    effort[:50, 0], effort[100:, 1] = np.nan, np.inf
+    identifier = fed(case.with_efforts(effort))
+    assert identifier.rows_rejected[NOT_MEASURED] == 150
+    assert identifier.rows == 600 - 150
+
+
+def test_an_instant_without_a_velocity_spoils_nothing() -> None:
+    """Found by breaking it: one NaN in the motion made every later estimate impossible."""
+    case = arm("arm3", 0, seconds=5)
+    velocity = case.samples.velocity.copy()
+    velocity[7, 1] = np.nan
+    spoilt = replace(case, samples=replace(case.samples, velocity=velocity))
+    identifier = fed(spoilt)
+    assert identifier.rows == 3 * 499
+    assert identifier.rows_rejected[NOT_MEASURED] == 3
+    assert np.all(np.isfinite(identifier.solve().parameters))
+
+
+def test_reset_forgets_everything() -> None:
+    case, other = arm("arm3", 0, seconds=5), arm("arm3", 1, seconds=5)
+    identifier = fed(case, still(case, 1.0))
+    identifier.reset()
+    assert identifier.rows == 0
+    assert not +identifier.rows_rejected
+    with pytest.raises(InputError, match="no usable rows"):
+        identifier.solve()
+    identifier.add(other.samples)
+    np.testing.assert_array_equal(identifier.solve().parameters, fed(other).solve().parameters)
+
+
+def test_nothing_added_is_an_error_that_says_so() -> None:
+    case = arm("arm3", 0, seconds=1)
+    with pytest.raises(InputError, match="no usable rows"):
+        Identifier(case.model).solve()
+    silent = case.with_efforts(np.full_like(case.samples.effort, np.nan))
+    with pytest.raises(InputError, match="no usable rows"):
+        fed(silent).solve()
+
+
+def test_solving_does_not_change_what_was_added() -> None:
+    case = arm("arm3", 0, seconds=5)
+    identifier = fed(case)
+    before = content(identifier.snapshot())
+    first, second = identifier.solve(), identifier.solve()
+    np.testing.assert_array_equal(first.parameters, second.parameters)
+    np.testing.assert_array_equal(content(identifier.snapshot()), before)
+
+
+@pytest.mark.parametrize("forgetting", [1.0, 0.999])
+def test_adding_while_another_thread_solves_loses_nothing(forgetting: float) -> None:
+    case = arm("arm3", 0, seconds=10)
+    identifier = Identifier(case.model, EstimatorSettings(gamma=1e-2), BufferSettings(forgetting=forgetting))
+    identifier.add(case.samples.select(slice(0, 10)))
+    done, failures, solves = threading.Event(), [], []
+
+    def solve() -> None:
+        warm: WarmStart | None = None
+        while not done.is_set():
+            try:
+                found = identifier.solve(warm)
+                identifier.snapshot().rms(found.parameters)
+                warm = WarmStart(found.parameters, found.gamma, found.sigmas)
+                solves.append(found.rows_accepted)
+            except Exception as error:  # noqa: BLE001  what a thread dies of must fail the test
+                failures.append(error)
+                return
+
+    solvers = [threading.Thread(target=solve) for _ in range(2)]
+    for thread in solvers:
+        thread.start()
+    for start in range(10, len(case.samples), 15):
+        identifier.add(case.samples.select(slice(start, start + 15)))
+    done.set()
+    for thread in solvers:
+        thread.join(timeout=30.0)
+        assert not thread.is_alive()
+    assert failures == []
+    assert solves
+    quiet = Identifier(case.model, buffer=BufferSettings(forgetting=forgetting))
+    quiet.add(case.samples)
+    np.testing.assert_allclose(content(identifier.snapshot()), content(quiet.snapshot()), rtol=1e-10)
+    assert identifier.rows == quiet.rows == 3000
+
+
+def test_forgetting_follows_a_payload_that_changes() -> None:
+    before, after = arm("arm3", 0, seconds=20), arm("arm3", 9, seconds=20)
+    errors = []
+    for factor in (1.0, 0.998):
+        identifier = fed(before, after, forgetting=factor)
+        errors.append(float(np.sqrt(np.mean(after.error(identifier.solve().parameters) ** 2))))
+    assert errors[1] < 0.15 * errors[0]
+
+
+@pytest.mark.parametrize(
+    "wrong", [{"forgetting": 0.0}, {"forgetting": 1.5}, {"forgetting": np.nan}, {"folds": 0}, {"block": 0}]
+)
+def test_a_buffer_that_cannot_work_is_refused(wrong: dict[str, float]) -> None:
+    with pytest.raises(InputError):
+        BufferSettings(**wrong)

@@ -1,0 +1,252 @@
+"""The worker's threads outlive errors, answer everybody, and agree on what was forgotten."""
+
+from __future__ import annotations
+
+import queue
+import threading
+import time
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+from files.recordings import BAGS
+
+from geomid_ros.errors import GeomidError
+from geomid_ros.estimation.estimate import Estimate
+from geomid_ros.files.configuration import Configuration
+from geomid_ros.files.urdf import read_urdf
+from geomid_ros.ros import worker as module
+from geomid_ros.ros.worker import Worker
+from geomid_ros.session import Session
+
+from .stage import messages
+
+PATIENCE = 30.0
+JOINTS = [item.message for item in messages() if item.topic == "/joint_states"]
+SOON, NEVER = 0.01, 3600.0  # [s] periods of the solver
+
+
+class Watched:
+    """A worker on the small arm, and what it tells."""
+
+    def __init__(self, solve_period: float, **parameters: Any) -> None:
+        self.session = Session(read_urdf(BAGS / "arm3.urdf"), Configuration(parameters), "arm3.urdf")
+        self.estimates: queue.Queue[Estimate] = queue.Queue()
+        self.samples = 0
+        self.on_estimate: Any = self.estimates.put
+        self.worker = Worker(
+            self.session, solve_period, self._on_samples, lambda _, estimate: self.on_estimate(estimate)
+        )
+
+    def _on_samples(self, _: Session, samples: Any, __: Any) -> None:
+        self.samples += len(samples)
+
+    def feed(self, begin: int = 0, end: int = len(JOINTS)) -> None:
+        for message in JOINTS[begin:end]:
+            self.worker.joint_state(message)
+
+    def final(self) -> Estimate | GeomidError:
+        """The answer to a request for a final estimate."""
+        answers: queue.Queue[Estimate | GeomidError] = queue.Queue()
+        self.worker.final_estimate(answers.put)
+        return answers.get(timeout=PATIENCE)
+
+
+@pytest.fixture
+def quiet() -> Iterator[Watched]:
+    """Solves only when asked."""
+    watched = Watched(NEVER)
+    yield watched
+    watched.worker.close()
+
+
+@pytest.fixture
+def busy() -> Iterator[Watched]:
+    """Solves all the time."""
+    watched = Watched(SOON)
+    yield watched
+    watched.worker.close()
+
+
+def test_a_final_estimate_is_of_all_messages_before_it(quiet: Watched) -> None:
+    quiet.feed()
+    estimate = quiet.final()
+    assert isinstance(estimate, Estimate)
+    assert quiet.worker.estimate is estimate
+    assert quiet.estimates.get_nowait() is estimate
+    status = quiet.worker.status(active=True)
+    assert status.ledgers["joint_states"].received == status.ledgers["joint_states"].accepted == len(JOINTS)
+    assert status.rows == estimate.rows_accepted
+    assert (status.problem, status.topics) == ("", ("joint_states",))
+
+
+def test_without_rows_the_answer_is_an_error(quiet: Watched) -> None:
+    answer = quiet.final()
+    assert isinstance(answer, GeomidError)
+    assert "no usable rows" in str(answer)
+    assert "no usable rows" in quiet.worker.status(active=True).problem
+    quiet.feed()
+    assert isinstance(quiet.final(), Estimate)
+    assert quiet.worker.status(active=True).problem == ""
+
+
+def test_an_error_in_a_message_costs_the_message(quiet: Watched) -> None:
+    quiet.feed(0, 100)
+    quiet.worker.joint_state("no message")
+    quiet.worker.wrench("/undeclared", JOINTS[0])
+    quiet.feed(100)
+    assert isinstance(quiet.final(), Estimate)
+    status = quiet.worker.status(active=True)
+    assert status.dropped == {"AttributeError while taking a message": 2}
+    assert status.ledgers["joint_states"].accepted == len(JOINTS)
+
+
+def test_an_error_while_publishing_costs_no_thread(busy: Watched) -> None:
+    def fail(_: Estimate) -> None:
+        raise RuntimeError("nobody listens")
+
+    busy.on_estimate = fail
+    busy.feed(0, 400)
+    assert str(busy.final()) == "nobody listens"
+    assert busy.worker.status(active=True).problem == "no estimate: nobody listens"
+    busy.on_estimate = busy.estimates.put
+    busy.feed(400)
+    assert isinstance(busy.final(), Estimate)
+    assert busy.worker.status(active=True).problem == ""
+
+
+def test_an_error_of_the_solver_keeps_the_last_estimate(quiet: Watched, monkeypatch: pytest.MonkeyPatch) -> None:
+    quiet.feed(0, 400)
+    first = quiet.final()
+
+    def fail(_: Any) -> Estimate:
+        raise ZeroDivisionError("division by zero")
+
+    monkeypatch.setattr(quiet.session.identifier, "solve", fail)
+    quiet.feed(400)
+    assert isinstance(quiet.final(), GeomidError)
+    assert quiet.worker.estimate is first
+    assert "division by zero" in quiet.worker.status(active=True).problem
+
+
+def test_predictions_come_once_there_is_an_estimate(quiet: Watched) -> None:
+    quiet.feed(0, 400)
+    quiet.final()
+    assert quiet.samples == 0
+    quiet.feed(400)
+    quiet.final()
+    assert quiet.samples > 10
+
+
+def test_what_is_forgotten_while_it_is_solved_for_stays_forgotten(
+    quiet: Watched, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    solve, solving, may_end = quiet.session.identifier.solve, threading.Event(), threading.Event()
+
+    def slowly(warm: Any) -> Estimate:
+        estimate = solve(warm)
+        solving.set()
+        may_end.wait(PATIENCE)
+        return estimate
+
+    monkeypatch.setattr(quiet.session.identifier, "solve", slowly)
+    quiet.feed()
+    answers: queue.Queue[Estimate | GeomidError] = queue.Queue()
+    quiet.worker.final_estimate(answers.put)
+    assert solving.wait(PATIENCE)
+    quiet.worker.reset()
+    wait_until(lambda: quiet.worker.status(active=True).rows == 0)
+    may_end.set()
+    assert isinstance(answers.get(timeout=PATIENCE), Estimate), "who asked before has the answer"
+    assert quiet.worker.estimate is None
+    assert quiet.estimates.empty()
+
+
+def test_resets_at_any_time_leave_both_threads_alive(busy: Watched) -> None:
+    for _ in range(5):
+        busy.feed()
+        busy.worker.reset()
+    busy.feed()
+    assert isinstance(busy.final(), Estimate)
+    assert busy.worker._intake.is_alive()
+    assert busy.worker._solver.is_alive()
+
+
+def test_who_waits_when_it_closes_has_an_answer() -> None:
+    watched = Watched(NEVER)
+    watched.feed()
+    answers: queue.Queue[Estimate | GeomidError] = queue.Queue()
+    for _ in range(3):
+        watched.worker.final_estimate(answers.put)
+    watched.worker.close()
+    assert [type(answers.get_nowait()) for _ in range(3)] == 3 * [Estimate]
+    assert not watched.worker._intake.is_alive()
+    assert not watched.worker._solver.is_alive()
+
+
+def test_closing_a_busy_one_ends_it() -> None:
+    watched = Watched(SOON)
+    watched.feed()
+    watched.worker.close()
+    assert watched.worker.status(active=True).ledgers["joint_states"].received == len(JOINTS)
+    assert not any(t.name.startswith("geomid") for t in threading.enumerate())
+
+
+def test_one_that_forgets_goes_on_estimating() -> None:
+    """The rows it remembers become no more, but they become others."""
+    watched = Watched(SOON, forgetting=0.9)
+    watched.feed(0, 500)
+    wait_until(lambda: watched.worker.status(active=True).queue == 0 and not watched.estimates.empty())
+    time.sleep(20 * SOON)
+    before = watched.estimates.qsize()
+    rows = watched.worker.status(active=True).rows
+    for begin in range(500, 700, 50):
+        watched.feed(begin, begin + 50)
+        wait_until(lambda seen=watched.estimates.qsize(): watched.estimates.qsize() > seen)
+    assert watched.worker.status(active=True).rows == rows
+    assert watched.estimates.qsize() >= before + 4
+    watched.worker.close()
+
+
+def test_what_does_not_fit_into_the_queue_is_counted(quiet: Watched, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(module, "_MOST_WAITING", 50)
+    stop, waiting = threading.Event(), threading.Event()
+    quiet.worker._inbox.put(lambda: (waiting.set(), stop.wait(PATIENCE))[0])
+    assert waiting.wait(PATIENCE)
+    quiet.feed(0, 200)
+    assert quiet.worker.status(active=True).queue == 50
+    stop.set()
+    quiet.final()
+    status = quiet.worker.status(active=True)
+    assert status.dropped == {"queue full": 150}
+    assert status.ledgers["joint_states"].received == 50
+
+
+def test_the_status_can_be_asked_for_all_the_time(busy: Watched) -> None:
+    """While ledgers get new reasons, and rows are counted."""
+    feeding = threading.Thread(target=feed_much, args=(busy,))
+    feeding.start()
+    statuses = 0
+    while feeding.is_alive():
+        ledgers = busy.worker.status(active=True).ledgers
+        for ledger in ledgers.values():
+            assert ledger.received == ledger.accepted + ledger.rejected.total()
+        statuses += 1
+    feeding.join()
+    assert statuses > 0
+    busy.final()
+
+
+def feed_much(watched: Watched) -> None:
+    for index, message in enumerate(JOINTS):
+        watched.worker.joint_state(message)
+        bad = type(message)(message.header, [f"joint {index}"] * 2, *3 * [message.position])
+        watched.worker.joint_state(bad)
+        time.sleep(2e-4)
+
+
+def wait_until(look: Any) -> None:
+    end = time.monotonic() + PATIENCE
+    while not look():
+        assert time.monotonic() < end
+        time.sleep(0.005)
