@@ -65,7 +65,6 @@ class Worker:
         self._problem = ""
         self._estimate: Estimate | None = None
         self._resets = 0
-        self._rows = 0  # ever taken; the identifier's own number falls behind when it forgets
         self._solved_rows = 0
         self._gamma_rows = 0
         self._inbox: queue.SimpleQueue[Callable[[], None] | None] = queue.SimpleQueue()
@@ -143,17 +142,10 @@ class Worker:
                 self._problem = f"a message could not be taken: {error}"
 
     def _take(self, feed: Callable[[], None]) -> None:
-        rejected = self.session.identifier.rows_rejected.total()
         with self._lock:
             feed()
-        samples = self.session.advance()
-        if samples is None:
-            return
-        rejected -= self.session.identifier.rows_rejected.total()
-        with self._lock:
-            self._rows += len(samples) * len(self.session.model.channels) + rejected
-            estimate = self._estimate
-        if estimate is not None:
+        samples, estimate = self.session.advance(), self._estimate
+        if samples is not None and estimate is not None:
             self._on_samples(self.session, samples, estimate.parameters)
 
     def _forget(self) -> None:
@@ -162,7 +154,7 @@ class Worker:
             self._estimate = None
             self._problem = ""
             self._resets += 1
-            self._rows = self._solved_rows = self._gamma_rows = 0
+            self._solved_rows = self._gamma_rows = 0
 
     def _solve_repeatedly(self) -> None:
         next_solve = time.monotonic()
@@ -171,7 +163,7 @@ class Worker:
                 done = self._solve_requests.get(timeout=max(0.0, next_solve - time.monotonic()))
             except queue.Empty:
                 next_solve = time.monotonic() + self._solve_period
-                if self._rows > self._solved_rows:
+                if self.session.identifier.rows > self._solved_rows:
                     self._solve_once(self._warm_start())
                 continue
             if done is None:
@@ -181,13 +173,13 @@ class Worker:
     def _warm_start(self) -> WarmStart | None:
         """Where to start from; None chooses the prior's weight anew, when the rows have grown much since."""
         with self._lock:
-            if self._estimate is None or self._rows > _GROWTH * self._gamma_rows:
+            if self._estimate is None or self.session.identifier.rows > _GROWTH * self._gamma_rows:
                 return None
             return WarmStart(self._estimate.parameters, self._estimate.gamma, self._estimate.sigmas)
 
     def _solve_once(self, warm: WarmStart | None) -> Estimate | GeomidError:
         with self._lock:
-            rows, resets = self._rows, self._resets
+            rows, resets = self.session.identifier.rows, self._resets
         try:
             estimate = self.session.identifier.solve(warm)
             with self._lock:

@@ -154,13 +154,14 @@ class Case:
         return replace(self, samples=replace(self.samples, effort=measured))
 
 
+@cache
 def arm(
     name: str,
     seed: int,
     seconds: float = 20.0,
     noise: float = 0.05,
-    effects: Sequence[str] = ALL_EFFECTS,
-    links: Sequence[str] | None = None,
+    effects: tuple[str, ...] = ALL_EFFECTS,
+    links: tuple[str, ...] | None = None,
     size: float = 0.2,
 ) -> Case:
     """An arm of ``bags/`` with a hidden truth (in all links and effects named), moved and measured."""

@@ -88,8 +88,8 @@ TROUBLES = {
     "outliers in one fold": put(slice(100, 110), 1e6),
     "outliers all over": put(slice(None, None, 97), 1e6),
     "absurd outliers": put(slice(50, 52), 1e12),
-    "one sample, many times": only(np.zeros(400, dtype=np.int64)),
-    "every sample twice": only(np.repeat(np.arange(500), 2)),
+    "one sample, many times": only(np.zeros(300, dtype=np.int64)),
+    "every sample twice": only(np.repeat(np.arange(300), 2)),
     "motionless": motionless(0.0),
     "nearly motionless": motionless(1e-3),
     "noise alone": measuring(lambda effort: np.random.default_rng(0).normal(size=effort.shape)),
@@ -99,18 +99,18 @@ TROUBLES = {
 @pytest.mark.parametrize("objective", ["residual", "geodesic"])
 @pytest.mark.parametrize("trouble", TROUBLES)
 def test_troubles_end_in_a_sound_estimate(trouble: str, objective: str) -> None:
-    assert_sound(solved(TROUBLES[trouble](arm("arm3", 0, seconds=6)), objective=objective))
+    assert_sound(solved(TROUBLES[trouble](arm("arm3", 0, seconds=4)), objective=objective))
 
 
 @pytest.mark.parametrize("trouble", ["one sample", "outliers in one fold", "constant efforts", "motionless"])
-@pytest.mark.parametrize("effects", [(), ("viscous_friction",), ("effort_offset",)], ids=str)
+@pytest.mark.parametrize("effects", [(), ("effort_offset",)], ids=str)
 def test_troubles_with_other_effects(trouble: str, effects: tuple[str, ...]) -> None:
-    assert_sound(solved(TROUBLES[trouble](arm("arm3", 0, seconds=6, effects=effects))))
+    assert_sound(solved(TROUBLES[trouble](arm("arm3", 0, seconds=4, effects=effects))))
 
 
 @pytest.mark.parametrize("silent", [(0,), (2,), (0, 1)])
 def test_channels_that_are_never_measured(silent: tuple[int, ...]) -> None:
-    case = arm("arm3", 0, seconds=6)
+    case = arm("arm3", 0, seconds=4)
     effort = case.samples.effort.copy()
     effort[:, list(silent)] = np.nan
     found = solved(case.with_efforts(effort))
@@ -134,12 +134,12 @@ def test_a_joint_that_never_moves_does_not_get_a_friction_of_tonnes() -> None:
 
 @pytest.mark.parametrize("gamma", [1e-15, 1e-12, 1e-9, 1e3, 1e12])
 def test_extreme_weights_of_the_prior(gamma: float) -> None:
-    assert_sound(solved(arm("arm3", 0, seconds=6), gamma=gamma))
+    assert_sound(solved(arm("arm3", 0, seconds=4), gamma=gamma))
 
 
 @pytest.mark.parametrize("sigma", [1e-9, 1.0, 1e9])
 def test_configured_sigmas(sigma: float) -> None:
-    found = solved(arm("arm3", 0, seconds=6), sigma={"joint2": sigma})
+    found = solved(arm("arm3", 0, seconds=4), sigma={"joint2": sigma})
     assert_sound(found)
     assert found.sigmas[1] == sigma
 

@@ -17,7 +17,7 @@ from .arms import ALL_EFFECTS, Case, Motion, arm, samples, shipped
 from .frames import Rewritten, rewritten
 
 SAME = 1e-8
-CASES = pytest.mark.parametrize(("name", "seed"), [("arm3", 0), ("arm3", 1), ("arm7", 0)])
+CASES = pytest.mark.parametrize(("name", "seed"), [("arm3", 0), ("arm7", 1)])
 SETTINGS = pytest.mark.parametrize(
     "settings",
     [
@@ -55,7 +55,7 @@ def solved_there(case: Case, other: Rewritten, settings: EstimatorSettings) -> E
 def test_frames_and_units_do_not_matter(
     name: str, seed: int, settings: EstimatorSettings, length: float, mass: float
 ) -> None:
-    case, other = arm(name, seed), rewritten(shipped(name), seed, length, mass)
+    case, other = arm(name, seed, seconds=10), rewritten(shipped(name), seed, length, mass)
     here, there = solved(case, settings), solved_there(case, other, settings)
     assert there.gamma == here.gamma
     for one, two in zip(here.links, there.links, strict=True):

@@ -48,7 +48,7 @@ def error(case: Case, point: Point) -> float:
 
 @pytest.mark.parametrize("seed", range(4))
 def test_19_runs_away_where_remark_3_does_not(seed: int) -> None:
-    """Hundreds of kilograms to tens of tonnes, for an arm of 5 kg, and efforts that are off by ten times its friction."""
+    """Hundreds of kilograms to tens of tonnes for an arm of 5 kg, and efforts off by ten times its friction."""
     case = unmodelled_friction(seed, 3.0)
     prior, geodesic = minimiser(case, GeodesicObjective, 1e-6)
     _, residual = minimiser(case, ResidualObjective, 1e-6)

@@ -16,7 +16,7 @@ IMPOSSIBLE = ARM3.replace('ixx="0.011367"', 'ixx="0.5"')
 MESSAGES = messages()
 
 
-def error(values: dict[str, str], status: Any) -> bool:
+def error(_: dict[str, str], status: Any) -> bool:
     return bool(status.level == DiagnosticStatus.ERROR)
 
 

@@ -1,4 +1,4 @@
-"""Signals: the node and the player end with the status they should, soon, with results saved and nothing to clean up."""
+"""Signals: the node and the player end with the status they should, with results saved and nothing to clean up."""
 
 from __future__ import annotations
 

@@ -63,15 +63,13 @@ def bad_messages(joints: Recorded, wrench: Recorded) -> dict[tuple[str, str], Re
 
 def estimate(stage: Stage, items: list[Recorded], out: Path, name: str, expected: dict[str, int]) -> tuple[Any, Any]:
     """What a node of its own saves for messages, and its stream's last diagnostics."""
-    node = stage.node({**PARAMETERS, "output_folder": str(out)}, "-r", f"__ns:=/{name}", *REMAPPED, name=f"{name}/geomid")
+    parameters = {**PARAMETERS, "output_folder": str(out)}
+    node = stage.node(parameters, "-r", f"__ns:=/{name}", "-r", "joint_states:=/joint_states", name=f"{name}/geomid")
     stage.observer.publish(items, KINDS)
     array = stage.fed(expected, f"{name}/geomid")
     assert stage.observer.trigger(f"/{name}/geomid/save")[0]
     assert node.end() == 0
     return json.loads((out / "estimate.json").read_text()), array.status[0]
-
-
-REMAPPED = ("-r", "joint_states:=/joint_states")
 
 
 def test_bad_messages_cost_only_themselves(stage: Stage, tmp_path: Path) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -61,14 +60,14 @@ class Live:
 
 
 @pytest.fixture(scope="module", params=["arm3", "arm7"])
-def live(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Live]:
+def live(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Live:
     """The shipped bag of a robot, played into a node that knows only the nominal URDF and the wrist's sensor."""
     folder = tmp_path_factory.mktemp("live")
     command = identify(request.param, *WRIST, "--hold-out", "0", "--json", "--out", folder / "offline")
     run = Live(request.param, json.loads(done(*command)))
     with staged(folder) as stage:
         perform(stage, run, folder / "out")
-    yield run
+    return run
 
 
 def perform(stage: Stage, run: Live, out: Path) -> None:
