@@ -68,7 +68,6 @@ class WarmStart:
 
     parameters: FloatArray
     gamma: float
-    sigmas: FloatArray
 
 
 def estimate(

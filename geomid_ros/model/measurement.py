@@ -270,3 +270,13 @@ class MeasurementModel:
         """Measured and predicted values of every channel, each ``(N, channels)``, at parameters ``(D,)``."""
         rows = self.rows(samples)
         return rows.targets, rows.coefficients @ parameters
+
+    def predicted_efforts(self, samples: Samples, parameters: FloatArray) -> FloatArray:
+        """Efforts ``(N, joints)`` as they would be measured, with the links that are not identified and the known
+        external loads; NaN for joints whose effort is not measured."""
+        measured, predicted = self.predict(samples, parameters)
+        efforts = np.full(samples.effort.shape, np.nan)
+        if self._efforts_usable:
+            joints = len(self.robot.joints)
+            efforts[:] = samples.effort - (measured - predicted)[:, :joints]
+        return efforts

@@ -135,8 +135,7 @@ class GeomidNode(Node):
     def _publish_prediction(self, session: Session, samples: Samples, parameters: FloatArray) -> None:
         if self._predicted.get_subscription_count() == 0:
             return
-        joints = [i for i, channel in enumerate(session.model.channels) if channel.name in session.robot.joint_names]
-        efforts = session.model.predict(samples, parameters)[1][:, joints]
+        efforts = session.model.predicted_efforts(samples, parameters)
         for index in range(len(samples)):
             self._predicted.publish(predicted_message(session.robot, samples, index, efforts[index]))
 

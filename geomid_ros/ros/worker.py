@@ -175,7 +175,7 @@ class Worker:
         with self._lock:
             if self._estimate is None or self.session.identifier.rows > _GROWTH * self._gamma_rows:
                 return None
-            return WarmStart(self._estimate.parameters, self._estimate.gamma, self._estimate.sigmas)
+            return WarmStart(self._estimate.parameters, self._estimate.gamma)
 
     def _solve_once(self, warm: WarmStart | None) -> Estimate | GeomidError:
         with self._lock:

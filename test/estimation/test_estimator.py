@@ -39,7 +39,7 @@ def standard(name: str, seed: int) -> tuple[Case, Estimate]:
 
 
 def warm_start(found: Estimate) -> WarmStart:
-    return WarmStart(found.parameters, found.gamma, found.sigmas)
+    return WarmStart(found.parameters, found.gamma)
 
 
 def rms(values: FloatArray) -> float:

@@ -148,7 +148,7 @@ def test_adding_while_another_thread_solves_loses_nothing(forgetting: float) -> 
             try:
                 found = identifier.solve(warm)
                 identifier.snapshot().rms(found.parameters)
-                warm = WarmStart(found.parameters, found.gamma, found.sigmas)
+                warm = WarmStart(found.parameters, found.gamma)
                 solves.append(found.rows_accepted)
             except Exception as error:  # noqa: BLE001  what a thread dies of must fail the test
                 failures.append(error)

@@ -185,3 +185,12 @@ def test_samples_are_rows_of_time() -> None:
     apart = [model.rows(samples.select([index])) for index in reversed(range(len(samples)))]
     np.testing.assert_array_equal(together.coefficients, np.concatenate([r.coefficients for r in reversed(apart)]))
     np.testing.assert_array_equal(together.targets, np.concatenate([r.targets for r in reversed(apart)]))
+
+
+def test_predicted_efforts_are_those_of_the_whole_robot_whatever_is_identified() -> None:
+    robot = Robot(urdf("ur5_robot.urdf"))
+    samples = random_samples(robot, 5)
+    whole, part = MeasurementModel(robot, []), MeasurementModel(robot, [], links=[robot.body_names[-1]])
+    expected = whole.rows(samples).coefficients @ whole.nominal_inertias
+    for model in (whole, part):
+        assert_equal(model.predicted_efforts(samples, model.nominal_inertias), expected)

@@ -8,28 +8,48 @@ from pathlib import Path
 
 import pytest
 from files.recordings import BAGS
-from geometry_msgs.msg import InertiaStamped
+from geometry_msgs.msg import InertiaStamped, WrenchStamped
+from sensor_msgs.msg import JointState
 
 from .observer import latched
 from .stage import WRIST, Stage, description
 
 
+def test_busy_nodes_save_their_last_estimate(stage: Stage, tmp_path: Path) -> None:
+    """In the middle of everything, and however often they are told."""
+    parameters = {**WRIST, "robot_description": description("arm3"), "solve_period": 0.1}
+    nodes, inertias = {}, {}
+    for number in (signal.SIGINT, signal.SIGTERM):
+        name = number.name.lower()
+        arguments = ("-r", f"__ns:=/{name}", "-r", "joint_states:=/joint_states")
+        nodes[number] = stage.node({**parameters, "output_folder": str(tmp_path / name)}, *arguments, ready=False)
+    for number, node in nodes.items():
+        stage.serving(node, f"{number.name.lower()}/geomid")
+        topic = f"/{number.name.lower()}/geomid/inertias"
+        inertias[number] = stage.observer.collect(InertiaStamped, topic, latched())
+    stage.play(BAGS / "arm3", 2.0)
+    for number, node in nodes.items():
+        stage.observer.wait_for(lambda heard=inertias[number]: len(heard) > 10, "estimates")
+        for _ in range(3):
+            node.send(number)
+        assert node.status() == 0, node.output
+        out = tmp_path / number.name.lower()
+        assert json.loads((out / "estimate.json").read_text())["rows"]["accepted"] > 0
+        assert (out / "identified.urdf").read_text().startswith("<?xml")
+        assert {path.name for path in out.iterdir()} == {"estimate.json", "identified.urdf"}
+
+
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM], ids=lambda number: number.name)
-def test_a_busy_node_saves_its_last_estimate(number: signal.Signals, stage: Stage, tmp_path: Path) -> None:
-    """In the middle of everything, and however often it is told."""
-    out = tmp_path / "out"
-    parameters = {**WRIST, "robot_description": description("arm3"), "solve_period": 0.05, "output_folder": str(out)}
-    node = stage.node(parameters)
-    player = stage.play(BAGS / "arm3", 2.0)
-    inertias = stage.observer.collect(InertiaStamped, "/geomid/inertias", latched())
-    stage.observer.wait_for(lambda: len(inertias) > 10, "estimates")
-    for _ in range(3):
-        node.send(number)
-    assert node.status() == 0, node.output
-    document = json.loads((out / "estimate.json").read_text())
-    assert document["rows"]["accepted"] > 0
-    assert (out / "identified.urdf").read_text().startswith("<?xml")
-    assert {path.name for path in out.iterdir()} == {"estimate.json", "identified.urdf"}
+def test_a_player_that_is_told_to_end(number: signal.Signals, stage: Stage) -> None:
+    """While it waits for subscribers, or while it plays; the status says that not all was published."""
+    player = stage.play(BAGS / "arm3")
+    if number == signal.SIGINT:
+        heard = stage.observer.collect(JointState, "/joint_states")
+        stage.observer.collect(WrenchStamped, "/wrench")
+        stage.observer.wait_for(lambda: len(heard) > 10, "messages")
+    else:
+        topics = stage.observer.node.get_topic_names_and_types
+        stage.observer.wait_for(lambda: "/joint_states" in dict(topics()), "a player")
     player.send(number)
     assert player.status() == 1
     assert "Aborted!" in player.output

@@ -206,7 +206,12 @@ def test_one_that_forgets_goes_on_estimating() -> None:
 def test_what_does_not_fit_into_the_queue_is_counted(quiet: Watched, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module, "_MOST_WAITING", 50)
     stop, waiting = threading.Event(), threading.Event()
-    quiet.worker._inbox.put(lambda: (waiting.set(), stop.wait(PATIENCE))[0])
+
+    def stand_still() -> None:
+        waiting.set()
+        stop.wait(PATIENCE)
+
+    quiet.worker._inbox.put(stand_still)
     assert waiting.wait(PATIENCE)
     quiet.feed(0, 200)
     assert quiet.worker.status(active=True).queue == 50
