@@ -76,7 +76,7 @@ def configured(
         values["floating_base"] = True
     if wrench:
         configuration = configuration.with_sensors([WrenchSensor.parse(text) for text in wrench])
-    return configuration.with_values(values)
+    return configuration.with_values(Configuration(values, "options").given)
 
 
 def read_samples(bag: Bag, session: Session, pipeline: SignalPipeline, topics: Topics) -> Iterator[Samples]:

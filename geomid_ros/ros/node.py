@@ -193,11 +193,20 @@ class GeomidNode(Node):
         return True, f"written: {folder / 'estimate.json'}, {folder / 'identified.urdf'}"
 
     def close(self) -> None:
-        """End the threads; with an output folder, the last estimate is saved there."""
+        """End the threads; with an output folder, the last estimate is saved there.
+
+        At once, as whoever ends the node may not wait for a solver at work; and again if that has found another.
+        """
         if self._worker is None:
             return
+        saved = self._save_last(self._worker)
         self._worker.close()
-        estimate = self._worker.estimate
+        if self._worker.estimate is not saved:
+            self._save_last(self._worker)
+
+    def _save_last(self, worker: Worker) -> Estimate | None:
+        estimate = worker.estimate
         if estimate is not None and self._configuration["output_folder"]:
-            _, message = self._saved(self._worker.session, estimate)
+            _, message = self._saved(worker.session, estimate)
             self.get_logger().info(message)
+        return estimate

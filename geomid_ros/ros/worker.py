@@ -21,6 +21,7 @@ from geomid_ros.signals.pipeline import Ledger
 from geomid_ros.types import FloatArray
 
 _MOST_WAITING = 20_000  # messages; more are dropped, and counted
+_PATIENCE = 1.0  # [s] for each thread to finish what it does when it is told to end
 _GROWTH = 1.5  # the prior's weight is chosen anew when there are so many times the rows it was chosen with
 
 Done: TypeAlias = Callable[[Estimate | GeomidError], None]
@@ -69,17 +70,20 @@ class Worker:
         self._gamma_rows = 0
         self._inbox: queue.SimpleQueue[Callable[[], None] | None] = queue.SimpleQueue()
         self._solve_requests: queue.SimpleQueue[Done | None] = queue.SimpleQueue()
-        self._intake = threading.Thread(target=self._take_messages, name="geomid-intake")
-        self._solver = threading.Thread(target=self._solve_repeatedly, name="geomid-solver")
+        # Daemons: the process may end while they compute.
+        self._intake = threading.Thread(target=self._take_messages, name="geomid-intake", daemon=True)
+        self._solver = threading.Thread(target=self._solve_repeatedly, name="geomid-solver", daemon=True)
         self._intake.start()
         self._solver.start()
 
     def close(self) -> None:
-        """Stop both threads; the messages that wait and what is being solved are finished first."""
+        """Stop both threads. Messages that wait and what is being solved are finished first, unless it takes long."""
         self._inbox.put(None)
-        self._intake.join()
+        self._intake.join(_PATIENCE)
         self._solve_requests.put(None)
-        self._solver.join()
+        self._solver.join(_PATIENCE)
+        with self._lock:
+            self._resets += 1  # nobody wants a later estimate
 
     def joint_state(self, message: Any) -> None:
         """Take a joint message."""

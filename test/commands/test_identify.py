@@ -16,7 +16,7 @@ from geomid_ros.model.effects import EFFECTS
 from geomid_ros.model.robot import Robot
 from geomid_ros.simulation import SimulationOptions, simulate
 
-from .running import WRIST, done, identify, link, read
+from .running import WRIST, done, identify, link, read, refused
 
 FILES = {"estimate.json", "identified.urdf", "identification.png"}
 TOOL_MASS = 0.01  # relative error of the tool's mass, measured by the wrist's sensor
@@ -177,6 +177,12 @@ def test_the_node_s_file_says_the_same_as_options(tmp_path: Path) -> None:
     options_win = small(tmp_path / "b", "--config", tmp_path / "robot.yaml", "--effects", "none", *WRIST)
     assert options_win["effects"] == []
     assert options_win["sigma"].keys() == from_file["sigma"].keys()
+
+
+def test_a_mistake_in_an_option_is_not_blamed_on_the_file(tmp_path: Path) -> None:
+    config = BAGS.parent / "config/geomid.yaml"
+    message = refused(*identify("arm3", "--out", tmp_path, "--config", config, "--effects", "friction"))
+    assert message.startswith("options: effects: unknown effect 'friction'")
 
 
 def test_the_shipped_file_changes_nothing(plain: dict[str, Any], tmp_path: Path) -> None:

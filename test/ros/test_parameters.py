@@ -84,3 +84,4 @@ def test_the_shipped_file(stage: Stage) -> None:
     stage.serving(process, "with/geomid")
     names = [parameter.name for parameter in SINGLE]
     assert get(stage, names, "/with") == get(stage, names, "/without")
+    stage.observer.diagnostics(lambda *_: True, "diagnostics while simulated time stands still", "with/geomid")

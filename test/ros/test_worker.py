@@ -27,6 +27,12 @@ JOINTS = [item.message for item in messages() if item.topic == "/joint_states"]
 SOON, NEVER = 0.01, 3600.0  # [s] periods of the solver
 
 
+@pytest.fixture(autouse=True)
+def patience(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The machine may be busy."""
+    monkeypatch.setattr(module, "_PATIENCE", PATIENCE)
+
+
 class Watched:
     """A worker on the small arm, and what it tells."""
 
@@ -186,12 +192,34 @@ def test_who_waits_when_it_closes_has_an_answer() -> None:
     assert not watched.worker._solver.is_alive()
 
 
+def test_closing_waits_for_no_solver_that_takes_long(quiet: Watched, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(module, "_PATIENCE", 0.05)
+    solve, may_end = quiet.session.identifier.solve, threading.Event()
+
+    def slowly(warm: Any) -> Estimate:
+        may_end.wait(PATIENCE)
+        return solve(warm)
+
+    monkeypatch.setattr(quiet.session.identifier, "solve", slowly)
+    quiet.feed()
+    answers: queue.Queue[Estimate | GeomidError] = queue.Queue()
+    quiet.worker.final_estimate(answers.put)
+    wait_until(lambda: quiet.worker.status(active=True).queue == 0)
+    quiet.close()
+    assert quiet.worker._solver.is_alive()
+    may_end.set()
+    assert isinstance(answers.get(timeout=PATIENCE), Estimate)
+    assert quiet.worker.estimate is None
+    assert quiet.estimates.empty(), "nothing is published after the end"
+
+
 def test_closing_a_busy_one_ends_it() -> None:
     watched = Watched(SOON)
     watched.feed()
     watched.worker.close()
     assert watched.worker.status(active=True).ledgers["joint_states"].received == len(JOINTS)
-    assert not any(t.name.startswith("geomid") for t in threading.enumerate())
+    assert not watched.worker._intake.is_alive()
+    assert not watched.worker._solver.is_alive()
 
 
 def test_one_that_forgets_goes_on_estimating() -> None:
