@@ -93,9 +93,7 @@ class ParameterManifold:
     def point(self, parameters: FloatArray) -> Point:
         """The point with these linear parameters ``(D,)``; the caller answers for their being possible."""
         inertial = parameters[self.inertial].reshape(self.links, symmetric.SIZE)
-        return Point(
-            pseudo_inertia.from_parameters(inertial), parameters[self.positive], parameters[self.real]
-        )
+        return Point(pseudo_inertia.from_parameters(inertial), parameters[self.positive], parameters[self.real])
 
     def _split(self, tangent: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         matrices = symmetric.to_matrix(tangent[self.inertial].reshape(self.links, symmetric.SIZE))

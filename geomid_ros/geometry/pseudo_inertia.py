@@ -16,6 +16,8 @@ from geomid_ros.types import FloatArray
 SIZE = symmetric.SIZE
 INERTIA_ENTRIES = (np.array([0, 0, 1, 0, 1, 2]), np.array([0, 1, 1, 2, 2, 2]))
 _INERTIA_ROWS, _INERTIA_COLUMNS = INERTIA_ENTRIES
+# A body flatter than this is taken for one without thickness, from which no distance can be measured.
+_FLATTEST = 1e-10
 
 
 def rotational_inertia(parameters: FloatArray) -> FloatArray:
@@ -89,6 +91,18 @@ def central_inertia(parameters: FloatArray) -> FloatArray:
     centre = centre_of_mass(parameters)
     outer = centre[..., :, None] * centre[..., None, :]
     return rotational_inertia(parameters) - mass * _trace_complement(outer, 1.0)
+
+
+def is_body(parameters: FloatArray) -> bool:
+    """Whether parameters ``(10,)`` are those of a body that can exist and has some thickness in every direction.
+
+    Judged by its central second moments: unlike the eigenvalues of the pseudo-inertia, their ratio depends neither on
+    units nor on where the frame is.
+    """
+    if parameters[0] <= 0.0:
+        return False
+    moments = np.linalg.eigvalsh(_trace_complement(central_inertia(parameters), 0.5))
+    return bool(moments[0] > _FLATTEST * abs(moments[-1]))
 
 
 def assemble(mass: FloatArray, centre: FloatArray, central: FloatArray) -> FloatArray:

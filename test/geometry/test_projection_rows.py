@@ -14,6 +14,7 @@ from .planes import (
     ALL,
     LINK,
     SEEDS,
+    SHAPES,
     neighbourhood,
     norms,
     one,
@@ -96,6 +97,18 @@ def test_rows_do_not_disturb_each_other(seed: int) -> None:
         for name in ("half_squared", "tangent", "direction", "status"):
             np.testing.assert_array_equal(getattr(together, name)[k], getattr(single, name)[0])
             np.testing.assert_array_equal(getattr(reverse, name)[11 - k], getattr(single, name)[0])
+
+
+@SHAPES
+@SEEDS
+def test_measuring_gives_the_values_of_projecting(manifold: ParameterManifold, seed: int) -> None:
+    point, rows, targets = problem(seed, manifold, 30, 4.0)
+    rows[3] = 0.0
+    normals = manifold.whiten(point, rows)
+    found = projection.project(manifold, point, normals, targets)
+    half, status = projection.measure(manifold, point, normals, targets)
+    np.testing.assert_array_equal(status, found.status)
+    np.testing.assert_allclose(half, found.half_squared, rtol=ROUNDING, atol=0)
 
 
 def test_no_rows_is_a_projection_too() -> None:
