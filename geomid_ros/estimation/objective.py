@@ -12,11 +12,12 @@ import numpy as np
 
 from geomid_ros.geometry import projection, symmetric
 from geomid_ros.geometry.manifold import ParameterManifold, Point
-from geomid_ros.types import BoolArray, FloatArray, frozen
+from geomid_ros.model.known import KnownRows
+from geomid_ros.types import BoolArray, FloatArray, IntArray, frozen
 
 # The kernels run without the GIL, so chunks share the cores; results do not depend on how many there are, because
 # the chunks are fixed and are summed in order.
-_CHUNK = 2048
+_CHUNK = 512
 _THREADS = 2
 _pool = ThreadPoolExecutor(_THREADS, thread_name_prefix="geomid-projection")
 
@@ -77,10 +78,33 @@ class GeodesicObjective:
     @cached_property
     def set_aside(self) -> BoolArray:
         """Rows that take no part because Proposition 2 gives them no projection from the prior, ``(N,)``."""
-        normals = self.manifold.whiten(self.prior, self.rows)
-        status = projection.project(self.manifold, self.prior, normals, self.targets).status
-        result: BoolArray = status != projection.ROOT
+        result: BoolArray = self._at_prior[1] != projection.ROOT
         return result
+
+    @cached_property
+    def value_at_prior(self) -> float:
+        """Half of (19) at the prior."""
+        return float(self.weights @ self._at_prior[0])
+
+    @cached_property
+    def _at_prior(self) -> tuple[FloatArray, IntArray]:
+        return self._measure(self.prior)
+
+    def value(self, point: Point) -> float:
+        """Half of (19) at ``point``, for half the cost of :meth:`evaluate`."""
+        to_prior = self.manifold.log(point, self.prior)
+        return float(self.weights @ self._measure(point)[0] + 0.5 * self.prior_weight * (to_prior @ to_prior))
+
+    def _measure(self, point: Point) -> tuple[FloatArray, IntArray]:
+        """Half of the squared distances to the hyperplanes and how the projections ended, each ``(N,)``."""
+        halves, statuses = np.empty(len(self.rows)), np.empty(len(self.rows), dtype=np.int64)
+
+        def measure(chunk: slice) -> None:
+            normals = self.manifold.whiten(point, self.rows[chunk])
+            halves[chunk], statuses[chunk] = projection.measure(self.manifold, point, normals, self.targets[chunk])
+
+        list(_pool.map(measure, self._chunks()))
+        return halves, statuses
 
     @cached_property
     def prior_weight(self) -> float:
@@ -156,8 +180,23 @@ class ResidualObjective:
         normals = self.manifold.whiten(point, self.rows) / self.sigmas[:, None]
         slope = residuals @ normals
         information = normals.T @ normals
-        hessian += information + _bend(self.manifold, slope)
+        hessian += information + bend(self.manifold, slope)
         return Evaluation(value + 0.5 * float(residuals @ residuals), gradient + slope, information, hessian)
+
+
+def residual_objective(
+    manifold: ParameterManifold, measured: tuple[FloatArray, FloatArray], known: KnownRows, prior: Point, gamma: float
+) -> ResidualObjective:
+    """The objective of ``measured`` rows ``(N, D)`` and targets ``(N,)`` of standard deviation 1 and of what is known.
+
+    The prior's weight is the share ``gamma`` of the measured rows' alone: to weigh a link more precisely must not make
+    the prior heavier.
+    """
+    rows, targets = (np.concatenate(pair) for pair in zip(measured, (known.rows, known.targets), strict=True))
+    ones = np.ones(len(rows))
+    weights = row_weights(manifold, prior, rows, ones)
+    share = float(np.sum(weights[: len(measured[0])]) / np.sum(weights))
+    return ResidualObjective(manifold, rows, targets, ones, prior, gamma * share)
 
 
 def row_weights(manifold: ParameterManifold, prior: Point, rows: FloatArray, sigmas: FloatArray) -> FloatArray:
@@ -178,7 +217,7 @@ _UNITS = symmetric.to_matrix(np.eye(symmetric.SIZE))
 _PRODUCTS = np.einsum("kim,lmj->klij", _UNITS, _UNITS)
 
 
-def _bend(manifold: ParameterManifold, slope: FloatArray) -> FloatArray:
+def bend(manifold: ParameterManifold, slope: FloatArray) -> FloatArray:
     """Second derivative along geodesics of the linear function whose first derivative is ``slope``.
 
     Per link ``tr(X exp(tQ))`` has the second derivative ``tr(X Q^2)``; a positive coefficient's is the first again.

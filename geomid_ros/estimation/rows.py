@@ -10,11 +10,13 @@ from geomid_ros.errors import InputError, unknown_name
 from geomid_ros.estimation.gamma import PAPER
 from geomid_ros.estimation.objective import GeodesicObjective, ResidualObjective
 from geomid_ros.estimation.solvers import SOLVERS, Solution, trust_region
+from geomid_ros.estimation.summary import triangular
 from geomid_ros.geometry import pseudo_inertia
-from geomid_ros.geometry.manifold import ParameterManifold
+from geomid_ros.geometry.manifold import ParameterManifold, Point
 from geomid_ros.types import BoolArray, FloatArray, frozen
 
 _TOLERANCE = 1e-8  # geodesic distance from the minimum
+_START_TOLERANCE = 1e-4
 _LEAST_GRADIENT = 1e-14  # relative to the sum of the weights; rounding allows no less
 
 
@@ -61,13 +63,22 @@ def solve_rows(
     start = manifold.point(prior.ravel())
     objective = GeodesicObjective(manifold, rows, targets, sigmas, start, gamma)
     if solver == "trust_region":
-        direct = trust_region(ResidualObjective(manifold, rows, targets, sigmas, start, gamma), start, 1e-4).point
-        if objective.evaluate(direct).value < objective.evaluate(start).value:
+        direct = _minimiser_of_remark_3(objective)
+        if objective.value(direct) < objective.value_at_prior:
             start = direct
     # The prior bounds the curvature from below: a gradient of so little of the prior's weight is so little off.
     solution = SOLVERS[solver](objective, start, max(_TOLERANCE * min(gamma, 1.0), _LEAST_GRADIENT), max_steps)
     parameters = frozen(pseudo_inertia.to_parameters(solution.point.pseudo_inertias))
     return RowsSolution(parameters, objective.set_aside, solution)
+
+
+def _minimiser_of_remark_3(objective: GeodesicObjective) -> Point:
+    """Roughly, as a start: from the rows' least-squares content, which is small."""
+    whitened = np.column_stack([objective.rows, objective.targets]) / objective.sigmas[:, None]
+    factor = triangular(whitened)[: objective.manifold.dimension]
+    rows, targets = factor[:, :-1], factor[:, -1]
+    content = ResidualObjective(objective.manifold, rows, targets, np.ones(len(rows)), objective.prior, objective.gamma)
+    return trust_region(content, objective.prior, _START_TOLERANCE).point
 
 
 def _check(rows: FloatArray, targets: FloatArray, sigmas: FloatArray, prior: FloatArray) -> None:

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
+from scipy.linalg import LinAlgError, cho_factor, cho_solve
 
 from geomid_ros.estimation.objective import Evaluation, Objective
 from geomid_ros.geometry.manifold import Point
@@ -35,7 +37,8 @@ def trust_region(
     """Newton steps on the manifold inside a trust region (geodesic radius); every accepted step descends. Where
     rounding hides the descent the gradient shows it.
 
-    The subproblem is solved exactly in the eigenbasis of the Hessian (More & Sorensen 1983); the radius
+    The subproblem is solved exactly, in the eigenbasis of the Hessian where the Newton step does not fit (More &
+    Sorensen 1983); the radius
     follows the ratio of actual to predicted decrease (Nocedal & Wright, "Numerical Optimization", algorithm 4.1).
     """
     scale = objective.scale
@@ -44,9 +47,9 @@ def trust_region(
     for step in range(max_steps):
         if np.linalg.norm(evaluation.gradient) <= tolerance * scale:
             return Solution(point, evaluation, True, "gradient below tolerance", step, tuple(values))
-        eigenvalues, basis = np.linalg.eigh(evaluation.hessian)
+        model = _QuadraticModel(evaluation)
         while True:
-            tangent = _subproblem(eigenvalues, basis, evaluation.gradient, radius)
+            tangent = model.minimiser(radius)
             predicted = -(evaluation.gradient @ tangent + 0.5 * tangent @ evaluation.hessian @ tangent)
             candidate = objective.manifold.exp(point, tangent)
             trial = objective.evaluate(candidate)
@@ -69,24 +72,49 @@ def trust_region(
     return Solution(point, evaluation, False, f"no convergence in {max_steps} steps", max_steps, tuple(values))
 
 
-def _subproblem(eigenvalues: FloatArray, basis: FloatArray, gradient: FloatArray, radius: float) -> FloatArray:
-    """The minimiser of the quadratic model within ``radius``: ``-(H + mu 1)^-1 g`` with the least mu >= 0 for which
-    ``H + mu 1`` is positive definite and the step fits."""
-    components = basis.T @ gradient
+class _QuadraticModel:
+    """``g . x + x . H x / 2`` at a point, and its minimisers within balls about zero."""
 
-    def length(damping: float) -> float:
-        return float(np.linalg.norm(components / (eigenvalues + damping)))
+    def __init__(self, evaluation: Evaluation) -> None:
+        self._gradient = evaluation.gradient
+        self._hessian = evaluation.hessian
 
-    floor = 1e-12 * float(np.max(np.abs(eigenvalues)))
-    damping = max(0.0, floor - float(eigenvalues[0]))
-    if length(damping) > radius:
-        low, high = damping, damping + float(np.linalg.norm(gradient)) / radius
-        while high - low > 1e-3 * high:
-            damping = 0.5 * (low + high)
-            low, high = (damping, high) if length(damping) > radius else (low, damping)
-        damping = high
-    step: FloatArray = -(basis @ (components / (eigenvalues + damping)))
-    return step
+    def minimiser(self, radius: float) -> FloatArray:
+        """``-(H + mu 1)^-1 g`` with the least mu >= 0 for which ``H + mu 1`` is positive definite and the step fits."""
+        newton = self._newton_step
+        if newton is not None and np.linalg.norm(newton) <= radius:
+            return newton
+        eigenvalues, basis = self._eigen
+        components = basis.T @ self._gradient
+
+        def length(damping: float) -> float:
+            return float(np.linalg.norm(components / (eigenvalues + damping)))
+
+        floor = 1e-12 * float(np.max(np.abs(eigenvalues)))
+        damping = max(0.0, floor - float(eigenvalues[0]))
+        if length(damping) > radius:
+            low, high = damping, damping + float(np.linalg.norm(self._gradient)) / radius
+            while high - low > 1e-3 * high:
+                damping = 0.5 * (low + high)
+                low, high = (damping, high) if length(damping) > radius else (low, damping)
+            damping = high
+        step: FloatArray = -(basis @ (components / (eigenvalues + damping)))
+        return step
+
+    @cached_property
+    def _newton_step(self) -> FloatArray | None:
+        """The step without damping, or None where the Hessian is not positive definite."""
+        try:
+            factor = cho_factor(self._hessian)
+        except LinAlgError:
+            return None
+        step: FloatArray = -cho_solve(factor, self._gradient)
+        return step
+
+    @cached_property
+    def _eigen(self) -> tuple[FloatArray, FloatArray]:
+        eigenvalues, basis = np.linalg.eigh(self._hessian)
+        return eigenvalues, basis
 
 
 def cyclic(objective: Objective, start: Point, tolerance: float = 1e-8, max_steps: int = 20000) -> Solution:
