@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from typing import TypeVar
 
@@ -41,3 +41,11 @@ def working(description: str) -> Iterator[None]:
     """A spinner while something of unknown length goes on."""
     with console.status(description):
         yield
+
+
+@contextmanager
+def staged() -> Iterator[Callable[[str, float], None]]:
+    """A bar for work that says what it is doing, and which share of it, 0 to 1, is done."""
+    with progress_bar() as bar:
+        task = bar.add_task("", total=1.0)
+        yield lambda stage, share: bar.update(task, description=stage, completed=share)

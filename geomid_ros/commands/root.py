@@ -8,8 +8,10 @@ import click
 
 import geomid_ros
 from geomid_ros.commands.demo import demo
+from geomid_ros.commands.gap import gap
 from geomid_ros.commands.identify import identify
 from geomid_ros.commands.play import play
+from geomid_ros.commands.prior import prior
 from geomid_ros.commands.simulate import simulate
 from geomid_ros.errors import GeomidError
 
@@ -34,5 +36,5 @@ def root() -> None:
     """Find a robot's true link inertias, from rosbags or while it runs."""
 
 
-for command in (identify, play, simulate, demo):
+for command in (identify, gap, prior, play, simulate, demo):
     root.add_command(command)

@@ -1,15 +1,22 @@
-"""Reading robot descriptions, and writing identified inertias into them without touching anything else."""
+"""Reading robot descriptions, and writing identified inertias and effects into them without touching anything else."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from xml.parsers import expat
+from typing import TypeAlias
+
+import numpy as np
 
 from geomid_ros.errors import InputError
 from geomid_ros.estimation.estimate import LinkEstimate
+from geomid_ros.files.effect_forms import COM_ENTRIES, ModelEffect, inertia_matrix, values
+from geomid_ros.files.urdf_spans import Edit, Span, edited, insertion, spans
+from geomid_ros.types import FloatArray
+
+# Mass [kg], centre of mass (3,) [m] in the link's frame, inertia (3, 3) [kg m^2] about it in the link's axes.
+Inertia: TypeAlias = tuple[float, FloatArray, FloatArray]
 
 
 def read_urdf(path: Path) -> str:
@@ -20,86 +27,86 @@ def read_urdf(path: Path) -> str:
         raise InputError(f"{path}: the robot description cannot be read ({error})") from error
 
 
-@dataclass
-class _LinkSpan:
-    """Where, in the bytes of a URDF, a link's first tag and its inertial stand: offsets of the first byte and behind
-    the last."""
-
-    tag: tuple[int, int]
-    inertial: tuple[int, int] | None = None
-
-
 def with_identified_inertias(urdf: str, links: Sequence[LinkEstimate]) -> str:
     """``urdf`` with the inertials of the identified bodies; every other character of it is kept.
 
     A body's inertia goes to its moving link. The inertials of the links that are fixed to it and counted in are
     removed: their mass is in the moving link's.
     """
+    merged = [name for link in links for name in link.merged]
+    return with_inertials(urdf, {link.name: (link.mass, link.com, link.inertia) for link in links}, merged)
+
+
+def with_inertials(urdf: str, inertias: Mapping[str, Inertia], removed: Sequence[str] = ()) -> str:
+    """``urdf`` with these inertials, by the link's name, and without those of the links ``removed``; every other
+    character of it is kept."""
     data = urdf.encode()
-    spans = _link_spans(data)
-    edits: list[tuple[int, int, bytes]] = []
-    for link in links:
-        edits.append(_insertion(data, spans[link.name], _inertial(link)))
-        edits += [(*inertial, b"") for name in link.merged if (inertial := spans[name].inertial)]
-    for start, end, text in sorted(edits, reverse=True):
-        data = data[:start] + text + data[end:]
-    return data.decode()
+    links = spans(data, "link", "inertial")
+    edits = [insertion(data, links[name], _inertial(*inertia)) for name, inertia in inertias.items()]
+    edits += [(*inertial, b"") for name in removed if (inertial := links[name].child)]
+    return edited(data, edits).decode()
 
 
-def _insertion(data: bytes, span: _LinkSpan, inertial: bytes) -> tuple[int, int, bytes]:
-    """The edit (start, end, text) that gives a link this inertial."""
-    if span.inertial:
-        return (*span.inertial, inertial)
-    start, end = span.tag
-    if data[:end].endswith(b"/>"):
-        return start, end, data[start : end - 2].rstrip() + b">\n    " + inertial + b"\n  </link>"
-    return end, end, b"\n    " + inertial
-
-
-def _inertial(link: LinkEstimate) -> bytes:
-    centre = " ".join(f"{value:.9g}" for value in link.com)
+def _inertial(mass: float, com: FloatArray, inertia: FloatArray) -> bytes:
+    centre = " ".join(f"{value:.9g}" for value in com)
     entries = {"ixx": (0, 0), "ixy": (0, 1), "ixz": (0, 2), "iyy": (1, 1), "iyz": (1, 2), "izz": (2, 2)}
-    inertia = " ".join(f'{key}="{link.inertia[index]:.9g}"' for key, index in entries.items())
+    numbers = " ".join(f'{key}="{inertia[index]:.9g}"' for key, index in entries.items())
     return (
-        f'<inertial>\n      <origin xyz="{centre}" rpy="0 0 0"/>\n      <mass value="{link.mass:.9g}"/>\n'
-        f"      <inertia {inertia}/>\n    </inertial>"
+        f'<inertial>\n      <origin xyz="{centre}" rpy="0 0 0"/>\n      <mass value="{mass:.9g}"/>\n'
+        f"      <inertia {numbers}/>\n    </inertial>"
     ).encode()
 
 
-def _link_spans(data: bytes) -> Mapping[str, _LinkSpan]:
-    """Spans of the links directly below <robot>, by name."""
-    spans: dict[str, _LinkSpan] = {}
-    path: list[str] = []
-    current: list[_LinkSpan] = []
-    inertial_start = 0
-    parser = expat.ParserCreate("utf-8")  # whatever the XML declaration says: the text was decoded before
+def with_effects(urdf: str, effects: Iterable[ModelEffect]) -> str:
+    """``urdf`` with the effects that a URDF can say; every other character of it is kept.
 
-    def start(tag: str, attributes: dict[str, str]) -> None:
-        nonlocal inertial_start
-        path.append(tag)
-        if path == ["robot", "link"]:
-            current[:] = [_LinkSpan((parser.CurrentByteIndex, _end_of_tag(data, parser.CurrentByteIndex)))]
-            spans[attributes["name"]] = current[0]
-        elif path == ["robot", "link", "inertial"]:
-            inertial_start = parser.CurrentByteIndex
-
-    def end(_tag: str) -> None:
-        if path == ["robot", "link", "inertial"] and current[0].inertial is None:
-            current[0].inertial = (inertial_start, _end_of_tag(data, parser.CurrentByteIndex))
-        path.pop()
-
-    parser.StartElementHandler = start
-    parser.EndElementHandler = end
-    parser.Parse(data, True)
-    return spans
+    Viscous friction and the level of dry friction become the joint's ``<dynamics damping friction>``, a payload a link
+    that is fixed to the one which carries it.
+    """
+    data = urdf.encode()
+    effects = list(effects)
+    joints, links = spans(data, "joint", "dynamics"), spans(data, "link", "inertial")
+    dynamics: dict[str, dict[str, float]] = {}
+    for effect in effects:
+        if effect.effect in _DYNAMICS:
+            attribute, parameter = _DYNAMICS[effect.effect]
+            own = dynamics.setdefault(effect.joint, {})
+            own[attribute] = own.get(attribute, 0.0) + values(effect)[parameter]
+    edits = [_dynamics(data, joints[name], attributes) for name, attributes in dynamics.items()]
+    end = data.rindex(b"</robot")
+    payloads = [_payload(effect, links, joints) for effect in effects if effect.effect == "payload"]
+    edits.append((end, end, b"".join(payloads)))
+    return edited(data, edits).decode()
 
 
-_QUOTED = re.compile(rb"""[^>"']+|"[^"]*"|'[^']*'""")
+# Attribute of <dynamics> and the effect's parameter that it is.
+_DYNAMICS = {
+    "viscous_friction": ("damping", "coefficient"),
+    "coulomb_friction": ("friction", "level"),
+    "stribeck_friction": ("friction", "level"),
+}
 
 
-def _end_of_tag(data: bytes, start: int) -> int:
-    """Behind the tag that begins at ``start``; in quotes, a ``>`` ends nothing."""
-    end = start
-    while part := _QUOTED.match(data, end):
-        end = part.end()
-    return end + 1
+def _dynamics(data: bytes, joint: Span, attributes: Mapping[str, float]) -> Edit:
+    """The edit that gives a joint's <dynamics> these attributes; others that it has stay."""
+    element = data[slice(*joint.child)] if joint.child else b"<dynamics/>"
+    for name, value in attributes.items():
+        said = f'{name}="{value:.9g}"'.encode()
+        pattern = rb"(?<=\s)" + name.encode() + rb"""\s*=\s*("[^"]*"|'[^']*')"""
+        element, found = re.subn(pattern, said, element, count=1)
+        if not found:
+            element = element.replace(b"<dynamics", b"<dynamics " + said, 1)
+    return insertion(data, joint, element)
+
+
+def _payload(effect: ModelEffect, links: Mapping[str, Span], joints: Mapping[str, Span]) -> bytes:
+    name = f"{effect.link}_payload"
+    while name in links or name in joints:
+        name += "_"
+    payload = values(effect)
+    com = np.array([payload[key] for key in COM_ENTRIES])
+    inertial = _inertial(payload["mass"], com, inertia_matrix(payload)).decode()
+    return (
+        f'  <link name="{name}">\n    {inertial}\n  </link>\n  <joint name="{name}" type="fixed">\n'
+        f'    <parent link="{effect.link}"/>\n    <child link="{name}"/>\n  </joint>\n'
+    ).encode()

@@ -1,0 +1,138 @@
+"""``geomid prior``: inertials for a URDF from its shapes and the robot's weight."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import click
+import numpy as np
+
+from geomid_ros.commands.progress import tracked, working
+from geomid_ros.commands.tables import print_prior
+from geomid_ros.errors import InputError, unknown_name
+from geomid_ros.files.atomic import write_text
+from geomid_ros.files.meshes import MeshFinder
+from geomid_ros.files.report.prior_picture import PlacedLink, prior_picture
+from geomid_ros.files.shaped_urdf import ShapedUrdf
+from geomid_ros.files.shapes import ShapeReader
+from geomid_ros.files.urdf import Inertia, read_urdf, with_inertials
+from geomid_ros.geometry import pseudo_inertia
+from geomid_ros.model.robot import Robot
+from geomid_ros.model.samples import Samples
+from geomid_ros.model.shape_prior import IMPOSSIBLE, ShapePrior, massless_links, shape_prior
+from geomid_ros.model.urdf_tree import UrdfTree
+
+# Of machines: thin covers, and more than solid steel. Outside, it is more likely that a mesh is in other units.
+_LIGHTEST, _HEAVIEST = 50.0, 20_000.0  # [kg/m^3]
+
+
+def _packages(_context: click.Context, _option: click.Parameter, texts: tuple[str, ...]) -> dict[str, Path]:
+    """Folders by package name, of NAME=FOLDER."""
+    packages = {}
+    for text in texts:
+        name, _, folder = text.partition("=")
+        if not name or not folder:
+            raise click.BadParameter(f"'{text}' is not of the form NAME=FOLDER")
+        packages[name] = Path(folder)
+    return packages
+
+
+@click.command()
+@click.argument("urdf", type=click.Path(path_type=Path))
+@click.option(
+    "--mass", type=click.FloatRange(0.0, min_open=True), required=True, help="What all links weigh together [kg]."
+)
+@click.option("--keep", help="Links that stay as they are, separated by commas; the mass they have counts.")
+@click.option(
+    "--package-path",
+    multiple=True,
+    metavar="NAME=FOLDER",
+    callback=_packages,
+    help="Where package://NAME is, if not above URDF, in ROS_PACKAGE_PATH or in AMENT_PREFIX_PATH; may be repeated.",
+)
+@click.option(
+    "--out",
+    type=click.Path(path_type=Path, dir_okay=False),
+    default=Path("prior.urdf"),
+    show_default=True,
+    help="The URDF to write.",
+)
+def prior(urdf: Path, mass: float, keep: str | None, package_path: dict[str, Path], out: Path) -> None:
+    """Give a URDF inertials from its shapes.
+
+    Fills the shapes of every link of URDF with one density, so that all links weigh --mass together: its collision
+    shapes, or the visual ones if it has no others. A mesh that is not closed counts as its convex hull. Links without
+    shapes stay as they are. The result is a prior to identify from, not an estimate.
+    """
+    text = read_urdf(urdf)
+    robot = ShapedUrdf(text, str(urdf))
+    kept = [name.strip() for name in keep.split(",")] if keep else []
+    for name in kept:
+        if name not in robot.links:
+            raise unknown_name("link to keep", name, robot.links)
+    reader = ShapeReader(MeshFinder(urdf, package_path), str(urdf))
+    replaced = [link for name, link in robot.links.items() if name not in kept]
+    read = {link.get("name", ""): reader.solid(link) for link in tracked(replaced, len(replaced), "reading shapes")}
+    solids = {name: solid for name, solid in read.items() if solid}
+    robot.check_staying(solids)
+    result = shape_prior(robot.inertials, solids, mass, str(urdf))
+    inertias = _inertias(result)
+    written = with_inertials(text, inertias)
+    write_text(out, written)
+    print_prior(result, kept)
+    warnings = [*reader.warnings, *_warnings(result, robot.tree)]
+    files = [out]
+    try:
+        placed = Robot(written, source=str(out))
+    except InputError as error:
+        warnings.append(f"geomid identify will refuse this URDF: {error}")
+    else:
+        files.append(out.with_suffix(".png"))
+        with working("drawing"):
+            _draw(files[-1], placed, result)
+    for warning in warnings:
+        click.echo(f"Warning: {warning}", err=True)
+    click.echo(f"\nWritten: {', '.join(map(str, files))}")
+
+
+def _inertias(result: ShapePrior) -> dict[str, Inertia]:
+    """The new inertials by link."""
+    return {
+        link.name: (
+            link.mass,
+            pseudo_inertia.centre_of_mass(link.parameters),
+            pseudo_inertia.central_inertia(link.parameters),
+        )
+        for link in result.links
+        if link.parameters is not None
+    }
+
+
+def _warnings(result: ShapePrior, tree: UrdfTree) -> Iterator[str]:
+    """What a user should know before the result is used."""
+    if not _LIGHTEST <= result.density <= _HEAVIEST:
+        yield (
+            f"a density of {result.density:.3g} kg/m³ is not that of a machine. Is the mass right, are the meshes in "
+            "metres (attribute scale), and are all shapes parts of the robot (else --keep their links)?"
+        )
+    impossible = [link.name for link in result.links if link.parameters is None and link.verdict == IMPOSSIBLE]
+    if impossible:
+        yield f"links that stay with inertials that belong to no body that can exist: {', '.join(impossible)}"
+    between, last = massless_links(tree, {link.name: link.mass for link in result.links})
+    if last:
+        yield (
+            f"these moving links, and all that is attached to them, have neither a shape nor a mass: {', '.join(last)}"
+            ". Give them shapes or inertials; a joint that moves nothing has no dynamics"
+        )
+    if between:
+        yield f"massless, right only for links between the axes of one joint: {', '.join(between)}"
+
+
+def _draw(path: Path, robot: Robot, result: ShapePrior) -> None:
+    """The links in the robot's zero pose."""
+    none, zero = np.zeros((1, 0)), np.zeros((1, len(robot.joints)))
+    pose = Samples(np.zeros(1, dtype=np.int64), zero, zero, zero, zero, none, none, none, np.zeros((1, 0, 6)))
+    frames = robot.link_frames(pose)
+    title = f"{robot.name}: {result.mass:.4g} kg in shapes of {result.density:.4g} kg/m³"
+    prior_picture(path, title, [PlacedLink(link, *frames[link.name]) for link in result.links])

@@ -1,0 +1,125 @@
+"""Masses that were weighed: rows of the least-squares problem like those that are measured, with a known error."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from geomid_ros.errors import InputError, unknown_name
+from geomid_ros.model.measurement import MeasurementModel
+from geomid_ros.model.robot import Robot
+from geomid_ros.types import FloatArray
+
+TOTAL = "total"  # the whole robot, what does not move included
+# No scale is better, and valleys that are narrower take solvers too many steps.
+_MOST_PRECISE = 1e-5
+
+
+@dataclass(frozen=True)
+class WeighedMass:
+    """``mass`` of ``links`` together, or of the whole robot (``total``), with its standard deviation ``std`` [kg]."""
+
+    links: tuple[str, ...]
+    mass: float
+    std: float
+
+    @staticmethod
+    def parse(text: str) -> WeighedMass:
+        """From ``total=23.4:0.05`` or ``link1+link2=2.1:0.01``. Raises InputError."""
+        names, _, numbers = text.rpartition("=")
+        links = tuple(name.strip() for name in names.split("+"))
+        try:
+            mass, std = (float(number) for number in numbers.split(":"))
+        except ValueError:
+            mass = std = np.nan
+        right = 0.0 < mass < np.inf and _MOST_PRECISE * mass <= std < np.inf
+        if not right or not all(links) or len(set(links)) < len(links):
+            raise InputError(
+                f"the weighed mass '{text}' is not of the form LINK=MASS:STD, LINK+LINK=MASS:STD or {TOTAL}=MASS:STD "
+                f"with positive numbers in kg, STD not below {_MOST_PRECISE:g} MASS, and every link once"
+            )
+        return WeighedMass(links, mass, std)
+
+    @property
+    def name(self) -> str:
+        """Its links."""
+        return " + ".join(self.links)
+
+
+@dataclass(frozen=True, eq=False)
+class KnownRows:
+    """``rows (K, D) . parameters = targets (K,)`` with a standard deviation of 1; ``weighed`` is what they say."""
+
+    rows: FloatArray
+    targets: FloatArray
+    weighed: tuple[WeighedMass, ...] = ()
+
+
+def known_rows(model: MeasurementModel, weighed: Sequence[WeighedMass]) -> KnownRows:
+    """The rows of weighed masses: sums of the masses of identified bodies.
+
+    Bodies that are not identified, and for the whole robot the links that do not move, count with the URDF's masses.
+    Raises InputError for what does not fit the model.
+    """
+    rows = np.zeros((len(weighed), model.dimension))
+    targets = np.empty(len(weighed))
+    for index, given in enumerate(weighed):
+        bodies = _weighed_bodies(model.robot, given)
+        columns = [10 * place for place, body in enumerate(model.identified) if body in bodies]
+        unknown = given.mass - _known_mass(model, given, bodies)
+        if not columns:
+            raise InputError(f"the mass of {given.name} is given, but none of that is identified")
+        if unknown <= 0.0:
+            raise InputError(
+                f"{given.name} is said to weigh {given.mass:g} kg, but what is not identified of it weighs "
+                f"{given.mass - unknown:g} kg by the URDF"
+            )
+        rows[index, columns] = 1.0 / given.std
+        targets[index] = unknown / given.std
+    return KnownRows(rows, targets, tuple(weighed))
+
+
+def _weighed_bodies(robot: Robot, given: WeighedMass) -> list[int]:
+    if given.links == (TOTAL,):
+        return list(range(len(robot.bodies)))
+    return [_body(robot, link) for link in given.links]
+
+
+def _body(robot: Robot, link: str) -> int:
+    """The body of a link. A link that is fixed to another cannot be told from it."""
+    names = robot.body_names
+    if link in names:
+        return names.index(link)
+    if link not in robot.tree.links:
+        raise unknown_name("link of a weighed mass", link, (*names, TOTAL))
+    carrier = _carrier(robot, link)
+    if carrier is not None:
+        raise InputError(
+            f"the mass of link '{link}' is given, but it is fixed to '{carrier}' and identified as one body with it: "
+            f"give what they weigh together as {carrier}=MASS:STD"
+        )
+    raise InputError(
+        f"the mass of link '{link}' is given, but it is not identified: it does not move, or has no mass in the URDF"
+    )
+
+
+def _carrier(robot: Robot, link: str) -> str | None:
+    """The body that a link is part of, with a mass or without."""
+    for body in robot.bodies:
+        if link in body.merged:
+            return body.name
+    parents = {joint.child: joint.parent for joint in robot.tree.joints if joint.type == "fixed"}
+    while link in parents and link not in robot.body_names:
+        link = parents[link]
+    return link if link in robot.body_names else None
+
+
+def _known_mass(model: MeasurementModel, given: WeighedMass, bodies: Sequence[int]) -> float:
+    """Mass [kg] of what is weighed and not identified, by the URDF."""
+    masses = [float(body.parameters[0]) for body in model.robot.bodies]
+    if given.links == (TOTAL,):
+        every = sum(float(parameters[0]) for parameters in model.robot.tree.inertials.values())
+        return every - sum(masses[body] for body in model.identified)
+    return sum(masses[body] for body in bodies if body not in model.identified)

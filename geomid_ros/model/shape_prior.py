@@ -1,0 +1,155 @@
+"""A prior from shapes and one weight: the same density everywhere, found from the total mass.
+
+This is the prior of the paper (its Sec. V-B), for robots whose URDF has no inertials that could serve.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from geomid_ros.errors import InputError
+from geomid_ros.geometry import pseudo_inertia
+from geomid_ros.model import shapes
+from geomid_ros.model.urdf_tree import UrdfTree
+from geomid_ros.types import FloatArray, IntArray
+
+MISSING, ZERO, UNREADABLE, IMPOSSIBLE = "missing", "zero mass", "unreadable", "impossible"
+OUTSIDE, POINT, DENSE, LIGHT = "mass beyond its shape", "nearly a point mass", "far too dense", "far too light"
+# Links differ in what they are made of, and shapes are not exact: nonsense is what is off by so much.
+_REACH = 2.0  # of the mass, in sizes of the shape
+_POINT = 0.1  # radius of gyration, as a share of the shape's
+_DENSITY = 10.0  # ratio to the robot's
+
+
+@dataclass(frozen=True, eq=False)
+class Solid:
+    """What fills a link, in its frame: ``moments (4, 4)`` as in :mod:`shapes`, and a surface of ``triangles (T, 3)``
+    with corners ``vertices (V, 3)``; ``shape`` says in words where that comes from."""
+
+    moments: FloatArray
+    vertices: FloatArray
+    triangles: IntArray
+    shape: str
+
+
+@dataclass(frozen=True, eq=False)
+class Inertial:
+    """A link's inertial as the URDF has it: ``parameters (10,)`` where it says a mass, and the ``problem`` with it, if
+    it belongs to no body that can exist."""
+
+    parameters: FloatArray | None
+    problem: str
+
+    @property
+    def mass(self) -> float:
+        """In kg, 0 where none can be read."""
+        return 0.0 if self.parameters is None else float(self.parameters[0])
+
+
+@dataclass(frozen=True, eq=False)
+class LinkPrior:
+    """A link before and after. ``parameters (10,)``: from its shape; None where its inertial stays. ``verdict``: what
+    is wrong with the inertial that it had, empty if nothing."""
+
+    name: str
+    solid: Solid | None
+    before: Inertial
+    parameters: FloatArray | None
+    verdict: str
+
+    @property
+    def mass(self) -> float:
+        """The link's mass in the prior [kg]."""
+        return self.before.mass if self.parameters is None else float(self.parameters[0])
+
+
+@dataclass(frozen=True, eq=False)
+class ShapePrior:
+    """The links in the file's order, and the density [kg/m^3] of those that follow their shapes."""
+
+    links: tuple[LinkPrior, ...]
+    density: float
+
+    @property
+    def mass_before(self) -> float:
+        """What all links weighed in the URDF [kg]."""
+        return sum(link.before.mass for link in self.links)
+
+    @property
+    def mass(self) -> float:
+        """What all links weigh [kg]."""
+        return sum(link.mass for link in self.links)
+
+
+def shape_prior(
+    inertials: Mapping[str, Inertial], solids: Mapping[str, Solid], total_mass: float, source: str
+) -> ShapePrior:
+    """Inertias of the links with ``solids``, so that all links weigh ``total_mass`` [kg].
+
+    ``inertials`` of all links, in the file's order; those without a solid stay, and count with the mass that they have.
+    Raises InputError naming ``source``.
+    """
+    kept_mass = sum(inertial.mass for name, inertial in inertials.items() if name not in solids)
+    volume = sum(shapes.volume(solid.moments) for solid in solids.values())
+    if not solids:
+        raise InputError(f"{source}: no link has a shape from which its inertia could be taken")
+    if total_mass <= kept_mass:
+        raise InputError(
+            f"{source}: the links whose inertials stay weigh {kept_mass:.3f} kg already, not less than the total mass "
+            f"of {total_mass:g} kg; nothing is left for the links that have shapes"
+        )
+    density = (total_mass - kept_mass) / volume
+    links = []
+    for name, before in inertials.items():
+        solid = solids.get(name)
+        parameters = pseudo_inertia.to_parameters(density * solid.moments) if solid else None
+        links.append(LinkPrior(name, solid, before, parameters, verdict(before, solid, density)))
+    return ShapePrior(tuple(links), density)
+
+
+def verdict(before: Inertial, solid: Solid | None, density: float) -> str:
+    """What is wrong with an inertial: that no body has it, or none of this shape; empty if nothing is.
+
+    Nothing of a body that lies between a and b along an axis varies more than ``(b - c)(c - a)`` about its centre c
+    (Bhatia and Davis): what does has mass elsewhere.
+    """
+    if before.parameters is None or before.problem or solid is None:
+        return before.problem
+    parameters = before.parameters
+    centre, variances = _centre_and_variances(pseudo_inertia.from_parameters(parameters))
+    _, of_shape = _centre_and_variances(solid.moments)
+    low, high = solid.vertices.min(axis=0), solid.vertices.max(axis=0)
+    margin = (_REACH - 1.0) / 2.0 * (high - low)
+    below, above = centre - (low - margin), high + margin - centre
+    if np.any(below < 0.0) or np.any(above < 0.0) or np.any(variances > below * above):
+        return OUTSIDE
+    if np.sum(variances) < _POINT**2 * np.sum(of_shape):
+        return POINT
+    ratio = float(parameters[0]) / (density * shapes.volume(solid.moments))
+    if ratio > _DENSITY:
+        return DENSE
+    return LIGHT if ratio < 1.0 / _DENSITY else ""
+
+
+def _centre_and_variances(pseudo: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Centre ``(3,)`` and variances along the axes ``(3,)`` of the mass of a pseudo-inertia ``(4, 4)``."""
+    centre = pseudo[:3, 3] / pseudo[3, 3]
+    return centre, np.diag(pseudo)[:3] / pseudo[3, 3] - centre**2
+
+
+def massless_links(tree: UrdfTree, masses: Mapping[str, float]) -> tuple[list[str], list[str]]:
+    """Moving links without any mass, their fixed links included: those that carry mass further on, and those that do
+    not. The former are right between the axes of one joint; the latter leave their joint nothing to move."""
+    moving = [joint.child for joint in tree.joints if joint.type != "fixed"]
+    massless = [link for link in moving if not _mass(tree, masses, link, through_joints=False)]
+    between = [link for link in massless if _mass(tree, masses, link, through_joints=True)]
+    return between, [link for link in massless if link not in between]
+
+
+def _mass(tree: UrdfTree, masses: Mapping[str, float], link: str, *, through_joints: bool) -> float:
+    """Mass [kg] of a link and of what is fixed to it, or of all that comes after it."""
+    after = [joint.child for joint in tree.children(link) if through_joints or joint.type == "fixed"]
+    return masses[link] + sum(_mass(tree, masses, child, through_joints=through_joints) for child in after)

@@ -1,0 +1,198 @@
+"""Weighed masses in the estimate: rows like any other, and never mistaken for what was measured."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from geomid_ros.errors import InputError
+from geomid_ros.estimation.estimate import Estimate
+from geomid_ros.estimation.estimator import EstimatorSettings
+from geomid_ros.estimation.identifier import BufferSettings, Identifier
+from geomid_ros.files.configuration import Configuration
+from geomid_ros.geometry import pseudo_inertia, spd
+from geomid_ros.model.effects import EFFECTS
+from geomid_ros.model.known import WeighedMass
+from geomid_ros.model.measurement import MeasurementModel
+from geomid_ros.model.robot import Robot
+from geomid_ros.session import Session
+
+from .arms import ALL_EFFECTS, Case, Motion, arm, efforts, samples, shipped
+from .frames import rewritten
+
+STD = 0.02  # of the scales [kg]
+SEEDS = pytest.mark.parametrize("seed", range(2))
+OBJECTIVES = pytest.mark.parametrize("objective", ["residual", "geodesic"])
+
+
+def standing(case: Case) -> float:
+    """Mass of the links that do not move [kg]."""
+    tree = case.model.robot.tree
+    return sum(p[0] for p in tree.inertials.values()) - sum(b.parameters[0] for b in case.model.robot.bodies)
+
+
+def true_total(case: Case) -> float:
+    return standing(case) + float(np.sum(case.true.links[:, 0]))
+
+
+def total(case: Case, found: Estimate) -> float:
+    fixed = [b.parameters[0] for k, b in enumerate(case.model.robot.bodies) if k not in case.model.identified]
+    return standing(case) + sum(fixed) + sum(link.mass for link in found.links)
+
+
+def solved(case: Case, *known: WeighedMass, buffer: BufferSettings | None = None, **settings: object) -> Estimate:
+    identifier = Identifier(case.model, EstimatorSettings(**settings, known=known), buffer)
+    identifier.add(case.samples)
+    return identifier.solve()
+
+
+def weighed(mass: float, std: float = STD, link: str = "total") -> WeighedMass:
+    return WeighedMass((link,), mass, std)
+
+
+def with_lump(case: Case, mass: float) -> Case:
+    """The same robot with a point mass on the first joint's axis: no joint of an arm on a table feels it."""
+    links = case.true.links.copy()
+    links[0, 0] += mass
+    changed = replace(case.true, links=links)
+    moving = Motion(case.samples.position, case.samples.velocity, case.samples.acceleration)
+    np.testing.assert_allclose(efforts(case.model.robot, changed, moving), case.noiseless, atol=1e-9)
+    return replace(case, true=changed)
+
+
+@SEEDS
+@OBJECTIVES
+def test_what_joints_do_not_feel_a_scale_does(seed: int, objective: str) -> None:
+    case = arm("arm3", seed)
+    heavy = with_lump(case, 1.0)
+    without = total(case, solved(case, objective=objective))
+    assert max(abs(without - true_total(case)), abs(without - true_total(heavy))) > 10.0 * STD
+    for one in (case, heavy):
+        found = solved(one, weighed(true_total(one)), objective=objective)
+        assert abs(total(one, found) - true_total(one)) < STD
+        (known,) = found.known
+        assert (known.name, known.given, known.given_std) == ("total", true_total(one), STD)
+        assert known.mass == pytest.approx(total(one, found), abs=1e-9)
+        assert 0.5 * STD < known.std < 1.5 * STD
+
+
+@SEEDS
+def test_a_weighed_payload_is_that_of_its_link(seed: int) -> None:
+    case = arm("arm7", seed, seconds=10, noise=0.5)
+    last, truth = case.model.body_names[-1], float(case.true.links[-1, 0])
+    found = solved(case, weighed(truth, 1e-3, last), gamma=1e-4)
+    without = solved(case, gamma=1e-4)
+    assert abs(without.links[-1].mass - truth) > 5e-3
+    assert found.links[-1].mass == pytest.approx(truth, abs=2e-3)
+    assert found.links[-1].std_mass < 2e-3 < without.links[-1].std_mass
+
+
+@SEEDS
+@pytest.mark.parametrize("gamma", [1e-6, 1e-2])
+def test_to_be_told_what_one_believes_changes_nothing(seed: int, gamma: float) -> None:
+    """A row without a residual leaves the minimum where it is, however precise: the prior is not made heavier."""
+    case = arm("arm3", seed)
+    before = solved(case, gamma=gamma)
+    after = solved(case, weighed(total(case, before), 1e-3), gamma=gamma)
+    np.testing.assert_allclose(after.parameters, before.parameters, rtol=1e-6, atol=1e-8)
+    assert after.gamma == before.gamma == gamma
+
+
+@SEEDS
+def test_a_scale_without_precision_says_nothing(seed: int) -> None:
+    case = arm("arm3", seed)
+    before, after = solved(case), solved(case, weighed(1000.0, 1e9))
+    assert after.gamma == before.gamma
+    np.testing.assert_allclose(after.parameters, before.parameters, rtol=1e-6, atol=1e-8)
+
+
+def test_a_scale_of_great_precision_is_obeyed() -> None:
+    case = arm("arm3", 0)
+    found = solved(case, weighed(true_total(case) + 0.3, 1e-5 * true_total(case)))
+    assert total(case, found) == pytest.approx(true_total(case) + 0.3, abs=1e-4)
+    assert found.converged
+
+
+def test_what_was_measured_is_counted_as_before() -> None:
+    case = arm("arm3", 1)
+    before, after = solved(case), solved(case, weighed(true_total(case)))
+    assert after.rows_accepted == before.rows_accepted
+    assert after.channels == before.channels
+    np.testing.assert_array_equal(after.sigmas, before.sigmas)
+    np.testing.assert_array_equal(after.rms_nominal, before.rms_nominal)
+
+
+def test_to_weigh_a_robot_is_not_to_move_it() -> None:
+    case = arm("arm3", 1)
+    with pytest.raises(InputError, match="no usable rows"):
+        Identifier(case.model, EstimatorSettings(known=(weighed(20.0),))).solve()
+
+
+def test_forgetting_does_not_forget_the_scale() -> None:
+    case = arm("arm3", 2)
+    found = solved(case, weighed(true_total(case)), buffer=BufferSettings(forgetting_time=3.0))
+    assert abs(total(case, found) - true_total(case)) < STD
+    assert found.known[0].std < 1.05 * STD
+
+
+def test_correlated_noise_is_not_the_scales() -> None:
+    """Residuals that last make the measured rows less sure, but not what was weighed."""
+    case = arm("arm3", 3)
+    slow = np.repeat(np.random.default_rng(0).normal(size=(40, 3)), 50, axis=0)
+    drifting = case.with_efforts(case.noiseless + slow)
+    found = solved(drifting, weighed(true_total(case)), gamma=1e-4)
+    without = solved(drifting, gamma=1e-4)
+    assert found.known[0].std < 1.05 * STD
+    assert without.links[0].std_mass > 10.0 * STD
+
+
+def test_with_some_links_only() -> None:
+    case = arm("arm3", 4, links=("link2", "link3"))
+    found = solved(case, weighed(true_total(case)))
+    assert abs(total(case, found) - true_total(case)) < STD
+
+
+@OBJECTIVES
+def test_frames_and_units_do_not_matter(objective: str) -> None:
+    length, mass = 100.0, 1000.0
+    case, other = arm("arm3", 0, seconds=10), rewritten(shipped("arm3"), 0, length, mass)
+    robot = Robot(other.urdf, gravity=np.array([0.0, 0.0, -9.81 * length]))
+    model = MeasurementModel(robot, [EFFECTS[effect] for effect in ALL_EFFECTS])
+    truth = true_total(case)
+    here = solved(case, weighed(truth), objective=objective)
+    there = Identifier(model, EstimatorSettings(objective=objective, known=(weighed(mass * truth, mass * STD),)))
+    moving = Motion(case.samples.position, case.samples.velocity, case.samples.acceleration)
+    there.add(samples(moving, mass * length**2 * case.samples.effort))
+    found = there.solve()
+    assert found.gamma == here.gamma
+    assert found.known[0].std == pytest.approx(mass * here.known[0].std, rel=1e-6)
+    for one, two in zip(here.links, found.links, strict=True):
+        expected = pseudo_inertia.from_parameters(other.parameters(one.name, one.parameters))
+        assert spd.distance(expected, pseudo_inertia.from_parameters(two.parameters)) < 1e-6
+
+
+def test_live_and_from_a_bag_alike() -> None:
+    """The node solves now and then while samples come; the last solve, for all data, is that of a bag."""
+    case = arm("arm3", 5, seconds=10)
+    truth, last = true_total(case), case.true.links[-1, 0]
+    configuration = Configuration({"known": [f"total={truth}:0.05", f"link3={last}:0.01"], "gamma": 1e-4})
+    bag, live = (Session(shipped("arm3"), configuration, "arm3.urdf") for _ in range(2))
+    bag.identifier.add(case.samples)
+    whole = bag.identifier.solve()
+    for start in range(0, len(case.samples), 400):
+        live.identifier.add(case.samples.select(slice(start, start + 400)))
+        live.identifier.solve()
+    pieces = live.identifier.solve()
+    assert [known.name for known in whole.known] == ["total", "link3"]
+    np.testing.assert_allclose(pieces.parameters, whole.parameters, rtol=1e-6, atol=1e-9)
+    assert abs(total(case, pieces) - truth) < 0.05
+    assert pieces.links[-1].mass == pytest.approx(last, abs=0.02)
+
+
+def test_a_mistake_is_found_before_anything_is_read() -> None:
+    with pytest.raises(InputError, match="unknown link of a weighed mass 'link9'"):
+        Session(shipped("arm3"), Configuration({"known": ["link9=2:1"]}), "arm3.urdf")
+    with pytest.raises(InputError, match=r"robot.yaml: the weighed mass 'link3=2' is not of the form"):
+        Configuration({"known": ["link3=2"]}, "robot.yaml")
