@@ -45,6 +45,18 @@ class EffectEstimate:
     from_data: float
 
 
+@dataclass(frozen=True)
+class KnownEstimate:
+    """A weighed mass [kg]: what ``name`` was said to weigh, and what it weighs by the estimate, each with its standard
+    deviation."""
+
+    name: str
+    given: float
+    given_std: float
+    mass: float
+    std: float
+
+
 @dataclass(frozen=True, eq=False)
 class Estimate:
     """All that a solve found.
@@ -68,3 +80,4 @@ class Estimate:
     sigmas: FloatArray
     rms_nominal: FloatArray
     rms: FloatArray
+    known: tuple[KnownEstimate, ...] = ()

@@ -9,20 +9,29 @@ import numpy as np
 from scipy.fft import dct
 
 from geomid_ros.errors import InputError, unknown_name
-from geomid_ros.estimation.estimate import EffectEstimate, Estimate, LinkEstimate
+from geomid_ros.estimation.estimate import EffectEstimate, Estimate, KnownEstimate, LinkEstimate
 from geomid_ros.estimation.gamma import PAPER, choose_gamma
-from geomid_ros.estimation.objective import GeodesicObjective, ResidualObjective
-from geomid_ros.estimation.solvers import SOLVERS, Solution, trust_region
+from geomid_ros.estimation.objective import GeodesicObjective, ResidualObjective, residual_objective, trust_in_known
+from geomid_ros.estimation.solvers import SOLVERS, trust_region
 from geomid_ros.estimation.starting_point import (
     channel_sizes,
     first_sigmas,
     prior_parameters,
     scales_of_reals,
+    usual_spreads,
 )
 from geomid_ros.estimation.summary import RowSummary
-from geomid_ros.estimation.uncertainty import Uncertainty, physical_sensitivity, physical_values, uncertainty
+from geomid_ros.estimation.uncertainty import (
+    Fold,
+    Kind,
+    Uncertainty,
+    physical_sensitivity,
+    physical_values,
+    uncertainty,
+)
 from geomid_ros.geometry import pseudo_inertia, spd
 from geomid_ros.geometry.manifold import ParameterManifold, Point
+from geomid_ros.model.known import KnownRows, WeighedMass, known_rows
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.types import FloatArray, frozen
 
@@ -40,7 +49,7 @@ class EstimatorSettings:
     blocks of time. ``sigma``: standard deviations by channel name where they are known; others are estimated from the
     residuals. ``objective``: ``residual`` (Remark 3) or ``geodesic`` ((19), and then ``solver``: ``trust_region`` or
     ``cyclic``). ``tolerance``: how far from the minimum the result may lie, as a geodesic distance; ``max_steps`` of
-    the solver."""
+    the solver. ``known``: masses that were weighed."""
 
     gamma: float | None = None
     sigma: dict[str, float] | None = None
@@ -48,6 +57,7 @@ class EstimatorSettings:
     solver: str = "trust_region"
     tolerance: float = 1e-10
     max_steps: int = 300
+    known: tuple[WeighedMass, ...] = ()
 
     def __post_init__(self) -> None:
         if self.objective not in OBJECTIVES:
@@ -91,24 +101,35 @@ def estimate(
     sizes = channel_sizes(summary, model.dimension)
     manifold = model.manifold(scales_of_reals(model, sizes))
     prior_point = manifold.point(prior_parameters(model, summary, prior))
+    known = known_rows(model, settings.known)
     configured = _configured_sigmas(model, settings)
     sigmas = np.where(np.isfinite(configured), configured, first_sigmas(summary, model.dimension))
     gamma = warm.gamma if warm else settings.gamma
     if gamma is None and settings.objective == "geodesic":
         gamma = PAPER
     if gamma is None:
-        gamma = choose_gamma(manifold, summary, sigmas, prior_point).gamma
+        gamma = choose_gamma(manifold, summary, sigmas, prior_point, known).gamma
+    objective = residual_objective(manifold, summary.compressed(sigmas, manifold.dimension), known, prior_point, gamma)
     # The prior bounds the curvature from below: a gradient of so little of the prior's weight is so little off.
-    tolerance = max(settings.tolerance * min(gamma, 1.0), _LEAST_GRADIENT)
+    tolerance = max(settings.tolerance * min(objective.gamma, 1.0), _LEAST_GRADIENT)
     point = manifold.point(warm.parameters) if warm else prior_point
-    objective = _residual_objective(manifold, summary, sigmas, prior_point, gamma)
     solution = trust_region(objective, point, tolerance, settings.max_steps)
+    prior_weights = objective.prior_weights
     set_aside = 0
     if settings.objective == "geodesic":
         geodesic = _geodesic_objective(objective)
         set_aside = int(np.count_nonzero(geodesic.set_aside))
+        prior_weights = geodesic.prior_weights
         solution = SOLVERS[settings.solver](geodesic, solution.point, tolerance, settings.max_steps)
-    sure = _uncertainty(summary, sigmas, objective, solution)
+    folds = _folds(summary, sigmas, manifold, solution.point)
+    sure = uncertainty(
+        folds,
+        _rows_at(manifold, solution.point, known.rows, known.targets),
+        trust_in_known(objective.prior_weight),
+        prior_weights,
+        manifold.log(solution.point, prior_point),
+        _kinds(model, manifold),
+    )
     return Estimate(
         solution.converged,
         solution.reason,
@@ -124,6 +145,7 @@ def estimate(
         frozen(sigmas),
         frozen(summary.rms(nominal_parameters(model))),
         frozen(summary.rms(solution.point.parameters)),
+        _known(known, manifold, solution.point, sure),
     )
 
 
@@ -140,13 +162,6 @@ def _configured_sigmas(model: MeasurementModel, settings: EstimatorSettings) -> 
     return np.array([configured.get(name, np.nan) for name in names])
 
 
-def _residual_objective(
-    manifold: ParameterManifold, summary: RowSummary, sigmas: FloatArray, prior: Point, gamma: float
-) -> ResidualObjective:
-    rows, targets = summary.compressed(sigmas, manifold.dimension)
-    return ResidualObjective(manifold, rows, targets, np.ones(len(rows)), prior, gamma)
-
-
 def _geodesic_objective(objective: ResidualObjective) -> GeodesicObjective:
     """(19) for the same rows, combined orthogonally so that each carries a like share of their information.
 
@@ -161,21 +176,26 @@ def _geodesic_objective(objective: ResidualObjective) -> GeodesicObjective:
     signs = np.where(residuals < 0.0, -1.0, 1.0) * np.random.default_rng(0).choice((-1.0, 1.0), len(left))
     mixing = dct(signs[:, None] * left, axis=0, norm="ortho")
     rows, targets = mixing @ objective.rows, mixing @ objective.targets
-    return GeodesicObjective(manifold, rows, targets, np.ones(len(rows)), prior, objective.gamma)
+    return GeodesicObjective(manifold, rows, targets, np.ones(len(rows)), prior, objective.gamma, objective.confidence)
 
 
-def _uncertainty(
-    summary: RowSummary, sigmas: FloatArray, objective: ResidualObjective, solution: Solution
-) -> Uncertainty:
-    point, manifold = solution.point, objective.manifold
-    gradients = []
-    for fold in range(summary.folds):
-        rows, targets = summary.compressed(sigmas, manifold.dimension, [fold])
-        if len(rows):
-            gradients.append((rows @ point.parameters - targets) @ manifold.whiten(point, rows))
-    return uncertainty(
-        solution.evaluation.information, objective.prior_weight, gradients, manifold.log(point, objective.prior)
-    )
+def _folds(summary: RowSummary, sigmas: FloatArray, manifold: ParameterManifold, point: Point) -> list[Fold]:
+    """The folds that have rows."""
+    contents = (summary.compressed(sigmas, manifold.dimension, [fold]) for fold in range(summary.folds))
+    return [_rows_at(manifold, point, rows, targets) for rows, targets in contents if len(rows)]
+
+
+def _rows_at(manifold: ParameterManifold, point: Point, rows: FloatArray, targets: FloatArray) -> Fold:
+    normals = manifold.whiten(point, rows)
+    return Fold((rows @ point.parameters - targets) @ normals, normals.T @ normals)
+
+
+def _kinds(model: MeasurementModel, manifold: ParameterManifold) -> list[Kind]:
+    """The links' coordinates, and each effect's at all joints."""
+    first, usual = manifold.inertial.stop, usual_spreads(manifold)
+    names = np.array([coefficient.effect.name for coefficient in model.coefficients])
+    effects = [first + np.flatnonzero(names == name) for name in dict.fromkeys(names)]
+    return [Kind(columns, float(usual[columns[0]])) for columns in (np.arange(first), *effects)]
 
 
 def _links(
@@ -191,9 +211,9 @@ def _links(
     for index, name in enumerate(model.body_names):
         block = manifold.link(index)
         derivative = sensitivity[index]
-        std = np.sqrt(np.einsum("ij,jk,ik->i", derivative, sure.covariance[block, block], derivative))
-        untold = sure.prior_spread * np.linalg.norm(derivative, axis=1)
-        share = float(np.trace(sure.resolution[block, block])) / 10.0
+        variances = np.einsum("ij,jk,ik->i", derivative, sure.covariance[block, block], derivative)
+        std = np.sqrt(np.maximum(variances, 0.0))
+        untold = np.linalg.norm(derivative * sure.prior_spreads[block], axis=1)
         links.append(
             LinkEstimate(
                 name,
@@ -206,7 +226,7 @@ def _links(
                 frozen(_symmetric3(std[4:])),
                 frozen(parameters[index]),
                 float(distances[index]),
-                min(1.0, max(0.0, share)),
+                sure.from_data(block),
                 float(ratios[index]),
                 tuple(q for q, s, u in zip(QUANTITIES, std, untold, strict=True) if s > _TOLD * u),
             )
@@ -227,8 +247,19 @@ def _effects(
     first = manifold.inertial.stop
     _, diagonal = manifold.jacobian(point)
     std = diagonal * np.sqrt(np.diag(sure.covariance)[first:])
-    shares = np.clip(np.diag(sure.resolution)[first:], 0.0, 1.0)
+    shares = [sure.from_data(slice(column, column + 1)) for column in range(first, manifold.dimension)]
     return tuple(
-        EffectEstimate(c.effect.name, c.joint_name, float(value), c.unit, float(s), float(share))
+        EffectEstimate(c.effect.name, c.joint_name, float(value), c.unit, float(s), share)
         for c, value, s, share in zip(model.coefficients, point.parameters[first:], std, shares, strict=True)
+    )
+
+
+def _known(known: KnownRows, manifold: ParameterManifold, point: Point, sure: Uncertainty) -> tuple[KnownEstimate, ...]:
+    normals = manifold.whiten(point, known.rows)
+    stds = np.sqrt(np.einsum("ki,ij,kj->k", normals, sure.covariance, normals))
+    # In units of the given standard deviation, and without what is not identified of it.
+    errors = known.rows @ point.parameters - known.targets
+    return tuple(
+        KnownEstimate(given.name, given.mass, given.std, given.mass + float(error) * given.std, float(std) * given.std)
+        for given, error, std in zip(known.weighed, errors, stds, strict=True)
     )

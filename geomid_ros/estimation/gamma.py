@@ -6,10 +6,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from geomid_ros.estimation.objective import ResidualObjective
+from geomid_ros.estimation.objective import residual_objective
 from geomid_ros.estimation.solvers import trust_region
 from geomid_ros.estimation.summary import RowSummary
 from geomid_ros.geometry.manifold import ParameterManifold, Point
+from geomid_ros.model.known import KnownRows
 from geomid_ros.types import FloatArray
 
 PAPER = 1e-2
@@ -27,13 +28,15 @@ class GammaChoice:
     losses: dict[float, float]
 
 
-def choose_gamma(manifold: ParameterManifold, summary: RowSummary, sigmas: FloatArray, prior: Point) -> GammaChoice:
+def choose_gamma(
+    manifold: ParameterManifold, summary: RowSummary, sigmas: FloatArray, prior: Point, known: KnownRows
+) -> GammaChoice:
     """The prior's weight that predicts folds which were not fitted best.
 
-    Each fold is judged by the fit to the others, with ``sigmas (channels,)``. The loss is the logarithm of the mean
-    squared error, averaged over channels and folds: the likelihood when no error is taken to be of a known size, so
-    that a violent passage or a badly modelled channel has one voice like the others. Fits go from strong to weak
-    priors, each from where the last one ended. All are tried: the loss may rise before it falls.
+    Each fold is judged by the fit to the others, with ``sigmas (channels,)``, and to what is ``known``. The loss is the
+    logarithm of the mean squared error, averaged over channels and folds: the likelihood when no error is taken to be
+    of a known size, so that a violent passage or a badly modelled channel has one voice like the others. Fits go from
+    strong to weak priors, each from where the last one ended. All are tried: the loss may rise before it falls.
     """
     folds = [fold for fold in range(summary.folds) if np.any(np.isfinite(summary.rms(prior.parameters, [fold])))]
     if len(folds) < 2:
@@ -43,9 +46,9 @@ def choose_gamma(manifold: ParameterManifold, summary: RowSummary, sigmas: Float
     losses: dict[float, float] = {}
     for gamma in CANDIDATES:
         loss = []
-        for place, (fold, (rows, targets)) in enumerate(zip(folds, training, strict=True)):
-            objective = ResidualObjective(manifold, rows, targets, np.ones(len(rows)), prior, gamma)
-            points[place] = trust_region(objective, points[place], _TOLERANCE * gamma, _STEPS).point
+        for place, (fold, measured) in enumerate(zip(folds, training, strict=True)):
+            objective = residual_objective(manifold, measured, known, prior, gamma)
+            points[place] = trust_region(objective, points[place], _TOLERANCE * objective.gamma, _STEPS).point
             error = summary.rms(points[place].parameters, [fold])
             loss.append(2.0 * np.log(np.maximum(error, np.finfo(float).tiny)))
         losses[gamma] = float(np.nanmean(loss))

@@ -12,29 +12,33 @@ from geomid_ros.errors import InputError
 from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.estimation.estimator import EstimatorSettings, WarmStart, estimate
 from geomid_ros.estimation.summary import RowSummary, usable
+from geomid_ros.model.known import known_rows
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.samples import Samples
 from geomid_ros.types import FloatArray
 
 NOT_MEASURED = "not measured"
 STANDING_STILL = "standing still"
+_LONGEST_STEP = 1.0  # [s]
+_RENEWED = 1.0 / 3.0
 
 
 @dataclass(frozen=True)
 class BufferSettings:
     """``still_speed`` [rad/s or m/s] and ``still_distance`` [rad or m]: an instant at which nothing moves faster, and
-    that lies nearer to the last one taken, says nothing new. ``forgetting``: factor per row on the weight of earlier
-    rows of its channel (1: nothing is forgotten). ``folds``, ``block``: see :class:`RowSummary`."""
+    that lies nearer to the last one taken, says nothing new. ``forgetting_time`` [s]: time constant with which the
+    weight of earlier rows falls while rows are taken (infinite: nothing is forgotten). ``folds``, ``block``: see
+    :class:`RowSummary`."""
 
     still_speed: float = 1e-3
     still_distance: float = 1e-2
-    forgetting: float = 1.0
+    forgetting_time: float = np.inf
     folds: int = 8
     block: int = 100
 
     def __post_init__(self) -> None:
-        if not 0.0 < self.forgetting <= 1.0:
-            raise InputError(f"forgetting is {self.forgetting:g}, expected a factor above 0 and up to 1")
+        if not self.forgetting_time > 0.0:
+            raise InputError(f"forgetting time is {self.forgetting_time:g} s, expected a number greater than zero")
         if self.folds < 1 or self.block < 1:
             raise InputError(f"{self.folds} folds of {self.block} instants, expected at least one of each")
 
@@ -52,38 +56,49 @@ class Identifier:
         buffer: BufferSettings | None = None,
         prior: FloatArray | None = None,
     ) -> None:
-        """``prior (D,)``: start from these parameters instead of the URDF's (see :func:`estimate`)."""
+        """``prior (D,)``: start from these parameters instead of the URDF's (see :func:`estimate`).
+
+        Raises InputError for a weighed mass that does not fit the model.
+        """
         self.model = model
         self.rows_rejected: Counter[str] = Counter()
         self._estimator = estimator or EstimatorSettings()
         self._buffer = buffer or BufferSettings()
+        known_rows(model, self._estimator.known)
         self._prior = prior
         self._last_pose: FloatArray | None = None
+        self._last_stamp: int | None = None
         self._lock = threading.Lock()
         self._summary = self._empty_summary()
 
     def _empty_summary(self) -> RowSummary:
         buffer = self._buffer
-        return RowSummary(self.model.channels, buffer.folds, buffer.block, buffer.forgetting)
+        return RowSummary(self.model.channels, buffer.folds, buffer.block, buffer.forgetting_time)
 
     def reset(self) -> None:
         """Forget all samples."""
         with self._lock:
             self._summary = self._empty_summary()
             self.rows_rejected.clear()
-            self._last_pose = None
+            self._last_pose = self._last_stamp = None
 
     def add(self, samples: Samples) -> None:
         """Take samples, in the order of time."""
         rows = self.model.rows(samples)
         with self._lock:
             for index in range(len(samples)):
+                elapsed = self._elapsed(int(samples.stamps[index]))
                 measured = usable(rows.coefficients[index], rows.targets[index])
                 self.rows_rejected[NOT_MEASURED] += int(np.count_nonzero(~measured))
                 if self._is_still(samples, index):
                     self.rows_rejected[STANDING_STILL] += int(np.count_nonzero(measured))
                 else:
-                    self._summary.add(rows.coefficients[index], rows.targets[index])
+                    self._summary.add(rows.coefficients[index], rows.targets[index], elapsed)
+
+    def _elapsed(self, stamp: int) -> float:
+        """Seconds since the sample before; for another recording, or after a pause, not more than a little."""
+        before, self._last_stamp = self._last_stamp, stamp
+        return 0.0 if before is None else min(max(0.0, 1e-9 * (stamp - before)), _LONGEST_STEP)
 
     def _is_still(self, samples: Samples, index: int) -> bool:
         speed = np.max(np.abs(np.append(samples.velocity[index], samples.base_velocity[index])))
@@ -103,8 +118,21 @@ class Identifier:
         with self._lock:
             return self._summary.rows
 
+    def outgrown(self, rows: int) -> bool:
+        """Whether what was chosen when there were ``rows`` rows should be chosen anew: a third of what is remembered
+        came later."""
+        with self._lock:
+            return self._summary.rows - rows > _RENEWED * self._summary.weight
+
     def snapshot(self) -> RowSummary:
-        """A copy of all that was added so far."""
+        """A copy of all that was added so far.
+
+        The lock is given away between one channel and the next, so that who adds meanwhile hardly waits.
+        """
+        for _ in range(self._summary.folds * len(self.model.channels)):
+            with self._lock:
+                if not self._summary.absorb_one():
+                    break
         with self._lock:
             return self._summary.snapshot()
 

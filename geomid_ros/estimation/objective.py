@@ -10,6 +10,7 @@ from typing import Protocol
 
 import numpy as np
 
+from geomid_ros.estimation.starting_point import LEAST_PRIOR_SPREAD, USUAL_SPREAD_OF_LINKS, usual_spreads
 from geomid_ros.geometry import projection, symmetric
 from geomid_ros.geometry.manifold import ParameterManifold, Point
 from geomid_ros.model.known import KnownRows
@@ -59,8 +60,9 @@ class Objective(Protocol):
 class GeodesicObjective:
     """(19) for rows ``(N, D)``, targets ``(N,)`` and standard deviations ``(N,)`` of ``rows . parameters = targets``.
 
-    ``gamma`` is the prior's weight as a share of the sum of the rows' weights. A row whose hyperplane has no projection
-    from the prior is set aside.
+    ``gamma`` is the prior's weight as a share of the sum of the rows' weights, ``confidence`` multiplies it: one
+    number, or one per coordinate, equal within a block. A row whose hyperplane has no projection from the prior is set
+    aside.
     """
 
     manifold: ParameterManifold
@@ -69,6 +71,7 @@ class GeodesicObjective:
     sigmas: FloatArray
     prior: Point
     gamma: float
+    confidence: FloatArray | float = 1.0
 
     @cached_property
     def weights(self) -> FloatArray:
@@ -93,7 +96,7 @@ class GeodesicObjective:
     def value(self, point: Point) -> float:
         """Half of (19) at ``point``, for half the cost of :meth:`evaluate`."""
         to_prior = self.manifold.log(point, self.prior)
-        return float(self.weights @ self._measure(point)[0] + 0.5 * self.prior_weight * (to_prior @ to_prior))
+        return float(self.weights @ self._measure(point)[0] + 0.5 * (self.prior_weights @ to_prior**2))
 
     def _measure(self, point: Point) -> tuple[FloatArray, IntArray]:
         """Half of the squared distances to the hyperplanes and how the projections ended, each ``(N,)``."""
@@ -103,7 +106,7 @@ class GeodesicObjective:
             normals = self.manifold.whiten(point, self.rows[chunk])
             halves[chunk], statuses[chunk] = projection.measure(self.manifold, point, normals, self.targets[chunk])
 
-        list(_pool.map(measure, self._chunks()))
+        list(_pool.map(measure, _chunks(len(self.rows))))
         return halves, statuses
 
     @cached_property
@@ -112,24 +115,25 @@ class GeodesicObjective:
         return float(self.gamma * np.sum(self.weights))
 
     @cached_property
+    def prior_weights(self) -> FloatArray:
+        """The same by coordinate, ``(D,)``."""
+        return frozen(self.prior_weight * self.confidence * np.ones(self.manifold.dimension))
+
+    @cached_property
     def scale(self) -> float:
         """Sum of all weights."""
         return float(np.sum(self.weights)) + self.prior_weight
 
     def evaluate(self, point: Point) -> Evaluation:
         """Half of (19) at ``point`` with its derivatives in the tangent coordinates there."""
-        value, gradient, hessian = _prior_terms(self.manifold, point, self.prior, self.prior_weight)
+        value, gradient, hessian = _prior_terms(self.manifold, point, self.prior, self.prior_weights)
         information = np.zeros_like(hessian)
-        for terms in _pool.map(lambda chunk: self._row_terms(point, chunk), self._chunks()):
+        for terms in _pool.map(lambda chunk: self._row_terms(point, chunk), _chunks(len(self.rows))):
             value += terms[0]
             gradient = gradient + terms[1]
             information += terms[2]
             hessian += terms[3]
         return Evaluation(value, gradient, information, information + hessian)
-
-    def _chunks(self) -> Iterator[slice]:
-        for start in range(0, len(self.rows), _CHUNK):
-            yield slice(start, start + _CHUNK)
 
     def _row_terms(self, point: Point, chunk: slice) -> tuple[float, FloatArray, FloatArray, FloatArray]:
         weights = self.weights[chunk]
@@ -152,7 +156,7 @@ class ResidualObjective:
     differs in two ways that matter far from there: it has no rows to set aside, and it does not reward what makes
     distances short, large masses above all (let everything grow alike: a row's residual grows in proportion, the
     distance to its hyperplane does not). It depends on the rows only through their least-squares content, so that
-    compressed rows lose nothing.
+    compressed rows lose nothing. ``confidence`` as in :class:`GeodesicObjective`.
     """
 
     manifold: ParameterManifold
@@ -161,6 +165,7 @@ class ResidualObjective:
     sigmas: FloatArray
     prior: Point
     gamma: float
+    confidence: FloatArray | float = 1.0
 
     @cached_property
     def scale(self) -> float:
@@ -173,9 +178,14 @@ class ResidualObjective:
         """The factor of the squared distance to the prior."""
         return self.gamma / (1.0 + self.gamma) * self.scale
 
+    @cached_property
+    def prior_weights(self) -> FloatArray:
+        """The factors ``(D,)`` of the squared distance to the prior, by coordinate."""
+        return frozen(self.prior_weight * self.confidence * np.ones(self.manifold.dimension))
+
     def evaluate(self, point: Point) -> Evaluation:
         """Half of the objective at ``point`` with its derivatives in the tangent coordinates there."""
-        value, gradient, hessian = _prior_terms(self.manifold, point, self.prior, self.prior_weight)
+        value, gradient, hessian = _prior_terms(self.manifold, point, self.prior, self.prior_weights)
         residuals = (self.rows @ point.parameters - self.targets) / self.sigmas
         normals = self.manifold.whiten(point, self.rows) / self.sigmas[:, None]
         slope = residuals @ normals
@@ -190,27 +200,48 @@ def residual_objective(
     """The objective of ``measured`` rows ``(N, D)`` and targets ``(N,)`` of standard deviation 1 and of what is known.
 
     The prior's weight is the share ``gamma`` of the measured rows' alone: to weigh a link more precisely must not make
-    the prior heavier.
+    the prior heavier. Blocks have it in proportion to how sure their priors usually are, links as it stands. What is
+    known is weighted by :func:`trust_in_known`.
     """
-    rows, targets = (np.concatenate(pair) for pair in zip(measured, (known.rows, known.targets), strict=True))
+    measured_weight = float(np.sum(row_weights(manifold, prior, measured[0], np.ones(len(measured[0])))))
+    factor = np.sqrt(trust_in_known(gamma * measured_weight))
+    rows = np.concatenate([measured[0], factor * known.rows])
+    targets = np.concatenate([measured[1], factor * known.targets])
     ones = np.ones(len(rows))
-    weights = row_weights(manifold, prior, rows, ones)
-    share = float(np.sum(weights[: len(measured[0])]) / np.sum(weights))
-    return ResidualObjective(manifold, rows, targets, ones, prior, gamma * share)
+    weight = float(np.sum(row_weights(manifold, prior, rows, ones)))
+    confidence = (USUAL_SPREAD_OF_LINKS / usual_spreads(manifold)) ** 2
+    return ResidualObjective(manifold, rows, targets, ones, prior, gamma * measured_weight / weight, confidence)
+
+
+def trust_in_known(prior_weight: float) -> float:
+    """Factor of the weight of what is known, which has no part in why the prior is heavy.
+
+    A heavy prior says that the measured rows are worth less than their standard deviations promise, not that the prior
+    is surer than :data:`LEAST_PRIOR_SPREAD`: against that spread a scale's word counts as it stands.
+    """
+    return max(1.0, prior_weight * LEAST_PRIOR_SPREAD**2)
 
 
 def row_weights(manifold: ParameterManifold, prior: Point, rows: FloatArray, sigmas: FloatArray) -> FloatArray:
     """Weights ``(N,)`` of Remark 2."""
-    result: FloatArray = np.sum(manifold.whiten(prior, rows) ** 2, axis=1) / sigmas**2
-    return result
+    weights = np.empty(len(rows))
+    for chunk in _chunks(len(rows)):
+        weights[chunk] = np.sum(manifold.whiten(prior, rows[chunk]) ** 2, axis=1) / sigmas[chunk] ** 2
+    return weights
+
+
+def _chunks(count: int) -> Iterator[slice]:
+    for start in range(0, count, _CHUNK):
+        yield slice(start, start + _CHUNK)
 
 
 def _prior_terms(
-    manifold: ParameterManifold, point: Point, prior: Point, weight: float
+    manifold: ParameterManifold, point: Point, prior: Point, weights: FloatArray
 ) -> tuple[float, FloatArray, FloatArray]:
+    """Weights ``(D,)`` are equal within a block, so that the Hessian stays symmetric."""
     to_prior = manifold.log(point, prior)
-    hessian = weight * manifold.half_squared_distance_hessian(point, prior)
-    return 0.5 * weight * float(to_prior @ to_prior), -weight * to_prior, hessian
+    hessian = weights[:, None] * manifold.half_squared_distance_hessian(point, prior)
+    return 0.5 * float(weights @ to_prior**2), -weights * to_prior, hessian
 
 
 _UNITS = symmetric.to_matrix(np.eye(symmetric.SIZE))

@@ -6,8 +6,9 @@ import numpy as np
 from scipy.optimize import nnls
 
 from geomid_ros.errors import InputError
-from geomid_ros.estimation.summary import RowSummary
+from geomid_ros.estimation.summary import RowSummary, joined
 from geomid_ros.geometry import pseudo_inertia
+from geomid_ros.geometry.manifold import ParameterManifold
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.types import FloatArray, IntArray
 
@@ -21,6 +22,14 @@ _LEAST_MOTION = 0.1
 _LEAST_SIGMA_SHARE = 1e-3
 _ROUNDING = 1e-9
 _ROUNDING_COLUMN = 1e-12
+# How far priors usually are off, per direction of the tangent space: inertias from CAD by a fifth, positive
+# coefficients by a factor of e, for they are a first fit in which they stand in for what the inertias cannot explain,
+# and real ones by a fifth of what their channel measures.
+USUAL_SPREAD_OF_LINKS = 0.2
+# A prior is never surer than this.
+LEAST_PRIOR_SPREAD = 0.1
+_USUAL_SPREAD_OF_POSITIVES = 1.0
+_USUAL_SPREAD_OF_REALS = 0.2
 
 
 def channel_sizes(summary: RowSummary, dimension: int) -> FloatArray:
@@ -34,7 +43,7 @@ def first_sigmas(summary: RowSummary, dimension: int) -> FloatArray:
     sizes = channel_sizes(summary, dimension)
     sigmas = sizes.copy()
     for index, parts in enumerate(summary.parts()):
-        factor = np.concatenate([part.factor for part in parts])
+        factor = joined(parts)
         count, columns = sum(part.count for part in parts), factor.shape[1] - 1
         if count > columns:
             residual, rank = _least_residual(factor)
@@ -57,6 +66,14 @@ def scales_of_reals(model: MeasurementModel, sizes: FloatArray) -> FloatArray:
     return np.array([sizes[coefficient.joint] for coefficient in reals])
 
 
+def usual_spreads(manifold: ParameterManifold) -> FloatArray:
+    """Standard deviations ``(D,)`` of the errors that priors usually have, in tangent coordinates."""
+    spreads = np.full(manifold.dimension, USUAL_SPREAD_OF_LINKS)
+    spreads[manifold.positive] = _USUAL_SPREAD_OF_POSITIVES
+    spreads[manifold.real] = _USUAL_SPREAD_OF_REALS
+    return spreads
+
+
 def prior_parameters(model: MeasurementModel, summary: RowSummary, known: FloatArray | None) -> FloatArray:
     """The prior's parameters ``(D,)``: ``known`` where it is given and not NaN; else the URDF's inertias and, for the
     effects, the non-negative least-squares fit of each joint's effects alone on what the inertias leave unexplained.
@@ -75,7 +92,7 @@ def prior_parameters(model: MeasurementModel, summary: RowSummary, known: FloatA
         columns = model.channels[index].columns
         chosen = columns[columns >= first]
         if len(chosen):
-            factor = np.concatenate([part.factor for part in parts])
+            factor = joined(parts)
             count = sum(part.count for part in parts)
             parameters[chosen] = _fitted_effects(factor, count, columns, parameters, chosen, sizes[index], model)
     if known is not None:

@@ -22,12 +22,12 @@ from geomid_ros.types import BoolArray, FloatArray
 class ChannelSummary:
     """Rows of one channel: the factor ``(<= columns + 1, columns + 1)`` of ``[A b]``, and the sum of their weights.
 
-    ``taken``: how many rows of the channel had been added, to any fold, when the weights were last brought up to date.
+    ``time``: when the weights were last brought up to date [s].
     """
 
     factor: FloatArray
     count: float = 0.0
-    taken: int = 0
+    time: float = 0.0
 
     def fade(self, share: float) -> None:
         """Multiply the weights of all rows by ``share``."""
@@ -46,47 +46,76 @@ class ChannelSummary:
 
 
 class RowSummary:
-    """Summaries of all channels in ``folds`` folds: blocks of ``block`` instants go to the folds in turn."""
+    """Summaries of all channels in ``folds`` folds: blocks of ``block`` instants go to the folds in turn.
+
+    A row weighs ``exp(-age / forgetting_time)``; its age [s] is that of :meth:`add`.
+    """
 
     # Rows wait until so many are there: a QR of many at once costs less than one of each.
     _CHUNK = 128
 
-    def __init__(self, channels: Sequence[Channel], folds: int = 8, block: int = 100, forgetting: float = 1.0) -> None:
+    def __init__(
+        self, channels: Sequence[Channel], folds: int = 8, block: int = 100, forgetting_time: float = np.inf
+    ) -> None:
         self.channels = tuple(channels)
         self.folds = folds
         self._block = block
-        self._forgetting = forgetting
+        self._forgetting_time = forgetting_time
         self._instants = 0
-        self._taken = [0] * len(self.channels)
+        self._time = 0.0
+        self.rows = 0
+        """Number of rows added, forgotten ones included."""
+        self.weight = 0.0
+        """Sum of the weights that they have now."""
         self._summaries = [
             [ChannelSummary(np.zeros((0, len(c.columns) + 1))) for c in self.channels] for _ in range(folds)
         ]
-        # Rows, their targets, and their place among all rows of the channel.
-        self._waiting: list[list[list[tuple[FloatArray, float, int]]]] = [
+        # Rows, their targets, and their times.
+        self._waiting: list[list[list[tuple[FloatArray, float, float]]]] = [
             [[] for _ in self.channels] for _ in range(folds)
         ]
 
-    def add(self, coefficients: FloatArray, targets: FloatArray) -> None:
-        """Add one instant's rows: ``coefficients (channels, D)``, ``targets (channels,)``, those that are usable."""
+    def add(self, coefficients: FloatArray, targets: FloatArray, elapsed: float = 0.0) -> None:
+        """Add one instant's rows: ``coefficients (channels, D)``, ``targets (channels,)``, those that are usable.
+
+        By ``elapsed`` [s] all earlier rows grow older.
+        """
+        self._time += elapsed
+        self.weight *= float(np.exp(-elapsed / self._forgetting_time))
         fold = self._instants // self._block % self.folds
         self._instants += 1
         for index in np.flatnonzero(usable(coefficients, targets)):
-            self._taken[index] += 1
+            self.rows += 1
+            self.weight += 1.0
             waiting = self._waiting[fold][index]
             row = coefficients[index, self.channels[index].columns]
-            waiting.append((row, float(targets[index]), self._taken[index]))
-            if len(waiting) >= self._CHUNK:
+            waiting.append((row, float(targets[index]), self._time))
+            # Channels that have as many rows wait differently long: few instants cost more than one QR.
+            if len(waiting) >= self._CHUNK + index:
                 self._absorb(fold, int(index))
 
+    def absorb_one(self) -> bool:
+        """Absorb what waits of one channel; False if there was nothing."""
+        for fold in range(self.folds):
+            for index, waiting in enumerate(self._waiting[fold]):
+                if waiting:
+                    self._absorb(fold, index)
+                    return True
+        return False
+
     def _absorb(self, fold: int, index: int) -> None:
-        part, waiting, taken = self._summaries[fold][index], self._waiting[fold][index], self._taken[index]
-        if self._forgetting < 1.0:
-            part.fade(self._forgetting ** (taken - part.taken))
+        part, waiting = self._summaries[fold][index], self._waiting[fold][index]
+        if part.time < self._time:
+            part.fade(float(self._remaining(part.time)))
         if waiting:
-            rows, targets, places = zip(*waiting, strict=True)
-            part.add(np.array(rows), np.array(targets), self._forgetting ** (taken - np.array(places)))
+            rows, targets, times = zip(*waiting, strict=True)
+            part.add(np.array(rows), np.array(targets), self._remaining(np.array(times)))
             waiting.clear()
-        part.taken = taken
+        part.time = self._time
+
+    def _remaining(self, times: float | FloatArray) -> FloatArray:
+        """Weights that rows added at ``times`` have now."""
+        return np.exp((np.asarray(times) - self._time) / self._forgetting_time)
 
     def parts(self, folds: Sequence[int] | None = None) -> list[list[ChannelSummary]]:
         """Per channel the summaries of the chosen folds (all unless given), everything added so far included."""
@@ -98,19 +127,14 @@ class RowSummary:
 
     def snapshot(self) -> RowSummary:
         """A copy that later additions do not change."""
-        copy = RowSummary(self.channels, self.folds, self._block, self._forgetting)
-        copy._instants = self._instants
-        copy._taken = list(self._taken)
+        copy = RowSummary(self.channels, self.folds, self._block, self._forgetting_time)
+        copy._instants, copy._time = self._instants, self._time
+        copy.rows, copy.weight = self.rows, self.weight
         copy._summaries = [[replace(part) for part in fold] for fold in self._parts_by_fold()]
         return copy
 
     def _parts_by_fold(self) -> list[list[ChannelSummary]]:
         return [list(fold) for fold in zip(*self.parts(), strict=True)]
-
-    @property
-    def rows(self) -> int:
-        """Number of rows added, forgotten ones included."""
-        return sum(self._taken)
 
     def rms(self, parameters: FloatArray, folds: Sequence[int] | None = None) -> FloatArray:
         """Root mean square of each channel's residual at parameters ``(D,)``, ``(channels,)``; NaN without rows."""
@@ -132,12 +156,12 @@ class RowSummary:
         """
         stacked = [np.zeros((0, dimension + 1))]
         for channel, sigma, parts in zip(self.channels, sigmas, self.parts(folds), strict=True):
-            for part in parts:
-                if len(part.factor):
-                    widened = np.zeros((len(part.factor), dimension + 1))
-                    widened[:, channel.columns] = part.factor[:, :-1] / sigma
-                    widened[:, -1] = part.factor[:, -1] / sigma
-                    stacked.append(widened)
+            # First by channel: most have few columns, and many small decompositions stop no other thread for long.
+            factor = joined(parts)
+            widened = np.zeros((len(factor), dimension + 1))
+            widened[:, channel.columns] = factor[:, :-1] / sigma
+            widened[:, -1] = factor[:, -1] / sigma
+            stacked.append(widened)
         factor = triangular(np.concatenate(stacked))[:dimension]
         return factor[:, :-1], factor[:, -1]
 
@@ -146,6 +170,11 @@ def usable(coefficients: FloatArray, targets: FloatArray) -> BoolArray:
     """Which rows ``(N, D)`` have a target ``(N,)`` and coefficients that are numbers: a single NaN would spoil all."""
     result: BoolArray = np.isfinite(targets) & np.all(np.isfinite(coefficients), axis=1)
     return result
+
+
+def joined(parts: Sequence[ChannelSummary]) -> FloatArray:
+    """One factor for all ``parts`` (at least one) of a channel."""
+    return triangular(np.concatenate([part.factor for part in parts]))
 
 
 def triangular(matrix: FloatArray) -> FloatArray:

@@ -15,6 +15,7 @@ from geomid_ros.estimation.estimator import EstimatorSettings
 from geomid_ros.estimation.identifier import BufferSettings
 from geomid_ros.files.parameter_file import read_parameter_file
 from geomid_ros.model.effects import EFFECTS, Effect, effect
+from geomid_ros.model.known import WeighedMass
 from geomid_ros.model.sensors import AXES, WrenchSensor
 from geomid_ros.signals.pipeline import SignalSettings
 from geomid_ros.types import FloatArray
@@ -48,6 +49,7 @@ PARAMETERS = (
     Parameter("robot_description", "", "URDF text; empty: taken from the topic robot_description"),
     Parameter("model", "", "estimate.json of an earlier run to start from instead of the URDF's inertias"),
     Parameter("links", _NONE, "moving links to identify; empty: all that have a mass"),
+    Parameter("known", _NONE, "masses that were weighed, as LINK=MASS:STD, LINK+LINK=MASS:STD or total=MASS:STD [kg]"),
     Parameter("effects", list(EFFECTS), f"effects identified at every joint: {', '.join(EFFECTS)}"),
     Parameter("floating_base", False, "the base moves; its pose is read from the topic odom"),
     Parameter("locked_joints", _NONE, "joints of the URDF that never move and are in no message, taken as at zero"),
@@ -67,10 +69,10 @@ PARAMETERS = (
     Parameter("objective", "residual", "what is minimised: residual (Remark 3 of the paper) or geodesic (its (19))"),
     Parameter("solver", "trust_region", "solver of the geodesic objective: trust_region or cyclic (the paper's)"),
     Parameter("sigma.*", 1.0, "standard deviation of a channel [N m, N], where known (else from residuals)", 1e-9, 1e9),
-    Parameter("forgetting", 1.0, "factor per row on a channel's earlier rows; 1: nothing is forgotten", 0.9, 1.0),
+    Parameter("forgetting_time", 0.0, "motion [s] after which data count 1/e; 0: nothing is forgotten", 0.0, 1e6),
     Parameter("still_speed", 1e-3, "slower than this everywhere counts as standing still [rad/s, m/s]", 0.0, 10.0),
     Parameter("still_distance", 1e-2, "at a standstill, a pose nearer to the last one is not new [rad, m]", 0.0, 10.0),
-    Parameter("solve_period", 1.0, "seconds between estimates while data come in [s]", 0.05, 3600.0),
+    Parameter("solve_period", 1.0, "seconds between estimates while data come in [s]", 0.001, 3600.0),
     Parameter("active", True, "take data from the start; otherwise wait for ~/start"),
     Parameter("output_folder", "", "folder that ~/save and the end of the node write to; empty: the working directory"),
 )
@@ -242,12 +244,19 @@ class Configuration:
 
     def _estimator(self, sigma: dict[str, float]) -> EstimatorSettings:
         return self._naming_source(
-            "", lambda: EstimatorSettings(self["gamma"] or None, sigma or None, self["objective"], self["solver"])
+            "",
+            lambda: EstimatorSettings(
+                self["gamma"] or None, sigma or None, self["objective"], self["solver"], known=self._known
+            ),
         )
+
+    @property
+    def _known(self) -> tuple[WeighedMass, ...]:
+        return tuple(WeighedMass.parse(text) for text in self["known"])
 
     @property
     def buffer(self) -> BufferSettings:
         """Settings of the row buffer."""
         return self._naming_source(
-            "", lambda: BufferSettings(self["still_speed"], self["still_distance"], self["forgetting"])
+            "", lambda: BufferSettings(self["still_speed"], self["still_distance"], self["forgetting_time"] or np.inf)
         )

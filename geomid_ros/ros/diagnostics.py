@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
+import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 
 from geomid_ros.estimation.estimate import Estimate, LinkEstimate
@@ -13,6 +14,7 @@ from geomid_ros.ros.worker import Status
 
 NO_DESCRIPTION = "no robot description yet"
 STOPPED = "stopped"
+_QUANTILES = {"p50": 0.5, "p99": 0.99, "max": 1.0}
 
 
 class Diagnostics:
@@ -79,12 +81,21 @@ def _stream(status: Status, counts: Mapping[str, int]) -> dict[str, object]:
         "rows": status.rows,
         "lag": status.lag,
         "queue": status.queue,
+        **_latency(status.receipt_to_row),
+        "solves": status.solves,
         **counts,
         **{f"rows rejected: {reason}": count for reason, count in (+status.rows_rejected).items()},
     }
     if status.estimate is not None:
         values |= _solve(status.estimate)
     return values
+
+
+def _latency(seconds: Sequence[float]) -> dict[str, float]:
+    """Quantiles of the time from a message's receipt to the rows that it completed."""
+    if not seconds:
+        return {}
+    return {f"receipt to row {name} [ms]": 1e3 * float(np.quantile(seconds, q)) for name, q in _QUANTILES.items()}
 
 
 def _solve(estimate: Estimate) -> dict[str, object]:

@@ -27,6 +27,7 @@ from geomid_ros.files.urdf import read_urdf
 
 _START_TIMEOUT = 20.0
 _SAVE_TIMEOUT = 30.0
+_AFTERWARDS = 1.2  # [s] in which the estimates that the save published arrive, and the diagnostics after it
 
 
 class LiveRun:
@@ -47,7 +48,7 @@ class LiveRun:
         rclpy.init()
         self._watcher = rclpy.create_node("geomid_demo")
         self._masses: dict[str, float] = {}
-        self._stream = "waiting for the first estimate"
+        self.diagnostics: dict[str, str] = {}  # of the stream, as they came last
         latched = QoSProfile(depth=256, durability=DurabilityPolicy.TRANSIENT_LOCAL)
         self._watcher.create_subscription(InertiaStamped, "geomid/inertias", self._on_inertia, latched)
         self._watcher.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 10)
@@ -78,17 +79,22 @@ class LiveRun:
 
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
         stream = next(status for status in message.status if status.name.endswith(": stream"))
-        self._stream = next(f"{pair.value} rows" for pair in stream.values if pair.key == "rows")
+        self.diagnostics = {pair.key: pair.value for pair in stream.values}
 
-    def watch(self) -> Iterator[tuple[dict[str, float], str]]:
-        """Link masses and the state of the stream, several times a second, until all is played and saved."""
+    @property
+    def node_process(self) -> int:
+        """The number of the node's process."""
+        return self._node.pid
+
+    def watch(self) -> Iterator[dict[str, float]]:
+        """Link masses several times a second, until all is played and saved."""
         while self._player.poll() is None:
             self._require(self._node, "the node")
             rclpy.spin_once(self._watcher, timeout_sec=0.1)
-            yield self._masses, self._stream
+            yield self._masses
         self._require(self._player, "the player")
         self._save()
-        yield self._masses, self._stream
+        yield self._masses
 
     def _require(self, process: subprocess.Popen[bytes], name: str) -> None:
         if process.poll() not in (None, 0):
@@ -104,6 +110,6 @@ class LiveRun:
         result = answer.result()
         if result is None or not result.success:
             raise GeomidError(f"the node could not save: {result.message if result else 'no answer'}")
-        end = time.monotonic() + 0.5  # the estimates that the save published
+        end = time.monotonic() + _AFTERWARDS
         while time.monotonic() < end:
             rclpy.spin_once(self._watcher, timeout_sec=0.05)

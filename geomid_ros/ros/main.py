@@ -15,6 +15,8 @@ if TYPE_CHECKING:
 
     from geomid_ros.ros.node import GeomidNode
 
+_SWITCH_INTERVAL = 5e-4  # [s]
+
 
 def main() -> None:
     """Run the node until SIGINT or SIGTERM; exit status 0, or 2 with one message when it cannot start."""
@@ -22,6 +24,8 @@ def main() -> None:
     stopping = threading.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: stopping.set())
+    # For so long, not 5 ms as is usual, the solver in the middle of Python code keeps who takes messages waiting.
+    sys.setswitchinterval(_SWITCH_INTERVAL)
     # The matrices are small: threads of the linear algebra library would only wait for each other. numpy reads this
     # once.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")

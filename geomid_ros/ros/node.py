@@ -131,6 +131,8 @@ class GeomidNode(Node):
         self.get_logger().info(
             f"identifying {len(session.model.body_names)} links from {len(session.model.channels)} channels"
         )
+        if session.loaded.not_predicted:
+            self.get_logger().warning(session.loaded.not_predicted)
 
     def _publish_prediction(self, session: Session, samples: Samples, parameters: FloatArray) -> None:
         if self._predicted.get_subscription_count() == 0:

@@ -19,6 +19,7 @@ from rclpy.utilities import try_shutdown
 from geomid_ros.files.bags import Bag
 
 _LATCHED = ("robot_description", "tf_static")
+_SETTLING = 0.5  # [s] a subscriber that does not ask for lost messages hears a publisher a little after it is seen
 _LINGER = 1.0  # [s] what was published last must reach its subscribers before the publishers go
 
 
@@ -76,3 +77,4 @@ def _wait_for_subscribers(publishers: dict[str, Publisher], wait: float) -> None
     deadline = time.monotonic() + wait
     while time.monotonic() < deadline and any(p.get_subscription_count() == 0 for p in data):
         time.sleep(0.02)
+    time.sleep(_SETTLING)

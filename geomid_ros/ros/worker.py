@@ -6,7 +6,7 @@ import copy
 import queue
 import threading
 import time
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any, TypeAlias
@@ -22,14 +22,18 @@ from geomid_ros.types import FloatArray
 
 _MOST_WAITING = 20_000  # messages; more are dropped, and counted
 _PATIENCE = 1.0  # [s] for each thread to finish what it does when it is told to end
-_GROWTH = 1.5  # the prior's weight is chosen anew when there are so many times the rows it was chosen with
+_LATENCIES = 10_000  # of so many last instants it is known how long their rows took
 
 Done: TypeAlias = Callable[[Estimate | GeomidError], None]
 
 
 @dataclass(frozen=True)
 class Status:
-    """A snapshot for diagnostics; ``topics`` are those that data are expected on, none without a robot description."""
+    """A snapshot for diagnostics; ``topics`` are those that data are expected on, none without a robot description.
+
+    ``receipt_to_row`` [s]: for the last instants whose rows were added, the time since the message that completed them
+    came to its callback. The fixed lag of the filter is not in it.
+    """
 
     active: bool
     problem: str = ""
@@ -37,6 +41,8 @@ class Status:
     rows: int = 0
     lag: float = 0.0
     queue: int = 0
+    receipt_to_row: tuple[float, ...] = ()
+    solves: int = 0
     ledgers: dict[str, Ledger] = field(default_factory=dict)
     dropped: Counter[str] = field(default_factory=Counter)
     rows_rejected: Counter[str] = field(default_factory=Counter)
@@ -63,9 +69,11 @@ class Worker:
         self._on_estimate = on_estimate
         self._lock = threading.Lock()  # held, never long, for the pipeline and for all that follows here
         self._dropped: Counter[str] = Counter()
+        self._receipt_to_row: deque[float] = deque(maxlen=_LATENCIES)
         self._problem = ""
         self._estimate: Estimate | None = None
         self._resets = 0
+        self._solves = 0
         self._solved_rows = 0
         self._gamma_rows = 0
         self._inbox: queue.SimpleQueue[Callable[[], None] | None] = queue.SimpleQueue()
@@ -125,6 +133,8 @@ class Worker:
                 self.session.identifier.rows,
                 self.session.pipeline.lag,
                 self._inbox.qsize(),
+                tuple(self._receipt_to_row),
+                self._solves,
                 copy.deepcopy(self.session.pipeline.ledgers),
                 self._dropped.copy(),
                 self.session.identifier.rows_rejected.copy(),
@@ -135,7 +145,8 @@ class Worker:
         if self._inbox.qsize() >= _MOST_WAITING:
             self.drop("queue full")
         else:
-            self._inbox.put(lambda: self._take(feed))
+            received = time.perf_counter()
+            self._inbox.put(lambda: self._take(feed, received))
 
     def _take_messages(self) -> None:
         while (task := self._inbox.get()) is not None:
@@ -145,11 +156,15 @@ class Worker:
                 self.drop(f"{type(error).__name__} while taking a message")
                 self._problem = f"a message could not be taken: {error}"
 
-    def _take(self, feed: Callable[[], None]) -> None:
+    def _take(self, feed: Callable[[], None], received: float) -> None:
         with self._lock:
             feed()
         samples, estimate = self.session.advance(), self._estimate
-        if samples is not None and estimate is not None:
+        if samples is None:
+            return
+        with self._lock:
+            self._receipt_to_row.append(time.perf_counter() - received)
+        if estimate is not None:
             self._on_samples(self.session, samples, estimate.parameters)
 
     def _forget(self) -> None:
@@ -175,9 +190,9 @@ class Worker:
             done(self._solve_once(None))
 
     def _warm_start(self) -> WarmStart | None:
-        """Where to start from; None chooses the prior's weight anew, when the rows have grown much since."""
+        """Where to start from; None chooses the prior's weight anew, when it was chosen for other data."""
         with self._lock:
-            if self._estimate is None or self.session.identifier.rows > _GROWTH * self._gamma_rows:
+            if self._estimate is None or self.session.identifier.outgrown(self._gamma_rows):
                 return None
             return WarmStart(self._estimate.parameters, self._estimate.gamma)
 
@@ -190,6 +205,7 @@ class Worker:
                 if resets != self._resets:  # it is of rows that were to be forgotten
                     return estimate
                 self._problem = ""
+                self._solves += 1
                 self._estimate, self._solved_rows = estimate, rows
                 if warm is None:
                     self._gamma_rows = rows

@@ -26,6 +26,8 @@ _MESSAGES_TO_INFER_PERIOD = 32
 _MOST_WAITING = 10_000  # messages kept until the period is known
 _HORIZON = 60_000_000_000  # [ns] a topic that falls behind the others by more is not waited for
 _LATE_MESSAGES_OF_A_RESET_CLOCK = 10
+_LONGEST_DELAY = 1.0  # [s] of efforts
+_EFFORTS = "joint_states.effort"  # their stream, where they come late; no topic has that name
 _LARGEST_NUMBER = 1e9  # in SI units; no robot measures more
 
 
@@ -35,7 +37,8 @@ class SignalSettings:
 
     ``cutoff`` [Hz] of the low-pass; ``period`` [s] of the time grid, inferred from the first joint messages when 0;
     ``max_gap`` [s] a longer pause of a topic starts a new segment; ``effort_gain`` multiplies the messages' efforts to
-    make N m (or N), one number for all joints or one by joint name (negative reverses the sign).
+    make N m (or N), one number for all joints or one by joint name (negative reverses the sign); ``effort_delay`` [s]
+    says how long before its message's stamp an effort acted.
     """
 
     cutoff: float = 5.0
@@ -43,6 +46,7 @@ class SignalSettings:
     max_gap: float = 0.5
     effort_gain: float | dict[str, float] = 1.0
     samples_per_cutoff_period: float = 8.0
+    effort_delay: float = 0.0
 
     def __post_init__(self) -> None:
         for name in ("cutoff", "max_gap", "samples_per_cutoff_period"):
@@ -50,6 +54,10 @@ class SignalSettings:
                 raise InputError(f"signal setting {name} is {getattr(self, name)}, expected a number greater than zero")
         if self.period != 0.0 and not _PERIOD_ROUNDING * 1e-9 <= self.period < np.inf:
             raise InputError(f"signal setting period is {self.period}, expected 0 or at least {_PERIOD_ROUNDING} ns")
+        if not abs(self.effort_delay) <= _LONGEST_DELAY:
+            raise InputError(
+                f"signal setting effort_delay is {self.effort_delay}, expected at most {_LONGEST_DELAY:g} s"
+            )
         gains = self.effort_gain.values() if isinstance(self.effort_gain, dict) else (self.effort_gain,)
         if not all(np.isfinite(gain) and gain != 0.0 for gain in gains):
             raise InputError(f"effort gain {self.effort_gain}: expected finite numbers other than zero")
@@ -98,6 +106,7 @@ class SignalPipeline:
         self._floating_base = floating_base
         self._settings = settings
         self._max_gap = round(settings.max_gap * 1e9)
+        self._effort_delay = round(settings.effort_delay * 1e9)
         self._effect_columns = effect_columns
         self._gains = self._effort_gains()
         self._continuous = np.array([joint in continuous for joint in self._joints], dtype=bool)
@@ -206,6 +215,8 @@ class SignalPipeline:
     def _take(self, grid: Grid, topic: str, stamp: int, values: FloatArray) -> None:
         """Pass values on and make what samples they complete at once, before a later gap restarts a stream."""
         self._streams[topic].push(stamp, values)
+        if topic == JOINT_STATES and _EFFORTS in self._streams:
+            self._streams[_EFFORTS].push(stamp - self._effort_delay, values[2 * len(self._joints) :])
         samples = self._ready_samples(grid)
         if samples is not None:
             self._pending.append(samples)
@@ -273,6 +284,8 @@ class SignalPipeline:
         self._joint_stream = JointStream(grid, self._max_gap, len(self._joints), self._effect_columns)
         self._streams = {JOINT_STATES: self._joint_stream}
         self._streams |= {topic: VectorStream(grid, self._max_gap) for topic in self._sensors}
+        if self._effort_delay:
+            self._streams[_EFFORTS] = VectorStream(grid, self._max_gap)
         if self._floating_base:
             self._streams[ODOM] = PoseStream(grid, self._max_gap)
 
@@ -308,6 +321,7 @@ class SignalPipeline:
         position = value[:, 0]
         position[:, self._continuous] = np.remainder(position[:, self._continuous] + np.pi, 2.0 * np.pi) - np.pi
         velocity, acceleration = self._velocity.choose(value[:, 1], first[:, 1], first[:, 0], second[:, 0])
+        effort = self._streams[_EFFORTS].filtered(instants)[0] if self._effort_delay else value[:, 2]
         pose = base_velocity = base_acceleration = np.zeros((count, 0))
         if self._floating_base:
             pose, base_velocity, base_acceleration = self._streams[ODOM].filtered(instants)
@@ -320,7 +334,7 @@ class SignalPipeline:
             position,
             velocity,
             acceleration,
-            value[:, 2],
+            effort,
             pose,
             base_velocity,
             base_acceleration,
@@ -352,4 +366,4 @@ def _wrench_vector(sensor: WrenchSensor, frame: str, wrench: Sequence[float]) ->
     values = np.array(wrench, dtype=np.float64)
     if not np.all(_usable(values[sensor.axis_indices])):
         raise _RejectedError("wrench not finite")
-    return values
+    return values - sensor.sign * np.array(sensor.offset)

@@ -82,7 +82,9 @@ class _GridValues:
 
     def __init__(self) -> None:
         self.first = 0
-        self.values: list[FloatArray] = []
+        self.values = np.zeros((0, 0))  # the last part of what is used of the room
+        self._room = self.values
+        self._used = 0
 
     @property
     def end(self) -> int:
@@ -91,14 +93,22 @@ class _GridValues:
 
     def extend(self, start: int, values: FloatArray) -> None:
         """Append ``values (N, ...)``, which begin at instant ``start``: the end, unless there are none yet."""
-        if not self.values:
-            self.first = start
-        self.values += list(values)
+        if not len(self.values):
+            self.first, self.values = start, values[:0]
+        count = len(self.values) + len(values)
+        if self._used + len(values) > len(self._room):
+            self._room = np.empty((2 * count, values.shape[1]))
+            self._room[: len(self.values)] = self.values
+            self._used = len(self.values)
+        self._room[self._used : self._used + len(values)] = values
+        self._used += len(values)
+        self.values = self._room[self._used - count : self._used]
 
-    def correlated(self, instants: range, kernels: FloatArray) -> FloatArray:
-        """Correlations ``(kernels, N, values)`` with ``kernels (kernels, 2 half + 1)`` around each instant."""
+    def correlated(self, instants: range, kernels: FloatArray, columns: int | None = None) -> FloatArray:
+        """Correlations ``(kernels, N, values)`` with ``kernels (kernels, 2 half + 1)`` around each instant, of the
+        first ``columns`` of the values (all unless given)."""
         half = kernels.shape[1] // 2
-        values = np.array(self.values[instants.start - half - self.first : instants[-1] + half + 1 - self.first])
+        values = self.values[instants.start - half - self.first : instants[-1] + half + 1 - self.first, :columns]
         windows = np.lib.stride_tricks.sliding_window_view(values, 2 * half + 1, axis=0)[:: instants.step]
         # Without BLAS: its rounding depends on how many instants are asked for at once.
         result: FloatArray = np.einsum("kl,ncl->knc", kernels, windows)
@@ -112,7 +122,7 @@ class _GridValues:
         """Forget older instants."""
         surplus = instant - self.first
         if surplus > 0:
-            del self.values[:surplus]
+            self.values = self.values[surplus:]
             self.first += surplus
 
 
@@ -133,7 +143,7 @@ class VectorStream(Stream):
             return
         self._nodes = self._nodes[-4:]
         start, end = self._nodes[1][0], self._nodes[2][0]
-        next_instant = self._on_grid.end if self._on_grid.values else -(-start // self._grid.period)
+        next_instant = self._on_grid.end if len(self._on_grid.values) else -(-start // self._grid.period)
         instants = range(next_instant, end // self._grid.period + 1)
         if not instants:
             return
@@ -175,12 +185,12 @@ class JointStream(VectorStream):
     def _take(self, stamp: int, values: FloatArray) -> None:
         super()._take(stamp, values)
         possible = self._on_grid.inside(self._sharp_half)
-        start = self._columns_on_grid.end if self._columns_on_grid.values else possible.start
+        start = self._columns_on_grid.end if len(self._columns_on_grid.values) else possible.start
         half, stride = self._grid.half, self._grid.stride
         last_sample = (possible.stop - 1 - half) // stride * stride  # what only later samples need can wait
         instants = range(start, last_sample + half + 1)
         if instants:
-            motion = self._on_grid.correlated(instants, self._grid.sharp_kernels)[:, :, : self._joints]
+            motion = self._on_grid.correlated(instants, self._grid.sharp_kernels, self._joints)
             self._columns_on_grid.extend(start, self._columns(*motion).reshape(len(instants), -1))
 
     def ready(self) -> range:

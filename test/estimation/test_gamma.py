@@ -10,6 +10,7 @@ from geomid_ros.estimation.gamma import CANDIDATES, PAPER, choose_gamma
 from geomid_ros.estimation.identifier import BufferSettings, Identifier
 from geomid_ros.estimation.starting_point import channel_sizes, first_sigmas, prior_parameters, scales_of_reals
 from geomid_ros.estimation.summary import RowSummary
+from geomid_ros.model.known import known_rows
 
 from .arms import Case, arm
 
@@ -52,7 +53,9 @@ def losses(case: Case, folds: int = 4) -> dict[float, float]:
     sizes = channel_sizes(summary, case.model.dimension)
     manifold = case.model.manifold(scales_of_reals(case.model, sizes))
     prior = manifold.point(prior_parameters(case.model, summary, None))
-    choice = choose_gamma(manifold, summary, first_sigmas(summary, case.model.dimension), prior)
+    choice = choose_gamma(
+        manifold, summary, first_sigmas(summary, case.model.dimension), prior, known_rows(case.model, ())
+    )
     assert not choice.losses or choice.gamma in choice.losses
     return choice.losses
 

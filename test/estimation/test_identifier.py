@@ -55,10 +55,10 @@ def test_all_that_moves_is_taken() -> None:
 def test_standing_still_adds_nothing_and_pushes_nothing_out() -> None:
     case = arm("arm3", 0, seconds=5)
     before = fed(case)
-    after = fed(case, still(case, 30.0), forgetting=0.999)
+    after = fed(case, still(case, 30.0), forgetting_time=10.0)
     assert after.rows_rejected[STANDING_STILL] >= 3 * 2999
     assert after.rows - before.rows <= 3
-    without = fed(case, forgetting=0.999)
+    without = fed(case, forgetting_time=10.0)
     np.testing.assert_allclose(content(after.snapshot()), content(without.snapshot()), rtol=0.02)
 
 
@@ -135,10 +135,10 @@ def test_solving_does_not_change_what_was_added() -> None:
     np.testing.assert_array_equal(content(identifier.snapshot()), before)
 
 
-@pytest.mark.parametrize("forgetting", [1.0, 0.999])
-def test_adding_while_another_thread_solves_loses_nothing(forgetting: float) -> None:
+@pytest.mark.parametrize("forgetting_time", [np.inf, 10.0])
+def test_adding_while_another_thread_solves_loses_nothing(forgetting_time: float) -> None:
     case = arm("arm3", 0, seconds=10)
-    identifier = Identifier(case.model, EstimatorSettings(gamma=1e-2), BufferSettings(forgetting=forgetting))
+    identifier = Identifier(case.model, EstimatorSettings(gamma=1e-2), BufferSettings(forgetting_time=forgetting_time))
     identifier.add(case.samples.select(slice(0, 10)))
     done, failures, solves = threading.Event(), [], []
 
@@ -165,23 +165,63 @@ def test_adding_while_another_thread_solves_loses_nothing(forgetting: float) -> 
         assert not thread.is_alive()
     assert failures == []
     assert solves
-    quiet = Identifier(case.model, buffer=BufferSettings(forgetting=forgetting))
+    quiet = Identifier(case.model, buffer=BufferSettings(forgetting_time=forgetting_time))
     quiet.add(case.samples)
     np.testing.assert_allclose(content(identifier.snapshot()), content(quiet.snapshot()), rtol=1e-10)
     assert identifier.rows == quiet.rows == 3000
 
 
+def test_without_forgetting_a_choice_is_outgrown_by_half_as_many_rows_again() -> None:
+    case = arm("arm3", 0, seconds=6)
+    identifier = fed(replace(case, samples=case.samples.select(slice(400))))
+    chosen = identifier.rows
+    identifier.add(case.samples.select(slice(400, 600)))
+    assert not identifier.outgrown(chosen)
+    identifier.add(case.samples.select(slice(599, 600)))
+    assert identifier.outgrown(chosen)
+
+
+def test_with_forgetting_a_choice_is_outgrown_in_a_third_of_the_forgetting_time() -> None:
+    """Long after the start the rows of a time t weigh ``t / forgetting_time`` of all when they are new."""
+    case = arm("arm3", 0, seconds=25)
+    identifier = fed(replace(case, samples=case.samples.select(slice(2000))), forgetting_time=3.0)
+    chosen = identifier.rows
+    identifier.add(case.samples.select(slice(2000, 2099)))
+    assert not identifier.outgrown(chosen)
+    identifier.add(case.samples.select(slice(2099, 2103)))
+    assert identifier.outgrown(chosen)
+
+
 def test_forgetting_follows_a_payload_that_changes() -> None:
     before, after = arm("arm3", 0, seconds=20), arm("arm3", 9, seconds=20)
     errors = []
-    for factor in (1.0, 0.998):
-        identifier = fed(before, after, forgetting=factor)
+    for forgetting_time in (np.inf, 5.0):
+        identifier = fed(before, after, forgetting_time=forgetting_time)
         errors.append(float(np.sqrt(np.mean(after.error(identifier.solve().parameters) ** 2))))
     assert errors[1] < 0.15 * errors[0]
 
 
+@pytest.mark.parametrize("stride", [1, 5])
+@pytest.mark.parametrize("pause", [0.0, -50.0, 3600.0])
+def test_what_is_forgotten_depends_on_the_time_in_motion_alone(stride: int, pause: float) -> None:
+    """Not on the rate, nor on when another recording was made: of a pause one second counts."""
+    parts = []
+    for seed, start in ((0, 0.0), (1, 8.0 + pause)):
+        case = arm("arm3", seed, seconds=8)
+        stamps = case.samples.stamps + round(start * 1e9)
+        parts.append(replace(case, samples=replace(case.samples, stamps=stamps).select(slice(None, None, stride))))
+    step = 0.01 * stride
+    age = 8.0 - step + min(max(0.0, step + pause), 1.0)
+    first, second, both = (
+        sum(part.count for channel in fed(*cases, forgetting_time=4.0).snapshot().parts() for part in channel)
+        for cases in (parts[:1], parts[1:], parts)
+    )
+    assert both == pytest.approx(first * np.exp(-age / 4.0) + second, rel=1e-9)
+
+
 @pytest.mark.parametrize(
-    "wrong", [{"forgetting": 0.0}, {"forgetting": 1.5}, {"forgetting": np.nan}, {"folds": 0}, {"block": 0}]
+    "wrong",
+    [{"forgetting_time": 0.0}, {"forgetting_time": -1.0}, {"forgetting_time": np.nan}, {"folds": 0}, {"block": 0}],
 )
 def test_a_buffer_that_cannot_work_is_refused(wrong: dict[str, float]) -> None:
     with pytest.raises(InputError):

@@ -36,9 +36,10 @@ def rows(seed: int, count: int) -> tuple[FloatArray, FloatArray]:
 
 
 def summary(coefficients: FloatArray, targets: FloatArray, **settings: float) -> RowSummary:
+    """One instant every second."""
     result = RowSummary(CHANNELS, **settings)
     for row, target in zip(coefficients, targets, strict=True):
-        result.add(row, target)
+        result.add(row, target, 1.0)
     return result
 
 
@@ -80,14 +81,14 @@ def test_each_fold_has_its_blocks_of_time(seed: int) -> None:
 
 
 @SEEDS
-@pytest.mark.parametrize("forgetting", [1.0, 0.99, 0.9])
-def test_looking_in_between_changes_nothing(seed: int, forgetting: float) -> None:
+@pytest.mark.parametrize("forgetting_time", [np.inf, 100.0, 10.0])
+def test_looking_in_between_changes_nothing(seed: int, forgetting_time: float) -> None:
     coefficients, targets = rows(seed, 700)
     rng, x = np.random.default_rng(seed), np.random.default_rng(seed).normal(size=DIMENSION)
-    quiet = summary(coefficients, targets, block=50, forgetting=forgetting)
-    busy = RowSummary(CHANNELS, block=50, forgetting=forgetting)
+    quiet = summary(coefficients, targets, block=50, forgetting_time=forgetting_time)
+    busy = RowSummary(CHANNELS, block=50, forgetting_time=forgetting_time)
     for row, target in zip(coefficients, targets, strict=True):
-        busy.add(row, target)
+        busy.add(row, target, 1.0)
         if rng.random() < 0.1:
             busy.parts(rng.choice(4, size=2, replace=False))
         if rng.random() < 0.1:
@@ -113,16 +114,17 @@ def test_rows_may_come_in_any_order_within_a_fold(seed: int) -> None:
 
 @SEEDS
 @pytest.mark.parametrize("count", [10, 400])
-def test_forgetting_is_exponential_weighting_of_each_channels_rows(seed: int, count: int) -> None:
-    """A row counts ``f**k`` after k later rows of its channel, whichever fold and chunk they are in."""
+def test_forgetting_is_exponential_weighting_by_age(seed: int, count: int) -> None:
+    """Whichever fold and chunk a row is in, and whether or not its channel was measured since."""
     coefficients, targets = rows(seed, count)
-    factor = 0.97
-    found = summary(coefficients, targets, folds=3, block=20, forgetting=factor)
+    elapsed = np.random.default_rng(seed).uniform(0.0, 2.0, count)
+    found = RowSummary(CHANNELS, folds=3, block=20, forgetting_time=30.0)
+    for row, target, step in zip(coefficients, targets, elapsed, strict=True):
+        found.add(row, target, step)
     x = np.random.default_rng(seed).normal(size=DIMENSION)
+    weights = np.exp((np.cumsum(elapsed) - np.sum(elapsed)) / 30.0)
     for k in range(len(CHANNELS)):
         measured = np.isfinite(targets[:, k])
-        later = np.cumsum(measured[::-1])[::-1] - measured
-        weights = factor**later
         expected = weighted(coefficients, targets, k, x, weights)
         assert content(found, x)[k] == pytest.approx(expected, rel=CONTENT)
         assert sum(part.count for part in found.parts()[k]) == pytest.approx(np.sum(weights[measured]), rel=CONTENT)
@@ -130,9 +132,9 @@ def test_forgetting_is_exponential_weighting_of_each_channels_rows(seed: int, co
 
 def test_long_after_the_past_weighs_nothing_and_nothing_breaks() -> None:
     coefficients, targets = rows(0, 50)
-    found = summary(coefficients, 1e3 + targets, block=5, forgetting=0.5)
+    found = summary(coefficients, 1e3 + targets, block=5, forgetting_time=1.5)
     for _ in range(3000):
-        found.add(coefficients[0], np.zeros(4))
+        found.add(coefficients[0], np.zeros(4), 1.0)
     x = np.zeros(DIMENSION)
     np.testing.assert_allclose(content(found, x)[:3], 0.0, atol=1e-200)
     np.testing.assert_allclose(found.rms(x)[:3], 0.0, atol=1e-100)
@@ -184,12 +186,12 @@ def test_a_number_that_is_none_spoils_nothing() -> None:
     assert summary(spoilt, bad).rows == np.count_nonzero(np.isfinite(expected))
 
 
-@pytest.mark.parametrize("forgetting", [1.0, 0.9])
-def test_rows_are_counted_whether_they_wait_or_not(forgetting: float) -> None:
+@pytest.mark.parametrize("forgetting_time", [np.inf, 10.0])
+def test_rows_are_counted_whether_they_wait_or_not(forgetting_time: float) -> None:
     coefficients, targets = rows(2, 300)
-    found = RowSummary(CHANNELS, forgetting=forgetting)
+    found = RowSummary(CHANNELS, forgetting_time=forgetting_time)
     for count, (row, target) in enumerate(zip(coefficients, targets, strict=True), start=1):
-        found.add(row, target)
+        found.add(row, target, 1.0)
         if count % 37 == 0:
             assert found.rows == np.count_nonzero(np.isfinite(targets[:count]))
     found.parts()
@@ -212,18 +214,31 @@ def test_memory_is_bounded() -> None:
             assert part.factor.shape[1] == columns
 
 
-@pytest.mark.parametrize("forgetting", [1.0, 0.95])
-def test_a_snapshot_stays_as_it_was_and_goes_on_by_itself(forgetting: float) -> None:
+@pytest.mark.parametrize("forgetting_time", [np.inf, 20.0])
+def test_a_snapshot_stays_as_it_was_and_goes_on_by_itself(forgetting_time: float) -> None:
     coefficients, targets = rows(4, 600)
     x = np.random.default_rng(4).normal(size=DIMENSION)
-    found = summary(coefficients[:250], targets[:250], forgetting=forgetting, block=40)
+    found = summary(coefficients[:250], targets[:250], forgetting_time=forgetting_time, block=40)
     copy, before = found.snapshot(), content(found, x)
     for row, target in zip(coefficients[250:], targets[250:], strict=True):
-        found.add(row, target)
+        found.add(row, target, 1.0)
     found.parts()
     np.testing.assert_array_equal(content(copy, x), before)
     for row, target in zip(coefficients[250:], targets[250:], strict=True):
-        copy.add(row, target)
-    whole = summary(coefficients, targets, forgetting=forgetting, block=40)
+        copy.add(row, target, 1.0)
+    whole = summary(coefficients, targets, forgetting_time=forgetting_time, block=40)
     for other in (found, copy):
         np.testing.assert_allclose(content(other, x), content(whole, x), rtol=CONTENT)
+
+
+def test_what_waits_is_absorbed_channel_by_channel_without_changing_anything() -> None:
+    coefficients, targets = rows(5, 90)
+    found, x = summary(coefficients, targets, block=20, forgetting_time=50.0), np.ones(DIMENSION)
+    expected = content(found.snapshot(), x)
+    pending = summary(coefficients, targets, block=20, forgetting_time=50.0)
+    steps = 0
+    while pending.absorb_one():
+        steps += 1
+    assert steps == 3 * 5, "three channels are measured, in five of the folds"
+    assert not any(waiting for fold in pending._waiting for waiting in fold)
+    np.testing.assert_allclose(content(pending, x), expected, rtol=CONTENT)

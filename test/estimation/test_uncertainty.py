@@ -14,9 +14,14 @@ from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.estimation.estimator import QUANTITIES, EstimatorSettings, estimate
 from geomid_ros.estimation.summary import RowSummary
 from geomid_ros.estimation.uncertainty import (
-    LEAST_PRIOR_SPREAD,
+    Fold,
+    Kind,
+    Uncertainty,
+    error_covariance,
+    inflations,
     physical_sensitivity,
     physical_values,
+    prior_spreads,
     uncertainty,
 )
 from geomid_ros.geometry import pseudo_inertia
@@ -26,7 +31,7 @@ from .arms import Case, arm, motion, samples, truth
 from .arms import parameters as parameters_of
 from .problems import ALL, LINKS
 
-RUNS = 40
+RUNS = 20
 NOISE = 0.05
 
 
@@ -38,52 +43,135 @@ def information(rng: np.random.Generator, size: int, rank: int) -> FloatArray:
     return rows.T @ rows
 
 
-def halves(rng: np.random.Generator, total: FloatArray, inflation: float, folds: int = 4) -> list[FloatArray]:
-    """Gradients of folds that share the information equally, with noise that is correlated so much."""
-    values, vectors = np.linalg.eigh(total)
-    root = vectors * np.sqrt(np.clip(values, 0.0, None))
-    return [root @ rng.normal(size=len(total)) * np.sqrt(inflation / folds) for _ in range(folds)]
+def one_kind(size: int, usual: float = 0.2) -> list[Kind]:
+    return [Kind(np.arange(size), usual)]
 
 
-def test_without_a_prior_the_covariance_is_the_inverse_information() -> None:
-    rng = np.random.default_rng(0)
-    fisher = information(rng, 6, 20)
-    found = uncertainty(fisher, 1e-9, [], np.zeros(6))
-    np.testing.assert_allclose(found.covariance, np.linalg.inv(fisher), rtol=1e-6)
-    np.testing.assert_allclose(found.resolution, np.eye(6), rtol=0, atol=1e-9)
+def nothing(size: int) -> Fold:
+    return Fold(np.zeros(size), np.zeros((size, size)))
 
 
-def test_without_data_the_prior_spread_is_all_there_is() -> None:
-    found = uncertainty(np.zeros((6, 6)), 2.0, [], np.zeros(6))
-    np.testing.assert_allclose(found.covariance, LEAST_PRIOR_SPREAD**2 * np.eye(6), rtol=1e-12)
-    np.testing.assert_array_equal(found.resolution, np.zeros((6, 6)))
+@pytest.mark.parametrize("seed", range(3))
+def test_the_covariance_is_the_bayesian_posterior_where_the_weights_are_those_of_bayes(seed: int) -> None:
+    """Against the conditional covariance of the joint Gaussian of parameters and measurements."""
+    rng = np.random.default_rng(seed)
+    rows, weighed = rng.normal(size=(4, 6)), rng.normal(size=(1, 6))
+    spreads = rng.uniform(0.1, 2.0, 6)
+    found = error_covariance(rows.T @ rows, weighed.T @ weighed, 1.0, spreads**-2.0, np.ones(6), spreads)
+    prior, all_rows = np.diag(spreads**2), np.concatenate([rows, weighed])
+    gain = prior @ all_rows.T @ np.linalg.inv(all_rows @ prior @ all_rows.T + np.eye(5))
+    np.testing.assert_allclose(found, prior - gain @ all_rows @ prior, rtol=0, atol=1e-12)
 
 
-def test_directions_no_row_touches_have_the_priors_spread_and_resolution_counts_the_others() -> None:
+@pytest.mark.parametrize("trust", [1.0, 30.0])
+def test_the_covariance_is_that_of_the_errors_whatever_the_weights(trust: float) -> None:
+    """Of many regularised least-squares solutions, with noise that is larger than the weights say."""
     rng = np.random.default_rng(1)
-    found = uncertainty(information(rng, 8, 3), 1e-6, [], np.zeros(8))
-    assert np.trace(found.resolution) == pytest.approx(3.0, abs=1e-4)
-    values = np.linalg.eigvalsh(found.covariance)
-    np.testing.assert_allclose(values[3:], LEAST_PRIOR_SPREAD**2, rtol=1e-6)
+    rows, weighed = rng.normal(size=(5, 6)), rng.normal(size=(2, 6))
+    spreads, weights = rng.uniform(0.1, 2.0, 6), rng.uniform(0.1, 10.0, 6)
+    inflation, runs = 4.0, 40000
+    left = np.concatenate([rows, np.sqrt(trust) * weighed, np.diag(np.sqrt(weights))])
+    noise = np.concatenate(
+        [
+            np.sqrt(inflation) * rng.normal(size=(5, runs)),
+            np.sqrt(trust) * rng.normal(size=(2, runs)),
+            np.sqrt(weights * spreads**2)[:, None] * rng.normal(size=(6, runs)),
+        ]
+    )
+    errors = np.linalg.lstsq(left, noise, rcond=None)[0]
+    found = error_covariance(rows.T @ rows, weighed.T @ weighed, trust, weights, np.full(6, inflation), spreads)
+    np.testing.assert_allclose(errors @ errors.T / runs, found, rtol=0, atol=0.05 * np.max(found))
 
 
-def test_the_spread_is_what_told_directions_have_moved() -> None:
-    fisher = np.diag([1e6, 1e6, 1e6, 0.0])
-    found = uncertainty(fisher, 1.0, [], np.array([0.3, -0.4, 0.0, 0.0]))
-    assert found.prior_spread == pytest.approx(0.5 / np.sqrt(3.0), rel=1e-4)
-    assert found.covariance[3, 3] == pytest.approx(found.prior_spread**2, rel=1e-4)
+def test_without_data_the_usual_spread_is_all_there_is() -> None:
+    found = uncertainty([], nothing(6), 1.0, np.full(6, 2.0), np.zeros(6), one_kind(6))
+    np.testing.assert_allclose(found.prior_spreads, 0.2, rtol=1e-9)
+    np.testing.assert_allclose(found.covariance, 0.04 * np.eye(6), rtol=1e-9, atol=1e-15)
+    assert found.from_data(slice(0, 6)) == pytest.approx(0.0, abs=1e-9)
 
 
-@pytest.mark.parametrize("correlation", [1.0, 4.0, 25.0])
-def test_scattering_folds_inflate_the_covariance(correlation: float) -> None:
+def test_where_the_weight_is_that_of_bayes_from_data_is_the_trace_of_the_resolution_matrix() -> None:
     rng = np.random.default_rng(2)
-    fisher = information(rng, 30, 60)
-    base = np.trace(uncertainty(fisher, 1e-6, [], np.zeros(30)).covariance)
-    ratios = [
-        np.trace(uncertainty(fisher, 1e-6, halves(rng, fisher, correlation), np.zeros(30)).covariance) / base
-        for _ in range(50)
-    ]
-    assert np.mean(ratios) == pytest.approx(correlation, rel=0.15)
+    fisher, spreads = information(rng, 6, 3), np.full(6, 0.3)
+    covariance = error_covariance(fisher, np.zeros((6, 6)), 1.0, spreads**-2.0, np.ones(6), spreads)
+    resolution = np.linalg.inv(fisher + np.diag(spreads**-2.0)) @ fisher
+    found = Uncertainty(covariance, spreads)
+    assert found.from_data(slice(0, 6)) == pytest.approx(np.trace(resolution) / 6.0, rel=1e-9)
+
+
+def recorded(rows: FloatArray, residuals: FloatArray, folds: int = 8) -> list[Fold]:
+    """Folds of rows ``(N, D)``, in order of time, at the least-squares solution."""
+    left = residuals - rows @ np.linalg.lstsq(rows, residuals, rcond=None)[0]
+    parts = zip(np.array_split(rows, folds), np.array_split(left, folds), strict=True)
+    return [Fold(a.T @ r, a.T @ a) for a, r in parts]
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_direction_in_no_row_is_not_from_data_and_others_become_so_with_more_of_them(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    shares = []
+    for count in (80, 800, 8000, 80000):
+        rows = np.column_stack([0.3 * rng.normal(size=(count, 3)), np.zeros(count)])
+        folds = recorded(rows, rng.normal(size=count))
+        found = uncertainty(folds, nothing(4), 1.0, np.full(4, 25.0), np.array([0.2, -0.3, 0.1, 0.0]), one_kind(4))
+        assert found.from_data(slice(3, 4)) == pytest.approx(0.0, abs=1e-9)
+        shares.append(found.from_data(slice(0, 3)))
+    assert np.all(np.diff(shares) > 0.0)
+    assert shares[-1] > 0.99
+
+
+@pytest.mark.parametrize("copies", [4, 25])
+def test_rows_written_down_several_times_do_not_shrink_the_interval(copies: int) -> None:
+    """Perfectly correlated errors; counted as independent, the variance would fall by the number of copies."""
+    rng, size = np.random.default_rng(3), 20
+    ratios = []
+    for _ in range(20):
+        rows, residuals = rng.normal(size=(1600, size)), rng.normal(size=1600)
+        weights = np.full(size, 1e-6)
+        once, often = (
+            uncertainty(
+                recorded(np.repeat(rows, count, axis=0), np.repeat(residuals, count)),
+                nothing(size),
+                1.0,
+                weights,
+                np.zeros(size),
+                one_kind(size),
+            ).covariance
+            for count in (1, copies)
+        )
+        ratios.append(np.trace(often) / np.trace(once))
+    assert np.mean(ratios) == pytest.approx(1.0, abs=0.15)
+
+
+def test_inflation_is_that_of_its_own_kind() -> None:
+    """Residuals that change slowly make a constant uncertain, not what changes sign at every sample."""
+    rng, count = np.random.default_rng(4), 4000
+    rows = np.zeros((count, 20))
+    channel = np.arange(count) % 10
+    rows[np.arange(count), channel] = 1.0
+    rows[np.arange(count), 10 + channel] = np.where(np.arange(count) // 10 % 2, 1.0, -1.0)
+    slow = lfilter([1.0], [1.0, -0.9], rng.normal(size=(count // 10, 10)), axis=0) * np.sqrt(1.0 - 0.9**2)
+    kinds = [Kind(np.arange(10), 0.2), Kind(np.arange(10, 20), 0.2)]
+    found = inflations(recorded(rows, slow.ravel()), np.zeros((20, 20)), np.full(20, 1e-6), kinds)
+    assert 9.0 < found[0] < 29.0  # (1 + 0.9) / (1 - 0.9) in blocks without end
+    assert found[10] == 1.0
+
+
+@pytest.mark.parametrize("spread", [0.1, 0.5])
+def test_the_spread_is_found_of_what_the_data_show_in_part(spread: float) -> None:
+    """Half of the directions are seen, and these under noise as large as the spread: dividing by the number of all
+    directions, or forgetting the pull that is left, would show."""
+    rng, size = np.random.default_rng(5), 80
+    kinds = one_kind(size, 2.0 * spread)
+    found = []
+    for _ in range(20):
+        fisher = np.diag(np.where(np.arange(size) < size // 2, spread**-2.0, 0.0))
+        prior_error = spread * rng.normal(size=size)
+        measured_error = spread * rng.normal(size=size)
+        # At the estimate, half way from the measured point to the prior where there is one, else at the prior.
+        from_prior = np.where(np.diag(fisher) > 0.0, 0.5 * (prior_error - measured_error), 0.0)
+        found.append(prior_spreads(Fold(fisher @ from_prior, fisher), from_prior, kinds)[0])
+    assert np.sqrt(np.mean(np.square(found))) == pytest.approx(spread, rel=0.15)
 
 
 @pytest.mark.parametrize("manifold", [ALL, LINKS], ids=["all", "links"])
@@ -149,15 +237,17 @@ def test_a_joint_at_rest_tells_nothing_of_its_friction() -> None:
             assert effect.std > 0.05 * effect.value
 
 
-def test_more_data_shrink_the_deviations_of_what_they_tell() -> None:
-    """``from_data`` does not grow with them: the prior's weight is a share of theirs."""
-    deviations = []
+def test_more_data_shrink_the_deviations_of_what_they_tell_and_more_of_it_is_theirs() -> None:
+    deviations, shares = [], []
     for seconds in (4, 16, 64):
         case = arm("arm3", 1, seconds=seconds)
         rows = case.model.rows(case.samples)
         found = solved(case, rows.coefficients, rows.targets)
         deviations.append([effect.std for effect in found.effects if effect.name == "coulomb_friction"])
+        shares.append([found.links[-1].from_data, min(effect.from_data for effect in found.effects)])
     assert np.all(np.diff(deviations, axis=0) < 0.0)
+    assert np.all(np.diff(shares, axis=0) > 0.0)
+    assert shares[-1][1] > 0.9
 
 
 # --- how often it is right ------------------------------------------------------------------------------------------
@@ -187,7 +277,7 @@ def coverage(name: str, correlation: float) -> dict[str, float]:
     for case, planted, found in runs(name, correlation):
         first = len(case.model.nominal_inertias)
         for effect, true in zip(found.effects, planted[first:], strict=True):
-            if effect.from_data > 0.9:
+            if effect.from_data > 0.75:
                 inside[effect.name].append(abs(effect.value - true) < 1.96 * effect.std)
         for link, true in zip(found.links, planted[:first].reshape(-1, 10), strict=True):
             central = pseudo_inertia.central_inertia(true)[pseudo_inertia.INERTIA_ENTRIES]
@@ -200,25 +290,21 @@ def coverage(name: str, correlation: float) -> dict[str, float]:
     return {kind: float(np.mean(hits)) for kind, hits in inside.items()}
 
 
-# Least coverage of intervals that claim 95 %, by kind, as it stands. Rotor inertia is the weak spot: it starts from a
-# fit in which it stands in for wrong link inertias, farther off than the one prior spread that all directions share.
-WHITE = {
-    "viscous_friction": 0.85,
-    "coulomb_friction": 0.85,
+# Intervals that claim 95 % have to hold the truth at least so often. Of 140 intervals of an effect, fewer than 0.88 do
+# once in a thousand times. Those of one link depend on each other.
+LEAST = {
+    "viscous_friction": 0.88,
+    "coulomb_friction": 0.88,
     "effort_offset": 0.88,
-    "rotor_inertia": 0.70,
+    "rotor_inertia": 0.88,
     "told": 0.85,
-    "untold": 0.88,
+    "untold": 0.85,
 }
-# One factor inflates the noise of all directions; low-passed noise is worse for a constant than for the others.
-LOW_PASSED = WHITE | {"effort_offset": 0.75}
 
 
-@pytest.mark.parametrize(
-    ("correlation", "least"), [(0.0, WHITE), (0.95, LOW_PASSED)], ids=["white noise", "low-passed noise"]
-)
-def test_intervals_of_95_percent_hold_the_truth_about_that_often(correlation: float, least: dict[str, float]) -> None:
-    found = coverage("arm3", correlation)
-    assert set(found) == set(least)
+@pytest.mark.parametrize("correlation", [0.0, 0.95], ids=["white noise", "low-passed noise"])
+def test_intervals_of_95_percent_hold_the_truth_about_that_often(correlation: float) -> None:
+    found = coverage("arm7", correlation)
+    assert set(found) == set(LEAST)
     for kind, share in found.items():
-        assert share >= least[kind], found
+        assert share >= LEAST[kind], found

@@ -17,7 +17,8 @@ from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.files.configuration import Configuration
 from geomid_ros.files.urdf import read_urdf
 from geomid_ros.ros import worker as module
-from geomid_ros.ros.worker import Worker
+from geomid_ros.ros.diagnostics import Diagnostics
+from geomid_ros.ros.worker import Status, Worker
 from geomid_ros.session import Session
 
 from .stage import messages
@@ -224,7 +225,7 @@ def test_closing_a_busy_one_ends_it() -> None:
 
 def test_one_that_forgets_goes_on_estimating() -> None:
     """It remembers no more rows after a while, but others."""
-    with closing(Watched(SOON, forgetting=0.9)) as watched:
+    with closing(Watched(SOON, forgetting_time=0.2)) as watched:
         for begin in range(0, len(JOINTS), 200):
             before = watched.estimates.qsize()
             watched.feed(begin, begin + 200)
@@ -271,6 +272,62 @@ def feed_much(watched: Watched) -> None:
         bad = type(message)(message.header, [f"joint {index}"] * 2, *3 * [message.position])
         watched.worker.joint_state(bad)
         time.sleep(2e-4)
+
+
+def test_the_time_from_receipt_to_row_counts_from_the_callback_on(quiet: Watched) -> None:
+    """Once for every batch of instants that became rows, with the wait before the intake takes the message."""
+    begin = time.perf_counter()
+    quiet.feed(0, 200)
+    quiet.final()
+    before = quiet.worker.status(active=True).receipt_to_row
+    assert 0 < len(before) <= quiet.session.identifier.rows / 3
+    assert 0.0 < max(before) < time.perf_counter() - begin
+    pause, waiting = threading.Event(), threading.Event()
+
+    def stand_still() -> None:
+        waiting.set()
+        pause.wait(PATIENCE)
+
+    quiet.worker._inbox.put(stand_still)
+    assert waiting.wait(PATIENCE)
+    quiet.feed(200, 250)
+    all_received = time.perf_counter()
+    while time.perf_counter() < all_received + 0.2:
+        time.sleep(0.01)
+    pause.set()
+    quiet.final()
+    later = quiet.worker.status(active=True).receipt_to_row[len(before) :]
+    assert len(later) > 0
+    assert min(later) > 0.2
+
+
+def test_diagnostics_tell_quantiles_of_the_time_from_receipt_to_row() -> None:
+    seconds = tuple(1e-3 * k for k in range(101))
+    stream = Diagnostics("geomid").array(Status(active=True, receipt_to_row=seconds)).status[0]
+    told = {pair.key: pair.value for pair in stream.values}
+    assert told["receipt to row p50 [ms]"] == "50"
+    assert told["receipt to row p99 [ms]"] == "99"
+    assert told["receipt to row max [ms]"] == "100"
+    nothing = Diagnostics("geomid").array(Status(active=True)).status[0]
+    assert not any(pair.key.startswith("receipt") for pair in nothing.values)
+
+
+def test_the_priors_weight_is_kept_between_solves_and_chosen_anew_for_other_data(
+    quiet: Watched, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    warm: list[Any] = []
+    solve = quiet.session.identifier.solve
+    monkeypatch.setattr(quiet.session.identifier, "solve", lambda start: warm.append(start) or solve(start))
+    for begin, end in ((0, 400), (400, 500), (500, 900)):
+        quiet.feed(begin, end)
+        wait_until(lambda: quiet.worker.status(active=True).queue == 0)
+        if begin == 0:
+            quiet.final()
+        else:
+            quiet.worker._solve_once(quiet.worker._warm_start())
+    estimate = quiet.worker.estimate
+    assert estimate is not None
+    assert [start is None for start in warm] == [True, False, True]
 
 
 def wait_until(look: Any) -> None:

@@ -11,6 +11,7 @@ from geomid_ros.errors import InputError
 from geomid_ros.model.samples import Samples
 from geomid_ros.model.sensors import WrenchSensor
 from geomid_ros.signals.pipeline import SignalPipeline, SignalSettings
+from geomid_ros.signals.streams import _GridValues
 from geomid_ros.types import IntArray
 
 from .feeding import (
@@ -255,3 +256,20 @@ def test_topics_must_differ(topic: str) -> None:
     sensors = [SENSOR, WrenchSensor(topic, "foot", "external")]
     with pytest.raises(InputError, match="topics must differ"):
         SignalPipeline(JOINTS, sensors=sensors)
+
+
+def test_values_on_the_grid_are_kept_in_little_room_however_many_pass() -> None:
+    rng = np.random.default_rng(0)
+    passed, on_grid, expected = 1000, _GridValues(), rng.normal(size=(2, 3))
+    on_grid.extend(passed, expected)
+    for _ in range(2000):
+        new = rng.normal(size=(rng.integers(1, 5), 3))
+        on_grid.extend(on_grid.end, new)
+        expected = np.concatenate([expected, new])
+        if len(expected) > 40:
+            surplus = int(rng.integers(1, 40))
+            on_grid.drop_before(on_grid.first + surplus)
+            expected, passed = expected[surplus:], passed + surplus
+        assert on_grid.first == passed
+        np.testing.assert_array_equal(on_grid.values, expected)
+    assert len(on_grid._room) < 4 * 40
