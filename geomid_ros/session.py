@@ -8,24 +8,20 @@ from typing import Any
 
 import numpy as np
 
-from geomid_ros.errors import InputError
 from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.estimation.estimator import nominal_parameters
 from geomid_ros.estimation.identifier import Identifier
 from geomid_ros.files.atomic import write_text
 from geomid_ros.files.configuration import Configuration
-from geomid_ros.files.results import (
-    estimate_document,
-    known_coefficients,
-    known_inertias,
-    read_estimate,
-    write_estimate,
-)
+from geomid_ros.files.continued_effects import continued
+from geomid_ros.files.loaded_model import LoadedModel
+from geomid_ros.files.results import estimate_document, write_estimate
 from geomid_ros.files.urdf import with_identified_inertias
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.robot import Robot
 from geomid_ros.model.samples import Samples
-from geomid_ros.signals.pipeline import JOINT_STATES, ODOM, SignalPipeline
+from geomid_ros.signals.pipeline import JOINT_STATES, ODOM, SignalPipeline, SignalSettings
+from geomid_ros.signals.streams import EffectColumns
 from geomid_ros.types import FloatArray
 
 
@@ -36,35 +32,31 @@ class Session:
         """``source`` names the description in messages. Raises InputError for what does not fit together."""
         self.urdf = urdf
         self.configuration = configuration
-        sensors = configuration.sensors
+        self.loaded = LoadedModel.read(configuration["model"])
+        sensors = self.loaded.sensors(configuration.sensors)
         self.robot = Robot(
             urdf,
             floating_base=configuration["floating_base"],
             cuts=[sensor.frame for sensor in sensors if sensor.role == "mounted"],
             locked_joints=configuration["locked_joints"],
-            gravity=configuration.gravity,
+            gravity=self.loaded.gravity(configuration.gravity),
             source=source,
         )
-        self.model = MeasurementModel(self.robot, configuration.effects, sensors, configuration.links)
+        effects = configuration.effects
+        local = self.loaded.local_effects([effect.name for effect in effects])
+        self.model = MeasurementModel(self.robot, effects, sensors, configuration.links, local)
         self.identifier = Identifier(
             self.model,
             configuration.estimator([channel.name for channel in self.model.channels]),
             configuration.buffer,
-            self._prior(configuration["model"]),
+            self.prior,
         )
         self.pipeline = self.new_pipeline()
 
-    def _prior(self, path: str) -> FloatArray | None:
-        """The parameters ``(D,)`` of an earlier estimate, NaN where it has none."""
-        if not path:
-            return None
-        document = read_estimate(Path(path))
-        known = known_inertias(document, path)
-        if not known.keys() & set(self.model.body_names):
-            names = f"{', '.join(known) or 'none'}; those of this robot: {', '.join(self.model.body_names)}"
-            raise InputError(f"{path}: an estimate of another robot. Its links: {names}")
-        inertias = [known.get(name, np.full(10, np.nan)) for name in self.model.body_names]
-        return np.concatenate([*inertias, known_coefficients(document, self.model, path)])
+    @property
+    def prior(self) -> FloatArray | None:
+        """The parameters ``(D,)`` of an earlier estimate to start from, NaN where it has none; None without one."""
+        return self.loaded.parameters(self.model)
 
     @property
     def topics(self) -> tuple[str, ...]:
@@ -77,15 +69,19 @@ class Session:
         """The URDF's parameters ``(D,)``: its inertias and no effects."""
         return nominal_parameters(self.model)
 
-    def new_pipeline(self) -> SignalPipeline:
-        """A pipeline without a past, for another recording of the same robot."""
+    def new_pipeline(
+        self, settings: SignalSettings | None = None, effect_columns: EffectColumns | None = None
+    ) -> SignalPipeline:
+        """A pipeline without a past, for another recording of the same robot; with the configuration's settings and the
+        columns of the model's effects unless others are given."""
+        joints = self.robot.joint_names
         return SignalPipeline(
-            self.robot.joint_names,
+            joints,
             floating_base=self.robot.floating_base,
             sensors=self.model.sensors,
-            settings=self.configuration.signals(self.robot.joint_names),
+            settings=self.loaded.signals(settings or self.configuration.signals(joints), joints),
             continuous=[joint.name for joint in self.robot.joints if joint.continuous],
-            effect_columns=self.model.effect_columns,
+            effect_columns=effect_columns or self.model.effect_columns,
         )
 
     def advance(self) -> Samples | None:
@@ -108,6 +104,7 @@ class Session:
     def save(self, folder: Path, estimate: Estimate, held_out: FloatArray | None = None) -> Mapping[str, Any]:
         """Write ``estimate.json`` and ``identified.urdf`` into ``folder``; returns the former's document."""
         document = estimate_document(estimate, dict(self.identifier.rows_rejected), held_out)
+        document |= continued(document["effects"], self.loaded.effects)
         write_text(folder / "identified.urdf", with_identified_inertias(self.urdf, estimate.links))
         write_estimate(folder / "estimate.json", document)
         return document

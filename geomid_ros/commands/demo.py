@@ -11,7 +11,7 @@ from rich.console import Console
 from rich.live import Live
 from rich.table import Table
 
-from geomid_ros.commands.identify import Topics, read_samples
+from geomid_ros.commands.recordings import Topics, read_samples
 from geomid_ros.errors import InputError
 from geomid_ros.files.bags import Bag
 from geomid_ros.files.configuration import Configuration
@@ -60,8 +60,8 @@ def demo(out: Path, rate: float) -> None:
         LiveRun(bag, urdf, configuration, out.resolve(), rate) as run,
         Live(console=console, refresh_per_second=8) as live,
     ):
-        for masses, stream in run.watch():
-            live.update(_table(session, masses, truth, stream))
+        for masses in run.watch():
+            live.update(_table(session, masses, truth, run.diagnostics.get("rows")))
     document = read_estimate(out / "estimate.json")
     difference = _compare_with_offline(session, bag, document, out / "identification.png")
     _conclude(console, session, document, truth, difference, out)
@@ -77,8 +77,8 @@ def _true_mass(session: Session, name: str, truth: dict[str, float]) -> float:
     return sum(truth.get(link, 0.0) for link in (name, *body.merged))
 
 
-def _table(session: Session, masses: dict[str, float], truth: dict[str, float], stream: str) -> Table:
-    table = Table(title="link masses [kg]", caption=stream)
+def _table(session: Session, masses: dict[str, float], truth: dict[str, float], rows: str | None) -> Table:
+    table = Table(title="link masses [kg]", caption=f"{rows} rows" if rows else "waiting for the robot")
     for heading in ("link", "URDF", "identified", "truth"):
         table.add_column(heading, justify="left" if heading == "link" else "right", min_width=10)
     nominal = session.model.nominal_inertias.reshape(-1, 10)[:, 0]

@@ -1,4 +1,4 @@
-"""Reading ROS parameter files: the YAML that rcl reads, and no more of it."""
+"""Reading YAML, ROS parameter files above all: what rcl reads, and no more of it."""
 
 from __future__ import annotations
 
@@ -28,15 +28,20 @@ _Loader.add_implicit_resolver(
 )
 
 
-def read_parameter_file(path: Path) -> dict[str, Any]:
-    """The parameters of ``node_name: ros__parameters: ...`` by full name. Raises InputError naming the file."""
+def read_yaml(path: Path, what: str) -> Any:
+    """The content of a YAML file; ``what`` it is for messages. Raises InputError naming the file."""
     try:
         text = path.read_text(encoding="utf-8")
         if len(text) > _MOST_CHARACTERS:
-            raise InputError(f"{path}: larger than {_MOST_CHARACTERS / 1e6:g} MB, not a parameter file")
-        document = yaml.load(text, _Loader)  # noqa: S506 it is a safe loader
+            raise InputError(f"{path}: larger than {_MOST_CHARACTERS / 1e6:g} MB, not a {what}")
+        return yaml.load(text, _Loader)  # noqa: S506 it is a safe loader
     except (OSError, ValueError, yaml.YAMLError, RecursionError) as error:
-        raise InputError(f"{path}: the parameter file cannot be read ({' '.join(str(error).split())})") from error
+        raise InputError(f"{path}: the {what} cannot be read ({' '.join(str(error).split())})") from error
+
+
+def read_parameter_file(path: Path) -> dict[str, Any]:
+    """The parameters of ``node_name: ros__parameters: ...`` by full name. Raises InputError naming the file."""
+    document = read_yaml(path, "parameter file")
     nodes = list(document.values()) if isinstance(document, dict) else []
     sections = [node["ros__parameters"] for node in nodes if isinstance(node, dict) and "ros__parameters" in node]
     if len(sections) != 1 or not isinstance(sections[0], dict):

@@ -14,7 +14,6 @@ from geomid_ros.errors import InputError
 from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.files.atomic import write_text
 from geomid_ros.geometry import pseudo_inertia
-from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.types import FloatArray
 
 FORMAT = 1
@@ -67,6 +66,10 @@ def estimate_document(
             }
             for effect in estimate.effects
         ],
+        "known": [
+            {"name": k.name, "mass": k.mass, "std": k.std, "given": k.given, "given_std": k.given_std}
+            for k in estimate.known
+        ],
         "rms": {
             kind: None if values is None else _by_channel(estimate.channels, values) for kind, values in rms.items()
         },
@@ -75,9 +78,7 @@ def estimate_document(
 
 
 def _by_channel(channels: Sequence[str], values: FloatArray) -> dict[str, float | None]:
-    return {
-        name: float(value) if math.isfinite(value) else None for name, value in zip(channels, values, strict=True)
-    }
+    return {name: float(value) if math.isfinite(value) else None for name, value in zip(channels, values, strict=True)}
 
 
 def write_estimate(path: Path, document: Mapping[str, Any]) -> None:
@@ -119,16 +120,3 @@ def known_inertias(document: Mapping[str, Any], source: str) -> dict[str, FloatA
 
 def _is_body(parameters: FloatArray) -> bool:
     return bool(np.linalg.eigvalsh(pseudo_inertia.from_parameters(parameters))[0] > 0.0)
-
-
-def known_coefficients(document: Mapping[str, Any], model: MeasurementModel, source: str) -> FloatArray:
-    """The effects' coefficients of ``model`` from a document, ``(coefficients,)``, NaN where it has none."""
-    try:
-        values = {(entry["name"], entry["joint"]): float(entry["value"]) for entry in document["effects"]}
-    except (KeyError, TypeError, ValueError) as error:
-        raise InputError(f"{source}: an effect lacks a valid name, joint or value ({error})") from error
-    found = np.array([values.get((c.effect.name, c.joint_name), np.nan) for c in model.coefficients])
-    positive = np.array([c.effect.positive for c in model.coefficients], dtype=bool)
-    if np.any(found[positive] <= 0.0) or np.any(np.isinf(found)):
-        raise InputError(f"{source}: an effect that must be positive and finite is not")
-    return found

@@ -7,8 +7,10 @@ coefficients, then the real ones.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import chain
+from types import MappingProxyType
 
 import numpy as np
 
@@ -57,12 +59,18 @@ class MeasurementModel:
         effects: Sequence[Effect],
         sensors: Sequence[WrenchSensor] = (),
         links: Sequence[str] | None = None,
+        local_effects: Mapping[str, Sequence[Effect]] = MappingProxyType({}),
     ) -> None:
-        """``links`` are the bodies to identify (all unless given); the others keep their URDF's inertia."""
+        """``links`` are the bodies to identify (all unless given); the others keep their URDF's inertia.
+
+        ``effects`` act at every joint, ``local_effects`` at the joint that they are given for."""
         self.robot = robot
         self.sensors = tuple(sensors)
+        self._links = links
         self.identified = self._identified_bodies(links)
-        self.effects = tuple(effects)
+        self._common = tuple(effects)
+        self._local = local_effects
+        self.effects = tuple(dict.fromkeys([*effects, *chain.from_iterable(local_effects.values())]))
         self.coefficients = self._coefficients()
         self._check_sensors()
         self.channels = (*self._joint_channels(), *self._wrench_channels())
@@ -81,13 +89,14 @@ class MeasurementModel:
         return tuple(index for index, name in enumerate(names) if links is None or name in links)
 
     def _coefficients(self) -> tuple[Coefficient, ...]:
-        if not self._efforts_usable:
+        if not self.efforts_usable:
             return ()
         ordered = sorted(self.effects, key=lambda effect: not effect.positive)
         return tuple(
             Coefficient(effect, index, joint.name, effect.units[joint.unit == "N"])
             for effect in ordered
             for index, joint in enumerate(self.robot.joints)
+            if effect in self._common or effect in self._local.get(joint.name, ())
         )
 
     def _check_sensors(self) -> None:
@@ -124,11 +133,25 @@ class MeasurementModel:
         return [sensor for sensor in self.sensors if sensor.role == "external"]
 
     @property
-    def _efforts_usable(self) -> bool:
+    def efforts_usable(self) -> bool:
         """Whether all loads that reach the joints are known: not those of a force plate, which rest on some link, nor
         those of a floating base without sensors."""
         on_robot = all(self.robot.is_on_robot(s.frame) and len(s.axes) == 6 for s in self._external)
         return on_robot and (not self.robot.floating_base or bool(self._external))
+
+    @property
+    def mounted(self) -> list[WrenchSensor]:
+        """The sensors inside the chain, in the order of their channels."""
+        return [sensor for sensor in self.sensors if sensor.role == "mounted"]
+
+    def without_effects(self) -> MeasurementModel:
+        """The same channels and bodies, with no effects."""
+        return MeasurementModel(self.robot, (), self.sensors, self._links)
+
+    def with_gravity(self, gravity: FloatArray) -> MeasurementModel:
+        """The same model under another ``gravity (3,)`` in the base frame [m/s^2]."""
+        robot = self.robot.with_gravity(gravity)
+        return MeasurementModel(robot, self._common, self.sensors, self._links, self._local)
 
     @property
     def dimension(self) -> int:
@@ -161,7 +184,7 @@ class MeasurementModel:
         return np.array(columns, dtype=np.int64)
 
     def _joint_channels(self) -> list[Channel]:
-        if not self._efforts_usable:
+        if not self.efforts_usable:
             return []
         children = {joint.name: joint.child for joint in self.robot.tree.joints}
         return [
@@ -180,8 +203,7 @@ class MeasurementModel:
     @property
     def _row_sensors(self) -> list[WrenchSensor]:
         """Sensors that make rows: every mounted one, and with a floating base the first external one for their sum."""
-        mounted = [sensor for sensor in self.sensors if sensor.role == "mounted"]
-        return mounted + (self._external[:1] if self.robot.floating_base else [])
+        return self.mounted + (self._external[:1] if self.robot.floating_base else [])
 
     def _loaded_bodies(self, sensor: WrenchSensor) -> list[int]:
         if sensor.role == "mounted":
@@ -194,7 +216,7 @@ class MeasurementModel:
         targets = np.empty((len(samples), len(self.channels)))
         wrenches = self._measured_wrenches(samples)
         for index, (q, v, a) in enumerate(zip(*self.robot.configuration(samples), strict=True)):
-            joints = len(self.robot.joints) if self._efforts_usable else 0
+            joints = len(self.robot.joints) if self.efforts_usable else 0
             if joints:
                 bodies[index, :joints] = self.robot.joint_effort_rows(q, v, a)
                 targets[index, :joints] = samples.effort[index]
@@ -276,7 +298,7 @@ class MeasurementModel:
         external loads; NaN for joints whose effort is not measured."""
         measured, predicted = self.predict(samples, parameters)
         efforts = np.full(samples.effort.shape, np.nan)
-        if self._efforts_usable:
+        if self.efforts_usable:
             joints = len(self.robot.joints)
             efforts[:] = samples.effort - (measured - predicted)[:, :joints]
         return efforts

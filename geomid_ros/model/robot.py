@@ -14,9 +14,6 @@ from geomid_ros.model import urdf_tree
 from geomid_ros.model.samples import Samples
 from geomid_ros.types import FloatArray, frozen
 
-# A body flatter than this is taken for one without thickness, from which no distance can be measured.
-_FLATTEST = 1e-10
-
 GRAVITY = np.array([0.0, 0.0, -9.81])
 _ROOT_JOINT = "floating base of geomid_ros"  # must not be the name of a joint of the URDF
 
@@ -71,17 +68,19 @@ class Robot:
         self.source = source
         self.urdf = urdf
         self.floating_base = floating_base
+        self.cuts = tuple(cuts)
+        self.gravity = frozen(gravity)
         self.tree = urdf_tree.parse(urdf, source)
         self._first_joint = 2 if floating_base else 1
         self._locked = frozenset(locked_joints)
         self._model = self._without_locked(_build(urdf, floating_base, source))
-        self._model.gravity.linear = np.asarray(gravity)
+        self._model.gravity.linear = self.gravity
         self._data = self._model.createData()
         self.joints = self._moving_joints()
         self.bodies = self._bodies(cuts)
         if not self.bodies:
             raise InputError(f"{source}: no moving link has a mass; there is nothing to identify")
-        self._velocity_rows = [joint.v for joint in self.joints]
+        self.velocity_rows = [joint.v for joint in self.joints]
         self._moved = [index for index, body in enumerate(self.bodies) if body.joint > 0]
         self._moved_by = [self.bodies[index].joint - 1 for index in self._moved]
         self._to_joints = np.array([self.bodies[index].to_joint for index in self._moved])
@@ -155,7 +154,7 @@ class Robot:
         )
 
     def _check_possible(self, head: str, massive: list[str], parameters: FloatArray) -> None:
-        if parameters[0] <= 0.0 or _flatness(parameters) <= _FLATTEST:
+        if not pseudo_inertia.is_body(parameters):
             merged = "" if massive == [head] else f" (with {', '.join(massive)})"
             raise InputError(
                 f"{self.source}: the inertia of link '{head}'{merged} belongs to no body that can exist. The mass "
@@ -212,7 +211,7 @@ class Robot:
     def joint_effort_rows(self, q: FloatArray, v: FloatArray, a: FloatArray) -> FloatArray:
         """Regressor of the joints' efforts at one instant, ``(joints, bodies, 10)``, in the bodies' link frames."""
         full = pin.computeJointTorqueRegressor(self._model, self._data, q, v, a)
-        by_joint = full[self._velocity_rows].reshape(len(self.joints), -1, 10)[:, self._moved_by]
+        by_joint = full[self.velocity_rows].reshape(len(self.joints), -1, 10)[:, self._moved_by]
         rows = np.zeros((len(self.joints), len(self.bodies), 10))
         rows[:, self._moved] = (by_joint.transpose(1, 0, 2) @ self._to_joints).transpose(1, 0, 2)
         return rows
@@ -264,21 +263,52 @@ class Robot:
         """Jacobian ``(6, joints)`` of a link's frame, in its own axes (linear, angular)."""
         index = self._model.getFrameId(frame, pin.BODY)
         jacobian = pin.computeFrameJacobian(self._model, self._data, q, index, pin.LOCAL)
-        return np.array(jacobian[:, self._velocity_rows])
+        return np.array(jacobian[:, self.velocity_rows])
+
+    def with_gravity(self, gravity: FloatArray) -> Robot:
+        """The same robot under another ``gravity (3,)`` in the base (world) frame [m/s^2]."""
+        return Robot(
+            self.urdf,
+            floating_base=self.floating_base,
+            cuts=self.cuts,
+            locked_joints=sorted(self._locked),
+            gravity=gravity,
+            source=self.source,
+        )
+
+    def with_inertias(self, inertias: FloatArray, bodies: Iterable[int]) -> pin.Model:
+        """A copy of pinocchio's model: the listed bodies have ``inertias (all bodies, 10)``, all else nothing."""
+        model = self._model.copy()
+        joints = np.zeros((model.njoints, 10))
+        for index in bodies:
+            joints[self.bodies[index].joint] += self.bodies[index].to_joint @ inertias[index]
+        for index in range(model.njoints):
+            model.inertias[index] = (
+                pin.Inertia.FromDynamicParameters(joints[index]) if joints[index, 0] > 0.0 else (pin.Inertia.Zero())
+            )
+        return model
+
+    def carried_wrench(
+        self, model: pin.Model, data: pin.Data, frame: str, q: FloatArray, v: FloatArray, a: FloatArray
+    ) -> FloatArray:
+        """Wrench ``(6,)`` that moves all massive bodies of ``model``, which all come at or after the link ``frame``, in
+        that link's frame."""
+        pin.rnea(model, data, q, v, a)
+        at = model.frames[model.getFrameId(frame, pin.BODY)]
+        if at.parentJoint == 0:
+            moved = [j for j in range(1, model.njoints) if model.parents[j] == 0]
+            total = pin.Force.Zero()
+            for joint in moved:
+                total += data.oMi[joint].act(data.f[joint])
+            own = model.inertias[0]
+            total += pin.Force(own.mass * -model.gravity.linear, np.cross(own.mass * own.lever, -model.gravity.linear))
+        else:
+            total = data.f[at.parentJoint]
+        return np.array(at.placement.actInv(total).vector)
 
     def inverse_dynamics(self, q: FloatArray, v: FloatArray, a: FloatArray) -> FloatArray:
         """Efforts ``(nv,)`` of the URDF's own inertias, by the recursive Newton-Euler algorithm."""
         return np.array(pin.rnea(self._model, self._data, q, v, a))
-
-
-def _flatness(parameters: FloatArray) -> float:
-    """Smallest over largest central second moment of a body of positive mass; not positive for no body at all.
-
-    Unlike the eigenvalues of the pseudo-inertia it depends neither on units nor on where the frame is.
-    """
-    inertia = pseudo_inertia.central_inertia(parameters)
-    moments = np.linalg.eigvalsh(0.5 * np.trace(inertia) * np.eye(3) - inertia)
-    return float(moments[0] / abs(moments[-1])) if moments[-1] != 0.0 else 0.0
 
 
 def _build(urdf: str, floating_base: bool, source: str) -> pin.Model:

@@ -20,7 +20,8 @@ class WrenchSensor:
 
     ``frame``: the URDF link in whose frame the wrench is expressed, about whose origin; for a force plate (a fixed
     sensor under a floating base) one of ``WORLD_FRAMES``. ``axes``: those of ``AXES`` that are measured. ``sign``: -1
-    if the sensor reports the opposite (reaction) wrench.
+    if the sensor reports the opposite (reaction) wrench. ``offset``: what is known of its constant error, force and
+    torque in the frame: sign times the reported wrench is the true one plus this.
     """
 
     topic: str
@@ -28,6 +29,7 @@ class WrenchSensor:
     role: str
     axes: tuple[str, ...] = AXES
     sign: float = 1.0
+    offset: tuple[float, ...] = (0.0,) * 6
 
     def __post_init__(self) -> None:
         if self.role not in ROLES:

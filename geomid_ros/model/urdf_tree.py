@@ -58,7 +58,11 @@ class UrdfTree:
 
 def parse(text: str, source: str) -> UrdfTree:
     """Read a URDF's tree. Raises InputError naming ``source`` and the element when it is not usable."""
-    robot = _read_xml(text, source)
+    return tree(read_xml(text, source), source)
+
+
+def tree(robot: Element, source: str) -> UrdfTree:
+    """The tree of a ``<robot>``, as :func:`parse` reads it."""
     links = tuple(_name(element, source) for element in robot.findall("link"))
     joints = tuple(_joint(element, source) for element in robot.findall("joint"))
     if len(links) > _MAX_LINKS:
@@ -68,12 +72,13 @@ def parse(text: str, source: str) -> UrdfTree:
         raise InputError(f"{source}: joints of {axes} axes are more than the {_MAX_AXES} that a robot may have")
     _refuse_duplicates(links, "link", source)
     _refuse_duplicates([joint.name for joint in joints], "joint", source)
-    inertials = {link.get("name", ""): _inertial(link, source) for link in robot.findall("link")}
+    inertials = {link.get("name", ""): inertial_parameters(link, source) for link in robot.findall("link")}
     massive = {name: parameters for name, parameters in inertials.items() if parameters is not None}
     return UrdfTree(links, joints, _root(links, joints, source), massive)
 
 
-def _read_xml(text: str, source: str) -> Element:
+def read_xml(text: str, source: str) -> Element:
+    """The ``<robot>`` element of a URDF. Raises InputError naming ``source``."""
     if len(text.encode(errors="replace")) > _MAX_BYTES:
         raise InputError(f"{source}: larger than {_MAX_BYTES // 1_000_000} MB, not a robot description")
     try:
@@ -128,12 +133,12 @@ def _joint(element: Element, source: str) -> UrdfJoint:
     kind = element.get("type", "")
     if kind not in _AXES:
         raise InputError(f"{where} is of the unknown type '{kind}'. Valid: {', '.join(_AXES)}")
-    _numbers(element, "origin", ("xyz",), [0.0, 0.0, 0.0], where)
-    _numbers(element, "origin", ("rpy",), [0.0, 0.0, 0.0], where)
-    if kind != "fixed" and not any(_numbers(element, "axis", ("xyz",), [1.0, 0.0, 0.0], where)):
+    read_numbers(element, "origin", ("xyz",), [0.0, 0.0, 0.0], where)
+    read_numbers(element, "origin", ("rpy",), [0.0, 0.0, 0.0], where)
+    if kind != "fixed" and not any(read_numbers(element, "axis", ("xyz",), [1.0, 0.0, 0.0], where)):
         raise InputError(f"{where}: its <axis> has no direction")
     if kind in ("revolute", "prismatic"):
-        _numbers(element, "limit", ("effort", "velocity"), None, where)
+        read_numbers(element, "limit", ("effort", "velocity"), None, where)
     return UrdfJoint(element.get("name", ""), kind, parent.get("link", ""), child.get("link", ""))
 
 
@@ -145,16 +150,16 @@ def _refuse_duplicates(names: Iterable[str], kind: str, source: str) -> None:
         seen.add(name)
 
 
-def _inertial(link: Element, source: str) -> FloatArray | None:
+def inertial_parameters(link: Element, source: str) -> FloatArray | None:
     """Parameters ``(10,)`` of a link's <inertial> in the link's frame; None without one or without a mass."""
     inertial = link.find("inertial")
     if inertial is None:
         return None
     where = f"{source}: link '{link.get('name')}'"
-    (mass,) = _numbers(inertial, "mass", ("value",), None, where)
-    entries = _numbers(inertial, "inertia", ("ixx", "ixy", "ixz", "iyy", "iyz", "izz"), None, where)
-    centre = _numbers(inertial, "origin", ("xyz",), [0.0, 0.0, 0.0], where)
-    angles = _numbers(inertial, "origin", ("rpy",), [0.0, 0.0, 0.0], where)
+    (mass,) = read_numbers(inertial, "mass", ("value",), None, where)
+    entries = read_numbers(inertial, "inertia", ("ixx", "ixy", "ixz", "iyy", "iyz", "izz"), None, where)
+    centre = read_numbers(inertial, "origin", ("xyz",), [0.0, 0.0, 0.0], where)
+    angles = read_numbers(inertial, "origin", ("rpy",), [0.0, 0.0, 0.0], where)
     if mass == 0.0:
         return None
     xx, xy, xz, yy, yz, zz = entries
@@ -163,7 +168,9 @@ def _inertial(link: Element, source: str) -> FloatArray | None:
     return pseudo_inertia.assemble(np.array(mass), np.array(centre), central)
 
 
-def _numbers(parent: Element, tag: str, keys: tuple[str, ...], default: list[float] | None, where: str) -> list[float]:
+def read_numbers(
+    parent: Element, tag: str, keys: tuple[str, ...], default: list[float] | None, where: str
+) -> list[float]:
     """The finite numbers of an element's attributes; ``default`` if it or they are absent, an error if that is None."""
     element = parent.find(tag)
     texts = [element.get(key) for key in keys] if element is not None else [None]

@@ -4,8 +4,24 @@ The bag holds only what a real robot would publish; the truth goes into a file b
 the estimator, and MuJoCo is imported when a simulation starts, not before.
 """
 
-from geomid_ros.simulation.options import JointEffect, SimulationOptions
+from geomid_ros.simulation.effects.sizes import SIZES
+from geomid_ros.simulation.hidden import NOTHING, Hidden, parse_hidden
+from geomid_ros.simulation.options import MOTIONS, SimulationOptions
 from geomid_ros.simulation.robots import WRIST_FRAME, robot_names
 from geomid_ros.simulation.simulate import SimulationResult, simulate
 
-__all__ = ["WRIST_FRAME", "JointEffect", "SimulationOptions", "SimulationResult", "robot_names", "simulate"]
+EFFECTS = tuple(SIZES)
+"""Names of the effects that can be hidden."""
+
+__all__ = [
+    "EFFECTS",
+    "MOTIONS",
+    "NOTHING",
+    "WRIST_FRAME",
+    "Hidden",
+    "SimulationOptions",
+    "SimulationResult",
+    "parse_hidden",
+    "robot_names",
+    "simulate",
+]

@@ -11,7 +11,9 @@ from rosbags.interfaces import Qos, QosDurability, QosHistory, QosLiveliness, Qo
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
-from geomid_ros.simulation.recorder import Trace
+from geomid_ros.simulation.effects.choice import WRENCH_TOPIC
+from geomid_ros.simulation.options import SimulationOptions
+from geomid_ros.simulation.trace import Trace
 from geomid_ros.types import FloatArray
 
 START = 1_700_000_000
@@ -22,22 +24,29 @@ _UNSET = QosTime(0, 0)
 _TYPES = get_typestore(Stores.ROS2_JAZZY)
 
 
-def write_bag(path: Path, trace: Trace, names: Sequence[str], urdf: str, frame: str | None) -> None:
-    """Write ``/robot_description``, ``/joint_states`` and, with a sensor ``frame``, ``/wrench`` to a new bag.
+def write_bag(path: Path, trace: Trace, names: Sequence[str], urdf: str, options: SimulationOptions) -> None:
+    """Write ``/robot_description``, ``/joint_states`` and what ``options`` ask for of ``/wrench`` and
+    ``/joint_commands`` to a new bag.
 
-    ``names`` are those of the trace's joints, in its order, which is also that of the messages.
+    ``names`` are those of the trace's joints, in its order, which is also that of the messages. A command is a
+    JointState of the set-points' positions and velocities and of the controller's feed-forward efforts.
     """
     writer = Writer(path, version=Writer.VERSION_LATEST, storage_plugin=StoragePlugin.MCAP)
     writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
     with writer:
         description = _Topic(writer, "/robot_description", "std_msgs/msg/String", QosDurability.TRANSIENT_LOCAL)
         states = _Topic(writer, "/joint_states", "sensor_msgs/msg/JointState")
-        wrenches = None if frame is None else _Topic(writer, "/wrench", "geometry_msgs/msg/WrenchStamped")
+        commands = _Topic(writer, "/joint_commands", "sensor_msgs/msg/JointState") if options.commands else None
+        frame = options.wrench_frame
+        wrenches = _Topic(writer, WRENCH_TOPIC, "geometry_msgs/msg/WrenchStamped") if frame else None
         description.write(START * _NANO, _message("std_msgs/msg/String", data=urdf))
-        for row, stamp in enumerate(_stamps(trace.time)):
-            states.write(stamp, _joint_state(trace, row, stamp, names))
+        for row, (stamp, wrench_stamp) in enumerate(zip(_stamps(trace.time), _stamps(trace.wrench_time), strict=True)):
+            states.write(stamp, _joint_state(stamp, names, trace.position[row], trace.velocity[row], trace.effort[row]))
+            if commands is not None:
+                wanted = trace.commands.position[row], trace.commands.velocity[row], trace.feedforward[row]
+                commands.write(stamp, _joint_state(stamp, names, *wanted))
             if wrenches is not None:
-                wrenches.write(stamp, _wrench(trace.wrench[row], stamp, frame))
+                wrenches.write(wrench_stamp, _wrench(trace.wrench[row], wrench_stamp, frame))
 
 
 class _Topic:
@@ -84,14 +93,16 @@ def _header(stamp: int, frame: str) -> Any:
     return _message("std_msgs/msg/Header", stamp=time, frame_id=frame)
 
 
-def _joint_state(trace: Trace, row: int, stamp: int, names: Sequence[str]) -> Any:
+def _joint_state(
+    stamp: int, names: Sequence[str], position: FloatArray, velocity: FloatArray, effort: FloatArray
+) -> Any:
     return _message(
         "sensor_msgs/msg/JointState",
         header=_header(stamp, ""),
         name=list(names),
-        position=np.ascontiguousarray(trace.position[row]),
-        velocity=np.ascontiguousarray(trace.velocity[row]),
-        effort=np.ascontiguousarray(trace.effort[row]),
+        position=np.ascontiguousarray(position),
+        velocity=np.ascontiguousarray(velocity),
+        effort=np.ascontiguousarray(effort),
     )
 
 

@@ -6,7 +6,7 @@ MuJoCo reads the kinematics from the same text, stripped of everything else.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from xml.etree.ElementTree import Element, SubElement
 
@@ -57,8 +57,20 @@ class JointLimits:
 
 
 @dataclass(frozen=True)
+class Edge:
+    """What connects a link to its ``parent`` link: a ``joint``, which ``moves`` or is fixed."""
+
+    joint: str
+    parent: str
+    moves: bool
+
+
+@dataclass(frozen=True)
 class Description:
-    """A robot as its URDF says: ``text`` as given, ``kinematics`` the URDF with nothing but its tree of joints."""
+    """A robot as its URDF says: ``text`` as given, ``kinematics`` the URDF with nothing but its tree of joints.
+
+    ``edges`` connect every link but the ``root``.
+    """
 
     text: str
     kinematics: str
@@ -66,21 +78,39 @@ class Description:
     root: str
     inertias: tuple[LinkInertia, ...]
     joints: tuple[JointLimits, ...]
+    edges: Mapping[str, Edge]
+
+    def moved_by(self, link: str) -> str | None:
+        """The joint that moves a link, the nearest one towards the root; None for what stands still."""
+        while link in self.edges:
+            if self.edges[link].moves:
+                return self.edges[link].joint
+            link = self.edges[link].parent
+        return None
+
+    def child(self, joint: str) -> str:
+        """The link right behind a joint."""
+        return next(link for link, edge in self.edges.items() if edge.joint == joint)
 
 
 def read_description(text: str) -> Description:
     """Read a URDF; links without mass have no inertia."""
     robot = _parse(text)
-    links = tuple(_attribute(link, "name") for link in robot.iter("link"))
-    inertias = tuple(_inertias(robot.iter("link")))
-    joints = tuple(_limits(joint) for joint in robot.iter("joint") if _kind(joint) in _MOVING)
+    links = tuple(_attribute(link, "name") for link in robot.findall("link"))
+    inertias = tuple(_inertias(robot.findall("link")))
+    joints = tuple(_limits(joint) for joint in robot.findall("joint") if _kind(joint) in _MOVING)
     if not joints:
         raise InputError("the URDF has no moving joint; a simulation needs at least one.")
-    children = {_attribute(_child(joint, "child"), "link") for joint in robot.iter("joint")}
-    roots = [link for link in links if link not in children]
+    edges = dict(_edge(joint) for joint in robot.findall("joint"))
+    roots = [link for link in links if link not in edges]
     if len(roots) != 1:
         raise InputError(f"the URDF's links form {len(roots)} trees, with the roots {roots}; connect them to one.")
-    return Description(text, _kinematics(robot), links, roots[0], inertias, joints)
+    return Description(text, _kinematics(robot), links, roots[0], inertias, joints, edges)
+
+
+def _edge(joint: Element) -> tuple[str, Edge]:
+    parent, child = (_attribute(_child(joint, tag), "link") for tag in ("parent", "child"))
+    return child, Edge(_attribute(joint, "name"), parent, _kind(joint) in _MOVING)
 
 
 def _parse(text: str) -> Element:

@@ -1,14 +1,14 @@
-"""Exciting motions: a sum of sines per joint, faded in from rest, inside the joint's limits."""
+"""Exciting motions, faded in from rest, inside the joints' limits."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from geomid_ros.simulation.description import JointLimits
-from geomid_ros.simulation.options import SimulationOptions
+from geomid_ros.simulation.options import MOTIONS, SimulationOptions
 from geomid_ros.types import FloatArray
 
 FADE_IN = 2.0
@@ -28,7 +28,7 @@ def exciting_motion(
     times: FloatArray, joints: Sequence[JointLimits], options: SimulationOptions, rng: np.random.Generator
 ) -> Motion:
     """A random motion of ``joints`` at ``times (T,)`` [s], each joint as large as its limits and ``options`` allow."""
-    shapes = _faded(_fade(times), _sines(times, len(joints), options, rng))
+    shapes = _faded(_fade(times), _SHAPES[options.motion](times, len(joints), options, rng))
     reach = options.motion_range * np.array([joint.half_range for joint in joints])
     speed = options.motion_speed * np.array([joint.velocity for joint in joints])
     scale = np.minimum(reach / np.abs(shapes.position).max(0), speed / np.abs(shapes.velocity).max(0))
@@ -37,17 +37,84 @@ def exciting_motion(
 
 
 def _sines(times: FloatArray, joints: int, options: SimulationOptions, rng: np.random.Generator) -> Motion:
-    frequency = 2.0 * np.pi / options.motion_period * np.arange(1, options.motion_harmonics + 1)
-    amplitude = rng.standard_normal((options.motion_harmonics, joints)) / frequency[:, None]
-    phase = rng.uniform(0.0, 2.0 * np.pi, (options.motion_harmonics, joints))
-    motion = Motion(*(np.zeros((len(times), joints)) for _ in range(3)))
-    for omega, size, shift in zip(frequency, amplitude, phase, strict=True):
-        angle = omega * times[:, None] + shift
+    frequency = np.arange(1, options.motion_harmonics + 1) / options.motion_period
+    return _sum_of_sines(times, np.tile(frequency[:, None], joints), rng)
+
+
+def _aperiodic(times: FloatArray, joints: int, options: SimulationOptions, rng: np.random.Generator) -> Motion:
+    harmonics = options.motion_harmonics
+    frequency = rng.uniform(0.7, harmonics, (harmonics, joints)) / options.motion_period
+    return _sum_of_sines(times, frequency, rng)
+
+
+def _sum_of_sines(times: FloatArray, frequency: FloatArray, rng: np.random.Generator) -> Motion:
+    """Sines of ``frequency (sines, n)`` [Hz], all about equally fast."""
+    omega = 2.0 * np.pi * frequency
+    amplitude = rng.standard_normal(omega.shape) / omega
+    phase = rng.uniform(0.0, 2.0 * np.pi, omega.shape)
+    motion = _still(len(times), omega.shape[1])
+    for speed, size, shift in zip(omega, amplitude, phase, strict=True):
+        angle = speed * times[:, None] + shift
         sine = size * np.sin(angle)
         motion.position[:] += sine
-        motion.velocity[:] += omega * size * np.cos(angle)
-        motion.acceleration[:] -= omega**2 * sine
+        motion.velocity[:] += speed * size * np.cos(angle)
+        motion.acceleration[:] -= speed**2 * sine
     return motion
+
+
+def _chirp(times: FloatArray, joints: int, options: SimulationOptions, rng: np.random.Generator) -> Motion:
+    """Frequencies that rise evenly from that of the slowest sine to that of the fastest, each joint's from another."""
+    slow, fast = 1.0 / options.motion_period, options.motion_harmonics / options.motion_period
+    start = slow * rng.uniform(0.7, 1.5, joints)
+    rise = (fast - start) / max(times[-1], 1e-9)
+    column = times[:, None]
+    angle = rng.uniform(0.0, 2.0 * np.pi, joints) + 2.0 * np.pi * column * (start + 0.5 * rise * column)
+    omega = 2.0 * np.pi * (start + rise * column)
+    return _modulated(angle, omega, 2.0 * np.pi * rise)
+
+
+def _modulated(angle: FloatArray, omega: FloatArray, rise: FloatArray) -> Motion:
+    """``sin(angle) / omega``, of constant speed: its derivatives while omega grows by ``rise`` per second."""
+    sine, cosine, share = np.sin(angle), np.cos(angle), rise / omega**2
+    return Motion(
+        sine / omega,
+        cosine - share * sine,
+        -omega * sine - share * omega * cosine + 2.0 * share**2 * omega * sine,
+    )
+
+
+def _points(times: FloatArray, joints: int, options: SimulationOptions, rng: np.random.Generator) -> Motion:
+    """Rests at random points; between two of them a quarter of the time each to speed up and down, and a tenth of rest.
+
+    Every joint has its own rhythm, else all would rest together.
+    """
+    motion = _still(len(times), joints)
+    for joint in range(joints):
+        lap = 0.5 * options.motion_period * rng.uniform(0.7, 1.3)
+        count = int(times[-1] / lap) + 2
+        points = np.concatenate([[0.0], rng.uniform(-1.0, 1.0, count)])
+        at, phase = np.divmod(times / lap, 1.0)
+        leg = at.astype(int)
+        length = points[leg + 1] - points[leg]
+        position, velocity, acceleration = _trapezoid(phase / 0.9)
+        motion.position[:, joint] = points[leg] + length * position
+        motion.velocity[:, joint] = length * velocity / (0.9 * lap)
+        motion.acceleration[:, joint] = length * acceleration / (0.9 * lap) ** 2
+    return motion
+
+
+def _trapezoid(x: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """From 0 at x = 0 to 1 at x = 1 with a trapezoid of speed, and its derivatives; x above 1 rests."""
+    top, quarter = 4.0 / 3.0, 0.25
+    up, flat, down = np.minimum(x, quarter), np.clip(x - quarter, 0.0, 0.5), np.clip(x - 0.75, 0.0, quarter)
+    position = top * (2.0 * up**2 + flat + down - 2.0 * down**2)
+    velocity = top * 4.0 * (up - down)
+    rate = np.where(x < quarter, 4.0 * top, 0.0) - np.where((x >= 0.75) & (x < 1.0), 4.0 * top, 0.0)
+    return position, velocity, rate
+
+
+def _still(samples: int, joints: int) -> Motion:
+    return Motion(*(np.zeros((samples, joints)) for _ in range(3)))
 
 
 def _fade(times: FloatArray) -> Motion:
@@ -68,3 +135,8 @@ def _faded(fade: Motion, motion: Motion) -> Motion:
         + 2.0 * fade.velocity * motion.velocity
         + fade.position * motion.acceleration,
     )
+
+
+_SHAPES: dict[str, Callable[[FloatArray, int, SimulationOptions, np.random.Generator], Motion]] = dict(
+    zip(MOTIONS, (_sines, _aperiodic, _points, _chirp), strict=True)
+)

@@ -6,7 +6,8 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from geomid_ros.errors import InputError
+from geomid_ros.errors import InputError, unknown_name
+from geomid_ros.simulation.hidden import Hidden
 
 _POSITIVE = ("duration", "rate", "motion_period", "motion_range", "motion_speed", "longest_step")
 _NOT_NEGATIVE = (
@@ -20,22 +21,17 @@ _NOT_NEGATIVE = (
     "effort_noise",
     "force_noise",
     "torque_noise",
+    "noise_time",
+    "position_step",
+    "effort_step",
+    "wrench_lag",
 )
 _LONGEST_STEP = 1e-3  # dry friction stops a joint within a few milliseconds
+_STIFF_STEP = 2e-4  # a light rotor behind a gear that gives
+_STIFF = {"joint_elasticity", "backlash"}
 _SHARES = ("motion_range", "motion_speed")
-
-
-@dataclass(frozen=True)
-class JointEffect:
-    """One effect on one joint: the ``value`` of the effect called ``name`` on the joint called ``joint``.
-
-    Units on a turning joint: ``viscous_friction`` N m s/rad, ``coulomb_friction`` N m, ``rotor_inertia`` kg m^2 as the
-    joint feels it, ``effort_offset`` N m (measured minus true).
-    """
-
-    name: str
-    joint: str
-    value: float
+MOTIONS = ("sines", "aperiodic", "points", "chirp")
+"""Kinds of motion."""
 
 
 @dataclass(frozen=True)
@@ -50,27 +46,33 @@ class SimulationOptions:
     Recording:
         duration: length [s]. rate: messages per second and topic [Hz].
         wrench_frame: link whose connection to its parent carries a wrench sensor (``wrist_ft`` on the shipped robots);
-            None records no ``/wrench``.
+            None records no ``/wrench``. wrench_lag: how much later than the joints the wrench is sampled, and so
+            stamped [s].
+        commands: also record the controller's set-points and feed-forward efforts.
 
     True inertias:
         inertia_error: size of the difference to the URDF; about the relative standard deviation of a link's mass.
             The bodies stay physically possible whatever the size.
 
-    True joint effects: each joint's value is drawn between half and one and a half times the one described here.
+    True effects: as ``hide`` asks, and no others; where it is None, at every joint some friction, rotor inertia and
+    offset, each drawn between half and one and a half times the one described here.
         viscous_friction: effort at the joint's velocity limit, as a share of its effort limit.
         coulomb_friction: effort, as a share of the effort limit.
         rotor_inertia: time that the bare rotor needs to its velocity limit at its effort limit [s].
         effort_offset: constant error of the measured effort, of either sign, as a share of the effort limit.
-        effects: exact values for single joints in place of the drawn ones.
 
-    Noise (standard deviations; Gaussian and white):
+    Noise (standard deviations; Gaussian):
         position_noise [rad], velocity_noise [rad/s], effort_noise (share of the joint's effort limit),
-        force_noise [N], torque_noise [N m].
+        force_noise [N], torque_noise [N m]. noise_time: time constant of the noise of efforts and wrench [s], a
+        first-order autoregression; 0 is white. position_step [rad], effort_step (share of the effort limit):
+        resolution, 0 for none.
 
-    Motion (a sum of sines per joint, faded in from rest):
-        motion_period: period of the slowest sine [s]. motion_harmonics: number of sines, the fastest at
-        ``motion_harmonics / motion_period`` Hz. motion_range, motion_speed: largest excursion and speed as shares of
-        half the joint's range and of its velocity limit; the tighter one decides.
+    Motion (faded in from rest):
+        motion: ``sines`` (a sum of harmonics per joint, periodic), ``aperiodic`` (of frequencies without a common
+        period), ``points`` (from point to point by trapezoids of speed) or ``chirp`` (one sine of rising frequency).
+        motion_period: period of the slowest sine, and twice the time from point to point [s]. motion_harmonics: number
+        of sines, the fastest at ``motion_harmonics / motion_period`` Hz. motion_range, motion_speed: largest excursion
+        and speed as shares of half the joint's range and of its velocity limit; the tighter one decides.
 
     longest_step: upper bound of the integration step, at most 0.001 [s]; the step divides ``1 / rate``.
     """
@@ -82,21 +84,27 @@ class SimulationOptions:
     duration: float = 12.0
     rate: float = 100.0
     wrench_frame: str | None = None
+    wrench_lag: float = 0.0
+    commands: bool = False
 
     inertia_error: float = 0.2
 
+    hide: tuple[Hidden, ...] | None = None
     viscous_friction: float = 0.03
     coulomb_friction: float = 0.02
     rotor_inertia: float = 0.002
     effort_offset: float = 0.005
-    effects: tuple[JointEffect, ...] = ()
 
     position_noise: float = 2e-5
     velocity_noise: float = 1e-3
     effort_noise: float = 2e-3
     force_noise: float = 0.1
     torque_noise: float = 5e-3
+    noise_time: float = 0.0
+    position_step: float = 0.0
+    effort_step: float = 0.0
 
+    motion: str = "sines"
     motion_period: float = 6.0
     motion_harmonics: int = 6
     motion_range: float = 0.7
@@ -113,6 +121,8 @@ class SimulationOptions:
         self._require(("seed",), "at least 0", lambda value: value >= 0)
         if self.motion_seed is not None:
             self._require(("motion_seed",), "at least 0", lambda value: value >= 0)
+        if self.motion not in MOTIONS:
+            raise unknown_name("motion", self.motion, MOTIONS)
         if self.samples < 2:
             raise InputError(f"{self.duration} s at {self.rate} Hz are fewer than 2 samples; lengthen the duration.")
 
@@ -130,7 +140,14 @@ class SimulationOptions:
     @property
     def substeps(self) -> int:
         """Number of integration steps from one recorded instant to the next."""
-        return math.ceil(1.0 / (self.rate * self.longest_step) - 1e-9)
+        stiff = any(request.effect in _STIFF for request in self.hide or ())
+        longest = min(self.longest_step, _STIFF_STEP) if stiff else self.longest_step
+        return math.ceil(1.0 / (self.rate * longest) - 1e-9)
+
+    @property
+    def step(self) -> float:
+        """Integration step [s]."""
+        return 1.0 / (self.rate * self.substeps)
 
     @property
     def recording_seed(self) -> int:

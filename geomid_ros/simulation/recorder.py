@@ -3,38 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from geomid_ros.errors import InputError
 from geomid_ros.simulation.description import JointLimits
 from geomid_ros.simulation.motion import Motion
-from geomid_ros.simulation.plant import Plant
+from geomid_ros.simulation.simulator import Simulator
+from geomid_ros.simulation.trace import Trace
 from geomid_ros.types import FloatArray, IntArray
 
 _STIFFNESS = 10.0  # effort limits per rad (or m) of position error
-
-
-@dataclass(frozen=True, eq=False)
-class Trace:
-    """Samples of T instants: ``time (T,)`` [s], joints ``(T, n)``, ``wrench (T, 6)`` or ``(T, 0)`` in its frame.
-
-    All of a row belongs to one instant: the effort is what acts at that position and velocity, and with the
-    accelerations it satisfies the equation of motion exactly.
-    """
-
-    time: FloatArray
-    position: FloatArray
-    velocity: FloatArray
-    acceleration: FloatArray
-    effort: FloatArray
-    wrench: FloatArray
-
-    def reordered(self, order: IntArray) -> Trace:
-        """The same samples with the joints in another ``order (n,)``."""
-        joints = ("position", "velocity", "acceleration", "effort")
-        return replace(self, **{name: getattr(self, name)[:, order] for name in joints})
+_QUICKEST = 7500.0  # 1/s; how fast the controller may damp a light rotor: 1.5 per step, and Runge-Kutta bears 2.8
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,18 +37,24 @@ class Controller:
         return wanted
 
 
-def tuned_controller(setpoints: Motion, nominal: Plant, robot: Plant, joints: Sequence[JointLimits]) -> Controller:
-    """A controller that knows the ``nominal`` model, tuned on the ``robot``.
+def tuned_controller(
+    setpoints: Motion, nominal: Simulator, robot: Simulator, joints: Sequence[JointLimits], tuned_on: Simulator
+) -> Controller:
+    """A controller that knows the ``nominal`` model, its gains ``tuned_on`` that or the ``robot``.
 
-    The gains make the loop critically damped, and a constant effort holds the robot still where it starts.
+    They make the loop critically damped, or less so where a light rotor stands before a gear that gives, and a
+    constant effort holds the robot still where it starts.
     """
     rows = zip(setpoints.position, setpoints.velocity, setpoints.acceleration, strict=True)
     feedforward = np.array([nominal.inverse_dynamics(*row) for row in rows])
-    start, rest = setpoints.position[0], np.zeros(len(joints))
-    feedforward += robot.inverse_dynamics(start, rest, rest) - nominal.inverse_dynamics(start, rest, rest)
+    start, rest = robot.at_rest(setpoints.position[0])
+    feedforward += robot.inverse_dynamics(start, rest, rest)[robot.driven] - feedforward[0]
     stiffness = _STIFFNESS * np.array([joint.effort for joint in joints])
-    inertia = robot.joint_inertia(start)
-    return Controller(setpoints, feedforward, stiffness, 2.0 * np.sqrt(stiffness * inertia))
+    inertia = tuned_on.joint_inertia(tuned_on.at_rest(setpoints.position[0])[0])[tuned_on.driven]
+    damping = 2.0 * np.sqrt(stiffness * inertia)
+    for motor, rotor in robot.light_rotors.items():
+        damping[motor] = min(damping[motor], _QUICKEST * rotor)
+    return Controller(setpoints, feedforward, stiffness, damping)
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,10 +62,10 @@ class ClosedLoop:
     """A robot under control, integrated in steps of ``step`` [s] by the classical Runge-Kutta method of order 4.
 
     The controller acts at every stage: an effort held over each step would lead the motion by half a step, and a
-    set-point held over each sample would pass for damping and rotor inertia.
+    set-point held over each sample would pass for damping and rotor inertia. It sees the motors of the robot's state.
     """
 
-    robot: Plant
+    robot: Simulator
     controller: Controller
     step: float
 
@@ -88,12 +75,16 @@ class ClosedLoop:
         return (len(self.controller.feedforward) - 1) // 2
 
     def acceleration(self, half_step: int, position: FloatArray, velocity: FloatArray) -> FloatArray:
-        """Joint accelerations ``(n,)`` at the instant ``half_step / 2`` steps after the start."""
-        return self.robot.acceleration(position, velocity, self.controller.effort(half_step, position, velocity))
+        """Accelerations ``(m,)`` of a state ``half_step / 2`` steps after the start."""
+        motors = self.robot.driven
+        effort = self.controller.effort(half_step, position[motors], velocity[motors])
+        return self.robot.acceleration(position, velocity, effort)
 
-    def advance(self, index: int, position: FloatArray, velocity: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Position and velocity one step after the instant ``index`` steps after the start."""
-        speeds, accelerations = [velocity], [self.acceleration(2 * index, position, velocity)]
+    def advance(
+        self, index: int, position: FloatArray, velocity: FloatArray, acceleration: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """State one step after the instant ``index`` steps after the start, at which it has this ``acceleration``."""
+        speeds, accelerations = [velocity], [acceleration]
         for share, half_step in ((0.5, 2 * index + 1), (0.5, 2 * index + 1), (1.0, 2 * index + 2)):
             reached = position + share * self.step * speeds[-1]
             speeds.append(velocity + share * self.step * accelerations[-1])
@@ -107,19 +98,70 @@ def _weighted(stages: list[FloatArray]) -> FloatArray:
     return mean
 
 
-def run(loop: ClosedLoop, substeps: int, progress: Callable[[float], None] | None = None) -> Trace:
-    """Follow the controller's set-points from the first one and note every ``substeps``-th step."""
-    position = loop.controller.setpoints.position[0]
-    velocity = loop.controller.setpoints.velocity[0]
-    rows = []
-    for index in range(0, loop.steps + 1, substeps):
+@dataclass(frozen=True)
+class Sampling:
+    """Which steps of the integration are recorded: the joints every ``substeps``-th, ``samples`` of them, the wrench
+    ``wrench_lag`` steps later each time; ``ahead`` steps are run on after the last sample of the joints."""
+
+    samples: int
+    substeps: int
+    wrench_lag: int
+    ahead: int
+
+    @property
+    def steps(self) -> int:
+        """Number of steps of the whole run."""
+        return (self.samples - 1) * self.substeps + self.ahead
+
+    @property
+    def joints(self) -> IntArray:
+        """Steps after which the joints are sampled ``(T,)``."""
+        return np.arange(self.samples) * self.substeps
+
+
+def run(loop: ClosedLoop, sampling: Sampling, progress: Callable[[float], None] | None = None) -> Trace:
+    """Follow the controller's set-points from the first one and note what ``sampling`` says."""
+    position, velocity = loop.robot.at_rest(loop.controller.setpoints.position[0])
+    noted = set(sampling.joints.tolist())
+    sensed = {step + sampling.wrench_lag for step in noted}
+    rows, wrenches, efforts = [], [], []
+    for index in range(sampling.steps + 1):
         acceleration = loop.acceleration(2 * index, position, velocity)
-        rows.append((index * loop.step, position, velocity, acceleration, loop.robot.effort(), loop.robot.wrench()))
-        for following in range(index, min(index + substeps, loop.steps)):
-            position, velocity = loop.advance(following, position, velocity)
-        if progress is not None:
-            progress(index / loop.steps)
-    return Trace(*(np.array(column) for column in zip(*rows, strict=True)))
+        efforts.append(loop.robot.effort())
+        if index in sensed:
+            wrenches.append(loop.robot.wrench())
+        if index in noted:
+            rows.append((position, velocity, acceleration))
+            if progress is not None:
+                progress(index / sampling.joints[-1])
+        if index < sampling.steps:
+            position, velocity = loop.advance(index, position, velocity, acceleration)
+    return _trace(loop, sampling, rows, wrenches, efforts)
+
+
+def _trace(
+    loop: ClosedLoop,
+    sampling: Sampling,
+    rows: list[tuple[FloatArray, FloatArray, FloatArray]],
+    wrenches: list[FloatArray],
+    efforts: list[FloatArray],
+) -> Trace:
+    at, motors, step = sampling.joints, loop.robot.driven, np.float64(loop.step)
+    position, velocity, acceleration = (np.array(column)[:, motors] for column in zip(*rows, strict=True))
+    setpoints = loop.controller.setpoints
+    return Trace(
+        time=step * at,
+        position=position,
+        velocity=velocity,
+        acceleration=acceleration,
+        effort=np.array(efforts)[at],
+        wrench_time=step * (at + sampling.wrench_lag),
+        wrench=np.array(wrenches),
+        commands=Motion(*(values[2 * at] for values in vars(setpoints).values())),
+        feedforward=loop.controller.feedforward[2 * at],
+        fine_time=step * np.arange(len(efforts)),
+        fine_effort=np.array(efforts),
+    )
 
 
 def check_motion(trace: Trace, joints: Sequence[JointLimits]) -> None:

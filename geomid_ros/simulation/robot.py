@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
 from geomid_ros.simulation.description import Description, JointLimits, LinkInertia, read_description
-from geomid_ros.simulation.effects import drawn_effects
+from geomid_ros.simulation.effects.choice import chosen_effects
+from geomid_ros.simulation.effects.effect import Effect
 from geomid_ros.simulation.inertias import perturbed
-from geomid_ros.simulation.options import JointEffect, SimulationOptions
+from geomid_ros.simulation.options import SimulationOptions
 from geomid_ros.simulation.plant import Plant
 from geomid_ros.simulation.robots import robot_description
 from geomid_ros.simulation.seeds import Stream, generator
+from geomid_ros.simulation.simulator import Simulator
 
 
 @dataclass(frozen=True, eq=False)
@@ -22,17 +25,21 @@ class Robot:
 
     nominal: Description
     bodies: tuple[LinkInertia, ...]
-    effects: tuple[JointEffect, ...]
-    plant: Plant
+    effects: tuple[Effect, ...]
+    plant: Simulator
     joints: tuple[JointLimits, ...]
 
 
-def build_robot(options: SimulationOptions) -> Robot:
-    """The robot that ``options`` and their seed describe."""
+Builder = Callable[[Description, Iterable[LinkInertia], Iterable[Effect], str | None], Simulator]
+"""Makes a simulator of a kinematic tree, true bodies, effects and the frame of a wrench sensor."""
+
+
+def build_robot(options: SimulationOptions, builder: Builder = Plant) -> Robot:
+    """The robot that ``options`` and their seed describe, in the simulator that ``builder`` makes."""
     nominal = read_description(robot_description(options.robot))
     numbers = generator(options.seed, Stream.INERTIA)
     bodies = tuple(perturbed(body, options.inertia_error, numbers) for body in nominal.inertias)
-    effects = drawn_effects(options, nominal.joints, generator(options.seed, Stream.EFFECTS))
-    plant = Plant(nominal, bodies, effects, options.wrench_frame)
+    effects = chosen_effects(options, nominal)
+    plant = builder(nominal, bodies, effects, options.wrench_frame)
     limits = {joint.name: joint for joint in nominal.joints}
     return Robot(nominal, bodies, effects, plant, tuple(limits[name] for name in plant.joints))

@@ -15,8 +15,9 @@ class Stream(IntEnum):
     ORDER = 2
     MOTION = 3
     NOISE = 4
+    HIDDEN = 5
 
 
-def generator(seed: int, stream: Stream) -> np.random.Generator:
-    """The numbers of one stream of a seed, from their beginning."""
-    return np.random.default_rng([seed, stream])
+def generator(seed: int, stream: Stream, *part: int) -> np.random.Generator:
+    """The numbers of one stream of a seed, or of a ``part`` of it, from their beginning."""
+    return np.random.default_rng([seed, stream, *part])

@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from geomid_ros.simulation.description import JointLimits
-from geomid_ros.simulation.effects import measured_effort
+from geomid_ros.simulation.effects.measurement import sensed
 from geomid_ros.simulation.options import SimulationOptions
-from geomid_ros.simulation.recorder import Trace
 from geomid_ros.simulation.robot import Robot
 from geomid_ros.simulation.seeds import Stream, generator
+from geomid_ros.simulation.trace import Trace
 from geomid_ros.types import FloatArray
 
 
@@ -28,18 +29,32 @@ def noise_levels(joints: Sequence[JointLimits], options: SimulationOptions) -> d
 
 
 def measured(trace: Trace, robot: Robot, options: SimulationOptions) -> Trace:
-    """The trace with effects of measurement and noise."""
+    """The trace with effects of measurement, noise and resolution."""
     numbers = generator(options.recording_seed, Stream.NOISE)
     levels = noise_levels(robot.joints, options)
-    effort = measured_effort(trace.effort, robot.plant.joints, robot.effects)
+    seen = sensed(trace, robot.plant.joints, robot.effects)
+    memory = math.exp(-1.0 / (options.rate * options.noise_time)) if options.noise_time > 0.0 else 0.0
+    limits = np.array([joint.effort for joint in robot.joints])
+    position = _noisy(seen.position, levels["position"], 0.0, numbers)
+    velocity = _noisy(seen.velocity, levels["velocity"], 0.0, numbers)
+    effort = _noisy(seen.effort, levels["effort"], memory, numbers)
     return replace(
-        trace,
-        position=_noisy(trace.position, levels["position"], numbers),
-        velocity=_noisy(trace.velocity, levels["velocity"], numbers),
-        effort=_noisy(effort, levels["effort"], numbers),
-        wrench=_noisy(trace.wrench, levels["wrench"][: trace.wrench.shape[1]], numbers),
+        seen,
+        position=_rounded(position, options.position_step * np.ones(len(limits))),
+        velocity=velocity,
+        effort=_rounded(effort, options.effort_step * limits),
+        wrench=_noisy(seen.wrench, levels["wrench"][: seen.wrench.shape[1]], memory, numbers),
     )
 
 
-def _noisy(values: FloatArray, level: FloatArray, numbers: np.random.Generator) -> FloatArray:
-    return values + level * numbers.standard_normal(values.shape)
+def _noisy(values: FloatArray, level: FloatArray, memory: float, numbers: np.random.Generator) -> FloatArray:
+    """With noise of standard deviation ``level``, of which each sample keeps ``memory`` of the one before."""
+    noise = numbers.standard_normal(values.shape)
+    noise[1:] *= math.sqrt(1.0 - memory**2)
+    for row in range(1, len(noise) if memory > 0.0 else 0):
+        noise[row] += memory * noise[row - 1]
+    return values + level * noise
+
+
+def _rounded(values: FloatArray, step: FloatArray) -> FloatArray:
+    return np.round(values / step) * step if step.all() else values

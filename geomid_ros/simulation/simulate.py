@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,56 +11,81 @@ import numpy as np
 
 from geomid_ros.errors import InputError
 from geomid_ros.simulation.bag import write_bag
+from geomid_ros.simulation.controller_file import controller_path, write_gains
+from geomid_ros.simulation.effects.effect import Effect
 from geomid_ros.simulation.motion import exciting_motion
 from geomid_ros.simulation.options import SimulationOptions
 from geomid_ros.simulation.plant import Plant
-from geomid_ros.simulation.recorder import ClosedLoop, Trace, check_motion, run, tuned_controller
-from geomid_ros.simulation.robot import Robot, build_robot
+from geomid_ros.simulation.recorder import ClosedLoop, Sampling, check_motion, run, tuned_controller
+from geomid_ros.simulation.robot import Builder, Robot, build_robot
 from geomid_ros.simulation.seeds import Stream, generator
 from geomid_ros.simulation.sensors import measured
-from geomid_ros.simulation.truth import truth_path, write_truth
+from geomid_ros.simulation.trace import Trace
+from geomid_ros.simulation.truth import contributions, truth_path, write_truth
 
 Progress = Callable[[float], None]
 
 
 @dataclass(frozen=True)
 class SimulationResult:
-    """What was written: the bag's folder and the truth's file; ``samples`` per topic."""
+    """What was written: the bag's folder, the truth's file, with commands the controller's; ``samples`` per topic."""
 
     bag: Path
     truth: Path
+    controller: Path | None
     samples: int
 
 
 def simulate(
-    out_bag: Path | str, options: SimulationOptions | None = None, progress: Progress | None = None
+    out_bag: Path | str,
+    options: SimulationOptions | None = None,
+    progress: Progress | None = None,
+    builder: Builder = Plant,
 ) -> SimulationResult:
     """Record a simulated robot into the new folder ``out_bag``, and its truth into ``<out_bag>.truth.json`` beside it.
 
-    ``progress`` is called with the finished fraction, 0 to 1. The same options give the same messages.
+    With ``options.commands`` the controller's gains go to ``<out_bag>.controller.yaml``. ``progress`` is called with
+    the finished fraction, 0 to 1. ``builder`` chooses the simulator. The same options give the same messages.
     """
     options = options or SimulationOptions()
-    bag, truth = Path(out_bag), truth_path(Path(out_bag))
-    for path in (bag, truth):
+    bag = Path(out_bag)
+    truth, gains = truth_path(bag), controller_path(bag) if options.commands else None
+    for path in filter(None, (bag, truth, gains)):
         if path.exists():
             raise InputError(f"{path} exists already. Choose another name or delete it first.")
-    robot = build_robot(options)
-    trace = measured(record(robot, options, progress), robot, options)
+    robot = build_robot(options, builder)
+    loop = closed_loop(robot, options)
+    true_trace = record(robot, loop, options, progress)
+    trace = measured(true_trace, robot, options)
     order = generator(options.seed, Stream.ORDER).permutation(len(robot.joints))
     names = [robot.plant.joints[index] for index in order]
-    write_bag(bag, trace.reordered(order), names, robot.nominal.text, options.wrench_frame)
-    write_truth(truth, robot, options)
-    return SimulationResult(bag, truth, options.samples)
+    write_bag(bag, trace.reordered(order), names, robot.nominal.text, options)
+    write_truth(truth, robot, options, contributions(true_trace, robot, options))
+    if gains is not None:
+        write_gains(gains, robot.plant.joints, loop.controller)
+    return SimulationResult(bag, truth, gains, options.samples)
 
 
-def record(robot: Robot, options: SimulationOptions, progress: Progress | None = None) -> Trace:
-    """What truly happens at the recorded instants while the robot follows its motion; sensors come later."""
-    step = 1.0 / (options.rate * options.substeps)
-    half_steps = np.arange(2 * (options.samples - 1) * options.substeps + 1, dtype=np.float64)
+def closed_loop(robot: Robot, options: SimulationOptions) -> ClosedLoop:
+    """The robot under the control of somebody who knows the nominal model only."""
+    half_steps = np.arange(2 * sampling(robot, options).steps + 1, dtype=np.float64)
     numbers = generator(options.recording_seed, Stream.MOTION)
-    motion = exciting_motion(0.5 * step * half_steps, robot.joints, options, numbers)
+    motion = exciting_motion(0.5 * options.step * half_steps, robot.joints, options, numbers)
     nominal = Plant(robot.nominal, robot.nominal.inertias)
-    controller = tuned_controller(motion, nominal, robot.plant, robot.joints)
-    trace = run(ClosedLoop(robot.plant, controller, step), options.substeps, progress)
+    tuned_on = robot.plant if options.hide is None else nominal  # gains known to all, which tell nothing
+    controller = tuned_controller(motion, nominal, robot.plant, robot.joints, tuned_on)
+    return ClosedLoop(robot.plant, controller, options.step)
+
+
+def record(robot: Robot, loop: ClosedLoop, options: SimulationOptions, progress: Progress | None = None) -> Trace:
+    """What truly happens at the recorded instants while the robot follows its motion; sensors come later."""
+    trace = run(loop, sampling(robot, options), progress)
     check_motion(trace, robot.joints)
     return trace
+
+
+def sampling(robot: Robot, options: SimulationOptions) -> Sampling:
+    """Which steps of the integration are recorded; it runs on for as long as the sensors look ahead."""
+    lag = round(options.wrench_lag / options.step)
+    early = -min(effect.parameters.get("delay", 0.0) for effect in (*robot.effects, Effect("", "", {})))
+    return Sampling(options.samples, options.substeps, lag, max(lag, math.ceil(early / options.step)))

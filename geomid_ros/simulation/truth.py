@@ -3,15 +3,23 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
+from geomid_ros.simulation.compiled import GRAVITY
 from geomid_ros.simulation.description import LinkInertia
+from geomid_ros.simulation.effects.effect import Effect
+from geomid_ros.simulation.effects.measurement import sensed
 from geomid_ros.simulation.options import SimulationOptions
-from geomid_ros.simulation.plant import GRAVITY
+from geomid_ros.simulation.plant import Plant
 from geomid_ros.simulation.robot import Robot
 from geomid_ros.simulation.sensors import noise_levels
+from geomid_ros.simulation.trace import Trace
+from geomid_ros.types import FloatArray
 
 
 def truth_path(bag: Path) -> Path:
@@ -19,10 +27,34 @@ def truth_path(bag: Path) -> Path:
     return bag.with_name(bag.name + ".truth.json")
 
 
-def write_truth(path: Path, robot: Robot, options: SimulationOptions) -> None:
+def contributions(trace: Trace, robot: Robot, options: SimulationOptions) -> dict[str, FloatArray]:
+    """What the effects add to the measured efforts ``(n,)`` and wrench ``(6,)`` or ``(0,)``, root mean square.
+
+    It is the difference between what perfect sensors show and what the true bodies alone would take at the motors'
+    positions, so it holds what other inertias could explain as well.
+    """
+    bare = Plant(robot.nominal, robot.bodies, (), options.wrench_frame)
+    efforts, wrenches = [], []
+    for row in zip(trace.position, trace.velocity, trace.acceleration, strict=True):
+        efforts.append(bare.inverse_dynamics(*row))
+        bare.acceleration(*row[:2], efforts[-1])
+        wrenches.append(bare.wrench())
+    seen = sensed(trace, robot.plant.joints, robot.effects)
+    columns = [np.interp(trace.wrench_time, trace.time, column) for column in np.array(wrenches).T]
+    wrench = seen.wrench - np.reshape(columns, (-1, len(trace.time))).T
+    return {"effort": _rms(seen.effort - np.array(efforts)), "wrench": _rms(wrench)}
+
+
+def _rms(values: FloatArray) -> FloatArray:
+    root: FloatArray = np.sqrt(np.mean(values**2, axis=0))
+    return root
+
+
+def write_truth(path: Path, robot: Robot, options: SimulationOptions, added: Mapping[str, FloatArray]) -> None:
     """Write what is true of the robot in a recording: links, effects, the noise of each channel, and the options.
 
     A link fixed to another one stands by itself; one that no joint moves (``moves`` false) cannot show in the data.
+    ``added`` is what the effects contribute, see :func:`contributions`.
     """
     truth = {
         "robot": options.robot,
@@ -30,12 +62,19 @@ def write_truth(path: Path, robot: Robot, options: SimulationOptions) -> None:
         "motion_seed": options.recording_seed,
         "gravity": [0.0, 0.0, -GRAVITY],
         "links": [_link(body, robot.plant.moves(body.name)) for body in robot.bodies],
-        "effects": [asdict(effect) for effect in robot.effects],
+        "effects": [_effect(effect) for effect in robot.effects],
+        "contributions": {channel: values.tolist() for channel, values in added.items()},
         "joints": robot.plant.joints,
         "noise": {channel: level.tolist() for channel, level in noise_levels(robot.joints, options).items()},
         "options": asdict(options),
     }
     path.write_text(json.dumps(truth, indent=1) + "\n", encoding="utf-8")
+
+
+def _effect(effect: Effect) -> dict[str, Any]:
+    places = {"joint": effect.joint, "link": effect.link, "other": effect.other}
+    named = {key: name for key, name in places.items() if name or key == "joint"}
+    return {"effect": effect.name, **named, "parameters": dict(effect.parameters)}
 
 
 def _link(body: LinkInertia, moves: bool) -> dict[str, Any]:

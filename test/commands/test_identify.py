@@ -194,9 +194,7 @@ def test_an_estimate_is_started_from(tmp_path: Path) -> None:
     """With a prior that nothing moves, what comes out is what went in."""
     first = small(tmp_path / "a", *WRIST)
     (tmp_path / "stiff.yaml").write_text("/**: {ros__parameters: {gamma: 1000000}}")
-    again = small(
-        tmp_path / "b", *WRIST, "--model", tmp_path / "a/estimate.json", "--config", tmp_path / "stiff.yaml"
-    )
+    again = small(tmp_path / "b", *WRIST, "--model", tmp_path / "a/estimate.json", "--config", tmp_path / "stiff.yaml")
     for before, after in zip(first["links"], again["links"], strict=True):
         assert after["mass"] == pytest.approx(before["mass"], rel=1e-3)
         assert after["distance_from_prior"] < 1e-3
@@ -215,3 +213,17 @@ def test_reversed_and_selected_axes(tmp_path: Path) -> None:
     assert {name for name in document["sigma"] if "/" in name} == {"wrench/fx", "wrench/fz"}
     right = link(small(tmp_path, *WRIST), "wrist_ft")["mass"]
     assert link(small(tmp_path, "--wrench", "/wrench:wrist_ft:-mounted"), "wrist_ft")["mass"] < 0.5 * right
+
+
+def test_a_weighed_mass_is_told_and_written(tmp_path: Path) -> None:
+    text = done(*identify("arm3", *WRIST, "--known", "total=9:0.5", "--known", "link2+link3=4:1", "--out", tmp_path))
+    assert "weighed [kg]" in text
+    known = {entry["name"]: entry for entry in read(tmp_path)["known"]}
+    assert list(known) == ["total", "link2 + link3"]
+    masses = {entry["name"]: entry["mass"] for entry in read(tmp_path)["links"]}
+    assert known["link2 + link3"]["mass"] == pytest.approx(masses["link2"] + masses["link3"], rel=1e-12)
+    assert f"9.000 ± 0.500 {known['total']['mass']:.3f} ± {known['total']['std']:.3f}" in " ".join(text.split())
+    parameters = tmp_path / "known.yaml"
+    parameters.write_text('/**: {ros__parameters: {known: ["total=9:0.5", "link2+link3=4:1"]}}')
+    done(*identify("arm3", *WRIST, "--config", parameters, "--out", tmp_path / "again"))
+    assert read(tmp_path / "again")["known"] == read(tmp_path)["known"]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import sys
 from pathlib import Path
+from typing import Any
 
 import pytest
 from files.recordings import recorded
@@ -65,3 +66,32 @@ def test_without_mujoco_it_says_how_to_get_it(tmp_path: Path, monkeypatch: pytes
 def test_impossible_numbers_are_refused(option: str, out: Path) -> None:
     assert option.strip("-").replace("-", "_") in refused("simulate", out, *QUICK, option, "-1")
     assert not out.exists()
+
+
+def truth_of(out: Path) -> list[dict[str, Any]]:
+    effects: list[dict[str, Any]] = json.loads(out.with_name(out.name + ".truth.json").read_text())["effects"]
+    return effects
+
+
+def test_it_hides_what_was_asked_for(out: Path) -> None:
+    output = done("simulate", out, *QUICK, "--hide", "spring:joint2=stiffness=5,equilibrium=0.3", "--hide", "payload")
+    assert "the answer, of which the bag has no trace" in output
+    spring, payload = truth_of(out)
+    assert spring == {"effect": "spring", "joint": "joint2", "parameters": {"stiffness": 5.0, "equilibrium": 0.3}}
+    assert payload["effect"] == "payload"
+
+
+def test_it_hides_nothing(out: Path) -> None:
+    done("simulate", out, *QUICK, "--hide", "nothing")
+    assert truth_of(out) == []
+
+
+def test_it_says_what_can_be_hidden(out: Path) -> None:
+    assert "Did you mean 'spring'" in refused("simulate", out, *QUICK, "--hide", "sprung")
+    assert "where a number has to stand" in refused("simulate", out, *QUICK, "--hide", "spring=much")
+    assert not out.exists()
+
+
+def test_it_records_commands(out: Path) -> None:
+    assert ".controller.yaml" in done("simulate", out, *QUICK, "--commands", "--motion", "points")
+    assert sum(item.topic == "/joint_commands" for item in recorded(out)) == 150

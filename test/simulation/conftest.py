@@ -8,11 +8,11 @@ from pathlib import Path
 import pytest
 
 from geomid_ros.simulation.options import SimulationOptions
-from geomid_ros.simulation.recorder import Trace
 from geomid_ros.simulation.robot import Robot, build_robot
 from geomid_ros.simulation.robots import WRIST_FRAME
-from geomid_ros.simulation.simulate import record
-from geomid_ros.simulation.truth import write_truth
+from geomid_ros.simulation.simulate import closed_loop, record
+from geomid_ros.simulation.trace import Trace
+from geomid_ros.simulation.truth import contributions, write_truth
 
 from .independent import Independent
 
@@ -29,8 +29,8 @@ class Run:
 def simulated(options: SimulationOptions, folder: Path) -> Run:
     """Run a simulation and read its truth file, written into ``folder``, by the independent route."""
     robot = build_robot(options)
-    trace = record(robot, options)
-    write_truth(folder / "truth.json", robot, options)
+    trace = record(robot, closed_loop(robot, options), options)
+    write_truth(folder / "truth.json", robot, options, contributions(trace, robot, options))
     return Run(robot, trace, Independent.read(robot.nominal.text, folder / "truth.json"))
 
 

@@ -11,7 +11,7 @@ from xml.etree import ElementTree
 import numpy as np
 import pinocchio as pin
 
-from geomid_ros.simulation.recorder import Trace
+from geomid_ros.simulation.trace import Trace
 from geomid_ros.types import FloatArray
 
 COMPONENTS = {"ixx": (0, 0), "ixy": (0, 1), "ixz": (0, 2), "iyy": (1, 1), "iyz": (1, 2), "izz": (2, 2)}
@@ -51,8 +51,9 @@ class Independent:
 
     def coefficients(self, effect: str) -> FloatArray:
         """An effect's coefficients ``(n,)`` in pinocchio's order of joints."""
-        values = {entry["joint"]: entry["value"] for entry in self.truth["effects"] if entry["name"] == effect}
-        return np.array([values[name] for name in self.model.names[1:]])
+        every = [entry for entry in self.truth["effects"] if entry["effect"] == effect]
+        values = {entry["joint"]: next(iter(entry["parameters"].values())) for entry in every}
+        return np.array([values.get(name, 0.0) for name in self.model.names[1:]])
 
     def smooth_effort(self, trace: Trace) -> FloatArray:
         """Efforts ``(T, n)`` of the rigid bodies, the rotors and viscous friction."""

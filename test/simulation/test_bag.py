@@ -13,7 +13,7 @@ import pytest
 from rosbags.interfaces import QosDurability
 
 from geomid_ros.errors import InputError
-from geomid_ros.simulation import JointEffect, SimulationOptions, SimulationResult, simulate
+from geomid_ros.simulation import Hidden, SimulationOptions, SimulationResult, simulate
 from geomid_ros.simulation.bag import START
 from geomid_ros.simulation.robots import WRIST_FRAME, robot_description
 
@@ -145,12 +145,11 @@ def test_noise_is_as_large_as_the_truth_says(result: SimulationResult, bag: Reco
         np.testing.assert_allclose((loud - still).std(0), np.array(truth["noise"][channel])[order], rtol=0.2)
 
 
-def test_given_effects_replace_drawn_ones(tmp_path: Path) -> None:
-    given = JointEffect("viscous_friction", "joint2", 1.25)
-    result = simulate(tmp_path / "arm", replace(OPTIONS, effects=(given,)))
+def test_hidden_effects_replace_the_everyday_ones(tmp_path: Path) -> None:
+    given = Hidden("viscous_friction", "joint2", 1.25)
+    result = simulate(tmp_path / "arm", replace(OPTIONS, hide=(given,)))
     effects = json.loads(result.truth.read_text())["effects"]
-    assert {"name": "viscous_friction", "joint": "joint2", "value": 1.25} in effects
-    assert len(effects) == 12
+    assert effects == [{"effect": "viscous_friction", "joint": "joint2", "parameters": {"coefficient": 1.25}}]
 
 
 def test_progress_rises_to_one(tmp_path: Path) -> None:

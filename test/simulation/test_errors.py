@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 
 from geomid_ros.errors import InputError
-from geomid_ros.simulation import JointEffect, SimulationOptions, simulate
+from geomid_ros.simulation import Hidden, SimulationOptions, simulate
 from geomid_ros.simulation.robots import robot_description
 
 QUICK = SimulationOptions(robot="arm3", duration=1.0)
@@ -61,8 +61,11 @@ def test_impossible_option_is_named(option: str, value: Any) -> None:
     [
         ({"wrench_frame": "hand"}, "unknown wrench frame 'hand'.*wrist_ft"),
         ({"wrench_frame": "base_link"}, "unknown wrench frame"),
-        ({"effects": (JointEffect("magic", "joint1", 1.0),)}, "unknown effect 'magic'.*coulomb_friction"),
-        ({"effects": (JointEffect("rotor_inertia", "elbow", 1.0),)}, "unknown joint 'elbow'.*joint1"),
+        ({"motion": "dance"}, "unknown motion 'dance'.*chirp"),
+        ({"hide": (Hidden("magic", "joint1", 1.0),)}, "unknown effect 'magic'.*coulomb_friction"),
+        ({"hide": (Hidden("rotor_inertia", "elbow", 1.0),)}, "unknown joint 'elbow'.*joint1"),
+        ({"hide": (Hidden("payload", "base_link"),)}, "unknown joint or moving link 'base_link'.*joint1.*tool"),
+        ({"hide": (Hidden("spring", "joint1", None, {"hardness": 1.0}),)}, "unknown parameter of spring 'hardness'"),
         ({"robot": "nowhere.urdf"}, "cannot read the URDF nowhere.urdf"),
     ],
 )

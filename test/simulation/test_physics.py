@@ -8,13 +8,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from geomid_ros.simulation.effects import measured_effort
+from geomid_ros.simulation.effects.measurement import sensed
 from geomid_ros.simulation.motion import FADE_IN
 from geomid_ros.simulation.options import SimulationOptions
 from geomid_ros.simulation.plant import Plant
 from geomid_ros.simulation.robot import build_robot
 from geomid_ros.simulation.robots import WRIST_FRAME
-from geomid_ros.simulation.simulate import record
+from geomid_ros.simulation.simulate import closed_loop, record
+from geomid_ros.simulation.trace import Trace
 
 from .conftest import Run, simulated
 
@@ -23,6 +24,11 @@ pytest.importorskip("mujoco")
 EXACT = 1e-11  # N, N m: rounding, three orders above what was seen
 MOVING = 0.03  # rad/s; below, MuJoCo's dry friction is not yet constant
 QUICK = SimulationOptions(robot="arm3", duration=4.0, coulomb_friction=0.0)
+
+
+def recorded(options: SimulationOptions) -> Trace:
+    robot = build_robot(options)
+    return record(robot, closed_loop(robot, options), options)
 
 
 def test_joint_order_is_pinocchios(run: Run) -> None:
@@ -67,7 +73,7 @@ def test_wrench_at_rest_points_up_and_weighs_the_tool() -> None:
 def test_a_row_belongs_to_one_instant() -> None:
     """Neither effort nor acceleration leads or lags the motion: half a step of skew would show as 1e-2."""
     options = replace(QUICK, rate=2000.0)
-    trace = record(build_robot(options), options)
+    trace = recorded(options)
     step = 1.0 / options.rate
     smooth = np.abs(trace.time[2:-2] - FADE_IN) > 4 * step
     for values, rates in ((trace.velocity, trace.acceleration), (trace.position, trace.velocity)):
@@ -77,7 +83,7 @@ def test_a_row_belongs_to_one_instant() -> None:
 
 def test_integration_has_converged() -> None:
     options = replace(QUICK, duration=2.5)
-    coarse, fine = (record(build_robot(options), replace(options, longest_step=step)) for step in (5e-4, 1e-4))
+    coarse, fine = (recorded(replace(options, longest_step=step)) for step in (5e-4, 1e-4))
     np.testing.assert_allclose(coarse.position, fine.position, rtol=0.0, atol=1e-6)
     np.testing.assert_allclose(coarse.effort, fine.effort, rtol=0.0, atol=1e-4)
 
@@ -89,7 +95,7 @@ def test_robot_follows_its_motion_inside_its_limits(run: Run) -> None:
 
 
 def test_offset_shows_only_in_the_measurement(run: Run) -> None:
-    seen = measured_effort(run.trace.effort, run.robot.plant.joints, run.robot.effects)
+    seen = sensed(run.trace, run.robot.plant.joints, run.robot.effects).effort
     expected = np.broadcast_to(run.independent.coefficients("effort_offset"), seen.shape)
     np.testing.assert_allclose(seen - run.trace.effort, expected, rtol=0.0, atol=EXACT)
 

@@ -1,6 +1,6 @@
 from __future__ import annotations
 
-from typing import ClassVar
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -8,18 +8,20 @@ from geomid_ros.model.effects.effect import Effect, JointMotion
 from geomid_ros.types import FloatArray
 
 
+@dataclass(frozen=True)
 class CoulombFriction(Effect):
-    """Dry friction: effort ``c tanh(v / e)``, the sign of the velocity smoothed over the speed e.
+    """Dry friction: effort ``c tanh(v / e)``, the sign of the velocity smoothed over the speed e [rad/s or m/s].
 
     Within e of standstill friction depends on the load and on the past; the smooth sign keeps the equation linear in c
     and lets such instants count little.
     """
 
+    smoothing: float = 0.02
+
     name = "coulomb_friction"
     positive = True
     units = ("N m", "N")
-    SMOOTHING: ClassVar[float] = 0.02  # [rad/s or m/s]
 
     def column(self, motion: JointMotion) -> FloatArray:
-        result: FloatArray = np.tanh(motion.velocity / self.SMOOTHING)
+        result: FloatArray = np.tanh(motion.velocity / self.smoothing)
         return result

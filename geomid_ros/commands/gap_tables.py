@@ -1,0 +1,142 @@
+"""What the gap workflow found, as tables in the terminal."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+
+from rich.console import Console
+from rich.markup import escape
+from rich.table import Table
+
+from geomid_ros.commands.tables import number_columns, plain_table, results_console
+from geomid_ros.files.report.gap_page import SimulatedAgain
+from geomid_ros.files.report.gap_words import (
+    headline,
+    measured,
+    not_explained,
+    percent,
+    place,
+    ratio,
+    title,
+    to_record,
+    verdict_sentence,
+    worst,
+)
+from geomid_ros.gap.result import GapResult
+
+_MOST_CANDIDATES = 8
+_MOST_RIVALS = 3
+_MOST_SENTENCES = 4
+_BAR = 24  # characters
+_AFTER, _INERTIAS, _BEFORE = "█", "▓", "░"
+
+
+def print_gap(result: GapResult, simulations: Sequence[SimulatedAgain], not_simulated: str) -> None:
+    """Print the verdict, what was found, the gap of every channel, candidates, and what to record next."""
+    console = results_console()
+    _say(console, f"[bold]{result.verdict.upper()}[/bold]  {escape(verdict_sentence(result))}")
+    if result.findings:
+        console.print(_findings_table(result))
+    for sentence in _sentences(result):
+        _say(console, escape(sentence))
+    console.print(_channels_table(result))
+    for simulation in simulations:
+        console.print(_simulated_table(simulation))
+    if not_simulated:
+        _say(console, f"[bold]Not simulated again[/bold]  {escape(not_simulated)}")
+    if result.ranking and result.verdict != "no gap":
+        console.print(_candidates_table(result))
+    for joint, times, variables in not_explained(result):
+        left = f"{joint}: {ratio(times)} times the floor remain, depending on {variables}"
+        _say(console, f"[bold]Not explained[/bold]  {escape(left)}")
+    record = to_record(result)
+    if record:
+        _say(console, "\n".join(["[bold]To record next[/bold]", *(f"- {escape(what)}" for what in record)]))
+
+
+def _say(console: Console, text: str) -> None:
+    console.print(text, highlight=False)
+
+
+def _findings_table(result: GapResult) -> Table:
+    table = plain_table("What was found")
+    table.add_column("effect", no_wrap=True)
+    table.add_column("where", overflow="fold", min_width=16)
+    table.add_column("parameter")
+    number_columns(table, ["value"])
+    table.add_column("confidence")
+    number_columns(table, ["closes", "separable"])
+    for finding in result.findings:
+        names = "\n".join(name.replace("_", " ") for name in finding.parameters)
+        values = "\n".join(measured(quantity) for quantity in finding.parameters.values())
+        where = escape(place(finding.joint, finding.link))
+        shares = (percent(finding.share), percent(finding.separability))
+        table.add_row(headline(finding.effect), where, names, values, finding.confidence, *shares)
+    return table
+
+
+def _sentences(result: GapResult) -> Iterator[str]:
+    """One of each finding, with its rivals where there are any to choose from; of many findings only of these."""
+    few = len(result.findings) <= _MOST_SENTENCES
+    for finding in result.findings:
+        rivals = [f"{title(rival)} (worse by {rival.loss:.1f})" for rival in finding.rivals[:_MOST_RIVALS]]
+        ambiguous = finding.confidence == "ambiguous" and rivals
+        if few or ambiguous:
+            yield f"{finding.sentence}{' Rivals: ' + ', '.join(rivals) + '.' if ambiguous else ''}"
+
+
+def _channels_table(result: GapResult) -> Table:
+    table = plain_table("Gap on held-out data, in units of the noise floor (1 is as good as any model can be)")
+    table.add_column("\nchannel", overflow="fold")
+    number_columns(table, ["\nfloor", "\nnominal", "inertias\nonly", "with\neffect"])
+    table.add_column(
+        f"how far above the floor, logarithmic\n{_AFTER} after {_INERTIAS} inertias only {_BEFORE} nominal"
+    )
+    gaps = (result.gap.before, result.gap.inertias_only, result.gap.after)
+    end = max(2.0, *(worst(values) for values in gaps))
+    for k, (name, unit, floor) in enumerate(zip(result.channels, result.units, result.floor, strict=True)):
+        before, inertias, after = (float(values[k]) for values in gaps)
+        if math.isfinite(before):
+            numbers = (ratio(value) for value in (before, inertias, after))
+            table.add_row(escape(name), f"{floor:.2g} {unit}", *numbers, _bar(before, inertias, after, end))
+    return table
+
+
+def _bar(before: float, inertias: float, after: float, end: float) -> str:
+    """Three bars in one line, the shortest in front."""
+    lengths = sorted(
+        (_length(value, end), mark) for value, mark in ((after, _AFTER), (inertias, _INERTIAS), (before, _BEFORE))
+    )
+    return "".join(
+        mark * (length - shorter) for (length, mark), shorter in zip(lengths, _shorter(lengths), strict=True)
+    )
+
+
+def _shorter(lengths: list[tuple[int, str]]) -> Iterator[int]:
+    yield 0
+    yield from (length for length, _ in lengths[:-1])
+
+
+def _length(value: float, end: float) -> int:
+    return round(_BAR * math.log(max(value, 1.0)) / math.log(end)) if math.isfinite(value) else 0
+
+
+def _simulated_table(simulation: SimulatedAgain) -> Table:
+    how = {"windows": "in short windows", "closed_loop": "in closed loop"}[simulation.kind]
+    table = plain_table(f"Simulated again {how}\n(times the noise)")
+    table.add_column("channel", overflow="fold")
+    number_columns(table, ["before", "after"])
+    for name, before in simulation.errors["before"].items():
+        table.add_row(escape(name), ratio(before), ratio(simulation.errors["after"][name]))
+    return table
+
+
+def _candidates_table(result: GapResult) -> Table:
+    table = plain_table("Candidates, the best first")
+    table.add_column("candidate", overflow="fold")
+    number_columns(table, ["improves by", "separable", "chosen"])
+    for entry in result.ranking[:_MOST_CANDIDATES]:
+        chosen = "yes" if entry.chosen else ""
+        table.add_row(escape(title(entry)), f"{entry.gain:.1f}", percent(entry.separability), chosen)
+    return table

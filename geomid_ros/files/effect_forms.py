@@ -1,0 +1,234 @@
+"""What a model's effects are called in files: where they act, their parameters, and which file says them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
+from typing import Literal, Protocol, TypeAlias
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from geomid_ros.gap.result import Quantity
+from geomid_ros.geometry import pseudo_inertia
+from geomid_ros.types import FloatArray
+
+Place: TypeAlias = Literal["joint", "robot", "link", "sensor"]
+COM_ENTRIES = ("com_x", "com_y", "com_z")
+INERTIA_ENTRIES = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
+
+
+class ModelEffect(Protocol):
+    """An effect with the values of its parameters: a finding, or what is read of it from a file."""
+
+    @property
+    def effect(self) -> str:
+        """Its name."""
+
+    @property
+    def joint(self) -> str:
+        """The joint, or the topic of a wrench sensor; empty for the whole robot."""
+
+    @property
+    def link(self) -> str:
+        """The link that carries a payload, else empty."""
+
+    @property
+    def parameters(self) -> Mapping[str, Quantity]:
+        """The parameters by name."""
+
+
+@dataclass(frozen=True)
+class KnownEffect:
+    """An effect as a file says it; see :class:`ModelEffect`."""
+
+    effect: str
+    joint: str
+    link: str
+    parameters: Mapping[str, Quantity]
+
+
+@dataclass(frozen=True)
+class ParameterForm:
+    """A parameter's units at a turning and a sliding joint, its range (ends excluded), whether it may be left out."""
+
+    units: tuple[str, str]
+    above: float = -math.inf
+    below: float = math.inf
+    optional: bool = False
+
+
+@dataclass(frozen=True)
+class EffectForm:
+    """What an effect is, its place and parameters, and which of these a URDF and an MJCF say, too.
+
+    ``meaning`` in terms of a joint's position q, velocity v and acceleration a, and of the effort tau that its gear
+    transmits to the link.
+    """
+
+    meaning: str
+    place: Place
+    parameters: Mapping[str, ParameterForm]
+    urdf: tuple[str, ...] = ()
+    mjcf: tuple[str, ...] = ()
+
+
+def _alike(unit: str, names: Iterable[str], optional: bool = False) -> dict[str, ParameterForm]:
+    return {name: ParameterForm((unit, unit), optional=optional) for name in names}
+
+
+_EFFORT = ("N m", "N")
+_PAYLOAD = {
+    "mass": ParameterForm(("kg", "kg"), above=0.0),
+    **_alike("m", COM_ENTRIES),
+    **_alike("kg m^2", INERTIA_ENTRIES, optional=True),
+}
+
+FORMS: dict[str, EffectForm] = {
+    "viscous_friction": EffectForm(
+        "effort coefficient v",
+        "joint",
+        {"coefficient": ParameterForm(("N m s/rad", "N s/m"), above=0.0)},
+        ("coefficient",),
+        ("coefficient",),
+    ),
+    "coulomb_friction": EffectForm(
+        "effort level sign(v)", "joint", {"level": ParameterForm(_EFFORT, above=0.0)}, ("level",), ("level",)
+    ),
+    "stribeck_friction": EffectForm(
+        "effort sign(v) (level + excess exp(-(v/speed)^2))",
+        "joint",
+        {
+            "level": ParameterForm(_EFFORT, above=0.0),
+            "excess": ParameterForm(_EFFORT),
+            "speed": ParameterForm(("rad/s", "m/s"), above=0.0),
+        },
+        ("level",),
+        ("level",),
+    ),
+    "load_friction": EffectForm(
+        "effort coefficient |tau| sign(v)", "joint", {"coefficient": ParameterForm(("-", "-"), above=0.0, below=1.0)}
+    ),
+    "rotor_inertia": EffectForm(
+        "effort inertia a", "joint", {"inertia": ParameterForm(("kg m^2", "kg"), above=0.0)}, (), ("inertia",)
+    ),
+    "spring": EffectForm(
+        "effort stiffness (q - equilibrium), which the motor supplies against the spring",
+        "joint",
+        {"stiffness": ParameterForm(("N m/rad", "N/m")), "equilibrium": ParameterForm(("rad", "m"))},
+        (),
+        ("stiffness", "equilibrium"),
+    ),
+    "effort_offset": EffectForm("measured effort = true + offset", "joint", {"offset": ParameterForm(_EFFORT)}),
+    "effort_gain": EffectForm("measured effort = gain true", "joint", {"gain": ParameterForm(("-", "-"), above=0.0)}),
+    "effort_delay": EffectForm(
+        "measured effort(t) = true(t - delay), at all joints",
+        "robot",
+        {"delay": ParameterForm(("s", "s"), above=-1.0, below=1.0)},
+    ),
+    "gravity_tilt": EffectForm(
+        "gravity in the base frame is R^T g, R the rotation by the vector (tilt_x, tilt_y, 0)",
+        "robot",
+        {name: ParameterForm(("rad", "rad"), above=-math.pi, below=math.pi) for name in ("tilt_x", "tilt_y")},
+        (),
+        ("tilt_x", "tilt_y"),
+    ),
+    "payload": EffectForm(
+        "a rigid body fixed to the link, in its frame; its inertia is about its centre of mass",
+        "link",
+        _PAYLOAD,
+        tuple(_PAYLOAD),
+        tuple(_PAYLOAD),
+    ),
+    "joint_elasticity": EffectForm(
+        "link position = measured (motor) position - tau/stiffness",
+        "joint",
+        {"stiffness": ParameterForm(("N m/rad", "N/m"), above=0.0)},
+        (),
+        ("stiffness",),
+    ),
+    "backlash": EffectForm(
+        "play of gap in all between measured (motor) and link position",
+        "joint",
+        {"gap": ParameterForm(("rad", "m"), above=0.0)},
+        (),
+        ("gap",),
+    ),
+    "wrench_offset": EffectForm(
+        "measured wrench = true + (fx ... tz), in the sensor's frame",
+        "sensor",
+        {**_alike("N", ("fx", "fy", "fz"), True), **_alike("N m", ("tx", "ty", "tz"), True)},
+    ),
+}
+
+
+def values(effect: ModelEffect) -> dict[str, float]:
+    """An effect's parameters without their units; what may be left out is zero."""
+    optional = {name: 0.0 for name, form in FORMS[effect.effect].parameters.items() if form.optional}
+    return optional | {name: quantity.value for name, quantity in effect.parameters.items()}
+
+
+def inertia_matrix(payload: Mapping[str, float]) -> FloatArray:
+    """Inertia ``(3, 3)`` [kg m^2] of a payload about its centre of mass, from its values."""
+    xx, xy, xz, yy, yz, zz = (payload[name] for name in INERTIA_ENTRIES)
+    return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+
+
+def payload_parameters(payload: Mapping[str, float]) -> FloatArray:
+    """Inertial parameters ``(10,)`` of a payload about its link's origin, from its values."""
+    centre = np.array([payload[name] for name in COM_ENTRIES])
+    return pseudo_inertia.assemble(np.array(payload["mass"]), centre, inertia_matrix(payload))
+
+
+def tilted_gravity(gravity: FloatArray, tilt: Mapping[str, float]) -> FloatArray:
+    """Gravity ``(3,)`` in the frame of a base that is tilted, from the tilt's values."""
+    turn = Rotation.from_rotvec([tilt["tilt_x"], tilt["tilt_y"], 0.0]).as_matrix()
+    turned: FloatArray = turn.T @ gravity
+    return turned
+
+
+_ADD_UP = {
+    "viscous_friction",
+    "coulomb_friction",
+    "load_friction",
+    "rotor_inertia",
+    "effort_offset",
+    "effort_delay",
+    "gravity_tilt",
+    "backlash",
+    "wrench_offset",
+}
+
+
+def combined(effects: Iterable[ModelEffect]) -> list[KnownEffect]:
+    """Effects of which none is there twice at a place: what adds up is added, gains are multiplied, of others the later
+    one holds."""
+    found: dict[tuple[str, str], KnownEffect] = {}
+    for effect in effects:
+        new = KnownEffect(effect.effect, effect.joint, effect.link, effect.parameters)
+        key = effect.effect, effect.link or effect.joint
+        found[key] = _together(found[key], new) if key in found else new
+    return list(found.values())
+
+
+def _together(first: KnownEffect, second: KnownEffect) -> KnownEffect:
+    if second.effect == "effort_gain":
+        return replace(second, parameters={"gain": _scaled(second.parameters["gain"], first.parameters["gain"].value)})
+    if second.effect not in _ADD_UP:
+        return second
+    both = [*first.parameters.items(), *second.parameters.items()]
+    sums: dict[str, Quantity] = {}
+    for name, quantity in both:
+        sums[name] = _sum(sums[name], quantity) if name in sums else quantity
+    return replace(second, parameters=sums)
+
+
+def _scaled(quantity: Quantity, factor: float) -> Quantity:
+    return replace(quantity, value=factor * quantity.value, std=abs(factor) * quantity.std)
+
+
+def _sum(first: Quantity, second: Quantity) -> Quantity:
+    """Sum of two independent estimates; where the uncertainty of one is not known, the other's."""
+    known = [quantity.std for quantity in (first, second) if math.isfinite(quantity.std)]
+    return replace(second, value=first.value + second.value, std=math.hypot(*known) if known else math.nan)

@@ -1,0 +1,1 @@
+"""Where simulation and measurement disagree: locate, name, and what the model is with the effect added."""

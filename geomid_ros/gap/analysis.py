@@ -1,0 +1,141 @@
+"""Search and linearisation in turn, until the total model settles."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from geomid_ros.gap import library
+from geomid_ros.gap.curves import Curves, is_curve
+from geomid_ros.gap.fit import JointFit, Prior, unfitted
+from geomid_ros.gap.library import Candidate, Term
+from geomid_ros.gap.noise import Autoregression, runs_of
+from geomid_ros.gap.record import Records
+from geomid_ros.gap.search import Search
+from geomid_ros.gap.stage import Stage, TotalModel
+from geomid_ros.model.measurement import MeasurementModel
+from geomid_ros.types import BoolArray, FloatArray
+
+_ROUNDS = 8
+_SETTLED = 0.5  # standard deviations
+_MOST_CURVES = 4
+_VISIBLE = 1.07  # times larger, to be worth a word
+
+Columns = dict[Term, dict[int, FloatArray]]
+
+
+@dataclass(frozen=True, eq=False)
+class Analysis:
+    """Where the search ended: the last ``stage`` with its ``columns`` and ``search``; the fit with ``names`` alone,
+    with curves for what they leave (``whole``), and without either (``bare``); each channel's ``noise``, its standard
+    deviation ``floor (C,)`` and the variance of its ``innovations (C,)``."""
+
+    stage: Stage
+    columns: Columns
+    search: Search
+    curves: Curves
+    bare: JointFit
+    names: JointFit
+    whole: JointFit
+    noise: tuple[Autoregression, ...]
+    floor: FloatArray
+    innovations: FloatArray
+
+
+def analyse(
+    model: MeasurementModel, records: Records, prior: Prior, progress: Callable[[str, float], None]
+) -> Analysis:
+    """Find the set of names that explains the records best."""
+    total = TotalModel.of(model, unfitted(prior))
+    stage = Stage(model, records, total)
+    curves = Curves(model, records, stage.situation)
+    names = library.candidates(model)
+    columns = stage.columns(names, prior.terms, curves)
+    valid = records.usable(stage.rows.targets)
+    noise = (Autoregression.white(),) * len(model.channels)
+    bare = Search(stage.design(columns, noise), prior, names).fit([])
+    noise = _flexible_noise(stage, columns, bare, valid)
+    chosen: Sequence[Candidate] = ()
+    before: JointFit | None = None
+    for attempt in range(_ROUNDS):
+        progress("searching", attempt / _ROUNDS)
+        stage = Stage(model, records, TotalModel.of(model, bare) if attempt == 0 else total)
+        columns = stage.columns(names, prior.terms, curves)
+        search = Search(stage.design(columns, noise), prior, names, curves.candidates)
+        found = whole = search.settle(search.prune(search.fit(chosen)))
+        total = TotalModel.of(model, found)
+        last = _same(before, found) or attempt == _ROUNDS - 1
+        before = found
+        if last:
+            whole = _with_curves(search, found)
+            found = search.fit([c for c in whole.chosen if not is_curve(c)])
+        chosen = found.chosen
+        valid = records.usable(stage.rows.targets)
+        if last:
+            break
+        noise = _noise(stage.residual(columns, found), valid, records)
+    progress("searching", 1.0)
+    residual = stage.residual(columns, whole)
+    freedom = 1.0 - whole.parameters_by_channel(search.design) / search.design.counts
+    return Analysis(
+        stage,
+        columns,
+        search,
+        curves,
+        search.fit([]),
+        found,
+        whole,
+        noise,
+        _root_mean_square(residual, valid) / np.sqrt(freedom),
+        whole.squares / search.design.counts / freedom,
+    )
+
+
+def _with_curves(search: Search, found: JointFit) -> JointFit:
+    """With the free curves that the rest needs: those without which some channel's remainder is visibly larger."""
+    current = found
+    while len(current.chosen) < len(found.chosen) + _MOST_CURVES and (larger := search.add_curve(current)) is not None:
+        current = search.prune(larger)
+    for curve in [c for c in current.chosen if is_curve(c)]:
+        without = search.without(current, curve)
+        if float(np.sqrt(np.max(without.squares / current.squares))) < _VISIBLE:
+            current = without
+    return current
+
+
+def _same(before: JointFit | None, found: JointFit) -> bool:
+    """Whether the same was found as in the round before, up to a share of the standard deviations."""
+    if before is None or {c.group for c in before.chosen} != {c.group for c in found.chosen}:
+        return False
+    stds = np.sqrt(np.diag(found.covariance))
+    shared = [term for term in found.terms if term in before.terms]
+    return all(abs(before.value(term) - found.value(term)) < _SETTLED * stds[found.place(term)] for term in shared)
+
+
+def _flexible_noise(stage: Stage, columns: Columns, bare: JointFit, valid: BoolArray) -> tuple[Autoregression, ...]:
+    """First noise: what the motions of each channel's own joint and the whole robot's effects leave of the residual."""
+    residual = stage.residual(columns, bare)
+    left = np.full(residual.shape, np.nan)
+    for channel in range(residual.shape[1]):
+        chosen = valid[:, channel]
+        own = [by[channel] for term, by in columns.items() if channel in by and not term.curve]
+        matrix = np.column_stack(own)[chosen] if own else np.zeros((np.count_nonzero(chosen), 0))
+        matrix = matrix / np.maximum(np.linalg.norm(matrix, axis=0), 1e-12)
+        solution = np.linalg.lstsq(matrix, residual[chosen, channel], rcond=1e-6)[0]
+        left[chosen, channel] = residual[chosen, channel] - matrix @ solution
+    return _noise(left, valid, stage.records)
+
+
+def _noise(residual: FloatArray, valid: BoolArray, records: Records) -> tuple[Autoregression, ...]:
+    runs = [
+        runs_of(valid[:, channel] & np.isfinite(residual[:, channel]), records.segment)
+        for channel in range(residual.shape[1])
+    ]
+    return tuple(Autoregression.fit(residual[:, channel], runs[channel]) for channel in range(residual.shape[1]))
+
+
+def _root_mean_square(residual: FloatArray, valid: BoolArray) -> FloatArray:
+    deviation: FloatArray = np.sqrt(np.nanmean(np.where(valid, residual, np.nan) ** 2, axis=0))
+    return deviation

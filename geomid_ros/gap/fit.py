@@ -1,0 +1,335 @@
+"""The joint fit: all inertias under the geometric prior, payloads and effects, for channels of unknown noise.
+
+Minus twice the logarithm of the likelihood, maximised over each channel's variance, is ``sum_c N_c log S_c`` with the
+sums of squares S_c. The prior on the links is Gaussian in geodesic distance, of a spread s that is itself estimated:
+the marginal likelihood of s in Laplace's approximation (MacKay 1992) with an inverse-gamma prior around the usual
+spread. So large errors of all inertias make the prior wide instead of passing for an effect.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from geomid_ros.estimation.objective import Evaluation, bend
+from geomid_ros.estimation.solvers import trust_region
+from geomid_ros.gap.design import Design
+from geomid_ros.gap.library import Candidate, Term
+from geomid_ros.geometry import pseudo_inertia, spd, symmetric
+from geomid_ros.geometry.manifold import ParameterManifold, Point
+from geomid_ros.types import FloatArray
+
+PAYLOAD_SPREAD = 1.5
+_PAYLOAD_MASS = 0.2  # of the mean link's mass: where a payload's weak prior is centred
+_PAYLOAD_SIZE = 0.1  # [m]
+_CERTAINTY_OF_SPREAD = 4.0  # the usual spread counts as much as so many directions of inertial error
+_LEAST_SHARE = 1e-10  # of the target's sum of squares: no residual is smaller
+_TOLERANCE = 3e-5
+_ROUNDS = 4
+_STEPS = 40
+_SMALLEST_FACTOR = 0.05  # by which one step shrinks an inertia at most
+_SPREADS = (0.03, 2.0)
+
+
+@dataclass(frozen=True, eq=False)
+class Prior:
+    """What is known before: the inertias ``(10 links,)``, the usual spread of their errors, and the effects that the
+    model already has: their terms, values and spreads ``(k,)``."""
+
+    inertias: FloatArray
+    spread: float
+    terms: tuple[Term, ...]
+    values: FloatArray
+    spreads: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class JointFit:
+    """The minimum for some ``chosen`` candidates.
+
+    ``score``: minus twice the log marginal likelihood, with the parameters' penalty; ``squares (C,)`` whitened sums
+    of squares; ``information`` the Hessian ``(D, D)`` of half the score in tangent coordinates, ``jacobian (D, D)`` of
+    the parameters by them; ``spread`` of the links.
+    """
+
+    chosen: tuple[Candidate, ...]
+    terms: tuple[Term, ...]
+    point: Point
+    manifold: ParameterManifold
+    score: float
+    squares: FloatArray
+    information: FloatArray
+    spread: float
+    products: FloatArray
+
+    @property
+    def bodies(self) -> list[int]:
+        """Links that carry a payload."""
+        return [c.payload for c in self.chosen if c.payload >= 0]
+
+    @cached_property
+    def inverse(self) -> FloatArray:
+        """Inverse of the information ``(D, D)``."""
+        return np.asarray(np.linalg.inv(self.information))
+
+    @cached_property
+    def jacobian(self) -> FloatArray:
+        """Derivative ``(D, D)`` of the parameters by the tangent coordinates."""
+        return self.manifold.whiten(self.point, np.eye(self.manifold.dimension))
+
+    @property
+    def covariance(self) -> FloatArray:
+        """Of the parameters ``(D, D)``."""
+        result: FloatArray = self.jacobian @ self.inverse @ self.jacobian.T
+        return result
+
+    def parameters_by_channel(self, design: Design) -> FloatArray:
+        """How many parameters each channel determined, ``(C,)``: the trace of its share of the information."""
+        weights = design.counts / self.squares
+        traces = np.einsum("cij,ji->c", self.products[:, :-1, :-1], self.covariance)
+        result: FloatArray = weights * traces
+        return result
+
+    def value(self, term: Term) -> float:
+        """A coefficient."""
+        return float(self.point.reals[self.terms.index(term)])
+
+    def place(self, term: Term) -> int:
+        """Where a coefficient stands among the parameters."""
+        return int(self.manifold.real.start) + self.terms.index(term)
+
+
+@dataclass(frozen=True, eq=False)
+class _StraightManifold(ParameterManifold):
+    """The manifold with steps along straight lines of the parameters instead of geodesics.
+
+    Precise data confine the inertias to a thin slab of straight hyperplanes, which a geodesic leaves after a short way.
+    Where a straight step would leave the cone, the eigenvalue approaches zero instead.
+    """
+
+    def exp(self, base: Point, tangent: FloatArray) -> Point:
+        """The end of the straight step that leaves ``base`` with tangent coordinates ``(D,)``."""
+        matrices = symmetric.to_matrix(tangent[self.inertial].reshape(self.links, symmetric.SIZE))
+        values, vectors = np.linalg.eigh(matrices)
+        bent = np.maximum(0.5 * np.exp(2.0 * np.minimum(values + 0.5, 0.0)), _SMALLEST_FACTOR)
+        factors = np.where(values > -0.5, 1.0 + values, bent)
+        whitened = (vectors * factors[..., None, :]) @ np.swapaxes(vectors, -1, -2)
+        return Point(spd.congruence(base.root, whitened), base.positives, base.reals + self.scales * tangent[self.real])
+
+
+@dataclass(frozen=True, eq=False)
+class _ProfileObjective:
+    """Half of ``sum_c N_c log S_c`` plus the prior's terms, with weights ``(D,)`` of the tangent coordinates to it."""
+
+    manifold: ParameterManifold
+    products: FloatArray
+    counts: FloatArray
+    least: FloatArray
+    prior: Point
+    weights: FloatArray
+
+    @property
+    def scale(self) -> float:
+        return float(np.sum(self.counts))
+
+    @property
+    def prior_weight(self) -> float:
+        return float(np.min(self.weights))
+
+    def squares(self, point: Point) -> FloatArray:
+        vector = np.append(point.parameters, -1.0)
+        squares: FloatArray = np.maximum((self.products @ vector) @ vector, self.least)
+        return squares
+
+    def evaluate(self, point: Point) -> Evaluation:
+        vector = np.append(point.parameters, -1.0)
+        moved = self.products @ vector
+        squares = np.maximum(moved @ vector, self.least)
+        weights = self.counts / squares
+        slope = self.manifold.whiten(point, (weights @ moved)[None, :-1])[0]
+        rows = np.tensordot(weights, self.products[:, :-1, :-1], axes=1)
+        information = self.manifold.whiten(point, self.manifold.whiten(point, rows).T)
+        to_prior = self.manifold.log(point, self.prior)
+        root = np.sqrt(self.weights)
+        curvature = root[:, None] * self.manifold.half_squared_distance_hessian(point, self.prior) * root
+        value = 0.5 * float(self.counts @ np.log(squares)) + 0.5 * float(self.weights @ to_prior**2)
+        # Along a straight line the data have no curvature but their information; the prior has that of the line.
+        hessian = information + curvature + bend(self.manifold, self.weights * to_prior)
+        return Evaluation(value, slope - self.weights * to_prior, information, hessian)
+
+
+def fit(
+    design: Design,
+    prior: Prior,
+    chosen: Sequence[Candidate],
+    start: JointFit | None = None,
+    spread: float | None = None,
+) -> JointFit:
+    """Fit the chosen candidates together with all that is known, from an earlier fit where one is given.
+
+    The links' ``spread`` is estimated unless given.
+    """
+    fixed = spread is not None
+    bodies = [c.payload for c in chosen if c.payload >= 0]
+    own = dict.fromkeys(term for c in chosen for term in c.terms)
+    terms = (*prior.terms, *(term for term in own if term not in prior.terms))
+    products = design.gather(bodies, terms)
+    scales = _scales(products, design, bodies, len(terms))
+    manifold = _StraightManifold(len(prior.inertias) // 10 + len(bodies), 0, scales)
+    known = _known(manifold, prior, bodies)
+    first = 10 * (len(prior.inertias) // 10)
+    weights = np.full(manifold.dimension, 1e-6)
+    weights[first : manifold.inertial.stop] = PAYLOAD_SPREAD**-2
+    held = slice(manifold.real.start, manifold.real.start + len(prior.terms))
+    weights[held] = (scales[: len(prior.terms)] / prior.spreads) ** 2
+    counts, least = design.counts, _LEAST_SHARE * design.target_squares + 1e-300
+    afresh = start is None or set(bodies) != set(start.bodies)
+    if spread is None:
+        spread = prior.spread if start is None or afresh else start.spread
+    point = _first_point(manifold, known, None if afresh else start, bodies, terms)
+    for _ in range(_ROUNDS):
+        weights[:first] = spread**-2
+        objective = _ProfileObjective(manifold, products, counts, least, known, weights)
+        solution = trust_region(objective, point, _TOLERANCE, _STEPS)
+        point = solution.point
+        if fixed:
+            break
+        hessian = solution.evaluation.information + np.diag(weights)
+        before, spread = spread, _spread(manifold, point, known, hessian, first, prior.spread)
+        if abs(np.log(spread / before)) < 0.05:
+            break
+    weights[:first] = spread**-2
+    hessian = solution.evaluation.information + np.diag(weights)
+    score = _score(objective, point, hessian, first, spread, prior.spread)
+    score += sum(c.penalty for c in chosen) * float(np.log(np.max(counts)))
+    return JointFit(tuple(chosen), terms, point, manifold, score, objective.squares(point), hessian, spread, products)
+
+
+def unfitted(prior: Prior) -> JointFit:
+    """What is known before, as if it were a fit to no data."""
+    manifold = _StraightManifold(len(prior.inertias) // 10, 0, np.ones(len(prior.values)))
+    size = manifold.dimension
+    return JointFit(
+        (),
+        prior.terms,
+        manifold.point(np.concatenate([prior.inertias, prior.values])),
+        manifold,
+        np.inf,
+        np.zeros(0),
+        np.eye(size),
+        prior.spread,
+        np.zeros((0, size + 1, size + 1)),
+    )
+
+
+def _scales(products: FloatArray, design: Design, bodies: Sequence[int], terms: int) -> FloatArray:
+    """Of each coefficient: the one with which its column is as large as the target."""
+    start = design.dimension + 10 * len(bodies)
+    counts = np.maximum(design.counts, 1.0)
+    squares = np.diagonal(products, axis1=1, axis2=2) / counts[:, None]
+    size = squares[:, -1:] / np.maximum(squares[:, start : start + terms], 1e-300)
+    size = np.where(squares[:, start : start + terms] > 0.0, size, np.inf)
+    best = np.sqrt(np.min(size, axis=0, initial=np.inf))
+    return np.where(np.isfinite(best) & (best > 0.0), best, 1.0)
+
+
+def _known(manifold: ParameterManifold, prior: Prior, bodies: Sequence[int]) -> Point:
+    links = prior.inertias.reshape(-1, 10)
+    mass = _PAYLOAD_MASS * float(np.mean(links[:, 0]))
+    payloads = [_payload_prior(links[body], mass) for body in bodies]
+    reals = np.zeros(len(manifold.scales))
+    reals[: len(prior.values)] = prior.values
+    return manifold.point(np.concatenate([prior.inertias, *payloads, reals]))
+
+
+def _payload_prior(link: FloatArray, mass: float) -> FloatArray:
+    centre = link[1:4] / link[0]
+    pseudo = mass * np.diag([_PAYLOAD_SIZE**2] * 3 + [1.0])
+    pseudo[:3, :3] += mass * np.outer(centre, centre)
+    pseudo[:3, 3] = pseudo[3, :3] = mass * centre
+    result: FloatArray = pseudo_inertia.to_parameters(pseudo)
+    return result
+
+
+def _first_point(
+    manifold: ParameterManifold, known: Point, start: JointFit | None, bodies: Sequence[int], terms: Sequence[Term]
+) -> Point:
+    if start is None:
+        return known
+    links = manifold.links - len(bodies)
+    payloads = [
+        start.point.pseudo_inertias[links + start.bodies.index(body)]
+        if body in start.bodies
+        else known.pseudo_inertias[links + place]
+        for place, body in enumerate(bodies)
+    ]
+    reals = [start.value(t) if t in start.terms else float(known.reals[i]) for i, t in enumerate(terms)]
+    inertias = [*start.point.pseudo_inertias[:links], *payloads]
+    return Point(np.array(inertias), np.zeros(0), np.array(reals))
+
+
+def _spread(
+    manifold: ParameterManifold, point: Point, known: Point, hessian: FloatArray, links: int, usual: float
+) -> float:
+    """MacKay's re-estimate: mean square of the links' errors, those that the data do not determine included."""
+    distance = float(np.sum(manifold.log(known, point)[:links] ** 2))
+    unsure = float(np.trace(np.linalg.inv(hessian)[:links, :links]))
+    square = (distance + unsure + _CERTAINTY_OF_SPREAD * usual**2) / (links + _CERTAINTY_OF_SPREAD)
+    return float(np.clip(np.sqrt(square), *_SPREADS))
+
+
+def _score(
+    objective: _ProfileObjective, point: Point, hessian: FloatArray, links: int, spread: float, usual: float
+) -> float:
+    weights = replace(
+        objective, weights=np.where(np.arange(len(objective.weights)) < links, spread**-2, objective.weights)
+    )
+    fitted = 2.0 * weights.evaluate(point).value
+    _, volume = np.linalg.slogdet(spread**2 * hessian[:links, :links])
+    hyper = _CERTAINTY_OF_SPREAD * ((usual / spread) ** 2 + 2.0 * np.log(spread / usual))
+    return float(fitted + volume + hyper)
+
+
+def improvement(design: Design, current: JointFit, candidate: Candidate) -> tuple[float, float]:
+    """The score test: by how much a candidate would improve the current fit, to second order, less its penalty; and its
+    separability, the share of its columns that the other parameters, within their prior, cannot imitate.
+
+    For fixed weights the step and the gain are those of the Gaussian model (Rao's score test); the gain is then taken
+    from the sums of squares that the step leads to.
+    """
+    counts = design.counts
+    weights = counts / current.squares
+    vector = np.append(current.point.parameters, -1.0)
+    reached = design.reached(candidate)
+    if not reached:
+        return -np.inf, 0.0
+    cross, own = design.cross(current.bodies, current.terms, candidate)
+    jacobian = current.jacobian
+    slope = weights[reached] @ (cross @ vector)
+    mixed = np.tensordot(weights[reached], cross[:, :, :-1], axes=1) @ jacobian
+    squared = np.tensordot(weights[reached], own, axes=1)
+    solved = current.inverse @ mixed.T
+    left = squared - mixed @ solved
+    size = np.sqrt(np.maximum(np.diag(squared), 1e-300))
+    values, vectors = np.linalg.eigh(left / np.outer(size, size))
+    good = values > 1e-7
+    if not np.any(good):
+        return -np.inf, 0.0
+    step = -(vectors[:, good] @ ((vectors[:, good].T @ (slope / size)) / values[good])) / size
+    if np.any(step[: candidate.positives] < 0.0):
+        return -np.inf, float(np.max(values))
+    tangent = -solved @ step
+    longer = np.append(jacobian @ tangent, 0.0)
+    moved = current.products @ longer
+    squares = current.squares + 2.0 * moved @ vector + moved @ longer
+    squares[reached] += 2.0 * (cross @ (vector + longer)) @ step + np.einsum("ckl,k,l->c", own, step, step)
+    gain = float(counts @ np.log(current.squares / np.maximum(squares, 1e-3 * current.squares)))
+    # At the minimum the prior's slope is the opposite of the data's.
+    gain += 2.0 * float(weights @ (moved @ vector))
+    gain -= float(tangent @ (current.information @ tangent)) - float(weights @ (moved @ longer))
+    energy = float(step @ squared @ step)
+    separability = float(step @ left @ step) / energy if energy > 0.0 else 0.0
+    return gain - candidate.penalty * float(np.log(np.max(counts))), separability

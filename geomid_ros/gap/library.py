@@ -1,0 +1,186 @@
+"""The library of effects: what may be named, and the columns that samples carry for it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from geomid_ros.model.effects import (
+    Backlash,
+    CoulombFriction,
+    Effect,
+    EffortDelay,
+    EffortGain,
+    EffortOffset,
+    GravityTilt,
+    JointElasticity,
+    JointMotion,
+    LoadFriction,
+    RotorInertia,
+    SituationEffect,
+    Spring,
+    StribeckFriction,
+    ViscousFriction,
+)
+from geomid_ros.model.measurement import Coefficient, MeasurementModel
+from geomid_ros.types import FloatArray
+
+# [rad/s or m/s] What enters nonlinearly: over which speed dry friction changes its sign, and Stribeck's speed.
+SMOOTHINGS = (0.003, 0.02, 0.08)
+STRIBECK_SPEEDS = tuple(float(speed) for speed in np.geomspace(0.03, 0.6, 25).round(4))
+RICHER = {"coulomb_friction": "stribeck_friction", "effort_offset": "spring"}
+"""Names that contain another one as a special case: of the two, the simpler is right unless the richer is needed."""
+STILL = 0.01  # [rad/s or m/s] below this friction is no function of speed
+
+MOTION_EFFECTS: tuple[Effect, ...] = (
+    ViscousFriction(),
+    RotorInertia(),
+    EffortOffset(),
+    Spring(),
+    *(CoulombFriction(smoothing) for smoothing in SMOOTHINGS),
+    *(StribeckFriction(speed, SMOOTHINGS[0]) for speed in STRIBECK_SPEEDS),
+    *(StribeckFriction(speed, SMOOTHINGS[1]) for speed in STRIBECK_SPEEDS[4::3]),
+)
+SIGN = MOTION_EFFECTS.index(CoulombFriction(SMOOTHINGS[0]))  # the direction of motion
+REST = len(MOTION_EFFECTS)  # the last column: the share of the filter's window in which the joint stands still
+
+
+def effect_columns(position: FloatArray, velocity: FloatArray, acceleration: FloatArray) -> FloatArray:
+    """Columns ``(N, joints, library)`` for ``SignalPipeline(effect_columns=...)``; motions each ``(N, joints)``."""
+    columns = np.empty((*position.shape, REST + 1))
+    motion = JointMotion(position, velocity, acceleration)
+    for index, effect in enumerate(MOTION_EFFECTS):
+        columns[:, :, index] = effect.column(motion)
+    columns[:, :, REST] = np.abs(velocity) < STILL
+    return columns
+
+
+@dataclass(frozen=True)
+class Term:
+    """One linear coefficient. Its column is that of ``motion`` at ``joint`` in the samples; or the one of ``index`` of
+    a ``situation``; or a constant of one ``channel``; or the one of ``index`` of a free ``curve``."""
+
+    joint: int
+    motion: int = -1
+    situation: SituationEffect | None = None
+    index: int = 0
+    channel: int = -1
+    curve: str = ""
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """A name at a place, for some values of its scanned constants.
+
+    ``terms``: its coefficients, the first ``positives`` of which cannot be negative. ``payload``: the place of the
+    link, among the identified ones, to which a body is fixed, -1 for other effects. ``penalty``: how many parameters it
+    counts for. ``group``: candidates of one group are the same name with other constants.
+    """
+
+    effect: str
+    joint: int
+    terms: tuple[Term, ...]
+    positives: int = 0
+    payload: int = -1
+    penalty: float = 1.0
+    constants: Mapping[str, float] = field(default_factory=dict)
+
+    def excludes(self, other: Candidate) -> bool:
+        """Whether both at once make no sense: the same name and place, or one a special case of the other."""
+        names = {self.effect, other.effect}
+        nested = any(names == {simple, rich} for simple, rich in RICHER.items())
+        return self.group == other.group or (nested and self.joint == other.joint)
+
+    @property
+    def group(self) -> tuple[str, int, int]:
+        """Name and place."""
+        return self.effect, self.joint, self.payload
+
+    def __hash__(self) -> int:
+        return hash((self.group, self.terms))
+
+
+_SITUATION: tuple[SituationEffect, ...] = (LoadFriction(), EffortGain(), JointElasticity(), Backlash())
+
+
+def candidates(model: MeasurementModel) -> list[Candidate]:
+    """All names for a robot with its sensors."""
+    found: list[Candidate] = []
+    joints = range(len(model.robot.joints)) if model.efforts_usable else range(0)
+    for joint in joints:
+        found += _joint_candidates(joint)
+    if joints and not model.robot.floating_base:
+        found.append(Candidate("effort_delay", -1, (Term(-1, situation=EffortDelay()),)))
+    if not model.robot.floating_base:
+        tilt = GravityTilt()
+        found.append(
+            Candidate("gravity_tilt", -1, (Term(-1, situation=tilt), Term(-1, situation=tilt, index=1)), penalty=2)
+        )
+    found += [
+        Candidate("payload", _mover(model, place), (), payload=place, penalty=4)
+        for place in range(len(model.identified))
+    ]
+    return found + _wrench_offsets(model)
+
+
+def _joint_candidates(joint: int) -> list[Candidate]:
+    terms = [Term(joint, motion=index) for index in range(len(MOTION_EFFECTS))]
+    viscous, rotor, offset, spring = terms[:4]
+    found = [
+        Candidate("viscous_friction", joint, (viscous,), 1),
+        Candidate("rotor_inertia", joint, (rotor,), 1),
+        Candidate("effort_offset", joint, (offset,)),
+        Candidate("spring", joint, (spring, offset), 1, penalty=2),
+    ]
+    dry = {
+        effect.smoothing: term
+        for effect, term in zip(MOTION_EFFECTS, terms, strict=True)
+        if isinstance(effect, CoulombFriction)
+    }
+    found += [Candidate("coulomb_friction", joint, (term,), 1) for term in dry.values()]
+    found += [
+        Candidate(
+            "stribeck_friction", joint, (dry[effect.smoothing], term), 2, penalty=3, constants={"speed": effect.speed}
+        )
+        for effect, term in zip(MOTION_EFFECTS, terms, strict=True)
+        if isinstance(effect, StribeckFriction)
+    ]
+    found += [
+        Candidate(effect.name, joint, (Term(joint, situation=effect),), int(effect.positive)) for effect in _SITUATION
+    ]
+    return found
+
+
+def _mover(model: MeasurementModel, place: int) -> int:
+    """The joint that moves an identified body, -1 for none."""
+    children = [joint.child for joint in model.robot.tree.joints if joint.name in model.robot.joint_names]
+    name = model.body_names[place]
+    owners = [j for j in model.robot.tree.joints if j.name in model.robot.joint_names]
+    moved = {joint.child: joint.name for joint in owners}
+    while name not in children:
+        parent = next((joint.parent for joint in model.robot.tree.joints if joint.child == name), None)
+        if parent is None:
+            return -1
+        name = parent
+    return model.robot.joint_names.index(moved[name])
+
+
+def _wrench_offsets(model: MeasurementModel) -> list[Candidate]:
+    first = len(model.robot.joints) if model.efforts_usable else 0
+    found = []
+    for sensor in model.mounted:
+        channels = range(first, first + len(sensor.axes))
+        terms = tuple(Term(-1, channel=channel) for channel in channels)
+        found.append(Candidate("wrench_offset", -1, terms, penalty=len(terms), constants={"sensor": float(first)}))
+        first = channels.stop
+    return found
+
+
+def base_term(coefficient: Coefficient) -> Term:
+    """The term of an effect that the model already has."""
+    names = [effect.name for effect in MOTION_EFFECTS]
+    if coefficient.effect in MOTION_EFFECTS:
+        return Term(coefficient.joint, motion=MOTION_EFFECTS.index(coefficient.effect))
+    return Term(coefficient.joint, motion=names.index(coefficient.effect.name))

@@ -1,0 +1,168 @@
+"""From coefficients to what a user reads: parameters with units, sentences, and what would settle an ambiguity."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from geomid_ros.gap.fit import JointFit
+from geomid_ros.gap.library import Candidate
+from geomid_ros.gap.result import Quantity
+from geomid_ros.geometry import pseudo_inertia
+from geomid_ros.model.measurement import MeasurementModel
+from geomid_ros.types import FloatArray
+
+_STEP = 1e-4
+_UNITS: Mapping[str, tuple[tuple[str, str, str], ...]] = {  # parameter, unit of a turning, unit of a sliding joint
+    "viscous_friction": (("coefficient", "N m s/rad", "N s/m"),),
+    "coulomb_friction": (("level", "N m", "N"),),
+    "stribeck_friction": (("level", "N m", "N"), ("excess", "N m", "N"), ("speed", "rad/s", "m/s")),
+    "load_friction": (("coefficient", "-", "-"),),
+    "rotor_inertia": (("inertia", "kg m^2", "kg"),),
+    "spring": (("stiffness", "N m/rad", "N/m"), ("equilibrium", "rad", "m")),
+    "effort_offset": (("offset", "N m", "N"),),
+    "effort_gain": (("gain", "-", "-"),),
+    "gravity_tilt": (("tilt_x", "rad", "rad"), ("tilt_y", "rad", "rad")),
+    "effort_delay": (("delay", "s", "s"),),
+    "joint_elasticity": (("stiffness", "N m/rad", "N/m"),),
+    "backlash": (("gap", "rad", "m"),),
+}
+_PAYLOAD = (
+    ("mass", "kg"),
+    *((f"com_{axis}", "m") for axis in "xyz"),
+    *((name, "kg m^2") for name in ("ixx", "ixy", "iyy", "ixz", "iyz", "izz")),
+)
+_WORDS = {
+    "viscous_friction": "viscous friction",
+    "coulomb_friction": "Coulomb friction",
+    "stribeck_friction": "Stribeck friction",
+    "load_friction": "friction in proportion to the load",
+    "rotor_inertia": "rotor inertia",
+    "spring": "a spring",
+    "effort_offset": "an offset of the measured effort",
+    "effort_gain": "a wrong gain of the measured effort",
+    "gravity_tilt": "a base that is not level",
+    "effort_delay": "a delay between efforts and motion",
+    "payload": "a payload",
+    "joint_elasticity": "an elastic gear",
+    "backlash": "backlash",
+    "wrench_offset": "an offset of the wrench sensor",
+}
+_SETTLED_BY = {
+    "viscous_friction": "a motion that moves this joint at several constant speeds",
+    "coulomb_friction": "a slow motion of this joint to and fro, at several constant speeds",
+    "stribeck_friction": "runs of this joint at constant speeds from creeping to fast",
+    "load_friction": "the same motion with a known payload and without",
+    "rotor_inertia": "fast accelerations of this joint alone with the links after it stretched out and folded",
+    "spring": "a slow sweep of this joint through its range in several postures of the others",
+    "effort_offset": "a recording in which gravity loads this joint to both sides",
+    "effort_gain": "the same motion with a known payload",
+    "gravity_tilt": "a slow motion of the first joint through its range with the arm stretched out",
+    "effort_delay": "faster motions",
+    "payload": "the same motion with a known payload, or with what the link carries taken off",
+    "joint_elasticity": "faster motions, or an encoder on the link's side",
+    "backlash": "slow motions in which the load of this joint changes its sign",
+    "wrench_offset": "still poses with the sensor turned to all sides",
+}
+
+
+def parameters(model: MeasurementModel, found: JointFit, candidate: Candidate) -> dict[str, Quantity]:
+    """A candidate's parameters with their standard deviations."""
+    if candidate.payload >= 0:
+        return _payload(found, candidate)
+    values = np.array([found.value(term) for term in candidate.terms])
+    places = [found.place(term) for term in candidate.terms]
+    covariance = found.covariance[np.ix_(places, places)]
+    if candidate.effect == "wrench_offset":
+        return _wrench_offset(model, candidate, values, covariance)
+    transformed, jacobian = _meaning(candidate, values)
+    stds = np.sqrt(np.maximum(np.einsum("ij,jk,ik->i", jacobian, covariance, jacobian), 0.0))
+    sliding = candidate.joint >= 0 and model.robot.joints[candidate.joint].unit == "N"
+    result = {
+        name: Quantity(float(value), float(std), units[sliding])
+        for (name, *units), value, std in zip(_UNITS[candidate.effect], transformed, stds, strict=False)
+    }
+    if candidate.effect == "stribeck_friction":
+        speed = candidate.constants["speed"]
+        result["speed"] = Quantity(speed, 0.2 * speed, _UNITS[candidate.effect][2][1 + sliding])
+    return result
+
+
+def _meaning(candidate: Candidate, values: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Parameters and their derivatives by the coefficients."""
+    if candidate.effect == "spring":
+        stiffness, offset = values
+        derivative = [[1.0, 0.0], [offset / stiffness**2, -1.0 / stiffness]]
+        return np.array([stiffness, -offset / stiffness]), np.array(derivative)
+    if candidate.effect == "joint_elasticity":
+        return 1.0 / values, np.array([[-1.0 / values[0] ** 2]])
+    if candidate.effect == "effort_gain":
+        return 1.0 + values, np.eye(1)
+    return values, np.eye(len(values))
+
+
+def _payload(found: JointFit, candidate: Candidate) -> dict[str, Quantity]:
+    place = found.manifold.links - len(found.bodies) + found.bodies.index(candidate.payload)
+    rows = found.manifold.link(place)
+    values = _of_body(pseudo_inertia.to_parameters(found.point.pseudo_inertias[place]))
+    derivative = np.array([_moved(found, rows, k, place) for k in range(10)]).T
+    covariance = derivative @ found.inverse[rows, rows] @ derivative.T
+    stds = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    return {name: Quantity(float(v), float(s), unit) for (name, unit), v, s in zip(_PAYLOAD, values, stds, strict=True)}
+
+
+def _moved(found: JointFit, rows: slice, direction: int, place: int) -> FloatArray:
+    tangent = np.zeros(found.manifold.dimension)
+    tangent[rows.start + direction] = _STEP
+    ends = [found.manifold.exp(found.point, sign * tangent).pseudo_inertias[place] for sign in (1.0, -1.0)]
+    ahead, behind = (_of_body(pseudo_inertia.to_parameters(end)) for end in ends)
+    result: FloatArray = (ahead - behind) / (2.0 * _STEP)
+    return result
+
+
+def _of_body(body: FloatArray) -> FloatArray:
+    """Mass, centre of mass, and inertia about it."""
+    rows, columns = pseudo_inertia.INERTIA_ENTRIES
+    central = pseudo_inertia.central_inertia(body)
+    return np.concatenate([body[:1], pseudo_inertia.centre_of_mass(body), central[rows, columns]])
+
+
+def _wrench_offset(
+    model: MeasurementModel, candidate: Candidate, values: FloatArray, covariance: FloatArray
+) -> dict[str, Quantity]:
+    result = {}
+    for term, value, variance in zip(candidate.terms, values, np.diag(covariance), strict=True):
+        channel = model.channels[term.channel]
+        result[channel.name.rsplit("/", 1)[1]] = Quantity(float(value), float(np.sqrt(variance)), channel.unit)
+    return result
+
+
+def place_name(model: MeasurementModel, candidate: Candidate) -> str:
+    """The joint that a finding names: empty for the whole robot, the topic of a wrench sensor."""
+    if candidate.effect == "wrench_offset":
+        channel = model.channels[candidate.terms[0].channel].name.rsplit("/", 1)[0]
+        return next(s.topic for s in model.mounted if s.topic.strip("/") == channel)
+    return model.robot.joint_names[candidate.joint] if candidate.joint >= 0 else ""
+
+
+def link_name(model: MeasurementModel, candidate: Candidate) -> str:
+    """The link that carries a payload, or empty."""
+    return model.body_names[candidate.payload] if candidate.payload >= 0 else ""
+
+
+def sentence(effect: str, joint: str, link: str, found: Mapping[str, Quantity], confidence: str) -> str:
+    """A finding in words, with 95 % intervals."""
+    where = f" at link '{link}'" if link else f" at '{joint}'" if joint else ""
+    shown = list(found.items())[:4] if effect == "payload" else list(found.items())
+    values = ", ".join(
+        f"{name} {q.value:.4g} ± {1.96 * q.std:.2g}{'' if q.unit == '-' else ' ' + q.unit}" for name, q in shown
+    )
+    sure = {"confident": "", "tentative": "Perhaps ", "ambiguous": "One of several: "}[confidence]
+    text = f"{_WORDS[effect]}{where}: {values} (95 % interval)."
+    return sure + text if sure else text[0].upper() + text[1:]
+
+
+def settled_by(effect: str) -> str:
+    """The recording that would tell an effect from its rivals."""
+    return _SETTLED_BY[effect]

@@ -1,0 +1,183 @@
+"""The gap workflow: from samples to a finding."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from time import perf_counter
+
+import numpy as np
+
+from geomid_ros.errors import InputError
+from geomid_ros.gap import library
+from geomid_ros.gap.analysis import Analysis, analyse
+from geomid_ros.gap.fit import JointFit, Prior, unfitted
+from geomid_ros.gap.locate import located
+from geomid_ros.gap.record import Records
+from geomid_ros.gap.result import Gap, GapResult, Trace
+from geomid_ros.gap.settings import GapSettings
+from geomid_ros.gap.stage import Stage, TotalModel
+from geomid_ros.gap.verdict import findings, ranking, unexplained, verdict
+from geomid_ros.geometry import pseudo_inertia
+from geomid_ros.model.measurement import MeasurementModel
+from geomid_ros.model.samples import Samples
+from geomid_ros.types import FloatArray
+
+_DEFAULT = GapSettings()
+_FEWEST_ROWS = 100
+_SPREAD_OF_EFFECTS = 0.2  # of the coefficients that the model already has, relative
+_SPREAD_OF_SIMULATED = 0.02
+_LEAST_SPREAD = 1e-3
+
+
+def find_gap(
+    model: MeasurementModel,
+    train: Sequence[Samples],
+    held_out: Sequence[Samples],
+    settings: GapSettings = _DEFAULT,
+    *,
+    nominal: FloatArray | None = None,
+    simulated: Sequence[Samples] = (),
+    progress: Callable[[str, float], None] | None = None,
+) -> GapResult:
+    """Where ``model`` and the measured ``train`` disagree, which effect it is, and what is left on ``held_out``.
+
+    ``model``: the robot, its wrench sensors, and the effects that are already part of the model (none for a bare URDF).
+    ``nominal (D,)``: the model's parameters (the URDF's inertias and no effects unless given, as
+    :func:`geomid_ros.estimation.estimator.nominal_parameters`; those of an estimate.json with ``--model``; NaN where
+    that has none).
+
+    ``train``, ``held_out``: one element per recording, or per part of one without a pause, in the order of time: all
+    the samples of a stretch in ONE :class:`Samples` (``Samples.concatenate`` what a pipeline collects), not batches.
+    Give the last 30 % of a bag, or other bags, as ``held_out``. Several motions alike in ``train`` (repeats in one bag
+    or in several) give the noise floor without a model. ``simulated``: recordings of the user's simulator under the
+    same commands, made in the same way; what they show as well as ``train`` is no gap.
+
+    The samples come from a pipeline made for the purpose::
+
+        SignalPipeline(
+            robot.joint_names, ..., effect_columns=geomid_ros.gap.library.effect_columns,
+            settings=replace(signals, cutoff=gap_cutoff(rate), samples_per_cutoff_period=8.0),
+        )
+
+    with ``settings.cutoff`` equal to the pipeline's cutoff: ``min(geomid_ros.gap.settings.CUTOFF, 0.4 * rate)`` for
+    recordings at ``rate`` messages per second [Hz] unless the user wants another one.
+
+    ``progress`` is called with what is being done and the finished share, 0 to 1. Raises InputError when the data are
+    too short, without motion or without anything measured that the model predicts.
+    """
+    started = perf_counter()
+    report = progress or _silent
+    bare = model.without_effects()
+    records = Records.make(train, settings.cutoff)
+    held = Records.make(held_out or train, settings.cutoff)
+    _check(bare, records)
+    prior = _prior(model, nominal, settings.spread)
+    if simulated:
+        prior = _as_simulated(bare, Records.make(simulated, settings.cutoff), prior, report)
+    analysis = analyse(bare, records, prior, report)
+    report("judging", 0.0)
+    trace, gap = _held_out(bare, held, prior, analysis)
+    left = unexplained(bare, analysis, gap.after)
+    found = findings(bare, analysis)
+    report("judging", 1.0)
+    first = _residual(bare, records, prior, unfitted(prior))
+    return GapResult(
+        verdict(found, left, gap.after, np.sum(held.usable(trace.measured), axis=0)),
+        found,
+        left,
+        tuple(channel.name for channel in bare.channels),
+        tuple(channel.unit for channel in bare.channels),
+        analysis.floor,
+        gap,
+        located(bare, records, first, np.abs(records.rows(bare).targets - first)),
+        ranking(bare, analysis),
+        trace,
+        bare.body_names,
+        _links(analysis),
+        _coefficients(model, prior, analysis),
+        perf_counter() - started,
+    )
+
+
+def _silent(_: str, __: float) -> None:
+    """No progress is shown."""
+
+
+def _check(model: MeasurementModel, records: Records) -> None:
+    """Refuse data of which nothing can be said."""
+    if not records.dense or len(records.samples) < _FEWEST_ROWS:
+        raise InputError(
+            f"too short: {len(records.samples) if records.dense else 0} independent instants at the filter's cutoff, "
+            f"at least {_FEWEST_ROWS} are needed; record half a minute of motion"
+        )
+    targets = records.rows(model).targets
+    if not np.any(np.isfinite(targets)):
+        names = ", ".join(channel.name for channel in model.channels)
+        raise InputError(f"no effort or wrench is measured: at least one of these channels is needed: {names}")
+    if np.all(records.samples.effects[:, :, library.REST] > 0.5):
+        raise InputError("no joint moves: record a motion that takes all joints through their ranges")
+
+
+def _prior(model: MeasurementModel, nominal: FloatArray | None, spread: float) -> Prior:
+    size = len(model.nominal_inertias)
+    values = np.full(model.dimension, np.nan) if nominal is None else nominal
+    inertias = np.where(np.isfinite(values[:size]), values[:size], model.nominal_inertias)
+    coefficients = np.nan_to_num(values[size:])
+    known = [
+        (library.base_term(c), float(v)) for c, v in zip(model.coefficients, coefficients, strict=True) if v != 0.0
+    ]
+    strengths = np.array([value for _, value in known])
+    spreads = np.maximum(_SPREAD_OF_EFFECTS * np.abs(strengths), _LEAST_SPREAD)
+    return Prior(inertias, spread, tuple(term for term, _ in known), strengths, spreads)
+
+
+def _as_simulated(
+    model: MeasurementModel, records: Records, prior: Prior, report: Callable[[str, float], None]
+) -> Prior:
+    """What the user's simulator shows: its inertias with their payloads, and its effects, in place of the model's."""
+    _check(model, records)
+    found = analyse(model, records, prior, report).names
+    inertias = TotalModel.of(model, found).inertias[list(model.identified)].ravel()
+    values = np.array([found.value(term) for term in found.terms])
+    spreads = np.maximum(_SPREAD_OF_SIMULATED * np.abs(values), _LEAST_SPREAD)
+    return Prior(inertias, prior.spread, found.terms, values, spreads)
+
+
+def _held_out(model: MeasurementModel, held: Records, prior: Prior, analysis: Analysis) -> tuple[Trace, Gap]:
+    measured = held.rows(model).targets
+    usable = held.usable(measured)
+    fits = (unfitted(prior), analysis.bare, analysis.names)
+    residuals = [_residual(model, held, prior, found) for found in fits]
+    before, middle, after = (measured - residual for residual in residuals)
+    samples = held.samples
+    trace = Trace(samples.stamps, samples.position, samples.velocity, np.abs(after), measured, before, middle, after)
+    ratios = [_rms(np.where(usable, residual, np.nan)) / analysis.floor for residual in residuals]
+    return trace, Gap(*ratios)
+
+
+def _residual(model: MeasurementModel, records: Records, prior: Prior, found: JointFit) -> FloatArray:
+    stage = Stage(model, records, TotalModel.of(model, found))
+    return stage.residual(stage.columns(found.chosen, prior.terms), found)
+
+
+def _rms(values: FloatArray) -> FloatArray:
+    counts = np.count_nonzero(np.isfinite(values), axis=0)
+    squares = np.nansum(values**2, axis=0)
+    deviation: FloatArray = np.sqrt(np.divide(squares, counts, out=np.full(len(counts), np.nan), where=counts > 0))
+    return deviation
+
+
+def _coefficients(model: MeasurementModel, prior: Prior, analysis: Analysis) -> FloatArray:
+    """The model's own coefficients as they were fitted ``(coefficients,)``, NaN where it had none or a name says it."""
+    said = {term for candidate in analysis.names.chosen for term in candidate.terms}
+    terms = [library.base_term(coefficient) for coefficient in model.coefficients]
+    own = [term in prior.terms and term not in said for term in terms]
+    return np.array([analysis.names.value(term) if kept else np.nan for term, kept in zip(terms, own, strict=True)])
+
+
+def _links(analysis: Analysis) -> FloatArray:
+    """Inertias of the identified links, without payloads."""
+    found = analysis.names
+    count = found.manifold.links - len(found.bodies)
+    links: FloatArray = pseudo_inertia.to_parameters(found.point.pseudo_inertias[:count])
+    return links

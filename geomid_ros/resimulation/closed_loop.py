@@ -1,0 +1,221 @@
+"""A whole recording simulated from its commands: the controller is fitted, the robot is the written one."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from geomid_ros.model.measurement import MeasurementModel
+from geomid_ros.model.samples import Samples
+from geomid_ros.resimulation.errors import root_mean_square
+from geomid_ros.resimulation.noise import Noise
+from geomid_ros.resimulation.stretch import Stretch, interpolated, smoothed, stretches
+from geomid_ros.resimulation.windows import Windows, WindowSimulation
+from geomid_ros.resimulation.written_robot import ModelFiles, WrittenRobot
+from geomid_ros.types import BoolArray, FloatArray
+
+_SEPARATIONS = (0.03, 0.05, 0.08)  # [s] at which the noise of filtered samples is another, and the motion the same
+_EXPLAINED = 0.9  # share of an effort's variance that a controller has to explain
+
+
+@dataclass(frozen=True, eq=False)
+class LoopTrace:
+    """One stretch in closed loop: ``times (N,)`` [s]; joints' positions and efforts ``(N, J)`` that were measured, and
+    those that come before and after the findings."""
+
+    times: FloatArray
+    position: FloatArray
+    position_before: FloatArray
+    position_after: FloatArray
+    effort: FloatArray
+    effort_before: FloatArray
+    effort_after: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class ClosedLoop:
+    """Errors of the efforts that the controller needs, root mean square in units of the noise floor, by joint; without
+    the joints whose efforts do not follow from the commands.
+
+    ``skipped`` says why there is nothing, else it is empty.
+    """
+
+    before: Mapping[str, float]
+    after: Mapping[str, float]
+    traces: tuple[LoopTrace, ...]
+    skipped: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class Controller:
+    """Each joint's proportional and derivative gain and constant effort ``(J,)``, and whether its efforts follow from
+    the commands so."""
+
+    stiffness: FloatArray
+    damping: FloatArray
+    constant: FloatArray
+    found: BoolArray
+
+
+@dataclass(frozen=True, eq=False)
+class _Commanded:
+    """A stretch with its set-points and feed-forward efforts, each ``(N, J)``."""
+
+    stretch: Stretch
+    position: FloatArray
+    velocity: FloatArray
+    feedforward: FloatArray
+
+
+def closed_loop(
+    model: MeasurementModel,
+    before: ModelFiles,
+    after: ModelFiles,
+    recordings: Sequence[Samples],
+    commands: Sequence[Samples],
+    noise: Noise,
+    cutoff: float,
+) -> ClosedLoop:
+    """Simulate ``recordings`` under their ``commands``: set-points, and as efforts the feed-forward, both on one grid
+    of stamps, from a pipeline of the same settings.
+
+    The controller is the one that explains the measured efforts best, ``u = feed-forward + k (q_d - q) + d (v_d - v) +
+    constant`` at every joint; where none does, the joint follows its measured motion. Errors are judged below
+    ``cutoff`` [Hz], that of ``noise``.
+    """
+    if model.robot.floating_base:
+        return ClosedLoop({}, {}, (), "the base floats: without its contacts its motion cannot be simulated")
+    parts = [part for pair in zip(recordings, commands, strict=True) for part in _commanded(*pair)]
+    if not parts:
+        return ClosedLoop({}, {}, (), "commands and measurements have no time in common")
+    joints = model.robot.joint_names
+    robots = [WrittenRobot(files, joints) for files in (before, after)]
+    for robot in robots:
+        robot.expect_load(robot.true_effort(np.concatenate([part.stretch.samples.effort for part in parts])))
+    controller = fitted_controller(parts, robots[1])
+    if not np.any(controller.found):
+        return ClosedLoop({}, {}, (), "the measured efforts do not follow from the commands by gains and feed-forward")
+    traces = [_simulated(part, controller, *robots) for part in parts]
+    floor = np.sqrt(np.mean(noise.only(joints).values ** 2, axis=0))
+    known = controller.found & (floor > 0.0)
+
+    def ratios(kind: str) -> dict[str, float]:
+        errors = [trace.effort - getattr(trace, kind) for trace in traces]
+        low = [smoothed(e, p.stretch.period, cutoff)[0] for e, p in zip(errors, parts, strict=True)]
+        ratio = root_mean_square(low) / np.where(known, floor, 1.0)
+        return {name: float(value) for name, value, good in zip(joints, ratio, known, strict=True) if good}
+
+    return ClosedLoop(ratios("effort_before"), ratios("effort_after"), tuple(traces))
+
+
+def _commanded(recording: Samples, commands: Samples) -> list[_Commanded]:
+    _, ours, theirs = np.intersect1d(recording.stamps, commands.stamps, return_indices=True)
+    measured, wanted = recording.select(ours), commands.select(theirs)
+    found = []
+    for stretch in stretches([measured]):
+        first = int(np.searchsorted(wanted.stamps, stretch.samples.stamps[0]))
+        part = wanted.select(slice(first, first + len(stretch.times)))
+        found.append(_Commanded(stretch, part.position, part.velocity, np.nan_to_num(part.effort)))
+    return found
+
+
+def fitted_controller(parts: Sequence[_Commanded], robot: WrittenRobot) -> Controller:
+    """The gains that explain the true efforts: the measured ones as the sidecar of ``robot`` corrects them.
+
+    A good controller's errors are hardly larger than the noise of their measurement, and least squares would take the
+    gains for smaller than they are. So the errors shortly before and after, whose noise is another, serve as
+    instruments: two-stage least squares.
+    """
+    efforts = [robot.true_effort(_true_time(part.stretch, robot)) for part in parts]
+    joints = len(robot.joints)
+    gains, found = np.zeros((joints, 3)), np.zeros(joints, dtype=bool)
+    for joint in np.flatnonzero(np.all([np.all(np.isfinite(effort), axis=0) for effort in efforts], axis=0)):
+        columns = [_feedback_columns(part, int(joint)) for part in parts]
+        needed = [effort[:, joint] - part.feedforward[:, joint] for effort, part in zip(efforts, parts, strict=True)]
+        instruments = [_neighbours(c, p.stretch.period) for c, p in zip(columns, parts, strict=True)]
+        z, x, y = (np.concatenate(lists) for lists in (instruments, columns, needed))
+        without_noise = z @ np.linalg.lstsq(z, x, rcond=None)[0]
+        solution, *_ = np.linalg.lstsq(without_noise, y, rcond=None)
+        total = np.concatenate([effort[:, joint] for effort in efforts])
+        found[joint] = solution[0] > 0.0 and np.var(y - x @ solution) < (1.0 - _EXPLAINED) * np.var(total)
+        gains[joint] = solution if found[joint] else 0.0
+    return Controller(gains[:, 0], np.maximum(gains[:, 1], 0.0), gains[:, 2], found)
+
+
+def _feedback_columns(part: _Commanded, joint: int) -> FloatArray:
+    """Errors of position and velocity, and a constant ``(N, 3)``."""
+    samples = part.stretch.samples
+    errors = part.position - samples.position, part.velocity - samples.velocity
+    return np.stack([*(error[:, joint] for error in errors), np.ones(len(samples))], axis=1)
+
+
+def _neighbours(columns: FloatArray, period: float) -> FloatArray:
+    """``columns (N, K)`` shortly before and after, side by side; at the ends, the ends."""
+    shifts = [round(sign * separation / period) for separation in _SEPARATIONS for sign in (-1, 1)]
+    places = np.arange(len(columns))[:, None] + np.array(shifts)
+    neighbours: FloatArray = columns[np.clip(places, 0, len(columns) - 1)].reshape(len(columns), -1)
+    return neighbours
+
+
+def _true_time(stretch: Stretch, robot: WrittenRobot) -> FloatArray:
+    """Efforts as they will be measured when the delay is over ``(N, J)``."""
+    effort = stretch.samples.effort
+    shifted = interpolated(stretch.times, effort, stretch.times + robot.delay)
+    return np.where(np.all(np.isfinite(effort), axis=0), shifted, np.nan)
+
+
+def _simulated(part: _Commanded, controller: Controller, before: WrittenRobot, after: WrittenRobot) -> LoopTrace:
+    samples = part.stretch.samples
+    (position_before, effort_before), (position_after, effort_after) = (
+        _run(part, controller, robot) for robot in (before, after)
+    )
+    return LoopTrace(
+        part.stretch.times,
+        samples.position,
+        position_before,
+        position_after,
+        samples.effort,
+        effort_before,
+        effort_after,
+    )
+
+
+def _run(part: _Commanded, controller: Controller, robot: WrittenRobot) -> tuple[FloatArray, FloatArray]:
+    """Positions and efforts ``(N, J)``, the latter as the sensors would show them."""
+    samples, times = part.stretch.samples, part.stretch.times
+    simulation = WindowSimulation(robot, Windows.whole(part.stretch))
+    driving = _driving(part, controller, robot, simulation)
+    with robot.in_closed_loop(controller.stiffness, controller.damping, controller.found):
+        simulated = simulation.run(driving=driving)
+    position = np.vstack([samples.position[:1], simulated.position[0]])
+    velocity = np.vstack([samples.velocity[:1], simulated.velocity[0]])
+    true = _effort(part, controller, position, velocity)
+    return position, robot.measured_effort(interpolated(times, true, np.maximum(times - robot.delay, 0.0)))
+
+
+def _effort(part: _Commanded, controller: Controller, position: FloatArray, velocity: FloatArray) -> FloatArray:
+    """The controller's efforts at the samples ``(N, J)``."""
+    proportional = controller.stiffness * (part.position - position)
+    effort: FloatArray = part.feedforward + controller.constant + proportional
+    return effort + controller.damping * (part.velocity - velocity)
+
+
+def _driving(part: _Commanded, controller: Controller, robot: WrittenRobot, simulation: WindowSimulation) -> FloatArray:
+    """What drives the joints beside the controller's springs and dampers ``(1, steps, J)``.
+
+    MuJoCo's springs pull as at the beginning of a step and its dampers as at the end: so do the set-points here, else a
+    joint would lag behind by half a step.
+    """
+    samples, times, middles = part.stretch.samples, part.stretch.times, simulation.instants
+    setpoints = controller.stiffness * interpolated(times, part.position, middles - 0.5 * simulation.step)
+    setpoints += controller.damping * interpolated(times, part.velocity, middles + 0.5 * simulation.step)
+    needed = _effort(part, controller, samples.position, samples.velocity)
+    effort, feedforward, velocity, acceleration = (
+        interpolated(times, values, middles)
+        for values in (needed, part.feedforward, samples.velocity, samples.acceleration)
+    )
+    friction = robot.unsaid_friction(effort, velocity, acceleration)
+    free = feedforward + controller.constant + setpoints - friction
+    return np.where(controller.found, free, robot.prescribed_effort(acceleration))

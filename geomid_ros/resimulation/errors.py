@@ -1,0 +1,84 @@
+"""Errors of simulated windows, and what noise alone makes of them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from geomid_ros.model.measurement import MeasurementModel
+from geomid_ros.model.sensors import WrenchSensor
+from geomid_ros.resimulation.noise import Noise
+from geomid_ros.resimulation.stretch import Stretch, interpolated
+from geomid_ros.resimulation.windows import Simulated, Windows, WindowSimulation
+from geomid_ros.resimulation.written_robot import WrittenRobot
+from geomid_ros.types import BoolArray, FloatArray
+
+_DRAWS = 4  # of noise for each window
+_SEED = 0
+
+
+class Errors:
+    """Errors of windows by quantity: the joints' velocities at the windows' ends, then the wrench channels' means.
+
+    ``names`` are the channels of ``model``; arrays ``(W, channels)`` follow them.
+    """
+
+    def __init__(self, model: MeasurementModel, noise: Noise) -> None:
+        self.names = [channel.name for channel in model.channels]
+        self._joints = len(model.robot.joints)
+        self._sensors = model.mounted
+        self._all_sensors = model.sensors
+        self._noise = noise.only(self.names)
+
+    def measured_wrenches(self, parts: Sequence[Stretch]) -> BoolArray:
+        """Whether each wrench channel is measured throughout."""
+        columns = [
+            np.all([np.all(np.isfinite(self._measured(part, sensor)), axis=0) for part in parts], axis=0)
+            for sensor in self._sensors
+        ]
+        return np.concatenate([np.zeros(0, dtype=bool), *columns])
+
+    def _measured(self, stretch: Stretch, sensor: WrenchSensor) -> FloatArray:
+        measured: FloatArray = stretch.samples.wrenches[:, self._all_sensors.index(sensor), sensor.axis_indices]
+        return sensor.sign * measured
+
+    def of(self, windows: Windows, instants: FloatArray, robot: WrittenRobot, simulated: Simulated) -> FloatArray:
+        """Measured minus simulated."""
+        velocity = windows.stretch.samples.velocity[windows.samples[:, -1]] - simulated.velocity[:, -1]
+        wrenches = [
+            self._measured_mean(windows, instants, sensor)
+            - robot.wrench(simulated.sensed, sensor)[:, sensor.axis_indices]
+            for sensor in self._sensors
+        ]
+        return np.hstack([velocity, *wrenches])
+
+    def _measured_mean(self, windows: Windows, instants: FloatArray, sensor: WrenchSensor) -> FloatArray:
+        measured = self._measured(windows.stretch, sensor)
+        mean: FloatArray = interpolated(windows.stretch.times, measured, instants).mean(axis=1)
+        return mean
+
+    def of_noise(self, simulation: WindowSimulation, robot: WrittenRobot, undisturbed: Simulated) -> FloatArray:
+        """What noise in the efforts and wrenches changes, ``(draws W, channels)``."""
+        random = np.random.default_rng(_SEED)
+        changes: list[FloatArray] = []
+        for _ in range(_DRAWS):
+            noise = self._noise.at(simulation.instants, random.uniform(0.0, self._noise.duration))
+            disturbed = simulation.run(noise[..., : self._joints] / robot.gain)
+            velocity = disturbed.velocity[:, -1] - undisturbed.velocity[:, -1]
+            sensed = [
+                (robot.wrench(disturbed.sensed, sensor) - robot.wrench(undisturbed.sensed, sensor))[
+                    :, sensor.axis_indices
+                ]
+                for sensor in self._sensors
+            ]
+            changes.append(np.hstack([velocity, *sensed]))
+            changes[-1][:, self._joints :] -= noise[..., self._joints :].mean(axis=1)
+        return np.concatenate(changes)
+
+
+def root_mean_square(parts: Sequence[FloatArray]) -> FloatArray:
+    """Of parts ``(N, K)``, each column ``(K,)``; infinite where a simulation diverged."""
+    values = np.concatenate(parts)
+    size = np.sqrt(np.mean(np.where(np.isfinite(values), values, np.inf) ** 2, axis=0))
+    return np.asarray(size)

@@ -1,0 +1,21 @@
+"""MuJoCo, imported when it is first needed."""
+
+from __future__ import annotations
+
+import importlib
+from typing import Any
+
+from geomid_ros.errors import InputError
+
+
+def load_mujoco() -> Any:
+    """The module. Raises InputError when it does not import."""
+    try:
+        return importlib.import_module("mujoco")
+    except ImportError as error:
+        raise InputError(f"simulating needs MuJoCo, which does not import ({error}): pip install mujoco") from error
+
+
+def load_rollout() -> Any:
+    """MuJoCo's module for many runs at once."""
+    return importlib.import_module("mujoco.rollout")

@@ -1,0 +1,133 @@
+"""What was recorded, simulated again from the files that were written: before the findings and after."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from geomid_ros.model.measurement import MeasurementModel
+from geomid_ros.model.samples import Samples
+from geomid_ros.resimulation.errors import Errors, root_mean_square
+from geomid_ros.resimulation.noise import Noise
+from geomid_ros.resimulation.stretch import Stretch, stretches
+from geomid_ros.resimulation.windows import Windows, WindowSimulation
+from geomid_ros.resimulation.written_robot import ModelFiles, WrittenRobot
+from geomid_ros.types import BoolArray, FloatArray
+
+CUTOFF = 32.0
+"""Low-pass [Hz] of samples to simulate from, where the recording's rate allows it: dry friction jumps when a joint
+reverses, and a simulation feels every moment by which the measured effort jumps more slowly."""
+
+_STILL = 1e-3  # [rad, m] a joint that moves less is held by what nobody measures
+
+
+@dataclass(frozen=True, eq=False)
+class WindowTrace:
+    """The joints in the windows of one stretch: ``times (W, K)`` [s] and the velocities that were ``measured`` and come
+    ``before, after`` the findings, each ``(W, K, J)``."""
+
+    times: FloatArray
+    measured: FloatArray
+    before: FloatArray
+    after: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class Resimulated:
+    """Errors of the simulation in short windows, root mean square in units of what the noise alone makes of them: of a
+    joint's velocity at the end, of a wrench's mean. By joint or channel; without those that cannot be judged.
+
+    ``skipped`` says why there is nothing, else it is empty.
+    """
+
+    before: Mapping[str, float]
+    after: Mapping[str, float]
+    traces: tuple[WindowTrace, ...]
+    skipped: str = ""
+
+
+def resimulate(
+    model: MeasurementModel, before: ModelFiles, after: ModelFiles, recordings: Sequence[Samples], noise: Noise
+) -> Resimulated:
+    """Simulate ``recordings`` in windows of :data:`~geomid_ros.resimulation.windows.HORIZON`.
+
+    Each starts from the measured position and velocity and runs under the measured efforts, corrected by what the
+    sidecar says of their sensors. A joint whose effort is not measured, or that is held, follows its measured motion
+    and is not judged. The errors' unit is the root mean square of what ``noise``, added to the efforts at other times
+    than its own, changes: a perfect model has about 1 everywhere. Samples filtered at :data:`CUTOFF` are best.
+
+    Raises InputError for files that cannot be read.
+    """
+    reason = _why_not(model, recordings)
+    if reason:
+        return Resimulated({}, {}, (), reason)
+    parts = stretches(recordings)
+    robots = [WrittenRobot(files, model.robot.joint_names) for files in (before, after)]
+    judged = _judged_joints(parts)
+    for robot in robots:
+        robot.expect_load(robot.true_effort(np.concatenate([part.samples.effort for part in parts])))
+        for joint in np.flatnonzero(~judged):
+            robot.prescribe(int(joint))
+    errors = Errors(model, noise)
+    runs = [_simulated(part, errors, *robots) for part in parts]
+    floor = root_mean_square([run.noise for run in runs])
+    known = np.concatenate([judged, errors.measured_wrenches(parts)]) & (floor > 0.0)
+    ratios = (root_mean_square([getattr(run, kind) for run in runs]) / np.where(known, floor, 1.0) for kind in _KINDS)
+    of_before, of_after = (
+        {name: float(value) for name, value, good in zip(errors.names, ratio, known, strict=True) if good}
+        for ratio in ratios
+    )
+    return Resimulated(of_before, of_after, tuple(run.trace for run in runs))
+
+
+_KINDS = ("before", "after")
+
+
+@dataclass(frozen=True, eq=False)
+class _Run:
+    """The errors of a stretch's windows, each ``(W, channels)``, and the noise's ``(draws W, channels)``."""
+
+    before: FloatArray
+    after: FloatArray
+    noise: FloatArray
+    trace: WindowTrace
+
+
+def _simulated(stretch: Stretch, errors: Errors, before: WrittenRobot, after: WrittenRobot) -> _Run:
+    windows = Windows.of(stretch, min(before.step, after.step))
+    first, last = WindowSimulation(before, windows), WindowSimulation(after, windows)
+    of_first, of_last = first.run(), last.run()
+    trace = WindowTrace(
+        stretch.times[windows.samples],
+        stretch.samples.velocity[windows.samples],
+        of_first.velocity,
+        of_last.velocity,
+    )
+    return _Run(
+        errors.of(windows, first.instants, before, of_first),
+        errors.of(windows, last.instants, after, of_last),
+        errors.of_noise(last, after, of_last),
+        trace,
+    )
+
+
+def _why_not(model: MeasurementModel, recordings: Sequence[Samples]) -> str:
+    if model.robot.floating_base:
+        return "the base floats: without its contacts its motion cannot be simulated"
+    if any(sensor.role == "external" for sensor in model.sensors):
+        return "loads from outside act on the robot, which the written models do not have"
+    if not stretches(recordings):
+        return "the recording is too short"
+    if not np.any(_judged_joints(stretches(recordings))):
+        return "no joint both moves and has its effort measured"
+    return ""
+
+
+def _judged_joints(parts: Sequence[Stretch]) -> BoolArray:
+    """Whether each joint's motion follows from what was measured ``(J,)``: it moves, and its effort is known."""
+    measured = np.all([np.all(np.isfinite(part.samples.effort), axis=0) for part in parts], axis=0)
+    moves = np.max([np.ptp(part.samples.position, axis=0) for part in parts], axis=0) > _STILL
+    judged: BoolArray = measured & moves
+    return judged

@@ -1,0 +1,111 @@
+"""Short windows of a recording, simulated forward from measured states under measured efforts."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from geomid_ros.resimulation.stretch import Stretch, interpolated, smoothed
+from geomid_ros.resimulation.written_robot import Rollout, WrittenRobot
+from geomid_ros.types import FloatArray, IntArray
+
+# Long enough for the noise of efforts to average out, short enough for errors not to grow by themselves: an arm that
+# falls like a pendulum of half a metre makes 1.1 of an error of 1 in this time.
+HORIZON = 0.1  # [s]
+_GEAR_CUTOFF = 8.0  # [Hz] of what turns gears that give; faster is the noise of accelerations
+_MOST_STEPS = 30_000  # of all windows of a stretch together; of more, evenly spaced ones are simulated
+
+
+@dataclass(frozen=True, eq=False)
+class Windows:
+    """Windows of one stretch, each of ``intervals`` sampling periods; ``starts (W,)`` index its samples."""
+
+    stretch: Stretch
+    starts: IntArray
+    intervals: int
+
+    @staticmethod
+    def of(stretch: Stretch, step: float) -> Windows:
+        """The windows to be simulated in steps of ``step`` [s]."""
+        intervals = max(1, round(HORIZON / stretch.period))
+        starts = np.arange(0, len(stretch.times) - intervals, intervals)
+        affordable = max(1, int(_MOST_STEPS * step / (intervals * stretch.period)))
+        return Windows(stretch, starts[:: max(1, -(-len(starts) // affordable))], intervals)
+
+    @staticmethod
+    def whole(stretch: Stretch) -> Windows:
+        """All of a stretch as one window."""
+        return Windows(stretch, np.zeros(1, dtype=np.int64), len(stretch.times) - 1)
+
+    @property
+    def samples(self) -> IntArray:
+        """Indices of each window's samples behind its start ``(W, intervals)``."""
+        result: IntArray = self.starts[:, None] + 1 + np.arange(self.intervals)
+        return result
+
+    def substeps(self, step: float) -> int:
+        """Number of integration steps, none longer than ``step`` [s], from one sample to the next."""
+        return max(1, int(np.ceil(self.stretch.period / step - 1e-9)))
+
+    def instants(self, substeps: int) -> FloatArray:
+        """The middles of the integration steps of each window ``(W, steps)`` [s]."""
+        steps = np.arange(self.intervals * substeps) + 0.5
+        return self.stretch.times[self.starts, None] + self.stretch.period * steps / substeps
+
+
+@dataclass(frozen=True, eq=False)
+class Simulated:
+    """What the windows led to: the joints' ``position, velocity (W, intervals, J)`` at their samples, and the mean over
+    each window of what the sensors would show, ``sensed (W, values)``."""
+
+    position: FloatArray
+    velocity: FloatArray
+    sensed: FloatArray
+
+
+class WindowSimulation:
+    """Windows on one robot; :meth:`run` may be called with disturbed efforts."""
+
+    def __init__(self, robot: WrittenRobot, windows: Windows) -> None:
+        self._robot = robot
+        self.windows = windows
+        self._substeps = windows.substeps(robot.step)
+        self.step = windows.stretch.period / self._substeps
+        self.instants = windows.instants(self._substeps)
+
+    @cached_property
+    def driving(self) -> FloatArray:
+        """Measured efforts as they drive the joints in MuJoCo, in the middle of each step ``(W, steps, J)``."""
+        return driving_efforts(self._robot, self.windows.stretch, self.instants)
+
+    @cached_property
+    def _states(self) -> tuple[FloatArray, FloatArray]:
+        """MuJoCo's positions and velocities at the windows' starts, each ``(W, nv)``."""
+        robot, stretch, starts = self._robot, self.windows.stretch, self.windows.starts
+        position, velocity = np.zeros((2, len(starts), robot.model.nv))
+        samples = stretch.samples.select(starts)
+        position[:, robot.dofs], velocity[:, robot.dofs] = samples.position, samples.velocity
+        if robot.gears:
+            gears = list(robot.gears)
+            deflection, rate = smoothed(robot.gear_deflections(stretch.samples), stretch.period, _GEAR_CUTOFF)
+            position[:, gears], velocity[:, gears] = deflection[starts], rate[starts]
+        return position, velocity
+
+    def run(self, disturbance: FloatArray | float = 0.0, driving: FloatArray | None = None) -> Simulated:
+        """Simulate under the measured efforts, or those ``driving (W, steps, J)``, and a disturbance of that shape."""
+        efforts = (self.driving if driving is None else driving) + disturbance
+        return self._simulated(self._robot.rollout(*self._states, efforts, self.step))
+
+    def _simulated(self, rollout: Rollout) -> Simulated:
+        at_samples = slice(self._substeps - 1, None, self._substeps)
+        return Simulated(rollout.position[:, at_samples], rollout.velocity[:, at_samples], rollout.sensed.mean(axis=1))
+
+
+def driving_efforts(robot: WrittenRobot, stretch: Stretch, instants: FloatArray) -> FloatArray:
+    """Measured efforts as they drive the joints in MuJoCo at ``instants (...)`` [s], ``(..., J)``."""
+    samples, times = stretch.samples, stretch.times
+    true = robot.true_effort(interpolated(times, samples.effort, instants + robot.delay))
+    velocity, acceleration = (interpolated(times, a, instants) for a in (samples.velocity, samples.acceleration))
+    return robot.driving_effort(true, velocity, acceleration)

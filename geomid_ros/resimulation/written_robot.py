@@ -1,0 +1,228 @@
+"""A robot as its written MJCF and sidecar say, in MuJoCo."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from geomid_ros.errors import InputError, unknown_name
+from geomid_ros.files.effect_forms import values
+from geomid_ros.files.sidecar import read_sidecar
+from geomid_ros.model.samples import Samples
+from geomid_ros.model.sensors import AXES, WrenchSensor
+from geomid_ros.resimulation.mujoco_module import load_mujoco, load_rollout
+from geomid_ros.types import BoolArray, FloatArray, IntArray
+
+_STILL_SPEED = 0.02  # [rad/s, m/s] within which the sign of a velocity is smoothed
+_IMMOVABLE = 1e7  # [kg m^2, kg] inertia of a joint that follows its measured motion, whatever acts on it
+
+
+@dataclass(frozen=True)
+class ModelFiles:
+    """An MJCF and, if there is one, its sidecar of effects."""
+
+    mjcf: Path
+    effects: Path | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Rollout:
+    """The joints' ``position, velocity (W, steps, J)`` after each step of W runs, and what the sensors show before it,
+    ``sensed (W, steps, values)``."""
+
+    position: FloatArray
+    velocity: FloatArray
+    sensed: FloatArray
+
+
+class WrittenRobot:
+    """A compiled ``model`` with a fixed base. Arrays ``(..., J)`` follow ``joints``, the measured ones.
+
+    ``dofs (J,)`` are the joints' places in MuJoCo's qpos and qvel, which are alike; ``gears`` names the hinges behind
+    the joints (see :mod:`geomid_ros.files.mjcf`) by their places.
+    """
+
+    def __init__(self, files: ModelFiles, joints: Sequence[str]) -> None:
+        """Read the files. Raises InputError naming the file."""
+        self.joints = tuple(joints)
+        self.mujoco = load_mujoco()
+        self.model = self._loaded(files.mjcf)
+        names = {self.model.joint(index).name: index for index in range(self.model.njnt)}
+        for joint in joints:
+            if joint not in names:
+                raise InputError(f"{files.mjcf}: {unknown_name('joint', joint, names)}")
+        self.dofs: IntArray = np.array([names[joint] for joint in joints], dtype=np.int64)
+        self.gears = {names[name]: name for name in names if name.endswith(("/elasticity", "/backlash"))}
+        self._read_effects(files)
+        # All of Stribeck's friction holds a joint at rest; what the motion takes off it is in unsaid_friction.
+        self.model.dof_frictionloss[self.dofs] += self._excess
+        # Stops at the ends of a joint's range are not in the measurements; those of a backlash stay.
+        self.model.jnt_limited[self.dofs] = 0
+        self.model.opt.disableflags |= self.mujoco.mjtDisableBit.mjDSBL_AUTORESET
+
+    def _loaded(self, path: Path) -> Any:
+        try:
+            model = self.mujoco.MjModel.from_xml_path(str(path))
+        except ValueError as error:
+            raise InputError(f"{path}: MuJoCo cannot read this model ({' '.join(str(error).split())})") from error
+        if model.nq != model.njnt:
+            raise InputError(f"{path}: has joints of several axes, or a floating base, which cannot be simulated again")
+        return model
+
+    def _read_effects(self, files: ModelFiles) -> None:
+        """What the MJCF does not say: of the effort sensors, of friction, of the wrench sensors."""
+        count = len(self.joints)
+        self.gain, self.offset, self.delay = np.ones(count), np.zeros(count), 0.0
+        self._excess, self._speed, self._load_friction = np.zeros(count), np.ones(count), np.zeros(count)
+        self._usual_load = np.zeros(count)
+        self.wrench_offset: dict[str, Mapping[str, float]] = {}
+        of_joints = {
+            "effort_gain": (("gain", self.gain),),
+            "effort_offset": (("offset", self.offset),),
+            "stribeck_friction": (("excess", self._excess), ("speed", self._speed)),
+            "load_friction": (("coefficient", self._load_friction),),
+        }
+        for effect in read_sidecar(files.effects).effects if files.effects else ():
+            if effect.effect in of_joints:
+                if effect.joint not in self.joints:
+                    raise InputError(f"{files.effects}: {unknown_name('joint', effect.joint, self.joints)}")
+                for name, array in of_joints[effect.effect]:
+                    array[self.joints.index(effect.joint)] = values(effect)[name]
+            elif effect.effect == "effort_delay":
+                self.delay = values(effect)["delay"]
+            elif effect.effect == "wrench_offset":
+                self.wrench_offset[effect.joint] = values(effect)
+
+    @property
+    def step(self) -> float:
+        """The MJCF's time step [s]."""
+        return float(self.model.opt.timestep)
+
+    def prescribe(self, joint: int) -> None:
+        """Let a joint follow its measured motion: :meth:`driving_effort` accelerates it as measured."""
+        self.model.dof_armature[self.dofs[joint]] = _IMMOVABLE
+        self.mujoco.mj_setConst(self.model, self.mujoco.MjData(self.model))
+
+    @contextmanager
+    def in_closed_loop(self, stiffness: FloatArray, damping: FloatArray, controlled: BoolArray) -> Iterator[None]:
+        """With springs and dampers ``(J,)`` of a controller at the joints, their set-points at zero; joints that are
+        not ``controlled`` follow their measured motion."""
+        model, dofs = self.model, self.dofs
+        names = ("jnt_stiffness", "dof_damping", "dof_armature", "qpos_spring")
+        written = {name: getattr(model, name).copy() for name in names}
+        total = model.jnt_stiffness[dofs] + stiffness
+        torque = model.jnt_stiffness[dofs] * model.qpos_spring[dofs]
+        model.qpos_spring[dofs] = np.divide(torque, total, out=np.zeros(len(dofs)), where=total != 0.0)
+        model.jnt_stiffness[dofs] = total
+        model.dof_damping[dofs] += damping
+        model.dof_armature[dofs[~controlled]] = _IMMOVABLE
+        try:
+            yield
+        finally:
+            for name, values in written.items():
+                getattr(model, name)[:] = values
+
+    def expect_load(self, true_effort: FloatArray) -> None:
+        """Let friction by load hold a joint at rest as strongly as under its mean load in ``true_effort (N, J)``; what
+        the load of the moment differs is in :meth:`unsaid_friction`."""
+        self._usual_load = np.nan_to_num(np.mean(np.abs(true_effort), axis=0))
+        self.model.dof_frictionloss[self.dofs] += self._load_friction * self._usual_load
+
+    @property
+    def prescribed(self) -> BoolArray:
+        """Whether each joint follows its measured motion ``(J,)``."""
+        return np.asarray(self.model.dof_armature[self.dofs] == _IMMOVABLE)
+
+    @staticmethod
+    def prescribed_effort(acceleration: FloatArray) -> FloatArray:
+        """What accelerates joints that follow their measured motion."""
+        return _IMMOVABLE * acceleration
+
+    def driving_effort(self, true_effort: FloatArray, velocity: FloatArray, acceleration: FloatArray) -> FloatArray:
+        """What drives the joints ``(..., J)`` in MuJoCo: the motors' true efforts less the friction that the MJCF does
+        not say, at this velocity and acceleration."""
+        friction = self.unsaid_friction(true_effort, velocity, acceleration)
+        follows = self.prescribed
+        driven: FloatArray = np.where(follows, self.prescribed_effort(acceleration), true_effort - friction)
+        return driven
+
+    def unsaid_friction(self, true_effort: FloatArray, velocity: FloatArray, acceleration: FloatArray) -> FloatArray:
+        """Friction ``(..., J)`` that only the sidecar says: what Stribeck's takes off at speed, and what the load adds.
+
+        A gear that passes tau on, of a motor whose effort less all other friction and rotor is u, has
+        ``u = tau + c |tau| s`` with the direction of motion s.
+        """
+        sign = np.tanh(velocity / _STILL_SPEED)
+        stribeck = self._excess * np.expm1(-((velocity / self._speed) ** 2)) * sign
+        model, dofs = self.model, self.dofs
+        dry = model.dof_frictionloss[dofs] - self._load_friction * self._usual_load
+        known = model.dof_damping[dofs] * velocity + dry * sign + stribeck
+        arriving = true_effort - known - np.where(self.prescribed, 0.0, model.dof_armature[dofs]) * acceleration
+        along = np.sign(arriving) * sign
+        passed = np.abs(arriving) / (1.0 + self._load_friction * along)
+        unsaid: FloatArray = stribeck + self._load_friction * (passed - self._usual_load) * sign
+        return unsaid
+
+    def true_effort(self, measured: FloatArray) -> FloatArray:
+        """What the motors supply where the effort sensors show ``measured (..., J)``, delays apart."""
+        true: FloatArray = (measured - self.offset) / self.gain
+        return true
+
+    def measured_effort(self, true: FloatArray) -> FloatArray:
+        """What the effort sensors show where the motors supply ``true (..., J)``, delays apart."""
+        measured: FloatArray = self.gain * true + self.offset
+        return measured
+
+    def wrench(self, sensed: FloatArray, sensor: WrenchSensor) -> FloatArray:
+        """What a mounted sensor shows, its sign reversed if it is ``(..., 6)``, of all ``sensed (..., values)``."""
+        force, torque = (self.model.sensor(f"{sensor.topic}/{kind}").adr[0] for kind in ("force", "torque"))
+        offset = [self.wrench_offset.get(sensor.topic, {}).get(axis, 0.0) for axis in AXES]
+        return np.concatenate([sensed[..., force : force + 3], sensed[..., torque : torque + 3]], axis=-1) + offset
+
+    def gear_deflections(self, samples: Samples) -> FloatArray:
+        """How far the hinges of ``gears`` are turned ``(N, gears)`` while the joints move, without swinging."""
+        gears = list(self.gears)
+        elastic = np.array([name.endswith("/elasticity") for name in self.gears.values()])
+        stiffness = np.where(elastic, self.model.jnt_stiffness[gears], 1.0)
+        play = np.where(elastic, 0.0, self.model.jnt_range[gears, 1])
+        efforts = self._gear_efforts(samples)
+        deflections: FloatArray = np.where(elastic, -efforts / stiffness, -play * np.sign(efforts))
+        return deflections
+
+    def _gear_efforts(self, samples: Samples) -> FloatArray:
+        """Efforts ``(N, gears)`` that the hinges of ``gears`` transmit while the joints move and nothing gives."""
+        data = self.mujoco.MjData(self.model)
+        efforts = np.zeros((len(samples), len(self.gears)))
+        for index in range(len(samples)):
+            data.qpos[self.dofs] = samples.position[index]
+            data.qvel[self.dofs] = samples.velocity[index]
+            data.qacc[self.dofs] = samples.acceleration[index]
+            self.mujoco.mj_inverse(self.model, data)
+            efforts[index] = data.qfrc_inverse[list(self.gears)]
+        return efforts
+
+    def rollout(self, position: FloatArray, velocity: FloatArray, efforts: FloatArray, step: float) -> Rollout:
+        """Integrate in steps of ``step`` [s] from states, ``position, velocity (W, nv)`` in MuJoCo's order, under
+        ``efforts (W, steps, J)`` of the joints."""
+        model, mujoco = self.model, self.mujoco
+        applied = np.zeros((*efforts.shape[:2], model.nv))
+        applied[:, :, self.dofs] = efforts
+        written, model.opt.timestep = model.opt.timestep, step
+        try:
+            states, sensed = load_rollout().rollout(
+                model,
+                [mujoco.MjData(model) for _ in range(os.cpu_count() or 1)],
+                np.hstack([np.zeros((len(position), 1)), position, velocity]),
+                applied,
+                control_spec=mujoco.mjtState.mjSTATE_QFRC_APPLIED,
+                persistent_pool=True,
+            )
+        finally:
+            model.opt.timestep = written
+        return Rollout(states[:, :, 1 + self.dofs], states[:, :, 1 + model.nq + self.dofs], sensed)

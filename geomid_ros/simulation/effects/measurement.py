@@ -1,0 +1,63 @@
+"""Effects of measurement: what the sensors make of the true efforts and wrench, before noise.
+
+The table is in the order in which they apply: a late signal is scaled, then offset.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from geomid_ros.simulation.effects.effect import Effect
+from geomid_ros.simulation.trace import Trace
+from geomid_ros.types import FloatArray
+
+Parameters = Mapping[str, float]
+
+
+def _effort_delay(trace: Trace, _: int, parameters: Parameters) -> Trace:
+    seen = trace.time - parameters["delay"]
+    columns = [np.interp(seen, trace.fine_time, column) for column in trace.fine_effort.T]
+    return replace(trace, effort=np.stack(columns, axis=1))
+
+
+def _effort_gain(trace: Trace, joint: int, parameters: Parameters) -> Trace:
+    return _with_effort(trace, joint, parameters["gain"] * trace.effort[:, joint])
+
+
+def _effort_offset(trace: Trace, joint: int, parameters: Parameters) -> Trace:
+    return _with_effort(trace, joint, trace.effort[:, joint] + parameters["offset"])
+
+
+def _drift(trace: Trace, joint: int, parameters: Parameters) -> Trace:
+    return _with_effort(trace, joint, trace.effort[:, joint] + parameters["rate"] * trace.time)
+
+
+def _wrench_offset(trace: Trace, _: int, parameters: Parameters) -> Trace:
+    return replace(trace, wrench=trace.wrench + [parameters[name] for name in ("fx", "fy", "fz", "tx", "ty", "tz")])
+
+
+def _with_effort(trace: Trace, joint: int, column: FloatArray) -> Trace:
+    effort = trace.effort.copy()
+    effort[:, joint] = column
+    return replace(trace, effort=effort)
+
+
+MEASURED: dict[str, Callable[[Trace, int, Parameters], Trace]] = {
+    "effort_delay": _effort_delay,
+    "effort_gain": _effort_gain,
+    "effort_offset": _effort_offset,
+    "drift": _drift,
+    "wrench_offset": _wrench_offset,
+}
+
+
+def sensed(trace: Trace, joints: Sequence[str], effects: Iterable[Effect]) -> Trace:
+    """What sensors without noise show of a true ``trace`` of ``joints``."""
+    order = list(MEASURED)
+    for effect in sorted((e for e in effects if e.name in MEASURED), key=lambda effect: order.index(effect.name)):
+        joint = joints.index(effect.joint) if effect.joint in joints else -1
+        trace = MEASURED[effect.name](trace, joint, effect.parameters)
+    return trace

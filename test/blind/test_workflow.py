@@ -1,0 +1,79 @@
+"""A small fixed part of the bench: hidden effects are found by the command, from the bags alone."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+from commands.running import done
+
+from geomid_ros.simulation import WRIST_FRAME, Hidden, SimulationOptions, simulate
+from geomid_ros.simulation.robots import robot_description
+
+PERIOD = 5.0
+ARM3 = SimulationOptions(robot="arm3", duration=12.0, inertia_error=0.15, motion_period=PERIOD, motion_harmonics=7)
+ARM7 = replace(ARM3, robot="arm7", wrench_frame=WRIST_FRAME)
+
+
+@dataclass(frozen=True)
+class Hiding:
+    """What is hidden in which robot."""
+
+    options: SimulationOptions
+    hide: tuple[Hidden, ...] = ()
+
+
+CASES = {
+    "friction": Hiding(replace(ARM3, seed=11), (Hidden("coulomb_friction", "joint2"),)),
+    "delay": Hiding(replace(ARM3, seed=12), (Hidden("effort_delay", "", 0.006),)),
+    "two at once": Hiding(replace(ARM3, seed=13), (Hidden("spring", "joint3"), Hidden("viscous_friction", "joint1"))),
+    "payload": Hiding(replace(ARM7, seed=14), (Hidden("payload", "tool", 1.5),)),
+}
+
+
+def found(hiding: Hiding, folder: Path) -> tuple[dict[str, Any], list[dict[str, Any]]]:
+    """The workflow's gap.json, and what is true."""
+    pytest.importorskip("mujoco")
+    options = replace(hiding.options, hide=hiding.hide)
+    for index, name in enumerate(("one", "two", "other")):
+        simulate(folder / name, replace(options, motion_seed=100 + index))
+    (folder / "robot.urdf").write_text(robot_description(options.robot))
+    bags: list[str | Path] = [
+        folder / "one",
+        folder / "two",
+        "--validate",
+        folder / "other",
+        "--urdf",
+        folder / "robot.urdf",
+    ]
+    sensor = ["--wrench", f"/wrench:{WRIST_FRAME}:mounted"] if options.wrench_frame else []
+    document = json.loads(done("gap", *bags, *sensor, "--out", folder / "out", "--json"))
+    return document, json.loads((folder / "other.truth.json").read_text())["effects"]
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_it_is_named(case: str, tmp_path: Path) -> None:
+    document, truth = found(CASES[case], tmp_path)
+    confident = [entry for entry in document["findings"] if entry["confidence"] == "confident"]
+    assert {(entry["effect"], entry["joint"]) for entry in confident} == {
+        (entry["effect"], entry["joint"]) for entry in truth
+    }
+    for entry in truth:
+        main = next(iter(entry["parameters"]))
+        (named,) = (one for one in confident if one["effect"] == entry["effect"])
+        assert named["parameters"][main]["value"] == pytest.approx(entry["parameters"][main], rel=0.1)
+
+
+def test_coloured_noise_is_no_effect(tmp_path: Path) -> None:
+    document, _ = found(Hiding(replace(ARM3, seed=15, noise_time=0.05)), tmp_path)
+    assert document["findings"] == []
+
+
+def test_what_has_no_name_gets_none(tmp_path: Path) -> None:
+    document, truth = found(Hiding(replace(ARM3, seed=16), (Hidden("cogging", "joint2"),)), tmp_path)
+    assert [entry for entry in document["findings"] if entry["confidence"] == "confident"] == []
+    assert "joint2" in [entry["joint"] for entry in document["unexplained"]]
+    assert truth[0]["joint"] == "joint2"

@@ -1,0 +1,231 @@
+"""``geomid gap``: what is hidden in a recording comes out at the other end, and what cannot be judged is refused."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from files.recordings import BAGS, Recorded, altered, recorded, write_bag
+
+from geomid_ros.files.results import read_estimate
+from geomid_ros.files.sidecar import read_sidecar
+from geomid_ros.files.urdf import read_urdf
+from geomid_ros.geometry import pseudo_inertia
+from geomid_ros.model.robot import Robot
+from geomid_ros.simulation import SimulationOptions, simulate
+from geomid_ros.simulation.hidden import Hidden
+
+from .running import done, refused
+
+URDF = BAGS / "arm3.urdf"
+LEVEL = 1.0  # of the friction that is hidden at joint2 [N m]
+FILES = {"gap.json", "report.html", "estimate.json", "identified.urdf", "identified.xml", "effects.yaml"}
+Arguments = Sequence[str | Path]
+
+
+def robot(bag: Path, hide: Hidden | None, **options: Any) -> Path:
+    """A recording of the small arm in which ``hide`` is hidden."""
+    pytest.importorskip("mujoco")
+    hidden = (hide,) if hide else ()
+    simulate(bag, SimulationOptions(robot="arm3", seed=5, duration=15.0, hide=hidden, commands=True, **options))
+    return bag
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("gap")
+
+
+@pytest.fixture(scope="module")
+def rubbing(folder: Path) -> Path:
+    return robot(folder / "rubbing", Hidden("coulomb_friction", "joint2", LEVEL))
+
+
+@pytest.fixture(scope="module")
+def found(folder: Path, rubbing: Path) -> tuple[Path, str]:
+    """The folder of results of that recording, and what was printed."""
+    out = folder / "new/out"
+    return out, done("gap", rubbing, "--urdf", URDF, "--out", out, "--command", "/joint_commands")
+
+
+def read(out: Path) -> dict[str, Any]:
+    document: dict[str, Any] = json.loads((out / "gap.json").read_text())
+    return document
+
+
+def test_it_writes_what_it_says(found: tuple[Path, str]) -> None:
+    out, text = found
+    assert {path.name for path in out.iterdir()} == FILES
+    assert all(str(out / name) in text for name in FILES)
+
+
+def test_what_was_hidden_is_found(found: tuple[Path, str]) -> None:
+    out, _ = found
+    finding = read(out)["findings"][0]
+    assert finding["joint"] == "joint2"
+    assert finding["parameters"]["level"]["value"] == pytest.approx(LEVEL, rel=0.05)
+    assert finding["parameters"]["level"]["unit"] == "N m"
+
+
+def test_the_gap_shrinks_on_data_that_were_not_fitted(found: tuple[Path, str]) -> None:
+    document = read(found[0])
+    before, after = document["gap"]["before"], document["gap"]["after"]
+    assert set(before) == set(after) == {"joint1", "joint2", "joint3"}
+    assert after["joint2"] < 0.1 * before["joint2"]
+
+
+def test_the_written_model_is_simulated_again(found: tuple[Path, str]) -> None:
+    for how in ("resimulated", "closed_loop"):
+        errors = read(found[0])[how]
+        assert errors["after"]["joint2"] < 0.3 * errors["before"]["joint2"], how
+    assert "Simulated again in closed" in found[1]
+
+
+def test_the_terminal_and_the_page_say_the_same(found: tuple[Path, str]) -> None:
+    out, text = found
+    page = (out / "report.html").read_text()
+    sentence = " ".join(text.partition("What was found")[0].split()[1:])
+    assert sentence.startswith("Found: ")
+    assert sentence in page
+    assert "Simulated again" in page
+
+
+def test_the_written_model_has_what_was_found(found: tuple[Path, str]) -> None:
+    out, _ = found
+    level = read(out)["findings"][0]["parameters"]["level"]["value"]
+    sidecar = read_sidecar(out / "effects.yaml")
+    assert sidecar.robot == "arm3"
+    assert sidecar.effects[0].parameters["level"].value == level
+    assert f'friction="{level:.9g}"' in (out / "identified.urdf").read_text()
+    links = read_estimate(out / "estimate.json")["links"]
+    bodies = {body.name: body for body in Robot(read_urdf(out / "identified.urdf")).bodies}
+    assert {link["name"]: link["mass"] for link in links} == pytest.approx(
+        {name: body.parameters[0] for name, body in bodies.items()}, rel=1e-8
+    )
+
+
+@pytest.fixture(scope="module")
+def model(folder: Path) -> Path:
+    """An estimate that knows the friction already, beside the robot's description."""
+    known = folder / "known"
+    known.mkdir()
+    (known / "identified.urdf").write_text(URDF.read_text())
+    links = [
+        {
+            "name": body.name,
+            "mass": body.parameters[0],
+            "com": pseudo_inertia.centre_of_mass(body.parameters).tolist(),
+            "inertia": pseudo_inertia.central_inertia(body.parameters).tolist(),
+        }
+        for body in Robot(read_urdf(URDF)).bodies
+    ]
+    effect = {"name": "coulomb_friction", "joint": "joint2", "value": LEVEL}
+    (known / "estimate.json").write_text(json.dumps({"format": 1, "links": links, "effects": [effect]}))
+    return known / "estimate.json"
+
+
+def test_what_the_model_knows_is_no_gap(found: tuple[Path, str], rubbing: Path, model: Path, tmp_path: Path) -> None:
+    """The description is found beside the estimate; what is printed is gap.json."""
+    document = json.loads(done("gap", rubbing, "--model", model, "--out", tmp_path, "--json"))
+    assert document == read(tmp_path)
+    assert document["gap"]["before"]["joint2"] < 0.3 * read(found[0])["gap"]["before"]["joint2"]
+    assert document["closed_loop"] is None
+    effects = read_sidecar(tmp_path / "effects.yaml").effects
+    levels = [e.parameters["level"].value for e in effects if e.joint == "joint2" and "level" in e.parameters]
+    assert sum(levels) == pytest.approx(LEVEL, rel=0.05), "once, whether something was named anew or not"
+    assert "already in the model" in (tmp_path / "report.html").read_text()
+
+
+def test_nothing_hidden_is_nothing_found(tmp_path: Path) -> None:
+    bag = robot(tmp_path / "bag", None, inertia_error=0.0)
+    text = done("gap", bag, "--urdf", URDF, "--out", tmp_path / "out", "--validate", bag)
+    assert text.startswith("NO GAP  Nothing found")
+    assert "What was found" not in text
+    assert "Nothing found" in (tmp_path / "out/report.html").read_text()
+    assert read(tmp_path / "out")["findings"] == []
+
+
+# --- What is refused ---
+
+
+def joints(**fields: object) -> Callable[[Recorded], Recorded]:
+    """Changes joint messages."""
+    return lambda item: item.changed(**fields) if item.topic == "/joint_states" else item
+
+
+def standing(folder: Path) -> Arguments:
+    """The small arm's recording of a robot that never moves."""
+    still = joints(position=np.array([0.1, 0.2, 0.3]), velocity=np.zeros(3))
+    return altered(BAGS / "arm3", folder / "still", still), "--urdf", URDF, "--hold-out", "0.1"
+
+
+def without_efforts(folder: Path) -> Arguments:
+    return altered(BAGS / "arm3", folder / "silent", joints(effort=np.array([]))), "--urdf", URDF
+
+
+def cut(folder: Path, seconds: float) -> Path:
+    items = recorded(BAGS / "arm3")
+    end = items[0].time + seconds * 1e9
+    return write_bag(folder / "cut", [item for item in items if item.time < end])
+
+
+def twin(make: Callable[[Path], Path | str]) -> Callable[[Path], Arguments]:
+    return lambda folder: (BAGS / "arm3", "--urdf", URDF, "--simulated", make(folder))
+
+
+def other_motion(folder: Path) -> Path:
+    def moved(item: Recorded) -> Recorded:
+        return item.changed(position=-item.message.position, velocity=-item.message.velocity)
+
+    return altered(BAGS / "arm3", folder / "mirrored", lambda i: moved(i) if i.topic == "/joint_states" else i)
+
+
+def without_names(folder: Path) -> Path:
+    return altered(BAGS / "arm3", folder / "renamed", joints(name=["a", "b", "c"]))
+
+
+CASES: dict[str, tuple[Callable[[Path], Arguments], str]] = {
+    "too short for the filter": (lambda f: (cut(f, 0.3), "--urdf", URDF), r"cut: no usable samples. it is shorter"),
+    "too short to say anything": (lambda f: (cut(f, 4.0), "--urdf", URDF), r"cut: too short: .*record half a minute"),
+    "without motion": (standing, r"still: no joint moves: record a motion"),
+    "without efforts": (without_efforts, r"silent: no effort is measured.*joint1, joint2, joint3"),
+    "nothing to judge on": (
+        lambda _: (BAGS / "arm3", "--urdf", URDF, "--hold-out", "0"),
+        r"nothing to judge on: hold out.*--hold-out.*--validate",
+    ),
+    "no description": (lambda _: (BAGS / "arm3",), r"Missing option '--urdf', or '--model'"),
+    "no description beside the model": (
+        lambda f: (BAGS / "arm3", "--model", f / "estimate.json"),
+        r"estimate.json: there is no identified.urdf beside it; .*--urdf",
+    ),
+    "no such topic of commands": (
+        lambda _: (BAGS / "arm3", "--urdf", URDF, "--command", "/cmd"),
+        r"arm3: has no topic /cmd, which --command names",
+    ),
+    "no such simulation": (twin(lambda f: f / "nowhere"), "nowhere: no such bag"),
+    "more simulations than bags": (
+        lambda _: (BAGS / "arm3", "--urdf", URDF, *2 * ("--simulated", BAGS / "arm3")),
+        "2 recordings of a simulator for 1 bags: give --simulated once for each bag",
+    ),
+    "a simulation of another robot": (twin(without_names), r"renamed: no usable samples.*'joint1' is missing"),
+    "a shorter simulation": (
+        twin(lambda f: cut(f, 5.0)),
+        r"cut: 4.\d s of simulation for the 7.\d s of .*arm3. Record",
+    ),
+    "a simulation of another motion": (twin(other_motion), r"mirrored: joint 'joint\d' moves otherwise than in .*arm3"),
+    "a simulation without efforts": (twin(lambda f: without_efforts(f)[0]), r"silent: no effort is measured"),
+}
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_bad_input_is_refused(case: str, tmp_path: Path) -> None:
+    make, message = CASES[case]
+    out = tmp_path / "out"
+    text = refused("gap", *make(tmp_path), "--out", out)
+    assert re.search(message, text), text
+    assert not out.exists()

@@ -1,0 +1,29 @@
+"""Effects made by hand, for tests of what is written of them."""
+
+from __future__ import annotations
+
+from geomid_ros.files.effect_forms import FORMS, KnownEffect
+from geomid_ros.gap.result import Quantity
+
+
+def effect(name: str, place: str = "", **parameters: float) -> KnownEffect:
+    """An effect at a joint, a link or a topic, in units of a turning joint, every standard deviation a tenth."""
+    form = FORMS[name]
+    quantities = {
+        key: Quantity(value, abs(value) / 10.0, form.parameters[key].units[0]) for key, value in parameters.items()
+    }
+    return KnownEffect(name, "" if form.place == "link" else place, place if form.place == "link" else "", quantities)
+
+
+PAYLOAD = {
+    "mass": 1.5,
+    "com_x": 0.02,
+    "com_y": -0.03,
+    "com_z": 0.08,
+    "ixx": 0.004,
+    "ixy": 0.0005,
+    "ixz": -0.0003,
+    "iyy": 0.005,
+    "iyz": 0.0002,
+    "izz": 0.003,
+}

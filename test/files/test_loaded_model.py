@@ -1,0 +1,231 @@
+"""A session that starts from a model with effects predicts with them; its own estimate is such a model again."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from model.robots import Reference, random_samples
+
+from geomid_ros.errors import InputError
+from geomid_ros.estimation.estimate import EffectEstimate
+from geomid_ros.files.configuration import Configuration
+from geomid_ros.files.effect_forms import KnownEffect, combined, payload_parameters, tilted_gravity
+from geomid_ros.files.gap_model import write_model
+from geomid_ros.files.loaded_model import LoadedModel
+from geomid_ros.files.results import estimate_document, write_estimate
+from geomid_ros.files.urdf import read_urdf
+from geomid_ros.geometry import pseudo_inertia
+from geomid_ros.model.measurement import MeasurementModel
+from geomid_ros.model.robot import GRAVITY, Robot
+from geomid_ros.model.sensors import WrenchSensor
+from geomid_ros.session import Session
+from geomid_ros.types import FloatArray
+
+from .effects import PAYLOAD, effect
+from .estimates import estimate_of, link_estimate
+from .recordings import BAGS
+
+ARM = read_urdf(BAGS / "arm3.urdf")
+EXACT = 1e-9
+
+
+def session_with(tmp_path: Path, known: Iterable[KnownEffect], **values: Any) -> Session:
+    """A session of the arm from an estimate.json with the URDF's inertias and these effects."""
+    robot = Robot(ARM)
+    inertias = {body.name: body.parameters for body in robot.bodies}
+    write_model(tmp_path, MeasurementModel(robot, ()), ARM, inertias, known, GRAVITY)
+    configuration = Configuration({"model": str(tmp_path / "estimate.json"), **values}, "test")
+    return Session(ARM, configuration, "arm3.urdf")
+
+
+def predicted(session: Session, seed: int = 1) -> tuple[FloatArray, Any]:
+    """Efforts ``(N, joints)`` of random motions at what is known, and the motions."""
+    samples = random_samples(session.robot, seed, count=20)
+    parameters = session.prior
+    assert parameters is not None
+    return session.model.predicted_efforts(samples, np.nan_to_num(parameters)), samples
+
+
+@pytest.mark.parametrize("common", [[""], ["coulomb_friction", "effort_offset"]])
+def test_effects_of_joints_are_predicted(tmp_path: Path, common: list[str]) -> None:
+    effects = [
+        effect("viscous_friction", "joint1", coefficient=0.3),
+        effect("stribeck_friction", "joint2", level=2.0, excess=1.0, speed=0.5),
+        effect("coulomb_friction", "joint2", level=0.5),
+        effect("rotor_inertia", "joint2", inertia=0.4),
+        effect("spring", "joint3", stiffness=5.0, equilibrium=0.2),
+        effect("effort_offset", "joint3", offset=0.7),
+    ]
+    found, samples = predicted(session_with(tmp_path, effects, effects=common))
+    q, v, a = samples.position, samples.velocity, samples.acceleration
+    sign = np.tanh(v[:, 1] / 0.02)
+    _, expected = Reference(ARM).inverse_dynamics(samples, ["joint1", "joint2", "joint3"])
+    expected[:, 0] += 0.3 * v[:, 0]
+    expected[:, 1] += sign * (2.5 + np.exp(-((v[:, 1] / 0.5) ** 2))) + 0.4 * a[:, 1]
+    expected[:, 2] += 5.0 * (q[:, 2] - 0.2) + 0.7
+    np.testing.assert_allclose(found, expected, atol=EXACT * np.abs(expected).max())
+
+
+def test_gravity_and_payload_are_predicted(tmp_path: Path) -> None:
+    tilt = effect("gravity_tilt", tilt_x=0.1, tilt_y=-0.05)
+    session = session_with(tmp_path, [tilt, effect("payload", "link3", **PAYLOAD)], effects=[""])
+    found, samples = predicted(session)
+    straight = Robot(ARM)
+    reference = Reference(ARM, gravity=tilted_gravity(GRAVITY, {"tilt_x": 0.1, "tilt_y": -0.05}).tolist())
+    inertias = {body.name: body.parameters for body in straight.bodies}
+    inertias["link3"] = inertias["link3"] + payload_parameters(PAYLOAD)
+    reference.set_inertias(inertias)
+    _, expected = reference.inverse_dynamics(samples, straight.joint_names)
+    np.testing.assert_allclose(found, expected, atol=EXACT * np.abs(expected).max())
+
+
+def pushed(session: Session, stamps: FloatArray, effort: FloatArray) -> Any:
+    """Samples of joints at rest with this effort at joint1 ``(N,)``."""
+    names = session.robot.joint_names
+    for stamp, value in zip(stamps, effort, strict=True):
+        session.pipeline.push_joints(round(1e9 * stamp), names, [0.0] * 3, [0.0] * 3, [float(value), 0.0, 0.0])
+    samples = session.pipeline.collect()
+    assert samples is not None
+    return samples
+
+
+@pytest.mark.parametrize("delay", [0.013, -0.02])
+def test_efforts_are_freed_of_gain_and_delay(tmp_path: Path, delay: float) -> None:
+    """measured(t) = gain true(t - delay), and messages are in halves of a newton metre."""
+    known = [effect("effort_gain", "joint1", gain=1.25), effect("effort_delay", delay=delay)]
+    session = session_with(tmp_path, known, **{"joint.joint1.effort_gain": 0.5})
+    stamps = 1000.0 + 0.01 * np.arange(600)
+    samples = pushed(session, stamps, 2.0 * 1.25 * np.sin(4.0 * (stamps - delay)))
+    np.testing.assert_allclose(samples.effort[:, 0], np.sin(4.0e-9 * samples.stamps), atol=2e-3)
+
+
+def test_wrenches_are_freed_of_their_offset(tmp_path: Path) -> None:
+    """The offset is added to sign times what is reported."""
+    offset = effect("wrench_offset", "/wrench", fx=1.0, tz=-2.0)
+    sensors = [WrenchSensor("/wrench", "wrist_ft", "mounted", sign=-1.0), WrenchSensor("/other", "tool", "mounted")]
+    configuration = Configuration({}, "test").with_sensors(sensors)
+    session = session_with(tmp_path, [offset], **configuration.given)
+    first, second = session.model.sensors
+    assert first.offset == (1.0, 0.0, 0.0, 0.0, 0.0, -2.0)
+    assert second.offset == (0.0,) * 6
+    true = np.arange(1.0, 7.0)
+    for index in range(400):
+        stamp = 1_000_000_000_000 + 10_000_000 * index
+        session.pipeline.push_joints(stamp, session.robot.joint_names, [0.0] * 3, [], [])
+        session.pipeline.push_wrench("/wrench", stamp, "wrist_ft", -(true + np.array(first.offset)))
+        session.pipeline.push_wrench("/other", stamp, "tool", true)
+    samples = session.pipeline.collect()
+    assert samples is not None
+    np.testing.assert_allclose(-samples.wrenches[:, 0], np.tile(true, (len(samples), 1)), atol=1e-9)
+    np.testing.assert_allclose(samples.wrenches[:, 1], np.tile(true, (len(samples), 1)), atol=1e-9)
+
+
+def estimated(session: Session) -> list[EffectEstimate]:
+    """An estimate of the effects that is as good as what was known."""
+    assert session.prior is not None
+    values = session.prior[len(session.prior) - len(session.model.coefficients) :]
+    return [
+        EffectEstimate(c.effect.name, c.joint_name, float(value), c.unit, 0.01, 1.0)
+        for c, value in zip(session.model.coefficients, np.nan_to_num(values, nan=1e-3), strict=True)
+    ]
+
+
+@pytest.mark.parametrize("common", [[""], ["viscous_friction", "coulomb_friction", "rotor_inertia", "effort_offset"]])
+def test_an_estimate_from_a_model_is_the_model_again(tmp_path: Path, common: list[str]) -> None:
+    known = [
+        effect("stribeck_friction", "joint2", level=2.0, excess=1.0, speed=0.5),
+        effect("spring", "joint3", stiffness=5.0, equilibrium=0.2),
+        effect("effort_offset", "joint3", offset=0.7),
+        effect("effort_gain", "joint3", gain=1.25),
+        effect("effort_delay", delay=0.01),
+        effect("gravity_tilt", tilt_x=0.1, tilt_y=0.0),
+        effect("payload", "link3", **PAYLOAD),
+        effect("backlash", "joint1", gap=0.01),
+        effect("wrench_offset", "/wrench", fx=1.0),
+    ]
+    session = session_with(tmp_path, known, effects=common)
+    assert "backlash of joint1: not predicted" in session.loaded.not_predicted
+    before, samples = predicted(session)
+    links = tuple(
+        replace(link_estimate(name), mass=p[0], com=p[1:4] / p[0], inertia=_central(p), parameters=p)
+        for name, p in zip(session.model.body_names, session.prior[:30].reshape(-1, 10), strict=True)
+    )
+    session.save(tmp_path / "again", estimate_of(*links, effects=tuple(estimated(session))))
+    again = Session(
+        ARM, Configuration({"model": str(tmp_path / "again/estimate.json"), "effects": common}, "test"), "arm3.urdf"
+    )
+    assert again.prior is not None
+    np.testing.assert_allclose(again.prior[:30], session.prior[:30], rtol=1e-9)
+    assert by_place(again) == pytest.approx(by_place(session), rel=1e-9)
+    np.testing.assert_array_equal(again.robot.gravity, session.robot.gravity)
+    held = ("effort_gain", "effort_delay", "gravity_tilt", "backlash", "wrench_offset")
+
+    def kept(loaded: LoadedModel) -> dict[str, Any]:
+        return {known.effect: known.parameters for known in loaded.effects if known.effect in held}
+
+    assert kept(again.loaded) == kept(session.loaded) != {}
+    found = again.model.predicted_efforts(samples, np.nan_to_num(again.prior))
+    np.testing.assert_allclose(found, before, atol=0.05)
+
+
+def by_place(session: Session) -> dict[tuple[str, str], float]:
+    """The known coefficients, those that are not known as they were estimated."""
+    return {(effect.name, effect.joint): effect.value for effect in estimated(session)}
+
+
+def _central(parameters: FloatArray) -> FloatArray:
+    return pseudo_inertia.central_inertia(parameters)
+
+
+def test_nothing_is_known_without_a_model() -> None:
+    session = Session(ARM, Configuration({}, "test"), "arm3.urdf")
+    assert session.prior is None
+    assert session.loaded.not_predicted == ""
+
+
+@pytest.mark.parametrize(
+    ("added", "message"),
+    [
+        (3, "added is 3"),
+        ([{"effect": "springs"}], r"added\[0\]: unknown effect 'springs'"),
+        (
+            [{"effect": "effort_delay", "parameters": {}}],
+            r"added\[0\] \(effort_delay\): parameters: delay is not given",
+        ),
+        (
+            [{"effect": "payload", "link": "hand", "parameters": {"mass": {"value": 1.0, "unit": "kg"}}}],
+            r"added\[0\] \(payload\): parameters: com_x is not given",
+        ),
+    ],
+)
+def test_what_cannot_be_used_is_named(tmp_path: Path, added: Any, message: str) -> None:
+    document = estimate_document(estimate_of(link_estimate("link3")), {})
+    write_estimate(tmp_path / "estimate.json", json.loads(json.dumps(document)) | {"added": added})
+    with pytest.raises(InputError, match=rf"estimate\.json: {message}"):
+        Session(ARM, Configuration({"model": str(tmp_path / "estimate.json")}, "test"), "arm3.urdf")
+
+
+def test_a_payload_on_another_robots_link_is_named(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"estimate.json: unknown link with a payload 'hand'.*link3"):
+        write_model_and_load(tmp_path, [effect("payload", "hand", **PAYLOAD)])
+
+
+def write_model_and_load(tmp_path: Path, effects: list[KnownEffect]) -> Session:
+    document = estimate_document(estimate_of(link_estimate("link3")), {})
+    entries = [
+        {
+            "effect": e.effect,
+            "joint": e.joint,
+            "link": e.link,
+            "parameters": {name: vars(quantity) for name, quantity in e.parameters.items()},
+        }
+        for e in combined(effects)
+    ]
+    write_estimate(tmp_path / "estimate.json", document | {"added": entries})
+    return Session(ARM, Configuration({"model": str(tmp_path / "estimate.json")}, "test"), "arm3.urdf")

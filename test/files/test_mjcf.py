@@ -1,0 +1,275 @@
+"""The written MJCF in MuJoCo against pinocchio's dynamics of the URDF, and against the effects' formulas."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import mujoco
+import numpy as np
+import pytest
+from model.robots import Reference, random_parameters, random_samples, urdf
+from scipy.spatial.transform import Rotation
+
+from geomid_ros.files.mjcf import mjcf
+from geomid_ros.files.urdf import read_urdf, with_effects
+from geomid_ros.model.robot import Robot
+from geomid_ros.model.samples import Samples
+from geomid_ros.model.sensors import WrenchSensor
+from geomid_ros.types import FloatArray
+
+from .effects import PAYLOAD, effect
+from .recordings import BAGS
+
+EXACT = 1e-10  # relative: everything is written to the last bit
+DIGITS = 1e-7  # relative: nine digits are written in a URDF
+ROBOTS = ["arm3", "arm7", "ur5_robot.urdf", "panda.urdf"]
+
+
+def description(name: str) -> str:
+    return read_urdf(BAGS / f"{name}.urdf") if name.startswith("arm") else urdf(name)
+
+
+def compiled(text: str) -> Any:
+    return mujoco.MjModel.from_xml_string(text)
+
+
+def efforts(model: Any, samples: Samples, joints: Sequence[str]) -> FloatArray:
+    """MuJoCo's inverse dynamics ``(N, joints)``."""
+    data = mujoco.MjData(model)
+    places = [model.joint(name).id for name in joints]
+    found = np.zeros((len(samples), len(joints)))
+    for index in range(len(samples)):
+        data.qpos[places], data.qvel[places] = samples.position[index], samples.velocity[index]
+        data.qacc[places] = samples.acceleration[index]
+        mujoco.mj_inverse(model, data)
+        found[index] = data.qfrc_inverse[places]
+    return found
+
+
+def without_stops(model: Any) -> Any:
+    model.jnt_limited[:] = 0
+    return model
+
+
+def assert_equal(found: FloatArray, expected: FloatArray, tolerance: float) -> None:
+    np.testing.assert_allclose(found, expected, rtol=0.0, atol=tolerance * np.abs(expected).max())
+
+
+@pytest.mark.parametrize("name", ROBOTS)
+def test_the_dynamics_are_those_of_pinocchio(name: str) -> None:
+    robot = Robot(description(name))
+    samples = random_samples(robot, 3)
+    _, expected = Reference(description(name)).inverse_dynamics(samples, robot.joint_names)
+    model = without_stops(compiled(mjcf(robot, {})))
+    assert_equal(efforts(model, samples, robot.joint_names), expected, EXACT)
+
+
+@pytest.mark.parametrize("name", ROBOTS)
+def test_identified_inertias_are_written(name: str) -> None:
+    robot = Robot(description(name))
+    samples = random_samples(robot, 4)
+    inertias = dict(zip(robot.body_names, random_parameters(robot, 5), strict=True))
+    reference = Reference(description(name))
+    reference.set_inertias(inertias)
+    _, expected = reference.inverse_dynamics(samples, robot.joint_names)
+    model = without_stops(compiled(mjcf(robot, inertias)))
+    assert_equal(efforts(model, samples, robot.joint_names), expected, EXACT)
+
+
+@pytest.mark.parametrize("name", ROBOTS)
+def test_ranges_efforts_and_names_are_the_urdfs(name: str) -> None:
+    robot = Robot(description(name))
+    reference = Reference(description(name)).model
+    model = compiled(mjcf(robot, {}))
+    for joint in robot.joints:
+        index = reference.joints[reference.getJointId(joint.name)].idx_q
+        np.testing.assert_array_equal(
+            model.joint(joint.name).range, [reference.lowerPositionLimit[index], reference.upperPositionLimit[index]]
+        )
+        assert model.actuator(joint.name).ctrlrange[1] == joint.effort_limit
+    assert {body.name for body in map(model.body, range(1, model.nbody))} == {
+        "world_link" if link == "world" else link for link in robot.tree.links
+    }
+
+
+@pytest.fixture(scope="module")
+def arm() -> Robot:
+    return Robot(description("arm3"))
+
+
+def difference(robot: Robot, samples: Samples, *effects: Any) -> FloatArray:
+    """What effects add to the efforts ``(N, joints)``."""
+    with_them, without = (without_stops(compiled(mjcf(robot, {}, given))) for given in (effects, ()))
+    return efforts(with_them, samples, robot.joint_names) - efforts(without, samples, robot.joint_names)
+
+
+def test_joint_effects_follow_their_formulas(arm: Robot) -> None:
+    samples = random_samples(arm, 6, count=50)
+    q, v, a = samples.position[:, 1], samples.velocity[:, 1], samples.acceleration[:, 1]
+    assert np.min(np.abs(v)) > 1e-3
+    cases = {
+        "viscous_friction": ({"coefficient": 0.7}, 0.7 * v),
+        "rotor_inertia": ({"inertia": 0.3}, 0.3 * a),
+        "spring": ({"stiffness": 11.0, "equilibrium": 0.4}, 11.0 * (q - 0.4)),
+    }
+    for name, (parameters, expected) in cases.items():
+        found = difference(arm, samples, effect(name, "joint2", **parameters))
+        assert_equal(found[:, 1], expected, EXACT)
+        np.testing.assert_allclose(found[:, [0, 2]], 0.0, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("name", "parameters"),
+    [("coulomb_friction", {"level": 2.0}), ("stribeck_friction", {"level": 2.0, "excess": 1.0, "speed": 0.1})],
+)
+def test_dry_friction_is_exact_while_a_joint_moves(arm: Robot, name: str, parameters: dict[str, float]) -> None:
+    """MuJoCo's friction is a constraint; it is at its limit when keeping the joint's velocity would take more."""
+    data = mujoco.MjData(model := without_stops(compiled(mjcf(arm, {}, [effect(name, "joint2", **parameters)]))))
+    rotor = model.joint("joint2").id
+    for velocity in (-2.0, -0.3, 0.3, 2.0):
+        mujoco.mj_resetData(model, data)
+        data.qvel[rotor] = velocity
+        mujoco.mj_forward(model, data)
+        assert data.qfrc_constraint[rotor] == pytest.approx(-2.0 * np.sign(velocity), rel=1e-6)
+
+
+def test_a_joint_at_rest_sticks(arm: Robot) -> None:
+    model = compiled(mjcf(arm, {}, [effect("coulomb_friction", "joint1", level=2.0)]))
+    data = mujoco.MjData(model)
+    for effort, moves in ((1.9, False), (2.2, True)):
+        mujoco.mj_resetData(model, data)
+        model.opt.gravity[:] = 0.0
+        for _ in range(500):
+            data.ctrl[model.actuator("joint1").id] = effort
+            mujoco.mj_step(model, data)
+        assert (abs(data.joint("joint1").qpos[0]) > 0.05) == moves, "a soft constraint creeps a little"
+
+
+@pytest.mark.parametrize("given", [None, (0.0, 1.0, -9.7)])
+def test_a_tilt_turns_gravity(arm: Robot, given: tuple[float, ...] | None) -> None:
+    straight = np.array(given or (0.0, 0.0, -9.81))
+    tilt = effect("gravity_tilt", tilt_x=0.1, tilt_y=-0.2)
+    model = compiled(mjcf(arm, {}, [tilt], gravity=None if given is None else straight))
+    np.testing.assert_allclose(
+        Rotation.from_rotvec([0.1, -0.2, 0.0]).apply(model.opt.gravity), straight, rtol=0.0, atol=1e-12
+    )
+
+
+@pytest.mark.parametrize("link", ["tool", "link2"])
+def test_a_payload_is_what_pinocchio_makes_of_the_urdf_with_it(arm: Robot, link: str) -> None:
+    payload = effect("payload", link, **PAYLOAD)
+    samples = random_samples(arm, 7)
+    loaded = Reference(with_effects(description("arm3"), [payload]))
+    _, expected = loaded.inverse_dynamics(samples, arm.joint_names)
+    _, empty = Reference(description("arm3")).inverse_dynamics(samples, arm.joint_names)
+    model = without_stops(compiled(mjcf(arm, {}, [payload])))
+    assert_equal(efforts(model, samples, arm.joint_names), expected, DIGITS)
+    assert np.abs(expected - empty).max() > 1.0
+
+
+def settled(model: Any, motor: str, effort: float) -> Any:
+    """The state long after a link began to be pushed with this effort, while its motor holds still."""
+    place = model.joint(motor).id
+    model.opt.gravity[:] = 0.0
+    model.dof_armature[place] = 1e9
+    data = mujoco.MjData(model)
+    data.qfrc_applied[place + 1] = effort  # on the link, behind the gear
+    while data.time < 3.0:
+        mujoco.mj_step(model, data)
+    return data
+
+
+def test_an_elastic_gear_gives_by_the_effort_over_its_stiffness(arm: Robot) -> None:
+    """The link is pushed along, so the motor pulls back: tau is negative and the link ahead of the motor."""
+    model = compiled(mjcf(arm, {}, [effect("joint_elasticity", "joint1", stiffness=2000.0)]))
+    assert model.joint("joint1/elasticity").id == model.joint("joint1").id + 1
+    data = settled(model, "joint1", 10.0)
+    assert data.joint("joint1/elasticity").qpos[0] == pytest.approx(10.0 / 2000.0, rel=1e-3)
+
+
+@pytest.mark.parametrize("side", [-1.0, 1.0])
+def test_a_backlash_gives_by_half_its_gap(arm: Robot, side: float) -> None:
+    model = compiled(mjcf(arm, {}, [effect("backlash", "joint1", gap=0.02)]))
+    for effort in (0.1, 0.3):
+        place = settled(model, "joint1", effort * side).joint("joint1/backlash").qpos[0]
+        assert 0.0 <= side * place - 0.01 < 2e-3 * effort, "its ends are a little soft"
+
+
+def test_a_joint_may_have_all_effects_at_once(arm: Robot) -> None:
+    every = [
+        effect("viscous_friction", "joint2", coefficient=1.0),
+        effect("coulomb_friction", "joint2", level=1.0),
+        effect("stribeck_friction", "joint2", level=0.5, excess=0.2, speed=0.1),
+        effect("rotor_inertia", "joint2", inertia=0.1),
+        effect("spring", "joint2", stiffness=3.0, equilibrium=0.1),
+        effect("joint_elasticity", "joint2", stiffness=1000.0),
+        effect("backlash", "joint2", gap=0.01),
+        effect("effort_offset", "joint2", offset=1.0),
+    ]
+    model = compiled(mjcf(arm, {}, every))
+    assert model.nv == 5
+    joint = model.joint("joint2")
+    assert (joint.damping[0], joint.frictionloss[0], joint.armature[0], joint.stiffness[0]) == (1.0, 1.5, 0.1, 3.0)
+    data = mujoco.MjData(model)
+    for _ in range(1000):
+        mujoco.mj_step(model, data)
+    assert not any(data.warning[index].number for index in range(len(data.warning)))
+
+
+def test_a_mounted_sensor_feels_the_weight_that_it_carries() -> None:
+    robot = Robot(description("arm3"), cuts=["wrist_ft"])
+    sensors = [WrenchSensor("/ft sensor", "wrist_ft", "mounted"), WrenchSensor("/floor", "link1", "external")]
+    model = compiled(mjcf(robot, {}, sensors=sensors))
+    assert model.nsensor == 2
+    data = mujoco.MjData(model)
+    mujoco.mj_inverse(model, data)
+    mujoco.mj_rnePostConstraint(model, data)
+    mujoco.mj_sensorAcc(model, data)
+    samples = random_samples(robot, 0, count=1, sensors=1)
+    still = Samples(
+        samples.stamps,
+        *(np.zeros((1, 3)) for _ in range(4)),
+        *(np.zeros((1, 0)) for _ in range(3)),
+        np.zeros((1, 1, 6)),
+    )
+    (q,), (v,), (a,) = robot.configuration(still)
+    robot.update_motion(q, v, a)
+    rows = robot.wrench_rows(robot.subtree("wrist_ft"), "wrist_ft")
+    expected = np.einsum("cbk,bk->c", rows, np.array([body.parameters for body in robot.bodies]))
+    np.testing.assert_allclose(data.sensordata, expected, rtol=0.0, atol=EXACT * np.abs(expected).max())
+
+
+ODD = """<robot name="odd -- one">
+  <link name="world"/>
+  <joint name="rail &amp; slide" type="prismatic"><origin xyz="0 0 1" rpy="0.1 0.2 0.3"/><parent link="world"/>
+    <child link="carriage"/><axis xyz="1 2 2"/><limit lower="-1" upper="1" effort="0" velocity="1"/></joint>
+  <link name="carriage"/>
+  <joint name="turn" type="continuous"><parent link="carriage"/><child link="arm"/><axis xyz="0 3 0"/></joint>
+  <link name="arm"><inertial><origin xyz="0.1 0 0.2"/><mass value="2"/>
+    <inertia ixx="0.02" ixy="0" ixz="0" iyy="0.02" iyz="0" izz="0.01"/></inertial></link>
+  <joint name="held" type="revolute"><origin xyz="0 0 0.3" rpy="0 1 0"/><parent link="arm"/><child link="hand"/>
+    <axis xyz="0 1 0"/><limit lower="-1" upper="1" effort="5" velocity="1"/></joint>
+  <link name="hand"><inertial><origin xyz="0 0 0.1"/><mass value="1"/>
+    <inertia ixx="0.01" ixy="0" ixz="0" iyy="0.01" iyz="0" izz="0.01"/></inertial></link>
+</robot>"""
+
+
+def test_an_odd_robot() -> None:
+    """Massless moving links, a slide on a skew axis, a joint without limits, a locked one, odd names."""
+    robot = Robot(ODD, locked_joints=["held"])
+    samples = random_samples(robot, 8)
+    model = compiled(mjcf(robot, {}, [effect("viscous_friction", "rail & slide", coefficient=2.0)]))
+    assert [model.joint(index).name for index in range(model.njnt)] == ["rail & slide", "turn"]
+    assert list(model.jnt_limited) == [1, 0]
+    q, v, a = robot.configuration(samples)
+    expected = np.array([robot.inverse_dynamics(*row) for row in zip(q, v, a, strict=True)])
+    expected[:, 0] += 2.0 * samples.velocity[:, 0]
+    assert_equal(efforts(without_stops(model), samples, robot.joint_names), expected, EXACT)
+
+
+def test_a_floating_base_floats() -> None:
+    robot = Robot(description("arm3"), floating_base=True)
+    model = compiled(mjcf(robot, {}))
+    assert model.nv == 9
+    assert model.body_mass.sum() == pytest.approx(sum(body.parameters[0] for body in robot.bodies))

@@ -1,0 +1,163 @@
+"""The sidecar of effects: what is written is read again, and what cannot be used is named."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+
+from geomid_ros.errors import InputError
+from geomid_ros.files.effect_forms import FORMS, KnownEffect, combined, values
+from geomid_ros.files.sidecar import read_sidecar, write_sidecar
+from geomid_ros.gap.result import Quantity
+
+from .effects import PAYLOAD, effect
+
+
+def one_of_each() -> list[KnownEffect]:
+    """Every effect with numbers within its range."""
+    places = {"joint": "joint1", "robot": "", "link": "tool", "sensor": "/wrench"}
+    return [
+        effect("payload", "tool", **PAYLOAD)
+        if name == "payload"
+        else effect(name, places[form.place], **{key: 0.1 + 0.01 * index for index, key in enumerate(form.parameters)})
+        for name, form in FORMS.items()
+    ]
+
+
+def document(tmp_path: Path) -> dict[str, Any]:
+    """A sidecar's content."""
+    path = tmp_path / "written.yaml"
+    write_sidecar(path, "arm3", one_of_each())
+    content: dict[str, Any] = yaml.safe_load(path.read_text())
+    return content
+
+
+def test_round_trip(tmp_path: Path) -> None:
+    path = tmp_path / "folder/effects.yaml"
+    write_sidecar(path, "größe: 1", one_of_each())
+    found = read_sidecar(path)
+    assert found.robot == "größe: 1"
+    assert list(found.effects) == one_of_each()
+
+
+def test_a_standard_deviation_may_be_unknown(tmp_path: Path) -> None:
+    unsure = KnownEffect("effort_delay", "", "", {"delay": Quantity(1e-3, np.nan, "s")})
+    write_sidecar(tmp_path / "effects.yaml", "arm", [unsure])
+    (found,) = read_sidecar(tmp_path / "effects.yaml").effects
+    assert (found.parameters["delay"].value, found.parameters["delay"].unit) == (1e-3, "s")
+    assert np.isnan(found.parameters["delay"].std)
+
+
+def test_it_explains_itself(tmp_path: Path) -> None:
+    path = tmp_path / "effects.yaml"
+    write_sidecar(path, "arm", [effect("stribeck_friction", "joint1", level=1.0, excess=0.5, speed=0.1)])
+    comments = [line for line in path.read_text().splitlines() if line.startswith("#")]
+    assert any("level + excess exp(-(v/speed)^2)" in line for line in comments)
+    (entry,) = yaml.safe_load(path.read_text())["effects"]
+    assert (entry["urdf"], entry["mjcf"]) == (["level"], ["level"])
+
+
+def test_no_effects(tmp_path: Path) -> None:
+    write_sidecar(tmp_path / "effects.yaml", "arm", [])
+    assert read_sidecar(tmp_path / "effects.yaml").effects == ()
+
+
+def edited(*path: str | int, value: Any = None) -> Callable[[dict[str, Any]], None]:
+    def edit(content: Any) -> None:
+        for key in path[:-1]:
+            content = content[key]
+        if value is None:
+            del content[path[-1]]
+        else:
+            content[path[-1]] = value
+
+    return edit
+
+
+FIRST = ("effects", 0)
+LEVEL = (*FIRST, "parameters", "coefficient")
+UNUSABLE: dict[str, tuple[Callable[[dict[str, Any]], None], str]] = {
+    "no effects": (edited("effects"), "no list 'effects'"),
+    "effects is a text": (edited("effects", value="none"), "no list 'effects'"),
+    "another format": (edited("format", value=7), "format 7"),
+    "an effect is a number": (edited(*FIRST, value=3), r"effects\[0\]: expected an effect"),
+    "an unknown effect": (edited(*FIRST, "effect", value="viscous_frictoin"), "Did you mean 'viscous_friction'"),
+    "no joint": (edited(*FIRST, "joint"), r"effects\[0\] \(viscous_friction\): joint is not given"),
+    "a joint that is a list": (edited(*FIRST, "joint", value=["a"]), "joint is .*expected a name"),
+    "no parameters": (edited(*FIRST, "parameters"), "parameters: expected coefficient"),
+    "a missing parameter": (edited(*LEVEL), "coefficient is not given"),
+    "an unknown parameter": (edited(*FIRST, "parameters", "slope", value=1.0), "unknown parameter 'slope'"),
+    "a bare number": (edited(*LEVEL, value=1.0), "coefficient is 1.0, expected value, std and unit"),
+    "a text as a value": (edited(*LEVEL, "value", value="much"), "expected a finite number"),
+    "a truth value": (edited(*LEVEL, "value", value=True), "expected a finite number"),
+    "an infinite value": (edited(*LEVEL, "value", value=float("inf")), "expected a finite number"),
+    "a value that is no number": (edited(*LEVEL, "value", value=float("nan")), "expected a finite number"),
+    "negative friction": (edited(*LEVEL, "value", value=-0.1), "coefficient is -0.1, expected a number above 0"),
+    "a negative deviation": (edited(*LEVEL, "std", value=-1.0), "std is -1"),
+    "another unit": (edited(*LEVEL, "unit", value="lb in"), "unit is 'lb in', expected N m s/rad or N s/m"),
+    "no unit": (edited(*LEVEL, "unit"), "unit is None"),
+}
+
+
+@pytest.mark.parametrize("case", UNUSABLE)
+def test_what_cannot_be_used_is_named(case: str, tmp_path: Path) -> None:
+    edit, message = UNUSABLE[case]
+    content = document(tmp_path)
+    edit(content)
+    path = tmp_path / "broken.yaml"
+    path.write_text(yaml.safe_dump(content))
+    with pytest.raises(InputError, match=rf"broken\.yaml: .*{message}"):
+        read_sidecar(path)
+
+
+def test_an_effect_that_is_said_twice_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "twice.yaml"
+    write_sidecar(path, "arm", 2 * [effect("coulomb_friction", "joint1", level=1.0)])
+    with pytest.raises(InputError, match=r"twice.yaml: coulomb_friction is said twice at 'joint1'"):
+        read_sidecar(path)
+
+
+@pytest.mark.parametrize("text", ["", "{", "[]", "3", "a: &x 1\nb: *x", "\x00"])
+def test_what_is_no_sidecar_is_refused(text: str, tmp_path: Path) -> None:
+    path = tmp_path / "effects.yaml"
+    path.write_text(text)
+    with pytest.raises(InputError, match=r"effects.yaml: "):
+        read_sidecar(path)
+
+
+def test_a_missing_file_is_named(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"nowhere.yaml: .*cannot be read"):
+        read_sidecar(tmp_path / "nowhere.yaml")
+
+
+def test_effects_at_one_place_are_combined() -> None:
+    found = combined(
+        [
+            effect("coulomb_friction", "joint1", level=1.0),
+            effect("effort_gain", "joint1", gain=1.1),
+            effect("spring", "joint1", stiffness=1.0, equilibrium=0.0),
+            effect("coulomb_friction", "joint2", level=5.0),
+            effect("coulomb_friction", "joint1", level=3.0),
+            effect("effort_gain", "joint1", gain=0.9),
+            effect("spring", "joint1", stiffness=2.0, equilibrium=0.1),
+            effect("wrench_offset", "/wrench", fx=1.0),
+            effect("wrench_offset", "/wrench", fx=1.0, tz=2.0),
+        ]
+    )
+    assert [(e.effect, e.joint) for e in found] == [
+        ("coulomb_friction", "joint1"),
+        ("effort_gain", "joint1"),
+        ("spring", "joint1"),
+        ("coulomb_friction", "joint2"),
+        ("wrench_offset", "/wrench"),
+    ]
+    dry, gain, spring, _, offset = found
+    assert dry.parameters["level"] == Quantity(4.0, pytest.approx(np.hypot(0.1, 0.3)), "N m")
+    assert gain.parameters["gain"].value == pytest.approx(0.99)
+    assert values(spring) == {"stiffness": 2.0, "equilibrium": 0.1}
+    assert values(offset) == {"fx": 2.0, "fy": 0.0, "fz": 0.0, "tx": 0.0, "ty": 0.0, "tz": 2.0}

@@ -1,0 +1,87 @@
+"""Columns of effects that depend on the model, against differences of a robot on which the effect acts."""
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from scipy.interpolate import CubicSpline
+
+from geomid_ros.gap.fit import Prior, unfitted
+from geomid_ros.gap.record import Records
+from geomid_ros.gap.stage import Stage, TotalModel, turned_gravity
+from geomid_ros.model.effects import EffortDelay, EffortGain, GravityTilt, JointElasticity, LoadFriction
+from geomid_ros.types import FloatArray
+
+from . import planted
+
+JOINT = 1
+
+
+@pytest.fixture(scope="module")
+def stage() -> Stage:
+    model = planted.model()
+    inertias = planted.true_inertias(5, 0.2)
+    prior = Prior(inertias.ravel(), 0.2, (), np.zeros(0), np.zeros(0))
+    records = Records.make([planted.recording(planted.rigid(inertias), 5, noise=0.0)], planted.CUTOFF)
+    return Stage(model, records, TotalModel.of(model, unfitted(prior)))
+
+
+def efforts(stage: Stage, moved: tuple[FloatArray, FloatArray, FloatArray] | None = None) -> FloatArray:
+    samples = stage.records.samples
+    exact = (samples.position, samples.velocity, samples.acceleration)
+    return planted.rigid(stage.total.inertias)(*(moved or exact))
+
+
+def agree(column: FloatArray, expected: FloatArray, share: float) -> None:
+    assert np.linalg.norm(column - expected) < share * np.linalg.norm(expected)
+
+
+def test_tilt(stage: Stage) -> None:
+    columns = GravityTilt().columns(stage.situation, -1)
+    samples, step = stage.records.samples, 1e-5
+    for axis in range(2):
+        turned = pin.exp3(step * np.eye(3)[axis]).T @ stage.model.robot.gravity
+        tilted = planted.rigid(stage.total.inertias, turned)
+        difference = tilted(samples.position, samples.velocity, samples.acceleration) - efforts(stage)
+        agree(columns[:, :, axis], difference / step, 1e-4)
+
+
+def test_turned_gravity_is_that_of_the_turned_base() -> None:
+    gravity, tilt = np.array([0.3, -0.2, -9.8]), np.array([0.7, -0.4])
+    expected = pin.exp3(np.append(tilt, 0.0)).T @ gravity
+    np.testing.assert_allclose(turned_gravity(gravity, tilt), expected, atol=1e-12)
+
+
+def test_elasticity(stage: Stage) -> None:
+    """The link is behind the motor by the gear's effort times the compliance, at every instant."""
+    compliance = 1e-6
+    times, *exact = planted.motion(5, 40.0)
+    dynamics = planted.rigid(stage.total.inertias)
+    load = dynamics(*exact)[:, JOINT]
+    bent = [part.copy() for part in exact]
+    for part in bent:
+        part[:, JOINT] -= compliance * load
+        load = np.gradient(load, times, edge_order=2)
+    (chosen,) = stage.records.chosen
+    expected = (dynamics(*bent) - dynamics(*exact))[chosen] / compliance
+    agree(JointElasticity().columns(stage.situation, JOINT)[20:-20, :, 0], expected[20:-20], 0.05)
+
+
+def test_delay(stage: Stage) -> None:
+    delay = 1e-3
+    times, *exact = planted.motion(5, 40.0)
+    whole = planted.rigid(stage.total.inertias)(*exact)
+    (chosen,) = stage.records.chosen
+    late = CubicSpline(times, whole)(times - delay)
+    column = EffortDelay().columns(stage.situation, -1)[:, :, 0]
+    agree(column, ((late - whole) / delay)[chosen], 0.05)
+
+
+def test_gain_and_load_friction(stage: Stage) -> None:
+    gain = EffortGain().columns(stage.situation, JOINT)[:, :, 0]
+    friction = LoadFriction().columns(stage.situation, JOINT)[:, :, 0]
+    true = efforts(stage)[:, JOINT]
+    agree(gain[:, JOINT], true, 1e-9)
+    assert not np.any(gain[:, JOINT - 1])
+    fast = np.abs(stage.records.samples.velocity[:, JOINT]) > 0.05
+    expected = np.abs(true) * np.sign(stage.records.samples.velocity[:, JOINT])
+    agree(friction[fast, JOINT], expected[fast], 0.05)

@@ -1,0 +1,89 @@
+"""The whole workflow on planted robots, and what it refuses."""
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from geomid_ros.errors import InputError
+from geomid_ros.gap.result import GapResult
+from geomid_ros.gap.workflow import find_gap
+from geomid_ros.types import FloatArray
+
+from . import planted
+from .planted import Efforts
+
+JOINTS = planted.model().robot.joint_names
+
+
+def run(efforts: Efforts, seed: int, noise: float = planted.NOISE) -> GapResult:
+    train = planted.recording(efforts, seed, noise=noise)
+    held_out = planted.recording(efforts, seed + 1000, 15.0, noise=noise)
+    return find_gap(planted.model(), [train], [held_out])
+
+
+def beside(seed: int, extra: Callable[[FloatArray, FloatArray, FloatArray], FloatArray], joint: int) -> Efforts:
+    """A robot with inertial errors and something more at one joint."""
+    rigid = planted.rigid(planted.true_inertias(seed, 0.2))
+
+    def efforts(q: FloatArray, v: FloatArray, a: FloatArray) -> FloatArray:
+        result = rigid(q, v, a)
+        result[:, joint] += extra(q[:, joint], v[:, joint], a[:, joint])
+        return result
+
+    return efforts
+
+
+@pytest.mark.parametrize("seed", [11, 12])
+def test_inertial_errors_alone_are_no_finding(seed: int) -> None:
+    result = run(planted.rigid(planted.true_inertias(seed, 0.2)), seed)
+    assert result.verdict == "no gap"
+    assert not result.findings
+    assert not result.unexplained
+    assert np.max(result.gap.before) > 1.5
+    np.testing.assert_allclose(result.floor, planted.NOISE, rtol=0.15)
+
+
+PLANTED = {
+    "viscous_friction": (lambda _q, v, _a: 0.4 * v, {"coefficient": 0.4}),
+    "coulomb_friction": (lambda _q, v, _a: 0.3 * np.sign(v), {"level": 0.3}),
+    "spring": (lambda q, _v, _a: 2.0 * (q - 0.3), {"stiffness": 2.0, "equilibrium": 0.3}),
+    "effort_offset": (lambda q, _v, _a: -0.5 + 0.0 * q, {"offset": -0.5}),
+}
+
+
+@pytest.mark.parametrize("effect", PLANTED)
+@pytest.mark.parametrize("joint", [0, 2])
+def test_a_planted_effect_is_named_with_its_size(effect: str, joint: int) -> None:
+    extra, parameters = PLANTED[effect]
+    result = run(beside(20 + joint, extra, joint), 20 + joint)
+    (finding,) = result.findings
+    assert (finding.effect, finding.joint, finding.confidence) == (effect, JOINTS[joint], "confident")
+    assert result.verdict == "named"
+    assert np.max(result.gap.inertias_only) > 2.0
+    assert np.max(result.gap.after) < 1.2
+    for name, value in parameters.items():
+        found = finding.parameters[name]
+        assert abs(found.value - value) < max(4.0 * found.std, 0.01 * abs(value))
+        assert found.std < 0.1 * abs(value)
+
+
+def test_what_the_library_does_not_know_is_not_named() -> None:
+    result = run(beside(31, lambda q, _v, _a: 0.3 * np.sin(9.0 * q + 1.0), 1), 31)
+    assert result.verdict == "unexplained"
+    assert {(u.joint, u.depends_on) for u in result.unexplained} == {(JOINTS[1], "position")}
+    assert not [finding for finding in result.findings if finding.confidence == "confident"]
+
+
+def test_what_a_simulator_shows_too_is_no_gap() -> None:
+    efforts = beside(41, lambda _q, v, _a: 0.4 * v, 1)
+    train, held_out = planted.recording(efforts, 41), planted.recording(efforts, 1041, 15.0)
+    twin = planted.recording(efforts, 2041)
+    assert find_gap(planted.model(), [train], [held_out]).verdict == "named"
+    assert find_gap(planted.model(), [train], [held_out], simulated=[twin]).verdict == "no gap"
+
+
+def test_too_little_is_refused() -> None:
+    short = planted.recording(planted.rigid(planted.true_inertias(1, 0.1)), 1, seconds=2.0)
+    with pytest.raises(InputError, match="too short"):
+        find_gap(planted.model(), [short], [short])

@@ -1,0 +1,271 @@
+"""Simulation in short windows: a right model has the error that noise makes, a wrong one has more, in proportion."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any, cast
+
+import numpy as np
+import pytest
+from files.effects import PAYLOAD, effect
+from model.robots import with_values
+
+from geomid_ros.errors import InputError
+from geomid_ros.files.effect_forms import payload_parameters
+from geomid_ros.files.urdf import with_effects
+from geomid_ros.gap.result import GapResult
+from geomid_ros.model.measurement import MeasurementModel
+from geomid_ros.model.robot import Robot
+from geomid_ros.model.samples import Samples
+from geomid_ros.model.sensors import WrenchSensor
+from geomid_ros.resimulation.noise import Noise
+from geomid_ros.resimulation.resimulate import Resimulated, resimulate
+from geomid_ros.resimulation.written_robot import ModelFiles
+from geomid_ros.types import FloatArray
+
+from .recordings import ARM, FLOOR, JOINTS, MODEL, PERIOD, Added, files, noise_example, recording
+
+# 200 windows: their root mean square is known to 5 %, and so is the unit's; four of these.
+SCATTER = 0.28
+EXACT = 0.1  # of the noise's error: what integration leaves of a model that is right and data without noise
+
+
+def spring(stiffness: float) -> tuple[Added, Any]:
+    """A spring at joint2: what the motors supply, and the effect."""
+
+    def added(position: FloatArray, *_: FloatArray) -> FloatArray:
+        return stiffness * (position - 0.3) * np.array([0.0, 1.0, 0.0])
+
+    return added, effect("spring", "joint2", stiffness=stiffness, equilibrium=0.3)
+
+
+def simulated(before: ModelFiles, after: ModelFiles, *recordings: Samples) -> Resimulated:
+    return resimulate(MODEL, before, after, recordings, noise_example())
+
+
+def test_a_right_model_has_the_error_that_noise_makes(tmp_path: Path) -> None:
+    found = simulated(files(tmp_path, "a"), files(tmp_path, "a"), recording())
+    assert list(found.after) == [channel.name for channel in MODEL.channels]
+    assert found.skipped == ""
+    assert found.before == found.after
+    assert list(found.after.values()) == pytest.approx([1.0] * 9, abs=SCATTER)
+
+
+@pytest.mark.parametrize("size", [0.5, 2.0])
+def test_the_unit_is_the_noise(tmp_path: Path, size: float) -> None:
+    found = simulated(files(tmp_path, "a"), files(tmp_path, "a"), recording(noise=size))
+    assert list(found.after.values()) == pytest.approx([size] * 9, rel=SCATTER)
+
+
+def test_a_wrong_model_has_more_in_proportion(tmp_path: Path) -> None:
+    ratios = []
+    for stiffness in (2.0, 4.0):
+        added, known = spring(stiffness)
+        found = simulated(files(tmp_path, "before"), files(tmp_path, "after", [known]), recording(added, noise=0.0))
+        assert max(found.after.values()) < EXACT
+        ratios.append(found.before["joint2"])
+    assert ratios[0] > 3.0
+    assert ratios[1] / ratios[0] == pytest.approx(2.0, rel=0.1)
+
+
+def viscous(_: FloatArray, velocity: FloatArray, __: FloatArray) -> FloatArray:
+    return 1.5 * velocity
+
+
+def coulomb(_: FloatArray, velocity: FloatArray, __: FloatArray) -> FloatArray:
+    return 0.5 * np.sign(velocity)
+
+
+def stribeck(_: FloatArray, velocity: FloatArray, __: FloatArray) -> FloatArray:
+    return np.sign(velocity) * (0.5 + 0.5 * np.exp(-((velocity / 0.3) ** 2)))
+
+
+def rotor(_: FloatArray, __: FloatArray, acceleration: FloatArray) -> FloatArray:
+    return 0.4 * acceleration
+
+
+CASES: dict[str, tuple[Any, Added]] = {
+    "viscous_friction": (effect("viscous_friction", "joint2", coefficient=1.5), viscous),
+    "coulomb_friction": (effect("coulomb_friction", "joint2", level=0.5), coulomb),
+    "stribeck_friction": (effect("stribeck_friction", "joint2", level=0.5, excess=0.5, speed=0.3), stribeck),
+    "rotor_inertia": (effect("rotor_inertia", "joint2", inertia=0.4), rotor),
+}
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_effects_of_a_joint_close_the_gap(tmp_path: Path, name: str) -> None:
+    known, added = CASES[name]
+    only_second = np.array([0.0, 1.0, 0.0])
+    data = recording(lambda q, v, a: only_second * added(q, v, a))
+    found = simulated(files(tmp_path, "before"), files(tmp_path, "after", [known]), data)
+    assert found.before["joint2"] > 3.0
+    assert max(found.after.values()) < 1.0 + SCATTER
+
+
+def test_friction_by_load_closes_the_gap(tmp_path: Path) -> None:
+    """The friction is c times what the gear passes on, which is the rest of the effort."""
+    smooth = recording(noise=0.0)
+    friction = 0.1 * np.abs(smooth.effort) * np.sign(smooth.velocity) * np.array([0.0, 1.0, 0.0])
+    data = with_values(recording(), effort=recording().effort + friction)
+    known = effect("load_friction", "joint2", coefficient=0.1)
+    found = simulated(files(tmp_path, "before"), files(tmp_path, "after", [known]), data)
+    assert found.before["joint2"] > 3.0
+    assert max(found.after.values()) < 1.0 + SCATTER
+
+
+def test_efforts_are_corrected_as_the_sidecar_says(tmp_path: Path) -> None:
+    """measured(t) = gain true(t - delay) + offset."""
+    exact, early = recording(noise=0.0), recording(noise=0.0)
+    ahead = round(0.02 / PERIOD)
+    delayed = np.roll(early.effort, ahead, axis=0) * [1.0, 1.3, 1.0] + [0.0, 0.0, 0.4]
+    inside = slice(10, -10)
+    data = with_values(exact, effort=delayed).select(inside)
+    known = [
+        effect("effort_delay", delay=0.02),
+        effect("effort_gain", "joint2", gain=1.3),
+        effect("effort_offset", "joint3", offset=0.4),
+    ]
+    found = simulated(files(tmp_path, "before"), files(tmp_path, "after", known), data)
+    assert min(found.before["joint2"], found.before["joint3"]) > 3.0
+    assert max(found.after.values()) < 2 * EXACT
+
+
+def test_wrenches_are_judged_with_their_offset(tmp_path: Path) -> None:
+    data = recording()
+    shifted = with_values(data, wrenches=data.wrenches - [0.0, 0.0, 1.0, 0.0, 0.0, 0.0])  # the sign is reversed
+    known = effect("wrench_offset", "/wrench", fz=1.0)
+    found = simulated(files(tmp_path, "before"), files(tmp_path, "after", [known]), shifted)
+    assert found.before["wrench/fz"] > 3.0
+    assert found.before["wrench/fx"] == found.after["wrench/fx"]
+    assert max(found.after.values()) < 1.0 + SCATTER
+
+
+def test_a_payload_shows_in_joints_and_wrench(tmp_path: Path) -> None:
+    """Recorded with it: here the URDF is the truth, and the one without payload is wrong."""
+    loaded = Robot(with_effects(ARM, [effect("payload", "tool", **PAYLOAD)]), cuts=["wrist_ft"])
+    right, wrong = files(tmp_path, "right"), files(tmp_path, "wrong", robot=loaded)
+    assert payload_parameters(PAYLOAD)[0] == 1.5
+    found = simulated(wrong, right, recording())
+    assert min(found.before[name] for name in ("joint2", "joint3", "wrench/fz", "wrench/tx")) > 5.0
+    assert max(found.after.values()) < 1.0 + SCATTER
+
+
+def link_motion(stiffness: float) -> Samples:
+    """A recording as the motors see it: they are ahead of the links by the effort over the stiffness, at joint2."""
+    exact = recording(noise=0.0)
+    ahead = exact.effort / stiffness * np.array([0.0, 1.0, 0.0])
+    rate = np.gradient(ahead, PERIOD, axis=0, edge_order=2)
+    return with_values(
+        recording(),
+        position=exact.position + ahead,
+        velocity=exact.velocity + rate,
+        acceleration=exact.acceleration + np.gradient(rate, PERIOD, axis=0, edge_order=2),
+    )
+
+
+def test_an_elastic_gear_is_simulated(tmp_path: Path) -> None:
+    known = effect("joint_elasticity", "joint2", stiffness=100.0)
+    found = simulated(files(tmp_path, "before"), files(tmp_path, "after", [known]), link_motion(100.0))
+    assert found.before["joint2"] > 3.0
+    assert found.after["joint2"] < 1.6
+
+
+def test_joints_that_cannot_be_judged_follow_their_measured_motion(tmp_path: Path) -> None:
+    """joint1 has no effort, joint3 is held by a brake: joint2 is judged as if all were well."""
+    position, velocity, effort = recording().position.copy(), recording().velocity.copy(), recording().effort.copy()
+    effort[:, 0] = np.nan
+    unmeasured = with_values(recording(), effort=effort)
+    found = simulated(files(tmp_path, "a"), files(tmp_path, "a"), unmeasured)
+    assert {"joint1"} == set(JOINTS) - found.after.keys()
+    assert max(found.after.values()) < 1.0 + SCATTER
+    effort = effort.copy()
+    position[:, 2], velocity[:, 2], effort[:, 2] = 0.2, 0.0, 77.0
+    braked = with_values(unmeasured, position=position, velocity=velocity, effort=effort)
+    assert {"joint1", "joint3"} == set(JOINTS) - simulated(
+        files(tmp_path, "a"), files(tmp_path, "a"), braked
+    ).after.keys()
+
+
+def test_pauses_are_not_simulated_across(tmp_path: Path) -> None:
+    data = recording()
+    keep = np.ones(len(data), dtype=bool)
+    keep[900:1200] = False
+    found = simulated(files(tmp_path, "a"), files(tmp_path, "a"), data.select(keep))
+    assert len(found.traces) == 2
+    assert max(found.after.values()) < 1.0 + SCATTER
+
+
+def test_traces_begin_at_the_measured_states(tmp_path: Path) -> None:
+    added, known = spring(4.0)
+    found = simulated(files(tmp_path, "before"), files(tmp_path, "after", [known]), recording(added, noise=0.0))
+    (trace,) = found.traces
+    error = np.sqrt(np.mean((trace.before - trace.measured) ** 2, axis=0))[:, 1]
+    assert np.all(np.diff(error) > 0.0), "an error grows from the start of its window"
+    np.testing.assert_allclose(trace.after, trace.measured, atol=0.03)
+    assert np.allclose(np.diff(trace.times, axis=1), PERIOD)
+
+
+def test_a_simulation_that_diverges_is_infinitely_wrong(tmp_path: Path) -> None:
+    broken = files(tmp_path, "broken")
+    broken.mjcf.write_text(broken.mjcf.read_text().replace('name="joint2"', 'name="joint2" stiffness="-1e9"', 1))
+    found = simulated(broken, files(tmp_path, "a"), recording(duration=2.0))
+    assert found.before["joint2"] > 1e6
+    assert np.isfinite(found.after["joint2"])
+
+
+def test_what_cannot_be_simulated_says_why(tmp_path: Path) -> None:
+    ok, data, noise = files(tmp_path, "a"), recording(duration=2.0), noise_example()
+    floating = MeasurementModel(Robot(ARM, floating_base=True), (), [WrenchSensor("/plate", "world", "external")])
+    assert "base floats" in resimulate(floating, ok, ok, [data], noise).skipped
+    touched = MeasurementModel(Robot(ARM), (), [WrenchSensor("/hand", "tool", "external")])
+    assert "loads from outside" in resimulate(touched, ok, ok, [data], noise).skipped
+    assert "too short" in resimulate(MODEL, ok, ok, [data.select(slice(0, 5))], noise).skipped
+    still = with_values(data, position=np.zeros_like(data.position))
+    assert "no joint" in resimulate(MODEL, ok, ok, [still], noise).skipped
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [("<mujoco", "MuJoCo cannot read"), ("<mujoco/>", "unknown joint 'joint1'"), (None, "MuJoCo cannot read")],
+)
+def test_model_files_that_cannot_be_used_are_named(tmp_path: Path, text: str | None, message: str) -> None:
+    path = tmp_path / "model.xml"
+    if text is not None:
+        path.write_text(text)
+    with pytest.raises(InputError, match=rf"model\.xml: .*{message}"):
+        simulated(ModelFiles(path), ModelFiles(path), recording(duration=2.0))
+
+
+def test_a_sidecar_of_another_robot_is_named(tmp_path: Path) -> None:
+    other = files(tmp_path, "other", [])
+    wrong = files(tmp_path, "wrong", [effect("effort_gain", "elbow", gain=2.0)])
+    with pytest.raises(InputError, match=r"wrong\.yaml: unknown joint 'elbow'"):
+        simulated(other, wrong, recording(duration=2.0))
+
+
+def test_noise_is_the_remainder_at_the_size_of_the_floor() -> None:
+    """Its colour and what channels share stay, its size becomes the floor's."""
+    remainder = noise_example().values * 3.0
+    remainder[5:9, 1], remainder[:, 8] = np.nan, np.nan
+    trace = SimpleNamespace(
+        stamps=np.arange(len(remainder)) * 10_000_000, measured=remainder + 7.0, after=np.full(remainder.shape, 7.0)
+    )
+    names = [channel.name for channel in MODEL.channels]
+    found = Noise.of(cast(GapResult, SimpleNamespace(trace=trace, channels=tuple(names), floor=FLOOR)))
+    assert found.period == pytest.approx(PERIOD)
+    np.testing.assert_allclose(np.sqrt(np.nanmean(found.values[:, :8] ** 2, axis=0)), FLOOR[:8])
+    np.testing.assert_allclose(found.values[:, 0], noise_example().values[:, 0])
+    assert np.all(np.isnan(found.values[:, 8]))
+    assert np.all(found.only(names).values[:, 8] == 0.0)
+
+
+def test_noise_repeats_itself() -> None:
+    noise = noise_example()
+    assert noise.duration == pytest.approx(30.0)
+    found = noise.at(np.array([0.0, 0.015, noise.duration]), 0.0)
+    np.testing.assert_allclose(found[0], noise.values[0])
+    np.testing.assert_allclose(found[1], 0.5 * (noise.values[1] + noise.values[2]))
+    np.testing.assert_allclose(found[2], noise.values[0], atol=1e-6)
+    np.testing.assert_array_equal(noise.at(np.zeros(1), 3 * PERIOD), noise.at(np.full(1, 3 * PERIOD), 0.0))
+    assert np.all(noise.only(["none"]).values == 0.0)

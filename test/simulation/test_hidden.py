@@ -1,0 +1,200 @@
+"""What can be asked to be hidden, that the seed decides the rest, and that a bag does not give it away."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+
+from geomid_ros.errors import InputError
+from geomid_ros.simulation import EFFECTS, WRIST_FRAME, Hidden, SimulationOptions, parse_hidden, simulate
+from geomid_ros.simulation.description import read_description
+from geomid_ros.simulation.effects.choice import chosen_effects
+from geomid_ros.simulation.effects.effect import Effect
+from geomid_ros.simulation.robots import robot_description
+from geomid_ros.types import FloatArray
+
+from .reading import recorded
+
+OPTIONS = SimulationOptions(robot="arm7", wrench_frame=WRIST_FRAME)
+
+
+def quiet(options: SimulationOptions) -> SimulationOptions:
+    """The same without noise."""
+    return replace(options, position_noise=0.0, velocity_noise=0.0, effort_noise=0.0, force_noise=0.0, torque_noise=0.0)
+
+
+def chosen(*hide: Hidden, seed: int = 1) -> tuple[Effect, ...]:
+    options = replace(OPTIONS, hide=hide, seed=seed)
+    return chosen_effects(options, read_description(robot_description(options.robot)))
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("spring", Hidden("spring")),
+        ("spring:joint2", Hidden("spring", "joint2")),
+        ("spring=20", Hidden("spring", "", 20.0)),
+        ("spring:joint2=-2e1", Hidden("spring", "joint2", -20.0)),
+        (
+            "spring:joint2=stiffness=20,equilibrium=0.3",
+            Hidden("spring", "joint2", None, {"stiffness": 20.0, "equilibrium": 0.3}),
+        ),
+    ],
+)
+def test_how_it_is_written(text: str, expected: Hidden) -> None:
+    assert parse_hidden(text) == expected
+
+
+@pytest.mark.parametrize("text", ["spring=hard", "spring:joint1=stiffness=", "spring=nan", "spring=stiffness=1,2"])
+def test_what_is_no_number_is_refused(text: str) -> None:
+    with pytest.raises(InputError, match="where a number has to stand"):
+        parse_hidden(text)
+
+
+def test_a_bare_number_is_the_first_parameter() -> None:
+    assert chosen(Hidden("spring", "joint2", 20.0))[0].parameters["stiffness"] == 20.0
+    assert chosen(Hidden("payload", "", 1.5))[0].parameters["mass"] == 1.5
+
+
+@pytest.mark.parametrize("effect", EFFECTS)
+def test_the_seed_decides_what_is_left_open(effect: str) -> None:
+    drawn = [chosen(Hidden(effect), seed=seed)[0] for seed in range(8)]
+    assert drawn == [chosen(Hidden(effect), seed=seed)[0] for seed in range(8)]
+    assert len({next(iter(each.parameters.values())) for each in drawn}) > 4
+    if drawn[0].joint.startswith("joint"):
+        assert len({each.joint for each in drawn}) > 1
+
+
+def test_asking_for_more_leaves_the_others_as_they_were() -> None:
+    assert chosen(Hidden("spring"), Hidden("backlash"))[0] == chosen(Hidden("spring"))[0]
+
+
+def test_the_same_effect_twice_is_at_two_joints() -> None:
+    for seed in range(10):
+        first, second = chosen(Hidden("spring"), Hidden("spring"), seed=seed)
+        assert first.joint != second.joint
+
+
+def test_payload_by_joint_and_by_link() -> None:
+    assert [chosen(Hidden("payload", place))[0].joint for place in ("joint7", "tool", "link7")] == ["joint7"] * 3
+    assert [chosen(Hidden("payload", place))[0].link for place in ("joint7", "tool", "link7")] == [
+        "link7",
+        "tool",
+        "link7",
+    ]
+
+
+@pytest.mark.parametrize(
+    ("hide", "message"),
+    [
+        ((Hidden("gravity_tilt", "joint1"),), "gravity_tilt is in the whole robot"),
+        ((Hidden("wrench_offset", "joint1"),), "wrench_offset is at the topic /wrench"),
+        ((Hidden("spring", "joint1"), Hidden("spring", "joint1")), "both asked for at 'joint1'"),
+        ((Hidden("backlash", "joint1"), Hidden("joint_elasticity", "joint1")), "both asked for at 'joint1'"),
+        ((Hidden("coulomb_friction", "joint1", -1.0),), "level is -1; it has to be above 0"),
+        ((Hidden("payload", "tool", 0.0),), "mass is 0; it has to be above 0"),
+    ],
+)
+def test_what_cannot_be_hidden(hide: tuple[Hidden, ...], message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        chosen(*hide)
+
+
+def test_no_sensor_no_offset_of_it() -> None:
+    options = replace(OPTIONS, hide=(Hidden("wrench_offset"),), wrench_frame=None)
+    with pytest.raises(InputError, match="add --wrench"):
+        chosen_effects(options, read_description(robot_description("arm7")))
+
+
+def numbers(entry: dict[str, Any]) -> list[float]:
+    return [value for value in entry["parameters"].values() if value != round(value, 1)]
+
+
+@pytest.mark.parametrize("effect", EFFECTS)
+def test_bag_carries_no_trace(effect: str, tmp_path: Path) -> None:
+    pytest.importorskip("mujoco")
+    options = replace(OPTIONS, robot="arm3", duration=0.3, hide=(Hidden(effect),), commands=True)
+    result = simulate(tmp_path / "recording", options)
+    bag = recorded(result.bag)
+    assert set(bag.messages) == {"/robot_description", "/joint_states", "/joint_commands", "/wrench"}
+    assert bag.messages["/robot_description"][0].data == robot_description("arm3")
+    assert sorted(path.name for path in result.bag.iterdir()) == ["metadata.yaml", "recording.mcap"]
+    content = (result.bag / "metadata.yaml").read_bytes() + b"".join(data for _, _, data in bag.raw)
+    entry = json.loads(result.truth.read_text())["effects"][0]
+    assert effect.encode() not in content
+    assert numbers(entry)
+    for value in numbers(entry):
+        assert repr(value).encode() not in content
+        assert np.float64(value).tobytes() not in content
+
+
+def columns(messages: list[Any], name: str) -> FloatArray:
+    return np.array([getattr(message, name) for message in messages])
+
+
+def test_commands_and_gains_are_the_whole_controller(tmp_path: Path) -> None:
+    """Feed-forward plus gains times errors is the effort that acted."""
+    pytest.importorskip("mujoco")
+    options = replace(OPTIONS, duration=3.0, hide=(Hidden("coulomb_friction"),), commands=True)
+    result = simulate(tmp_path / "recording", quiet(options))
+    bag = recorded(result.bag)
+    states, commands = bag.messages["/joint_states"], bag.messages["/joint_commands"]
+    assert result.controller is not None
+    gains = yaml.safe_load(result.controller.read_text())["joint_trajectory_controller"]["ros__parameters"]["gains"]
+    p, d = (np.array([gains[name][key] for name in states[0].name]) for key in ("p", "d"))
+    errors = [columns(commands, name) - columns(states, name) for name in ("position", "velocity")]
+    wanted = columns(commands, "effort") + p * errors[0] + d * errors[1]
+    assert commands[0].name == states[0].name
+    assert np.abs(errors[0]).max() > 1e-4
+    np.testing.assert_allclose(wanted, columns(states, "effort"), rtol=0.0, atol=1e-9)
+
+
+def test_coloured_noise_remembers(tmp_path: Path) -> None:
+    """Its autocorrelation falls to 1/e in the time asked for; its size is that of the white noise."""
+    pytest.importorskip("mujoco")
+    options = replace(OPTIONS, robot="arm3", duration=12.0, hide=(), noise_time=0.05)
+    loud, still = (
+        recorded(simulate(tmp_path / name, each).bag).messages["/joint_states"]
+        for name, each in (("loud", options), ("still", quiet(options)))
+    )
+    noise = columns(loud, "effort") - columns(still, "effort")
+    limits = {joint.name: joint.effort for joint in read_description(robot_description("arm3")).joints}
+    np.testing.assert_allclose(noise.std(0), [2e-3 * limits[name] for name in loud[0].name], rtol=0.15)
+    after = [np.mean(noise[lag:] * noise[: len(noise) - lag]) / np.mean(noise**2) for lag in (1, 5)]
+    np.testing.assert_allclose(after, np.exp([-0.2, -1.0]), atol=0.08)
+    assert (
+        np.abs(np.corrcoef((columns(loud, "velocity") - columns(still, "velocity"))[1:, 0], noise[:-1, 0]))[0, 1] < 0.1
+    )
+
+
+def test_resolution(tmp_path: Path) -> None:
+    pytest.importorskip("mujoco")
+    options = replace(OPTIONS, robot="arm3", duration=1.0, hide=(), position_step=1e-3, effort_step=0.01)
+    states = recorded(simulate(tmp_path / "recording", options).bag).messages["/joint_states"]
+    limits = {joint.name: joint.effort for joint in read_description(robot_description("arm3")).joints}
+    for values, step in (
+        (columns(states, "position"), np.full(3, 1e-3)),
+        (columns(states, "effort"), np.array([0.01 * limits[name] for name in states[0].name])),
+    ):
+        np.testing.assert_allclose(values / step, np.round(values / step), atol=1e-6)
+        assert len(np.unique(values)) > 10
+
+
+def test_a_late_wrench_is_stamped_so(tmp_path: Path) -> None:
+    """Sampled and stamped a quarter of a period later, it lies on the curve of a faster recording."""
+    pytest.importorskip("mujoco")
+    options = replace(OPTIONS, robot="arm3", duration=3.0, hide=(), rate=50.0, wrench_lag=0.005)
+    late = recorded(simulate(tmp_path / "late", quiet(options)).bag).messages["/wrench"]
+    fast = replace(options, rate=200.0, wrench_lag=0.0)
+    exact = recorded(simulate(tmp_path / "fast", quiet(fast)).bag).messages["/wrench"]
+    forces = {w.header.stamp.sec * 10**9 + w.header.stamp.nanosec: w.wrench.force.x for w in exact}
+    pairs = [(w.wrench.force.x, forces[w.header.stamp.sec * 10**9 + w.header.stamp.nanosec]) for w in late]
+    assert len(pairs) == 150
+    sampled, expected = np.array(pairs).T
+    np.testing.assert_allclose(sampled, expected, rtol=0.0, atol=1e-5)
