@@ -6,8 +6,9 @@ VENV ?= .venv$(addprefix -,$(filter-out python3,$(notdir $(PYTHON))))
 BIN := $(VENV)/bin
 PIP_INSTALL := $(BIN)/python -m pip install -qq --disable-pip-version-check
 PYTEST_ARGS ?=
+BENCH_ARGS ?=
 
-.PHONY: help demo test lint colcon clean
+.PHONY: help demo test lint bench colcon clean
 
 help: ## List these targets
 	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "make %-7s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -21,6 +22,9 @@ test: lint ## Set up, then run the static checks and the tests
 lint: $(VENV)/.test-ready ## Set up, then run ruff and mypy
 	$(BIN)/ruff check
 	$(BIN)/mypy
+
+bench: $(VENV)/.bench-ready ## Set up, then reproduce the paper beside other methods, into out/bench
+	$(BIN)/python -m benchmarks $(BENCH_ARGS)
 
 colcon: $(VENV)/.test-ready ## Build and test as a ROS workspace does, into build/, install/ and log/
 	$(BIN)/colcon build
@@ -40,4 +44,8 @@ $(VENV)/.run-ready: requirements.txt constraints.txt setup.py setup.cfg
 
 $(VENV)/.test-ready: $(VENV)/.run-ready requirements-test.txt
 	$(PIP_INSTALL) --requirement requirements-test.txt
+	@touch $@
+
+$(VENV)/.bench-ready: $(VENV)/.run-ready requirements-bench.txt
+	$(PIP_INSTALL) --requirement requirements-bench.txt
 	@touch $@

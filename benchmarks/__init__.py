@@ -1,0 +1,1 @@
+"""The paper reproduced, with other methods on the same rows: `make bench`."""

@@ -21,7 +21,7 @@ from rich import box
 from rich.console import Console
 from rich.table import Table
 
-from geomid_ros.commands.identify import Topics, read_samples
+from geomid_ros.commands.recordings import Topics, read_samples
 from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.estimation.starting_point import prior_parameters
 from geomid_ros.files.bags import Bag

@@ -1,0 +1,64 @@
+"""The paper reproduced, beside other methods: tables on the screen, pictures and results.json in a folder."""
+
+from __future__ import annotations
+
+import os
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as the package's entry points do; small matrices gain nothing
+
+import argparse
+from collections.abc import Callable
+from pathlib import Path
+
+from benchmarks import (
+    coverage,
+    human,
+    measured_arm,
+    node,
+    one_row,
+    payload,
+    people,
+    planar,
+    scale,
+    simulated_person,
+    speed,
+    streaming,
+)
+from benchmarks.problem import DataAbsentError
+from benchmarks.report import Report
+
+EXPERIMENTS: dict[str, Callable[[Report], None]] = {
+    "planar": planar.run,
+    "one_row": one_row.run,
+    "human": human.run,
+    "person": simulated_person.run,
+    "people": people.run,
+    "coverage": coverage.run,
+    "arm": measured_arm.run,
+    "speed": speed.run,
+    "scale": scale.run,
+    "streaming": streaming.run,
+    "payload": payload.run,
+    "node": node.run,
+}
+
+
+def main() -> None:
+    """Run the chosen experiments, all unless named; those whose data are absent say so."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks", description=__doc__)
+    parser.add_argument("experiments", nargs="*", metavar="EXPERIMENT", help=f"any of {', '.join(EXPERIMENTS)}")
+    parser.add_argument("--out", type=Path, default=Path("out/bench"), help="folder for results (%(default)s)")
+    arguments = parser.parse_args()
+    unknown = [name for name in arguments.experiments if name not in EXPERIMENTS]
+    if unknown:
+        parser.error(f"no experiment is called {', '.join(unknown)}; there are {', '.join(EXPERIMENTS)}")
+    report = Report(arguments.out)
+    for name in arguments.experiments or EXPERIMENTS:
+        try:
+            EXPERIMENTS[name](report)
+        except DataAbsentError as absent:
+            report.say(f"{name}: skipped, {absent}\n")
+
+
+if __name__ == "__main__":
+    main()

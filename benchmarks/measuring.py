@@ -1,0 +1,74 @@
+"""Time and memory of a method, each in a process of its own."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
+from multiprocessing import get_context
+from pathlib import Path
+from typing import ParamSpec, TypeVar
+
+from benchmarks import peers
+from benchmarks.problem import Problem
+from geomid_ros.types import FloatArray
+
+P = ParamSpec("P")
+T = TypeVar("T")
+_REPEATS = 7
+_ENOUGH = 10.0  # seconds of repetitions
+
+
+@dataclass(frozen=True, eq=False)
+class Measurement:
+    """What a method found, the ``seconds`` of its fastest run and of its first, and the process's ``peak`` of memory
+    with its ``growth`` during the fit [MB]."""
+
+    parameters: FloatArray
+    seconds: float
+    first_seconds: float
+    peak: float
+    growth: float
+
+
+def measure(problem: Problem, method: str, weight: float) -> Measurement:
+    """Fit ``problem`` in a fresh process."""
+    return in_fresh_process(_measure, problem, method, weight)
+
+
+def in_fresh_process(function: Callable[P, T], *arguments: P.args, **keywords: P.kwargs) -> T:
+    """The result of a function of a module, called in a new process."""
+    with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
+        return pool.submit(function, *arguments, **keywords).result()
+
+
+def best_of(action: Callable[[], object], repeats: int = _REPEATS, enough: float = _ENOUGH) -> float:
+    """Seconds of the fastest of several runs; fewer if they take ``enough`` seconds."""
+    best, begin = float("inf"), time.perf_counter()
+    for _ in range(repeats):
+        start = time.perf_counter()
+        action()
+        now = time.perf_counter()
+        best = min(best, now - start)
+        if now - begin > enough:
+            break
+    return best
+
+
+def _measure(problem: Problem, name: str, weight: float) -> Measurement:
+    fit = peers.method(name).fit
+    before = resident("VmRSS")
+    begin = time.perf_counter()
+    parameters = fit(problem, weight)
+    first = time.perf_counter() - begin
+    seconds = first if first > _ENOUGH else min(first, best_of(lambda: fit(problem, weight)))
+    peak = resident("VmHWM")
+    return Measurement(parameters, seconds, first, peak, peak - before)
+
+
+def resident(field: str, process: int | str = "self") -> float:
+    """Resident memory of a process in MB (``VmHWM`` is its peak; getrusage's is inherited from the parent)."""
+    lines = Path(f"/proc/{process}/status").read_text(encoding="ascii").splitlines()
+    (line,) = (line for line in lines if line.startswith(field + ":"))
+    return int(line.split()[1]) / 1024.0
