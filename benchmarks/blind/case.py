@@ -33,13 +33,18 @@ _ROBOTS = (
 
 @dataclass(frozen=True)
 class Case:
-    """Recordings to learn from and one to be judged on, made by ``simulator`` (``mujoco`` or ``drake``)."""
+    """Recordings to learn from and one to be judged on, made by ``simulator`` (``mujoco`` or ``drake``).
+
+    A single payload is looked for as one does: the robot was identified from recordings without it, ``unloaded``. From
+    recordings with it alone nothing tells a payload from an error of the link that carries it.
+    """
 
     kind: str
     seed: int
     simulator: str
     training: tuple[SimulationOptions, ...]
     held_out: SimulationOptions
+    unloaded: tuple[SimulationOptions, ...] = ()
 
     @property
     def name(self) -> str:
@@ -52,8 +57,12 @@ class Case:
 
     def slower(self) -> Case:
         """The same with calmer motions."""
-        calmer = [replace(each, motion_speed=0.7 * each.motion_speed) for each in (*self.training, self.held_out)]
-        return replace(self, training=tuple(calmer[:-1]), held_out=calmer[-1])
+        calmer = {
+            name: tuple(replace(each, motion_speed=0.7 * each.motion_speed) for each in recordings)
+            for name, recordings in (("training", self.training), ("unloaded", self.unloaded))
+        }
+        held_out = replace(self.held_out, motion_speed=0.7 * self.held_out.motion_speed)
+        return replace(self, held_out=held_out, **calmer)
 
 
 def draw(kind: str, seed: int) -> Case:
@@ -74,7 +83,10 @@ def draw(kind: str, seed: int) -> Case:
     common = replace(common, wrench_lag=rng.uniform(0.0, 1.0 / common.rate) if frame else 0.0)
     simulator = "drake" if rng.uniform() < _DRAKE_SHARE else "mujoco"
     motions = _motions(common, rng)
-    return Case(kind, seed, simulator, tuple(motions[:-1]), motions[-1])
+    training = tuple(motions[:-1])
+    loaded = [request.effect for request in hide] == ["payload"]
+    unloaded = tuple(replace(each, hide=(), motion_seed=1_000_000 + common.seed) for each in training[:1])
+    return Case(kind, seed, simulator, training, motions[-1], unloaded if loaded else ())
 
 
 def robot_file(robot: str) -> str:

@@ -128,8 +128,8 @@ class DrakeRobot(Simulator):
         effort: FloatArray = inertia @ acceleration + bias
         return effort
 
-    def joint_inertia(self, position: FloatArray) -> FloatArray:
-        return np.diagonal(self._equation(position, np.zeros(len(position)))[0]).copy()
+    def inertia_matrix(self, position: FloatArray) -> FloatArray:
+        return self._equation(position, np.zeros(len(position)))[0]
 
 
 def _gravity(effects: Iterable[Effect]) -> FloatArray:

@@ -47,7 +47,7 @@ class Line:
 def figures(cases: Sequence[Judgement]) -> list[Line]:
     """The lines of the table."""
     single, double, none, outside, large = ([case for case in cases if case.kind == kind] for kind in KINDS)
-    visible, large_visible = ([case for case in each if case.visible] for each in (single, large))
+    visible, large_visible, outside_visible = ([c for c in each if c.visible] for each in (single, large, outside))
     fitted = [case for case in (*single, *double, *none) if "backlash" not in dict(case.truth)]
     return [
         _share("effect and joint right and confident, single, visible", visible, _all_right, ">= 92 %", ">= 98 %"),
@@ -59,7 +59,8 @@ def figures(cases: Sequence[Judgement]) -> list[Line]:
         _share("wrong confident name, double", double, _wrong, "<= 3 %", "0"),
         _share("named anything, no effect", none, lambda case: bool(case.named), "0", "0"),
         _share("something unexplained, no effect", none, lambda case: case.verdict != "no gap", "", ""),
-        _share("flagged on the right joint, outside", outside, lambda case: case.flagged, ">= 95 %", "100 %"),
+        _share("flagged on the right joint, outside, visible", outside_visible, _flagged, ">= 95 %", "100 %"),
+        _share("flagged on the right joint, outside, all", outside, _flagged, "", ""),
         _share("wrong confident name, outside", outside, _wrong, "", ""),
         _share("wrong confident name, large inertial errors", large, _wrong, "<= 5 %", "0"),
         _share("right and confident, large inertial errors, visible", large_visible, _all_right, "", ""),
@@ -79,6 +80,10 @@ def _all_right(case: Judgement) -> bool:
 
 def _all_listed(case: Judgement) -> bool:
     return len(case.listed) == len(case.truth)
+
+
+def _flagged(case: Judgement) -> bool:
+    return case.flagged
 
 
 def _wrong(case: Judgement) -> bool:

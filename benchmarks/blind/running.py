@@ -9,6 +9,7 @@ import shutil
 import subprocess
 import sys
 import time
+from collections.abc import Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
@@ -16,7 +17,7 @@ from typing import Any
 from benchmarks.blind import drake_robot
 from benchmarks.blind.case import Case, draw, robot_file
 from geomid_ros.errors import GeomidError
-from geomid_ros.simulation import simulate
+from geomid_ros.simulation import SimulationOptions, simulate
 from geomid_ros.simulation.description import read_description
 from geomid_ros.simulation.effects.choice import chosen_effects
 from geomid_ros.simulation.plant import Plant
@@ -71,13 +72,25 @@ def _run(case: Case, folder: Path) -> dict[str, Any]:
         truth = _recorded(case, folder)
     except GeomidError as error:
         return {"error": f"cannot be recorded: {error}"}
-    bags = [folder / f"training_{index}" for index in range(len(case.training))]
-    command = [*map(str, bags), "--validate", str(folder / "held_out"), "--urdf", str(folder / "robot.urdf")]
+    robot = ["--urdf", str(folder / "robot.urdf")]
     if case.held_out.wrench_frame:
-        command += ["--wrench", f"/wrench:{case.held_out.wrench_frame}:mounted"]
+        robot += ["--wrench", f"/wrench:{case.held_out.wrench_frame}:mounted"]
+    if case.unloaded:
+        known = folder / "unloaded"
+        bags = [str(folder / name) for name in _names("unloaded", case.unloaded)]
+        if trouble := _command(["identify", *bags, *robot, "--effects", "none", "--out", str(known)])[1]:
+            return {"error": trouble}
+        robot += ["--model", str(known / "estimate.json")]
+    bags = [str(folder / name) for name in _names("training", case.training)]
     begin, spent = time.perf_counter(), _spent()
-    found = _gap(command, folder / "gap")
+    arguments = ["gap", *bags, "--validate", str(folder / "held_out"), *robot, "--out", str(folder / "gap"), "--json"]
+    printed, trouble = _command(arguments)
+    found = {"error": trouble} if trouble else {"gap": json.loads(printed)}
     return {"truth": truth, "seconds": time.perf_counter() - begin, "processor_seconds": _spent() - spent, **found}
+
+
+def _names(part: str, recordings: Sequence[SimulationOptions]) -> list[str]:
+    return [f"{part}_{index}" for index in range(len(recordings))]
 
 
 def _spent() -> float:
@@ -86,19 +99,22 @@ def _spent() -> float:
     return usage.ru_utime + usage.ru_stime
 
 
-def _gap(arguments: list[str], out: Path) -> dict[str, Any]:
-    """What ``geomid gap`` prints, or why it did not."""
-    command = [sys.executable, "-m", "geomid_ros", "gap", *arguments, "--out", str(out), "--json"]
+def _command(arguments: list[str]) -> tuple[str, str]:
+    """What a command of ``geomid`` prints, and why it failed, empty if it did not."""
     environment = {**os.environ, "PYTHONPATH": str(_ROOT), "OPENBLAS_NUM_THREADS": "1"}
     try:
         done = subprocess.run(  # noqa: S603 it is a command of ours
-            command, capture_output=True, text=True, timeout=_PATIENCE, env=environment, cwd=_ROOT, check=False
+            [sys.executable, "-m", "geomid_ros", *arguments],
+            capture_output=True,
+            text=True,
+            timeout=_PATIENCE,
+            env=environment,
+            cwd=_ROOT,
+            check=False,
         )
     except subprocess.TimeoutExpired:
-        return {"error": f"not finished after {_PATIENCE:g} s"}
-    if done.returncode != 0:
-        return {"error": done.stderr.strip()[-2000:]}
-    return {"gap": json.loads(done.stdout)}
+        return "", f"not finished after {_PATIENCE:g} s"
+    return done.stdout, "" if done.returncode == 0 else done.stderr.strip()[-2000:] or "it failed without a word"
 
 
 def _recorded(case: Case, folder: Path) -> dict[str, Any]:
@@ -131,7 +147,8 @@ def _record(case: Case, folder: Path) -> None:
 def _simulate(case: Case, folder: Path) -> None:
     robot = robot_file(case.held_out.robot)
     (folder / "robot.urdf").write_text(robot_description(robot), encoding="utf-8")
-    names = [f"training_{index}" for index in range(len(case.training))]
+    names = [*_names("training", case.training), *_names("unloaded", case.unloaded), "held_out"]
+    recordings = [*case.training, *case.unloaded, case.held_out]
     builder = drake_robot.DrakeRobot if case.simulator == "drake" else Plant
-    for name, options in zip([*names, "held_out"], [*case.training, case.held_out], strict=True):
+    for name, options in zip(names, recordings, strict=True):
         simulate(folder / name, replace(options, robot=robot), builder=builder)

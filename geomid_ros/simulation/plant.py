@@ -86,12 +86,10 @@ class Plant(Simulator):
         effort: FloatArray = data.qfrc_inverse + self._needed(position, velocity)
         return effort
 
-    def joint_inertia(self, position: FloatArray) -> FloatArray:
+    def inertia_matrix(self, position: FloatArray) -> FloatArray:
         self._data.qpos[:] = position
         self._mujoco.mj_forward(self._model, self._data)
-        column = np.empty(self._model.nv)
-        diagonal = np.empty(self._model.nv)
-        for joint, unit in enumerate(np.eye(self._model.nv)):
-            self._mujoco.mj_mulM(self._model, self._data, column, unit)
-            diagonal[joint] = column[joint]
-        return diagonal
+        rows = np.empty((self._model.nv, self._model.nv))
+        for row, unit in zip(rows, np.eye(self._model.nv), strict=True):
+            self._mujoco.mj_mulM(self._model, self._data, row, unit)
+        return rows

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -15,7 +15,9 @@ from geomid_ros.simulation.trace import Trace
 from geomid_ros.types import FloatArray, IntArray
 
 _STIFFNESS = 10.0  # effort limits per rad (or m) of position error
-_QUICKEST = 7500.0  # 1/s; how fast the controller may damp a light rotor: 1.5 per step, and Runge-Kutta bears 2.8
+_STABLE = 0.8  # decay per step of a joint alone by the controller's damping; all together, Runge-Kutta bears 2.8
+_LOST = 0.3  # rad or m from the set-point
+_LOOK = 0.05  # s between the set-points at which that is looked at
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,19 +44,27 @@ def tuned_controller(
 ) -> Controller:
     """A controller that knows the ``nominal`` model, its gains ``tuned_on`` that or the ``robot``.
 
-    They make the loop critically damped, or less so where a light rotor stands before a gear that gives, and a
-    constant effort holds the robot still where it starts.
+    They make the loop critically damped where it starts, and a constant effort holds the robot still there.
     """
     rows = zip(setpoints.position, setpoints.velocity, setpoints.acceleration, strict=True)
     feedforward = np.array([nominal.inverse_dynamics(*row) for row in rows])
     start, rest = robot.at_rest(setpoints.position[0])
     feedforward += robot.inverse_dynamics(start, rest, rest)[robot.driven] - feedforward[0]
     stiffness = _STIFFNESS * np.array([joint.effort for joint in joints])
-    inertia = tuned_on.joint_inertia(tuned_on.at_rest(setpoints.position[0])[0])[tuned_on.driven]
-    damping = 2.0 * np.sqrt(stiffness * inertia)
-    for motor, rotor in robot.light_rotors.items():
-        damping[motor] = min(damping[motor], _QUICKEST * rotor)
-    return Controller(setpoints, feedforward, stiffness, damping)
+    inertia = tuned_on.inertia_matrix(tuned_on.at_rest(setpoints.position[0])[0])
+    return Controller(setpoints, feedforward, stiffness, 2.0 * np.sqrt(stiffness * np.diag(inertia)[tuned_on.driven]))
+
+
+def slowed(controller: Controller, robot: Simulator, step: float) -> Controller:
+    """The controller with less damping, where the ``robot`` would answer faster than steps of ``step`` [s] can follow.
+
+    A joint that moves alone, the others free, feels the inertia ``1 / (M^-1)_jj``: that of a light rotor before a gear
+    that gives, or little where the axes of two joints are nearly one line.
+    """
+    positions = controller.setpoints.position[:: max(1, round(_LOOK / step))]
+    inverses = (np.linalg.inv(robot.inertia_matrix(robot.at_rest(position)[0])) for position in positions)
+    lightest = 1.0 / np.max([np.diag(inverse)[robot.driven] for inverse in inverses], axis=0)
+    return replace(controller, damping=np.minimum(controller.damping, _STABLE * lightest / step))
 
 
 @dataclass(frozen=True, eq=False)
@@ -165,11 +175,13 @@ def _trace(
 
 
 def check_motion(trace: Trace, joints: Sequence[JointLimits]) -> None:
-    """Refuse a run that diverged or reached the ends of the joints' ranges, whose stops nobody measures."""
+    """Refuse a run that diverged, lost its set-points or reached the ends of the joints' ranges, whose stops nobody
+    measures."""
     lower, upper = np.array([(joint.lower, joint.upper) for joint in joints]).T
     inside = (trace.position > lower) & (trace.position < upper)
-    if not (inside.all() and np.isfinite(trace.effort).all()):
+    followed = np.abs(trace.position - trace.commands.position) < _LOST
+    if not (inside.all() and followed.all() and np.isfinite(trace.effort).all()):
         raise InputError(
-            "the robot left its joints' ranges: its drives are too weak for this motion. "
+            "the robot left its joints' ranges or its set-points: its drives are too weak for this motion. "
             "Lower motion_range, motion_speed or inertia_error, or lengthen motion_period."
         )

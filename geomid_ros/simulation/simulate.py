@@ -16,7 +16,7 @@ from geomid_ros.simulation.effects.effect import Effect
 from geomid_ros.simulation.motion import exciting_motion
 from geomid_ros.simulation.options import SimulationOptions
 from geomid_ros.simulation.plant import Plant
-from geomid_ros.simulation.recorder import ClosedLoop, Sampling, check_motion, run, tuned_controller
+from geomid_ros.simulation.recorder import ClosedLoop, Sampling, check_motion, run, slowed, tuned_controller
 from geomid_ros.simulation.robot import Builder, Robot, build_robot
 from geomid_ros.simulation.seeds import Stream, generator
 from geomid_ros.simulation.sensors import measured
@@ -74,7 +74,7 @@ def closed_loop(robot: Robot, options: SimulationOptions) -> ClosedLoop:
     nominal = Plant(robot.nominal, robot.nominal.inertias)
     tuned_on = robot.plant if options.hide is None else nominal  # gains known to all, which tell nothing
     controller = tuned_controller(motion, nominal, robot.plant, robot.joints, tuned_on)
-    return ClosedLoop(robot.plant, controller, options.step)
+    return ClosedLoop(robot.plant, slowed(controller, robot.plant, options.step), options.step)
 
 
 def record(robot: Robot, loop: ClosedLoop, options: SimulationOptions, progress: Progress | None = None) -> Trace:

@@ -36,12 +36,6 @@ class Simulator(ABC):
         self._gears = [(effect, at) for effect, at in places if at.play >= 0]
         self._places = places
 
-    @property
-    def light_rotors(self) -> dict[int, float]:
-        """Inertia [kg m^2] of the rotors, by motor, that only a gear that gives connects to the robot."""
-        motors = self.driven.tolist()
-        return {motors.index(at.joint): effect.parameters["rotor_inertia"] for effect, at in self._gears}
-
     def at_rest(self, position: FloatArray) -> tuple[FloatArray, FloatArray]:
         """A state, positions and velocities ``(m,)``, with the motors held at ``position (n,)``."""
         size = len(self.driven) + len({at.play for _, at in self._gears})
@@ -95,8 +89,8 @@ class Simulator(ABC):
         """Efforts ``(m,)`` that the motion of a state takes, dry friction apart."""
 
     @abstractmethod
-    def joint_inertia(self, position: FloatArray) -> FloatArray:
-        """Diagonal ``(m,)`` of the inertia matrix of a state, rotors included [kg m^2 or kg]."""
+    def inertia_matrix(self, position: FloatArray) -> FloatArray:
+        """The joint-space inertia matrix ``(m, m)`` of a state, rotors included [kg m^2 or kg]."""
 
 
 def _index(names: Sequence[str], name: str) -> int:

@@ -9,7 +9,7 @@ import pytest
 
 from geomid_ros.simulation.description import read_description
 from geomid_ros.simulation.motion import FADE_IN, Motion, exciting_motion
-from geomid_ros.simulation.options import SimulationOptions
+from geomid_ros.simulation.options import MOTIONS, SimulationOptions
 from geomid_ros.simulation.robots import robot_description
 
 JOINTS = read_description(robot_description("arm7")).joints
@@ -27,15 +27,42 @@ def test_starts_at_rest_in_the_middle_of_the_range() -> None:
     np.testing.assert_allclose(motion().acceleration[0], 0.0, atol=1e-12)
 
 
-def test_derivatives() -> None:
-    whole, step = motion(), TIMES[1] - TIMES[0]
-    np.testing.assert_allclose(np.gradient(whole.position, step, axis=0)[1:-1], whole.velocity[1:-1], atol=1e-3)
-    np.testing.assert_allclose(np.gradient(whole.velocity, step, axis=0)[1:-1], whole.acceleration[1:-1], atol=1e-2)
+@pytest.mark.parametrize("kind", MOTIONS)
+def test_derivatives(kind: str) -> None:
+    """Between the corners that trapezoids of speed have."""
+    whole, step = motion(replace(OPTIONS, motion=kind)), TIMES[1] - TIMES[0]
+    slope, bend = (np.gradient(values, step, axis=0)[1:-1] for values in (whole.position, whole.velocity))
+    inside = np.abs(whole.acceleration[2:] - whole.acceleration[:-2]) < 1.0
+    assert inside.mean() > 0.95
+    np.testing.assert_allclose(slope, whole.velocity[1:-1], atol=1e-2)
+    off = np.abs(bend[inside] - whole.acceleration[1:-1][inside]) > 1e-2
+    assert off.mean() < (0.01 if kind == "points" else 1e-9)
 
 
+def test_points_are_rested_at() -> None:
+    still = motion(replace(OPTIONS, motion="points")).velocity == 0.0
+    np.testing.assert_allclose(still.mean(0), 0.1, atol=0.05)
+
+
+def test_chirps_get_faster() -> None:
+    """Each joint turns round ever more often."""
+    velocity = motion(replace(OPTIONS, motion="chirp", motion_period=6.0)).velocity
+    for column in velocity.T:
+        turns = np.flatnonzero(np.diff(np.sign(column[2000:])))
+        assert np.all(np.diff(turns, n=2) < 0)
+        assert len(turns) > 4
+
+
+def test_aperiodic_motions_do_not_repeat() -> None:
+    position = motion(replace(OPTIONS, motion="aperiodic")).position
+    faded, later = np.searchsorted(TIMES, (FADE_IN, FADE_IN + OPTIONS.motion_period))
+    assert np.abs(position[later:] - position[faded : faded + len(position) - later]).max() > 0.1
+
+
+@pytest.mark.parametrize("kind", MOTIONS)
 @pytest.mark.parametrize(("reach", "speed"), [(0.7, 0.6), (0.1, 1.0), (1.0, 0.1)])
-def test_uses_its_share_of_the_limits(reach: float, speed: float) -> None:
-    whole = motion(replace(OPTIONS, motion_range=reach, motion_speed=speed))
+def test_uses_its_share_of_the_limits(reach: float, speed: float, kind: str) -> None:
+    whole = motion(replace(OPTIONS, motion_range=reach, motion_speed=speed, motion=kind))
     centre, half, top = np.array([(joint.centre, joint.half_range, joint.velocity) for joint in JOINTS]).T
     used_range = np.abs(whole.position - centre).max(0) / half / reach
     used_speed = np.abs(whole.velocity).max(0) / top / speed

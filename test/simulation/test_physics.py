@@ -81,6 +81,17 @@ def test_a_row_belongs_to_one_instant() -> None:
         np.testing.assert_allclose(slope[smooth], rates[2:-2][smooth], rtol=0.0, atol=2e-5)
 
 
+@pytest.mark.parametrize(("seed", "motion"), [(4, "aperiodic"), (9, "sines")])
+def test_nothing_rattles_where_axes_are_in_line(seed: int, motion: str) -> None:
+    """The first and third joint of the seven turn about one line where the second is at 0: little inertia resists them
+    together, and a controller too stiff for the step would shake it."""
+    options = SimulationOptions(robot="arm7", seed=seed, rate=500.0, duration=5.0, motion=motion, hide=())
+    trace = recorded(options)
+    slope = (trace.velocity[2:] - trace.velocity[:-2]) * 0.5 * options.rate
+    off = np.sqrt(np.mean((slope - trace.acceleration[1:-1]) ** 2, axis=0))
+    assert np.all(off < 1e-2 * np.sqrt(np.mean(trace.acceleration**2, axis=0)))
+
+
 def test_integration_has_converged() -> None:
     options = replace(QUICK, duration=2.5)
     coarse, fine = (recorded(replace(options, longest_step=step)) for step in (5e-4, 1e-4))
