@@ -14,11 +14,12 @@ from benchmarks.report import Report
 from geomid_ros.estimation.estimator import EstimatorSettings
 from geomid_ros.estimation.gamma import PAPER
 from geomid_ros.estimation.identifier import Identifier
-from geomid_ros.estimation.objective import ResidualObjective
+from geomid_ros.estimation.objective import residual_objective
 from geomid_ros.estimation.solvers import trust_region
 from geomid_ros.estimation.starting_point import channel_sizes, prior_parameters, scales_of_reals
 from geomid_ros.files.configuration import Configuration
 from geomid_ros.files.urdf import read_urdf
+from geomid_ros.model.known import known_rows
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.samples import Samples
 from geomid_ros.session import Session
@@ -118,13 +119,17 @@ def _distance_to_batch(streamed: FloatArray) -> tuple[float, float]:
     coefficients, targets = [], []
     for samples in _recording(model, _MANY):
         identifier.add(samples)
-        rows = model.rows(samples)
-        coefficients.append(rows.coefficients.reshape(-1, model.dimension))
-        targets.append(rows.targets.ravel())
+        made = model.rows(samples)
+        coefficients.append(made.coefficients.reshape(-1, model.dimension))
+        targets.append(made.targets.ravel())
     summary = identifier.snapshot()
     manifold = model.manifold(scales_of_reals(model, channel_sizes(summary, model.dimension)))
     prior = manifold.point(prior_parameters(model, summary, None))
     sigmas = np.resize(identifier.solve().sigmas, sum(map(len, targets)))
-    objective = ResidualObjective(manifold, np.concatenate(coefficients), np.concatenate(targets), sigmas, prior, PAPER)
+    rows = np.concatenate(coefficients)
+    rows /= sigmas[:, None]
+    objective = residual_objective(
+        manifold, (rows, np.concatenate(targets) / sigmas), known_rows(model, ()), prior, PAPER
+    )
     found = trust_region(objective, prior, _SETTINGS.tolerance * PAPER, _SETTINGS.max_steps)
     return manifold.distance(manifold.point(streamed), found.point), resident("VmHWM")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +20,8 @@ from geomid_ros.files.urdf import with_identified_inertias
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.robot import Robot
 from geomid_ros.model.samples import Samples
-from geomid_ros.signals.pipeline import JOINT_STATES, ODOM, SignalPipeline, SignalSettings
+from geomid_ros.signals.pipeline import JOINT_STATES, ODOM, SignalPipeline, SignalSettings, ignore
+from geomid_ros.signals.recent import Recent
 from geomid_ros.signals.streams import EffectColumns
 from geomid_ros.types import FloatArray
 
@@ -51,7 +52,8 @@ class Session:
             configuration.buffer,
             self.prior,
         )
-        self.pipeline = self.new_pipeline()
+        self.recent = Recent(configuration["gap.memory"])
+        self.pipeline = self.new_pipeline(on_accepted=self.recent)
 
     @property
     def prior(self) -> FloatArray | None:
@@ -70,7 +72,10 @@ class Session:
         return nominal_parameters(self.model)
 
     def new_pipeline(
-        self, settings: SignalSettings | None = None, effect_columns: EffectColumns | None = None
+        self,
+        settings: SignalSettings | None = None,
+        effect_columns: EffectColumns | None = None,
+        on_accepted: Callable[[str, int, FloatArray], None] = ignore,
     ) -> SignalPipeline:
         """A pipeline without a past, for another recording of the same robot; with the configuration's settings and the
         columns of the model's effects unless others are given."""
@@ -82,14 +87,8 @@ class Session:
             settings=self.loaded.signals(settings or self.configuration.signals(joints), joints),
             continuous=[joint.name for joint in self.robot.joints if joint.continuous],
             effect_columns=effect_columns or self.model.effect_columns,
+            on_accepted=on_accepted,
         )
-
-    def advance(self) -> Samples | None:
-        """Hand the samples that are ready to the identifier, and return them."""
-        samples = self.pipeline.collect()
-        if samples is not None:
-            self.identifier.add(samples)
-        return samples
 
     def rms(self, batches: Iterable[Samples], parameters: FloatArray) -> FloatArray:
         """RMS residual of each channel over samples at parameters ``(D,)``; NaN where nothing was measured."""

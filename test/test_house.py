@@ -25,6 +25,7 @@ FLOORS = {
     "gap": 3,
     "files": 4,
     "session": 4,
+    "gap_session": 4,
     "resimulation": 4,
     "simulation": 4,
     "__main__": 5,

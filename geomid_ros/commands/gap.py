@@ -21,11 +21,9 @@ from geomid_ros.files.effect_forms import ModelEffect
 from geomid_ros.files.gap_model import model_files, write_model
 from geomid_ros.files.gap_results import gap_document, write_gap
 from geomid_ros.files.report.gap_page import GapPage, SimulatedAgain, write_gap_page
-from geomid_ros.files.results import read_estimate
 from geomid_ros.files.urdf import read_urdf
 from geomid_ros.gap.result import GapResult
-from geomid_ros.gap.settings import GapSettings
-from geomid_ros.gap.workflow import find_gap
+from geomid_ros.gap_session import find, gap_session
 from geomid_ros.model.samples import Samples
 from geomid_ros.session import Session
 from geomid_ros.types import FloatArray
@@ -75,8 +73,8 @@ def gap(
     and the model: estimate.json, identified.urdf, identified.xml (MJCF) and effects.yaml.
     """
     urdf = urdf or _urdf_beside(model)
-    configuration = configured(config, model, floating_base, wrench, effects=_effects_of(model))
-    session = Session(read_urdf(urdf), configuration, str(urdf))
+    configuration = configured(config, model, floating_base, wrench)
+    session = gap_session(read_urdf(urdf), configuration, str(urdf))
     reader = Reader(session, Topics(joint_topic, odom_topic))
     chosen = Bags(bags, held_out_share(hold_out, validate), validate, simulated)
     recordings = reader.read(chosen)
@@ -108,24 +106,9 @@ def _urdf_beside(model: Path | None) -> Path:
     return beside
 
 
-def _effects_of(model: Path | None) -> list[str]:
-    """The effects that the model has already; of the others it is to be found out whether they are missing."""
-    if model is None:
-        return []
-    return list(dict.fromkeys(str(entry["name"]) for entry in read_estimate(model)["effects"]))
-
-
 def _find(session: Session, recordings: Recordings, bags: Sequence[Path], progress: Progress) -> GapResult:
     try:
-        return find_gap(
-            session.model,
-            recordings.train,
-            recordings.held_out,
-            GapSettings(cutoff=recordings.cutoff),
-            nominal=session.prior,
-            simulated=recordings.simulated,
-            progress=progress,
-        )
+        return find(session, recordings.train, recordings.held_out, recordings.cutoff, progress, recordings.simulated)
     except InputError as error:
         raise InputError(f"{', '.join(map(str, bags))}: {error}") from error
 

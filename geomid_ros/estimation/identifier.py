@@ -13,9 +13,9 @@ from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.estimation.estimator import EstimatorSettings, WarmStart, estimate
 from geomid_ros.estimation.summary import RowSummary, usable
 from geomid_ros.model.known import known_rows
-from geomid_ros.model.measurement import MeasurementModel
+from geomid_ros.model.measurement import MeasurementModel, Rows
 from geomid_ros.model.samples import Samples
-from geomid_ros.types import FloatArray
+from geomid_ros.types import FloatArray, IntArray
 
 NOT_MEASURED = "not measured"
 STANDING_STILL = "standing still"
@@ -82,9 +82,10 @@ class Identifier:
             self.rows_rejected.clear()
             self._last_pose = self._last_stamp = None
 
-    def add(self, samples: Samples) -> None:
-        """Take samples, in the order of time."""
+    def add(self, samples: Samples) -> tuple[IntArray, Rows]:
+        """Take samples, in the order of time; returns stamps and rows of those that are not standing still."""
         rows = self.model.rows(samples)
+        moving = np.zeros(len(samples), dtype=bool)
         with self._lock:
             for index in range(len(samples)):
                 elapsed = self._elapsed(int(samples.stamps[index]))
@@ -93,7 +94,9 @@ class Identifier:
                 if self._is_still(samples, index):
                     self.rows_rejected[STANDING_STILL] += int(np.count_nonzero(measured))
                 else:
+                    moving[index] = True
                     self._summary.add(rows.coefficients[index], rows.targets[index], elapsed)
+        return samples.stamps[moving], Rows(rows.coefficients[moving], rows.targets[moving])
 
     def _elapsed(self, stamp: int) -> float:
         """Seconds since the sample before; for another recording, or after a pause, not more than a little."""

@@ -73,6 +73,7 @@ PARAMETERS = (
     Parameter("still_speed", 1e-3, "slower than this everywhere counts as standing still [rad/s, m/s]", 0.0, 10.0),
     Parameter("still_distance", 1e-2, "at a standstill, a pose nearer to the last one is not new [rad, m]", 0.0, 10.0),
     Parameter("solve_period", 1.0, "seconds between estimates while data come in [s]", 0.001, 3600.0),
+    Parameter("gap.memory", 120.0, "seconds of messages that ~/find_gap looks at; 0: none are kept [s]", 0.0, 3600.0),
     Parameter("active", True, "take data from the start; otherwise wait for ~/start"),
     Parameter("output_folder", "", "folder that ~/save and the end of the node write to; empty: the working directory"),
 )

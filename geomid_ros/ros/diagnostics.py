@@ -4,16 +4,21 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from datetime import UTC, datetime
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 
 from geomid_ros.estimation.estimate import Estimate, LinkEstimate
 from geomid_ros.estimation.estimator import QUANTITIES
+from geomid_ros.files.report.gap_words import not_explained
+from geomid_ros.gap.watch import ChannelGap
+from geomid_ros.ros.gap_search import SearchStatus
 from geomid_ros.ros.worker import Status
 
 NO_DESCRIPTION = "no robot description yet"
 STOPPED = "stopped"
+_SIMULATED = 1_000_000_000_000_000_000  # [ns] no clock that is set to the time of day shows less
 _QUANTILES = {"p50": 0.5, "p99": 0.99, "max": 1.0}
 
 
@@ -24,12 +29,14 @@ class Diagnostics:
         self._node = node
         self._counts: Counter[str] = Counter()
 
-    def array(self, status: Status) -> DiagnosticArray:
-        """The state of the stream and of every link."""
+    def array(self, status: Status, search: SearchStatus | None = None) -> DiagnosticArray:
+        """The state of the stream, of the search for a gap if there was one, and of every link."""
         counts = _counts(status)
         level, message = _judgement(status, counts - self._counts)
         self._counts = counts
         array = DiagnosticArray(status=[_status(f"{self._node}: stream", level, message, _stream(status, counts))])
+        if search is not None:
+            array.status.append(_search(f"{self._node}: gap finding", search))
         if status.estimate is not None:
             array.status += [_link(self._node, link) for link in status.estimate.links]
         return array
@@ -85,6 +92,7 @@ def _stream(status: Status, counts: Mapping[str, int]) -> dict[str, object]:
         "solves": status.solves,
         **counts,
         **{f"rows rejected: {reason}": count for reason, count in (+status.rows_rejected).items()},
+        **{f"gap {gap.channel}": gap.times_floor for gap in status.gaps},
     }
     if status.estimate is not None:
         values |= _solve(status.estimate)
@@ -109,6 +117,37 @@ def _solve(estimate: Estimate) -> dict[str, object]:
     return values
 
 
+def _gap_sentence(gaps: Sequence[ChannelGap]) -> str:
+    """The open gaps, the widest first."""
+    first, *others = sorted(gaps, key=lambda gap: -gap.times_floor)
+    since = min(gap.since for gap in gaps if gap.since is not None)
+    also = f"; also at {', '.join(gap.channel for gap in others)}" if others else ""
+    return f"gap at {first.channel}: {first.times_floor:.1f} times the noise floor since {_time(since)}{also}"
+
+
+def _time(stamp: int) -> str:
+    """A stamp [ns] as people read it: those of a simulation count from its beginning."""
+    if stamp < _SIMULATED:
+        return f"{stamp * 1e-9:.1f} s"
+    return datetime.fromtimestamp(stamp * 1e-9, UTC).strftime("%Y-%m-%d %H:%M:%S UTC")
+
+
+def _search(name: str, search: SearchStatus) -> DiagnosticStatus:
+    result = search.result
+    if search.stage or result is None:
+        return _status(name, DiagnosticStatus.OK if search.stage else DiagnosticStatus.WARN, search.sentence, {})
+    values: dict[str, object] = {"verdict": result.verdict}
+    values |= {f"finding {number}": finding.sentence for number, finding in enumerate(result.findings, start=1)}
+    values |= {
+        f"unexplained {joint}": f"{gap:.2f} times the noise floor, depends on {depends_on}"
+        for joint, gap, depends_on in not_explained(result)
+    }
+    for channel, before, after in zip(result.channels, result.gap.before, result.gap.after, strict=True):
+        values |= {f"{channel} before": float(before), f"{channel} after": float(after)}
+    level = DiagnosticStatus.OK if result.verdict == "no gap" else DiagnosticStatus.WARN
+    return _status(name, level, search.sentence, values)
+
+
 def _judgement(status: Status, new: Counter[str]) -> tuple[bytes, str]:
     """Level and message, given what was counted since the last diagnostics."""
     if status.problem:
@@ -124,6 +163,9 @@ def _judgement(status: Status, new: Counter[str]) -> tuple[bytes, str]:
     if refused:
         worst = max(refused, key=lambda reason: refused[reason])
         return DiagnosticStatus.WARN, f"{worst} ({refused[worst]} messages)"
+    gaps = [gap for gap in status.gaps if gap.since is not None]
+    if gaps:
+        return DiagnosticStatus.WARN, _gap_sentence(gaps)
     if status.estimate is None:
         return DiagnosticStatus.OK, "collecting rows"
     if not status.estimate.converged:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import replace
@@ -27,8 +28,10 @@ from visualization_msgs.msg import MarkerArray
 from geomid_ros.errors import GeomidError, InputError
 from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.files.urdf import with_identified_inertias
+from geomid_ros.gap_session import gap_session
 from geomid_ros.model.samples import Samples
 from geomid_ros.ros.diagnostics import NO_DESCRIPTION, STOPPED, Diagnostics
+from geomid_ros.ros.gap_search import GapSearch, SearchStatus
 from geomid_ros.ros.messages import inertia_message, marker_message, predicted_message
 from geomid_ros.ros.parameters import read_parameters
 from geomid_ros.ros.worker import Status, Worker
@@ -36,9 +39,7 @@ from geomid_ros.session import Session
 from geomid_ros.types import FloatArray
 
 # Best effort matches publishers of either kind; the depth carries a 1 kHz stream over pauses of Python.
-_SENSOR_QOS = QoSProfile(
-    depth=2000, history=HistoryPolicy.KEEP_LAST, reliability=ReliabilityPolicy.BEST_EFFORT
-)
+_SENSOR_QOS = QoSProfile(depth=2000, history=HistoryPolicy.KEEP_LAST, reliability=ReliabilityPolicy.BEST_EFFORT)
 _CHANGED = "the robot description has changed; it is used after ~/reset"
 
 
@@ -61,6 +62,7 @@ class GeomidNode(Node):
         self._configuration = read_parameters(self)
         self._active: bool = self._configuration["active"]
         self._worker: Worker | None = None
+        self._search = GapSearch(self._publish_finding)
         self._urdf = ""  # the latest, not necessarily the worker's
         self._problem = ""
         self._dropped: Counter[str] = Counter()
@@ -69,11 +71,13 @@ class GeomidNode(Node):
         self._predicted = self.create_publisher(JointState, "~/predicted_joint_states", 1000)
         self._identified = self.create_publisher(String, "~/robot_description", _latched())
         self._markers = self.create_publisher(MarkerArray, "~/markers", _latched())
+        self._findings = self.create_publisher(String, "~/gap", _latched())
         self._diagnostic_arrays = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
         self.create_service(Trigger, "~/start", partial(self._set_active, active=True))
         self.create_service(Trigger, "~/stop", partial(self._set_active, active=False))
         self.create_service(Trigger, "~/reset", self._reset)
         self.create_service(Trigger, "~/save", self._save)
+        self.create_service(Trigger, "~/find_gap", self._find_gap)
         self._listen(JointState, "joint_states", Worker.joint_state)
         if self._configuration["floating_base"]:
             self._listen(Odometry, "odom", Worker.odometry)
@@ -151,9 +155,13 @@ class GeomidNode(Node):
     def _publish_diagnostics(self) -> None:
         status = self._worker.status(self._active) if self._worker is not None else Status(self._active)
         status.dropped.update(self._dropped)
-        array = self._diagnostics.array(replace(status, problem=self._problem or status.problem))
+        array = self._diagnostics.array(replace(status, problem=self._problem or status.problem), self._search.status)
         array.header.stamp = self.get_clock().now().to_msg()
         self._diagnostic_arrays.publish(array)
+
+    def _publish_finding(self, status: SearchStatus) -> None:
+        self._findings.publish(String(data=json.dumps(status.document, indent=2)))
+        self.get_logger().info(status.sentence)
 
     def _set_active(self, _: Trigger.Request, response: Trigger.Response, active: bool) -> Trigger.Response:
         self._active = active
@@ -173,6 +181,26 @@ class GeomidNode(Node):
         self._worker.reset()
         response.success, response.message = True, "all rows forgotten"
         return response
+
+    def _find_gap(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        refusal = self._why_not_look()
+        response.success, response.message = not refusal, refusal or "looking; the finding comes on ~/gap"
+        return response
+
+    def _why_not_look(self) -> str:
+        """Begin to look for a gap; what is in the way of it, or nothing."""
+        if self._worker is None:
+            return NO_DESCRIPTION
+        if self._search.running:
+            return "already looking; the finding comes on ~/gap"
+        if self._configuration["gap.memory"] == 0.0:
+            return "nothing to look at: the parameter gap.memory is 0"
+        messages = self._worker.recent_messages()
+        if not messages:
+            return "no data yet"
+        urdf = self._worker.session.urdf
+        self._search.start(lambda: gap_session(urdf, self._configuration, "robot_description"), messages)
+        return ""
 
     async def _save(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         if self._worker is None:
@@ -199,6 +227,7 @@ class GeomidNode(Node):
 
         At once, as whoever ends the node may not wait for a solver at work; and again if that has found another.
         """
+        self._search.close()
         if self._worker is None:
             return
         saved = self._save_last(self._worker)

@@ -33,7 +33,5 @@ def _descriptor(parameter: Parameter) -> ParameterDescriptor:
         dynamic_typing=True,  # an integer is accepted where a real number is meant; the table checks types
     )
     if parameter.minimum is not None and parameter.maximum is not None:
-        descriptor.floating_point_range = [
-            FloatingPointRange(from_value=parameter.minimum, to_value=parameter.maximum)
-        ]
+        descriptor.floating_point_range = [FloatingPointRange(from_value=parameter.minimum, to_value=parameter.maximum)]
     return descriptor

@@ -14,14 +14,16 @@ from typing import Any, TypeAlias
 from geomid_ros.errors import GeomidError
 from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.estimation.estimator import WarmStart
+from geomid_ros.gap.watch import ChannelGap, GapWatch
 from geomid_ros.model.samples import Samples
 from geomid_ros.session import Session
 from geomid_ros.signals.messages import feed_joint_state, feed_odometry, feed_wrench
-from geomid_ros.signals.pipeline import Ledger
+from geomid_ros.signals.pipeline import Accepted, Ledger
 from geomid_ros.types import FloatArray
 
 _MOST_WAITING = 20_000  # messages; more are dropped, and counted
 _PATIENCE = 1.0  # [s] for each thread to finish what it does when it is told to end
+_TRANSITION = 2_000_000_000  # [ns] a gap opens some time in so long, and is not at once what it will be
 _LATENCIES = 10_000  # of so many last instants it is known how long their rows took
 
 Done: TypeAlias = Callable[[Estimate | GeomidError], None]
@@ -32,7 +34,7 @@ class Status:
     """A snapshot for diagnostics; ``topics`` are those that data are expected on, none without a robot description.
 
     ``receipt_to_row`` [s]: for the last instants whose rows were added, the time since the message that completed them
-    came to its callback. The fixed lag of the filter is not in it.
+    came to its callback. The fixed lag of the filter is not in it. ``gaps``: of the channels that are watched.
     """
 
     active: bool
@@ -46,6 +48,7 @@ class Status:
     ledgers: dict[str, Ledger] = field(default_factory=dict)
     dropped: Counter[str] = field(default_factory=Counter)
     rows_rejected: Counter[str] = field(default_factory=Counter)
+    gaps: tuple[ChannelGap, ...] = ()
     estimate: Estimate | None = None
 
 
@@ -76,6 +79,7 @@ class Worker:
         self._solves = 0
         self._solved_rows = 0
         self._gamma_rows = 0
+        self._watch = self._new_watch()
         self._inbox: queue.SimpleQueue[Callable[[], None] | None] = queue.SimpleQueue()
         self._solve_requests: queue.SimpleQueue[Done | None] = queue.SimpleQueue()
         # Daemons: the process may end while they compute.
@@ -118,6 +122,16 @@ class Worker:
         """Solve from scratch for all messages received so far; ``done`` gets the result in the solver's thread."""
         self._inbox.put(lambda: self._solve_requests.put(done))
 
+    def recent_messages(self) -> list[Accepted]:
+        """What the session remembers of the last messages; where a gap has opened, since then.
+
+        Before and after it were two robots, and no one effect explains both.
+        """
+        with self._lock:
+            entries = self.session.recent.entries()
+        begin = max((gap.since + _TRANSITION for gap in self._watch.gaps if gap.since is not None), default=0)
+        return [entry for entry in entries if entry[1] >= begin]
+
     @property
     def estimate(self) -> Estimate | None:
         """The last estimate."""
@@ -138,6 +152,7 @@ class Worker:
                 copy.deepcopy(self.session.pipeline.ledgers),
                 self._dropped.copy(),
                 self.session.identifier.rows_rejected.copy(),
+                self._watch.gaps,
                 self._estimate,
             )
 
@@ -159,9 +174,11 @@ class Worker:
     def _take(self, feed: Callable[[], None], received: float) -> None:
         with self._lock:
             feed()
-        samples, estimate = self.session.advance(), self._estimate
+            samples = self.session.pipeline.collect()
+        estimate = self._estimate
         if samples is None:
             return
+        self._watch.add(*self.session.identifier.add(samples))
         with self._lock:
             self._receipt_to_row.append(time.perf_counter() - received)
         if estimate is not None:
@@ -170,10 +187,15 @@ class Worker:
     def _forget(self) -> None:
         with self._lock:
             self.session.identifier.reset()
+            self.session.recent.clear()
+            self._watch = self._new_watch()
             self._estimate = None
             self._problem = ""
             self._resets += 1
             self._solved_rows = self._gamma_rows = 0
+
+    def _new_watch(self) -> GapWatch:
+        return GapWatch(self.session.model.channels, self.session.configuration.buffer.forgetting_time)
 
     def _solve_repeatedly(self) -> None:
         next_solve = time.monotonic()
@@ -183,6 +205,7 @@ class Worker:
             except queue.Empty:
                 next_solve = time.monotonic() + self._solve_period
                 if self.session.identifier.rows > self._solved_rows:
+                    self._watch.judge()
                     self._solve_once(self._warm_start())
                 continue
             if done is None:

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections import Counter, deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from typing import TypeAlias
 
 import numpy as np
 
@@ -29,6 +30,9 @@ _LATE_MESSAGES_OF_A_RESET_CLOCK = 10
 _LONGEST_DELAY = 1.0  # [s] of efforts
 _EFFORTS = "joint_states.effort"  # their stream, where they come late; no topic has that name
 _LARGEST_NUMBER = 1e9  # in SI units; no robot measures more
+
+Accepted: TypeAlias = tuple[str, int, FloatArray]
+"""Topic, stamp [ns] and numbers of a message that was accepted, as the pipeline uses them."""
 
 
 @dataclass(frozen=True)
@@ -76,6 +80,10 @@ class _RejectedError(Exception):
     """A message that cannot be used; its text is the reason that is counted."""
 
 
+def ignore(*_: object) -> None:
+    """Nobody wants to know."""
+
+
 def no_effects(position: FloatArray, *_: FloatArray) -> FloatArray:
     """Columns of no effects."""
     return np.zeros((*position.shape, 0))
@@ -93,8 +101,11 @@ class SignalPipeline:
         settings: SignalSettings = SignalSettings(),
         continuous: Sequence[str] = (),
         effect_columns: EffectColumns = no_effects,
+        on_accepted: Callable[[str, int, FloatArray], None] = ignore,
     ) -> None:
-        """``effect_columns`` computes the columns that samples carry (:meth:`MeasurementModel.effect_columns`).
+        """``on_accepted`` is told of every message that is accepted, as :meth:`push_accepted` takes it.
+
+        ``effect_columns`` computes the columns that samples carry (:meth:`MeasurementModel.effect_columns`).
 
         ``continuous`` names the joints without end: their positions may jump by whole turns between messages, and
         are given from -pi to pi in samples."""
@@ -108,6 +119,7 @@ class SignalPipeline:
         self._max_gap = round(settings.max_gap * 1e9)
         self._effort_delay = round(settings.effort_delay * 1e9)
         self._effect_columns = effect_columns
+        self._on_accepted = on_accepted
         self._gains = self._effort_gains()
         self._continuous = np.array([joint in continuous for joint in self._joints], dtype=bool)
         self._position = np.zeros(len(self._joints))
@@ -163,16 +175,23 @@ class SignalPipeline:
         self._push(topic, stamp, lambda: _wrench_vector(self._sensors[topic], frame, wrench))
 
     def _push(self, topic: str, stamp: int, read: Callable[[], FloatArray]) -> None:
-        ledger = self.ledgers.setdefault(topic, Ledger())
-        ledger.received += 1
         try:
             self._check_stamp(topic, stamp)
             values = read()
         except _RejectedError as reason:
+            ledger = self.ledgers.setdefault(topic, Ledger())
+            ledger.received += 1
             ledger.rejected[str(reason)] += 1
             return
-        ledger.accepted += 1
         self._last[topic] = stamp
+        self._on_accepted(topic, stamp, values)
+        self.push_accepted(topic, stamp, values)
+
+    def push_accepted(self, topic: str, stamp: int, values: FloatArray) -> None:
+        """Take what another pipeline for the same robot has accepted, in the same order."""
+        ledger = self.ledgers.setdefault(topic, Ledger())
+        ledger.received += 1
+        ledger.accepted += 1
         if self._grid is None:
             self._wait(topic, stamp, values)
         else:

@@ -1,0 +1,216 @@
+"""The node notices a change, and finds in what it remembers what ``geomid gap`` finds in a bag."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from commands.running import done
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from files.recordings import BAGS, Recorded, recorded, write_bag
+from sensor_msgs.msg import JointState
+from std_msgs.msg import String
+
+from geomid_ros.simulation import SimulationOptions, simulate
+from geomid_ros.simulation.hidden import Hidden
+
+from .observer import latched
+from .stage import Stage, description, messages, staged
+
+URDF = BAGS / "arm3.urdf"
+ARM3 = {"robot_description": description("arm3")}
+SECONDS = 32.0
+CHANGE = 22.0  # [s] when the friction grows
+LEVEL = 1.0  # [N m] of the friction at joint2
+LOOKING = (True, "looking; the finding comes on ~/gap")
+
+
+@pytest.fixture(scope="module")
+def rubbing(tmp_path_factory: pytest.TempPathFactory) -> list[Recorded]:
+    """Joint messages of a small arm with friction that its description lacks."""
+    pytest.importorskip("mujoco")
+    bag = tmp_path_factory.mktemp("rubbing") / "bag"
+    hide = (Hidden("coulomb_friction", "joint2", LEVEL),)
+    simulate(bag, SimulationOptions(robot="arm3", seed=5, duration=SECONDS, hide=hide, motion="aperiodic"))
+    return [item for item in recorded(bag) if item.topic == "/joint_states"]
+
+
+def seconds(items: list[Recorded], begin: float, end: float) -> list[Recorded]:
+    """Those of a part of the time."""
+    first = items[0].time
+    return [item for item in items if begin <= (item.time - first) * 1e-9 < end]
+
+
+def growing(items: list[Recorded]) -> list[Recorded]:
+    """The same from a robot at whose second joint friction grows in the middle."""
+    changed = []
+    for item in items:
+        late = (item.time - items[0].time) * 1e-9 >= CHANGE
+        more = LEVEL * np.sign(item.message.velocity) * (np.array(item.message.name) == "joint2")
+        changed.append(item.changed(effort=item.message.effort + more) if late else item)
+    return changed
+
+
+@dataclass
+class Found:
+    """What the node says, and what is said of the bag."""
+
+    offline: dict[str, Any]
+    answers: list[tuple[bool, str]] = field(default_factory=list)
+    live: dict[str, Any] = field(default_factory=dict)
+    late: dict[str, Any] = field(default_factory=dict)
+    watched: Any = None
+    status: Any = None
+
+
+@pytest.fixture(scope="module")
+def found(rubbing: list[Recorded], tmp_path_factory: pytest.TempPathFactory) -> Found:
+    """A node that hears the arm, and is asked."""
+    folder = tmp_path_factory.mktemp("found")
+    bag = write_bag(folder / "bag", rubbing)
+    run = Found(json.loads(done("gap", bag, "--urdf", URDF, "--out", folder / "out", "--json")))
+    with staged(folder) as stage:
+        node = stage.node({**ARM3, "solve_period": 0.2})
+        stage.observer.publish(rubbing, {"/joint_states": JointState})
+        run.watched = stage.fed({"joint_states": len(rubbing)}).status[0]
+        findings = stage.observer.collect(String, "/geomid/gap", latched())
+        run.answers = [stage.observer.trigger("/geomid/find_gap") for _ in range(2)]
+        stage.observer.wait_for(lambda: findings, "a finding")
+        late = stage.observer.collect(String, "/geomid/gap", latched())
+        stage.observer.wait_for(lambda: late, "a finding for those who come late")
+        run.live, run.late = json.loads(findings[-1].data), json.loads(late[-1].data)
+        run.status = finding(stage)
+        assert node.end() == 0
+    return run
+
+
+def finding(stage: Stage) -> Any:
+    """The first status of a search that has ended."""
+    arrays = stage.observer.collect(DiagnosticArray, "/diagnostics")
+
+    def look() -> Any:
+        for array in arrays:
+            for status in array.status:
+                if status.name == "geomid: gap finding" and not status.message.startswith("looking"):
+                    return status
+        return None
+
+    return stage.observer.wait_for(look, "a status of the finding")
+
+
+def test_the_answer_comes_at_once(found: Found) -> None:
+    assert found.answers == [LOOKING, (False, "already looking; the finding comes on ~/gap")]
+
+
+def test_live_finds_what_is_found_in_the_bag(found: Found) -> None:
+    """The same document, but for what is simulated again from files."""
+    assert found.live.keys() == found.offline.keys()
+    assert found.live["resimulated"] is None
+    assert found.live["verdict"] == found.offline["verdict"]
+    first = found.live["findings"][0]
+    assert (first["effect"], first["joint"]) == ("coulomb_friction", "joint2")
+    assert first["parameters"]["level"]["value"] == pytest.approx(LEVEL, rel=0.05)
+    assert [[f["effect"], f["joint"]] for f in found.live["findings"]] == [
+        [f["effect"], f["joint"]] for f in found.offline["findings"]
+    ]
+    for ours, theirs in zip(found.live["findings"], found.offline["findings"], strict=True):
+        assert ours["parameters"].keys() == theirs["parameters"].keys()
+        for name, quantity in ours["parameters"].items():
+            assert quantity["unit"] == theirs["parameters"][name]["unit"]
+            for key in ("value", "std"):
+                assert quantity[key] == pytest.approx(theirs["parameters"][name][key], rel=1e-6)
+    for kind, ratios in found.live["gap"].items():
+        assert ratios == pytest.approx(found.offline["gap"][kind], rel=1e-6)
+
+
+def test_who_comes_late_gets_the_finding(found: Found) -> None:
+    assert found.late == found.live
+
+
+def test_diagnostics_tell_the_finding(found: Found) -> None:
+    values = {pair.key: pair.value for pair in found.status.values}
+    assert found.status.level == DiagnosticStatus.WARN
+    assert "Coulomb friction at joint2" in found.status.message
+    assert values["verdict"] == found.live["verdict"]
+    assert values["finding 1"] == found.live["findings"][0]["sentence"]
+    assert float(values["joint2 before"]) > 2.0 > float(values["joint2 after"])
+
+
+def test_what_was_there_from_the_beginning_opens_no_gap(found: Found) -> None:
+    """The estimate has it."""
+    assert {"gap joint1", "gap joint2", "gap joint3"} <= {pair.key for pair in found.watched.values}
+    assert "gap" not in found.watched.message
+
+
+def test_friction_that_grows_opens_a_gap(stage: Stage, rubbing: list[Recorded]) -> None:
+    """At its joint and no other, once it grows and not before; and it stays, until all is forgotten."""
+    stage.node({**ARM3, "solve_period": 0.1})
+    observer, items = stage.observer, growing(rubbing)
+    before, after = seconds(items, 0.0, CHANGE), seconds(items, CHANGE, SECONDS)
+    observer.publish(before, {"/joint_states": JointState})
+    first = stage.fed({"joint_states": len(before)}).status[0]
+    assert "gap" not in first.message
+    observer.publish(after, {"/joint_states": JointState})
+
+    def opened(_: dict[str, str], status: Any) -> bool:
+        return status.message.startswith("gap at ")
+
+    status = observer.diagnostics(opened, "a gap").status[0]
+    assert status.level == DiagnosticStatus.WARN
+    assert status.message.startswith("gap at joint2: ")
+    assert "also" not in status.message
+    width = {pair.key: float(pair.value) for pair in status.values if pair.key.startswith("gap ")}
+    assert width["gap joint2"] > 5.0
+    assert max(width["gap joint1"], width["gap joint3"]) < 2.0
+    findings = observer.collect(String, "/geomid/gap", latched())
+    assert observer.trigger("/geomid/find_gap") == LOOKING
+    observer.wait_for(lambda: findings, "a finding")
+    found = json.loads(findings[0].data)["findings"][0]
+    assert found["joint"] == "joint2"
+    assert found["parameters"]["level"]["value"] == pytest.approx(2.0 * LEVEL, rel=0.05), "as it is now"
+    assert observer.trigger("/geomid/reset")[0]
+    observer.diagnostics(lambda values, _: "gap joint2" not in values, "a watch that starts afresh")
+
+
+def test_what_cannot_be_looked_at_is_refused(stage: Stage) -> None:
+    waiting = stage.node({}, "-r", "__ns:=/waiting", ready=False)
+    forgetful = stage.node({**ARM3, "gap.memory": 0.0}, "-r", "__ns:=/forgetful", ready=False)
+    stage.node(ARM3)
+    stage.serving(waiting, "waiting/geomid")
+    stage.serving(forgetful, "forgetful/geomid")
+    trigger = stage.observer.trigger
+    assert trigger("/waiting/geomid/find_gap") == (False, "no robot description yet")
+    assert trigger("/forgetful/geomid/find_gap") == (False, "nothing to look at: the parameter gap.memory is 0")
+    assert trigger("/geomid/find_gap") == (False, "no data yet")
+
+
+def test_too_little_is_answered_with_one_sentence(stage: Stage) -> None:
+    stage.node(ARM3)
+    findings = stage.observer.collect(String, "/geomid/gap", latched())
+    items = [item for item in messages() if item.topic == "/joint_states"]
+    for begin, end in ((0, 20), (20, 300)):
+        findings.clear()
+        stage.observer.publish(items[begin:end], {"/joint_states": JointState})
+        stage.fed({"joint_states": end})
+        assert stage.observer.trigger("/geomid/find_gap") == LOOKING
+        stage.observer.wait_for(lambda: findings, "an answer")
+        sentence = json.loads(findings[0].data)["error"]
+        assert sentence.startswith("no finding: too short: ")
+        assert "half a minute" in sentence
+    status = finding(stage)
+    assert (status.level, status.message) == (DiagnosticStatus.WARN, sentence)
+
+
+def test_a_node_that_looks_ends_at_once(stage: Stage, rubbing: list[Recorded], tmp_path: Path) -> None:
+    """And saves what it has."""
+    node = stage.node({**ARM3, "output_folder": str(tmp_path / "out")})
+    stage.observer.publish(rubbing, {"/joint_states": JointState})
+    stage.fed({"joint_states": len(rubbing)})
+    stage.observer.diagnostics(lambda values, _: "converged" in values, "an estimate")
+    assert stage.observer.trigger("/geomid/find_gap") == LOOKING
+    assert node.end() == 0
+    assert (tmp_path / "out/estimate.json").exists()

@@ -1,0 +1,92 @@
+"""What is remembered of messages: enough to make the same samples again, and no more than was asked for."""
+
+from __future__ import annotations
+
+from dataclasses import fields
+
+import numpy as np
+import pytest
+
+from geomid_ros.model.samples import Samples
+from geomid_ros.model.sensors import WrenchSensor
+from geomid_ros.signals import recent as module
+from geomid_ros.signals.pipeline import JOINT_STATES, SignalPipeline
+from geomid_ros.signals.recent import Recent
+
+SENSOR = WrenchSensor("/wrench", "tool", "mounted", offset=(1.0, 2.0, 3.0, 0.1, 0.2, 0.3))
+NAMES = ("elbow", "shoulder")
+PERIOD = 10_000_000  # [ns]
+START = 1_700_000_000_000_000_000
+
+
+def pipeline(recent: Recent | None = None) -> SignalPipeline:
+    told = {"on_accepted": recent} if recent else {}
+    return SignalPipeline(("shoulder", "elbow"), sensors=[SENSOR], continuous=["elbow"], **told)
+
+
+def feed(target: SignalPipeline, begin: int, end: int, start: int = START) -> None:
+    rng = np.random.default_rng(begin)
+    for index in range(begin, end):
+        stamp, time = start + PERIOD * index, 0.01 * index
+        position = [np.remainder(3.0 * time, 2.0 * np.pi), np.sin(time)]
+        target.push_joints(stamp, NAMES, position, [3.0, np.cos(time)], rng.standard_normal(2))
+        target.push_joints(stamp, NAMES, position, [], [])  # the stamp is not later
+        target.push_wrench("/wrench", stamp + 1_000_000, "tool", rng.standard_normal(6))
+        target.push_wrench("/wrench", stamp + 2_000_000, "hand", rng.standard_normal(6))
+
+
+def test_the_same_samples_can_be_made_again() -> None:
+    recent = Recent(60.0)
+    first, again = pipeline(recent), pipeline()
+    feed(first, 0, 600)
+    for entry in recent.entries():
+        again.push_accepted(*entry)
+    ours, theirs = again.collect(), first.collect()
+    assert ours is not None
+    assert theirs is not None
+    assert len(ours) > 100
+    for field in fields(Samples):
+        np.testing.assert_array_equal(getattr(ours, field.name), getattr(theirs, field.name))
+    for topic, ledger in again.ledgers.items():
+        assert (ledger.received, ledger.rejected.total()) == (first.ledgers[topic].accepted, 0)
+
+
+def test_only_the_last_seconds_are_kept() -> None:
+    recent = Recent(2.0)
+    feed(pipeline(recent), 0, 600)
+    stamps = np.array([stamp for topic, stamp, _ in recent.entries() if topic == JOINT_STATES])
+    np.testing.assert_array_equal(stamps, START + PERIOD * np.arange(400, 600))
+
+
+def test_nothing_is_kept_of_no_seconds() -> None:
+    recent = Recent(0.0)
+    feed(pipeline(recent), 0, 100)
+    assert recent.entries() == []
+
+
+def test_memory_is_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(module, "_MOST_BYTES", 30_000)
+    recent = Recent(60.0)
+    feed(pipeline(recent), 0, 600)
+    assert 0 < sum(values.nbytes for _, _, values in recent.entries()) < 30_000
+    assert recent.entries()[-1][1] == START + PERIOD * 599 + 1_000_000
+
+
+def test_a_clock_that_is_set_back_starts_afresh() -> None:
+    recent = Recent(60.0)
+    target = pipeline(recent)
+    feed(target, 0, 300)
+    earlier = START - 100 * PERIOD * 1000
+    feed(target, 0, 300, earlier)
+    assert {stamp < START for _, stamp, _ in recent.entries()} == {True}
+    assert len(recent.entries()) > 500
+
+
+def test_it_can_be_cleared() -> None:
+    recent = Recent(60.0)
+    target = pipeline(recent)
+    feed(target, 0, 300)
+    recent.clear()
+    assert recent.entries() == []
+    feed(target, 300, 310)
+    assert len(recent.entries()) == 20
