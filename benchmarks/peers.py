@@ -127,7 +127,9 @@ def geodesic(problem: Problem, weight: float) -> FloatArray:
     if problem.manifold.dimension == 10 * problem.manifold.links:
         rows = problem.train
         bodies = problem.prior.reshape(-1, 10)
-        return solve_rows(rows.coefficients, rows.targets, rows.sigmas, bodies, weight).parameters.ravel()
+        tolerance = _TOLERANCE / min(weight, 1.0)  # as a distance from the minimum
+        found = solve_rows(rows.coefficients, rows.targets, rows.sigmas, bodies, weight, tolerance=tolerance)
+        return found.parameters.ravel()
     start = problem.manifold.point(residual(problem, weight))
     return trust_region(geodesic_objective(problem, weight), start, _TOLERANCE).point.parameters
 

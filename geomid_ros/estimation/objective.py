@@ -93,11 +93,6 @@ class GeodesicObjective:
     def _at_prior(self) -> tuple[FloatArray, IntArray]:
         return self._measure(self.prior)
 
-    def value(self, point: Point) -> float:
-        """Half of (19) at ``point``, for half the cost of :meth:`evaluate`."""
-        to_prior = self.manifold.log(point, self.prior)
-        return float(self.weights @ self._measure(point)[0] + 0.5 * (self.prior_weights @ to_prior**2))
-
     def _measure(self, point: Point) -> tuple[FloatArray, IntArray]:
         """Half of the squared distances to the hyperplanes and how the projections ended, each ``(N,)``."""
         halves, statuses = np.empty(len(self.rows)), np.empty(len(self.rows), dtype=np.int64)

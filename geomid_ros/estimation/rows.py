@@ -10,13 +10,12 @@ from geomid_ros.errors import InputError, unknown_name
 from geomid_ros.estimation.gamma import PAPER
 from geomid_ros.estimation.objective import GeodesicObjective, ResidualObjective
 from geomid_ros.estimation.solvers import SOLVERS, Solution, trust_region
-from geomid_ros.estimation.summary import triangular
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.geometry.manifold import ParameterManifold, Point
 from geomid_ros.types import BoolArray, FloatArray, frozen
 
-_TOLERANCE = 1e-8  # geodesic distance from the minimum
 _START_TOLERANCE = 1e-4
+_JITTER = 1e-10  # relative, with which any matrix of products has a Cholesky factor
 _LEAST_GRADIENT = 1e-14  # relative to the sum of the weights; rounding allows no less
 
 
@@ -37,13 +36,15 @@ def solve_rows(
     gamma: float = PAPER,
     solver: str = "trust_region",
     max_steps: int = 20000,
+    tolerance: float = 1e-8,
 ) -> RowsSolution:
     """Minimise (19) for rows ``(N, 10 links)``, targets and standard deviations ``(N,)`` (one number serves all).
 
     ``prior (links, 10)`` and the columns of ``rows`` are in pinocchio's order (m, hx, hy, hz, Ixx, Ixy, Iyy, Ixz, Iyz,
     Izz) about each link frame's origin, SI units. ``gamma``: weight of the prior as a share of the sum of the rows'
     weights. ``solver``: ``trust_region``, which starts from the minimiser of Remark 3 where that is lower, or
-    ``cyclic``, the paper's alternation. Raises InputError for shapes that do not fit, numbers that are not finite, and
+    ``cyclic``, the paper's alternation. ``tolerance``: how far from the minimum the result may lie, as a geodesic
+    distance. Raises InputError for shapes that do not fit, numbers that are not finite, and
     a prior that is no body.
 
     >>> found = solve_rows(np.eye(1, 10), np.array([2.5]), 0.1, [[2, 0, 0, 0, 1, 0, 1, 0, 0, 1]])
@@ -62,22 +63,31 @@ def solve_rows(
     manifold = ParameterManifold(len(prior), 0, np.zeros(0))
     start = manifold.point(prior.ravel())
     objective = GeodesicObjective(manifold, rows, targets, sigmas, start, gamma)
-    if solver == "trust_region":
-        direct = _minimiser_of_remark_3(objective)
-        if objective.value(direct) < objective.value_at_prior:
-            start = direct
     # The prior bounds the curvature from below: a gradient of so little of the prior's weight is so little off.
-    solution = SOLVERS[solver](objective, start, max(_TOLERANCE * min(gamma, 1.0), _LEAST_GRADIENT), max_steps)
+    gradient = max(tolerance * min(gamma, 1.0), _LEAST_GRADIENT)
+    solve = _from_remark_3 if solver == "trust_region" else SOLVERS[solver]
+    solution = solve(objective, start, gradient, max_steps)
     parameters = frozen(pseudo_inertia.to_parameters(solution.point.pseudo_inertias))
     return RowsSolution(parameters, objective.set_aside, solution)
 
 
+def _from_remark_3(objective: GeodesicObjective, start: Point, tolerance: float, max_steps: int) -> Solution:
+    """The trust region from the minimiser of Remark 3, or from ``start``, the prior, where that is lower."""
+    direct = _minimiser_of_remark_3(objective)
+    evaluation = objective.evaluate(direct)
+    if evaluation.value < objective.value_at_prior:
+        return trust_region(objective, direct, tolerance, max_steps, evaluation=evaluation)
+    return trust_region(objective, start, tolerance, max_steps)
+
+
 def _minimiser_of_remark_3(objective: GeodesicObjective) -> Point:
-    """Roughly, as a start: from the rows' least-squares content, which is small."""
+    """Roughly, as a start: from the rows' least-squares content, by a Cholesky factor, which is the fastest way."""
     whitened = np.column_stack([objective.rows, objective.targets]) / objective.sigmas[:, None]
-    factor = triangular(whitened)[: objective.manifold.dimension]
-    rows, targets = factor[:, :-1], factor[:, -1]
-    content = ResidualObjective(objective.manifold, rows, targets, np.ones(len(rows)), objective.prior, objective.gamma)
+    products = whitened.T @ whitened
+    factor: FloatArray = np.linalg.cholesky(products + _JITTER * np.diag(np.diag(products) + np.finfo(float).tiny)).T
+    content = ResidualObjective(
+        objective.manifold, factor[:, :-1], factor[:, -1], np.ones(len(factor)), objective.prior, objective.gamma
+    )
     return trust_region(content, objective.prior, _START_TOLERANCE).point
 
 

@@ -32,17 +32,22 @@ class Solution:
 
 
 def trust_region(
-    objective: Objective, start: Point, tolerance: float = 1e-8, max_steps: int = 100, radius: float = 1.0
+    objective: Objective,
+    start: Point,
+    tolerance: float = 1e-8,
+    max_steps: int = 100,
+    radius: float = 1.0,
+    evaluation: Evaluation | None = None,
 ) -> Solution:
     """Newton steps on the manifold inside a trust region (geodesic radius); every accepted step descends. Where
     rounding hides the descent the gradient shows it.
 
     The subproblem is solved exactly, in the eigenbasis of the Hessian where the Newton step does not fit (More &
-    Sorensen 1983); the radius
-    follows the ratio of actual to predicted decrease (Nocedal & Wright, "Numerical Optimization", algorithm 4.1).
+    Sorensen 1983); the radius follows the ratio of actual to predicted decrease (Nocedal & Wright, "Numerical
+    Optimization", algorithm 4.1). ``evaluation``: the objective at ``start``, where it is known already.
     """
     scale = objective.scale
-    evaluation = objective.evaluate(start)
+    evaluation = evaluation or objective.evaluate(start)
     point, values = start, [evaluation.value]
     for step in range(max_steps):
         if np.linalg.norm(evaluation.gradient) <= tolerance * scale:
