@@ -13,14 +13,17 @@ from geomid_ros.gap.fit import JointFit, Prior, unfitted
 from geomid_ros.gap.library import Candidate, Term
 from geomid_ros.gap.noise import Autoregression, runs_of
 from geomid_ros.gap.record import Records
+from geomid_ros.gap.repeats import floor_by_repeats
 from geomid_ros.gap.search import Search
 from geomid_ros.gap.stage import Stage, TotalModel
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.types import BoolArray, FloatArray
 
-_ROUNDS = 8
+_ROUNDS = 6
 _SETTLED = 0.5  # standard deviations
 _MOST_CURVES = 4
+_FAR_TILT = 0.03  # [rad]
+_FAR_DELAY = 2e-3  # [s]
 _VISIBLE = 1.07  # times larger, to be worth a word
 
 Columns = dict[Term, dict[int, FloatArray]]
@@ -30,7 +33,7 @@ Columns = dict[Term, dict[int, FloatArray]]
 class Analysis:
     """Where the search ended: the last ``stage`` with its ``columns`` and ``search``; the fit with ``names`` alone,
     with curves for what they leave (``whole``), and without either (``bare``); each channel's ``noise``, its standard
-    deviation ``floor (C,)`` and the variance of its ``innovations (C,)``."""
+    deviation ``floor (C,)``, from repeats of a motion if there are any, and its ``innovations (C,)``: variances."""
 
     stage: Stage
     columns: Columns
@@ -64,13 +67,16 @@ def analyse(
         stage = Stage(model, records, TotalModel.of(model, bare) if attempt == 0 else total)
         columns = stage.columns(names, prior.terms, curves)
         search = Search(stage.design(columns, noise), prior, names, curves.candidates)
-        found = whole = search.settle(search.prune(search.fit(chosen)))
+        found = search.without_absurd(search.fit(chosen))
+        if _near(TotalModel.of(model, found), total):
+            found = search.without_absurd(search.settle(search.prune(found)))
+        whole = found
         total = TotalModel.of(model, found)
         last = _same(before, found) or attempt == _ROUNDS - 1
         before = found
         if last:
             whole = _with_curves(search, found)
-            found = search.fit([c for c in whole.chosen if not is_curve(c)])
+            found = search.without_absurd(search.fit([c for c in whole.chosen if not is_curve(c)]))
         chosen = found.chosen
         valid = records.usable(stage.rows.targets)
         if last:
@@ -78,6 +84,7 @@ def analyse(
         noise = _noise(stage.residual(columns, found), valid, records)
     progress("searching", 1.0)
     residual = stage.residual(columns, whole)
+    repeats = floor_by_repeats(model, records)
     freedom = 1.0 - whole.parameters_by_channel(search.design) / search.design.counts
     return Analysis(
         stage,
@@ -88,7 +95,7 @@ def analyse(
         found,
         whole,
         noise,
-        _root_mean_square(residual, valid) / np.sqrt(freedom),
+        np.where(repeats > 0.0, repeats, _root_mean_square(residual, valid) / np.sqrt(freedom)),
         whole.squares / search.design.counts / freedom,
     )
 
@@ -98,11 +105,18 @@ def _with_curves(search: Search, found: JointFit) -> JointFit:
     current = found
     while len(current.chosen) < len(found.chosen) + _MOST_CURVES and (larger := search.add_curve(current)) is not None:
         current = search.prune(larger)
+    if current is not found:
+        current = search.exchange(current)
     for curve in [c for c in current.chosen if is_curve(c)]:
         without = search.without(current, curve)
         if float(np.sqrt(np.max(without.squares / current.squares))) < _VISIBLE:
             current = without
     return current
+
+
+def _near(found: TotalModel, total: TotalModel) -> bool:
+    """Whether columns for one are good for the other."""
+    return bool(np.all(np.abs(found.tilt - total.tilt) < _FAR_TILT) and abs(found.delay - total.delay) < _FAR_DELAY)
 
 
 def _same(before: JointFit | None, found: JointFit) -> bool:

@@ -31,12 +31,17 @@ def term_columns(records: Records, terms: Sequence[Term], situation: Situation) 
     return found
 
 
+BLOCKS = 8  # of time, for cross-validation
+
+
 @dataclass(frozen=True, eq=False)
 class ChannelProducts:
     """Products ``(K + 1, K + 1)`` of a channel's K whitened columns and of its target (the last but for a zero row for
-    what does not reach the channel); ``place`` of each term, ``count`` of rows, ``inertial`` columns first."""
+    what does not reach the channel), and those of each block of time; ``place`` of each term, ``count`` of rows,
+    ``inertial`` columns first."""
 
     products: FloatArray
+    blocks: FloatArray
     place: Mapping[Term, int]
     count: int
     inertial: int
@@ -70,9 +75,9 @@ class Design:
             stacked = np.column_stack([coefficients[:, channel], *own, targets[:, channel]])
             runs = runs_of(valid[:, channel], records.segment)
             white = noise[channel].whiten(stacked, runs)
-            products = np.pad(white.T @ white, ((0, 1), (0, 1)))
+            blocks = np.array([np.pad(part.T @ part, ((0, 1), (0, 1))) for part in np.array_split(white, BLOCKS)])
             place = {term: coefficients.shape[2] + index for index, term in enumerate(terms)}
-            channels.append(ChannelProducts(products, place, len(white), coefficients.shape[2]))
+            channels.append(ChannelProducts(np.sum(blocks, axis=0), blocks, place, len(white), coefficients.shape[2]))
         return Design(tuple(channels), coefficients.shape[2])
 
     @property
@@ -88,13 +93,20 @@ class Design:
     def gather(self, bodies: Sequence[int], terms: Sequence[Term]) -> FloatArray:
         """Products ``(C, n, n)`` of the inertial columns, once more those of each link of ``bodies``, the terms'
         and the target's."""
-        inertial = list(range(self.dimension))
-        again = [10 * body + k for body in bodies for k in range(10)]
-        result = []
+        indices = [self._places(channel, bodies, terms) for channel in self.channels]
+        return np.array([c.products[np.ix_(index, index)] for c, index in zip(self.channels, indices, strict=True)])
+
+    def gather_blocks(self, bodies: Sequence[int], terms: Sequence[Term]) -> FloatArray:
+        """The same for each block of time ``(C, blocks, n, n)``."""
+        found = []
         for channel in self.channels:
-            index = [*inertial, *again, *channel.gather(terms), -2]
-            result.append(channel.products[np.ix_(index, index)])
-        return np.array(result)
+            index = self._places(channel, bodies, terms)
+            found.append(channel.blocks[:, index][:, :, index])
+        return np.array(found)
+
+    def _places(self, channel: ChannelProducts, bodies: Sequence[int], terms: Sequence[Term]) -> list[int]:
+        again = [10 * body + k for body in bodies for k in range(10)]
+        return [*range(self.dimension), *again, *channel.gather(terms), -2]
 
     def reached(self, candidate: Candidate) -> list[int]:
         """The channels that a candidate can change."""
@@ -107,13 +119,11 @@ class Design:
     ) -> tuple[FloatArray, FloatArray]:
         """Products of a candidate's columns with those of :meth:`gather`, ``(R, k, n)``, and with themselves, in the R
         channels that it reaches."""
-        inertial = list(range(self.dimension))
-        again = [10 * body + k for body in bodies for k in range(10)]
         own = range(10 * candidate.payload, 10 * candidate.payload + 10) if candidate.payload >= 0 else ()
         with_others, with_own = [], []
         for channel in [self.channels[index] for index in self.reached(candidate)]:
             mine = [*own, *channel.gather(candidate.terms)]
-            index = [*inertial, *again, *channel.gather(terms), -2]
+            index = self._places(channel, bodies, terms)
             with_others.append(channel.products[np.ix_(mine, index)])
             with_own.append(channel.products[np.ix_(mine, mine)])
         return np.array(with_others), np.array(with_own)

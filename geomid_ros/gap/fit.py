@@ -25,25 +25,26 @@ from geomid_ros.types import FloatArray
 PAYLOAD_SPREAD = 1.5
 _PAYLOAD_MASS = 0.2  # of the mean link's mass: where a payload's weak prior is centred
 _PAYLOAD_SIZE = 0.1  # [m]
-_CERTAINTY_OF_SPREAD = 4.0  # the usual spread counts as much as so many directions of inertial error
 _LEAST_SHARE = 1e-10  # of the target's sum of squares: no residual is smaller
 _TOLERANCE = 3e-5
 _ROUNDS = 4
 _STEPS = 40
 _SMALLEST_FACTOR = 0.05  # by which one step shrinks an inertia at most
-_SPREADS = (0.03, 2.0)
+_SPREADS = (0.03, 0.8)
 
 
 @dataclass(frozen=True, eq=False)
 class Prior:
     """What is known before: the inertias ``(10 links,)``, the usual spread of their errors, and the effects that the
-    model already has: their terms, values and spreads ``(k,)``."""
+    model already has: their terms, values and spreads ``(k,)``. ``certainty``: how
+    many directions of inertial error the usual spread counts as much as."""
 
     inertias: FloatArray
     spread: float
     terms: tuple[Term, ...]
     values: FloatArray
     spreads: FloatArray
+    certainty: float = 4.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -198,12 +199,12 @@ def fit(
         if fixed:
             break
         hessian = solution.evaluation.information + np.diag(weights)
-        before, spread = spread, _spread(manifold, point, known, hessian, first, prior.spread)
+        before, spread = spread, _spread(manifold, point, known, hessian, first, prior)
         if abs(np.log(spread / before)) < 0.05:
             break
     weights[:first] = spread**-2
     hessian = solution.evaluation.information + np.diag(weights)
-    score = _score(objective, point, hessian, first, spread, prior.spread)
+    score = _score(objective, point, hessian, first, spread, prior)
     score += sum(c.penalty for c in chosen) * float(np.log(np.max(counts)))
     return JointFit(tuple(chosen), terms, point, manifold, score, objective.squares(point), hessian, spread, products)
 
@@ -230,8 +231,8 @@ def _scales(products: FloatArray, design: Design, bodies: Sequence[int], terms: 
     start = design.dimension + 10 * len(bodies)
     counts = np.maximum(design.counts, 1.0)
     squares = np.diagonal(products, axis1=1, axis2=2) / counts[:, None]
-    size = squares[:, -1:] / np.maximum(squares[:, start : start + terms], 1e-300)
-    size = np.where(squares[:, start : start + terms] > 0.0, size, np.inf)
+    own, target = squares[:, start : start + terms], np.broadcast_to(squares[:, -1:], (len(squares), terms))
+    size = np.divide(target, own, out=np.full(own.shape, np.inf), where=own > 0.0)
     best = np.sqrt(np.min(size, axis=0, initial=np.inf))
     return np.where(np.isfinite(best) & (best > 0.0), best, 1.0)
 
@@ -272,24 +273,24 @@ def _first_point(
 
 
 def _spread(
-    manifold: ParameterManifold, point: Point, known: Point, hessian: FloatArray, links: int, usual: float
+    manifold: ParameterManifold, point: Point, known: Point, hessian: FloatArray, links: int, prior: Prior
 ) -> float:
     """MacKay's re-estimate: mean square of the links' errors, those that the data do not determine included."""
     distance = float(np.sum(manifold.log(known, point)[:links] ** 2))
     unsure = float(np.trace(np.linalg.inv(hessian)[:links, :links]))
-    square = (distance + unsure + _CERTAINTY_OF_SPREAD * usual**2) / (links + _CERTAINTY_OF_SPREAD)
+    square = (distance + unsure + prior.certainty * prior.spread**2) / (links + prior.certainty)
     return float(np.clip(np.sqrt(square), *_SPREADS))
 
 
 def _score(
-    objective: _ProfileObjective, point: Point, hessian: FloatArray, links: int, spread: float, usual: float
+    objective: _ProfileObjective, point: Point, hessian: FloatArray, links: int, spread: float, prior: Prior
 ) -> float:
     weights = replace(
         objective, weights=np.where(np.arange(len(objective.weights)) < links, spread**-2, objective.weights)
     )
     fitted = 2.0 * weights.evaluate(point).value
     _, volume = np.linalg.slogdet(spread**2 * hessian[:links, :links])
-    hyper = _CERTAINTY_OF_SPREAD * ((usual / spread) ** 2 + 2.0 * np.log(spread / usual))
+    hyper = prior.certainty * ((prior.spread / spread) ** 2 + 2.0 * np.log(spread / prior.spread))
     return float(fitted + volume + hyper)
 
 

@@ -88,7 +88,9 @@ class Candidate:
     constants: Mapping[str, float] = field(default_factory=dict)
 
     def excludes(self, other: Candidate) -> bool:
-        """Whether both at once make no sense: the same name and place, or one a special case of the other."""
+        """Whether both at once make no sense: one name and place, one a special case of the other, two payloads."""
+        if self.payload >= 0 and other.payload >= 0:
+            return True
         names = {self.effect, other.effect}
         nested = any(names == {simple, rich} for simple, rich in RICHER.items())
         return self.group == other.group or (nested and self.joint == other.joint)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 
 import numpy as np
 
@@ -60,7 +60,7 @@ _SETTLED_BY = {
     "effort_gain": "the same motion with a known payload",
     "gravity_tilt": "a slow motion of the first joint through its range with the arm stretched out",
     "effort_delay": "faster motions",
-    "payload": "the same motion with a known payload, or with what the link carries taken off",
+    "payload": "the same motion with and without what the link carries, or a wrench sensor that carries the link",
     "joint_elasticity": "faster motions, or an encoder on the link's side",
     "backlash": "slow motions in which the load of this joint changes its sign",
     "wrench_offset": "still poses with the sensor turned to all sides",
@@ -163,6 +163,9 @@ def sentence(effect: str, joint: str, link: str, found: Mapping[str, Quantity], 
     return sure + text if sure else text[0].upper() + text[1:]
 
 
-def settled_by(effect: str) -> str:
-    """The recording that would tell an effect from its rivals."""
+def settled_by(effect: str, joint: str, rivals: Collection[tuple[str, str]]) -> str:
+    """The recording that would tell an effect from its rivals, (name, joint) each."""
+    others = [other for name, other in rivals if name == "payload"]
+    if effect == "payload" and others:
+        return f"a motion that turns {', '.join(repr(name) for name in (joint, *others))} through their ranges"
     return _SETTLED_BY[effect]

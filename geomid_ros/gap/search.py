@@ -4,19 +4,40 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
+
+import numpy as np
 
 from geomid_ros.gap.design import Design
 from geomid_ros.gap.fit import JointFit, Prior, fit, improvement
-from geomid_ros.gap.library import Candidate
+from geomid_ros.gap.library import STRIBECK_SPEEDS, Candidate
 
 LEAST_GAIN = 12.0
 """A name that improves the score by less is not taken: e^-6 in probability."""
 _SHORTLIST = 4
 _PAYLOADS = 3
 _EXCHANGES = 4
-_LARGEST_GAIN_ERROR = 0.5  # beyond, it is no error of a sensor
 _MOST_EFFECTS = 40
+_COARSE = 4  # of so many of Stribeck's speeds one is tried before he is chosen
+_PLAUSIBLE = 0.5  # of a name's loss: what the score test must promise of a rival that is tried in its place
+_NEEDED = 5.0 * LEAST_GAIN  # a name whose loss is larger, by a quadratic estimate, need not be tried to be left out
+# Beyond these it is no effect of a robot that works: limits of the coefficients, either sign.
+_LARGEST = {
+    "effort_gain": 0.25,
+    "load_friction": 1.0,
+    "effort_delay": 0.2,  # [s]
+    "backlash": 0.2,  # [rad]
+}
+_LIKE_A_PAYLOAD = {
+    "payload",
+    "rotor_inertia",
+    "spring",
+    "effort_offset",
+    "effort_gain",
+    "gravity_tilt",
+    "joint_elasticity",
+    "wrench_offset",
+}
+_LARGEST_TURN = 12.6  # [rad] between the zero of a joint and the rest of its spring
 
 
 @dataclass(frozen=True)
@@ -37,8 +58,11 @@ class Search:
         self.design = design
         self.prior = prior
         self.candidates = list(candidates)
+        speeds = STRIBECK_SPEEDS[::_COARSE]
+        self._coarse = [c for c in self.candidates if c.constants.get("speed", speeds[0]) in speeds]
         self.curves = list(curves)
         self._fits: dict[frozenset[Candidate], JointFit] = {}
+        self._payload_trials: dict[frozenset[Candidate], list[Trial]] = {}
 
     def fit(self, chosen: Sequence[Candidate], start: JointFit | None = None) -> JointFit:
         """The joint fit of a set; each set is fitted once."""
@@ -50,7 +74,7 @@ class Search:
     def ranked(self, current: JointFit, among: Sequence[Candidate] | None = None) -> list[Trial]:
         """Candidates that could join, the best of each group, by the score test."""
         best: dict[tuple[str, int, int], Trial] = {}
-        for candidate in self.candidates if among is None else among:
+        for candidate in self._coarse if among is None else among:
             if any(candidate.excludes(other) for other in current.chosen):
                 continue
             gain, separability = improvement(self.design, current, candidate)
@@ -59,27 +83,47 @@ class Search:
         return sorted(best.values(), key=lambda trial: -trial.gain)
 
     def possible(self, found: JointFit) -> bool:
-        """Whether no coefficient has a sign that it cannot have, and no gain is far from 1."""
-        signs = all(found.value(term) > 0.0 for c in found.chosen for term in c.terms[: c.positives])
-        gains = [found.value(c.terms[0]) for c in found.chosen if c.effect == "effort_gain"]
-        return signs and all(abs(gain) < _LARGEST_GAIN_ERROR for gain in gains)
+        """Whether no coefficient has a sign or a size that it cannot have, and no payload outweighs the robot."""
+        return not any(self._is_absurd(found, candidate) for candidate in found.chosen)
 
-    def extended(self, current: JointFit, skip: tuple[str, int, int] | None = None) -> list[JointFit]:
-        """Exact fits with one candidate more, the best first: those that the score test prefers, and payloads."""
-        trials = [t for t in self.ranked(current) if t.gain > 0.5 * LEAST_GAIN and t.candidate.payload < 0]
-        shortlist = [t.candidate for t in trials if t.candidate.group != skip][:_SHORTLIST]
-        shortlist += [c for c in self._payloads if c.payload not in current.bodies and c.group != skip]
+    def without_absurd(self, current: JointFit) -> JointFit:
+        """Without the candidates that cannot be, one after the other."""
+        while absurd := [c for c in current.chosen if self._is_absurd(current, c)]:
+            current = min((self.without(current, c) for c in absurd), key=lambda f: f.score)
+        return current
+
+    def _is_absurd(self, found: JointFit, candidate: Candidate) -> bool:
+        if candidate.payload >= 0:
+            place = len(self.prior.inertias) // 10 + found.bodies.index(candidate.payload)
+            return bool(found.point.pseudo_inertias[place, 3, 3] > np.sum(self.prior.inertias[::10]))
+        values = [found.value(term) for term in candidate.terms]
+        if candidate.effect == "spring" and abs(values[1]) > _LARGEST_TURN * values[0]:
+            return True
+        wrong_sign = any(value <= 0.0 for value in values[: candidate.positives])
+        return wrong_sign or abs(values[0]) > _LARGEST.get(candidate.effect, np.inf)
+
+    def extended(
+        self, current: JointFit, skip: tuple[str, int, int] | None = None, least: float = 0.5 * LEAST_GAIN
+    ) -> list[JointFit]:
+        """Exact fits with one candidate more, the best first: those that the score test prefers, and payloads; none of
+        which it promises less than ``least``."""
+        trials = [t for t in self.ranked(current) if t.gain > least and t.candidate.payload < 0]
+        trials = [t for t in trials if t.candidate.group != skip][:_SHORTLIST]
+        if not current.bodies and (skip is None or skip[0] in _LIKE_A_PAYLOAD):
+            trials += [t for t in self._payloads(current) if t.gain > least]
+        shortlist = [t.candidate for t in trials if t.candidate.group != skip]
         fits = [self.fit([*current.chosen, candidate], current) for candidate in shortlist]
         return sorted((f for f in fits if self.possible(f)), key=lambda f: f.score)
 
-    @cached_property
-    def _payloads(self) -> list[Candidate]:
+    def _payloads(self, current: JointFit) -> list[Trial]:
         """The payloads worth a trial. After the fit the score test says little of them: inertias that are nearly free,
         because the payload made all of them wrong, imitate it. So it is asked with the usual spread of the inertias."""
-        firm = fit(self.design, self.prior, [], spread=self.prior.spread)
-        payloads = [c for c in self.candidates if c.payload >= 0]
-        trials = [trial for trial in self.ranked(firm, payloads) if trial.gain > 0.0]
-        return [trial.candidate for trial in trials[:_PAYLOADS]]
+        key = frozenset(current.chosen)
+        if key not in self._payload_trials:
+            firm = fit(self.design, self.prior, current.chosen, current, spread=self.prior.spread)
+            trials = self.ranked(firm, [c for c in self.candidates if c.payload >= 0])
+            self._payload_trials[key] = [trial for trial in trials if trial.gain > 0.0][:_PAYLOADS]
+        return self._payload_trials[key]
 
     def without(self, current: JointFit, candidate: Candidate) -> JointFit:
         """The fit without one of its candidates."""
@@ -94,17 +138,18 @@ class Search:
 
     def prune(self, current: JointFit) -> JointFit:
         """Without the candidates that are not worth their parameters, the least one first."""
-        while current.chosen:
-            losses = [(self.without(current, c).score - current.score, i) for i, c in enumerate(current.chosen)]
-            loss, index = min(losses)
-            if loss > LEAST_GAIN:
+        while doubtful := [c for c in current.chosen if _estimated_loss(self.design, current, c) < _NEEDED]:
+            smaller = min((self.without(current, c) for c in doubtful), key=lambda f: f.score)
+            if smaller.score - current.score > LEAST_GAIN:
                 break
-            current = self.without(current, current.chosen[index])
+            current = smaller
         return current
 
     def rivals(self, current: JointFit, candidate: Candidate) -> list[JointFit]:
         """The best sets in which another name stands in the place of one candidate."""
-        return self.extended(self.without(current, candidate), candidate.group)
+        rest = self.without(current, candidate)
+        least = max(0.5 * LEAST_GAIN, _PLAUSIBLE * (rest.score - current.score))
+        return self.extended(rest, candidate.group, least)
 
     def add_curve(self, current: JointFit) -> JointFit | None:
         """The best set with one free curve more; None if none is worth its parameters."""
@@ -122,11 +167,14 @@ class Search:
         return self.fit([*rest.chosen, trials[0].candidate], rest)
 
     def settle(self, current: JointFit) -> JointFit:
-        """Grow, exchange and prune until nothing changes; then let the free curves compete for the rest."""
+        """Grow, exchange and prune until nothing changes, or until a name is found that changes all columns."""
+        known = _turns(current)
         for _ in range(_EXCHANGES):
             before = current.score
             while (larger := self.grow(current)) is not None:
                 current = self.prune(larger)
+                if _turns(current) - known:
+                    return current
             current = self.exchange(current)
             if current.score >= before - 1e-6:
                 break
@@ -143,3 +191,20 @@ class Search:
             if better:
                 return min(better, key=lambda f: f.score)
         return current
+
+
+def _turns(found: JointFit) -> set[str]:
+    """The names of a fit whose size all other columns depend on."""
+    return {c.effect for c in found.chosen} & {"gravity_tilt", "effort_delay"}
+
+
+def _estimated_loss(design: Design, current: JointFit, candidate: Candidate) -> float:
+    """By how much the score is worse without a candidate, to second order, its penalty not counted; 0 for a payload,
+    whose loss is not nearly quadratic."""
+    if candidate.payload >= 0:
+        return 0.0
+    places = [current.place(term) for term in candidate.terms]
+    values = np.array([current.value(term) for term in candidate.terms])
+    squared = float(values @ np.linalg.solve(current.covariance[np.ix_(places, places)], values))
+    count = float(np.max(design.counts))
+    return count * float(np.log1p(squared / count))

@@ -8,6 +8,7 @@ import numpy as np
 
 from geomid_ros.gap import naming
 from geomid_ros.gap.analysis import Analysis
+from geomid_ros.gap.crossvalidation import generalises
 from geomid_ros.gap.curves import depends_on, is_curve
 from geomid_ros.gap.fit import improvement
 from geomid_ros.gap.library import RICHER, Candidate
@@ -19,27 +20,33 @@ CONFIDENT_LOSS = 20.0
 CONFIDENT_BESIDE_UNEXPLAINED = 200.0
 """Where something is left that has no name, small names may be its shadow."""
 CONFIDENT_RIVAL = 12.0
-CONFIDENT_SHARE = 0.5
+CONFIDENT_SHARE = 0.03
+DOMINANT_LOSS = 200.0
+DOMINANT_SHARE = 0.3
+"""A name of the whole robot is sure in spite of what it leaves only if it matters so much more."""
+CERTAIN = 100.0
+"""Prior inertias of such a certainty were identified, not guessed."""
 LEAST_RISE = 1.05
 """Without a name that is sure, the remainder of some channel is so many times larger; payloads apart."""
 REACHED = 1.15
 """A channel whose remainder is below this times the floor has reached it."""
 
 
-def findings(model: MeasurementModel, analysis: Analysis) -> tuple[Finding, ...]:
-    """The names, the one that matters most first."""
-    found = [_finding(model, analysis, c) for c in analysis.whole.chosen if not is_curve(c)]
+def findings(model: MeasurementModel, analysis: Analysis, closed: bool) -> tuple[Finding, ...]:
+    """The names, the one that matters most first; ``closed``: they close the whole gap."""
+    found = [_finding(model, analysis, c, closed) for c in analysis.whole.chosen if not is_curve(c)]
     return tuple(sorted(found, key=lambda finding: -finding.loss))
 
 
-def _finding(model: MeasurementModel, analysis: Analysis, candidate: Candidate) -> Finding:
+def _finding(model: MeasurementModel, analysis: Analysis, candidate: Candidate, closed: bool) -> Finding:
     whole, search = analysis.whole, analysis.search
     loss = search.without(whole, candidate).score - whole.score
     rivals = _rivals(model, analysis, candidate)
     share = _share(analysis, candidate)
     separability = improvement(search.design, search.without(whole, candidate), candidate)[1]
     joint = naming.place_name(model, candidate)
-    confidence = _confidence(analysis, candidate, joint, loss, rivals, share)
+    confidence = _confidence(analysis, candidate, joint, loss, rivals, share, closed)
+    close = [(rival.effect, rival.joint) for rival in rivals if rival.loss < CONFIDENT_RIVAL]
     parameters = naming.parameters(model, whole, candidate)
     link = naming.link_name(model, candidate)
     return Finding(
@@ -53,7 +60,7 @@ def _finding(model: MeasurementModel, analysis: Analysis, candidate: Candidate) 
         loss,
         share,
         naming.sentence(candidate.effect, joint, link, parameters, confidence),
-        naming.settled_by(candidate.effect) if confidence != "confident" else "",
+        naming.settled_by(candidate.effect, joint, close) if confidence != "confident" else "",
     )
 
 
@@ -67,32 +74,50 @@ def _rivals(model: MeasurementModel, analysis: Analysis, candidate: Candidate) -
 
 
 def _confidence(
-    analysis: Analysis, candidate: Candidate, joint: str, loss: float, rivals: Sequence[Rival], share: float
+    analysis: Analysis,
+    candidate: Candidate,
+    joint: str,
+    loss: float,
+    rivals: Sequence[Rival],
+    share: float,
+    closed: bool,
 ) -> Confidence:
     others = [rival for rival in rivals if rival.effect != RICHER.get(candidate.effect) or rival.joint != joint]
-    if any(rival.loss < CONFIDENT_RIVAL for rival in others):
+    if any(rival.loss < CONFIDENT_RIVAL for rival in others) or _only_prior(analysis, candidate):
         return "ambiguous"
     curves = [c for c in analysis.whole.chosen if is_curve(c)]
-    concerned = any(candidate.joint in (-1, curve.joint) or depends_on(curve) == joint for curve in curves)
     instead = analysis.search.instead(analysis.whole, candidate)
-    curve_as_good = instead is not None and instead.score - analysis.whole.score < CONFIDENT_RIVAL
-    weak = loss < (CONFIDENT_BESIDE_UNEXPLAINED if curves else CONFIDENT_LOSS)
+    margin = min([loss, *(rival.loss for rival in others)])
+    if instead is not None:
+        margin = min(margin, instead.score - analysis.whole.score)
+    beside = any(candidate.joint == curve.joint or depends_on(curve) == joint for curve in curves)
+    sure = closed and not curves
+    if candidate.joint < 0 and not sure:
+        beside = margin < DOMINANT_LOSS or share < DOMINANT_SHARE
+    weak = loss < (CONFIDENT_LOSS if sure else CONFIDENT_BESIDE_UNEXPLAINED) or margin < CONFIDENT_RIVAL
     small = candidate.payload < 0 and _rise(analysis, candidate) < LEAST_RISE
-    if weak or small or share < CONFIDENT_SHARE or concerned or curve_as_good:
+    if weak or small or share < CONFIDENT_SHARE or beside:
         return "tentative"
-    return "confident"
+    # Where the floor is reached the score can be trusted; else it takes errors of the model for noise.
+    return "confident" if sure or generalises(analysis.search.design, analysis.whole, candidate) else "tentative"
+
+
+def _only_prior(analysis: Analysis, candidate: Candidate) -> bool:
+    """Whether a payload is preferred to wrong inertias only by how likely the latter were thought, where that is a
+    guess: without it the inertias reach the same remainder."""
+    guessed = analysis.search.prior.certainty < CERTAIN
+    return candidate.payload >= 0 and guessed and _rise(analysis, candidate) < LEAST_RISE
 
 
 def _share(analysis: Analysis, candidate: Candidate) -> float:
-    """Of the gap that is there without the name, in the channel in which it changes most: how much it closes."""
-    if candidate.payload >= 0:  # the inertias close it too, but at the cost of being far from what was known
-        return 1.0
-    counts = analysis.search.design.counts
-    without = analysis.search.without(analysis.whole, candidate).squares / counts
-    after = analysis.whole.squares / counts
-    channel = int(np.argmax(without / after))
-    floor = min(after[channel], analysis.innovations[channel])
-    return float(np.clip((without[channel] - after[channel]) / max(without[channel] - floor, 1e-300), 0.0, 1.0))
+    """Of the gap that the inertias leave, above the floor, over the channels that it reaches: how much it closes beside
+    the other names."""
+    reached = analysis.search.design.reached(candidate)
+    without = analysis.search.without(analysis.whole, candidate).squares
+    before = analysis.bare.squares
+    closed = np.sum(((without - analysis.whole.squares) / analysis.whole.squares)[reached])
+    gap = np.sum((np.maximum(before, without) / analysis.whole.squares - 1.0)[reached])
+    return float(np.clip(closed / max(float(gap), 1e-300), 0.0, 1.0))
 
 
 def _rise(analysis: Analysis, candidate: Candidate) -> float:
@@ -115,11 +140,16 @@ def verdict(found: Sequence[Finding], left: Sequence[Unexplained], after: FloatA
     """Of the whole run, from the gap ``after (C,)`` on so many independent instants ``counts (C,)``."""
     if left:
         return "unexplained"
-    # A standard deviation from n values is itself uncertain by 1 / sqrt(2 n), relative.
-    reached = REACHED * (1.0 + 2.0 / np.sqrt(2.0 * np.maximum(counts, 1.0)))
-    if not np.all(np.nan_to_num(after) < reached):
+    if not is_closed(after, counts):
         return "incomplete"
     return "named" if found else "no gap"
+
+
+def is_closed(after: FloatArray, counts: FloatArray) -> bool:
+    """Whether a gap ``after (C,)`` on so many independent instants ``counts (C,)`` reaches the floor."""
+    # A standard deviation from n values is itself uncertain by 1 / sqrt(2 n), relative.
+    reached = REACHED * (1.0 + 2.0 / np.sqrt(2.0 * np.maximum(counts, 1.0)))
+    return bool(np.all(np.nan_to_num(after) < reached))
 
 
 def ranking(model: MeasurementModel, analysis: Analysis) -> tuple[Ranked, ...]:

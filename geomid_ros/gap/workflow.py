@@ -16,7 +16,7 @@ from geomid_ros.gap.record import Records
 from geomid_ros.gap.result import Gap, GapResult, Trace
 from geomid_ros.gap.settings import GapSettings
 from geomid_ros.gap.stage import Stage, TotalModel
-from geomid_ros.gap.verdict import findings, ranking, unexplained, verdict
+from geomid_ros.gap.verdict import findings, is_closed, ranking, unexplained, verdict
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.samples import Samples
@@ -25,6 +25,7 @@ from geomid_ros.types import FloatArray
 _DEFAULT = GapSettings()
 _FEWEST_ROWS = 100
 _SPREAD_OF_EFFECTS = 0.2  # of the coefficients that the model already has, relative
+_CERTAINTY_OF_IDENTIFIED = 400.0  # what was identified is hardly ever as wrong as a drawing
 _SPREAD_OF_SIMULATED = 0.02
 _LEAST_SPREAD = 1e-3
 
@@ -71,18 +72,19 @@ def find_gap(
     records = Records.make(train, settings.cutoff)
     held = Records.make(held_out or train, settings.cutoff)
     _check(bare, records)
-    prior = _prior(model, nominal, settings.spread)
+    prior = _prior(model, nominal, settings)
     if simulated:
         prior = _as_simulated(bare, Records.make(simulated, settings.cutoff), prior, report)
     analysis = analyse(bare, records, prior, report)
     report("judging", 0.0)
     trace, gap = _held_out(bare, held, prior, analysis)
     left = unexplained(bare, analysis, gap.after)
-    found = findings(bare, analysis)
+    counts = np.sum(held.usable(trace.measured), axis=0)
+    found = findings(bare, analysis, is_closed(gap.after, counts))
     report("judging", 1.0)
     first = _residual(bare, records, prior, unfitted(prior))
     return GapResult(
-        verdict(found, left, gap.after, np.sum(held.usable(trace.measured), axis=0)),
+        verdict(found, left, gap.after, counts),
         found,
         left,
         tuple(channel.name for channel in bare.channels),
@@ -118,7 +120,7 @@ def _check(model: MeasurementModel, records: Records) -> None:
         raise InputError("no joint moves: record a motion that takes all joints through their ranges")
 
 
-def _prior(model: MeasurementModel, nominal: FloatArray | None, spread: float) -> Prior:
+def _prior(model: MeasurementModel, nominal: FloatArray | None, settings: GapSettings) -> Prior:
     size = len(model.nominal_inertias)
     values = np.full(model.dimension, np.nan) if nominal is None else nominal
     inertias = np.where(np.isfinite(values[:size]), values[:size], model.nominal_inertias)
@@ -128,7 +130,10 @@ def _prior(model: MeasurementModel, nominal: FloatArray | None, spread: float) -
     ]
     strengths = np.array([value for _, value in known])
     spreads = np.maximum(_SPREAD_OF_EFFECTS * np.abs(strengths), _LEAST_SPREAD)
-    return Prior(inertias, spread, tuple(term for term, _ in known), strengths, spreads)
+    terms = tuple(term for term, _ in known)
+    if np.any(np.isfinite(values[:size])):
+        return Prior(inertias, settings.identified_spread, terms, strengths, spreads, _CERTAINTY_OF_IDENTIFIED)
+    return Prior(inertias, settings.spread, terms, strengths, spreads)
 
 
 def _as_simulated(
@@ -140,7 +145,7 @@ def _as_simulated(
     inertias = TotalModel.of(model, found).inertias[list(model.identified)].ravel()
     values = np.array([found.value(term) for term in found.terms])
     spreads = np.maximum(_SPREAD_OF_SIMULATED * np.abs(values), _LEAST_SPREAD)
-    return Prior(inertias, prior.spread, found.terms, values, spreads)
+    return Prior(inertias, prior.spread, found.terms, values, spreads, prior.certainty)
 
 
 def _held_out(model: MeasurementModel, held: Records, prior: Prior, analysis: Analysis) -> tuple[Trace, Gap]:

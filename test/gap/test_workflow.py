@@ -87,3 +87,43 @@ def test_too_little_is_refused() -> None:
     short = planted.recording(planted.rigid(planted.true_inertias(1, 0.1)), 1, seconds=2.0)
     with pytest.raises(InputError, match="too short"):
         find_gap(planted.model(), [short], [short])
+
+
+PAYLOAD = 0.6  # [kg]
+
+
+def carrying(inertias: FloatArray) -> FloatArray:
+    """With a small body at the last link."""
+    loaded = inertias.copy()
+    centre = inertias[-1, 1:4] / inertias[-1, 0] + [0.03, 0.0, 0.05]
+    x, y, z = centre
+    square = [y**2 + z**2, -x * y, x**2 + z**2, -x * z, -y * z, x**2 + y**2]
+    loaded[-1] += PAYLOAD * np.array([1.0, *centre, *square])
+    loaded[-1, [4, 6, 9]] += 1e-3
+    return loaded
+
+
+def test_a_payload_that_only_the_prior_tells_is_not_sure_but_beside_an_identified_model_it_is() -> None:
+    inertias = planted.true_inertias(51, 0.2)
+    loaded = planted.rigid(carrying(inertias))
+    train, held_out = planted.recording(loaded, 51), planted.recording(loaded, 1051, 15.0)
+    guessed = find_gap(planted.model(), [train], [held_out])
+    assert not [finding for finding in guessed.findings if finding.confidence == "confident"]
+    known = find_gap(planted.model(), [train], [held_out], nominal=inertias.ravel())
+    (finding,) = known.findings
+    assert (finding.effect, finding.joint) == ("payload", JOINTS[-1])
+    assert finding.confidence == "confident"
+    mass = finding.parameters["mass"]
+    assert abs(mass.value - PAYLOAD) < 3.0 * mass.std
+    assert mass.std < 0.3 * PAYLOAD
+
+
+def test_a_payload_that_the_simulator_lacks_is_listed_and_its_friction_is_not() -> None:
+    inertias = planted.true_inertias(61, 0.05)
+    friction = np.array([0.0, 0.4, 0.0])
+    twin_robot, robot = planted.rigid(inertias), planted.rigid(carrying(inertias))
+    twin = planted.recording(lambda q, v, a: twin_robot(q, v, a) + friction * v, 61)
+    train = planted.recording(lambda q, v, a: robot(q, v, a) + friction * v, 62)
+    held_out = planted.recording(lambda q, v, a: robot(q, v, a) + friction * v, 1062, 15.0)
+    result = find_gap(planted.model(), [train], [held_out], simulated=[twin])
+    assert [finding.effect for finding in result.findings] == ["payload"]

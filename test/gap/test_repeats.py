@@ -1,0 +1,46 @@
+"""The floor from repeats: planted noise is recovered however wrong the model is, and other motions are no repeats."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+
+from geomid_ros.gap.record import Records
+from geomid_ros.gap.repeats import floor_by_repeats, repeated_after
+from geomid_ros.model.samples import Samples
+
+from . import planted
+
+PERIOD = 6.0  # [s] of the planted motion
+SIZES = np.array([0.05, 0.1, 0.2])  # [N m]
+
+
+def recording(seed: int, seconds: float, noise_seed: int, memory: float = 0.0) -> Samples:
+    """A robot with friction, that no model here knows, under noise with a standard deviation of SIZES."""
+    rigid = planted.rigid(planted.true_inertias(3, 0.3))
+    exact = planted.recording(lambda q, v, a: rigid(q, v, a) + np.tanh(v / 0.1), seed, seconds, noise=0.0)
+    white = np.random.default_rng(noise_seed).standard_normal((len(exact) + 500, len(SIZES)))
+    noise = np.asarray(lfilter([np.sqrt(1.0 - memory**2)], [1.0, -memory], white, axis=0))[500:]
+    return replace(exact, effort=exact.effort + SIZES * noise)
+
+
+@pytest.mark.parametrize("memory", [0.0, 0.8])
+def test_noise_is_what_two_periods_differ_by(memory: float) -> None:
+    records = Records.make([recording(1, 40.0, 2, memory)], planted.CUTOFF)
+    assert repeated_after(records.dense[0], records.dense[0]) == pytest.approx(PERIOD, abs=1e-3)
+    # A spline between white samples averages them: up to a tenth of the deviation of noise that is not filtered.
+    np.testing.assert_allclose(floor_by_repeats(planted.model(), records), SIZES, rtol=0.13)
+
+
+def test_two_recordings_of_one_motion_are_repeats() -> None:
+    """Each is shorter than two periods; the second begins later in the motion."""
+    first, second = recording(1, 8.0, 2), recording(1, 9.0, 3)
+    records = Records.make([first, second.select(slice(32, None))], planted.CUTOFF)
+    assert repeated_after(*records.dense) == pytest.approx(-32 / planted.RATE, abs=1e-3)
+    np.testing.assert_allclose(floor_by_repeats(planted.model(), records), SIZES, rtol=0.15)
+
+
+def test_other_motions_are_no_repeats() -> None:
+    records = Records.make([recording(1, 8.0, 2), recording(4, 8.0, 3)], planted.CUTOFF)
+    assert np.all(np.isnan(floor_by_repeats(planted.model(), records)))
