@@ -75,8 +75,7 @@ def analyse(
         last = _same(before, found) or attempt == _ROUNDS - 1
         before = found
         if last:
-            whole = _with_curves(search, found)
-            found = search.without_absurd(search.fit([c for c in whole.chosen if not is_curve(c)]))
+            found, whole = _with_and_without_curves(search, found)
         chosen = found.chosen
         valid = records.usable(stage.rows.targets)
         if last:
@@ -98,6 +97,15 @@ def analyse(
         np.where(repeats > 0.0, repeats, _root_mean_square(residual, valid) / np.sqrt(freedom)),
         whole.squares / search.design.counts / freedom,
     )
+
+
+def _with_and_without_curves(search: Search, found: JointFit) -> tuple[JointFit, JointFit]:
+    """The fit of the names alone, and the one with the curves that they leave room for: the same names in both."""
+    whole = search.without_absurd(_with_curves(search, found))
+    names = search.without_absurd(search.fit([c for c in whole.chosen if not is_curve(c)], whole))
+    if {*names.chosen} != {c for c in whole.chosen if not is_curve(c)}:
+        whole = search.fit([*names.chosen, *(c for c in whole.chosen if is_curve(c))], names)
+    return names, whole if search.possible(whole) else names
 
 
 def _with_curves(search: Search, found: JointFit) -> JointFit:

@@ -9,7 +9,7 @@ import numpy as np
 
 from geomid_ros.gap.design import Design
 from geomid_ros.gap.fit import JointFit, Prior, fit, improvement
-from geomid_ros.gap.library import STRIBECK_SPEEDS, Candidate
+from geomid_ros.gap.library import RICHER, STRIBECK_SPEEDS, Candidate
 
 LEAST_GAIN = 12.0
 """A name that improves the score by less is not taken: e^-6 in probability."""
@@ -22,7 +22,7 @@ _PLAUSIBLE = 0.5  # of a name's loss: what the score test must promise of a riva
 _NEEDED = 5.0 * LEAST_GAIN  # a name whose loss is larger, by a quadratic estimate, need not be tried to be left out
 # Beyond these it is no effect of a robot that works: limits of the coefficients, either sign.
 _LARGEST = {
-    "effort_gain": 0.25,
+    "effort_gain": 0.5,
     "load_friction": 1.0,
     "effort_delay": 0.2,  # [s]
     "backlash": 0.2,  # [rad]
@@ -87,10 +87,18 @@ class Search:
         return not any(self._is_absurd(found, candidate) for candidate in found.chosen)
 
     def without_absurd(self, current: JointFit) -> JointFit:
-        """Without the candidates that cannot be, one after the other."""
+        """Without the candidates that cannot be, one after the other, or with simpler names in their places."""
         while absurd := [c for c in current.chosen if self._is_absurd(current, c)]:
-            current = min((self.without(current, c) for c in absurd), key=lambda f: f.score)
+            current = min((f for c in absurd for f in self._simpler(current, c)), key=lambda f: f.score)
         return current
+
+    def _simpler(self, current: JointFit, candidate: Candidate) -> list[JointFit]:
+        """The fit without a candidate, and those with a name that is a special case of it."""
+        rest = self.without(current, candidate)
+        special = [
+            c for c in self.candidates if c.joint == candidate.joint and RICHER.get(c.effect) == candidate.effect
+        ]
+        return [rest, *(self.fit([*rest.chosen, c], rest) for c in special)]
 
     def _is_absurd(self, found: JointFit, candidate: Candidate) -> bool:
         if candidate.payload >= 0:

@@ -105,15 +105,34 @@ def _confidence(
 def _only_prior(analysis: Analysis, candidate: Candidate) -> bool:
     """Whether a payload is preferred to wrong inertias only by how likely the latter were thought, where that is a
     guess: without it the inertias reach the same remainder."""
-    guessed = analysis.search.prior.certainty < CERTAIN
+    guessed = not _is_identified(analysis)
     return candidate.payload >= 0 and guessed and _rise(analysis, candidate) < LEAST_RISE
+
+
+def _is_identified(analysis: Analysis) -> bool:
+    """Whether the inertias were identified before, not guessed."""
+    return analysis.search.prior.certainty >= CERTAIN
+
+
+def _squares_without(analysis: Analysis, candidate: Candidate) -> FloatArray:
+    """Sums of squares ``(C,)`` without a name. Without a payload on an identified robot the inertias are those that are
+    known: fitted ones would take its place."""
+    whole = analysis.whole
+    if candidate.payload < 0 or not _is_identified(analysis):
+        return analysis.search.without(whole, candidate).squares
+    known = whole.point.parameters.copy()
+    known[whole.manifold.inertial] = 0.0
+    known[: len(analysis.search.prior.inertias)] = analysis.search.prior.inertias
+    vector = np.append(known, -1.0)
+    squares: FloatArray = np.einsum("cij,i,j->c", whole.products, vector, vector)
+    return squares
 
 
 def _share(analysis: Analysis, candidate: Candidate) -> float:
     """Of the gap that the inertias leave, above the floor, over the channels that it reaches: how much it closes beside
     the other names."""
     reached = analysis.search.design.reached(candidate)
-    without = analysis.search.without(analysis.whole, candidate).squares
+    without = _squares_without(analysis, candidate)
     before = analysis.bare.squares
     closed = np.sum(((without - analysis.whole.squares) / analysis.whole.squares)[reached])
     gap = np.sum((np.maximum(before, without) / analysis.whole.squares - 1.0)[reached])

@@ -30,33 +30,47 @@ CASES = {
     "friction": Hiding(replace(ARM3, seed=11), (Hidden("coulomb_friction", "joint2"),)),
     "delay": Hiding(replace(ARM3, seed=12), (Hidden("effort_delay", "", 0.006),)),
     "two at once": Hiding(replace(ARM3, seed=13), (Hidden("spring", "joint3"), Hidden("viscous_friction", "joint1"))),
-    "payload": Hiding(replace(ARM7, seed=14), (Hidden("payload", "tool", 1.5),)),
 }
+PAYLOAD = Hiding(replace(ARM7, seed=14), (Hidden("payload", "tool", 1.5),))
 
 
-def found(hiding: Hiding, folder: Path) -> tuple[dict[str, Any], list[dict[str, Any]]]:
-    """The workflow's gap.json, and what is true."""
+def found(hiding: Hiding, folder: Path, identified: bool = False) -> tuple[dict[str, Any], list[dict[str, Any]]]:
+    """The workflow's gap.json, and what is true; ``identified``: the robot was, before anything was hidden in it."""
     pytest.importorskip("mujoco")
     options = replace(hiding.options, hide=hiding.hide)
     for index, name in enumerate(("one", "two", "other")):
         simulate(folder / name, replace(options, motion_seed=100 + index))
     (folder / "robot.urdf").write_text(robot_description(options.robot))
-    bags: list[str | Path] = [
-        folder / "one",
-        folder / "two",
-        "--validate",
-        folder / "other",
-        "--urdf",
-        folder / "robot.urdf",
-    ]
-    sensor = ["--wrench", f"/wrench:{WRIST_FRAME}:mounted"] if options.wrench_frame else []
-    document = json.loads(done("gap", *bags, *sensor, "--out", folder / "out", "--json"))
+    robot: list[str | Path] = ["--urdf", folder / "robot.urdf"]
+    if options.wrench_frame:
+        robot += ["--wrench", f"/wrench:{WRIST_FRAME}:mounted"]
+    if identified:
+        simulate(folder / "before", replace(hiding.options, hide=(), motion_seed=99))
+        done("identify", folder / "before", *robot, "--effects", "none", "--out", folder / "known")
+        robot += ["--model", folder / "known" / "estimate.json"]
+    bags = [folder / "one", folder / "two", "--validate", folder / "other"]
+    document = json.loads(done("gap", *bags, *robot, "--out", folder / "out", "--json"))
     return document, json.loads((folder / "other.truth.json").read_text())["effects"]
 
 
 @pytest.mark.parametrize("case", CASES)
 def test_it_is_named(case: str, tmp_path: Path) -> None:
-    document, truth = found(CASES[case], tmp_path)
+    check_named(*found(CASES[case], tmp_path))
+
+
+def test_a_payload_on_an_identified_robot_is_named(tmp_path: Path) -> None:
+    check_named(*found(PAYLOAD, tmp_path, identified=True))
+
+
+def test_a_payload_beside_unsure_inertias_is_not_told_for_sure(tmp_path: Path) -> None:
+    document, _ = found(PAYLOAD, tmp_path)
+    (finding,) = document["findings"]
+    assert (finding["effect"], finding["confidence"]) == ("payload", "ambiguous")
+    assert finding["settled_by"]
+
+
+def check_named(document: dict[str, Any], truth: list[dict[str, Any]]) -> None:
+    """Exactly what is true is named confidently, with its size."""
     confident = [entry for entry in document["findings"] if entry["confidence"] == "confident"]
     assert {(entry["effect"], entry["joint"]) for entry in confident} == {
         (entry["effect"], entry["joint"]) for entry in truth
