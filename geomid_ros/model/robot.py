@@ -210,7 +210,8 @@ class Robot:
 
     def joint_effort_rows(self, q: FloatArray, v: FloatArray, a: FloatArray) -> FloatArray:
         """Regressor of the joints' efforts at one instant, ``(joints, bodies, 10)``, in the bodies' link frames."""
-        full = pin.computeJointTorqueRegressor(self._model, self._data, q, v, a)
+        # Of a robot with one joint pinocchio returns arrays that have lost a dimension.
+        full = pin.computeJointTorqueRegressor(self._model, self._data, q, v, a).reshape(self._model.nv, -1)
         by_joint = full[self.velocity_rows].reshape(len(self.joints), -1, 10)[:, self._moved_by]
         rows = np.zeros((len(self.joints), len(self.bodies), 10))
         rows[:, self._moved] = (by_joint.transpose(1, 0, 2) @ self._to_joints).transpose(1, 0, 2)
@@ -263,7 +264,7 @@ class Robot:
         """Jacobian ``(6, joints)`` of a link's frame, in its own axes (linear, angular)."""
         index = self._model.getFrameId(frame, pin.BODY)
         jacobian = pin.computeFrameJacobian(self._model, self._data, q, index, pin.LOCAL)
-        return np.array(jacobian[:, self.velocity_rows])
+        return np.array(jacobian.reshape(6, self._model.nv)[:, self.velocity_rows])
 
     def with_gravity(self, gravity: FloatArray) -> Robot:
         """The same robot under another ``gravity (3,)`` in the base (world) frame [m/s^2]."""

@@ -194,3 +194,19 @@ def test_predicted_efforts_are_those_of_the_whole_robot_whatever_is_identified()
     expected = whole.rows(samples).coefficients @ whole.nominal_inertias
     for model in (whole, part):
         assert_equal(model.predicted_efforts(samples, model.nominal_inertias), expected)
+
+
+def test_a_robot_with_one_joint() -> None:
+    """A body on an arm that turns about the horizontal y: textbook mechanics, no rigid-body library."""
+    mass, lever, inertia = 2.0, 0.3, 0.05
+    text = f"""<robot name="pendulum"><link name="base"/><link name="arm"><inertial><origin xyz="{lever} 0 0"/>
+        <mass value="{mass}"/><inertia ixx="{inertia}" iyy="{inertia}" izz="{inertia}" ixy="0" ixz="0" iyz="0"/></inertial>
+        </link><joint name="hinge" type="continuous"><parent link="base"/><child link="arm"/><axis xyz="0 1 0"/></joint>
+        </robot>"""
+    sensor = WrenchSensor("/wrench", "arm", "external")
+    model = MeasurementModel(Robot(text), [], [sensor])
+    samples = random_samples(model.robot, seed=4, sensors=1)
+    measured, predicted = model.predict(samples, model.nominal_inertias)
+    swing = (inertia + mass * lever**2) * samples.acceleration[:, 0]
+    assert_equal(predicted[:, 0], swing - mass * 9.81 * lever * np.cos(samples.position[:, 0]))
+    assert_equal(measured[:, 0], samples.effort[:, 0] + samples.wrenches[:, 0, 4])
