@@ -102,5 +102,3 @@ def staged(folder: Path) -> Iterator[Stage]:
             yield stage
         finally:
             stage.close()
-
-

@@ -81,9 +81,7 @@ def test_bad_messages_cost_only_themselves(stage: Stage, tmp_path: Path) -> None
     bad = bad_messages(joints, wrench)
     mixed = [*good[:half], *bad.values(), *good[half:]]
     clean, _ = estimate(stage, good, tmp_path / "clean", "clean", {"joint_states": half, "/wrench": half})
-    counts = {
-        topic: half + sum(kind == topic for kind, _ in bad) for topic in ("joint_states", "/wrench")
-    }
+    counts = {topic: half + sum(kind == topic for kind, _ in bad) for topic in ("joint_states", "/wrench")}
     dirty, status = estimate(stage, mixed, tmp_path / "dirty", "dirty", counts)
     values = {pair.key: pair.value for pair in status.values}
     for topic in counts:

@@ -17,6 +17,7 @@ ARM3 = description("arm3")
 SHIPPED = Path(__file__).parents[2] / "config/geomid.yaml"
 SINGLE = [parameter for parameter in PARAMETERS if "*" not in parameter.name]
 
+
 def sensor(**described: Any) -> dict[str, Any]:
     return {"wrenches": ["ft"], "wrench": {"ft": described}}
 
