@@ -201,8 +201,8 @@ def test_a_robot_with_one_joint() -> None:
     mass, lever, inertia = 2.0, 0.3, 0.05
     text = f"""<robot name="pendulum"><link name="base"/><link name="arm"><inertial><origin xyz="{lever} 0 0"/>
         <mass value="{mass}"/><inertia ixx="{inertia}" iyy="{inertia}" izz="{inertia}" ixy="0" ixz="0" iyz="0"/>
-        </inertial></link><joint name="hinge" type="continuous"><parent link="base"/><child link="arm"/><axis xyz="0 1 0"/></joint>
-        </robot>"""
+        </inertial></link><joint name="hinge" type="continuous"><parent link="base"/><child link="arm"/>
+        <axis xyz="0 1 0"/></joint></robot>"""
     sensor = WrenchSensor("/wrench", "arm", "external")
     model = MeasurementModel(Robot(text), [], [sensor])
     samples = random_samples(model.robot, seed=4, sensors=1)
