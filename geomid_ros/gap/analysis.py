@@ -101,7 +101,7 @@ def analyse(
 
 def _with_and_without_curves(search: Search, found: JointFit) -> tuple[JointFit, JointFit]:
     """The fit of the names alone, and the one with the curves that they leave room for: the same names in both."""
-    whole = search.without_absurd(_with_curves(search, found))
+    whole = search.simplified(search.without_absurd(_with_curves(search, found)))
     names = search.without_absurd(search.fit([c for c in whole.chosen if not is_curve(c)], whole))
     if {*names.chosen} != {c for c in whole.chosen if not is_curve(c)}:
         whole = search.fit([*names.chosen, *(c for c in whole.chosen if is_curve(c))], names)

@@ -188,6 +188,15 @@ class Search:
                 break
         return current
 
+    def simplified(self, current: JointFit) -> JointFit:
+        """With simpler names in the places of those that contain them, where that costs less than a name is worth."""
+        for candidate in current.chosen:
+            simpler = [f for f in self._simpler(current, candidate)[1:] if self.possible(f)]
+            best = min(simpler, key=lambda f: f.score, default=None)
+            if best is not None and best.score - current.score < LEAST_GAIN:
+                current = best
+        return current
+
     def exchange(self, current: JointFit) -> JointFit:
         """Replace candidates, also by the same name with other constants, while that improves the score."""
         for candidate in current.chosen:
