@@ -33,7 +33,7 @@ Columns = dict[Term, dict[int, FloatArray]]
 class Analysis:
     """Where the search ended: the last ``stage`` with its ``columns`` and ``search``; the fit with ``names`` alone,
     with curves for what they leave (``whole``), and without either (``bare``); each channel's ``noise``, its standard
-    deviation ``floor (C,)``, from repeats of a motion if there are any, and its ``innovations (C,)``: variances."""
+    deviation ``floor (C,)``, from repeats of a motion if there are any."""
 
     stage: Stage
     columns: Columns
@@ -44,7 +44,6 @@ class Analysis:
     whole: JointFit
     noise: tuple[Autoregression, ...]
     floor: FloatArray
-    innovations: FloatArray
 
 
 def analyse(
@@ -95,7 +94,6 @@ def analyse(
         whole,
         noise,
         np.where(repeats > 0.0, repeats, _root_mean_square(residual, valid) / np.sqrt(freedom)),
-        whole.squares / search.design.counts / freedom,
     )
 
 

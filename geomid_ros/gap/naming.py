@@ -67,8 +67,10 @@ _SETTLED_BY = {
 }
 
 
-def parameters(model: MeasurementModel, found: JointFit, candidate: Candidate) -> dict[str, Quantity]:
-    """A candidate's parameters with their standard deviations."""
+def parameters(
+    model: MeasurementModel, found: JointFit, candidate: Candidate, unsure: float = 0.0
+) -> dict[str, Quantity]:
+    """A candidate's parameters and their standard deviations; ``unsure``: that of the logarithm of what was scanned."""
     if candidate.payload >= 0:
         return _payload(found, candidate)
     values = np.array([found.value(term) for term in candidate.terms])
@@ -85,7 +87,7 @@ def parameters(model: MeasurementModel, found: JointFit, candidate: Candidate) -
     }
     if candidate.effect == "stribeck_friction":
         speed = candidate.constants["speed"]
-        result["speed"] = Quantity(speed, 0.2 * speed, _UNITS[candidate.effect][2][1 + sliding])
+        result["speed"] = Quantity(speed, unsure * speed, _UNITS[candidate.effect][2][1 + sliding])
     return result
 
 

@@ -47,7 +47,7 @@ def _finding(model: MeasurementModel, analysis: Analysis, candidate: Candidate, 
     joint = naming.place_name(model, candidate)
     confidence = _confidence(analysis, candidate, joint, loss, rivals, share, closed)
     close = [(rival.effect, rival.joint) for rival in rivals if rival.loss < CONFIDENT_RIVAL]
-    parameters = naming.parameters(model, whole, candidate)
+    parameters = naming.parameters(model, whole, candidate, _scanned_std(analysis, candidate))
     link = naming.link_name(model, candidate)
     return Finding(
         candidate.effect,
@@ -62,6 +62,25 @@ def _finding(model: MeasurementModel, analysis: Analysis, candidate: Candidate, 
         naming.sentence(candidate.effect, joint, link, parameters, confidence),
         naming.settled_by(candidate.effect, joint, close) if confidence != "confident" else "",
     )
+
+
+def _scanned_std(analysis: Analysis, candidate: Candidate) -> float:
+    """Standard deviation of the logarithm of a scanned constant, from the curvature of the score over its neighbours; 1
+    where that says nothing, 0 for a name without one."""
+    if not candidate.constants.get("speed"):
+        return 0.0
+    search, whole = analysis.search, analysis.whole
+    alike = [c for c in search.candidates if c.group == candidate.group and c.terms[0] == candidate.terms[0]]
+    alike.sort(key=lambda c: c.constants["speed"])
+    place = alike.index(candidate)
+    if not 0 < place < len(alike) - 1:
+        return 1.0
+    rest = [c for c in whole.chosen if c is not candidate]
+    logs = np.log([c.constants["speed"] for c in alike[place - 1 : place + 2]])
+    scores = [search.fit([*rest, c], whole).score for c in alike[place - 1 : place + 2]]
+    curvature = 2.0 * float(np.polyfit(logs - logs[1], scores, 2)[0])  # the score is minus twice a log likelihood
+    step = 0.5 * float(logs[2] - logs[0])
+    return min(1.0, float(np.sqrt(2.0 / curvature + step**2 / 12.0))) if curvature > 0.0 else 1.0
 
 
 def _rivals(model: MeasurementModel, analysis: Analysis, candidate: Candidate) -> list[Rival]:

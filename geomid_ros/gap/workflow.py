@@ -57,11 +57,10 @@ def find_gap(
 
         SignalPipeline(
             robot.joint_names, ..., effect_columns=geomid_ros.gap.library.effect_columns,
-            settings=replace(signals, cutoff=gap_cutoff(rate), samples_per_cutoff_period=8.0),
+            settings=replace(signals, cutoff=settings.cutoff),
         )
 
-    with ``settings.cutoff`` equal to the pipeline's cutoff: ``min(geomid_ros.gap.settings.CUTOFF, 0.4 * rate)`` for
-    recordings at ``rate`` messages per second [Hz] unless the user wants another one.
+    with a cutoff that the recordings' rate allows.
 
     ``progress`` is called with what is being done and the finished share, 0 to 1. Raises InputError when the data are
     too short, without motion or without anything measured that the model predicts.
