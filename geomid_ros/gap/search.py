@@ -197,12 +197,23 @@ class Search:
                 current = best
         return current
 
+    def neighbours(self, candidate: Candidate) -> list[Candidate]:
+        """The same name with the next smaller and the next larger of its scanned constant, where there are such."""
+        speed = candidate.constants.get("speed")
+        if speed is None:
+            return []
+        alike = [c for c in self.candidates if c.group == candidate.group and c.terms[0] == candidate.terms[0]]
+        alike.sort(key=lambda c: c.constants["speed"])
+        place = alike.index(candidate)
+        return [*alike[max(place - 1, 0) : place], *alike[place + 1 : place + 2]]
+
     def exchange(self, current: JointFit) -> JointFit:
         """Replace candidates, also by the same name with other constants, while that improves the score."""
         for candidate in current.chosen:
             rest = self.without(current, candidate)
             same = [c for c in self.candidates if c.group == candidate.group]
             others = [self.fit([*rest.chosen, t.candidate], rest) for t in self.ranked(rest, same)]
+            others += [self.fit([*rest.chosen, c], current) for c in self.neighbours(candidate)]
             others += self.rivals(current, candidate)
             better = [f for f in others if self.possible(f) and f.score < current.score - 1e-3]
             if better:

@@ -70,14 +70,13 @@ def _scanned_std(analysis: Analysis, candidate: Candidate) -> float:
     if not candidate.constants.get("speed"):
         return 0.0
     search, whole = analysis.search, analysis.whole
-    alike = [c for c in search.candidates if c.group == candidate.group and c.terms[0] == candidate.terms[0]]
-    alike.sort(key=lambda c: c.constants["speed"])
-    place = alike.index(candidate)
-    if not 0 < place < len(alike) - 1:
+    around = search.neighbours(candidate)
+    if len(around) < 2:
         return 1.0
+    scanned = [around[0], candidate, around[1]]
     rest = [c for c in whole.chosen if c is not candidate]
-    logs = np.log([c.constants["speed"] for c in alike[place - 1 : place + 2]])
-    scores = [search.fit([*rest, c], whole).score for c in alike[place - 1 : place + 2]]
+    logs = np.log([c.constants["speed"] for c in scanned])
+    scores = [search.fit([*rest, c], whole).score for c in scanned]
     curvature = 2.0 * float(np.polyfit(logs - logs[1], scores, 2)[0])  # the score is minus twice a log likelihood
     step = 0.5 * float(logs[2] - logs[0])
     return min(1.0, float(np.sqrt(2.0 / curvature + step**2 / 12.0))) if curvature > 0.0 else 1.0
