@@ -89,16 +89,16 @@ def _sentences(result: GapResult) -> Iterator[str]:
 def _channels_table(result: GapResult) -> Table:
     table = plain_table("Gap on held-out data, in units of the noise floor (1 is as good as any model can be)")
     table.add_column("\nchannel", overflow="fold")
-    number_columns(table, ["\nfloor", "\nnominal", "inertias\nonly", "with\neffect"])
+    number_columns(table, ["\nfloor", "\nnominal", "inertias\nonly", "with\neffect", "\nexpected"])
     table.add_column(
         f"how far above the floor, logarithmic\n{_AFTER} after {_INERTIAS} inertias only {_BEFORE} nominal"
     )
     gaps = (result.gap.before, result.gap.inertias_only, result.gap.after)
     end = max(2.0, *(worst(values) for values in gaps))
     for k, (name, unit, floor) in enumerate(zip(result.channels, result.units, result.floor, strict=True)):
-        before, inertias, after = (float(values[k]) for values in gaps)
+        before, inertias, after, expected = (float(values[k]) for values in (*gaps, result.gap.expected))
         if math.isfinite(before):
-            numbers = (ratio(value) for value in (before, inertias, after))
+            numbers = (ratio(value) for value in (before, inertias, after, expected))
             table.add_row(escape(name), f"{floor:.2g} {unit}", *numbers, _bar(before, inertias, after, end))
     return table
 

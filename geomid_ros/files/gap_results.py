@@ -14,7 +14,8 @@ findings        list of named effects, the surest first:
                 ``loss`` (how much worse without it, a difference of -2 log p), ``share`` (of the gap that it closes),
                 ``sentence`` and ``settled_by`` (the recording that would settle an ambiguity, or empty)
 unexplained     list of {``joint`` (or wrench channel), ``depends_on``, ``gap`` (times the floor)}
-gap             {``before``, ``inertias_only``, ``after``}, each {channel: held-out residual in units of the floor}
+gap             {``before``, ``inertias_only``, ``after``}, each {channel: held-out residual in units of the floor},
+                and ``expected``: what noise and the uncertainty of the fit would leave if the model were right
 floor           {channel: the noise's standard deviation in N m or N}
 resimulated     {``before``, ``after``}, each {joint or wrench channel: error of held-out data simulated again in short
                 windows, in units of what noise makes of it}; null where it could not be simulated
@@ -45,7 +46,7 @@ Errors: TypeAlias = Mapping[str, Mapping[str, float]]
 
 def gap_document(result: GapResult, simulations: Mapping[str, Errors]) -> dict[str, Any]:
     """The document of a result; ``simulations`` has the errors {before, after} of ``windows`` and ``closed_loop``."""
-    kinds = ("before", "inertias_only", "after")
+    kinds = ("before", "inertias_only", "after", "expected")
     return {
         "format": FORMAT,
         "verdict": result.verdict,

@@ -24,6 +24,7 @@ _SETTLED = 0.5  # standard deviations
 _MOST_CURVES = 4
 _FAR_TILT = 0.03  # [rad]
 _FAR_DELAY = 2e-3  # [s]
+_MEDIAN_OF_GAUSSIAN = 0.6745
 _VISIBLE = 1.07  # times larger, to be worth a word
 
 Columns = dict[Term, dict[int, FloatArray]]
@@ -55,15 +56,15 @@ def analyse(
     curves = Curves(model, records, stage.situation)
     names = library.candidates(model)
     columns = stage.columns(names, prior.terms, curves)
-    valid = records.usable(stage.rows.targets)
     noise = (Autoregression.white(),) * len(model.channels)
     bare = Search(stage.design(columns, noise), prior, names).fit([])
-    noise = _flexible_noise(stage, columns, bare, valid)
+    noise = _flexible_noise(stage, columns, bare, stage.valid)
+    floor: FloatArray | None = None
     chosen: Sequence[Candidate] = ()
     before: JointFit | None = None
     for attempt in range(_ROUNDS):
         progress("searching", attempt / _ROUNDS)
-        stage = Stage(model, records, TotalModel.of(model, bare) if attempt == 0 else total)
+        stage = Stage(model, records, TotalModel.of(model, bare) if attempt == 0 else total, floor)
         columns = stage.columns(names, prior.terms, curves)
         search = Search(stage.design(columns, noise), prior, names, curves.candidates)
         found = search.without_absurd(search.fit(chosen))
@@ -76,10 +77,11 @@ def analyse(
         if last:
             found, whole = _with_and_without_curves(search, found)
         chosen = found.chosen
-        valid = records.usable(stage.rows.targets)
         if last:
             break
-        noise = _noise(stage.residual(columns, found), valid, records)
+        residual = stage.residual(columns, found)
+        floor = _typical_size(residual, stage.valid)
+        noise = _noise(residual, stage.valid, records)
     progress("searching", 1.0)
     residual = stage.residual(columns, whole)
     repeats = floor_by_repeats(model, records)
@@ -93,7 +95,8 @@ def analyse(
         found,
         whole,
         noise,
-        np.where(repeats > 0.0, repeats, _root_mean_square(residual, valid) / np.sqrt(freedom)),
+        # What looks like a repeat need not be one.
+        np.fmin(repeats, _root_mean_square(residual, stage.valid) / np.sqrt(freedom)),
     )
 
 
@@ -154,6 +157,12 @@ def _noise(residual: FloatArray, valid: BoolArray, records: Records) -> tuple[Au
         for channel in range(residual.shape[1])
     ]
     return tuple(Autoregression.fit(residual[:, channel], runs[channel]) for channel in range(residual.shape[1]))
+
+
+def _typical_size(residual: FloatArray, valid: BoolArray) -> FloatArray:
+    """Of each channel ``(C,)``: the standard deviation that the median size would have if it were Gaussian."""
+    sizes: FloatArray = np.nanmedian(np.where(valid, np.abs(residual), np.nan), axis=0) / _MEDIAN_OF_GAUSSIAN
+    return sizes
 
 
 def _root_mean_square(residual: FloatArray, valid: BoolArray) -> FloatArray:

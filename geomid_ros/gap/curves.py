@@ -75,6 +75,7 @@ class Curves:
             yield POSITION, f"wave {waves}", np.stack([np.sin(waves * position), np.cos(waves * position)], axis=1)
         time = (samples.stamps - self._times[0]) / max(self._times[1] - self._times[0], 1)
         yield TIME, "drift", (2.0 * time - 1.0)[:, None]
+        yield TIME, "drift from the start", _time_in_stretch(records)[:, None]
         yield TIME, "course", np.asarray(np.polynomial.legendre.legvander(2.0 * time - 1.0, 4)[:, 1:], dtype=np.float64)
         for other, name in enumerate(self._model.robot.joint_names):
             if other != joint:
@@ -91,3 +92,11 @@ class Curves:
         place = np.clip((values - low) / max(high - low, 1e-12), 0.0, 1.0) * (count - 1)
         hats: FloatArray = np.maximum(0.0, 1.0 - np.abs(place[:, None] - np.arange(count)))
         return hats
+
+
+def _time_in_stretch(records: Records) -> FloatArray:
+    """Time since the beginning of each sample's stretch ``(N,)``, the longest one's last being 1."""
+    stamps = records.samples.stamps
+    starts = np.array([part.stamps[0] for part in records.dense])
+    since: FloatArray = (stamps - starts[records.segment]).astype(np.float64)
+    return since / max(float(np.max(since)), 1.0)

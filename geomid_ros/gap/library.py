@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
 from geomid_ros.model.effects import (
+    CROSSINGS,
     Backlash,
     CoulombFriction,
     Effect,
@@ -32,6 +32,7 @@ SMOOTHINGS = (0.003, 0.02, 0.08)
 STRIBECK_SPEEDS = tuple(float(speed) for speed in np.geomspace(0.03, 0.6, 25).round(4))
 RICHER = {"coulomb_friction": "stribeck_friction", "effort_offset": "spring"}
 """Names that contain another one as a special case: of the two, the simpler is right unless the richer is needed."""
+_SCOUTS = 4  # one of so many scanned constants is tried before its name is chosen
 STILL = 0.01  # [rad/s or m/s] below this friction is no function of speed
 
 MOTION_EFFECTS: tuple[Effect, ...] = (
@@ -41,9 +42,9 @@ MOTION_EFFECTS: tuple[Effect, ...] = (
     Spring(),
     *(CoulombFriction(smoothing) for smoothing in SMOOTHINGS),
     *(StribeckFriction(speed, SMOOTHINGS[0]) for speed in STRIBECK_SPEEDS),
-    *(StribeckFriction(speed, SMOOTHINGS[1]) for speed in STRIBECK_SPEEDS[4::3]),
 )
 SIGN = MOTION_EFFECTS.index(CoulombFriction(SMOOTHINGS[0]))  # the direction of motion
+DRY = [place for place, effect in enumerate(MOTION_EFFECTS) if isinstance(effect, CoulombFriction)]
 REST = len(MOTION_EFFECTS)  # the last column: the share of the filter's window in which the joint stands still
 
 
@@ -72,11 +73,12 @@ class Term:
 
 @dataclass(frozen=True)
 class Candidate:
-    """A name at a place, for some values of its scanned constants.
+    """A name at a place, for some value of the constant that is ``scanned`` (0 for names without one).
 
     ``terms``: its coefficients, the first ``positives`` of which cannot be negative. ``payload``: the place of the
     link, among the identified ones, to which a body is fixed, -1 for other effects. ``penalty``: how many parameters it
-    counts for. ``group``: candidates of one group are the same name with other constants.
+    counts for. ``group``: candidates of one group are the same name with other constants; those that ``scout`` stand
+    for the others until one is chosen.
     """
 
     effect: str
@@ -85,7 +87,8 @@ class Candidate:
     positives: int = 0
     payload: int = -1
     penalty: float = 1.0
-    constants: Mapping[str, float] = field(default_factory=dict)
+    scanned: float = 0.0
+    scout: bool = True
 
     def excludes(self, other: Candidate) -> bool:
         """Whether both at once make no sense: one name and place, one a special case of the other, two payloads."""
@@ -104,7 +107,7 @@ class Candidate:
         return hash((self.group, self.terms))
 
 
-_SITUATION: tuple[SituationEffect, ...] = (LoadFriction(), EffortGain(), JointElasticity(), Backlash())
+_SITUATION: tuple[SituationEffect, ...] = (LoadFriction(), EffortGain(), JointElasticity())
 
 
 def candidates(model: MeasurementModel) -> list[Candidate]:
@@ -144,13 +147,31 @@ def _joint_candidates(joint: int) -> list[Candidate]:
     found += [Candidate("coulomb_friction", joint, (term,), 1) for term in dry.values()]
     found += [
         Candidate(
-            "stribeck_friction", joint, (dry[effect.smoothing], term), 2, penalty=3, constants={"speed": effect.speed}
+            "stribeck_friction",
+            joint,
+            (dry[effect.smoothing], term),
+            2,
+            penalty=3,
+            scanned=effect.speed,
+            scout=effect.speed in STRIBECK_SPEEDS[::_SCOUTS],
         )
         for effect, term in zip(MOTION_EFFECTS, terms, strict=True)
         if isinstance(effect, StribeckFriction)
     ]
     found += [
         Candidate(effect.name, joint, (Term(joint, situation=effect),), int(effect.positive)) for effect in _SITUATION
+    ]
+    found += [
+        Candidate(
+            "backlash",
+            joint,
+            (Term(joint, situation=Backlash(place)),),
+            1,
+            penalty=2,
+            scanned=crossing,
+            scout=place % _SCOUTS == 0,
+        )
+        for place, crossing in enumerate(CROSSINGS)
     ]
     return found
 
@@ -175,7 +196,7 @@ def _wrench_offsets(model: MeasurementModel) -> list[Candidate]:
     for sensor in model.mounted:
         channels = range(first, first + len(sensor.axes))
         terms = tuple(Term(-1, channel=channel) for channel in channels)
-        found.append(Candidate("wrench_offset", -1, terms, penalty=len(terms), constants={"sensor": float(first)}))
+        found.append(Candidate("wrench_offset", -1, terms, penalty=len(terms)))
         first = channels.stop
     return found
 

@@ -36,6 +36,12 @@ def located(model: MeasurementModel, records: Records, residual: FloatArray, loa
     return tuple(found)
 
 
+def strongest(found: Located) -> str:
+    """The variable that explains most of a channel's remainder."""
+    shares = {name: float(getattr(found, name)) for name in ("velocity", "position", "load", "time", "reversals")}
+    return max(shares, key=lambda name: shares[name])
+
+
 def share(values: FloatArray, variable: FloatArray) -> float:
     """Share of the mean square of ``values (N,)`` that a piecewise linear curve of a variable explains, 0 to 1, less
     what it would explain of noise."""

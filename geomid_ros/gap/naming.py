@@ -86,7 +86,7 @@ def parameters(
         for (name, *units), value, std in zip(_UNITS[candidate.effect], transformed, stds, strict=False)
     }
     if candidate.effect == "stribeck_friction":
-        speed = candidate.constants["speed"]
+        speed = candidate.scanned
         result["speed"] = Quantity(speed, unsure * speed, _UNITS[candidate.effect][2][1 + sliding])
     return result
 

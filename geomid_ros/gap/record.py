@@ -9,8 +9,10 @@ from itertools import pairwise
 
 import numpy as np
 from scipy.interpolate import CubicSpline
+from scipy.ndimage import maximum_filter1d
 
 from geomid_ros.gap import library
+from geomid_ros.gap.play import sides
 from geomid_ros.model.dynamics import Dynamics
 from geomid_ros.model.effects import Situation
 from geomid_ros.model.measurement import MeasurementModel, Rows
@@ -23,6 +25,8 @@ THIN = 2.67  # rows per cutoff period: the filter leaves nothing above 1.5 times
 # at a reversal friction depends on the past.
 _REST_SHARE = 0.3
 _SAME_WAY = 0.97
+# Between two guesses of how friction changes its sign it is unknown; what happens there lasts so long, either way [s].
+_REVERSAL = 0.03
 _SMOOTHER = 0.5  # the load, differentiated twice, is smoothed to this share of the cutoff
 
 
@@ -72,6 +76,13 @@ class Records:
         valid[:, :joints] &= ((np.abs(sign) > _SAME_WAY) & (rest < _REST_SHARE))[:, :joints]
         return valid
 
+    @cached_property
+    def unsettled(self) -> FloatArray:
+        """By how much two models of dry friction of level 1 differ ``(N, joints)``: much near reversals, where friction
+        depends on the past."""
+        parts = [_unsettled(part)[index] for part, index in zip(self.dense, self.chosen, strict=True)]
+        return np.concatenate(parts)
+
     def rows(self, model: MeasurementModel) -> Rows:
         """Rows of the inertias alone."""
         return model.rows(self.samples)
@@ -118,8 +129,15 @@ def _load_terms(
     predicted = load + np.einsum("njl,jl->nj", part.effects[:, :, : effects.shape[1]], effects)
     rate = np.gradient(predicted, period, axis=0)
     smooth = _filtered(load, _SMOOTHER * cutoff, period)
-    side = _filtered(np.tanh(smooth[0] / (0.02 * np.std(smooth[0], axis=0) + 1e-12)), cutoff, period)
-    return tuple(values[index] for values in (predicted, rate, *smooth, *side))
+    side = [_filtered(each, cutoff, period) for each in np.moveaxis(sides(smooth[0], period), 2, 0)]
+    return tuple(values[index] for values in (predicted, rate, *smooth, *np.stack(side, axis=3)))
+
+
+def _unsettled(part: Samples) -> FloatArray:
+    sharp, smooth = (part.effects[:, :, library.SIGN + place] for place in (0, 1))
+    reach = 2 * round(_REVERSAL / _period(part)) + 1
+    differences: FloatArray = maximum_filter1d(np.abs(sharp - smooth), reach, axis=0)
+    return differences
 
 
 def _advanced(part: Samples, seconds: float) -> Samples:

@@ -82,11 +82,13 @@ class Trace:
 
 @dataclass(frozen=True, eq=False)
 class Gap:
-    """Root mean square residual of every channel in units of its noise floor, each ``(channels,)``."""
+    """Root mean square residual of every channel in units of its noise floor, each ``(channels,)``. ``expected`` is
+    what noise and the uncertainty of all that was fitted would leave after the names if the model were right."""
 
     before: FloatArray
     inertias_only: FloatArray
     after: FloatArray
+    expected: FloatArray
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ import numpy as np
 
 from geomid_ros.gap.design import Design
 from geomid_ros.gap.fit import JointFit, Prior, fit, improvement
-from geomid_ros.gap.library import RICHER, STRIBECK_SPEEDS, Candidate
+from geomid_ros.gap.library import RICHER, Candidate
 
 LEAST_GAIN = 12.0
 """A name that improves the score by less is not taken: e^-6 in probability."""
@@ -17,7 +17,6 @@ _SHORTLIST = 4
 _PAYLOADS = 3
 _EXCHANGES = 4
 _MOST_EFFECTS = 40
-_COARSE = 4  # of so many of Stribeck's speeds one is tried before he is chosen
 _PLAUSIBLE = 0.5  # of a name's loss: what the score test must promise of a rival that is tried in its place
 _NEEDED = 5.0 * LEAST_GAIN  # a name whose loss is larger, by a quadratic estimate, need not be tried to be left out
 # Beyond these it is no effect of a robot that works: limits of the coefficients, either sign.
@@ -37,6 +36,7 @@ _LIKE_A_PAYLOAD = {
     "joint_elasticity",
     "wrench_offset",
 }
+_LARGEST_EXCESS = 4.0  # of the friction of a fast joint
 _LARGEST_TURN = 12.6  # [rad] between the zero of a joint and the rest of its spring
 
 
@@ -58,8 +58,7 @@ class Search:
         self.design = design
         self.prior = prior
         self.candidates = list(candidates)
-        speeds = STRIBECK_SPEEDS[::_COARSE]
-        self._coarse = [c for c in self.candidates if c.constants.get("speed", speeds[0]) in speeds]
+        self._scouts = [c for c in self.candidates if c.scout]
         self.curves = list(curves)
         self._fits: dict[frozenset[Candidate], JointFit] = {}
         self._payload_trials: dict[frozenset[Candidate], list[Trial]] = {}
@@ -74,7 +73,7 @@ class Search:
     def ranked(self, current: JointFit, among: Sequence[Candidate] | None = None) -> list[Trial]:
         """Candidates that could join, the best of each group, by the score test."""
         best: dict[tuple[str, int, int], Trial] = {}
-        for candidate in self._coarse if among is None else among:
+        for candidate in self._scouts if among is None else among:
             if any(candidate.excludes(other) for other in current.chosen):
                 continue
             gain, separability = improvement(self.design, current, candidate)
@@ -106,6 +105,8 @@ class Search:
             return bool(found.point.pseudo_inertias[place, 3, 3] > np.sum(self.prior.inertias[::10]))
         values = [found.value(term) for term in candidate.terms]
         if candidate.effect == "spring" and abs(values[1]) > _LARGEST_TURN * values[0]:
+            return True
+        if candidate.effect == "stribeck_friction" and values[1] > _LARGEST_EXCESS * values[0]:
             return True
         wrong_sign = any(value <= 0.0 for value in values[: candidate.positives])
         return wrong_sign or abs(values[0]) > _LARGEST.get(candidate.effect, np.inf)
@@ -199,11 +200,9 @@ class Search:
 
     def neighbours(self, candidate: Candidate) -> list[Candidate]:
         """The same name with the next smaller and the next larger of its scanned constant, where there are such."""
-        speed = candidate.constants.get("speed")
-        if speed is None:
+        if not candidate.scanned:
             return []
-        alike = [c for c in self.candidates if c.group == candidate.group and c.terms[0] == candidate.terms[0]]
-        alike.sort(key=lambda c: c.constants["speed"])
+        alike = sorted((c for c in self.candidates if c.group == candidate.group), key=lambda c: c.scanned)
         place = alike.index(candidate)
         return [*alike[max(place - 1, 0) : place], *alike[place + 1 : place + 2]]
 

@@ -16,24 +16,27 @@ from geomid_ros.gap.library import Candidate, Term
 from geomid_ros.gap.noise import Autoregression
 from geomid_ros.gap.record import Records
 from geomid_ros.geometry import pseudo_inertia
-from geomid_ros.model.effects import EffortDelay, EffortGain, GravityTilt, Situation
+from geomid_ros.model.effects import EffortDelay, EffortGain, GravityTilt, LoadFriction, Situation
 from geomid_ros.model.measurement import MeasurementModel, Rows
-from geomid_ros.types import FloatArray
+from geomid_ros.types import BoolArray, FloatArray
 
 _STEP = 1e-6
 _GAIN_ERRORS = (-0.7, 2.0)
+_FRICTION_ERROR = 0.7  # of the noise: where dry friction is less sure than this nothing is learnt and nothing judged
 
 
 @dataclass(frozen=True, eq=False)
 class TotalModel:
     """``inertias (bodies, 10)`` of all bodies with their payloads, joint effects ``(joints, library)``, the base's
-    ``tilt (2,)`` [rad], the efforts' ``delay`` [s], and the errors of their gains ``(joints,)``."""
+    ``tilt (2,)`` [rad], the efforts' ``delay`` [s], the errors of their gains ``(joints,)``, and the coefficients of
+    friction by the load ``(joints,)``."""
 
     inertias: FloatArray
     effects: FloatArray
     tilt: FloatArray
     delay: float
     gains: FloatArray
+    load_frictions: FloatArray
 
     @staticmethod
     def of(model: MeasurementModel, found: JointFit) -> TotalModel:
@@ -46,6 +49,7 @@ class TotalModel:
             inertias[model.identified[carrier]] += links[len(model.identified) + place]
         effects = np.zeros((len(model.robot.joints), len(library.MOTION_EFFECTS)))
         tilt, delay, gains = np.zeros(2), 0.0, np.zeros(len(model.robot.joints))
+        load_frictions = np.zeros(len(model.robot.joints))
         for term in found.terms:
             if term.motion >= 0:
                 effects[term.joint, term.motion] += found.value(term)
@@ -55,7 +59,9 @@ class TotalModel:
                 delay = found.value(term)
             elif isinstance(term.situation, EffortGain):
                 gains[term.joint] = np.clip(found.value(term), *_GAIN_ERRORS)
-        return TotalModel(inertias, effects, tilt, delay, gains)
+            elif isinstance(term.situation, LoadFriction):
+                load_frictions[term.joint] = abs(found.value(term))
+        return TotalModel(inertias, effects, tilt, delay, gains, load_frictions)
 
 
 def turned_gravity(gravity: FloatArray, tilt: FloatArray) -> FloatArray:
@@ -80,8 +86,11 @@ class Stage:
     rows scaled; and the target is changed so that the coefficients still mean the whole tilt, delay and gain.
     """
 
-    def __init__(self, model: MeasurementModel, records: Records, total: TotalModel) -> None:
+    def __init__(
+        self, model: MeasurementModel, records: Records, total: TotalModel, floor: FloatArray | None = None
+    ) -> None:
         self.total = total
+        self._floor = np.full(len(model.channels), np.inf) if floor is None else floor
         self.records = records.advanced(total.delay)
         gravity = model.robot.gravity
         self.model = model.with_gravity(turned_gravity(gravity, total.tilt)) if np.any(total.tilt) else model
@@ -110,6 +119,29 @@ class Stage:
             coefficients[:, joint] *= 1.0 + self.total.gains[joint]
         return Rows(coefficients, targets)
 
+    @cached_property
+    def valid(self) -> BoolArray:
+        """Which targets ``(N, C)`` are measured at instants that the model can be blamed for: not where a joint's dry
+        friction is uncertain by more than a share of the noise, nor where that reaches other channels through the
+        joint's acceleration."""
+        valid = self.records.usable(self.rows.targets)
+        if not self.model.efforts_usable or not np.any(self._dry_friction):
+            return valid
+        joints = self._dry_friction.shape[1]
+        by_acceleration = np.abs(self.situation.by_acceleration)
+        own = np.einsum("njj->nj", by_acceleration[:, :joints])
+        shares = by_acceleration / np.maximum(own, 1e-12)[:, None]
+        uncertain = np.max(shares * (self._dry_friction * self.records.unsettled)[:, None], axis=2)
+        usable: BoolArray = valid & (uncertain < _FRICTION_ERROR * self._floor)
+        return usable
+
+    @cached_property
+    def _dry_friction(self) -> FloatArray:
+        """Size of the dry friction that the total model says ``(N, joints)``."""
+        levels = np.abs(self.total.effects[:, library.DRY]).sum(axis=1)
+        sizes: FloatArray = levels + self.total.load_frictions * np.abs(self.situation.load)
+        return sizes
+
     def columns(
         self, candidates: Sequence[Candidate], base: Sequence[Term], curves: Curves | None = None
     ) -> dict[Term, dict[int, FloatArray]]:
@@ -126,8 +158,7 @@ class Stage:
     def design(self, columns: dict[Term, dict[int, FloatArray]], noise: Sequence[Autoregression]) -> Design:
         """Whitened products."""
         rows = self.rows
-        valid = self.records.usable(rows.targets)
-        return Design.make(rows.coefficients, rows.targets, valid, columns, noise, self.records)
+        return Design.make(rows.coefficients, rows.targets, self.valid, columns, noise, self.records)
 
     def residual(self, columns: dict[Term, dict[int, FloatArray]], found: JointFit) -> FloatArray:
         """Measured less predicted ``(N, C)``; of a delayed channel at the moment at which it was true."""
@@ -142,3 +173,15 @@ class Stage:
             for channel, column in columns[term].items():
                 residual[:, channel] -= found.value(term) * column
         return residual
+
+    def variance(self, columns: dict[Term, dict[int, FloatArray]], found: JointFit) -> FloatArray:
+        """Of the prediction ``(N, C)``, from the uncertainty of what was fitted."""
+        coefficients = self.rows.coefficients
+        again = [coefficients[:, :, 10 * carrier : 10 * carrier + 10] for carrier in found.bodies]
+        own = np.zeros((*coefficients.shape[:2], len(found.terms)))
+        for place, term in enumerate(found.terms):
+            for channel, column in columns[term].items():
+                own[:, channel, place] = column
+        jacobian = np.concatenate([coefficients, *again, own], axis=2)
+        variance: FloatArray = np.einsum("ncd,de,nce->nc", jacobian, found.covariance, jacobian, optimize=True)
+        return variance

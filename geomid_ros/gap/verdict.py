@@ -11,14 +11,18 @@ from geomid_ros.gap.analysis import Analysis
 from geomid_ros.gap.crossvalidation import generalises
 from geomid_ros.gap.curves import depends_on, is_curve
 from geomid_ros.gap.fit import improvement
+from geomid_ros.gap.held_out import HeldOut
 from geomid_ros.gap.library import RICHER, Candidate
+from geomid_ros.gap.locate import strongest
 from geomid_ros.gap.result import Confidence, Finding, Ranked, Rival, Unexplained, Verdict
 from geomid_ros.model.measurement import MeasurementModel
-from geomid_ros.types import FloatArray
+from geomid_ros.types import BoolArray, FloatArray
 
 CONFIDENT_LOSS = 20.0
 CONFIDENT_BESIDE_UNEXPLAINED = 200.0
 """Where something is left that has no name, small names may be its shadow."""
+CONFIDENT_IN_THE_SHADE = 100.0
+"""Of a name whose share of the gap is small because another one's is so large."""
 CONFIDENT_RIVAL = 12.0
 CONFIDENT_SHARE = 0.03
 DOMINANT_LOSS = 200.0
@@ -28,24 +32,26 @@ CERTAIN = 100.0
 """Prior inertias of such a certainty were identified, not guessed."""
 LEAST_RISE = 1.05
 """Without a name that is sure, the remainder of some channel is so many times larger; payloads apart."""
+LEAST_PREDICTED = 0.5
+"""Share of the gap of unseen data that a sure name closes where something is left."""
 REACHED = 1.15
 """A channel whose remainder is below this times the floor has reached it."""
 
 
-def findings(model: MeasurementModel, analysis: Analysis, closed: bool) -> tuple[Finding, ...]:
-    """The names, the one that matters most first; ``closed``: they close the whole gap."""
-    found = [_finding(model, analysis, c, closed) for c in analysis.whole.chosen if not is_curve(c)]
+def findings(model: MeasurementModel, analysis: Analysis, unseen: HeldOut) -> tuple[Finding, ...]:
+    """The names, the one that matters most first, judged on what was fitted and on ``unseen`` data."""
+    found = [_finding(model, analysis, c, unseen) for c in analysis.whole.chosen if not is_curve(c)]
     return tuple(sorted(found, key=lambda finding: -finding.loss))
 
 
-def _finding(model: MeasurementModel, analysis: Analysis, candidate: Candidate, closed: bool) -> Finding:
+def _finding(model: MeasurementModel, analysis: Analysis, candidate: Candidate, unseen: HeldOut) -> Finding:
     whole, search = analysis.whole, analysis.search
     loss = search.without(whole, candidate).score - whole.score
     rivals = _rivals(model, analysis, candidate)
     share = _share(analysis, candidate)
     separability = improvement(search.design, search.without(whole, candidate), candidate)[1]
     joint = naming.place_name(model, candidate)
-    confidence = _confidence(analysis, candidate, joint, loss, rivals, share, closed)
+    confidence = _confidence(analysis, candidate, joint, loss, rivals, share, unseen)
     close = [(rival.effect, rival.joint) for rival in rivals if rival.loss < CONFIDENT_RIVAL]
     parameters = naming.parameters(model, whole, candidate, _scanned_std(analysis, candidate))
     link = naming.link_name(model, candidate)
@@ -67,7 +73,7 @@ def _finding(model: MeasurementModel, analysis: Analysis, candidate: Candidate, 
 def _scanned_std(analysis: Analysis, candidate: Candidate) -> float:
     """Standard deviation of the logarithm of a scanned constant, from the curvature of the score over its neighbours; 1
     where that says nothing, 0 for a name without one."""
-    if not candidate.constants.get("speed"):
+    if not candidate.scanned:
         return 0.0
     search, whole = analysis.search, analysis.whole
     around = search.neighbours(candidate)
@@ -75,7 +81,7 @@ def _scanned_std(analysis: Analysis, candidate: Candidate) -> float:
         return 1.0
     scanned = [around[0], candidate, around[1]]
     rest = [c for c in whole.chosen if c is not candidate]
-    logs = np.log([c.constants["speed"] for c in scanned])
+    logs = np.log([c.scanned for c in scanned])
     scores = [search.fit([*rest, c], whole).score for c in scanned]
     curvature = 2.0 * float(np.polyfit(logs - logs[1], scores, 2)[0])  # the score is minus twice a log likelihood
     step = 0.5 * float(logs[2] - logs[0])
@@ -98,7 +104,7 @@ def _confidence(
     loss: float,
     rivals: Sequence[Rival],
     share: float,
-    closed: bool,
+    unseen: HeldOut,
 ) -> Confidence:
     others = [rival for rival in rivals if rival.effect != RICHER.get(candidate.effect) or rival.joint != joint]
     if any(rival.loss < CONFIDENT_RIVAL for rival in others) or _only_prior(analysis, candidate):
@@ -109,15 +115,27 @@ def _confidence(
     if instead is not None:
         margin = min(margin, instead.score - analysis.whole.score)
     beside = any(candidate.joint == curve.joint or depends_on(curve) == joint for curve in curves)
-    sure = closed and not curves
+    sure = not (curves or np.any(_is_open(unseen)))
     if candidate.joint < 0 and not sure:
         beside = margin < DOMINANT_LOSS or share < DOMINANT_SHARE
     weak = loss < (CONFIDENT_LOSS if sure else CONFIDENT_BESIDE_UNEXPLAINED) or margin < CONFIDENT_RIVAL
     small = candidate.payload < 0 and _rise(analysis, candidate) < LEAST_RISE
-    if weak or small or share < CONFIDENT_SHARE or beside:
+    if weak or small or beside or (share < CONFIDENT_SHARE and not (sure and loss > CONFIDENT_IN_THE_SHADE)):
         return "tentative"
     # Where the floor is reached the score can be trusted; else it takes errors of the model for noise.
-    return "confident" if sure or generalises(analysis.search.design, analysis.whole, candidate) else "tentative"
+    general = sure or (
+        generalises(analysis.search.design, analysis.whole, candidate) and _predicts(analysis, candidate, unseen)
+    )
+    return "confident" if general else "tentative"
+
+
+def _predicts(analysis: Analysis, candidate: Candidate, unseen: HeldOut) -> bool:
+    """Whether a name closes enough of the gap of unseen data, over the channels that it reaches."""
+    reached = analysis.search.design.reached(candidate)
+    without = unseen.times_floor(analysis.search.without(analysis.names, candidate))[reached]
+    after, expected = unseen.gap.after[reached], unseen.gap.expected[reached]
+    closed, gap = np.nansum(without**2 - after**2), np.nansum(np.maximum(without**2 - expected**2, 0.0))
+    return bool(closed > LEAST_PREDICTED * gap)
 
 
 def _only_prior(analysis: Analysis, candidate: Candidate) -> bool:
@@ -163,30 +181,39 @@ def _rise(analysis: Analysis, candidate: Candidate) -> float:
     return float(np.sqrt(np.max(without.squares / analysis.whole.squares)))
 
 
-def unexplained(model: MeasurementModel, analysis: Analysis, gap: FloatArray) -> tuple[Unexplained, ...]:
-    """What free curves explain and no name does; ``gap (C,)`` after the names, in floors."""
+def unexplained(model: MeasurementModel, analysis: Analysis, unseen: HeldOut) -> tuple[Unexplained, ...]:
+    """What free curves explain and no name does, and the channels whose gap on unseen data stays open."""
     found = {}
     for candidate in analysis.whole.chosen:
         if is_curve(candidate):
             joint = model.channels[candidate.joint].name
-            found[joint, depends_on(candidate)] = Unexplained(joint, depends_on(candidate), float(gap[candidate.joint]))
+            gap = float(unseen.gap.after[candidate.joint])
+            found[joint, depends_on(candidate)] = Unexplained(joint, depends_on(candidate), gap)
+    said = {joint for joint, _ in found}
+    for place in np.flatnonzero(_is_open(unseen)):
+        joint = model.channels[place].name
+        if joint not in said:
+            variable = strongest(unseen.located[place])
+            found[joint, variable] = Unexplained(joint, variable, float(unseen.gap.after[place]))
     return tuple(found.values())
 
 
-def verdict(found: Sequence[Finding], left: Sequence[Unexplained], after: FloatArray, counts: FloatArray) -> Verdict:
-    """Of the whole run, from the gap ``after (C,)`` on so many independent instants ``counts (C,)``."""
-    if left:
+def verdict(analysis: Analysis, unseen: HeldOut) -> Verdict:
+    """Of the whole run."""
+    if any(is_curve(candidate) for candidate in analysis.whole.chosen):
         return "unexplained"
-    if not is_closed(after, counts):
+    if np.any(_is_open(unseen)):
         return "incomplete"
-    return "named" if found else "no gap"
+    return "named" if analysis.names.chosen else "no gap"
 
 
-def is_closed(after: FloatArray, counts: FloatArray) -> bool:
-    """Whether a gap ``after (C,)`` on so many independent instants ``counts (C,)`` reaches the floor."""
+def _is_open(unseen: HeldOut) -> BoolArray:
+    """The channels ``(C,)`` whose gap on unseen data is larger than noise and the uncertainty of all that was fitted
+    explain."""
     # A standard deviation from n values is itself uncertain by 1 / sqrt(2 n), relative.
-    reached = REACHED * (1.0 + 2.0 / np.sqrt(2.0 * np.maximum(counts, 1.0)))
-    return bool(np.all(np.nan_to_num(after) < reached))
+    reached = REACHED * (1.0 + 2.0 / np.sqrt(2.0 * np.maximum(unseen.counts, 1.0))) * unseen.gap.expected
+    above: BoolArray = np.nan_to_num(unseen.gap.after) >= np.nan_to_num(reached, nan=np.inf)
+    return above
 
 
 def ranking(model: MeasurementModel, analysis: Analysis) -> tuple[Ranked, ...]:

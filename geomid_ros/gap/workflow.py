@@ -10,13 +10,14 @@ import numpy as np
 from geomid_ros.errors import InputError
 from geomid_ros.gap import library
 from geomid_ros.gap.analysis import Analysis, analyse
-from geomid_ros.gap.fit import JointFit, Prior, unfitted
+from geomid_ros.gap.fit import Prior, unfitted
+from geomid_ros.gap.held_out import HeldOut
 from geomid_ros.gap.locate import located
 from geomid_ros.gap.record import Records
-from geomid_ros.gap.result import Gap, GapResult, Trace
+from geomid_ros.gap.result import GapResult
 from geomid_ros.gap.settings import GapSettings
 from geomid_ros.gap.stage import Stage, TotalModel
-from geomid_ros.gap.verdict import findings, is_closed, ranking, unexplained, verdict
+from geomid_ros.gap.verdict import findings, ranking, unexplained, verdict
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.samples import Samples
@@ -76,23 +77,24 @@ def find_gap(
         prior = _as_simulated(bare, Records.make(simulated, settings.cutoff), prior, report)
     analysis = analyse(bare, records, prior, report)
     report("judging", 0.0)
-    trace, gap = _held_out(bare, held, prior, analysis)
-    left = unexplained(bare, analysis, gap.after)
-    counts = np.sum(held.usable(trace.measured), axis=0)
-    found = findings(bare, analysis, is_closed(gap.after, counts))
+    unseen = HeldOut(bare, held, prior, analysis)
+    left = unexplained(bare, analysis, unseen)
+    found = findings(bare, analysis, unseen)
     report("judging", 1.0)
-    first = _residual(bare, records, prior, unfitted(prior))
+    untouched = unfitted(prior)
+    stage = Stage(bare, records, TotalModel.of(bare, untouched))
+    first = stage.residual(stage.columns((), prior.terms), untouched)
     return GapResult(
-        verdict(found, left, gap.after, counts),
+        verdict(analysis, unseen),
         found,
         left,
         tuple(channel.name for channel in bare.channels),
         tuple(channel.unit for channel in bare.channels),
         analysis.floor,
-        gap,
+        unseen.gap,
         located(bare, records, first, np.abs(records.rows(bare).targets - first)),
         ranking(bare, analysis),
-        trace,
+        unseen.trace,
         bare.body_names,
         _links(analysis),
         _coefficients(model, prior, analysis),
@@ -145,30 +147,6 @@ def _as_simulated(
     values = np.array([found.value(term) for term in found.terms])
     spreads = np.maximum(_SPREAD_OF_SIMULATED * np.abs(values), _LEAST_SPREAD)
     return Prior(inertias, prior.spread, found.terms, values, spreads, prior.certainty)
-
-
-def _held_out(model: MeasurementModel, held: Records, prior: Prior, analysis: Analysis) -> tuple[Trace, Gap]:
-    measured = held.rows(model).targets
-    usable = held.usable(measured)
-    fits = (unfitted(prior), analysis.bare, analysis.names)
-    residuals = [_residual(model, held, prior, found) for found in fits]
-    before, middle, after = (measured - residual for residual in residuals)
-    samples = held.samples
-    trace = Trace(samples.stamps, samples.position, samples.velocity, np.abs(after), measured, before, middle, after)
-    ratios = [_rms(np.where(usable, residual, np.nan)) / analysis.floor for residual in residuals]
-    return trace, Gap(*ratios)
-
-
-def _residual(model: MeasurementModel, records: Records, prior: Prior, found: JointFit) -> FloatArray:
-    stage = Stage(model, records, TotalModel.of(model, found))
-    return stage.residual(stage.columns(found.chosen, prior.terms), found)
-
-
-def _rms(values: FloatArray) -> FloatArray:
-    counts = np.count_nonzero(np.isfinite(values), axis=0)
-    squares = np.nansum(values**2, axis=0)
-    deviation: FloatArray = np.sqrt(np.divide(squares, counts, out=np.full(len(counts), np.nan), where=counts > 0))
-    return deviation
 
 
 def _coefficients(model: MeasurementModel, prior: Prior, analysis: Analysis) -> FloatArray:

@@ -55,7 +55,10 @@ def gap_result(case: Case, joints: Sequence[str], *, wrench: bool = False) -> Ga
         channels=channels,
         units=units,
         floor=np.full(len(channels), FLOOR),
-        gap=Gap(*(_rms(trace.measured - part) / FLOOR for part in (trace.before, trace.inertias_only, trace.after))),
+        gap=Gap(
+            *(_rms(trace.measured - part) / FLOOR for part in (trace.before, trace.inertias_only, trace.after)),
+            np.full(len(channels), 1.02),
+        ),
         located=tuple(Located(name, 0.8, 0.1, 0.2, 0.0, 0.3) for name in channels),
         ranking=_ranking(case, joints[middle]),
         trace=trace,

@@ -4,7 +4,7 @@ are named by the gap workflow. To add one to either: write its file, name its cl
 from __future__ import annotations
 
 from geomid_ros.errors import unknown_name
-from geomid_ros.model.effects.backlash import Backlash
+from geomid_ros.model.effects.backlash import CROSSINGS, Backlash
 from geomid_ros.model.effects.coulomb_friction import CoulombFriction
 from geomid_ros.model.effects.effect import Effect, JointMotion
 from geomid_ros.model.effects.effort_delay import EffortDelay
@@ -20,6 +20,7 @@ from geomid_ros.model.effects.stribeck_friction import StribeckFriction
 from geomid_ros.model.effects.viscous_friction import ViscousFriction
 
 __all__ = [
+    "CROSSINGS",
     "EFFECTS",
     "Backlash",
     "CoulombFriction",

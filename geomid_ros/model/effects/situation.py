@@ -15,9 +15,10 @@ class Situation:
 
     ``sign (N, J)``: direction of motion. ``predicted (N, C)``: the channels' values, effects included; ``rate (N, C)``
     their derivative by time. ``load, load_rate, load_acceleration (N, J)``: efforts that the gears transmit to the
-    links (rigid bodies alone) and their derivatives by time; ``side (N, J)``: the direction in which they push, -1 to
-    1, with its derivatives. ``by_position, by_velocity, by_acceleration (N, C, J)``: derivatives of the channels by the
-    links' motion; ``by_tilt (N, C, 2)`` by the base's rotation vector (x, y) [rad].
+    links (rigid bodies alone) and their derivatives by time; ``side (N, J, K)``: the side of their play on which the
+    gears are, -1 to 1, for each of K :data:`geomid_ros.model.effects.backlash.CROSSINGS`, with its derivatives.
+    ``by_position, by_velocity, by_acceleration (N, C, J)``: derivatives of the channels by the links' motion;
+    ``by_tilt (N, C, 2)`` by the base's rotation vector (x, y) [rad].
     """
 
     sign: FloatArray
