@@ -8,6 +8,7 @@ import click
 
 import geomid_ros
 from geomid_ros.commands.demo import demo
+from geomid_ros.commands.export import export
 from geomid_ros.commands.gap import gap
 from geomid_ros.commands.identify import identify
 from geomid_ros.commands.play import play
@@ -36,5 +37,5 @@ def root() -> None:
     """Find a robot's true link inertias, from rosbags or while it runs."""
 
 
-for command in (identify, gap, prior, play, simulate, demo):
+for command in (identify, gap, prior, export, play, simulate, demo):
     root.add_command(command)

@@ -18,7 +18,7 @@ NAMES = sorted(root.commands)
 
 def test_the_commands() -> None:
     text = done("--help")
-    assert NAMES == ["demo", "gap", "identify", "play", "prior", "simulate"]
+    assert NAMES == ["demo", "export", "gap", "identify", "play", "prior", "simulate"]
     assert "..." not in text.partition("Commands:")[2], "a command's first sentence is too long for the list"
     assert all(f"  {name} " in text for name in NAMES)
 

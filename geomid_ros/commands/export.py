@@ -1,0 +1,81 @@
+"""``geomid export``: an estimate in the terms of the software that uses it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from geomid_ros.errors import InputError
+from geomid_ros.files.exports import blocks, franka, ur
+from geomid_ros.files.exports.inertial import Export
+from geomid_ros.files.exports.model import Model, read_model
+from geomid_ros.files.exports.payload import attached, chosen, difference, each_link
+
+_CONTROLLERS = {"ur": ur, "franka": franka}
+_DESCRIPTIONS = {"moveit": blocks.urdf, "gazebo": blocks.sdf, "mujoco": blocks.mjcf}
+
+
+@click.command()
+@click.argument("model", metavar="FROM", type=click.Path(path_type=Path))
+@click.option(
+    "--for",
+    "tool",
+    required=True,
+    type=click.Choice([*_CONTROLLERS, *_DESCRIPTIONS]),
+    help="Who is to read it.",
+)
+@click.option(
+    "--frame",
+    metavar="LINK",
+    help="The flange: a payload is what comes with or after this link, in its axes.  [default: for ur and franka the "
+    "one link whose name ends with tool0 or link8]",
+)
+@click.option("--links", help="The payload is these links, separated by commas.")
+@click.option(
+    "--without",
+    type=click.Path(path_type=Path),
+    help="The payload is what this model (estimate.json or URDF) of the robot without it has not.",
+)
+def export(model: Path, tool: str, frame: str | None, links: str | None, without: Path | None) -> None:
+    """Print an estimate in the terms of other software.
+
+    FROM is an estimate.json with its identified.urdf beside it, or any URDF. For ur (Universal Robots) and franka, that
+    is the payload at the flange, as commands for the controller and its ROS driver; for moveit, gazebo and mujoco, the
+    inertial of every link, or with --frame of a payload. Standard deviations stand beside the numbers. What the data
+    did not show is not exported as a payload.
+    """
+    read = read_model(model)
+    if tool in _CONTROLLERS:
+        controller = _CONTROLLERS[tool]
+        payload = _payload(read, frame or _flange(read, controller.FLANGE), links, without)
+        click.echo(controller.commands(payload), nl=False)
+    else:
+        click.echo(_DESCRIPTIONS[tool](_inertials(read, frame, links, without)), nl=False)
+
+
+def _inertials(model: Model, frame: str | None, links: str | None, without: Path | None) -> list[Export]:
+    if frame:
+        return [_payload(model, frame, links, without)]
+    if links or without:
+        raise click.UsageError("Missing option '--frame': in the axes of which link?")
+    return each_link(model)
+
+
+def _payload(model: Model, frame: str, links: str | None, without: Path | None) -> Export:
+    if links and without:
+        raise click.UsageError("A payload is either --links or what a model --without it lacks.")
+    if without:
+        return difference(model, read_model(without), frame)
+    if links:
+        return chosen(model, [name.strip() for name in links.split(",")], frame)
+    return attached(model, frame)
+
+
+def _flange(model: Model, ending: str) -> str:
+    """The link that the flange is called in the manufacturer's URDF, with any prefix."""
+    found = [link for link in model.tree.links if link.endswith(ending)]
+    if len(found) != 1:
+        listed = ", ".join(found or model.tree.links)
+        raise InputError(f"{model.source}: which link is the flange? Name it with --frame: {listed}")
+    return found[0]

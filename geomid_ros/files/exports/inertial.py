@@ -1,0 +1,117 @@
+"""An inertia as it is handed over: its numbers, how sure they are, and their sum over bodies in one frame."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from geomid_ros.errors import InputError
+from geomid_ros.geometry import pseudo_inertia
+from geomid_ros.types import FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class Inertial:
+    """``quantities (10,)`` of a body and their standard deviations ``std (10,)``, NaN where these are not known.
+
+    In the order mass [kg], centre of mass x, y, z [m], and Ixx, Ixy, Iyy, Ixz, Iyz, Izz [kg m^2] about the centre of
+    mass in the frame's axes.
+    """
+
+    quantities: FloatArray
+    std: FloatArray
+
+    @property
+    def mass(self) -> float:
+        """Mass [kg]."""
+        return float(self.quantities[0])
+
+    @property
+    def com(self) -> FloatArray:
+        """Centre of mass ``(3,)`` [m]."""
+        return self.quantities[1:4]
+
+    @property
+    def inertia(self) -> FloatArray:
+        """Inertia ``(3, 3)`` [kg m^2] about the centre of mass."""
+        return pseudo_inertia.rotational_inertia(self.quantities)
+
+    @property
+    def has_std(self) -> bool:
+        """Whether any standard deviation is known."""
+        return bool(np.any(np.isfinite(self.std)))
+
+
+@dataclass(frozen=True, eq=False)
+class Term:
+    """A body in a sum: ``placement (4, 4)``, homogeneous, puts its frame into that of the sum; ``sign`` is -1 for what
+    is taken away."""
+
+    inertial: Inertial
+    placement: FloatArray
+    sign: float = 1.0
+
+
+@dataclass(frozen=True, eq=False)
+class Export:
+    """What is handed over: an ``inertial`` in the axes and about the origin of the link ``frame``, ``title`` in words,
+    and ``notes`` for whoever uses it."""
+
+    title: str
+    frame: str
+    inertial: Inertial
+    notes: tuple[str, ...] = ()
+
+
+def quantities_of(parameters: FloatArray) -> FloatArray:
+    """Quantities ``(..., 10)`` as in :class:`Inertial`, of parameters ``(..., 10)`` in pinocchio's order."""
+    central = pseudo_inertia.central_inertia(parameters)[(..., *pseudo_inertia.INERTIA_ENTRIES)]
+    return np.concatenate([parameters[..., :1], pseudo_inertia.centre_of_mass(parameters), central], axis=-1)
+
+
+def _parameters_of(quantities: FloatArray) -> FloatArray:
+    """The inverse of :func:`quantities_of`."""
+    central = pseudo_inertia.rotational_inertia(quantities)
+    return pseudo_inertia.assemble(quantities[..., 0], quantities[..., 1:4], central)
+
+
+def total(terms: Sequence[Term], what: str) -> Inertial:
+    """The sum of bodies as one. Raises InputError that begins with ``what`` if no body can be so.
+
+    Standard deviations are propagated one by one, plus and minus one standard deviation each: files do not say how
+    errors of one body's quantities go together, they count as independent. Those that are not known add nothing, unless
+    none is known.
+    """
+    given = np.array([term.inertial.quantities for term in terms]).reshape(-1, 10)
+    parameters = _sum(terms, given)
+    if not pseudo_inertia.is_body(parameters):
+        raise InputError(f"{what}: {_not_physical(parameters)}")
+    deviations = np.array([term.inertial.std for term in terms])
+    variance = np.full(10, 0.0 if np.any(np.isfinite(deviations)) else np.nan)
+    for index in np.argwhere(np.isfinite(deviations)):
+        step = np.zeros(given.shape)
+        step[*index] = deviations[*index]
+        above, below = (quantities_of(_sum(terms, given + sign * step)) for sign in (1.0, -1.0))
+        variance += (0.5 * (above - below)) ** 2
+    return Inertial(quantities_of(parameters), np.sqrt(variance))
+
+
+def _sum(terms: Sequence[Term], quantities: FloatArray) -> FloatArray:
+    """Parameters ``(10,)`` of the sum, the bodies having ``quantities (bodies, 10)``."""
+    pseudo = np.zeros((4, 4))
+    for term, own in zip(terms, pseudo_inertia.from_parameters(_parameters_of(quantities)), strict=True):
+        pseudo += term.sign * term.placement @ own @ term.placement.T
+    return pseudo_inertia.to_parameters(pseudo)
+
+
+def _not_physical(parameters: FloatArray) -> str:
+    if parameters[0] <= 0.0:
+        return f"it weighs {parameters[0]:.4g} kg; a body has a positive mass"
+    moments = np.linalg.eigvalsh(pseudo_inertia.central_inertia(parameters))
+    numbers = ", ".join(f"{moment:.3g}" for moment in moments)
+    return (
+        f"it weighs {parameters[0]:.4g} kg, but no body has its principal moments of inertia, {numbers} kg m^2: each "
+        "must be less than the sum of the two others"
+    )

@@ -1,0 +1,152 @@
+"""``geomid export``: from a recording to a controller's payload, and what is refused."""
+
+from __future__ import annotations
+
+import ast
+import json
+import re
+from importlib.metadata import files
+from pathlib import Path
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from files.recordings import BAGS
+
+from geomid_ros.commands import identify as command
+
+from .running import WRIST, done, geomid, identify, refused
+
+FLANGED = '<robot name="r"><link name="base"/><link name="{0}tool0">{1}</link>{2}</robot>'
+BODY = '<inertial><mass value="2"/><inertia ixx="1" ixy="0" ixz="0" iyy="1" iyz="0" izz="1"/></inertial>'
+JOINT = '<joint name="j" type="continuous"><parent link="base"/><child link="{0}tool0"/></joint>'
+
+
+@pytest.fixture(scope="module")
+def estimates(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+    """The small arm, with and without the sensor at its wrist."""
+    found = {}
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(command, "draw_identification", lambda *_: None)
+        for name, sensor in {"wrist": WRIST, "torques": ()}.items():
+            folder = tmp_path_factory.mktemp(name)
+            done(*identify("arm3", *sensor, "--out", folder))
+            found[name] = folder / "estimate.json"
+    return found
+
+
+def payload(output: str) -> tuple[float, np.ndarray, np.ndarray]:
+    (called,) = (line for line in output.splitlines() if line.startswith("set_target_payload("))
+    mass, com, inertia = ast.literal_eval(called.removeprefix("set_target_payload"))
+    return mass, np.array(com), np.array(inertia)
+
+
+def test_the_tool_of_a_recording_becomes_a_payload(estimates: dict[str, Path]) -> None:
+    """The true one, within a few of the standard deviations that stand beside it."""
+    document = json.loads(estimates["wrist"].read_text())
+    (std,) = (link["std"] for link in document["links"] if link["name"] == "wrist_ft")
+    truth = {link["name"]: link for link in json.loads((BAGS / "arm3.truth.json").read_text())["links"]}["tool"]
+    output = done("export", estimates["wrist"], "--for", "ur", "--frame", "tool", "--links", "wrist_ft")
+    mass, com, inertia = payload(output)
+    assert abs(mass - truth["mass"]) < 4.0 * std["mass"]
+    assert np.all(np.abs(com - truth["com"]) < 4.0 * np.array(std["com"]))
+    order = ([0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2])
+    assert np.all(np.abs(inertia - np.array(truth["inertia"])[order]) < 4.0 * np.array(std["inertia"])[order])
+    assert f"{mass:.5g} ± {std['mass']:.2g}" in output
+
+
+def test_what_the_torques_alone_do_not_show_is_refused(estimates: dict[str, Path]) -> None:
+    message = refused("export", estimates["torques"], "--for", "ur", "--frame", "wrist_ft")
+    assert "'link3' was identified as one body with tool" in message
+    message = refused("export", estimates["torques"], "--for", "franka", "--frame", "wrist_ft", "--links", "link3")
+    assert "the data hardly told" in message
+    numbers = estimates["torques"].with_name("identified.urdf")
+    assert "not known" in done("export", numbers, "--for", "franka", "--frame", "link3")
+
+
+def test_descriptions_show_every_link_with_how_sure_it_is(estimates: dict[str, Path]) -> None:
+    links = json.loads(estimates["wrist"].read_text())["links"]
+    for tool in ("moveit", "gazebo", "mujoco"):
+        output = done("export", estimates["wrist"], "--for", tool)
+        assert output.count("<inertial") - output.count("read <inertial>") == len(links)
+        for link in links:
+            assert f"{link['mass']:.5g} ± {link['std']['mass']:.2g}" in output
+            assert f"{100 * link['from_data']:.0f} % from data" in output
+
+
+def test_what_was_picked_up_is_found_by_the_torques(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The arm alone, then the last link alone from there on: their difference is what was hidden at the flange."""
+    pytest.importorskip("mujoco")
+    monkeypatch.setattr(command, "draw_identification", lambda *_: None)
+    recording = ("--robot", "arm7", "--duration", "15", "--seed", "5")
+    done("simulate", tmp_path / "bare", *recording, "--hide", "nothing")
+    done("simulate", tmp_path / "held", *recording, "--hide", "payload:flange")
+    arm, held = tmp_path / "arm", tmp_path / "arm_held"
+    done("identify", tmp_path / "bare", "--urdf", BAGS / "arm7.urdf", "--effects", "none", "--out", arm)
+    start = ("--urdf", arm / "identified.urdf", "--model", arm / "estimate.json", "--links", "link7")
+    done("identify", tmp_path / "held", *start, "--effects", "none", "--out", held)
+    without = ("--frame", "flange", "--without", arm / "estimate.json")
+    mass, com, inertia = payload(done("export", held / "estimate.json", "--for", "ur", *without))
+    truth = json.loads((tmp_path / "held.truth.json").read_text())["effects"][0]["parameters"]
+    assert mass == pytest.approx(truth["mass"], rel=2e-3)
+    np.testing.assert_allclose(com, [truth[f"com_{axis}"] for axis in "xyz"], atol=5e-4)
+    expected = [truth[key] for key in ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")]
+    np.testing.assert_allclose(inertia, expected, atol=0.1 * expected[0])
+
+
+@pytest.mark.parametrize("prefix", ["", "left_"])
+def test_the_flange_is_found_by_its_name(prefix: str, tmp_path: Path) -> None:
+    urdf = tmp_path / "r.urdf"
+    urdf.write_text(FLANGED.format(prefix, BODY, JOINT.format(prefix)))
+    assert payload(done("export", urdf, "--for", "ur"))[0] == 2.0
+    assert "which link is the flange?" in refused("export", urdf, "--for", "franka")
+
+
+def test_what_is_asked_for_must_make_sense(tmp_path: Path) -> None:
+    urdf = BAGS / "arm3.urdf"
+    assert "Did you mean 'tool'?" in refused("export", urdf, "--for", "ur", "--frame", "tol")
+    assert "unknown link 'grip'" in refused("export", urdf, "--for", "ur", "--frame", "tool", "--links", "tool,grip")
+    assert "'wrist_ft' is no body of its own: it has no mass" in refused(
+        "export", urdf, "--for", "ur", "--frame", "tool", "--links", "wrist_ft"
+    )
+    assert "cannot be read" in refused("export", tmp_path / "nothing.json", "--for", "mujoco")
+    for wrong in (["--links", "tool"], ["--frame", "tool", "--links", "tool", "--without", urdf], ["--without", urdf]):
+        result = geomid("export", urdf, "--for", "gazebo", *wrong)
+        assert result.exit_code == 2
+        assert "Usage:" in result.stderr
+
+
+def test_the_hand_of_a_panda_by_the_mass_matrix(tmp_path: Path) -> None:
+    """What it adds to pinocchio's joint-space inertia is that of the exported body at the flange."""
+    (source,) = (file for file in files("example-robot-data") or () if file.as_posix().endswith("/panda.urdf"))
+    text = Path(str(source.locate())).read_text()
+    bare = re.sub(
+        r'(<link name="panda_(hand|leftfinger|rightfinger)">.*?)<inertial>.*?</inertial>', r"\1", text, flags=re.DOTALL
+    )
+    urdf, reference = tmp_path / "panda.urdf", tmp_path / "bare.urdf"
+    urdf.write_text(text)
+    reference.write_text(bare)
+    output = done("export", urdf, "--for", "ur", "--frame", "panda_link8")
+    assert (
+        done("export", urdf, "--for", "ur", "--frame", "panda_link8", "--without", reference).splitlines()[-9:]
+        == (output.splitlines()[-9:])
+    )
+    assert "with these joints at zero: panda_finger_joint1, panda_finger_joint2" in output
+    mass, com, (xx, yy, zz, xy, xz, yz) = payload(output)
+    body = pin.Inertia(mass, com, np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]))
+    position = np.random.default_rng(0).uniform(-1.0, 1.0, 7)
+    with_hand, jacobian = mass_matrix(text, position)
+    without, _ = mass_matrix(bare, position)
+    np.testing.assert_allclose(with_hand - without, jacobian.T @ body.matrix() @ jacobian, atol=1e-9)
+
+
+def mass_matrix(urdf: str, position: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Joint-space inertia ``(7, 7)`` and the flange's Jacobian ``(6, 7)``, the fingers closed."""
+    model = pin.buildModelFromXML(urdf)
+    model = pin.buildReducedModel(model, [8, 9], np.zeros(9))
+    data = model.createData()
+    matrix = pin.crba(model, data, position)
+    upper = np.triu(matrix)
+    flange = model.getFrameId("panda_link8")
+    jacobian = pin.computeFrameJacobian(model, data, position, flange, pin.LOCAL)
+    return upper + np.triu(upper, 1).T, jacobian
