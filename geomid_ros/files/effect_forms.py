@@ -149,11 +149,14 @@ FORMS: dict[str, EffectForm] = {
         ("stiffness",),
     ),
     "backlash": EffectForm(
-        "play of gap in all between measured (motor) and link position",
+        "play of gap in all between measured (motor) and link position, crossed at the speed tau/drag",
         "joint",
-        {"gap": ParameterForm(("rad", "m"), above=0.0)},
+        {
+            "gap": ParameterForm(("rad", "m"), above=0.0),
+            "drag": ParameterForm(("N m s/rad", "N s/m"), above=0.0, optional=True),
+        },
         (),
-        ("gap",),
+        ("gap", "drag"),
     ),
     "wrench_offset": EffectForm(
         "measured wrench = true + (fx ... tz), in the sensor's frame",

@@ -152,7 +152,8 @@ class _Writer:
         if elasticity and backlash:
             gears["elasticity"]["armature"] = _words(_SMALL_ROTOR * self._carried(joint))
         if backlash:
-            gears["backlash"] = {"limited": "true", "range": _words([-0.5 * backlash["gap"], 0.5 * backlash["gap"]])}
+            ends = [-0.5 * backlash["gap"], 0.5 * backlash["gap"]]
+            gears["backlash"] = {"limited": "true", "range": _words(ends), "damping": _words(backlash["drag"])}
         return gears
 
     def _rotor(self, joint: JointFrame) -> float:

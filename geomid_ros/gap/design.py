@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,8 +16,11 @@ from geomid_ros.types import BoolArray, FloatArray
 Columns = Mapping[Term, Mapping[int, FloatArray]]  # of each term, by channel: (N,)
 
 
-def term_columns(records: Records, terms: Sequence[Term], situation: Situation) -> dict[Term, dict[int, FloatArray]]:
-    """Columns of named terms at the chosen rows, by the channels that they reach."""
+def term_columns(
+    records: Records, terms: Sequence[Term], situation: Callable[[], Situation]
+) -> dict[Term, dict[int, FloatArray]]:
+    """Columns of named terms at the chosen rows, by the channels that they reach; ``situation``, which takes
+    long, is asked for only when a term needs it."""
     found: dict[Term, dict[int, FloatArray]] = {}
     for term in terms:
         if term.motion >= 0:
@@ -25,7 +28,7 @@ def term_columns(records: Records, terms: Sequence[Term], situation: Situation) 
         elif term.channel >= 0:
             found[term] = {term.channel: np.ones(len(records.samples))}
         elif term.situation is not None:
-            values = term.situation.columns(situation, term.joint)[:, :, term.index]
+            values = term.situation.columns(situation(), term.joint)[:, :, term.index]
             reached = np.flatnonzero(np.any(values != 0.0, axis=0)).tolist()
             found[term] = {channel: values[:, channel] for channel in reached}
     return found

@@ -26,7 +26,7 @@ _UNITS: Mapping[str, tuple[tuple[str, str, str], ...]] = {  # parameter, unit of
     "gravity_tilt": (("tilt_x", "rad", "rad"), ("tilt_y", "rad", "rad")),
     "effort_delay": (("delay", "s", "s"),),
     "joint_elasticity": (("stiffness", "N m/rad", "N/m"),),
-    "backlash": (("gap", "rad", "m"),),
+    "backlash": (("gap", "rad", "m"), ("drag", "N m s/rad", "N s/m")),
 }
 _PAYLOAD = (
     ("mass", "kg"),
@@ -68,9 +68,10 @@ _SETTLED_BY = {
 
 
 def parameters(
-    model: MeasurementModel, found: JointFit, candidate: Candidate, unsure: float = 0.0
+    model: MeasurementModel, found: JointFit, candidate: Candidate, unsure: float = 0.0, usual_load: float = 0.0
 ) -> dict[str, Quantity]:
-    """A candidate's parameters and their standard deviations; ``unsure``: that of the logarithm of what was scanned."""
+    """A candidate's parameters and their standard deviations; ``unsure``: that of the logarithm of what was scanned;
+    ``usual_load`` [N m or N]: standard deviation of what the joint's gear transmits."""
     if candidate.payload >= 0:
         return _payload(found, candidate)
     values = np.array([found.value(term) for term in candidate.terms])
@@ -88,6 +89,10 @@ def parameters(
     if candidate.effect == "stribeck_friction":
         speed = candidate.scanned
         result["speed"] = Quantity(speed, unsure * speed, _UNITS[candidate.effect][2][1 + sliding])
+    if candidate.effect == "backlash":
+        # Against the drag the usual load crosses the gap in the time that was scanned.
+        drag, share = usual_load * candidate.scanned / values[0], float(np.hypot(unsure, stds[0] / values[0]))
+        result["drag"] = Quantity(drag, drag * share, _UNITS[candidate.effect][1][1 + sliding])
     return result
 
 

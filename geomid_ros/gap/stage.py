@@ -148,7 +148,7 @@ class Stage:
         """Columns of all candidates, of what the model already has, and of free curves."""
         terms = dict.fromkeys([*base, *(t for c in candidates for t in c.terms if not t.curve)])
         free = curves.columns(self.records, self.situation) if curves is not None else {}
-        columns = term_columns(self.records, list(terms), self.situation) | free
+        columns = term_columns(self.records, list(terms), lambda: self.situation) | free
         for joint in np.flatnonzero(self.total.gains):
             for term, by_channel in columns.items():
                 if joint in by_channel and not isinstance(term.situation, EffortGain):

@@ -53,7 +53,8 @@ def _finding(model: MeasurementModel, analysis: Analysis, candidate: Candidate, 
     joint = naming.place_name(model, candidate)
     confidence = _confidence(analysis, candidate, joint, loss, rivals, share, unseen)
     close = [(rival.effect, rival.joint) for rival in rivals if rival.loss < CONFIDENT_RIVAL]
-    parameters = naming.parameters(model, whole, candidate, _scanned_std(analysis, candidate))
+    load = float(np.std(analysis.stage.situation.load[:, candidate.joint])) if candidate.scanned else 0.0
+    parameters = naming.parameters(model, whole, candidate, _scanned_std(analysis, candidate), load)
     link = naming.link_name(model, candidate)
     return Finding(
         candidate.effect,
@@ -109,7 +110,7 @@ def _confidence(
     others = [rival for rival in rivals if rival.effect != RICHER.get(candidate.effect) or rival.joint != joint]
     if any(rival.loss < CONFIDENT_RIVAL for rival in others) or _only_prior(analysis, candidate):
         return "ambiguous"
-    curves = [c for c in analysis.whole.chosen if is_curve(c)]
+    curves = _curves(analysis, unseen)
     instead = analysis.search.instead(analysis.whole, candidate)
     margin = min([loss, *(rival.loss for rival in others)])
     if instead is not None:
@@ -184,11 +185,9 @@ def _rise(analysis: Analysis, candidate: Candidate) -> float:
 def unexplained(model: MeasurementModel, analysis: Analysis, unseen: HeldOut) -> tuple[Unexplained, ...]:
     """What free curves explain and no name does, and the channels whose gap on unseen data stays open."""
     found = {}
-    for candidate in analysis.whole.chosen:
-        if is_curve(candidate):
-            joint = model.channels[candidate.joint].name
-            gap = float(unseen.gap.after[candidate.joint])
-            found[joint, depends_on(candidate)] = Unexplained(joint, depends_on(candidate), gap)
+    for curve in _curves(analysis, unseen):
+        joint, variable = model.channels[curve.joint].name, depends_on(curve)
+        found[joint, variable] = Unexplained(joint, variable, float(unseen.gap.after[curve.joint]))
     said = {joint for joint, _ in found}
     for place in np.flatnonzero(_is_open(unseen)):
         joint = model.channels[place].name
@@ -200,18 +199,28 @@ def unexplained(model: MeasurementModel, analysis: Analysis, unseen: HeldOut) ->
 
 def verdict(analysis: Analysis, unseen: HeldOut) -> Verdict:
     """Of the whole run."""
-    if any(is_curve(candidate) for candidate in analysis.whole.chosen):
+    if _curves(analysis, unseen):
         return "unexplained"
     if np.any(_is_open(unseen)):
         return "incomplete"
     return "named" if analysis.names.chosen else "no gap"
 
 
+def _curves(analysis: Analysis, unseen: HeldOut) -> list[Candidate]:
+    """The free curves for which unseen data leave room."""
+    room = _is_above(unseen, 1.0)
+    return [c for c in analysis.whole.chosen if is_curve(c) and room[c.joint]]
+
+
 def _is_open(unseen: HeldOut) -> BoolArray:
     """The channels ``(C,)`` whose gap on unseen data is larger than noise and the uncertainty of all that was fitted
     explain."""
+    return _is_above(unseen, REACHED)
+
+
+def _is_above(unseen: HeldOut, times: float) -> BoolArray:
     # A standard deviation from n values is itself uncertain by 1 / sqrt(2 n), relative.
-    reached = REACHED * (1.0 + 2.0 / np.sqrt(2.0 * np.maximum(unseen.counts, 1.0))) * unseen.gap.expected
+    reached = times * (1.0 + 2.0 / np.sqrt(2.0 * np.maximum(unseen.counts, 1.0))) * unseen.gap.expected
     above: BoolArray = np.nan_to_num(unseen.gap.after) >= np.nan_to_num(reached, nan=np.inf)
     return above
 

@@ -196,6 +196,22 @@ def test_a_backlash_gives_by_half_its_gap(arm: Robot, side: float) -> None:
         assert 0.0 <= side * place - 0.01 < 2e-3 * effort, "its ends are a little soft"
 
 
+def test_a_backlash_is_crossed_against_its_drag(arm: Robot) -> None:
+    """The drag is so large that inertia does not matter: from one end to the other in gap drag / effort."""
+    drag, gap, effort = 50.0, 0.02, 0.5
+    model = compiled(mjcf(arm, {}, [effect("backlash", "joint1", gap=gap, drag=drag)]))
+    model.opt.gravity[:] = 0.0
+    hinge, motor = model.joint("joint1/backlash").dofadr[0], model.joint("joint1").dofadr[0]
+    model.dof_armature[motor] = 1e6  # held
+    data = mujoco.MjData(model)
+    data.qpos[hinge] = -0.5 * gap
+    data.qfrc_applied[hinge] = effort
+    while data.qpos[hinge] < 0.5 * gap:
+        mujoco.mj_step(model, data)
+        assert data.time < 2.0 * gap * drag / effort
+    assert data.time == pytest.approx(gap * drag / effort, rel=0.05)
+
+
 def test_a_joint_may_have_all_effects_at_once(arm: Robot) -> None:
     every = [
         effect("viscous_friction", "joint2", coefficient=1.0),

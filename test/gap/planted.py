@@ -44,14 +44,14 @@ def true_inertias(seed: int, size: float) -> FloatArray:
     return np.asarray(pseudo_inertia.to_parameters(np.array(bodies)))
 
 
-def motion(seed: int, seconds: float) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Times and a sum of six sines per joint, of period 6 s."""
+def motion(seed: int, seconds: float, pace: float = 1.0) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Times and a sum of six sines per joint, of period 6 s over ``pace``."""
     rng = np.random.default_rng([seed, 1])
     joints = len(model().robot.joints)
     times = np.arange(round(seconds * RATE)) / RATE
     position, velocity, acceleration = np.zeros((3, len(times), joints))
     for harmonic in range(1, 7):
-        omega = 2.0 * np.pi * harmonic / 6.0
+        omega = 2.0 * np.pi * harmonic * pace / 6.0
         size, phase = 0.8 * rng.normal(size=joints) / harmonic, rng.uniform(0.0, 2.0 * np.pi, size=joints)
         angle = omega * times[:, None] + phase
         position += size * np.sin(angle)
@@ -69,9 +69,9 @@ def rigid(inertias: FloatArray, gravity: FloatArray | None = None) -> Efforts:
     return lambda q, v, a: np.array([pin.rnea(built, data, *row) for row in zip(q, v, a, strict=True)])
 
 
-def recording(efforts: Efforts, seed: int, seconds: float = 40.0, noise: float = NOISE) -> Samples:
+def recording(efforts: Efforts, seed: int, seconds: float = 40.0, noise: float = NOISE, pace: float = 1.0) -> Samples:
     """What is measured of a robot that takes these efforts."""
-    times, position, velocity, acceleration = motion(seed, seconds)
+    times, position, velocity, acceleration = motion(seed, seconds, pace)
     measured = efforts(position, velocity, acceleration)
     measured = measured + noise * np.random.default_rng([seed, 2]).standard_normal(measured.shape)
     nothing = np.zeros((len(times), 0))

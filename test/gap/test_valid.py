@@ -1,0 +1,56 @@
+"""Instants that the model can be blamed for: not those at which its own friction is uncertain."""
+
+import numpy as np
+import pytest
+
+from geomid_ros.gap import library
+from geomid_ros.gap.fit import Prior, unfitted
+from geomid_ros.gap.record import Records
+from geomid_ros.gap.stage import Stage, TotalModel
+from geomid_ros.types import BoolArray
+
+from . import planted
+
+FLOOR = np.full(3, planted.NOISE)
+
+
+def valid(joint: int, level: float, floor: float = 1.0) -> BoolArray:
+    """With Coulomb friction of a level at a joint, where the noise is so many times the planted one."""
+    model = planted.model()
+    inertias = planted.true_inertias(2, 0.1)
+    records = Records.make([planted.recording(planted.rigid(inertias), 2)], planted.CUTOFF)
+    total = TotalModel.of(model, unfitted(Prior(inertias.ravel(), 0.2, (), np.zeros(0), np.zeros(0))))
+    total.effects[joint, library.SIGN] = level
+    return Stage(model, records, total, floor * FLOOR).valid
+
+
+def test_without_friction_all_that_moves_counts() -> None:
+    model = planted.model()
+    inertias = planted.true_inertias(2, 0.1)
+    records = Records.make([planted.recording(planted.rigid(inertias), 2)], planted.CUTOFF)
+    np.testing.assert_array_equal(valid(1, 0.0), records.usable(records.rows(model).targets))
+
+
+@pytest.mark.parametrize("joint", [0, 1, 2])
+def test_the_more_friction_for_the_noise_the_fewer_instants_count(joint: int) -> None:
+    sets = [valid(joint, level)[:, joint] for level in (0.0, 0.1, 1.0, 10.0)]
+    for smaller, larger in zip(sets[1:], sets, strict=False):
+        assert np.all(larger[smaller])
+        assert np.count_nonzero(smaller) < np.count_nonzero(larger)
+    np.testing.assert_array_equal(valid(joint, 10.0, floor=10.0)[:, joint], sets[2])
+
+
+def test_what_is_left_out_is_near_reversals_of_the_joint() -> None:
+    inertias = planted.true_inertias(2, 0.1)
+    records = Records.make([planted.recording(planted.rigid(inertias), 2)], planted.CUTOFF)
+    without, with_friction = valid(2, 0.0)[:, 2], valid(2, 2.0)[:, 2]
+    out = without & ~with_friction
+    assert np.any(out)
+    speed = np.abs(records.samples.velocity[:, 2])
+    assert np.median(speed[out]) < 0.2 * np.median(speed[with_friction])
+
+
+def test_a_reversal_reaches_the_joint_that_its_acceleration_loads() -> None:
+    """Joints 2 and 3 of the arm turn about parallel axes."""
+    lost = np.count_nonzero(valid(2, 0.0) & ~valid(2, 0.5), axis=0)
+    assert lost[1] > 0.3 * lost[2] > 0
