@@ -25,6 +25,9 @@ CONFIDENT_IN_THE_SHADE = 100.0
 """Of a name whose share of the gap is small because another one's is so large."""
 CONFIDENT_RIVAL = 12.0
 CONFIDENT_SHARE = 0.03
+BESIDE_A_GEAR = 0.1
+"""Of the loss of an elastic gear or a backlash: smaller names may be what the first order leaves of it."""
+_GEARS = ("joint_elasticity", "backlash")
 DOMINANT_LOSS = 200.0
 DOMINANT_SHARE = 0.3
 """A name of the whole robot is sure in spite of what it leaves only if it matters so much more."""
@@ -120,6 +123,7 @@ def _confidence(
     if candidate.joint < 0 and not sure:
         beside = margin < DOMINANT_LOSS or share < DOMINANT_SHARE
     weak = loss < (CONFIDENT_LOSS if sure else CONFIDENT_BESIDE_UNEXPLAINED) or margin < CONFIDENT_RIVAL
+    weak |= loss < BESIDE_A_GEAR * _largest_gear_loss(analysis, candidate)
     small = candidate.payload < 0 and _rise(analysis, candidate) < LEAST_RISE
     if weak or small or beside or (share < CONFIDENT_SHARE and not (sure and loss > CONFIDENT_IN_THE_SHADE)):
         return "tentative"
@@ -128,6 +132,13 @@ def _confidence(
         generalises(analysis.search.design, analysis.whole, candidate) and _predicts(analysis, candidate, unseen)
     )
     return "confident" if general else "tentative"
+
+
+def _largest_gear_loss(analysis: Analysis, candidate: Candidate) -> float:
+    """Of the other names, those of gears that give, which are known to first order only; 0 if there are none."""
+    gears = [c for c in analysis.whole.chosen if c.effect in _GEARS and c is not candidate]
+    losses = [analysis.search.without(analysis.whole, gear).score - analysis.whole.score for gear in gears]
+    return max(losses, default=0.0)
 
 
 def _predicts(analysis: Analysis, candidate: Candidate, unseen: HeldOut) -> bool:

@@ -168,6 +168,18 @@ def without_efforts(folder: Path) -> Arguments:
     return altered(BAGS / "arm3", folder / "silent", joints(effort=np.array([]))), "--urdf", URDF
 
 
+def test_what_the_users_simulator_knows_is_no_gap(folder: Path, rubbing: Path) -> None:
+    """The robot has the friction and a spring; its simulator moves the same way, with the friction alone."""
+    both = (Hidden("coulomb_friction", "joint2", LEVEL), Hidden("spring", "joint3", 0.5))
+    measured = folder / "both"
+    simulate(measured, SimulationOptions(robot="arm3", seed=5, duration=15.0, hide=both, commands=True))
+    out = folder / "with a simulator"
+    done("gap", measured, "--urdf", URDF, "--simulated", rubbing, "--out", out)
+    named = {(finding["effect"], finding["joint"]) for finding in read(out)["findings"]}
+    assert named == {("spring", "joint3")}
+    assert read(out)["findings"][0]["parameters"]["stiffness"]["value"] == pytest.approx(0.5, rel=0.05)
+
+
 def cut(folder: Path, seconds: float) -> Path:
     items = recorded(BAGS / "arm3")
     end = items[0].time + seconds * 1e9
