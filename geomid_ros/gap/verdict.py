@@ -25,7 +25,7 @@ CONFIDENT_IN_THE_SHADE = 100.0
 """Of a name whose share of the gap is small because another one's is so large."""
 CONFIDENT_RIVAL = 12.0
 CONFIDENT_SHARE = 0.03
-BESIDE_A_GEAR = 0.1
+BESIDE_A_GEAR = 0.25
 """Of the loss of an elastic gear or a backlash: smaller names may be what the first order leaves of it."""
 _GEARS = ("joint_elasticity", "backlash")
 DOMINANT_LOSS = 200.0
