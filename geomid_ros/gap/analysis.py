@@ -68,11 +68,12 @@ def analyse(
         columns = stage.columns(names, prior.terms, curves)
         search = Search(stage.design(columns, noise), prior, names, curves.candidates)
         found = search.without_absurd(search.fit(chosen))
-        if _near(TotalModel.of(model, found), total):
-            found = search.without_absurd(search.settle(search.prune(found)))
+        final = attempt == _ROUNDS - 1
+        if final or _near(TotalModel.of(model, found), total):
+            found = search.without_absurd(search.settle(search.prune(found), to_the_end=final))
         whole = found
         total = TotalModel.of(model, found)
-        last = _same(before, found) or attempt == _ROUNDS - 1
+        last = final or _same(before, found)
         before = found
         if last:
             found, whole = _with_and_without_curves(search, found)

@@ -10,29 +10,11 @@ from geomid_ros.gap.fit import JointFit
 from geomid_ros.gap.library import Candidate
 from geomid_ros.gap.result import Quantity
 from geomid_ros.geometry import pseudo_inertia
+from geomid_ros.model.effects.parameters import PARAMETERS
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.types import FloatArray
 
 _STEP = 1e-4
-_UNITS: Mapping[str, tuple[tuple[str, str, str], ...]] = {  # parameter, unit of a turning, unit of a sliding joint
-    "viscous_friction": (("coefficient", "N m s/rad", "N s/m"),),
-    "coulomb_friction": (("level", "N m", "N"),),
-    "stribeck_friction": (("level", "N m", "N"), ("excess", "N m", "N"), ("speed", "rad/s", "m/s")),
-    "load_friction": (("coefficient", "-", "-"),),
-    "rotor_inertia": (("inertia", "kg m^2", "kg"),),
-    "spring": (("stiffness", "N m/rad", "N/m"), ("equilibrium", "rad", "m")),
-    "effort_offset": (("offset", "N m", "N"),),
-    "effort_gain": (("gain", "-", "-"),),
-    "gravity_tilt": (("tilt_x", "rad", "rad"), ("tilt_y", "rad", "rad")),
-    "effort_delay": (("delay", "s", "s"),),
-    "joint_elasticity": (("stiffness", "N m/rad", "N/m"),),
-    "backlash": (("gap", "rad", "m"), ("drag", "N m s/rad", "N s/m")),
-}
-_PAYLOAD = (
-    ("mass", "kg"),
-    *((f"com_{axis}", "m") for axis in "xyz"),
-    *((name, "kg m^2") for name in ("ixx", "ixy", "iyy", "ixz", "iyz", "izz")),
-)
 _WORDS = {
     "viscous_friction": "viscous friction",
     "coulomb_friction": "Coulomb friction",
@@ -82,17 +64,18 @@ def parameters(
     transformed, jacobian = _meaning(candidate, values)
     stds = np.sqrt(np.maximum(np.einsum("ij,jk,ik->i", jacobian, covariance, jacobian), 0.0))
     sliding = candidate.joint >= 0 and model.robot.joints[candidate.joint].unit == "N"
+    forms = PARAMETERS[candidate.effect]
     result = {
-        name: Quantity(float(value), float(std), units[sliding])
-        for (name, *units), value, std in zip(_UNITS[candidate.effect], transformed, stds, strict=False)
+        name: Quantity(float(value), float(std), form.units[sliding])
+        for (name, form), value, std in zip(forms.items(), transformed, stds, strict=False)
     }
     if candidate.effect == "stribeck_friction":
         speed = candidate.scanned
-        result["speed"] = Quantity(speed, unsure * speed, _UNITS[candidate.effect][2][1 + sliding])
+        result["speed"] = Quantity(speed, unsure * speed, forms["speed"].units[sliding])
     if candidate.effect == "backlash":
         # Against the drag the usual load crosses the gap in the time that was scanned.
         drag, share = usual_load * candidate.scanned / values[0], float(np.hypot(unsure, stds[0] / values[0]))
-        result["drag"] = Quantity(drag, drag * share, _UNITS[candidate.effect][1][1 + sliding])
+        result["drag"] = Quantity(drag, drag * share, forms["drag"].units[sliding])
     return result
 
 
@@ -116,7 +99,10 @@ def _payload(found: JointFit, candidate: Candidate) -> dict[str, Quantity]:
     derivative = np.array([_moved(found, rows, k, place) for k in range(10)]).T
     covariance = derivative @ found.inverse[rows, rows] @ derivative.T
     stds = np.sqrt(np.maximum(np.diag(covariance), 0.0))
-    return {name: Quantity(float(v), float(s), unit) for (name, unit), v, s in zip(_PAYLOAD, values, stds, strict=True)}
+    return {
+        name: Quantity(float(value), float(std), form.units[0])
+        for (name, form), value, std in zip(PARAMETERS["payload"].items(), values, stds, strict=True)
+    }
 
 
 def _moved(found: JointFit, rows: slice, direction: int, place: int) -> FloatArray:

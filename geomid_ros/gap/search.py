@@ -25,6 +25,7 @@ _LARGEST = {
     "load_friction": 1.0,
     "effort_delay": 0.2,  # [s]
     "backlash": 0.2,  # [rad]
+    "joint_elasticity": 1.0,  # [rad/(N m)]
 }
 _LIKE_A_PAYLOAD = {
     "payload",
@@ -175,14 +176,15 @@ class Search:
             return None
         return self.fit([*rest.chosen, trials[0].candidate], rest)
 
-    def settle(self, current: JointFit) -> JointFit:
-        """Grow, exchange and prune until nothing changes, or until a name is found that changes all columns."""
+    def settle(self, current: JointFit, to_the_end: bool = False) -> JointFit:
+        """Grow, exchange and prune until nothing changes, or, unless ``to_the_end``, until a name is found that changes
+        all columns."""
         known = _turns(current)
         for _ in range(_EXCHANGES):
             before = current.score
             while (larger := self.grow(current)) is not None:
                 current = self.prune(larger)
-                if _turns(current) - known:
+                if _turns(current) - known and not to_the_end:
                     return current
             current = self.exchange(current)
             if current.score >= before - 1e-6:

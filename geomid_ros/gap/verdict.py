@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from geomid_ros.gap import naming
+from geomid_ros.gap import library, naming
 from geomid_ros.gap.analysis import Analysis
 from geomid_ros.gap.crossvalidation import generalises
 from geomid_ros.gap.curves import depends_on, is_curve
@@ -37,6 +37,13 @@ LEAST_RISE = 1.05
 """Without a name that is sure, the remainder of some channel is so many times larger; payloads apart."""
 LEAST_PREDICTED = 0.5
 """Share of the gap of unseen data that a sure name closes where something is left."""
+ALIKE_ONE_WAY: Mapping[str, str] = {
+    "effort_offset": "coulomb_friction",
+    "coulomb_friction": "effort_offset",
+    "stribeck_friction": "effort_offset",
+}
+"""Names that differ only at a joint that moves to and fro."""
+LEAST_OTHER_WAY = 0.05
 REACHED = 1.15
 """A channel whose remainder is below this times the floor has reached it."""
 
@@ -98,7 +105,19 @@ def _rivals(model: MeasurementModel, analysis: Analysis, candidate: Candidate) -
     for rival in analysis.search.rivals(whole, candidate):
         other = next(c for c in rival.chosen if c not in whole.chosen)
         found.append(Rival(other.effect, naming.place_name(model, other), rival.score - whole.score))
+    if alike := ALIKE_ONE_WAY.get(candidate.effect):
+        joint = naming.place_name(model, candidate)
+        if _moves_one_way(analysis, candidate.joint):
+            found = [rival for rival in found if (rival.effect, rival.joint) != (alike, joint)]
+            found.append(Rival(alike, joint, 0.0))
     return sorted(found, key=lambda rival: rival.loss)
+
+
+def _moves_one_way(analysis: Analysis, joint: int) -> bool:
+    """Whether a joint hardly ever moves to the other side at the instants that are used."""
+    stage = analysis.stage
+    signs = stage.records.samples.effects[stage.valid[:, joint], joint, library.SIGN]
+    return float(min(np.mean(signs > 0.0), np.mean(signs < 0.0))) < LEAST_OTHER_WAY
 
 
 def _confidence(
