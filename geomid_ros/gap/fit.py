@@ -22,7 +22,7 @@ from geomid_ros.geometry import pseudo_inertia, spd, symmetric
 from geomid_ros.geometry.manifold import ParameterManifold, Point
 from geomid_ros.types import FloatArray
 
-PAYLOAD_SPREAD = 1.5
+PAYLOAD_SPREAD = 3.0
 _PAYLOAD_MASS = 0.2  # of the mean link's mass: where a payload's weak prior is centred
 _PAYLOAD_SIZE = 0.1  # [m]
 _LEAST_SHARE = 1e-10  # of the target's sum of squares: no residual is smaller
