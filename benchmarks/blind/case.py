@@ -11,6 +11,7 @@ import numpy as np
 
 from geomid_ros.errors import InputError
 from geomid_ros.simulation import EFFECTS, WRIST_FRAME, Hidden, SimulationOptions
+from geomid_ros.simulation.effects.structure import GEARS
 
 OUTSIDE = ("cogging", "cable_force", "drift", "position_friction", "joint_coupling")
 """Effects that the workflow has no name for."""
@@ -108,8 +109,7 @@ def _hidden(kind: str, seed: int, rng: np.random.Generator) -> tuple[Hidden, ...
     first = LIBRARY[seed % len(LIBRARY)]
     if kind != "double":
         return (Hidden(first),)
-    gears = {"joint_elasticity", "backlash"}
-    others = [effect for effect in LIBRARY if effect != first and not {effect, first} <= gears]
+    others = [effect for effect in LIBRARY if effect != first and not {effect, first} <= {*GEARS}]
     return Hidden(first), Hidden(str(rng.choice(others)))
 
 

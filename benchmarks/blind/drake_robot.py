@@ -14,7 +14,7 @@ from geomid_ros.simulation.compiled import GRAVITY
 from geomid_ros.simulation.description import Description, LinkInertia
 from geomid_ros.simulation.effects.effect import Effect
 from geomid_ros.simulation.effects.model import rotation
-from geomid_ros.simulation.effects.structure import payload_inertia, play_name
+from geomid_ros.simulation.effects.structure import GEARS, payload_inertia, play_name
 from geomid_ros.simulation.simulator import Simulator
 from geomid_ros.types import FloatArray
 
@@ -46,7 +46,7 @@ class DrakeRobot(Simulator):
     ) -> None:
         effects = tuple(effects)
         joints = [joint.name for joint in description.joints]
-        giving = {effect.joint for effect in effects if effect.name in ("joint_elasticity", "backlash")}
+        giving = {effect.joint for effect in effects if effect.name in GEARS}
         names = [name for joint in joints for name in (joint, play_name(joint)) if name == joint or joint in giving]
         super().__init__(names, joints, effects)
         self._description = description
@@ -75,7 +75,7 @@ class DrakeRobot(Simulator):
                 self._stiffness[at.joint], self._equilibrium[at.joint] = values["stiffness"], values["equilibrium"]
             elif effect.name == "joint_elasticity":
                 self._stiffness[at.play], self._damping[at.play] = values["stiffness"], values["damping"]
-            if at.play >= 0:
+            if effect.name in GEARS:
                 self._rotor[at.joint] += values["rotor_inertia"]
 
     def moves(self, link: str) -> bool:

@@ -10,7 +10,7 @@ import numpy as np
 from geomid_ros.simulation.effects.effect import Effect
 from geomid_ros.simulation.effects.forces import FORCES, Places
 from geomid_ros.simulation.effects.friction import FRICTION
-from geomid_ros.simulation.effects.structure import play_name, wound
+from geomid_ros.simulation.effects.structure import GEARS, play_name, wound
 from geomid_ros.types import FloatArray, IntArray
 
 _WINDINGS = 10  # each leaves a few per cent of the last one's error in how far gears are wound up at rest
@@ -33,7 +33,7 @@ class Simulator(ABC):
         ]
         self._frictions = [(effect, at.joint) for effect, at in places if effect.name in FRICTION]
         self._forces = [(effect, at) for effect, at in places if effect.name in FORCES]
-        self._gears = [(effect, at) for effect, at in places if at.play >= 0]
+        self._gears = [(effect, at) for effect, at in places if effect.name in GEARS]
         self._places = places
 
     def at_rest(self, position: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -11,6 +11,7 @@ from geomid_ros.errors import InputError, unknown_name
 from geomid_ros.simulation.description import Description, JointLimits
 from geomid_ros.simulation.effects.effect import Effect
 from geomid_ros.simulation.effects.sizes import SIZES, Site
+from geomid_ros.simulation.effects.structure import GEARS
 from geomid_ros.simulation.hidden import Hidden
 from geomid_ros.simulation.options import SimulationOptions
 from geomid_ros.simulation.seeds import Stream, generator
@@ -19,7 +20,6 @@ WRENCH_TOPIC = "/wrench"
 """Where a recording has its wrench."""
 
 _WHOLE_ROBOT = {"gravity_tilt", "effort_delay"}
-_WITH_PLAY = {"joint_elasticity", "backlash"}
 _TWO_JOINTS = {"cable_force", "joint_coupling"}
 _ABOVE_ZERO = {"speed", "gain", "gap", "mass", "stiffness", "damping", "rotor_inertia"}
 
@@ -139,5 +139,5 @@ def _check_value(effect: str, name: str, value: float) -> None:
 def _check_beside(effect: Effect, others: list[Effect]) -> None:
     for other in others:
         twice = (other.name, other.joint, other.link) == (effect.name, effect.joint, effect.link)
-        if twice or (other.joint == effect.joint and {effect.name, other.name} <= _WITH_PLAY):
+        if twice or (other.joint == effect.joint and {effect.name, other.name} <= {*GEARS}):
             raise InputError(f"{other.name} and {effect.name} are both asked for at '{effect.joint}'; only one fits.")

@@ -16,6 +16,10 @@ _COM = ("com_x", "com_y", "com_z")
 _INERTIA = (("ixx", "ixy", "ixz"), ("ixy", "iyy", "iyz"), ("ixz", "iyz", "izz"))
 
 
+GEARS = ("joint_elasticity", "backlash")
+"""Effects that put another hinge behind a joint's motor."""
+
+
 def play_name(joint: str) -> str:
     """Name of the hinge behind a joint's motor; its angle is that of the link less that of the motor."""
     return joint + "/play"
