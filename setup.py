@@ -20,7 +20,8 @@ setup(
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (f"share/{NAME}", ["package.xml"]),
-        (f"share/{NAME}/config", sorted(glob("config/*.yaml"))),
+        (f"share/{NAME}/config", sorted(glob("config/*.*"))),
+        (f"share/{NAME}/security", sorted(glob("security/*"))),
         (f"share/{NAME}/launch", sorted(glob("launch/*.launch.py"))),
         (f"share/{NAME}/bags", sorted(glob("bags/*.*"))),
         *((f"share/{NAME}/{bag}", sorted(glob(f"{bag}/*"))) for bag in ("bags/arm3", "bags/arm7")),
@@ -28,8 +29,10 @@ setup(
     install_requires=[
         "PyYAML",
         "click",
+        "backports.zstd; python_version < '3.14'",
         "defusedxml",
         "jinja2",
+        "lz4",
         "manifold3d",
         "matplotlib",
         "numba",

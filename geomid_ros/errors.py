@@ -5,9 +5,21 @@ from __future__ import annotations
 import difflib
 from collections.abc import Iterable
 
+_LONGEST = 4000  # characters of a message
+
 
 class GeomidError(Exception):
-    """Anything this package raises on purpose; commands print it without a traceback."""
+    """Anything this package raises on purpose; commands print it without a traceback.
+
+    Messages quote what came from outside: control characters, which a terminal would obey, are shown as their codes,
+    and of what is too long the middle is left out.
+    """
+
+    def __init__(self, message: str) -> None:
+        if len(message) > _LONGEST:
+            message = f"{message[: _LONGEST // 2]} ... {message[-_LONGEST // 2 :]}"
+        shown = (c if c.isprintable() or c == "\n" else c.encode("unicode_escape").decode() for c in message)
+        super().__init__("".join(shown))
 
 
 class InputError(GeomidError):

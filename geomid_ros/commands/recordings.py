@@ -60,11 +60,11 @@ def _resolved_topics(bag: Bag, session: Session, topics: Topics) -> dict[str, tu
 
 def _why_no_samples(bag: Bag, session: Session, pipeline: SignalPipeline) -> str:
     reasons = [
-        f"{topic}: {count} of {ledger.received} messages refused, {reason}"
-        for topic, ledger in pipeline.ledgers.items()
-        for reason, count in ledger.rejected.most_common(2)
+        f"{topic}: {count} of {account.received} messages refused, {reason}"
+        for topic, account in pipeline.ledger.topics.items()
+        for reason, count in account.rejected.most_common(2)
     ]
-    reasons += [f"{topic}: no messages" for topic in session.topics if topic not in pipeline.ledgers]
+    reasons += [f"{topic}: no messages" for topic in session.topics if topic not in pipeline.ledger.topics]
     if not reasons:
         reasons = [f"it is shorter than the filter's window ({2 * pipeline.lag:.1f} s) or its topics do not overlap"]
     joints = ", ".join(session.robot.joint_names)

@@ -74,10 +74,12 @@ class EstimatorSettings:
 
 @dataclass(frozen=True, eq=False)
 class WarmStart:
-    """Where the last solve ended: the next one begins there and keeps the prior's weight it found."""
+    """Where the last solve ended: the next one begins there and keeps the prior's weight, found when there were so many
+    ``rows``."""
 
     parameters: FloatArray
     gamma: float
+    rows: int = 0
 
 
 def estimate(

@@ -11,7 +11,7 @@ import numpy as np
 from geomid_ros.errors import InputError
 from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.estimation.estimator import EstimatorSettings, WarmStart, estimate
-from geomid_ros.estimation.summary import RowSummary, usable
+from geomid_ros.estimation.summary import RowSummary, SummaryState, usable
 from geomid_ros.model.known import known_rows
 from geomid_ros.model.measurement import MeasurementModel, Rows
 from geomid_ros.model.samples import Samples
@@ -41,6 +41,16 @@ class BufferSettings:
             raise InputError(f"forgetting time is {self.forgetting_time:g} s, expected a number greater than zero")
         if self.folds < 1 or self.block < 1:
             raise InputError(f"{self.folds} folds of {self.block} instants, expected at least one of each")
+
+
+@dataclass(frozen=True, eq=False)
+class Memory:
+    """All that an :class:`Identifier` remembers: rows, why others were not taken, and the last pose and stamp [ns]."""
+
+    summary: SummaryState
+    rows_rejected: Counter[str]
+    last_pose: FloatArray | None
+    last_stamp: int | None
 
 
 class Identifier:
@@ -128,16 +138,38 @@ class Identifier:
             return self._summary.rows - rows > _RENEWED * self._summary.weight
 
     def snapshot(self) -> RowSummary:
-        """A copy of all that was added so far.
+        """A copy of all that was added so far."""
+        self._absorb()
+        with self._lock:
+            return self._summary.snapshot()
 
-        The lock is given away between one channel and the next, so that who adds meanwhile hardly waits.
-        """
+    def _absorb(self) -> None:
+        """Absorb what waits, and give the lock away between one channel and the next: who adds meanwhile hardly
+        waits."""
         for _ in range(self._summary.folds * len(self.model.channels)):
             with self._lock:
                 if not self._summary.absorb_one():
                     break
+
+    def memory(self) -> Memory:
+        """A copy of all that :meth:`restore` goes on from."""
+        self._absorb()
         with self._lock:
-            return self._summary.snapshot()
+            return Memory(self._summary.state(), self.rows_rejected.copy(), self._last_pose, self._last_stamp)
+
+    def restore(self, memory: Memory) -> None:
+        """Go on from what another identifier of the same model and buffer settings remembers.
+
+        Raises InputError, and changes nothing, for what no such identifier can remember.
+        """
+        robot = self.model.robot
+        width = len(robot.joints) + (7 if robot.floating_base else 0)
+        if memory.last_pose is not None and memory.last_pose.shape != (width,):
+            raise InputError(f"a pose of shape {memory.last_pose.shape}, expected ({width},)")
+        with self._lock:
+            self._summary.restore(memory.summary)
+            self.rows_rejected = memory.rows_rejected.copy()
+            self._last_pose, self._last_stamp = memory.last_pose, memory.last_stamp
 
     def solve(self, warm: WarmStart | None = None) -> Estimate:
         """The estimate from all rows so far; without ``warm`` it depends on nothing else."""

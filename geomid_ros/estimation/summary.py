@@ -14,6 +14,7 @@ from typing import cast
 
 import numpy as np
 
+from geomid_ros.errors import InputError
 from geomid_ros.model.measurement import Channel
 from geomid_ros.types import BoolArray, FloatArray
 
@@ -43,6 +44,22 @@ class ChannelSummary:
     def squared_error(self, parameters: FloatArray) -> float:
         """``|A x - b|^2`` at parameters ``(columns,)``."""
         return float(np.sum((self.factor @ np.append(parameters, -1.0)) ** 2))
+
+
+@dataclass(frozen=True, eq=False)
+class SummaryState:
+    """All that a :class:`RowSummary` remembers, to be written down.
+
+    ``factors``: by fold and channel, upper triangular; ``counts (folds, channels)``: the sums of their rows' weights;
+    ``instants`` and ``rows`` added so far, ``time`` [s] that passed, ``weight`` of all rows.
+    """
+
+    instants: int
+    time: float
+    rows: int
+    weight: float
+    counts: FloatArray
+    factors: tuple[tuple[FloatArray, ...], ...]
 
 
 class RowSummary:
@@ -136,6 +153,35 @@ class RowSummary:
     def _parts_by_fold(self) -> list[list[ChannelSummary]]:
         return [list(fold) for fold in zip(*self.parts(), strict=True)]
 
+    def state(self) -> SummaryState:
+        """What :meth:`restore` goes on from, everything added so far included."""
+        folds = self._parts_by_fold()
+        counts = np.array([[part.count for part in fold] for fold in folds])
+        factors = tuple(tuple(part.factor for part in fold) for fold in folds)
+        return SummaryState(self._instants, self._time, self.rows, self.weight, counts, factors)
+
+    def restore(self, state: SummaryState) -> None:
+        """Go on from what another summary of the same channels and folds was.
+
+        Raises InputError, and changes nothing, for what no such summary can have been.
+        """
+        numbers = np.array([state.instants, state.time, state.rows, state.weight])
+        if state.counts.shape != (self.folds, len(self.channels)) or len(state.factors) != self.folds:
+            raise InputError(f"{len(state.factors)} folds, expected {self.folds} of {len(self.channels)} channels")
+        if not all(np.all(np.isfinite(array) & (array >= 0.0)) for array in (numbers, state.counts)):
+            raise InputError("numbers of rows that are negative or not finite")
+        summaries = [
+            [
+                ChannelSummary(_checked(factor, channel), float(count), float(state.time))
+                for channel, factor, count in zip(self.channels, factors, counts, strict=True)
+            ]
+            for factors, counts in zip(state.factors, state.counts, strict=True)
+        ]
+        self._instants, self._time = state.instants, state.time
+        self.rows, self.weight = state.rows, state.weight
+        self._summaries = summaries
+        self._waiting = [[[] for _ in self.channels] for _ in range(self.folds)]
+
     def rms(self, parameters: FloatArray, folds: Sequence[int] | None = None) -> FloatArray:
         """Root mean square of each channel's residual at parameters ``(D,)``, ``(channels,)``; NaN without rows."""
         result = np.full(len(self.channels), np.nan)
@@ -170,6 +216,16 @@ def usable(coefficients: FloatArray, targets: FloatArray) -> BoolArray:
     """Which rows ``(N, D)`` have a target ``(N,)`` and coefficients that are numbers: a single NaN would spoil all."""
     result: BoolArray = np.isfinite(targets) & np.all(np.isfinite(coefficients), axis=1)
     return result
+
+
+def _checked(factor: FloatArray, channel: Channel) -> FloatArray:
+    """A factor that can be of this channel. Raises InputError otherwise."""
+    width = len(channel.columns) + 1
+    if factor.ndim != 2 or factor.shape[1] != width or len(factor) > width:
+        raise InputError(f"rows of channel '{channel.name}' are {factor.shape}, expected at most ({width}, {width})")
+    if not np.all(np.isfinite(factor)):
+        raise InputError(f"rows of channel '{channel.name}' are not finite")
+    return factor
 
 
 def joined(parts: Sequence[ChannelSummary]) -> FloatArray:

@@ -57,9 +57,11 @@ PARAMETERS = (
     Parameter("wrenches", _NONE, "names of wrench sensors; each is described under wrench.NAME"),
     Parameter("wrench.*.topic", "", "topic of the sensor's geometry_msgs/WrenchStamped; empty: the sensor's name"),
     Parameter("wrench.*.frame", "", "frame the wrench is given in: a link, or for a force plate the world (odom)"),
+    Parameter("wrench.*.frame_id", "", "what the messages' frame_id calls this frame; empty: by its own name"),
     Parameter("wrench.*.role", "mounted", "mounted (in the chain: feels all distal parts) or external (a known load)"),
     Parameter("wrench.*.axes", list(AXES), "axes that are measured"),
     Parameter("wrench.*.sign", 1.0, "-1 if the sensor reports the reaction", -1.0, 1.0),
+    Parameter("merge_joint_states", False, "joint_states has several publishers, each with some of the joints"),
     Parameter("effort_gain", 1.0, "factor from messages' efforts to N m (or N); negative reverses the sign", -1e6, 1e6),
     Parameter("joint.*.effort_gain", 1.0, "the same for one joint", -1e6, 1e6),
     Parameter("filter.cutoff", 5.0, "cutoff of the zero-phase low-pass on all signals [Hz]", 0.05, 500.0),
@@ -75,7 +77,15 @@ PARAMETERS = (
     Parameter("solve_period", 1.0, "seconds between estimates while data come in [s]", 0.001, 3600.0),
     Parameter("gap.memory", 120.0, "seconds of messages that ~/find_gap looks at; 0: none are kept [s]", 0.0, 3600.0),
     Parameter("active", True, "take data from the start; otherwise wait for ~/start"),
+    Parameter("checkpoint.folder", "", "folder, of this node alone, to go on from after a crash; empty: none is kept"),
+    Parameter("checkpoint.period", 2.0, "seconds between checkpoints; a crash loses hardly more [s]", 0.1, 3600.0),
     Parameter("output_folder", "", "folder that ~/save and the end of the node write to; empty: the working directory"),
+)
+# All others say what a row is: rows of before serve as long as they are the same.
+_NOT_OF_ROWS = (
+    *("robot_description", "model", "known", "gamma", "objective", "solver", "sigma.*", "still_speed"),
+    *("still_distance", "solve_period", "gap.memory", "active", "checkpoint.folder", "checkpoint.period"),
+    "output_folder",
 )
 _BY_NAME = {parameter.name: parameter for parameter in PARAMETERS}
 
@@ -124,7 +134,7 @@ class Configuration:
         values = {name: value for name, value in self._values.items() if not name.startswith("wrench")}
         values["wrenches"] = names = [f"sensor{index}" for index in range(len(sensors))]
         for name, sensor in zip(names, sensors, strict=True):
-            described = {key: getattr(sensor, key) for key in ("topic", "frame", "role", "axes", "sign")}
+            described = {key: getattr(sensor, key) for key in ("topic", "frame", "frame_id", "role", "axes", "sign")}
             values |= {f"wrench.{name}.{key}": value for key, value in described.items()}
         return Configuration(values, self.source)
 
@@ -174,6 +184,13 @@ class Configuration:
         }
 
     @property
+    def of_rows(self) -> dict[str, Value]:
+        """The values by full name that say what a row is and weighs; what the model file says is not among them."""
+        single = {parameter.name for parameter in PARAMETERS if "*" not in parameter.name}
+        names = sorted(single | self._values.keys())
+        return {name: self[name] for name in names if find_parameter(name).name not in _NOT_OF_ROWS}
+
+    @property
     def effects(self) -> list[Effect]:
         """The effects to identify."""
         return [self._naming_source("effects: ", partial(effect, name)) for name in dict.fromkeys(self["effects"])]
@@ -214,7 +231,12 @@ class Configuration:
         return self._naming_source(
             f"wrench.{name}: ",
             lambda: WrenchSensor(
-                value("topic") or name, value("frame"), value("role"), tuple(value("axes")), value("sign")
+                value("topic") or name,
+                value("frame"),
+                value("role"),
+                tuple(value("axes")),
+                value("sign"),
+                frame_id=value("frame_id"),
             ),
         )
 
@@ -230,6 +252,7 @@ class Configuration:
                 period=self["filter.period"],
                 max_gap=self["filter.max_gap"],
                 effort_gain=gains if own else common,
+                merge=self["merge_joint_states"],
             ),
         )
 

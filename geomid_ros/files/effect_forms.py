@@ -12,11 +12,10 @@ from scipy.spatial.transform import Rotation
 
 from geomid_ros.gap.result import Quantity
 from geomid_ros.geometry import pseudo_inertia
+from geomid_ros.model.effects.parameters import COM_ENTRIES, INERTIA_ENTRIES, PARAMETERS
 from geomid_ros.types import FloatArray
 
 Place: TypeAlias = Literal["joint", "robot", "link", "sensor"]
-COM_ENTRIES = ("com_x", "com_y", "com_z")
-INERTIA_ENTRIES = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
 
 
 class ModelEffect(Protocol):
@@ -50,18 +49,8 @@ class KnownEffect:
 
 
 @dataclass(frozen=True)
-class ParameterForm:
-    """A parameter's units at a turning and a sliding joint, its range (ends excluded), whether it may be left out."""
-
-    units: tuple[str, str]
-    above: float = -math.inf
-    below: float = math.inf
-    optional: bool = False
-
-
-@dataclass(frozen=True)
 class EffectForm:
-    """What an effect is, its place and parameters, and which of these a URDF and an MJCF say, too.
+    """What an effect is, its place, and which of its :data:`PARAMETERS` a URDF and an MJCF say, too.
 
     ``meaning`` in terms of a joint's position q, velocity v and acceleration a, and of the effort tau that its gear
     transmits to the link.
@@ -69,112 +58,61 @@ class EffectForm:
 
     meaning: str
     place: Place
-    parameters: Mapping[str, ParameterForm]
     urdf: tuple[str, ...] = ()
     mjcf: tuple[str, ...] = ()
 
 
-def _alike(unit: str, names: Iterable[str], optional: bool = False) -> dict[str, ParameterForm]:
-    return {name: ParameterForm((unit, unit), optional=optional) for name in names}
-
-
-_EFFORT = ("N m", "N")
-_PAYLOAD = {
-    "mass": ParameterForm(("kg", "kg"), above=0.0),
-    **_alike("m", COM_ENTRIES),
-    **_alike("kg m^2", INERTIA_ENTRIES, optional=True),
-}
-
 FORMS: dict[str, EffectForm] = {
-    "viscous_friction": EffectForm(
-        "effort coefficient v",
-        "joint",
-        {"coefficient": ParameterForm(("N m s/rad", "N s/m"), above=0.0)},
-        ("coefficient",),
-        ("coefficient",),
-    ),
-    "coulomb_friction": EffectForm(
-        "effort level sign(v)", "joint", {"level": ParameterForm(_EFFORT, above=0.0)}, ("level",), ("level",)
-    ),
+    "viscous_friction": EffectForm("effort coefficient v", "joint", ("coefficient",), ("coefficient",)),
+    "coulomb_friction": EffectForm("effort level sign(v)", "joint", ("level",), ("level",)),
     "stribeck_friction": EffectForm(
-        "effort sign(v) (level + excess exp(-(v/speed)^2))",
-        "joint",
-        {
-            "level": ParameterForm(_EFFORT, above=0.0),
-            "excess": ParameterForm(_EFFORT),
-            "speed": ParameterForm(("rad/s", "m/s"), above=0.0),
-        },
-        ("level",),
-        ("level",),
+        "effort sign(v) (level + excess exp(-(v/speed)^2))", "joint", ("level",), ("level",)
     ),
-    "load_friction": EffectForm(
-        "effort coefficient |tau| sign(v)", "joint", {"coefficient": ParameterForm(("-", "-"), above=0.0, below=1.0)}
-    ),
-    "rotor_inertia": EffectForm(
-        "effort inertia a", "joint", {"inertia": ParameterForm(("kg m^2", "kg"), above=0.0)}, (), ("inertia",)
-    ),
+    "load_friction": EffectForm("effort coefficient |tau| sign(v)", "joint"),
+    "rotor_inertia": EffectForm("effort inertia a", "joint", (), ("inertia",)),
     "spring": EffectForm(
         "effort stiffness (q - equilibrium), which the motor supplies against the spring",
         "joint",
-        {"stiffness": ParameterForm(("N m/rad", "N/m")), "equilibrium": ParameterForm(("rad", "m"))},
         (),
         ("stiffness", "equilibrium"),
     ),
-    "effort_offset": EffectForm("measured effort = true + offset", "joint", {"offset": ParameterForm(_EFFORT)}),
-    "effort_gain": EffectForm("measured effort = gain true", "joint", {"gain": ParameterForm(("-", "-"), above=0.0)}),
-    "effort_delay": EffectForm(
-        "measured effort(t) = true(t - delay), at all joints",
-        "robot",
-        {"delay": ParameterForm(("s", "s"), above=-1.0, below=1.0)},
-    ),
+    "effort_offset": EffectForm("measured effort = true + offset", "joint"),
+    "effort_gain": EffectForm("measured effort = gain true", "joint"),
+    "effort_delay": EffectForm("measured effort(t) = true(t - delay), at all joints", "robot"),
     "gravity_tilt": EffectForm(
         "gravity in the base frame is R^T g, R the rotation by the vector (tilt_x, tilt_y, 0)",
         "robot",
-        {name: ParameterForm(("rad", "rad"), above=-math.pi, below=math.pi) for name in ("tilt_x", "tilt_y")},
         (),
         ("tilt_x", "tilt_y"),
     ),
     "payload": EffectForm(
         "a rigid body fixed to the link, in its frame; its inertia is about its centre of mass",
         "link",
-        _PAYLOAD,
-        tuple(_PAYLOAD),
-        tuple(_PAYLOAD),
+        tuple(PARAMETERS["payload"]),
+        tuple(PARAMETERS["payload"]),
     ),
     "joint_elasticity": EffectForm(
-        "link position = measured (motor) position - tau/stiffness",
-        "joint",
-        {"stiffness": ParameterForm(("N m/rad", "N/m"), above=0.0)},
-        (),
-        ("stiffness",),
+        "link position = measured (motor) position - tau/stiffness", "joint", (), ("stiffness",)
     ),
     "backlash": EffectForm(
         "play of gap in all between measured (motor) and link position, crossed at the speed tau/drag",
         "joint",
-        {
-            "gap": ParameterForm(("rad", "m"), above=0.0),
-            "drag": ParameterForm(("N m s/rad", "N s/m"), above=0.0, optional=True),
-        },
         (),
         ("gap", "drag"),
     ),
-    "wrench_offset": EffectForm(
-        "measured wrench = true + (fx ... tz), in the sensor's frame",
-        "sensor",
-        {**_alike("N", ("fx", "fy", "fz"), True), **_alike("N m", ("tx", "ty", "tz"), True)},
-    ),
+    "wrench_offset": EffectForm("measured wrench = true + (fx ... tz), in the sensor's frame", "sensor"),
 }
 
 
 def values(effect: ModelEffect) -> dict[str, float]:
     """An effect's parameters without their units; what may be left out is zero."""
-    optional = {name: 0.0 for name, form in FORMS[effect.effect].parameters.items() if form.optional}
+    optional = {name: 0.0 for name, form in PARAMETERS[effect.effect].items() if form.optional}
     return optional | {name: quantity.value for name, quantity in effect.parameters.items()}
 
 
 def inertia_matrix(payload: Mapping[str, float]) -> FloatArray:
     """Inertia ``(3, 3)`` [kg m^2] of a payload about its centre of mass, from its values."""
-    xx, xy, xz, yy, yz, zz = (payload[name] for name in INERTIA_ENTRIES)
+    xx, xy, yy, xz, yz, zz = (payload[name] for name in INERTIA_ENTRIES)
     return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
 
 

@@ -18,7 +18,6 @@ import numpy as np
 from geomid_ros.errors import InputError, unknown_name
 from geomid_ros.files.continued_effects import continued
 from geomid_ros.files.effect_forms import (
-    FORMS,
     KnownEffect,
     ModelEffect,
     combined,
@@ -30,6 +29,7 @@ from geomid_ros.files.results import known_inertias, read_estimate
 from geomid_ros.files.sidecar import effect_of
 from geomid_ros.gap.result import Quantity
 from geomid_ros.model.effects import EFFECTS, Effect, Spring, StribeckFriction
+from geomid_ros.model.effects.parameters import PARAMETERS
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.sensors import AXES, WrenchSensor
 from geomid_ros.signals.pipeline import SignalSettings
@@ -55,8 +55,6 @@ class LoadedModel:
             return LoadedModel()
         document = read_estimate(Path(path))
         added = document.get("added", [])
-        if not isinstance(added, list):
-            raise InputError(f"{path}: added is {added!r}, expected a list of effects")
         effects = [
             *_single_coefficients(document, path),
             *(effect_of(entry, f"{path}: added[{index}]") for index, entry in enumerate(added)),
@@ -202,16 +200,16 @@ class LoadedModel:
 def _single_coefficients(document: Mapping[str, Any], source: str) -> list[KnownEffect]:
     """The effects of one coefficient at a joint, in a document of :mod:`geomid_ros.files.results`."""
     try:
-        entries = [(entry["name"], entry["joint"], float(entry["value"])) for entry in document["effects"]]
-    except (KeyError, TypeError, ValueError) as error:
+        entries = [(str(entry["name"]), str(entry["joint"]), float(entry["value"])) for entry in document["effects"]]
+    except (KeyError, TypeError, ValueError, OverflowError) as error:
         raise InputError(f"{source}: an effect lacks a valid name, joint or value ({error})") from error
     for name, _, _ in entries:
         if name not in EFFECTS:
-            raise InputError(f"{source}: {unknown_name('effect', str(name), EFFECTS)}")
+            raise InputError(f"{source}: {unknown_name('effect', name, EFFECTS)}")
     return [known_effect(name, joint, value) for name, joint, value in entries]
 
 
 def known_effect(name: str, joint: str, value: float, unit: str = "", std: float = np.nan) -> KnownEffect:
     """An effect of one coefficient at a joint."""
-    ((parameter, form),) = FORMS[name].parameters.items()
+    ((parameter, form),) = PARAMETERS[name].items()
     return KnownEffect(name, joint, "", {parameter: Quantity(value, std, unit or form.units[0])})

@@ -10,32 +10,53 @@ from typing import Any
 import yaml
 
 from geomid_ros.errors import InputError
+from geomid_ros.files.bounded import read_text
 
-_MOST_CHARACTERS = 10_000_000
+_MOST_BYTES = 2_000_000  # a robot description may be among the parameters
+_MOST_NODES = 40_000
 
 
 class _Loader(yaml.SafeLoader):
-    """YAML without aliases, which can make a small file as large as memory, and with ``1e-3`` a number, as in rcl."""
+    """YAML as rcl reads it: the texts of numbers and truth values are no other types, and ``1e-3`` is a number.
+
+    Without aliases, which can make a small file as large as memory, and without tags, whose types rcl does not have.
+    """
+
+    yaml_implicit_resolvers: dict[str, list[tuple[str, re.Pattern[str]]]] = {}  # noqa: RUF012 as the base class has it
+
+    def __init__(self, text: str) -> None:
+        super().__init__(text)
+        self._nodes = 0
 
     def compose_node(self, parent: yaml.Node | None, index: int) -> yaml.Node | None:
-        if self.check_event(yaml.AliasEvent):
-            raise yaml.YAMLError(f"aliases are not allowed, line {self.line + 1}")
+        event = self.peek_event()  # type: ignore[no-untyped-call]
+        where = f"line {event.start_mark.line + 1}"
+        self._nodes += 1
+        if isinstance(event, yaml.AliasEvent):
+            raise yaml.YAMLError(f"aliases are not allowed, {where}")
+        if getattr(event, "tag", None) is not None:
+            raise yaml.YAMLError(f"the tag {event.tag} is not allowed, {where}")
+        if self._nodes > _MOST_NODES:
+            raise yaml.YAMLError(f"more than {_MOST_NODES} values, {where}")
         return super().compose_node(parent, index)
 
 
-_Loader.add_implicit_resolver(
-    "tag:yaml.org,2002:float", re.compile(r"[-+]?[0-9]+(\.[0-9]*)?[eE][-+]?[0-9]+$"), list("-+0123456789")
-)
+for _kind, _form, _beginnings in (
+    ("null", r"(~|null|Null|NULL|)$", ["~", "n", "N", ""]),
+    ("bool", r"(true|True|TRUE|false|False|FALSE|yes|Yes|YES|no|No|NO|on|On|ON|off|Off|OFF)$", list("tTfFyYnNoO")),
+    ("int", r"[-+]?(0|[1-9][0-9]{0,30}|0x[0-9a-fA-F]{1,30})$", list("-+0123456789")),
+    ("float", r"[-+]?([0-9]+\.[0-9]*|\.[0-9]+|[0-9]+(?=[eE]))([eE][-+]?[0-9]+)?$", list("-+.0123456789")),
+    ("float", r"[-+]?\.(inf|Inf|INF)$|\.(nan|NaN|NAN)$", list("-+.")),
+):
+    _Loader.add_implicit_resolver(f"tag:yaml.org,2002:{_kind}", re.compile(_form), _beginnings)
 
 
 def read_yaml(path: Path, what: str) -> Any:
     """The content of a YAML file; ``what`` it is for messages. Raises InputError naming the file."""
+    text = read_text(path, what, _MOST_BYTES)
     try:
-        text = path.read_text(encoding="utf-8")
-        if len(text) > _MOST_CHARACTERS:
-            raise InputError(f"{path}: larger than {_MOST_CHARACTERS / 1e6:g} MB, not a {what}")
         return yaml.load(text, _Loader)  # noqa: S506 it is a safe loader
-    except (OSError, ValueError, yaml.YAMLError, RecursionError) as error:
+    except Exception as error:  # the parser raises errors of many kinds
         raise InputError(f"{path}: the {what} cannot be read ({' '.join(str(error).split())})") from error
 
 

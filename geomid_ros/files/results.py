@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import reprlib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -13,10 +14,15 @@ import numpy as np
 from geomid_ros.errors import InputError
 from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.files.atomic import write_text
+from geomid_ros.files.bounded import read_text
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.types import FloatArray
 
 FORMAT = 1
+_MOST_BYTES = 5_000_000
+_MOST_LINKS = 1000
+_MOST_EFFECTS = 10_000
+_LARGEST = 1e50  # products of three still fit
 
 
 def estimate_document(
@@ -89,33 +95,47 @@ def write_estimate(path: Path, document: Mapping[str, Any]) -> None:
 def read_estimate(path: Path) -> dict[str, Any]:
     """Read an estimate's document. Raises InputError naming the file."""
     try:
-        document = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError, RecursionError) as error:
+        document = json.loads(read_text(path, "model", _MOST_BYTES))
+    except (ValueError, RecursionError) as error:
         raise InputError(f"{path}: the model cannot be read ({error})") from error
     if not isinstance(document, dict) or not {"links", "effects"} <= document.keys():
         raise InputError(f"{path}: not an estimate.json, it has no 'links' and 'effects'")
     if document.get("format") != FORMAT:
         raise InputError(f"{path}: has format {document.get('format')}, this version reads format {FORMAT}")
+    for key, most in (("links", _MOST_LINKS), ("effects", _MOST_EFFECTS), ("added", _MOST_EFFECTS)):
+        _check_list(document.get(key, []), most, f"{path}: {key}")
+    for entry in document["effects"]:
+        if "name" not in entry:
+            raise InputError(f"{path}: an effect lacks a valid name, joint or value")
     return document
+
+
+def _check_list(found: Any, most: int, where: str) -> None:
+    if not isinstance(found, list) or len(found) > most:
+        raise InputError(f"{where} is {reprlib.repr(found)}, expected a list of at most {most}")
+    for index, entry in enumerate(found):
+        if not isinstance(entry, dict):
+            raise InputError(f"{where}[{index}] is {reprlib.repr(entry)}, expected an object")
 
 
 def known_inertias(document: Mapping[str, Any], source: str) -> dict[str, FloatArray]:
     """Parameters ``(10,)`` in pinocchio's order of the links in a document, by name."""
+    return {str(link.get("name")): _inertia(link, source) for link in document["links"]}
+
+
+def _inertia(link: Mapping[str, Any], source: str) -> FloatArray:
+    """Parameters ``(10,)`` of a link's entry."""
     try:
-        inertias = {
-            link["name"]: pseudo_inertia.assemble(
-                np.array(float(link["mass"])),
-                np.array(link["com"], dtype=float).reshape(3),
-                np.array(link["inertia"], dtype=float).reshape(3, 3),
-            )
-            for link in document["links"]
-        }
-    except (KeyError, TypeError, ValueError) as error:
+        mass, com, inertia = (np.array(link[key], dtype=float) for key in ("mass", "com", "inertia"))
+        parts = mass.reshape(()), com.reshape(3), inertia.reshape(3, 3)
+        name = link["name"]
+    except (KeyError, TypeError, ValueError, OverflowError) as error:
         raise InputError(f"{source}: a link lacks a valid mass, com or inertia ({error})") from error
-    for name, parameters in inertias.items():
-        if not np.all(np.isfinite(parameters)) or not _is_body(parameters):
-            raise InputError(f"{source}: the inertia of link '{name}' belongs to no body that can exist")
-    return inertias
+    usable = all(np.all(np.abs(part) < _LARGEST) for part in parts)
+    parameters = pseudo_inertia.assemble(*parts) if usable else np.zeros(10)
+    if not _is_body(parameters):
+        raise InputError(f"{source}: the inertia of link '{name}' belongs to no body that can exist")
+    return parameters
 
 
 def _is_body(parameters: FloatArray) -> bool:

@@ -19,6 +19,7 @@
 from __future__ import annotations
 
 import math
+import reprlib
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -28,11 +29,14 @@ import yaml
 
 from geomid_ros.errors import InputError, unknown_name
 from geomid_ros.files.atomic import write_text
-from geomid_ros.files.effect_forms import FORMS, EffectForm, KnownEffect, ModelEffect, ParameterForm
+from geomid_ros.files.effect_forms import FORMS, EffectForm, KnownEffect, ModelEffect
 from geomid_ros.files.parameter_file import read_yaml
 from geomid_ros.gap.result import Quantity
+from geomid_ros.model.effects.parameters import PARAMETERS, ParameterForm
 
 FORMAT = 1
+_MOST_EFFECTS = 10_000
+_LARGEST = 1e50  # products of three still fit
 _HEADER = """\
 # What is known of this robot beside its bodies, in SI units. "urdf" and "mjcf" list the parameters that these files say
 # as well; whoever loads one of them adds the rest.
@@ -80,6 +84,8 @@ def read_sidecar(path: Path) -> Sidecar:
         raise InputError(f"{path}: not a file of effects, it has no list 'effects'")
     if document.get("format") != FORMAT:
         raise InputError(f"{path}: has format {document.get('format')}, this version reads format {FORMAT}")
+    if len(document["effects"]) > _MOST_EFFECTS:
+        raise InputError(f"{path}: has {len(document['effects'])} effects, more than {_MOST_EFFECTS}")
     effects = [effect_of(entry, f"{path}: effects[{index}]") for index, entry in enumerate(document["effects"])]
     _refuse_repeats(effects, path)
     return Sidecar(str(document.get("robot", "")), tuple(effects))
@@ -97,24 +103,24 @@ def _refuse_repeats(effects: list[KnownEffect], path: Path) -> None:
 def effect_of(entry: Any, where: str) -> KnownEffect:
     """The effect of a mapping as files have it. Raises InputError that begins with ``where``."""
     if not isinstance(entry, dict):
-        raise InputError(f"{where}: expected an effect with its parameters, found {entry!r}")
-    name = entry.get("effect")
+        raise InputError(f"{where}: expected an effect with its parameters, found {reprlib.repr(entry)}")
+    name = str(entry.get("effect"))
     if name not in FORMS:
-        raise InputError(f"{where}: {unknown_name('effect', str(name), FORMS)}")
+        raise InputError(f"{where}: {unknown_name('effect', name, FORMS)}")
     where = f"{where} ({name})"
     form = FORMS[name]
     parameters = entry.get("parameters")
     if not isinstance(parameters, dict):
-        raise InputError(f"{where}: parameters: expected {', '.join(form.parameters)}")
+        raise InputError(f"{where}: parameters: expected {', '.join(PARAMETERS[name])}")
     joint, link = (_text(entry, key, where) for key in ("joint", "link"))
     _check_place(form, joint, link, where)
-    return KnownEffect(name, joint, link, _parameters(parameters, form, f"{where}: parameters"))
+    return KnownEffect(name, joint, link, _parameters(parameters, PARAMETERS[name], f"{where}: parameters"))
 
 
 def _text(entry: Mapping[str, Any], key: str, where: str) -> str:
     value = entry.get(key) or ""
     if not isinstance(value, str):
-        raise InputError(f"{where}: {key} is {value!r}, expected a name")
+        raise InputError(f"{where}: {key} is {reprlib.repr(value)}, expected a name")
     return value
 
 
@@ -126,19 +132,19 @@ def _check_place(form: EffectForm, joint: str, link: str, where: str) -> None:
         raise InputError(f"{where}: {key} is not given, expected {what}")
 
 
-def _parameters(given: Mapping[Any, Any], form: EffectForm, where: str) -> dict[str, Quantity]:
+def _parameters(given: Mapping[Any, Any], forms: Mapping[str, ParameterForm], where: str) -> dict[str, Quantity]:
     for name in given:
-        if name not in form.parameters:
-            raise InputError(f"{where}: {unknown_name('parameter', str(name), form.parameters)}")
-    for name, expected in form.parameters.items():
+        if name not in forms:
+            raise InputError(f"{where}: {unknown_name('parameter', str(name), forms)}")
+    for name, expected in forms.items():
         if name not in given and not expected.optional:
             raise InputError(f"{where}: {name} is not given")
-    return {name: _quantity(given[name], form.parameters[name], f"{where}: {name}") for name in given}
+    return {name: _quantity(given[name], forms[name], f"{where}: {name}") for name in given}
 
 
 def _quantity(given: Any, form: ParameterForm, where: str) -> Quantity:
     if not isinstance(given, dict):
-        raise InputError(f"{where} is {given!r}, expected value, std and unit")
+        raise InputError(f"{where} is {reprlib.repr(given)}, expected value, std and unit")
     value, std = _number(given.get("value"), where), given.get("std")
     if not form.above < value < form.below:
         raise InputError(f"{where} is {value:g}, expected a number above {form.above:g} and below {form.below:g}")
@@ -147,11 +153,11 @@ def _quantity(given: Any, form: ParameterForm, where: str) -> Quantity:
         raise InputError(f"{where}: std is {deviation:g}, expected a number from zero on, or null")
     if given.get("unit") not in form.units:
         units = " or ".join(dict.fromkeys(form.units))
-        raise InputError(f"{where}: unit is {given.get('unit')!r}, expected {units}")
+        raise InputError(f"{where}: unit is {reprlib.repr(given.get('unit'))}, expected {units}")
     return Quantity(value, deviation, given["unit"])
 
 
 def _number(value: Any, where: str) -> float:
-    if isinstance(value, bool) or not isinstance(value, (int, float)) or not abs(value) < math.inf:
-        raise InputError(f"{where} is {value!r}, expected a finite number")
+    if isinstance(value, bool) or not isinstance(value, (int, float)) or not abs(value) < _LARGEST:
+        raise InputError(f"{where} is {reprlib.repr(value)}, expected a finite number")
     return float(value)

@@ -9,10 +9,12 @@ from typing import TypeAlias
 
 import numpy as np
 
-from geomid_ros.errors import InputError
 from geomid_ros.estimation.estimate import LinkEstimate
-from geomid_ros.files.effect_forms import COM_ENTRIES, ModelEffect, inertia_matrix, values
+from geomid_ros.files.bounded import read_text
+from geomid_ros.files.effect_forms import ModelEffect, inertia_matrix, values
 from geomid_ros.files.urdf_spans import Edit, Span, edited, insertion, spans
+from geomid_ros.model.effects.parameters import COM_ENTRIES
+from geomid_ros.model.urdf_tree import MOST_BYTES
 from geomid_ros.types import FloatArray
 
 # Mass [kg], centre of mass (3,) [m] in the link's frame, inertia (3, 3) [kg m^2] about it in the link's axes.
@@ -20,11 +22,8 @@ Inertia: TypeAlias = tuple[float, FloatArray, FloatArray]
 
 
 def read_urdf(path: Path) -> str:
-    """The text of a URDF file, with the line ends it has."""
-    try:
-        return path.read_bytes().decode("utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"{path}: the robot description cannot be read ({error})") from error
+    """The text of a URDF file, with the line ends it has. Raises InputError naming it."""
+    return read_text(path, "robot description", MOST_BYTES)
 
 
 def with_identified_inertias(urdf: str, links: Sequence[LinkEstimate]) -> str:

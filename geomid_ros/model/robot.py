@@ -73,7 +73,7 @@ class Robot:
         self.tree = urdf_tree.parse(urdf, source)
         self._first_joint = 2 if floating_base else 1
         self._locked = frozenset(locked_joints)
-        self._model = self._without_locked(_build(urdf, floating_base, source))
+        self._model = self._without_locked(_build(urdf_tree.without_shapes(urdf, source), floating_base, source))
         self._model.gravity.linear = self.gravity
         self._data = self._model.createData()
         self.joints = self._moving_joints()

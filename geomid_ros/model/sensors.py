@@ -21,7 +21,8 @@ class WrenchSensor:
     ``frame``: the URDF link in whose frame the wrench is expressed, about whose origin; for a force plate (a fixed
     sensor under a floating base) one of ``WORLD_FRAMES``. ``axes``: those of ``AXES`` that are measured. ``sign``: -1
     if the sensor reports the opposite (reaction) wrench. ``offset``: what is known of its constant error, force and
-    torque in the frame: sign times the reported wrench is the true one plus this.
+    torque in the frame: sign times the reported wrench is the true one plus this. ``frame_id``: what the messages call
+    the frame, where it is not the link's name.
     """
 
     topic: str
@@ -30,6 +31,7 @@ class WrenchSensor:
     axes: tuple[str, ...] = AXES
     sign: float = 1.0
     offset: tuple[float, ...] = (0.0,) * 6
+    frame_id: str = ""
 
     def __post_init__(self) -> None:
         if self.role not in ROLES:

@@ -2,25 +2,33 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
-from xml.etree.ElementTree import Element
+from typing import Any
+from xml.etree.ElementTree import Element, SubElement, TreeBuilder, tostring
 
 import numpy as np
-from defusedxml import ElementTree
 from defusedxml.common import DefusedXmlException
+from defusedxml.ElementTree import DefusedXMLParser, ParseError
 from scipy.spatial.transform import Rotation
 
 from geomid_ros.errors import InputError
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.types import FloatArray
 
-_MAX_BYTES = 5_000_000
+MOST_BYTES = 5_000_000
+"""Of a robot description."""
+
 _MAX_NESTING = 64
+_MAX_ELEMENTS = 200_000
 _MAX_LINKS = 1000
 _MAX_NUMBER = 1e50  # products of three still fit
 _MAX_AXES = 128  # pinocchio's memory grows with their cube
+# Python alone would read 1_000 and digits of other scripts, too.
+_NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?", re.ASCII)
+_OF_RIGID_BODIES = {"link": ("inertial",), "joint": ("parent", "child", "origin", "axis", "limit")}
 _AXES = {"fixed": 0, "revolute": 1, "continuous": 1, "prismatic": 1, "planar": 3, "floating": 6}
 
 
@@ -63,10 +71,11 @@ def parse(text: str, source: str) -> UrdfTree:
 
 def tree(robot: Element, source: str) -> UrdfTree:
     """The tree of a ``<robot>``, as :func:`parse` reads it."""
+    for kind in ("link", "joint"):
+        if (count := len(robot.findall(kind))) > _MAX_LINKS:
+            raise InputError(f"{source}: {count} {kind}s are more than the {_MAX_LINKS} that a robot may have")
     links = tuple(_name(element, source) for element in robot.findall("link"))
     joints = tuple(_joint(element, source) for element in robot.findall("joint"))
-    if len(links) > _MAX_LINKS:
-        raise InputError(f"{source}: {len(links)} links are more than the {_MAX_LINKS} that a robot may have")
     axes = sum(_AXES[joint.type] for joint in joints)
     if axes > _MAX_AXES:
         raise InputError(f"{source}: joints of {axes} axes are more than the {_MAX_AXES} that a robot may have")
@@ -79,20 +88,51 @@ def tree(robot: Element, source: str) -> UrdfTree:
 
 def read_xml(text: str, source: str) -> Element:
     """The ``<robot>`` element of a URDF. Raises InputError naming ``source``."""
-    if len(text.encode(errors="replace")) > _MAX_BYTES:
-        raise InputError(f"{source}: larger than {_MAX_BYTES // 1_000_000} MB, not a robot description")
+    if len(text.encode(errors="replace")) > MOST_BYTES:
+        raise InputError(f"{source}: larger than {MOST_BYTES // 1_000_000} MB, not a robot description")
     try:
-        robot: Element = ElementTree.fromstring(text, forbid_dtd=True)
-    except (ElementTree.ParseError, DefusedXmlException, ValueError) as error:
+        parser = DefusedXMLParser(target=_Builder(), forbid_dtd=True)
+        parser.feed(text)
+        robot: Element = parser.close()
+    except (ParseError, DefusedXmlException, ValueError) as error:
         raise InputError(f"{source}: not a URDF, its XML cannot be read ({error})") from error
     if robot.tag != "robot":
         raise InputError(f"{source}: not a URDF, its root element is <{robot.tag}> instead of <robot>")
-    level = [robot]
-    for _ in range(_MAX_NESTING):
-        level = [child for element in level for child in element]
-    if level:
-        raise InputError(f"{source}: not a URDF, its elements are nested more than {_MAX_NESTING} deep")
+    if not robot.get("name"):
+        raise InputError(f"{source}: its <robot> has no name")
     return robot
+
+
+class _Builder(TreeBuilder):
+    """Stops at elements that are too many or nested too deep. Raises ValueError."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._depth = self._count = 0
+
+    def start(self, tag: str, attrs: dict[Any, Any], /) -> Element:
+        self._depth += 1
+        self._count += 1
+        if self._depth > _MAX_NESTING:
+            raise ValueError(f"elements are nested more than {_MAX_NESTING} deep")
+        if self._count > _MAX_ELEMENTS:
+            raise ValueError(f"more than {_MAX_ELEMENTS} elements")
+        return super().start(tag, attrs)
+
+    def end(self, tag: str, /) -> Element:
+        self._depth -= 1
+        return super().end(tag)
+
+
+def without_shapes(text: str, source: str) -> str:
+    """The URDF with what rigid bodies need and nothing else: whoever gets it opens no mesh, and fails at no colour."""
+    robot = read_xml(text, source)
+    pruned = Element("robot", name=robot.get("name", ""))
+    for child in robot:
+        if child.tag in _OF_RIGID_BODIES:
+            kept = SubElement(pruned, child.tag, child.attrib)
+            kept.extend(inner for inner in child if inner.tag in _OF_RIGID_BODIES[child.tag])
+    return tostring(pruned, encoding="unicode")
 
 
 def _root(links: tuple[str, ...], joints: tuple[UrdfJoint, ...], source: str) -> str:
@@ -137,8 +177,10 @@ def _joint(element: Element, source: str) -> UrdfJoint:
     read_numbers(element, "origin", ("rpy",), [0.0, 0.0, 0.0], where)
     if kind != "fixed" and not any(read_numbers(element, "axis", ("xyz",), [1.0, 0.0, 0.0], where)):
         raise InputError(f"{where}: its <axis> has no direction")
-    if kind in ("revolute", "prismatic"):
+    if kind in ("revolute", "prismatic") or element.find("limit") is not None:
         read_numbers(element, "limit", ("effort", "velocity"), None, where)
+        for key in ("lower", "upper"):
+            read_numbers(element, "limit", (key,), [0.0], where)
     return UrdfJoint(element.get("name", ""), kind, parent.get("link", ""), child.get("link", ""))
 
 
@@ -156,6 +198,8 @@ def inertial_parameters(link: Element, source: str) -> FloatArray | None:
     if inertial is None:
         return None
     where = f"{source}: link '{link.get('name')}'"
+    if len(link.findall("inertial")) > 1:
+        raise InputError(f"{where} has more than one <inertial>")
     (mass,) = read_numbers(inertial, "mass", ("value",), None, where)
     entries = read_numbers(inertial, "inertia", ("ixx", "ixy", "ixz", "iyy", "iyz", "izz"), None, where)
     centre = read_numbers(inertial, "origin", ("xyz",), [0.0, 0.0, 0.0], where)
@@ -177,10 +221,8 @@ def read_numbers(
     if default is not None and texts == [None]:
         return default
     expected = len(default) if default is not None else len(keys)
-    try:
-        numbers = [float(part) for text in texts for part in (text or "").split()]
-    except ValueError:
-        numbers = []
+    parts = [part for text in texts for part in (text or "").split()]
+    numbers = [float(part) for part in parts] if all(map(_NUMBER.fullmatch, parts)) else []
     if len(numbers) != expected or not np.all(np.abs(numbers) < _MAX_NUMBER):
         found = "is absent" if element is None else "has " + ", ".join(f'{key}="{element.get(key)}"' for key in keys)
         raise InputError(f"{where}: its <{tag}> {found}; expected {expected} finite numbers as {', '.join(keys)}")

@@ -11,6 +11,7 @@ from rosbags.interfaces import Qos, QosDurability, QosHistory, QosLiveliness, Qo
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
+from geomid_ros.simulation.checksums import add_checksums
 from geomid_ros.simulation.effects.choice import WRENCH_TOPIC
 from geomid_ros.simulation.options import SimulationOptions
 from geomid_ros.simulation.trace import Trace
@@ -47,6 +48,7 @@ def write_bag(path: Path, trace: Trace, names: Sequence[str], urdf: str, options
                 commands.write(stamp, _joint_state(stamp, names, *wanted))
             if wrenches is not None:
                 wrenches.write(wrench_stamp, _wrench(trace.wrench[row], wrench_stamp, frame))
+    add_checksums(path / f"{path.name}.mcap")
 
 
 class _Topic:

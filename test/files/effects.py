@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from geomid_ros.files.effect_forms import FORMS, KnownEffect
 from geomid_ros.gap.result import Quantity
+from geomid_ros.model.effects.parameters import PARAMETERS
 
 
 def effect(name: str, place: str = "", **parameters: float) -> KnownEffect:
     """An effect at a joint, a link or a topic, in units of a turning joint, every standard deviation a tenth."""
     form = FORMS[name]
     quantities = {
-        key: Quantity(value, abs(value) / 10.0, form.parameters[key].units[0]) for key, value in parameters.items()
+        key: Quantity(value, abs(value) / 10.0, PARAMETERS[name][key].units[0]) for key, value in parameters.items()
     }
     return KnownEffect(name, "" if form.place == "link" else place, place if form.place == "link" else "", quantities)
 

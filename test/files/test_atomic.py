@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from geomid_ros.errors import GeomidError
-from geomid_ros.files.atomic import write_text
+from geomid_ros.files.atomic import write_bytes, write_text
 
 BEFORE = "what was there before"
 
@@ -50,6 +50,45 @@ def test_a_failure_leaves_what_was_there_and_nothing_else(
     monkeypatch.undo()
     assert path.read_text() == BEFORE
     assert list(path.parent.iterdir()) == [path]
+
+
+def test_it_is_on_the_disk_before_it_has_its_name_and_then_its_name_is(
+    path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Else a loss of power could leave an empty file, or the one before."""
+    steps: list[str] = []
+
+    def sync(descriptor: int) -> None:
+        folder = stat.S_ISDIR(os.fstat(descriptor).st_mode)
+        steps.append(f"{'folder' if folder else 'file'}, {Path(f'/proc/self/fd/{descriptor}').readlink()}")
+
+    def replaced(self: Path, target: Path) -> Path:
+        steps.append(f"{self} becomes {target}")
+        return Path(os.replace(self, target) or target)  # noqa: PTH105 it is what is replaced
+
+    monkeypatch.setattr(os, "fsync", sync)
+    monkeypatch.setattr(Path, "replace", replaced)
+    write_bytes(path, b"new", 0o600)
+    temporary = steps[0].removeprefix("file, ")
+    assert steps == [f"file, {temporary}", f"{temporary} becomes {path}", f"folder, {path.parent}"]
+    assert path.read_bytes() == b"new"
+    assert stat.S_IMODE(path.stat().st_mode) == 0o600
+
+
+def test_a_folder_that_cannot_be_synchronised(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Some network file systems have no such thing; a disk that fails is another matter."""
+    for number in (errno.EINVAL, errno.EIO):
+
+        def sync(descriptor: int, number: int = number) -> None:
+            if stat.S_ISDIR(os.fstat(descriptor).st_mode):
+                raise OSError(number, os.strerror(number))
+
+        monkeypatch.setattr(os, "fsync", sync)
+        if number == errno.EINVAL:
+            write_text(path, "new")
+        else:
+            with pytest.raises(GeomidError, match="Input/output error"):
+                write_text(path, "newer")
 
 
 def test_an_interrupt_leaves_no_file_behind(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -14,6 +14,7 @@ from geomid_ros.errors import InputError
 from geomid_ros.files.effect_forms import FORMS, KnownEffect, combined, values
 from geomid_ros.files.sidecar import read_sidecar, write_sidecar
 from geomid_ros.gap.result import Quantity
+from geomid_ros.model.effects.parameters import PARAMETERS
 
 from .effects import PAYLOAD, effect
 
@@ -24,7 +25,7 @@ def one_of_each() -> list[KnownEffect]:
     return [
         effect("payload", "tool", **PAYLOAD)
         if name == "payload"
-        else effect(name, places[form.place], **{key: 0.1 + 0.01 * index for index, key in enumerate(form.parameters)})
+        else effect(name, places[form.place], **{key: 0.1 + 0.01 * index for index, key in enumerate(PARAMETERS[name])})
         for name, form in FORMS.items()
     ]
 

@@ -11,13 +11,13 @@ import numpy as np
 
 from geomid_ros.errors import InputError, unknown_name
 from geomid_ros.estimation.estimator import QUANTITIES
-from geomid_ros.files.effect_forms import COM_ENTRIES
 from geomid_ros.files.exports.inertial import Inertial, quantities_of
 from geomid_ros.files.joint_frames import joint_frames
 from geomid_ros.files.loaded_model import LoadedModel
 from geomid_ros.files.results import known_inertias, read_estimate
 from geomid_ros.files.urdf import read_urdf
 from geomid_ros.geometry import pseudo_inertia
+from geomid_ros.model.effects.parameters import COM_ENTRIES
 from geomid_ros.model.urdf_tree import UrdfJoint, UrdfTree, parse
 from geomid_ros.types import FloatArray
 

@@ -1,0 +1,65 @@
+"""What the formats of recordings have in common."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import NamedTuple, Protocol
+
+from geomid_ros.errors import InputError
+
+
+class RawMessage(NamedTuple):
+    """A serialised message: its topic, time of recording [ns], type and bytes."""
+
+    topic: str
+    time: int
+    kind: str
+    data: bytes
+
+
+class Storage(Protocol):
+    """An open file of a recording."""
+
+    @property
+    def counts(self) -> Mapping[tuple[str, str], int]:
+        """How many messages there are, by topic and type."""
+
+    @property
+    def start(self) -> int | None:
+        """When the first message was recorded [ns]."""
+
+    def messages(self, topics: Collection[str]) -> Iterator[RawMessage]:
+        """Everything on ``topics`` in the order of recording. Raises InputError naming the file."""
+
+    def close(self) -> None:
+        """Close the file."""
+
+
+class FaultError(Exception):
+    """What is wrong in a file; ``offset`` of the byte at which, where that can be told."""
+
+    def __init__(self, why: str, offset: int | None = None) -> None:
+        super().__init__(why)
+        self.offset = offset
+
+
+@dataclass(frozen=True)
+class Part:
+    """What can be read of a damaged file: ``count`` messages, the last at ``time`` [ns]; ``rescue`` gets it out."""
+
+    count: int
+    time: int
+    rescue: str
+
+    def __str__(self) -> str:
+        if not self.count:
+            return "No message before that can be read"
+        return f"Only a part can be read: {self.count} messages, up to {self.time * 1e-9:.3f} s. {self.rescue}"
+
+
+def damaged(path: Path, fault: FaultError, part: Part) -> InputError:
+    """The error that tells of a fault, and of what could be read in spite of it."""
+    place = "" if fault.offset is None else f" at byte {fault.offset}"
+    return InputError(f"{path}: cannot be read as a rosbag2 recording: damaged or cut off{place}, {fault}. {part}")

@@ -1,0 +1,494 @@
+"""Checkpoints: what is read is what was written, to the last bit, or it is refused and kept."""
+
+from __future__ import annotations
+
+import errno
+import hashlib
+import json
+import os
+import re
+import stat
+from collections.abc import Callable, Iterator
+from contextlib import closing, contextmanager, suppress
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from geomid_ros.errors import GeomidError, InputError
+from geomid_ros.estimation.estimator import WarmStart
+from geomid_ros.estimation.identifier import Memory
+from geomid_ros.estimation.summary import SummaryState
+from geomid_ros.files import checkpoint_folder
+from geomid_ros.files.checkpoint import Checkpoint, decoded, encoded, largest_size
+from geomid_ros.files.checkpoint_folder import CheckpointFolder
+from geomid_ros.files.configuration import Configuration
+from geomid_ros.files.tensor_file import pack, unpack
+from geomid_ros.model.samples import Samples
+from geomid_ros.session import Session
+from geomid_ros.signals.ledger import Account, Ledger
+
+from .recordings import BAGS
+
+GENERATIONS = ("checkpoint-a.safetensors", "checkpoint-b.safetensors")
+INSTANTS = 400
+
+
+def session(robot: str = "arm3", **values: Any) -> Session:
+    return Session((BAGS / f"{robot}.urdf").read_text(encoding="utf-8"), Configuration(values), robot)
+
+
+def samples(of: Session, begin: int, end: int) -> Samples:
+    """Instants of a motion of three tones, at 40 Hz, of an arm that is not quite the URDF's; at the end it stands."""
+    rng = np.random.default_rng(0)
+    joints = len(of.robot.joints)
+    speeds, phases = rng.uniform(0.5, 5.0, (3, joints)), rng.uniform(0.0, 6.0, (3, joints))
+    times = np.minimum(np.arange(begin, end), INSTANTS - 20)[:, None, None] / 40.0
+    angles = speeds * times + phases
+    moving = (np.arange(begin, end) < INSTANTS - 20)[:, None]
+    motion = np.sin(angles).sum(1), moving * (speeds * np.cos(angles)).sum(1), -(speeds**2 * np.sin(angles)).sum(1)
+    stamps = 10**18 + np.arange(begin, end) * 25_000_000
+    nothing, wrenches = np.zeros((end - begin, 0)), np.zeros((end - begin, 0, 6))
+    unknown = Samples(stamps, *motion, np.zeros((end - begin, joints)), nothing, nothing, nothing, wrenches)
+    truth = np.append(1.1 * of.model.nominal_inertias, np.full(len(of.model.coefficients), 0.3))
+    noise = 0.1 * np.random.default_rng(1).normal(size=(INSTANTS, joints))[begin:end]
+    return replace(unknown, effort=of.model.rows(unknown).coefficients @ truth + noise)
+
+
+def learned(end: int = INSTANTS, **values: Any) -> Session:
+    """A session that has seen so many instants, and messages of all fates."""
+    result = session(**values)
+    result.identifier.add(samples(result, 0, end))
+    accounts = {"joint_states": Account(1234), "/wrench": Account(5, lost=6)}
+    accounts["/wrench"].rejected["frame \N{SNOWMAN} is not 'tool'"] = 7
+    accounts["joint_states"].dropped["queue full"] = 8
+    accounts["joint_states"].noted["a joint too many"] = 9
+    result.pipeline.ledger.restore(accounts)
+    found = result.identifier.solve()
+    result.warm = WarmStart(found.parameters, found.gamma, result.identifier.rows)
+    return result
+
+
+@cache
+def small() -> tuple[Session, bytes]:
+    """A session and the file of its checkpoint."""
+    known = learned()
+    return known, encoded(known.checkpoint(), known.model.channels)
+
+
+def read(content: bytes) -> Checkpoint:
+    """As a session like that of :func:`small` reads it."""
+    fresh = small()[0]
+    checkpoint = decoded(content, fresh.meaning, fresh.model.channels)
+    session().restore(checkpoint)
+    return checkpoint
+
+
+def assert_same(a: Memory, b: Memory) -> None:
+    """To the last bit."""
+    assert (a.rows_rejected, a.last_stamp) == (b.rows_rejected, b.last_stamp)
+    np.testing.assert_array_equal(a.last_pose, b.last_pose)
+    assert_same_rows(a.summary, b.summary)
+
+
+def assert_same_rows(a: SummaryState, b: SummaryState) -> None:
+    assert (a.instants, a.time, a.rows, a.weight) == (b.instants, b.time, b.rows, b.weight)
+    np.testing.assert_array_equal(a.counts, b.counts)
+    for ours, theirs in zip(a.factors, b.factors, strict=True):
+        for our, their in zip(ours, theirs, strict=True):
+            np.testing.assert_array_equal(our, their)
+
+
+class TestRoundTrip:
+    """What was learned before the crash is known after it."""
+
+    @pytest.mark.parametrize("forgetting_time", [0.0, 3.0])
+    def test_it_goes_on_as_if_nothing_had_been(self, forgetting_time: float) -> None:
+        """With the same rows to the last bit, and estimates that differ by nothing; also after more rows."""
+        half = 170
+        one, other = learned(half, forgetting_time=forgetting_time), session(forgetting_time=forgetting_time)
+        content = encoded(one.checkpoint(), one.model.channels)
+        checkpoint = decoded(content, other.meaning, other.model.channels)
+        other.restore(checkpoint)
+        assert checkpoint.accounts == one.pipeline.ledger.topics
+        assert other.identifier.rows == one.identifier.rows == 3 * half
+        assert one.warm is not None
+        assert other.warm is not None
+        np.testing.assert_array_equal(other.warm.parameters, one.warm.parameters)
+        assert (other.warm.gamma, other.warm.rows) == (one.warm.gamma, 3 * half)
+        for _ in range(2):
+            assert_same(one.identifier.memory(), other.identifier.memory())
+            found = [identifier.solve().parameters for identifier in (one.identifier, other.identifier)]
+            np.testing.assert_allclose(found[0], found[1], rtol=1e-12, atol=0.0)
+            for identifier in (one.identifier, other.identifier):
+                identifier.add(samples(one, half, INSTANTS))
+        rejected = one.identifier.rows_rejected
+        assert rejected == other.identifier.rows_rejected
+        assert rejected["standing still"] > 0
+
+    def test_it_is_the_content_of_all_rows(self) -> None:
+        """Not only of what had been compressed: against the squared error of the rows themselves."""
+        known, content = small()
+        checkpoint = read(content)
+        moving = samples(known, 0, INSTANTS - 19)  # then one instant at which it stands is new
+        rows = known.model.rows(moving)
+        for index, channel in enumerate(known.model.channels):
+            factors = np.concatenate([fold[index] for fold in checkpoint.memory.summary.factors])
+            matrix = np.column_stack([rows.coefficients[:, index, channel.columns], rows.targets[:, index]])
+            np.testing.assert_allclose(factors.T @ factors, matrix.T @ matrix, rtol=1e-9, atol=1e-9)
+
+    def test_of_nothing(self) -> None:
+        fresh = session()
+        checkpoint = read(encoded(fresh.checkpoint(), fresh.model.channels))
+        assert checkpoint.memory.summary.rows == 0
+        assert checkpoint.memory.last_pose is None
+        assert checkpoint.accounts == {}
+
+    def test_accounts_are_added_to_those_of_this_life(self) -> None:
+        ledger = Ledger()
+        ledger.drop("joint_states", "queue full")
+        ledger.restore(read(small()[1]).accounts)
+        account = ledger.topics["joint_states"]
+        assert (account.accepted, account.dropped) == (1234, {"queue full": 9})
+
+    def test_others_can_read_it(self) -> None:
+        """The reference implementation of the format, if it is installed."""
+        tensors = pytest.importorskip("safetensors.numpy").load(small()[1])
+        texts, vectors = unpack(small()[1])
+        assert bytes(tensors.pop("sha256")) == small()[1][-32:]
+        assert tensors.keys() == vectors.keys()
+        for name, vector in vectors.items():
+            np.testing.assert_array_equal(tensors[name], vector)
+        assert json.loads(texts["checkpoint"])["ledger"]["joint_states"]["accepted"] == 1234
+
+    def test_its_size_is_bounded_by_the_model(self) -> None:
+        known, content = small()
+        folds = known.configuration.buffer.folds
+        numbers = sum((len(c.columns) + 1) * (len(c.columns) + 2) // 2 for c in known.model.channels)
+        assert len(content) < largest_size(known.model.channels, folds)
+        assert 8 * folds * numbers < largest_size(known.model.channels, folds) < 8 * folds * numbers + 10e6
+
+
+class TestDamage:
+    """No damage goes unnoticed."""
+
+    def test_truncated(self) -> None:
+        content = small()[1]
+        rng = np.random.default_rng(0)
+        for length in {0, 1, 7, 8, 9, 31, 32, 33, 40, len(content) - 1, *rng.integers(len(content), size=200).tolist()}:
+            with pytest.raises(InputError, match="checksum"):
+                read(content[:length])
+
+    def test_flipped_bits(self) -> None:
+        content = small()[1]
+        rng = np.random.default_rng(0)
+        begin, end = range(64), range(len(content) - 64, len(content))
+        for place in {*begin, *end, *rng.integers(len(content), size=300).tolist()}:
+            flipped = bytearray(content)
+            flipped[place] ^= 1 << int(rng.integers(8))
+            with pytest.raises(InputError, match="checksum"):
+                read(bytes(flipped))
+
+    def test_pages_that_were_never_written(self) -> None:
+        """As some file systems leave them after a loss of power: zeros, and what was there before."""
+        content = small()[1]
+        other = bytearray(content[:8192] + content[4096:])[: len(content)]
+        for damaged in (bytes(len(content)), content[:4096] + bytes(len(content) - 4096), bytes(other), content * 2):
+            with pytest.raises(InputError):
+                read(damaged)
+
+
+def signed(body: bytes) -> bytes:
+    return body + hashlib.sha256(body).digest()
+
+
+def altered(change: Callable[[dict[str, Any], dict[str, Any]], Any]) -> bytes:
+    """The small file with something else in it, and the checksum of that."""
+    texts, vectors = unpack(small()[1])
+    document = json.loads(texts["checkpoint"])
+    change(document, vectors)
+    return pack({"checkpoint": json.dumps(document)}, vectors)
+
+
+FIRST = "fold 0/channel 0/joint1"
+CRAFTED: dict[str, Callable[[dict[str, Any], dict[str, Any]], Any]] = {
+    "has format 2": lambda d, _: d.update(format=2),
+    "lacks 'rows'": lambda d, _: d.pop("rows"),
+    "lacks 'lost'": lambda d, _: d["ledger"]["/wrench"].pop("lost"),
+    "lacks 'fold 0": lambda _, v: v.pop(FIRST),
+    "lacks 'counts'": lambda _, v: v.pop("counts"),
+    "-1 is no count": lambda d, _: d.update(rows=-1),
+    "1.5 is no count": lambda d, _: d.update(instants=1.5),
+    "True is no count": lambda d, _: d.update(number=True),
+    "9223372036854775808 is no count": lambda d, _: d.update(last_stamp=2**63),
+    "'7' is no count": lambda d, _: d["rows_rejected"].update(x="7"),
+    "'x' is no number": lambda d, _: d.update(weight="x"),
+    "0 is no number": lambda d, _: d.update(time=0),
+    r"\[\] has no names": lambda d, _: d.update(ledger=[]),
+    "None has no names": lambda d, _: d["ledger"].update(joint_states=None),
+    "does not say what": lambda d, _: d.update(meaning=None),
+    "another robot": lambda d, _: d["meaning"].update(robot_description="0"),
+    "filter.cutoff is 8.0, here 5.0": lambda d, _: d["meaning"].update({"filter.cutoff": 8.0}),
+    "new is 1, here None": lambda d, _: d["meaning"].update(new=1),
+    "1000000000 folds": lambda d, _: d.update(folds=10**9),
+    "0 folds": lambda d, v: (d.update(folds=0), v.update(counts=np.zeros(0))),
+    "7 folds, expected 8": lambda d, v: (d.update(folds=7), v.update(counts=np.zeros(21))),
+    "negative or not finite": lambda _, v: v.update(counts=-v["counts"]),
+    "or not finite": lambda _, v: v.update(counts=v["counts"] * np.nan),
+    "'joint1' are not finite": lambda _, v: v[FIRST].__setitem__(3, np.inf),
+    "'joint1' has 11 numbers, no triangle": lambda _, v: v.update({FIRST: np.zeros(11)}),
+    "last pose is not finite": lambda _, v: v["last_pose"].__setitem__(0, np.nan),
+    "pose of shape": lambda _, v: v.update(last_pose=np.zeros(4)),
+    "an estimate of 3 parameters": lambda _, v: v.update(estimate=np.zeros(3)),
+    "estimate is not finite": lambda _, v: v["estimate"].__setitem__(0, np.nan),
+    "gamma not greater than zero": lambda d, _: d.update(gamma=0.0),
+    "None is no number": lambda d, _: d.update(gamma=None),
+    "None is no count": lambda d, _: d.update(gamma_rows=None),
+}
+
+
+class TestCrafted:
+    """With the right checksum of something wrong."""
+
+    @pytest.mark.parametrize("message", CRAFTED)
+    def test_what_no_node_has_written_is_refused(self, message: str) -> None:
+        with pytest.raises(InputError, match=message):
+            read(altered(CRAFTED[message]))
+
+    def test_infinity_in_disguise(self) -> None:
+        texts, vectors = unpack(small()[1])
+        text = re.sub(r'"weight": [0-9.]+', '"weight": 1e999', texts["checkpoint"])
+        with pytest.raises(InputError, match="not finite"):
+            read(pack({"checkpoint": text}, vectors))
+        with pytest.raises(InputError, match="Infinity is no JSON"):
+            read(pack({"checkpoint": text.replace("1e999", "Infinity")}, vectors))
+
+    @pytest.mark.parametrize(
+        "header",
+        [
+            b"",
+            b"[]",
+            b"\xff\xfe",
+            b"[" * 100_000,
+            b"1" * 100_000,
+            b'{"__metadata__": 1}',
+            b'{"__metadata__": {"checkpoint": 1}}',
+            b'{"__metadata__": {}, "x": []}',
+            b'{"__metadata__": {}, "x": {"dtype": "F64", "shape": [1], "data_offsets": [0, 1e999]}}',
+            b'{"__metadata__": {}, "x": {"dtype": "F64", "shape": [2], "data_offsets": [0, 8]}}',
+            b'{"__metadata__": {}, "x": {"dtype": "F64", "shape": [0], "data_offsets": [8, 0]}}',
+            b'{"__metadata__": {}, "x": {"dtype": "F64", "shape": [99], "data_offsets": [0, 792]}}',
+            b'{"__metadata__": {}, "x": {"dtype": "I64", "shape": [1], "data_offsets": [0, 8]}}',
+            b'{"__metadata__": {"checkpoint": "' + b"[" * 100_000 + b'"}}',
+        ],
+        ids=range(14),
+    )
+    def test_headers(self, header: bytes) -> None:
+        with pytest.raises(InputError):
+            read(signed(len(header).to_bytes(8, "little") + header + bytes(8)))
+
+    def test_a_header_of_any_length(self) -> None:
+        for length in (2**63, 2**64 - 1, 5_000_000, 9):
+            with pytest.raises(InputError, match="header"):
+                read(signed(length.to_bytes(8, "little") + b"{}"))
+
+    @settings(max_examples=300, deadline=None)
+    @given(st.data())
+    def test_nothing_but_our_own_errors(self, data: st.DataObject) -> None:
+        """Bytes replaced in the header, or anything at all."""
+        content = small()[1][:-32]
+        place = data.draw(st.integers(0, 4000))
+        piece = data.draw(st.binary(max_size=12) | st.sampled_from([b"null", b"-1", b"1e999", b"{}", b'"', b"9" * 30]))
+        body = data.draw(st.sampled_from([content[:place] + piece + content[place + len(piece) :], piece]))
+        with suppress(InputError):
+            read(signed(body))
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """Two generations of a session, the newer with twice the rows."""
+    path = tmp_path / "kept"
+    with opened(path) as keeper:
+        keeper.write(learned(100).checkpoint())
+        keeper.write(learned(200).checkpoint())
+    return path
+
+
+@contextmanager
+def opened(path: Path, of: Session | None = None) -> Iterator[CheckpointFolder]:
+    of = of or session()
+    with closing(CheckpointFolder(path, of.meaning, of.model.channels, of.configuration.buffer.folds)) as keeper:
+        yield keeper
+
+
+def restored(path: Path, of: Session | None = None) -> tuple[int, tuple[str, ...]]:
+    """The rows with which a session goes on, and what is said."""
+    of = of or session()
+    with opened(path, of) as keeper:
+        problems = keeper.restore(of.restore).problems
+    return of.identifier.rows, problems
+
+
+def contents(path: Path) -> dict[str, bytes]:
+    return {file.name: file.read_bytes() for file in path.iterdir() if file.name != ".lock"}
+
+
+def newest(path: Path) -> Path:
+    """The newer generation."""
+    numbers = {name: json.loads(unpack((path / name).read_bytes())[0]["checkpoint"])["number"] for name in GENERATIONS}
+    return path / max(numbers, key=lambda name: numbers[name])
+
+
+class TestFolder:
+    """Two generations, and nothing thrown away that could not be used."""
+
+    def test_nobody_else_may_read(self, folder: Path) -> None:
+        assert stat.S_IMODE(folder.stat().st_mode) == 0o700
+        assert {stat.S_IMODE(file.stat().st_mode) for file in folder.iterdir()} == {0o600}
+        assert contents(folder).keys() == set(GENERATIONS)
+
+    def test_the_newer_is_gone_on_from_and_the_older_replaced(self, folder: Path) -> None:
+        for rows in (600, 900):
+            assert restored(folder) == (rows, ())
+            before = newest(folder)
+            with opened(folder) as keeper:
+                keeper.restore(session().restore)
+                keeper.write(learned(rows // 3 + 100).checkpoint())
+            assert newest(folder) != before
+            assert contents(folder).keys() == set(GENERATIONS)
+
+    @pytest.mark.parametrize("damage", [lambda content: content[:-1], lambda _: b"", lambda content: content + b"\0"])
+    def test_a_damaged_one_leaves_the_older(self, damage: Callable[[bytes], bytes], folder: Path) -> None:
+        path = newest(folder)
+        damaged = damage(path.read_bytes())
+        path.write_bytes(damaged)
+        rows, (problem,) = restored(folder)
+        assert rows == 300
+        assert str(path) in problem
+        (aside,) = contents(folder).keys() - set(GENERATIONS)
+        assert f"kept as {aside}" in problem
+        assert contents(folder)[aside] == damaged
+        assert restored(folder) == (300, ()), "it is said once"
+
+    def test_two_damaged_ones_leave_nothing_but_are_kept(self, folder: Path) -> None:
+        for name in GENERATIONS:
+            (folder / name).write_bytes(b"damaged " + name.encode())
+        before = sorted(contents(folder).values())
+        rows, problems = restored(folder)
+        assert (rows, len(problems)) == (0, 2)
+        with opened(folder) as keeper:
+            for _ in range(3):
+                keeper.write(learned(100).checkpoint())
+        assert set(before) < set(contents(folder).values())
+        assert len(contents(folder)) == 4
+
+    @pytest.mark.parametrize(
+        ("other", "said"),
+        [
+            (lambda: session("arm7"), "of another robot"),
+            (lambda: session(**{"filter.cutoff": 8.0}), "filter.cutoff is 5.0, here 8.0"),
+            (lambda: session(effects=["viscous_friction"]), "effects is"),
+            (lambda: session(effort_gain=2.0), "effort_gain is 1.0, here 2.0"),
+            (lambda: session(links=["link3"]), "links is"),
+            (lambda: session(wrenches=["w"], **{"wrench.w.frame": "wrist_ft"}), "wrench.w.frame is None, here"),
+        ],
+    )
+    def test_another_robot_s_is_refused_and_stays(self, other: Callable[[], Session], said: str, folder: Path) -> None:
+        before = contents(folder)
+        rows, problems = restored(folder, other())
+        assert rows == 0
+        assert len(problems) == 2
+        for problem in problems:
+            assert said in problem
+        one = other()
+        with opened(folder, one) as keeper:
+            for _ in range(3):
+                keeper.write(one.checkpoint())
+        assert set(before.values()) < set(contents(folder).values())
+
+    def test_what_does_not_change_rows_may_change(self, folder: Path) -> None:
+        """What changes the estimate lets it be found anew, with another weight of the prior."""
+        for value in ({"gamma": 0.1}, {"objective": "geodesic"}, {"known": ["total=9:0.1"]}, {"sigma.joint1": 1.0}):
+            changed = session(**value)
+            assert restored(folder, changed) == (600, ())
+            assert changed.warm is None
+        same = session(solve_period=2.0, still_speed=0.1)
+        assert restored(folder, same) == (600, ())
+        assert same.warm is not None
+
+    def test_what_was_being_written_is_cleared(self, folder: Path) -> None:
+        (folder / f".{GENERATIONS[0]}.abcd").write_bytes(b"half a checkp")
+        (folder / "of somebody else").write_bytes(b"")
+        assert restored(folder) == (600, ())
+        assert contents(folder).keys() == {*GENERATIONS, "of somebody else"}
+
+    def test_of_two_nodes_one_is_refused(self, folder: Path) -> None:
+        with opened(folder), pytest.raises(GeomidError, match="another node"), opened(folder):
+            pass
+        assert restored(folder) == (600, ())
+
+    def test_a_folder_of_others_is_refused(self, tmp_path: Path) -> None:
+        (tmp_path / "open").mkdir(mode=0o755)
+        (tmp_path / "file").write_text("")
+        for name, said in (("open", "mode 755"), ("file", "File exists"), ("file/below", "Not a directory")):
+            with pytest.raises(GeomidError, match=f"{name}: .*{said}"), opened(tmp_path / name):
+                pass
+        with pytest.raises(GeomidError, match="/proc/geomid: no folder"), opened(Path("/proc/geomid")):
+            pass
+
+    def test_what_is_no_file_is_refused(self, folder: Path, tmp_path: Path) -> None:
+        """A pipe, which would never end; a link out of the folder; a file larger than memory."""
+        (tmp_path / "elsewhere").write_bytes(newest(folder).read_bytes())
+        for name in GENERATIONS:
+            (folder / name).unlink()
+        os.mkfifo(folder / GENERATIONS[0])
+        (folder / GENERATIONS[1]).symlink_to(tmp_path / "elsewhere")
+        rows, problems = restored(folder)
+        assert (rows, len(problems)) == (0, 2)
+        with (folder / GENERATIONS[0]).open("wb") as file:
+            file.truncate(10**12)
+        rows, (problem,) = restored(folder)
+        assert rows == 0
+        assert "no regular file of at most" in problem
+        assert (tmp_path / "elsewhere").is_file()
+
+    @pytest.mark.parametrize("number", [errno.ENOSPC, errno.EROFS, errno.EIO])
+    def test_a_disk_that_fails_leaves_both(self, number: int, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+        def fail(_: int) -> None:
+            raise OSError(number, os.strerror(number))
+
+        before = contents(folder)
+        with opened(folder) as keeper:
+            keeper.restore(session().restore)
+            with monkeypatch.context() as patch:
+                patch.setattr(os, "fsync", fail)
+                with pytest.raises(GeomidError, match=rf"checkpoint-.*cannot be written \({os.strerror(number)}\)"):
+                    keeper.write(learned(300).checkpoint())
+            assert contents(folder) == before
+            keeper.write(learned(300).checkpoint())
+        assert restored(folder) == (900, ())
+
+    def test_what_cannot_be_set_aside_is_not_replaced(self, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+        def fail(*_: object) -> str:
+            raise OSError(errno.EROFS, "Read-only file system")
+
+        monkeypatch.setattr(checkpoint_folder, "_renamed", fail)
+        before, other = contents(folder), session(effort_gain=2.0)
+        with opened(folder, other) as keeper:
+            problems = keeper.restore(other.restore).problems
+            assert len(problems) == 2
+            with pytest.raises(GeomidError, match="cannot be set aside"):
+                keeper.write(other.checkpoint())
+        assert contents(folder) == before
+
+    def test_a_ledger_too_long_is_an_error(self, folder: Path) -> None:
+        before, known = contents(folder), learned(100)
+        accounts = {str(topic): Account() for topic in range(100_000)}
+        with opened(folder) as keeper, pytest.raises(GeomidError, match="cannot be written"):
+            keeper.write(replace(known.checkpoint(), accounts=accounts))
+        assert contents(folder) == before

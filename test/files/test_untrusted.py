@@ -1,0 +1,215 @@
+"""Limits on what comes from outside, beside bags: what breaks one is refused by name before it costs much."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from geomid_ros.errors import GeomidError, InputError
+from geomid_ros.files.configuration import Configuration
+from geomid_ros.files.loaded_model import LoadedModel
+from geomid_ros.files.parameter_file import read_yaml
+from geomid_ros.files.sidecar import read_sidecar
+from geomid_ros.files.urdf import read_urdf
+from geomid_ros.model import urdf_tree
+from geomid_ros.model.robot import Robot
+
+from .recordings import BAGS
+
+ROOT = Path(__file__).parents[2]
+ARM3 = (BAGS / "arm3.urdf").read_text(encoding="utf-8")
+
+
+def nested(depth: int) -> str:
+    return ARM3.replace("</robot>", "<x>" * depth + "</x>" * depth + "</robot>")
+
+
+DESCRIPTIONS: dict[str, tuple[str, str]] = {
+    "large": (ARM3 + "<!-- " + "x" * 5_000_000 + " -->", "larger than 5 MB"),
+    "a DTD": ("<!DOCTYPE robot>" + ARM3.partition("?>")[2], "cannot be read"),
+    "an entity": (f"<!DOCTYPE robot [<!ENTITY a 'x'>]>{ARM3.partition('?>')[2]}", "cannot be read"),
+    "a file": ("<!DOCTYPE robot [<!ENTITY a SYSTEM 'file:///etc/passwd'>]><robot name='&a;'/>", "cannot be read"),
+    "deep": (nested(64), "nested more than 64 deep"),
+    "very deep": (nested(100_000), "nested more than 64 deep"),
+    "not a number": (ARM3.replace('<mass value="3"/>', '<mass value="nan"/>'), 'value="nan".*finite'),
+    "underscores": (ARM3.replace('<mass value="3"/>', '<mass value="1_0"/>'), 'value="1_0".*finite'),
+    "digits of another script": (ARM3.replace('<mass value="3"/>', '<mass value="\u0663"/>'), "finite"),
+    "two inertials": (ARM3.replace("</inertial>", "</inertial><inertial/>", 1), "more than one <inertial>"),
+    "many elements": (ARM3.replace("</robot>", "<x/>" * 200_000 + "</robot>"), "more than 200000 elements"),
+    "many links": (ARM3.replace("</robot>", "<link name='x'/>" * 2000 + "</robot>"), "more than the 1000"),
+    "many joints": (
+        ARM3.replace("</robot>", "<joint name='x' type='fixed'/>" * 2000 + "</robot>"),
+        "more than the 1000",
+    ),
+    "no name": (ARM3.replace('<robot name="arm3"', "<robot"), "no name"),
+    "a limit of words": (ARM3.replace('lower="-2.8"', 'lower="low"'), 'lower="low"'),
+}
+
+
+@pytest.mark.parametrize("case", DESCRIPTIONS)
+def test_a_description_beyond_the_limits_is_refused(case: str) -> None:
+    text, message = DESCRIPTIONS[case]
+    with pytest.raises(InputError, match=message):
+        Robot(text, source="topic robot_description")
+
+
+def test_as_deep_as_is_allowed() -> None:
+    assert Robot(nested(62)).joint_names == Robot(ARM3).joint_names
+
+
+def test_a_large_file_is_not_read_to_its_end(tmp_path: Path) -> None:
+    path = tmp_path / "large.urdf"
+    with path.open("wb") as file:
+        file.truncate(2**40)  # a hole: reading it all would need a terabyte
+    with pytest.raises(InputError, match=r"large.urdf: larger than 5 MB"):
+        read_urdf(path)
+    for read in (Configuration.read, read_sidecar, lambda name: LoadedModel.read(str(name))):
+        with pytest.raises(InputError, match=r"large.urdf: larger than [25] MB"):
+            read(path)
+
+
+def test_meshes_are_never_opened(tmp_path: Path) -> None:
+    """Whoever opened this pipe to read it would wait for ever."""
+    pipe = tmp_path / "mesh.stl"
+    os.mkfifo(pipe)
+    mesh = f'<geometry><mesh filename="file://{pipe}"/></geometry>'
+    text = ARM3.replace('<geometry><cylinder radius="0.07" length="0.1"/></geometry>', mesh)
+    assert str(pipe) in text
+    (tmp_path / "robot.urdf").write_text(text)
+    script = """
+import sys
+from pathlib import Path
+from geomid_ros.files.configuration import Configuration
+from geomid_ros.session import Session
+Session(Path(sys.argv[1]).read_text(), Configuration(), "robot.urdf")
+"""
+    command = [sys.executable, "-c", script, str(tmp_path / "robot.urdf")]
+    subprocess.run(command, check=True, cwd=ROOT, timeout=60)
+    assert str(pipe) not in urdf_tree.without_shapes(text, "robot.urdf")
+
+
+def test_what_is_left_without_shapes_is_the_same_robot() -> None:
+    text = ARM3.replace("</robot>", '<material name="x"/><gazebo/><transmission/></robot>')
+    pruned = urdf_tree.without_shapes(text, "x")
+    whole, bare = urdf_tree.parse(text, "x"), urdf_tree.parse(pruned, "x")
+    assert (whole.links, whole.joints, whole.root) == (bare.links, bare.joints, bare.root)
+    for name, parameters in whole.inertials.items():
+        np.testing.assert_array_equal(parameters, bare.inertials[name])
+
+
+YAML: dict[str, tuple[str, str]] = {
+    "an alias": ("a: &x [1]\nb: *x", "aliases are not allowed, line 2"),
+    "a tag": ("a: !!python/name:os.system", "the tag .*os.system is not allowed, line 1"),
+    "a tag that breaks the parser": ("a: !!timestamp x", "the tag .*timestamp is not allowed"),
+    "many values": ("[" + "1," * 200_000 + "]", "more than 40000 values"),
+    "deep": ("[" * 5000, "recursion"),
+    "large": ("#" * 2_000_001, "larger than 2 MB"),
+    "no text": ("\ud800", "cannot be read"),
+}
+
+
+@pytest.mark.parametrize("case", YAML)
+def test_yaml_beyond_the_limits_is_refused(case: str, tmp_path: Path) -> None:
+    text, message = YAML[case]
+    path = tmp_path / "file.yaml"
+    path.write_bytes(text.encode(errors="surrogatepass"))
+    with pytest.raises(InputError, match=rf"file.yaml: .*{message}"):
+        read_yaml(path, "file")
+
+
+@pytest.mark.parametrize(
+    ("text", "value"),
+    [
+        ("1e-3", 1e-3),
+        ("-.5", -0.5),
+        ("12", 12),
+        ("0x1F", 31),
+        ("+7.", 7.0),
+        ("yes", True),
+        ("Off", False),
+        ("~", None),
+        ("", None),
+        (".inf", float("inf")),
+        ("1:30", "1:30"),
+        ("2001-02-30", "2001-02-30"),
+        ("1_000", "1_000"),
+        ("'1'", "1"),
+        ("1:" * 300_000 + "1", "1:" * 300_000 + "1"),
+        ("<<", "<<"),
+        ("=", "="),
+    ],
+)
+def test_yaml_is_read_as_rcl_reads_it(text: str, value: object, tmp_path: Path) -> None:
+    """Without times of day, dates and the like; the long one would take a minute as a number to the base of 60."""
+    (tmp_path / "file.yaml").write_text(f"- {text}")
+    (found,) = read_yaml(tmp_path / "file.yaml", "file")
+    assert found == value
+    assert type(found) is type(value)
+
+
+def model(**fields: Any) -> dict[str, Any]:
+    inertia = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]
+    link = {"name": "link1", "mass": 1.0, "com": [0.0, 0.0, 0.0], "inertia": inertia}
+    return {"format": 1, "links": [link], "effects": [], "added": [], **fields}
+
+
+ONE = {"effect": "rotor_inertia", "joint": "joint1", "parameters": {}}
+MODELS: dict[str, tuple[dict[str, Any], str]] = {
+    "many links": (model(links=model()["links"] * 1001), "links is .*at most 1000"),
+    "many effects": (model(effects=[{"name": "x"}] * 10_001), "effects is .*at most 10000"),
+    "an effect is a list": (model(effects=[[]]), r"effects\[0\] is \[\], expected an object"),
+    "an effect without a name": (model(effects=[{}]), "an effect lacks a valid name"),
+    "an effect's name is a list": (model(effects=[{"name": [], "joint": "x", "value": 1}]), r"unknown effect '\[\]'"),
+    "added is a text": (model(added="x"), "added is 'x', expected a list"),
+    "what is added is a list": (model(added=[{**ONE, "effect": ["x"]}]), "unknown effect"),
+    "a number of 400 digits": (model(effects=[{"name": "rotor_inertia", "joint": "x", "value": 10**400}]), "valid"),
+    "a mass of 400 digits": (model(links=[{**model()["links"][0], "mass": 10**400}]), "valid mass"),
+    "a huge mass": (model(links=[{**model()["links"][0], "mass": 1e300}]), "no body that can exist"),
+    "an infinite centre": (model(links=[{**model()["links"][0], "com": [1e308] * 3}]), "no body that can exist"),
+}
+
+
+@pytest.mark.parametrize("case", MODELS)
+def test_a_model_beyond_the_limits_is_refused(case: str, tmp_path: Path) -> None:
+    document, message = MODELS[case]
+    path = tmp_path / "estimate.json"
+    path.write_text(json.dumps(document))
+    with pytest.raises(InputError, match=rf"estimate.json: .*{message}"):
+        LoadedModel.read(str(path))
+
+
+SIDECARS: dict[str, Callable[[dict[str, Any]], object]] = {
+    "a number of 400 digits": lambda entry: entry["parameters"]["inertia"].update(value=10**400),
+    "a deviation of 400 digits": lambda entry: entry["parameters"]["inertia"].update(std=10**400),
+    "a list for a name": lambda entry: entry.update(effect=["rotor_inertia"]),
+    "a unit is a list": lambda entry: entry["parameters"]["inertia"].update(unit=[]),
+}
+
+
+@pytest.mark.parametrize("case", SIDECARS)
+def test_a_sidecar_beyond_the_limits_is_refused(case: str, tmp_path: Path) -> None:
+    quantity = {"value": 0.1, "std": None, "unit": "kg m^2"}
+    entry: dict[str, Any] = {"effect": "rotor_inertia", "joint": "joint1", "parameters": {"inertia": quantity}}
+    path = tmp_path / "effects.yaml"
+    path.write_text(json.dumps({"format": 1, "robot": "arm", "effects": [entry]}))
+    assert len(read_sidecar(path).effects) == 1
+    SIDECARS[case](entry)
+    path.write_text(json.dumps({"format": 1, "robot": "arm", "effects": [entry]}))
+    with pytest.raises(InputError, match=r"effects.yaml: effects\[0\]"):
+        read_sidecar(path)
+
+
+def test_an_error_shows_control_characters_as_codes_and_stays_short() -> None:
+    assert str(GeomidError("\x1b[2J\x00\r\x9b\u202e ä\n")) == "\\x1b[2J\\x00\\r\\x9b\\u202e ä\n"
+    long = str(InputError("begin " + "x" * 100_000 + " end"))
+    assert len(long) < 5000
+    assert long.startswith("begin")
+    assert long.endswith("end")
