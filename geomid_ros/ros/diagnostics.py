@@ -11,10 +11,14 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 
 from geomid_ros.estimation.estimate import Estimate, LinkEstimate
 from geomid_ros.estimation.estimator import QUANTITIES
+from geomid_ros.estimation.identifier import STANDING_STILL
 from geomid_ros.files.report.gap_words import not_explained
 from geomid_ros.gap.watch import ChannelGap
+from geomid_ros.ros.checkpoints import CheckpointStatus
 from geomid_ros.ros.gap_search import SearchStatus
-from geomid_ros.ros.worker import Status
+from geomid_ros.ros.status import Status
+from geomid_ros.signals.joint_messages import DRIVER_ERROR
+from geomid_ros.signals.pipeline import JOINT_STATES
 
 NO_DESCRIPTION = "no robot description yet"
 STOPPED = "stopped"
@@ -29,14 +33,19 @@ class Diagnostics:
         self._node = node
         self._counts: Counter[str] = Counter()
 
-    def array(self, status: Status, search: SearchStatus | None = None) -> DiagnosticArray:
-        """The state of the stream, of the search for a gap if there was one, and of every link."""
+    def array(
+        self, status: Status, search: SearchStatus | None = None, checkpoints: CheckpointStatus | None = None
+    ) -> DiagnosticArray:
+        """The state of the stream, of the search for a gap if there was one, of the checkpoints if there are to be any,
+        and of every link."""
         counts = _counts(status)
         level, message = _judgement(status, counts - self._counts)
         self._counts = counts
         array = DiagnosticArray(status=[_status(f"{self._node}: stream", level, message, _stream(status, counts))])
         if search is not None:
             array.status.append(_search(f"{self._node}: gap finding", search))
+        if checkpoints is not None:
+            array.status.append(_checkpoints(f"{self._node}: checkpoints", checkpoints))
         if status.estimate is not None:
             array.status += [_link(self._node, link) for link in status.estimate.links]
         return array
@@ -68,30 +77,36 @@ def _link(node: str, link: LinkEstimate) -> DiagnosticStatus:
     return _status(f"{node}: {link.name}", DiagnosticStatus.OK, f"mass {link.mass:.3f} kg", values)
 
 
-_RECEIVED = " received"
-_REFUSED = (" rejected: ", "dropped: ")
+_RECEIVED, _ACCEPTED, _LOST = " received", " accepted", " lost"
+_REJECTED, _DROPPED, _NOTED = " rejected: ", " dropped: ", " noted: "
+_FAILED, _ROWS_REJECTED = "failed: ", "rows rejected: "
+_MOST_REASONS = 5  # in a sentence
+_MANY = 10  # messages, of which none was accepted, are no accident
 
 
 def _counts(status: Status) -> Counter[str]:
-    """All that is counted of messages: received, accepted, and rejected or dropped by reason."""
-    counts: Counter[str] = Counter()
-    for topic, ledger in status.ledgers.items():
-        counts.update({f"{topic}{_RECEIVED}": ledger.received, f"{topic} accepted": ledger.accepted})
-        counts.update({f"{topic} rejected: {reason}": count for reason, count in ledger.rejected.items()})
-    counts.update({f"dropped: {reason}": count for reason, count in status.dropped.items()})
+    """All that is counted: of messages received, accepted, rejected or dropped by reason, noted, lost; and of rows."""
+    counts: Counter[str] = Counter({"rows": status.rows, "rows made": status.rows_made})
+    for topic, account in status.accounts.items():
+        counts.update({f"{topic}{_RECEIVED}": account.received, f"{topic}{_ACCEPTED}": account.accepted})
+        counts.update({f"{topic}{_REJECTED}{reason}": count for reason, count in account.rejected.items()})
+        counts.update({f"{topic}{_DROPPED}{reason}": count for reason, count in account.dropped.items()})
+        counts.update({f"{topic}{_NOTED}{remark}": count for remark, count in account.noted.items()})
+        if account.lost:
+            counts[f"{topic}{_LOST}"] = account.lost
+    counts.update({f"{_ROWS_REJECTED}{reason}": count for reason, count in (+status.rows_rejected).items()})
+    counts.update({f"{_FAILED}{what}": count for what, count in status.failures.items()})
     return counts
 
 
 def _stream(status: Status, counts: Mapping[str, int]) -> dict[str, object]:
     values: dict[str, object] = {
         "active": status.active,
-        "rows": status.rows,
         "lag": status.lag,
         "queue": status.queue,
         **_latency(status.receipt_to_row),
         "solves": status.solves,
         **counts,
-        **{f"rows rejected: {reason}": count for reason, count in (+status.rows_rejected).items()},
         **{f"gap {gap.channel}": gap.times_floor for gap in status.gaps},
     }
     if status.estimate is not None:
@@ -148,26 +163,87 @@ def _search(name: str, search: SearchStatus) -> DiagnosticStatus:
     return _status(name, level, search.sentence, values)
 
 
+def _checkpoints(name: str, checkpoints: CheckpointStatus) -> DiagnosticStatus:
+    if checkpoints.error:
+        return _status(name, DiagnosticStatus.ERROR, checkpoints.error, checkpoints.values)
+    if checkpoints.warning:
+        return _status(name, DiagnosticStatus.WARN, checkpoints.warning, checkpoints.values)
+    return _status(name, DiagnosticStatus.OK, f"{checkpoints.values['rows']} rows are safe", checkpoints.values)
+
+
 def _judgement(status: Status, new: Counter[str]) -> tuple[bytes, str]:
-    """Level and message, given what was counted since the last diagnostics."""
-    if status.problem:
-        return DiagnosticStatus.ERROR, status.problem
-    if not status.topics:
-        return DiagnosticStatus.WARN, NO_DESCRIPTION
+    """Level and message, given what was counted since the last diagnostics: all that is wrong of the highest level."""
+    for level, sentences in (
+        (DiagnosticStatus.ERROR, _errors(status, new)),
+        (DiagnosticStatus.WARN, _warnings(status, new)),
+    ):
+        if sentences:
+            return level, "; ".join(dict.fromkeys(sentences))
     if not status.active:
         return DiagnosticStatus.OK, STOPPED
+    return DiagnosticStatus.OK, "collecting rows" if status.estimate is None else f"{status.rows} rows"
+
+
+def _errors(status: Status, new: Counter[str]) -> list[str]:
+    sentences = [*status.problems, *(key.removeprefix(_FAILED) for key in +new if key.startswith(_FAILED))]
+    if status.joints and len(status.unmeasured) == status.joints:
+        sentences.append(
+            f"{JOINT_STATES}: no joint's effort is measured, no joint's equation is used: {_list(status.unmeasured)}"
+        )
+    gaps = [gap for gap in _open(status) if _is_wrench(gap, status)]
+    if gaps:
+        sentences.append(_gap_sentence(gaps) + ": was the sensor tared, does it drift, or has the load changed?")
+    for topic in status.topics:
+        nothing = new[topic + _RECEIVED] >= _MANY and new[topic + _ACCEPTED] == 0
+        bad = topic + _REJECTED if nothing else topic + _REJECTED + DRIVER_ERROR
+        sentences += _refused({key: count for key, count in new.items() if key.startswith(bad)})
+    return sentences
+
+
+def _warnings(status: Status, new: Counter[str]) -> list[str]:
+    sentences = list(status.warnings)
+    if not status.topics:
+        return [*sentences, NO_DESCRIPTION]
+    if not status.active:
+        return sentences
     silent = [topic for topic in status.topics if new[topic + _RECEIVED] == 0]
     if silent:
-        return DiagnosticStatus.WARN, f"no messages on {', '.join(silent)}"
-    refused = {reason: count for reason, count in new.items() if any(mark in reason for mark in _REFUSED)}
-    if refused:
-        worst = max(refused, key=lambda reason: refused[reason])
-        return DiagnosticStatus.WARN, f"{worst} ({refused[worst]} messages)"
-    gaps = [gap for gap in status.gaps if gap.since is not None]
+        sentences.append(f"no messages on {', '.join(silent)}")
+    sentences += _refused({key: count for key, count in new.items() if _REJECTED in key or _DROPPED in key})
+    sentences += [key.replace(_NOTED, ": ") for key in +new if _NOTED in key]
+    sentences += [f"{key} ({count} messages)" for key, count in (+new).items() if key.endswith(_LOST)]
+    if status.unmeasured:
+        sentences.append(f"{JOINT_STATES}: no effort of {_list(status.unmeasured)}: what it says is left out")
+    gaps = [gap for gap in _open(status) if not _is_wrench(gap, status)]
     if gaps:
-        return DiagnosticStatus.WARN, _gap_sentence(gaps)
-    if status.estimate is None:
-        return DiagnosticStatus.OK, "collecting rows"
-    if not status.estimate.converged:
-        return DiagnosticStatus.WARN, status.estimate.reason
-    return DiagnosticStatus.OK, f"{status.rows} rows"
+        sentences.append(_gap_sentence(gaps))
+    if status.estimate is not None and not status.estimate.converged:
+        sentences.append(status.estimate.reason)
+    if new[_ROWS_REJECTED + STANDING_STILL] > 0 and new["rows"] <= 0:
+        sentences += _standing_still(status.estimate)
+    return sentences
+
+
+def _open(status: Status) -> list[ChannelGap]:
+    return [gap for gap in status.gaps if gap.since is not None]
+
+
+def _is_wrench(gap: ChannelGap, status: Status) -> bool:
+    return any(gap.channel.startswith(f"{topic.strip('/')}/") for topic in status.topics)
+
+
+def _refused(counts: Mapping[str, int]) -> list[str]:
+    """The most frequent reasons for which messages were not taken."""
+    return [f"{key} ({count} messages)" for key, count in Counter(counts).most_common(_MOST_REASONS) if count > 0]
+
+
+def _standing_still(estimate: Estimate | None) -> list[str]:
+    """Nothing to complain of, unless something is not known yet."""
+    if estimate is None:
+        return [f"{STANDING_STILL}: nothing can be told of any link"]
+    unknown = [link.name for link in estimate.links if len(link.cannot_tell) == len(QUANTITIES)]
+    return [f"{STANDING_STILL}: nothing new can be told of {_list(unknown)}"] if unknown else []
+
+
+def _list(names: Sequence[str]) -> str:
+    return ", ".join(f"'{name}'" for name in names)

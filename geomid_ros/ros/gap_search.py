@@ -15,7 +15,7 @@ from geomid_ros.gap_session import find_in_messages
 from geomid_ros.session import Session
 from geomid_ros.signals.pipeline import Accepted
 
-_PATIENCE = 0.5  # [s] for a search to notice that it is to end
+_PATIENCE = 0.2  # [s] for a search to notice that it is to end
 
 
 @dataclass(frozen=True)

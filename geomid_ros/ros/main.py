@@ -68,7 +68,7 @@ def _spin_once(executor: Executor, node: GeomidNode) -> None:
     try:
         executor.spin_once(timeout_sec=0.1)
     except Exception as error:  # noqa: BLE001 whatever it is, the other callbacks go on
-        node.report(f"{type(error).__name__}: {error}")
+        node.fail("a callback failed", error)
 
 
 if __name__ == "__main__":

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import json
+import time
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import replace
@@ -11,44 +11,40 @@ from pathlib import Path
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
-from geometry_msgs.msg import InertiaStamped, WrenchStamped
+from geometry_msgs.msg import WrenchStamped
 from nav_msgs.msg import Odometry
+from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
-from rclpy.exceptions import NameValidationException
 from rclpy.node import Node
-from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
-from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.task import Future
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
-from visualization_msgs.msg import MarkerArray
 
 from geomid_ros.errors import GeomidError, InputError
 from geomid_ros.estimation.estimate import Estimate
-from geomid_ros.files.urdf import with_identified_inertias
 from geomid_ros.gap_session import gap_session
-from geomid_ros.model.samples import Samples
+from geomid_ros.ros.checkpoints import Checkpoints
 from geomid_ros.ros.diagnostics import NO_DESCRIPTION, STOPPED, Diagnostics
-from geomid_ros.ros.gap_search import GapSearch, SearchStatus
-from geomid_ros.ros.messages import inertia_message, marker_message, predicted_message
+from geomid_ros.ros.gap_search import GapSearch
+from geomid_ros.ros.inputs import Inputs
+from geomid_ros.ros.outputs import Outputs, latched
 from geomid_ros.ros.parameters import read_parameters
-from geomid_ros.ros.worker import Status, Worker
+from geomid_ros.ros.saving import Saving
+from geomid_ros.ros.status import Status
+from geomid_ros.ros.supervision import Supervision
+from geomid_ros.ros.worker import Worker
 from geomid_ros.session import Session
-from geomid_ros.types import FloatArray
+from geomid_ros.signals.ledger import Ledger, count_reason
+from geomid_ros.signals.pipeline import JOINT_STATES, ODOM
 
-# Best effort matches publishers of either kind; the depth carries a 1 kHz stream over pauses of Python.
-_SENSOR_QOS = QoSProfile(depth=2000, history=HistoryPolicy.KEEP_LAST, reliability=ReliabilityPolicy.BEST_EFFORT)
+_PATIENCE = 0.9  # [s] for the threads to end; with the last checkpoint, and with all that takes, less than two
 _CHANGED = "the robot description has changed; it is used after ~/reset"
 
 
 def _take_wrench(topic: str, worker: Worker, message: WrenchStamped) -> None:
     worker.wrench(topic, message)
-
-
-def _latched(depth: int = 1) -> QoSProfile:
-    return QoSProfile(depth=depth, durability=DurabilityPolicy.TRANSIENT_LOCAL, reliability=ReliabilityPolicy.RELIABLE)
 
 
 class GeomidNode(Node):
@@ -62,25 +58,27 @@ class GeomidNode(Node):
         self._configuration = read_parameters(self)
         self._active: bool = self._configuration["active"]
         self._worker: Worker | None = None
-        self._search = GapSearch(self._publish_finding)
+        self._checkpoints: Checkpoints | None = None
+        self._outputs = Outputs(self)
+        self._search = GapSearch(self._outputs.finding)
+        self._supervision = Supervision()
+        self._saving = Saving(self._configuration["output_folder"])
         self._urdf = ""  # the latest, not necessarily the worker's
-        self._problem = ""
-        self._dropped: Counter[str] = Counter()
+        self._problem = ""  # with the robot description
+        self._failures: Counter[str] = Counter()
+        self._ledger = Ledger()
+        self._inputs = Inputs(self, self._ledger, self.fail)
         self._diagnostics = Diagnostics(self.get_fully_qualified_name().lstrip("/"))
-        self._inertias = self.create_publisher(InertiaStamped, "~/inertias", _latched(256))
-        self._predicted = self.create_publisher(JointState, "~/predicted_joint_states", 1000)
-        self._identified = self.create_publisher(String, "~/robot_description", _latched())
-        self._markers = self.create_publisher(MarkerArray, "~/markers", _latched())
-        self._findings = self.create_publisher(String, "~/gap", _latched())
         self._diagnostic_arrays = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
-        self.create_service(Trigger, "~/start", partial(self._set_active, active=True))
-        self.create_service(Trigger, "~/stop", partial(self._set_active, active=False))
-        self.create_service(Trigger, "~/reset", self._reset)
-        self.create_service(Trigger, "~/save", self._save)
-        self.create_service(Trigger, "~/find_gap", self._find_gap)
-        self._listen(JointState, "joint_states", Worker.joint_state)
+        self._serve("start", partial(self._set_active, active=True))
+        self._serve("stop", partial(self._set_active, active=False))
+        self._serve("reset", self._reset)
+        self._serve("find_gap", self._find_gap)
+        # In a group of its own: others of the same group would wait as long as the disk, messages too.
+        self.create_service(Trigger, "~/save", self._save, callback_group=MutuallyExclusiveCallbackGroup())
+        self._listen(JointState, JOINT_STATES, Worker.joint_state, several=self._configuration["merge_joint_states"])
         if self._configuration["floating_base"]:
-            self._listen(Odometry, "odom", Worker.odometry)
+            self._listen(Odometry, ODOM, Worker.odometry)
         for sensor in self._configuration.sensors:
             self._listen(WrenchStamped, sensor.topic, partial(_take_wrench, sensor.topic))
         # On the steady clock: simulated time may stand still, and that is when one wants to hear why.
@@ -89,48 +87,65 @@ class GeomidNode(Node):
         if self._configuration["robot_description"]:
             self._build(self._configuration["robot_description"], "parameter robot_description")
         else:
-            self.create_subscription(String, "robot_description", self._on_description, _latched())
+            self._inputs.hear(String, "robot_description", self._on_description, latched())
 
-    def _listen(self, kind: type, topic: str, take: Callable[[Worker, Any], None]) -> None:
-        def callback(message: Any) -> None:
+    def _listen(self, kind: type, topic: str, take: Callable[[Worker, Any], None], several: bool = False) -> None:
+        def take_or_tell_why_not(message: Any) -> str:
             if self._worker is None:
-                self._dropped[NO_DESCRIPTION] += 1
-            elif not self._active:
-                self._worker.drop(STOPPED)
-            else:
-                take(self._worker, message)
+                return NO_DESCRIPTION
+            if not self._active:
+                return STOPPED
+            take(self._worker, message)
+            return ""
 
-        options = QoSOverridingOptions.with_default_policies()
-        try:
-            self.create_subscription(kind, topic, callback, _SENSOR_QOS, qos_overriding_options=options)
-        except NameValidationException as error:
-            raise InputError(f"parameters: topic '{topic}': {' '.join(str(error).split())}") from error
+        self._inputs.listen(kind, topic, take_or_tell_why_not, several)
+
+    def _serve(self, name: str, act: Callable[[], tuple[bool, str]]) -> None:
+        """Offer a service; whoever calls has an answer, even when it fails."""
+
+        def callback(_: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+            try:
+                response.success, response.message = act()
+            except Exception as error:  # noqa: BLE001 the node lives on
+                response.success, response.message = False, f"{type(error).__name__}: {error}"
+                self.fail(f"~/{name} failed", error)
+            return response
+
+        self.create_service(Trigger, f"~/{name}", callback)
 
     def _on_description(self, message: String) -> None:
         self._urdf = message.data
         if self._worker is not None:
             changed = message.data != self._worker.session.urdf
-            self.report(_CHANGED if changed else "")
+            self._report(_CHANGED if changed else "")
             return
         try:
             self._build(message.data, "topic robot_description")
         except GeomidError as error:
-            self.report(str(error))
+            self._report(str(error))
 
-    def report(self, problem: str) -> None:
-        """Let the log and the diagnostics tell of a problem, or of none."""
+    def _report(self, problem: str) -> None:
+        """Let the log and the diagnostics tell of a problem with the robot description, or of none."""
         if problem and problem != self._problem:
             self.get_logger().error(problem)
         self._problem = problem
 
+    def fail(self, what: str, error: Exception) -> None:
+        """Let the log and the next diagnostics tell of an exception."""
+        sentence = f"{what}: {type(error).__name__}: {error}"
+        count_reason(self._failures, sentence)
+        self.get_logger().error(sentence)
+
     def _build(self, urdf: str, source: str) -> None:
         """Begin to identify the robot of this description. Raises InputError when it does not fit the parameters."""
-        session = Session(urdf, self._configuration, source)
+        session = Session(urdf, self._configuration, source, self._ledger)
         if self._worker is not None:
             self._worker.close()
-        self._urdf, self._problem = urdf, ""
+        self._restore(session)
+        self._urdf = urdf
+        self._report("")
         self._worker = Worker(
-            session, self._configuration["solve_period"], self._publish_prediction, self._publish_estimate
+            session, self._configuration["solve_period"], self._outputs.prediction, self._outputs.estimate
         )
         self.get_logger().info(
             f"identifying {len(session.model.body_names)} links from {len(session.model.channels)} channels"
@@ -138,54 +153,75 @@ class GeomidNode(Node):
         if session.loaded.not_predicted:
             self.get_logger().warning(session.loaded.not_predicted)
 
-    def _publish_prediction(self, session: Session, samples: Samples, parameters: FloatArray) -> None:
-        if self._predicted.get_subscription_count() == 0:
+    def _restore(self, session: Session) -> None:
+        """With a folder for checkpoints, let a session go on from the one there, and write those to come."""
+        if self._checkpoints is not None:
+            self._checkpoints.close()
+        if not self._configuration["checkpoint.folder"]:
             return
-        efforts = session.model.predicted_efforts(samples, parameters)
-        for index in range(len(samples)):
-            self._predicted.publish(predicted_message(session.robot, samples, index, efforts[index]))
-
-    def _publish_estimate(self, session: Session, estimate: Estimate) -> None:
-        stamp = self.get_clock().now().nanoseconds
-        for link in estimate.links:
-            self._inertias.publish(inertia_message(link, stamp))
-        self._identified.publish(String(data=with_identified_inertias(session.urdf, estimate.links)))
-        self._markers.publish(marker_message(estimate.links, stamp))
+        folder = Path(self._configuration["checkpoint.folder"]).resolve()
+        self._checkpoints = Checkpoints(session, folder, self._configuration["checkpoint.period"])
+        if self._checkpoints.restored is not None and self._worker is None:
+            self._ledger.restore(self._checkpoints.restored.accounts)
+        status = self._checkpoints.status
+        if status.error or status.warning:
+            self.get_logger().error(status.error or status.warning)
+        elif self._checkpoints.beginning:
+            self.get_logger().info(self._checkpoints.beginning)
 
     def _publish_diagnostics(self) -> None:
-        status = self._worker.status(self._active) if self._worker is not None else Status(self._active)
-        status.dropped.update(self._dropped)
-        array = self._diagnostics.array(replace(status, problem=self._problem or status.problem), self._search.status)
+        self._look_after_worker()
+        array = self._diagnostics.array(
+            self._status(),
+            self._search.status,
+            self._checkpoints.status if self._checkpoints is not None else None,
+        )
         array.header.stamp = self.get_clock().now().to_msg()
         self._diagnostic_arrays.publish(array)
 
-    def _publish_finding(self, status: SearchStatus) -> None:
-        self._findings.publish(String(data=json.dumps(status.document, indent=2)))
-        self.get_logger().info(status.sentence)
+    def _status(self) -> Status:
+        status = self._worker.status(self._active) if self._worker is not None else Status(self._active)
+        problems = (*self._inputs.problems, self._problem, *self._saving.problems, self._supervision.problem)
+        problems += status.problems
+        return replace(
+            status,
+            problems=tuple(filter(None, problems)),
+            warnings=(*self._missing_clock(), *status.warnings),
+            failures=self._failures + status.failures,
+            accounts=self._ledger.topics,
+        )
 
-    def _set_active(self, _: Trigger.Request, response: Trigger.Response, active: bool) -> Trigger.Response:
+    def _missing_clock(self) -> list[str]:
+        simulated = self.get_parameter("use_sim_time").value
+        return ["use_sim_time is set, but nothing comes on /clock"] if simulated and not self._now() else []
+
+    def _now(self) -> int:
+        return int(self.get_clock().now().nanoseconds)
+
+    def _look_after_worker(self) -> None:
+        if self._worker is not None:
+            urdf = self._worker.session.urdf
+            self._supervision.look_after(self._worker, lambda: self._build(urdf, "robot_description"))
+
+    def _set_active(self, active: bool) -> tuple[bool, str]:
         self._active = active
-        response.success, response.message = True, "identifying" if active else "stopped; rows and estimate are kept"
-        return response
+        return True, "identifying" if active else "stopped; rows and estimate are kept"
 
-    def _reset(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+    def _reset(self) -> tuple[bool, str]:
         if self._worker is None:
-            response.success, response.message = False, NO_DESCRIPTION
-            return response
+            return False, NO_DESCRIPTION
         if self._urdf != self._worker.session.urdf:
             try:
                 self._build(self._urdf, "topic robot_description")
             except GeomidError as error:
-                response.success, response.message = False, str(error)
-                return response
+                return False, str(error)
+        self._supervision.forget()
         self._worker.reset()
-        response.success, response.message = True, "all rows forgotten"
-        return response
+        return True, "all rows forgotten"
 
-    def _find_gap(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+    def _find_gap(self) -> tuple[bool, str]:
         refusal = self._why_not_look()
-        response.success, response.message = not refusal, refusal or "looking; the finding comes on ~/gap"
-        return response
+        return not refusal, refusal or "looking; the finding comes on ~/gap"
 
     def _why_not_look(self) -> str:
         """Begin to look for a gap; what is in the way of it, or nothing."""
@@ -207,37 +243,29 @@ class GeomidNode(Node):
             response.success, response.message = False, NO_DESCRIPTION
             return response
         future: Future = Future(executor=self.executor)
-        worker = self._worker
-        worker.final_estimate(lambda result: future.set_result(self._saved(worker.session, result)))
+        session = self._worker.session
+        self._worker.final_estimate(lambda result: self._saving.begin(session, result, future.set_result))
         response.success, response.message = await future
         return response
 
-    def _saved(self, session: Session, result: Estimate | GeomidError) -> tuple[bool, str]:
-        if isinstance(result, GeomidError):
-            return False, str(result)
-        folder = Path(self._configuration["output_folder"] or ".").resolve()
-        try:
-            session.save(folder, result)
-        except Exception as error:  # noqa: BLE001 whoever called must have an answer
-            return False, str(error)
-        return True, f"written: {folder / 'estimate.json'}, {folder / 'identified.urdf'}"
-
     def close(self) -> None:
-        """End the threads; with an output folder, the last estimate is saved there.
+        """End the threads, within two seconds; with an output folder, the last estimate is saved there.
 
         At once, as whoever ends the node may not wait for a solver at work; and again if that has found another.
         """
+        end = time.monotonic() + _PATIENCE
         self._search.close()
         if self._worker is None:
             return
-        saved = self._save_last(self._worker)
-        self._worker.close()
+        saved = self._save_last(self._worker, end)
+        self._worker.close(max(0.0, end - time.monotonic()))
         if self._worker.estimate is not saved:
-            self._save_last(self._worker)
+            self._save_last(self._worker, end)
+        if self._checkpoints is not None:
+            self._checkpoints.close()
 
-    def _save_last(self, worker: Worker) -> Estimate | None:
+    def _save_last(self, worker: Worker, end: float) -> Estimate | None:
         estimate = worker.estimate
         if estimate is not None and self._configuration["output_folder"]:
-            _, message = self._saved(worker.session, estimate)
-            self.get_logger().info(message)
+            self.get_logger().info(self._saving.save_last(worker.session, estimate, max(0.0, end - time.monotonic())))
         return estimate

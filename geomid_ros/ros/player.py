@@ -6,16 +6,19 @@ import importlib
 import signal
 import time
 from collections.abc import Callable, Iterator
+from importlib.machinery import PathFinder
 from pathlib import Path
 from typing import Any
 
 import rclpy
+from rclpy.exceptions import NameValidationException
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import try_shutdown
 
+from geomid_ros.errors import InputError
 from geomid_ros.files.bags import Bag
 
 _LATCHED = ("robot_description", "tf_static")
@@ -41,7 +44,7 @@ def play(path: Path, rate: float, wait: float, skipped: Callable[[str], None]) -
             signal.signal(number, signal.default_int_handler)
         node = rclpy.create_node("geomid_play")
         try:
-            publishers = {topic: _publisher(node, topic, kind) for topic, kind in kinds.items()}
+            publishers = {topic: _publisher(node, topic, kind, path) for topic, kind in kinds.items()}
             _wait_for_subscribers(publishers, wait)
             begin = time.monotonic()
             for published, (topic, stamp, raw) in enumerate(bag.raw_messages(list(kinds)), start=1):
@@ -58,7 +61,7 @@ def play(path: Path, rate: float, wait: float, skipped: Callable[[str], None]) -
 def _message_class(kind: str | None) -> Any:
     """The class of a message type, None if it is not installed."""
     package, _, name = (kind or "").partition("/msg/")
-    if not package.isidentifier():
+    if not package.isidentifier() or not _has_messages(package):
         return None
     try:
         return getattr(importlib.import_module(f"{package}.msg"), name, None)
@@ -66,10 +69,20 @@ def _message_class(kind: str | None) -> Any:
         return None
 
 
-def _publisher(node: Node, topic: str, kind: Any) -> Publisher:
+def _has_messages(package: str) -> bool:
+    """Whether a package has messages. A bag may name any: merely to import it would be to run what it does then."""
+    found = PathFinder.find_spec(package)
+    folders = (found and found.submodule_search_locations) or []
+    return any((Path(folder) / "msg" / "__init__.py").is_file() for folder in folders)
+
+
+def _publisher(node: Node, topic: str, kind: Any, path: Path) -> Publisher:
     latched = topic.rpartition("/")[2] in _LATCHED
     durability = DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE
-    return node.create_publisher(kind, topic, QoSProfile(depth=1 if latched else 1000, durability=durability))
+    try:
+        return node.create_publisher(kind, topic, QoSProfile(depth=1 if latched else 1000, durability=durability))
+    except (NameValidationException, ValueError) as error:
+        raise InputError(f"{path}: topic {topic!r} cannot be published ({' '.join(str(error).split())})") from error
 
 
 def _wait_for_subscribers(publishers: dict[str, Publisher], wait: float) -> None:

@@ -1,55 +1,56 @@
-"""Two threads behind the node: one turns messages into rows, one turns rows into estimates."""
+"""Two threads behind the node: one turns messages into rows, one (:class:`Solver`) turns rows into estimates."""
 
 from __future__ import annotations
 
-import copy
 import queue
 import threading
 import time
 from collections import Counter, deque
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any, TypeAlias
 
-from geomid_ros.errors import GeomidError
+import numpy as np
+
 from geomid_ros.estimation.estimate import Estimate
-from geomid_ros.estimation.estimator import WarmStart
-from geomid_ros.gap.watch import ChannelGap, GapWatch
+from geomid_ros.gap.wrench_check import WrenchCheck
 from geomid_ros.model.samples import Samples
+from geomid_ros.ros.duty import Duty
+from geomid_ros.ros.solver import SOLVING, Done, Solver
+from geomid_ros.ros.status import Status
 from geomid_ros.session import Session
+from geomid_ros.signals.ledger import count_reason
 from geomid_ros.signals.messages import feed_joint_state, feed_odometry, feed_wrench
-from geomid_ros.signals.pipeline import Accepted, Ledger
+from geomid_ros.signals.pipeline import JOINT_STATES, ODOM, Accepted
 from geomid_ros.types import FloatArray
 
 _MOST_WAITING = 20_000  # messages; more are dropped, and counted
-_PATIENCE = 1.0  # [s] for each thread to finish what it does when it is told to end
+_PATIENCE = 0.8  # [s] for both threads to finish what they do when they are told to end
 _TRANSITION = 2_000_000_000  # [ns] a gap opens some time in so long, and is not at once what it will be
 _LATENCIES = 10_000  # of so many last instants it is known how long their rows took
+_LONG = 1.0  # [s] nothing that a thread does takes longer, but solving may, if ``solve_period`` is longer
 
-Done: TypeAlias = Callable[[Estimate | GeomidError], None]
+OnSamples: TypeAlias = Callable[[Session, Samples, FloatArray], None]
+OnEstimate: TypeAlias = Callable[[Session, Estimate], None]
 
 
 @dataclass(frozen=True)
-class Status:
-    """A snapshot for diagnostics; ``topics`` are those that data are expected on, none without a robot description.
+class _Message:
+    """A message that waits, and when [s] it came."""
 
-    ``receipt_to_row`` [s]: for the last instants whose rows were added, the time since the message that completed them
-    came to its callback. The fixed lag of the filter is not in it. ``gaps``: of the channels that are watched.
-    """
+    topic: str
+    feed: Callable[[], None]
+    received: float
 
-    active: bool
-    problem: str = ""
-    topics: tuple[str, ...] = ()
-    rows: int = 0
-    lag: float = 0.0
-    queue: int = 0
-    receipt_to_row: tuple[float, ...] = ()
-    solves: int = 0
-    ledgers: dict[str, Ledger] = field(default_factory=dict)
-    dropped: Counter[str] = field(default_factory=Counter)
-    rows_rejected: Counter[str] = field(default_factory=Counter)
-    gaps: tuple[ChannelGap, ...] = ()
-    estimate: Estimate | None = None
+
+@dataclass(frozen=True)
+class _Rows:
+    """What became of rows. Replaced as a whole: whoever looks at it finds it balanced."""
+
+    made: int
+    taken: int
+    rejected: Counter[str]
 
 
 class Worker:
@@ -59,60 +60,55 @@ class Worker:
     ``on_estimate(session, estimate)``, in the solver's thread, for each new one.
     """
 
-    def __init__(
-        self,
-        session: Session,
-        solve_period: float,
-        on_samples: Callable[[Session, Samples, FloatArray], None],
-        on_estimate: Callable[[Session, Estimate], None],
-    ) -> None:
+    def __init__(self, session: Session, solve_period: float, on_samples: OnSamples, on_estimate: OnEstimate) -> None:
         self.session = session
-        self._solve_period = solve_period
+        self.ledger = session.pipeline.ledger
+        self.solver = Solver(session, solve_period, on_estimate)
+        self.duty = Duty()  # of the intake
         self._on_samples = on_samples
-        self._on_estimate = on_estimate
-        self._lock = threading.Lock()  # held, never long, for the pipeline and for all that follows here
-        self._dropped: Counter[str] = Counter()
+        self._longest_solve = max(_LONG, solve_period)
+        self._lock = threading.Lock()  # held, never long, for what follows here
+        self._failures: Counter[str] = Counter()
+        self._rows_lost: Counter[str] = Counter()
+        self._rows = self._rows_of(session.identifier.rows + session.identifier.rows_rejected.total())
         self._receipt_to_row: deque[float] = deque(maxlen=_LATENCIES)
-        self._problem = ""
-        self._estimate: Estimate | None = None
-        self._resets = 0
-        self._solves = 0
-        self._solved_rows = 0
-        self._gamma_rows = 0
-        self._watch = self._new_watch()
-        self._inbox: queue.SimpleQueue[Callable[[], None] | None] = queue.SimpleQueue()
-        self._solve_requests: queue.SimpleQueue[Done | None] = queue.SimpleQueue()
-        # Daemons: the process may end while they compute.
+        self._wrenches = self._new_check()
+        self._inbox: queue.SimpleQueue[_Message | Callable[[], None] | None] = queue.SimpleQueue()
+        # A daemon: the process may end while it computes.
         self._intake = threading.Thread(target=self._take_messages, name="geomid-intake", daemon=True)
-        self._solver = threading.Thread(target=self._solve_repeatedly, name="geomid-solver", daemon=True)
         self._intake.start()
-        self._solver.start()
 
-    def close(self) -> None:
-        """Stop both threads. Messages that wait and what is being solved are finished first, unless it takes long."""
+    def close(self, patience: float | None = None) -> None:
+        """Stop both threads. Messages that wait and what is being solved are finished first, unless it takes longer
+        than ``patience`` [s]. The messages that are left are dropped."""
+        end = time.monotonic() + (_PATIENCE if patience is None else patience)
         self._inbox.put(None)
-        self._intake.join(_PATIENCE)
-        self._solve_requests.put(None)
-        self._solver.join(_PATIENCE)
-        with self._lock:
-            self._resets += 1  # nobody wants a later estimate
+        self._intake.join(max(0.0, end - time.monotonic()))
+        self.solver.close(max(0.0, end - time.monotonic()))
+        self.session.pipeline.release()
+        self._drop_waiting()
+
+    def _drop_waiting(self) -> None:
+        while True:
+            try:
+                task = self._inbox.get_nowait()
+            except queue.Empty:
+                break
+            if isinstance(task, _Message):
+                self.ledger.drop(task.topic, "the node ends, or begins anew")
+        self._inbox.put(None)
 
     def joint_state(self, message: Any) -> None:
         """Take a joint message."""
-        self._put(lambda: feed_joint_state(self.session.pipeline, message))
+        self._put(JOINT_STATES, partial(feed_joint_state, self.session.pipeline, message))
 
     def odometry(self, message: Any) -> None:
         """Take the base's pose."""
-        self._put(lambda: feed_odometry(self.session.pipeline, message))
+        self._put(ODOM, partial(feed_odometry, self.session.pipeline, message))
 
     def wrench(self, topic: str, message: Any) -> None:
         """Take a wrench of the sensor declared with ``topic``."""
-        self._put(lambda: feed_wrench(self.session.pipeline, topic, message))
-
-    def drop(self, reason: str) -> None:
-        """Count a message that is not taken."""
-        with self._lock:
-            self._dropped[reason] += 1
+        self._put(topic, partial(feed_wrench, self.session.pipeline, topic, message))
 
     def reset(self) -> None:
         """Forget all rows and the estimate, after the messages that wait."""
@@ -120,122 +116,138 @@ class Worker:
 
     def final_estimate(self, done: Done) -> None:
         """Solve from scratch for all messages received so far; ``done`` gets the result in the solver's thread."""
-        self._inbox.put(lambda: self._solve_requests.put(done))
+        self._inbox.put(lambda: self.solver.ask(done))
 
     def recent_messages(self) -> list[Accepted]:
         """What the session remembers of the last messages; where a gap has opened, since then.
 
         Before and after it were two robots, and no one effect explains both.
         """
-        with self._lock:
-            entries = self.session.recent.entries()
-        begin = max((gap.since + _TRANSITION for gap in self._watch.gaps if gap.since is not None), default=0)
-        return [entry for entry in entries if entry[1] >= begin]
+        begin = max((gap.since + _TRANSITION for gap in self.solver.gaps if gap.since is not None), default=0)
+        return [entry for entry in self.session.recent.entries() if entry[1] >= begin]
 
     @property
     def estimate(self) -> Estimate | None:
         """The last estimate."""
-        return self._estimate
+        return self.solver.estimate
 
     def status(self, active: bool) -> Status:
         """What to report now."""
+        pipeline, rows = self.session.pipeline, self._rows
         with self._lock:
-            return Status(
-                active,
-                self._problem,
-                self.session.topics,
-                self.session.identifier.rows,
-                self.session.pipeline.lag,
-                self._inbox.qsize(),
-                tuple(self._receipt_to_row),
-                self._solves,
-                copy.deepcopy(self.session.pipeline.ledgers),
-                self._dropped.copy(),
-                self.session.identifier.rows_rejected.copy(),
-                self._watch.gaps,
-                self._estimate,
-            )
+            receipt_to_row, failures = tuple(self._receipt_to_row), self._failures + self.solver.failures
+        return Status(
+            active,
+            tuple(filter(None, (*self._doubts, self._intake_is_late))),
+            tuple(filter(None, (self.solver.problem, self._solver_is_late))),
+            failures,
+            self.session.topics,
+            rows.taken,
+            rows.made,
+            rows.rejected,
+            pipeline.lag,
+            self._inbox.qsize() + pipeline.held,
+            receipt_to_row,
+            self.solver.solves,
+            self.ledger.topics,
+            len(self.session.robot.joint_names),
+            pipeline.unmeasured if self.session.model.efforts_usable else (),
+            self.solver.gaps,
+            self.solver.estimate,
+        )
 
-    def _put(self, feed: Callable[[], None]) -> None:
+    @property
+    def _doubts(self) -> list[str]:
+        return [
+            f"{topic}: {problem} Its rows are left out until ~/reset"
+            for topic, problem in self._wrenches.problems.items()
+        ]
+
+    @property
+    def _intake_is_late(self) -> str:
+        what, seconds = self.duty.current
+        return f"a message on {what} is being taken since {seconds:.0f} s" if seconds > _LONG else ""
+
+    @property
+    def _solver_is_late(self) -> str:
+        what, seconds = self.solver.duty.current
+        limit = self._longest_solve if what == SOLVING else _LONG
+        return f"{what} takes {seconds:.0f} s so far, more than {limit:g} s" if seconds > limit else ""
+
+    def _put(self, topic: str, feed: Callable[[], None]) -> None:
         if self._inbox.qsize() >= _MOST_WAITING:
-            self.drop("queue full")
+            self.ledger.drop(topic, "queue full")
         else:
-            received = time.perf_counter()
-            self._inbox.put(lambda: self._take(feed, received))
+            self._inbox.put(_Message(topic, feed, time.perf_counter()))
 
     def _take_messages(self) -> None:
         while (task := self._inbox.get()) is not None:
-            try:
+            if isinstance(task, _Message):
+                with self.duty.on(task.topic):
+                    self._take(task)
+            else:
                 task()
-            except Exception as error:  # noqa: BLE001 the thread must outlive any message; what happened is reported
-                self.drop(f"{type(error).__name__} while taking a message")
-                self._problem = f"a message could not be taken: {error}"
 
-    def _take(self, feed: Callable[[], None], received: float) -> None:
-        with self._lock:
-            feed()
-            samples = self.session.pipeline.collect()
-        estimate = self._estimate
-        if samples is None:
+    def _take(self, message: _Message) -> None:
+        """Let a message end in the ledger, and the rows that it completes in the identifier."""
+        try:
+            message.feed()
+        except Exception as error:  # noqa: BLE001 the thread must outlive any message; what happened is reported
+            self.ledger.drop(message.topic, f"{type(error).__name__} while taking a message")
+            self._fail(f"a message on {message.topic} could not be taken", error)
+        samples = self.session.pipeline.collect()
+        if samples is not None:
+            self._add(self._without_doubtful(samples), message.received)
+
+    def _without_doubtful(self, samples: Samples) -> Samples:
+        doubtful = [sensor.topic in self._wrenches.problems for sensor in self.session.model.sensors]
+        if not any(doubtful):
+            return samples
+        wrenches = samples.wrenches.copy()
+        wrenches[:, doubtful] = np.nan
+        return replace(samples, wrenches=wrenches)
+
+    def _add(self, samples: Samples, received: float) -> None:
+        estimate = self.solver.estimate
+        made = self._rows.made + len(samples) * len(self.session.model.channels)
+        try:
+            stamps, new = self.session.identifier.add(samples)
+        except Exception as error:  # noqa: BLE001 as above
+            known = self._rows_of(made)
+            self._rows_lost[type(error).__name__] += made - known.taken - known.rejected.total()
+            self._rows = self._rows_of(made)
+            self._fail("rows could not be made", error)
             return
-        self._watch.add(*self.session.identifier.add(samples))
+        self._rows = self._rows_of(made)
         with self._lock:
             self._receipt_to_row.append(time.perf_counter() - received)
+        self.solver.watch.add(stamps, new)
+        self._wrenches.add(new)
         if estimate is not None:
+            self._tell(samples, estimate)
+
+    def _rows_of(self, made: int) -> _Rows:
+        identifier = self.session.identifier
+        return _Rows(made, identifier.rows, identifier.rows_rejected + self._rows_lost)
+
+    def _tell(self, samples: Samples, estimate: Estimate) -> None:
+        try:
             self._on_samples(self.session, samples, estimate.parameters)
+        except Exception as error:  # noqa: BLE001 as above
+            self._fail("a prediction could not be published", error)
+
+    def _fail(self, what: str, error: Exception) -> None:
+        with self._lock:
+            count_reason(self._failures, f"{what}: {type(error).__name__}: {error}")
+
+    def _new_check(self) -> WrenchCheck:
+        model = self.session.model
+        return WrenchCheck(model.channels, model.sensors, self.session.nominal_parameters)
 
     def _forget(self) -> None:
-        with self._lock:
-            self.session.identifier.reset()
-            self.session.recent.clear()
-            self._watch = self._new_watch()
-            self._estimate = None
-            self._problem = ""
-            self._resets += 1
-            self._solved_rows = self._gamma_rows = 0
-
-    def _new_watch(self) -> GapWatch:
-        return GapWatch(self.session.model.channels, self.session.configuration.buffer.forgetting_time)
-
-    def _solve_repeatedly(self) -> None:
-        next_solve = time.monotonic()
-        while True:
-            try:
-                done = self._solve_requests.get(timeout=max(0.0, next_solve - time.monotonic()))
-            except queue.Empty:
-                next_solve = time.monotonic() + self._solve_period
-                if self.session.identifier.rows > self._solved_rows:
-                    self._watch.judge()
-                    self._solve_once(self._warm_start())
-                continue
-            if done is None:
-                return
-            done(self._solve_once(None))
-
-    def _warm_start(self) -> WarmStart | None:
-        """Where to start from; None chooses the prior's weight anew, when it was chosen for other data."""
-        with self._lock:
-            if self._estimate is None or self.session.identifier.outgrown(self._gamma_rows):
-                return None
-            return WarmStart(self._estimate.parameters, self._estimate.gamma)
-
-    def _solve_once(self, warm: WarmStart | None) -> Estimate | GeomidError:
-        with self._lock:
-            rows, resets = self.session.identifier.rows, self._resets
-        try:
-            estimate = self.session.identifier.solve(warm)
-            with self._lock:
-                if resets != self._resets:  # it is of rows that were to be forgotten
-                    return estimate
-                self._problem = ""
-                self._solves += 1
-                self._estimate, self._solved_rows = estimate, rows
-                if warm is None:
-                    self._gamma_rows = rows
-            self._on_estimate(self.session, estimate)
-        except Exception as error:  # noqa: BLE001 the last estimate stays; what happened is reported
-            with self._lock:
-                if resets == self._resets:
-                    self._problem = f"no estimate: {error}"
-            return error if isinstance(error, GeomidError) else GeomidError(str(error))
-        return estimate
+        self._wrenches = self._new_check()
+        self.session.identifier.reset()
+        self.session.recent.clear()
+        self.solver.reset()
+        self._rows_lost.clear()
+        self._rows = self._rows_of(0)

@@ -6,9 +6,10 @@ same samples, with a fixed lag behind the data (:attr:`SignalPipeline.lag`).
 
 from __future__ import annotations
 
-from collections import Counter, deque
+from collections import deque
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from functools import partial
 from typing import TypeAlias
 
 import numpy as np
@@ -16,9 +17,13 @@ import numpy as np
 from geomid_ros.errors import InputError, unknown_name
 from geomid_ros.model.samples import Samples
 from geomid_ros.model.sensors import WrenchSensor
+from geomid_ros.signals.joint_messages import JointReader, RejectedError, usable
+from geomid_ros.signals.joint_parts import JointParts, Part
+from geomid_ros.signals.ledger import Ledger
 from geomid_ros.signals.streams import EffectColumns, Grid, JointStream, PoseStream, Stream, VectorStream
+from geomid_ros.signals.timeline import Read, Timeline, Turn
 from geomid_ros.signals.velocity_choice import VelocityChoice
-from geomid_ros.types import BoolArray, FloatArray, IntArray
+from geomid_ros.types import FloatArray
 
 JOINT_STATES = "joint_states"
 ODOM = "odom"
@@ -26,10 +31,11 @@ _PERIOD_ROUNDING = 10_000  # [ns] an inferred period is rounded to this
 _MESSAGES_TO_INFER_PERIOD = 32
 _MOST_WAITING = 10_000  # messages kept until the period is known
 _HORIZON = 60_000_000_000  # [ns] a topic that falls behind the others by more is not waited for
-_LATE_MESSAGES_OF_A_RESET_CLOCK = 10
 _LONGEST_DELAY = 1.0  # [s] of efforts
 _EFFORTS = "joint_states.effort"  # their stream, where they come late; no topic has that name
-_LARGEST_NUMBER = 1e9  # in SI units; no robot measures more
+
+_Source: TypeAlias = tuple[str, Part]
+"""A topic, and where joint messages are merged, the joints that a publisher has."""
 
 Accepted: TypeAlias = tuple[str, int, FloatArray]
 """Topic, stamp [ns] and numbers of a message that was accepted, as the pipeline uses them."""
@@ -42,7 +48,7 @@ class SignalSettings:
     ``cutoff`` [Hz] of the low-pass; ``period`` [s] of the time grid, inferred from the first joint messages when 0;
     ``max_gap`` [s] a longer pause of a topic starts a new segment; ``effort_gain`` multiplies the messages' efforts to
     make N m (or N), one number for all joints or one by joint name (negative reverses the sign); ``effort_delay`` [s]
-    says how long before its message's stamp an effort acted.
+    says how long before its message's stamp an effort acted. ``merge``: each joint message has only some of the joints.
     """
 
     cutoff: float = 5.0
@@ -51,6 +57,7 @@ class SignalSettings:
     effort_gain: float | dict[str, float] = 1.0
     samples_per_cutoff_period: float = 8.0
     effort_delay: float = 0.0
+    merge: bool = False
 
     def __post_init__(self) -> None:
         for name in ("cutoff", "max_gap", "samples_per_cutoff_period"):
@@ -65,19 +72,6 @@ class SignalSettings:
         gains = self.effort_gain.values() if isinstance(self.effort_gain, dict) else (self.effort_gain,)
         if not all(np.isfinite(gain) and gain != 0.0 for gain in gains):
             raise InputError(f"effort gain {self.effort_gain}: expected finite numbers other than zero")
-
-
-@dataclass
-class Ledger:
-    """What became of the messages of a topic: ``received = accepted + sum(rejected)``."""
-
-    received: int = 0
-    accepted: int = 0
-    rejected: Counter[str] = field(default_factory=Counter)
-
-
-class _RejectedError(Exception):
-    """A message that cannot be used; its text is the reason that is counted."""
 
 
 def ignore(*_: object) -> None:
@@ -102,8 +96,10 @@ class SignalPipeline:
         continuous: Sequence[str] = (),
         effect_columns: EffectColumns = no_effects,
         on_accepted: Callable[[str, int, FloatArray], None] = ignore,
+        ledger: Ledger | None = None,
     ) -> None:
-        """``on_accepted`` is told of every message that is accepted, as :meth:`push_accepted` takes it.
+        """``ledger`` is told what becomes of every message; ``on_accepted`` of every one that is accepted, as
+        :meth:`push_accepted` takes it.
 
         ``effect_columns`` computes the columns that samples carry (:meth:`MeasurementModel.effect_columns`).
 
@@ -120,24 +116,25 @@ class SignalPipeline:
         self._effort_delay = round(settings.effort_delay * 1e9)
         self._effect_columns = effect_columns
         self._on_accepted = on_accepted
-        self._gains = self._effort_gains()
         self._continuous = np.array([joint in continuous for joint in self._joints], dtype=bool)
-        self._position = np.zeros(len(self._joints))
-        self._names: list[str] = []
-        self._order = np.zeros(len(self._joints), dtype=np.int64)
-        self._effort_stamps = np.zeros(len(self._joints), dtype=np.int64)
+        self.ledger = ledger or Ledger()
+        self._reader = self._new_reader(self._joints)
+        self._parts = JointParts(self._joints, self._max_gap, self._new_reader) if settings.merge else None
+        self._timelines: dict[_Source, Timeline] = {}
         self._velocity = VelocityChoice(len(self._joints))
         self._grid: Grid | None = None
         self._streams: dict[str, Stream] = {}
         self._waiting: deque[tuple[str, int, FloatArray]] = deque()
         self._first_stamps: deque[int] = deque(maxlen=_MESSAGES_TO_INFER_PERIOD)
-        self._last: dict[str, int] = {}
-        self._late: Counter[str] = Counter()
         self._next_instant = 0
         self._pending: list[Samples] = []
-        self.ledgers: dict[str, Ledger] = {}
         if settings.period > 0.0:
             self._start(round(settings.period * 1e9))
+
+    def _new_reader(self, joints: Sequence[str]) -> JointReader:
+        places = [self._joints.index(joint) for joint in joints]
+        gains, continuous = self._effort_gains()[places], self._continuous[places]
+        return JointReader(joints, gains, continuous, self._max_gap, partial(self.ledger.note, JOINT_STATES))
 
     def _effort_gains(self) -> FloatArray:
         gain = self._settings.effort_gain
@@ -153,6 +150,17 @@ class SignalPipeline:
         """Seconds by which samples trail the newest message; 0 until the rate is known."""
         return self._grid.lag * self._grid.period * 1e-9 if self._grid is not None else 0.0
 
+    @property
+    def held(self) -> int:
+        """Messages whose fate the next ones will tell."""
+        return sum(timeline.held for timeline in list(self._timelines.values()))
+
+    @property
+    def unmeasured(self) -> tuple[str, ...]:
+        """The joints whose efforts are left out, as they are not measured."""
+        readers = self._parts.readers.values() if self._parts else (self._reader,)
+        return tuple(joint for reader in readers for joint in reader.unmeasured)
+
     def push_joints(
         self,
         stamp: int,
@@ -162,69 +170,92 @@ class SignalPipeline:
         effort: Sequence[float],
     ) -> None:
         """Take a joint message with any order of joints; ``stamp`` in ns. What cannot be used is counted."""
-        self._push(JOINT_STATES, stamp, lambda: self._joint_vector(stamp, names, position, velocity, effort))
+        try:
+            part = self._parts.part(names) if self._parts else ()
+        except RejectedError as reason:
+            self.ledger.reject(JOINT_STATES, str(reason))
+            return
+        reader = self._parts.readers[part] if self._parts else self._reader
+        self._push((JOINT_STATES, part), stamp, lambda: reader.read(stamp, names, position, velocity, effort))
 
     def push_base_pose(self, stamp: int, pose: Sequence[float]) -> None:
         """Take the base's pose in the world, position [m] and quaternion xyzw."""
-        self._push(ODOM, stamp, lambda: _pose_vector(pose))
+        self._push((ODOM, ()), stamp, lambda: _pose_vector(pose))
 
     def push_wrench(self, topic: str, stamp: int, frame: str, wrench: Sequence[float]) -> None:
         """Take force [N] and torque [N m] of a sensor's topic, expressed in ``frame`` (as the message says)."""
         if topic not in self._sensors:
             raise unknown_name("wrench topic", topic, self._sensors)
-        self._push(topic, stamp, lambda: _wrench_vector(self._sensors[topic], frame, wrench))
+        self._push((topic, ()), stamp, lambda: _wrench_vector(self._sensors[topic], frame, wrench))
 
-    def _push(self, topic: str, stamp: int, read: Callable[[], FloatArray]) -> None:
+    def _push(self, source: _Source, stamp: int, read: Read) -> None:
+        topic, _ = source
+        verdict = self._timelines.setdefault(source, Timeline(self._max_gap)).judge(stamp, read)
+        for reason in verdict.refused:
+            self.ledger.reject(topic, reason)
+        if verdict.turn is not Turn.CONTINUED:
+            self.ledger.note(topic, verdict.turn.value)
+        if verdict.turn is Turn.RESET:
+            self._restart(source)
+        todo = deque(verdict.use)
         try:
-            self._check_stamp(topic, stamp)
+            while todo:
+                self._use(source, *todo.popleft())
+        except Exception as error:  # whoever called counts the message that caused it
+            for _ in todo:
+                self.ledger.drop(topic, f"{type(error).__name__} while another message was taken")
+            raise
+
+    def _use(self, source: _Source, stamp: int, read: Read) -> None:
+        topic, part = source
+        try:
             values = read()
-        except _RejectedError as reason:
-            ledger = self.ledgers.setdefault(topic, Ledger())
-            ledger.received += 1
-            ledger.rejected[str(reason)] += 1
+        except RejectedError as reason:
+            self.ledger.reject(topic, str(reason))
             return
-        self._last[topic] = stamp
-        self._on_accepted(topic, stamp, values)
-        self.push_accepted(topic, stamp, values)
+        self._timelines[source].advance(stamp)
+        for of_all, whole in self._parts.add(part, stamp, values) if self._parts and part else ((stamp, values),):
+            self._on_accepted(topic, of_all, whole)
+            self._forward(topic, of_all, whole)
+        self.ledger.accept(topic)
 
     def push_accepted(self, topic: str, stamp: int, values: FloatArray) -> None:
         """Take what another pipeline for the same robot has accepted, in the same order."""
-        ledger = self.ledgers.setdefault(topic, Ledger())
-        ledger.received += 1
-        ledger.accepted += 1
+        self._forward(topic, stamp, values)
+        self.ledger.accept(topic)
+
+    def _forward(self, topic: str, stamp: int, values: FloatArray) -> None:
         if self._grid is None:
             self._wait(topic, stamp, values)
         else:
             self._take(self._grid, topic, stamp, values)
 
-    def _check_stamp(self, topic: str, stamp: int) -> None:
-        """A few late messages are rejected; many in a row mean that the clock was set back, and all starts afresh."""
-        if stamp <= 0:
-            raise _RejectedError("stamp is zero" if stamp == 0 else "stamp is not valid")
-        behind = self._last.get(topic, 0) - stamp
-        self._late[topic] = self._late[topic] + 1 if behind > self._max_gap else 0
-        if self._late[topic] == _LATE_MESSAGES_OF_A_RESET_CLOCK:
-            self._forget()
-        elif behind >= 0:
-            raise _RejectedError("stamp not later than the one before")
+    def release(self) -> None:
+        """Reject what is held: nothing more will come."""
+        for (topic, _), timeline in self._timelines.items():
+            for reason in timeline.release():
+                self.ledger.reject(topic, reason)
 
-    def _forget(self) -> None:
-        self._last.clear()
-        self._late.clear()
+    def _restart(self, source: _Source) -> None:
+        """Another time has begun, at ``source`` and therefore everywhere."""
         self._waiting.clear()
         self._first_stamps.clear()
-        self._effort_stamps[:] = 0
+        self._reader.restart()
+        if self._parts:
+            self._parts.restart()
         self._next_instant = 0
         if self._grid is not None:
             self._open_streams(self._grid)
+        for other, timeline in self._timelines.items():
+            if other != source:
+                for held_stamp, held_read in timeline.forget():
+                    self._use(other, held_stamp, held_read)
 
     def _wait(self, topic: str, stamp: int, values: FloatArray) -> None:
         """Keep what arrives before the period is known."""
         self._waiting.append((topic, stamp, values))
         if len(self._waiting) > _MOST_WAITING:
-            ledger = self.ledgers[self._waiting.popleft()[0]]
-            ledger.accepted -= 1
-            ledger.rejected["no joint states to go with"] += 1
+            self.ledger.revoke(self._waiting.popleft()[0], "no joint states to go with")
         if topic == JOINT_STATES:
             self._first_stamps.append(stamp)
             if len(self._first_stamps) == _MESSAGES_TO_INFER_PERIOD:
@@ -240,56 +271,6 @@ class SignalPipeline:
         if samples is not None:
             self._pending.append(samples)
         self._drop_before((stamp - _HORIZON) // grid.period)
-
-    def _joint_vector(
-        self,
-        stamp: int,
-        names: Sequence[str],
-        position: Sequence[float],
-        velocity: Sequence[float],
-        effort: Sequence[float],
-    ) -> FloatArray:
-        order = self._order_of(names)
-        for kind, values in (("position", position), ("velocity", velocity), ("effort", effort)):
-            if len(values) not in ((len(names),) if kind == "position" else (0, len(names))):
-                raise _RejectedError(f"{kind} has {len(values)} entries for {len(names)} names")
-        vector = np.full((3, len(order)), np.nan)
-        for row, values in enumerate((position, velocity, effort)):
-            if len(values):
-                vector[row] = np.asarray(values, dtype=np.float64)[order]
-        if not np.all(_usable(vector[0])):
-            raise _RejectedError("position not finite")
-        vector[2] *= self._gains
-        vector[1:][~_usable(vector[1:])] = np.nan
-        self._check_effort(stamp, vector[2])
-        if np.any(self._continuous):
-            turns = np.where(self._continuous, np.round((self._position - vector[0]) / (2.0 * np.pi)), 0.0)
-            vector[0] += 2.0 * np.pi * turns
-            self._position = vector[0].copy()
-        return vector.ravel()
-
-    def _order_of(self, names: Sequence[str]) -> IntArray:
-        """Where the robot's joints are among a message's names, most often as in the message before."""
-        if not names:
-            raise _RejectedError("no joint names")
-        if self._names != list(names):
-            index = {name: place for place, name in enumerate(names)}
-            if len(index) != len(names):
-                raise _RejectedError("a joint is named twice")
-            missing = next((joint for joint in self._joints if joint not in index), None)
-            if missing is not None:
-                raise _RejectedError(f"joint '{missing}' is missing")
-            self._names = list(names)
-            self._order = np.array([index[joint] for joint in self._joints], dtype=np.int64)
-        return self._order
-
-    def _check_effort(self, stamp: int, effort: FloatArray) -> None:
-        """An effort that fails for less than the longest gap costs the message, one that fails for longer its joint."""
-        measured = np.isfinite(effort)
-        lost = np.flatnonzero(~measured & (self._effort_stamps > 0) & (stamp - self._effort_stamps <= self._max_gap))
-        if len(lost):
-            raise _RejectedError(f"effort of '{self._joints[int(lost[0])]}' missing or not finite")
-        self._effort_stamps[measured] = stamp
 
     def _start(self, period: int) -> None:
         grid = Grid(period, self._settings.cutoff, self._settings.samples_per_cutoff_period)
@@ -362,27 +343,22 @@ class SignalPipeline:
         )
 
 
-def _usable(values: FloatArray) -> BoolArray:
-    """False for NaN, infinity and numbers that no robot measures."""
-    usable: BoolArray = np.abs(values) < _LARGEST_NUMBER
-    return usable
-
-
 def _pose_vector(pose: Sequence[float]) -> FloatArray:
     values = np.array(pose, dtype=np.float64)
-    if not np.all(_usable(values)):
-        raise _RejectedError("pose not finite")
+    if not np.all(usable(values)):
+        raise RejectedError("pose not finite")
     norm = float(np.linalg.norm(values[3:]))
     if abs(norm - 1.0) > 1e-2:
-        raise _RejectedError("quaternion is not of length 1")
+        raise RejectedError("quaternion is not of length 1")
     values[3:] /= norm
     return values
 
 
 def _wrench_vector(sensor: WrenchSensor, frame: str, wrench: Sequence[float]) -> FloatArray:
-    if frame and frame != sensor.frame:
-        raise _RejectedError(f"frame '{frame}' is not the declared '{sensor.frame}'")
+    declared = sensor.frame_id or sensor.frame
+    if frame and frame != declared:
+        raise RejectedError(f"frame '{frame}' is not the declared '{declared}'")
     values = np.array(wrench, dtype=np.float64)
-    if not np.all(_usable(values[sensor.axis_indices])):
-        raise _RejectedError("wrench not finite")
+    if not np.all(usable(values[sensor.axis_indices])):
+        raise RejectedError("wrench not finite")
     return values - sensor.sign * np.array(sensor.offset)

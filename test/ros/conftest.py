@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 if TYPE_CHECKING:
+    from .rig import Rig
     from .stage import Stage
 
 if find_spec("rclpy") is None:
@@ -23,3 +24,12 @@ def stage(tmp_path: Path) -> Iterator[Stage]:
 
     with staged(tmp_path) as stage:
         yield stage
+
+
+@pytest.fixture(scope="session")
+def rig(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Rig]:
+    """One node for many faults, one after the other: to start it takes longer than any of them."""
+    from .rig import rigged  # noqa: PLC0415 needs ROS
+
+    with rigged(tmp_path_factory.mktemp("rig")) as rig:
+        yield rig

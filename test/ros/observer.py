@@ -60,14 +60,14 @@ class Observer:
         while time.monotonic() < end:
             self._executor.spin_once(timeout_sec=0.02)
 
-    def wait_for(self, look: Callable[[], T], what: str) -> T:
+    def wait_for(self, look: Callable[[], T], what: str, patience: float = PATIENCE) -> T:
         """What ``look`` finds, as soon as it finds something."""
-        end = time.monotonic() + PATIENCE
+        end = time.monotonic() + patience
         while time.monotonic() < end:
             if found := look():
                 return found
             self._executor.spin_once(timeout_sec=0.02)
-        raise AssertionError(f"waited {PATIENCE:g} s in vain for {what}")
+        raise AssertionError(f"waited {patience:g} s in vain for {what}")
 
     def collect(self, kind: type, topic: str, qos: QoSProfile | None = None) -> list[Any]:
         """A list that grows by every message on a topic from now on."""

@@ -6,7 +6,9 @@ import os
 import signal
 import subprocess
 import sys
+import time
 from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +16,7 @@ import yaml
 
 import geomid_ros
 
+SOON = 2.0  # [s] in which a node ends, whatever it is at
 PATIENCE = 60.0  # [s] after which a process that should end is taken to hang
 
 
@@ -44,6 +47,11 @@ class Process:
         return self.log.read_text(errors="replace")
 
     @property
+    def pid(self) -> int:
+        """Its number."""
+        return self._process.pid
+
+    @property
     def running(self) -> bool:
         """Whether it has not ended yet."""
         return self._process.poll() is None
@@ -60,6 +68,26 @@ class Process:
             self._process.kill()
             self._process.wait()
             raise AssertionError(f"still running after {PATIENCE:g} s:\n{self.output}") from None
+
+    def seconds_to_end(self, number: signal.Signals | None = None) -> float:
+        """How long it takes to end after a signal, or from now on, but for what its threads wait for a processor."""
+        begin, before = time.monotonic(), self._waits()
+        if number is not None:
+            self.send(number)
+        waits = before
+        while self.running:
+            assert time.monotonic() - begin < PATIENCE, self.output
+            waits = {**waits, **self._waits()}
+            time.sleep(0.01)
+        return time.monotonic() - begin - sum(wait - before.get(thread, 0.0) for thread, wait in waits.items())
+
+    def _waits(self) -> dict[str, float]:
+        """How long [s] each thread could have run, had the machine had a processor to spare."""
+        waits = {}
+        for path in Path(f"/proc/{self.pid}/task").glob("*/schedstat"):
+            with suppress(OSError):  # it has just ended
+                waits[path.parent.name] = 1e-9 * int(path.read_text().split()[1])
+        return waits
 
     def end(self, number: signal.Signals = signal.SIGINT) -> int:
         """Ask it to end; its exit status."""

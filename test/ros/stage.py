@@ -45,13 +45,18 @@ class Stage:
         return process
 
     def node(
-        self, parameters: dict[str, Any] | None = None, *ros_arguments: str, name: str = "geomid", ready: bool = True
+        self,
+        parameters: dict[str, Any] | None = None,
+        *ros_arguments: str,
+        name: str = "geomid",
+        ready: bool = True,
+        module: str = "geomid_ros.ros.main",
     ) -> Process:
         """Start a node with these parameters, and wait until it serves unless told otherwise."""
         folder = self.folder / f"parameters{len(self.processes)}"
         folder.mkdir()
         path = parameter_file(folder, parameters or {})
-        process = self.start("geomid_ros.ros.main", "--ros-args", "--params-file", path, *ros_arguments)
+        process = self.start(module, "--ros-args", "--params-file", path, *ros_arguments)
         if ready:
             self.serving(process, name)
         return process

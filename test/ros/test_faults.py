@@ -47,12 +47,12 @@ def bad_messages(joints: Recorded, wrench: Recorded) -> dict[tuple[str, str], Re
     nan, three = float("nan"), joints.message.position
     names = list(joints.message.name)
     return {
-        ("joint_states", "position not finite"): changed(joints, position=np.array([nan, 0.0, 0.0])),
-        ("joint_states", "missing"): changed(joints, name=[names[0], names[1], "other"]),
+        ("joint_states", f"position of '{names[0]}' not finite"): changed(joints, position=np.array([nan, 0.0, 0.0])),
+        ("joint_states", "is missing"): changed(joints, name=[names[0], names[1], "other"]),
         ("joint_states", "missing or not finite"): changed(joints, effort=np.array([0.0, nan, 0.0])),
         ("joint_states", "position has 2 entries for 3 names"): changed(joints, position=three[:2]),
         ("joint_states", "effort has 1 entries for 3 names"): changed(joints, effort=three[:1]),
-        ("joint_states", "a joint is named twice"): changed(joints, name=[names[0], names[0], names[2]]),
+        ("joint_states", f"joint '{names[0]}' is named twice"): changed(joints, name=[names[0], names[0], names[2]]),
         ("joint_states", "no joint names"): changed(joints, name=[]),
         ("joint_states", "stamp not later"): stamped_later(joints, -1),
         ("/wrench", "wrench not finite"): unmeasured(wrench),
@@ -103,7 +103,7 @@ def test_a_diagnostic_names_what_is_wrong_while_it_is(stage: Stage) -> None:
     bad = [item.changed(position=nan) if item.topic == "/joint_states" else item for item in good]
     stage.observer.publish(good[:200], KINDS)
     stage.observer.publish(bad[200:400], KINDS)
-    reason = "joint_states rejected: position not finite"
+    reason = "joint_states rejected: position of 'joint1' not finite"
     stage.observer.diagnostics(lambda _, status: status.message.startswith(reason), reason)
     stage.observer.publish(good[400:], KINDS)
     last = stage.fed({"joint_states": 800, "/wrench": 800})

@@ -4,10 +4,13 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import pytest
 from files.recordings import BAGS, recorded, write_bag
 from geometry_msgs.msg import WrenchStamped
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
+
+from geomid_ros.ros.player import _message_class
 
 from .observer import latched
 from .stage import Stage
@@ -42,3 +45,14 @@ def test_the_description_is_kept_for_who_comes_late(stage: Stage) -> None:
     stage.observer.wait_for(lambda: descriptions, "the description")
     assert descriptions[0].data == (BAGS / "arm3.urdf").read_text()
     assert player.running
+
+
+def test_a_bag_cannot_have_just_anything_imported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """To import a module is to run it, and a bag names any it likes as the package of a type."""
+    (tmp_path / "tempting.py").write_text("raise SystemExit('this has been run')")
+    (tmp_path / "tempting_package").mkdir()
+    (tmp_path / "tempting_package" / "__init__.py").write_text("raise SystemExit('this has been run')")
+    monkeypatch.syspath_prepend(tmp_path)
+    for kind in ("tempting/msg/X", "tempting_package/msg/X", "tempting_package.more/msg/X", "/msg/", "", None):
+        assert _message_class(kind) is None
+    assert _message_class("sensor_msgs/msg/JointState") is JointState

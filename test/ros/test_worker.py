@@ -18,7 +18,8 @@ from geomid_ros.files.configuration import Configuration
 from geomid_ros.files.urdf import read_urdf
 from geomid_ros.ros import worker as module
 from geomid_ros.ros.diagnostics import Diagnostics
-from geomid_ros.ros.worker import Status, Worker
+from geomid_ros.ros.status import Status
+from geomid_ros.ros.worker import Worker
 from geomid_ros.session import Session
 
 from .stage import messages
@@ -84,19 +85,19 @@ def test_a_final_estimate_is_of_all_messages_before_it(quiet: Watched) -> None:
     assert quiet.worker.estimate is estimate
     assert quiet.estimates.get_nowait() is estimate
     status = quiet.worker.status(active=True)
-    assert status.ledgers["joint_states"].received == status.ledgers["joint_states"].accepted == len(JOINTS)
+    assert status.accounts["joint_states"].received == status.accounts["joint_states"].accepted == len(JOINTS)
     assert status.rows == estimate.rows_accepted
-    assert (status.problem, status.topics) == ("", ("joint_states",))
+    assert (status.problems + status.warnings, status.topics) == ((), ("joint_states",))
 
 
 def test_without_rows_the_answer_is_an_error(quiet: Watched) -> None:
     answer = quiet.final()
     assert isinstance(answer, GeomidError)
     assert "no usable rows" in str(answer)
-    assert "no usable rows" in quiet.worker.status(active=True).problem
+    assert "no usable rows" in quiet.worker.solver.problem
     quiet.feed()
     assert isinstance(quiet.final(), Estimate)
-    assert quiet.worker.status(active=True).problem == ""
+    assert quiet.worker.status(active=True).warnings == ()
 
 
 def test_an_error_in_a_message_costs_the_message(quiet: Watched) -> None:
@@ -106,8 +107,10 @@ def test_an_error_in_a_message_costs_the_message(quiet: Watched) -> None:
     quiet.feed(100)
     assert isinstance(quiet.final(), Estimate)
     status = quiet.worker.status(active=True)
-    assert status.dropped == {"AttributeError while taking a message": 2}
-    assert status.ledgers["joint_states"].accepted == len(JOINTS)
+    assert status.accounts["joint_states"].dropped == {"AttributeError while taking a message": 1}
+    assert status.accounts["/undeclared"].dropped == {"AttributeError while taking a message": 1}
+    assert status.failures.total() == 2
+    assert status.accounts["joint_states"].accepted == len(JOINTS)
 
 
 def test_an_error_while_publishing_costs_no_thread(busy: Watched) -> None:
@@ -117,11 +120,11 @@ def test_an_error_while_publishing_costs_no_thread(busy: Watched) -> None:
     busy.on_estimate = fail
     busy.feed(0, 400)
     assert str(busy.final()) == "nobody listens"
-    assert busy.worker.status(active=True).problem == "no estimate: nobody listens"
+    assert busy.worker.solver.problem == "no estimate: nobody listens"
     busy.on_estimate = busy.estimates.put
     busy.feed(400)
     assert isinstance(busy.final(), Estimate)
-    assert busy.worker.status(active=True).problem == ""
+    assert busy.worker.status(active=True).warnings == ()
 
 
 def test_an_error_of_the_solver_keeps_the_last_estimate(quiet: Watched, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -135,7 +138,7 @@ def test_an_error_of_the_solver_keeps_the_last_estimate(quiet: Watched, monkeypa
     quiet.feed(400)
     assert isinstance(quiet.final(), GeomidError)
     assert quiet.worker.estimate is first
-    assert "division by zero" in quiet.worker.status(active=True).problem
+    assert "division by zero" in quiet.worker.solver.problem
 
 
 def test_predictions_come_once_there_is_an_estimate(quiet: Watched) -> None:
@@ -178,7 +181,7 @@ def test_resets_at_any_time_leave_both_threads_alive(busy: Watched) -> None:
     busy.feed()
     assert isinstance(busy.final(), Estimate)
     assert busy.worker._intake.is_alive()
-    assert busy.worker._solver.is_alive()
+    assert busy.worker.solver._thread.is_alive()
 
 
 def test_who_waits_when_it_closes_has_an_answer() -> None:
@@ -190,7 +193,7 @@ def test_who_waits_when_it_closes_has_an_answer() -> None:
     watched.worker.close()
     assert [type(answers.get_nowait()) for _ in range(3)] == 3 * [Estimate]
     assert not watched.worker._intake.is_alive()
-    assert not watched.worker._solver.is_alive()
+    assert not watched.worker.solver._thread.is_alive()
 
 
 def test_closing_waits_for_no_solver_that_takes_long(quiet: Watched, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -207,7 +210,7 @@ def test_closing_waits_for_no_solver_that_takes_long(quiet: Watched, monkeypatch
     quiet.worker.final_estimate(answers.put)
     wait_until(lambda: quiet.worker.status(active=True).queue == 0)
     quiet.close()
-    assert quiet.worker._solver.is_alive()
+    assert quiet.worker.solver._thread.is_alive()
     may_end.set()
     assert isinstance(answers.get(timeout=PATIENCE), Estimate)
     assert quiet.worker.estimate is None
@@ -218,9 +221,9 @@ def test_closing_a_busy_one_ends_it() -> None:
     watched = Watched(SOON)
     watched.feed()
     watched.worker.close()
-    assert watched.worker.status(active=True).ledgers["joint_states"].received == len(JOINTS)
+    assert watched.worker.status(active=True).accounts["joint_states"].received == len(JOINTS)
     assert not watched.worker._intake.is_alive()
-    assert not watched.worker._solver.is_alive()
+    assert not watched.worker.solver._thread.is_alive()
 
 
 def test_one_that_forgets_goes_on_estimating() -> None:
@@ -247,8 +250,9 @@ def test_what_does_not_fit_into_the_queue_is_counted(quiet: Watched, monkeypatch
     stop.set()
     quiet.final()
     status = quiet.worker.status(active=True)
-    assert status.dropped == {"queue full": 150}
-    assert status.ledgers["joint_states"].received == 50
+    account = status.accounts["joint_states"]
+    assert account.dropped == {"queue full": 150}
+    assert (account.accepted, account.received) == (50, 200)
 
 
 def test_the_status_can_be_asked_for_all_the_time(busy: Watched) -> None:
@@ -257,7 +261,7 @@ def test_the_status_can_be_asked_for_all_the_time(busy: Watched) -> None:
     feeding.start()
     statuses = 0
     while feeding.is_alive():
-        ledgers = busy.worker.status(active=True).ledgers
+        ledgers = busy.worker.status(active=True).accounts
         for ledger in ledgers.values():
             assert ledger.received == ledger.accepted + ledger.rejected.total()
         statuses += 1
@@ -324,7 +328,7 @@ def test_the_priors_weight_is_kept_between_solves_and_chosen_anew_for_other_data
         if begin == 0:
             quiet.final()
         else:
-            quiet.worker._solve_once(quiet.worker._warm_start())
+            quiet.worker.solver._solve_once(quiet.worker.solver._warm_start())
     estimate = quiet.worker.estimate
     assert estimate is not None
     assert [start is None for start in warm] == [True, False, True]

@@ -134,12 +134,13 @@ def test_joints_may_be_too_slow_for_the_cutoff() -> None:
 def test_who_waits_for_ever_for_joints_does_not_fill_the_memory() -> None:
     """A wrench topic alone: the oldest messages are given up and counted."""
     alone = pipeline(0.0)
-    for message in wrench_messages(regular(0.001, 11.0)):
+    messages = wrench_messages(regular(0.001, 11.0))
+    for message in messages:
         message.push(alone)
     assert alone.collect() is None
     assert len(alone._waiting) == 10_000
-    assert alone.ledgers["/wrench"].rejected == {"no joint states to go with": 1000}
-    assert balanced(alone)
+    assert alone.ledger.topics["/wrench"].rejected == {"no joint states to go with": 1000}
+    assert balanced(alone, messages)
 
 
 def test_a_topic_that_falls_silent_does_not_fill_the_memory() -> None:

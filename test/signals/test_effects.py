@@ -9,9 +9,9 @@ import pytest
 
 from geomid_ros.model.samples import Samples
 from geomid_ros.signals.pipeline import SignalPipeline, SignalSettings
-from geomid_ros.types import FloatArray
+from geomid_ros.types import FloatArray, IntArray
 
-from .feeding import JOINTS, START, Motion, assert_same, feed, jittered, joint_messages, regular
+from .feeding import JOINTS, START, JointMessage, Motion, assert_same, feed, jittered, joint_messages, regular
 
 
 def columns(position: FloatArray, velocity: FloatArray, acceleration: FloatArray) -> FloatArray:
@@ -23,12 +23,18 @@ def pipeline(period: float = 0.008) -> SignalPipeline:
     return SignalPipeline(JOINTS, settings=SignalSettings(period=period), effect_columns=columns)
 
 
+def with_efforts(stamps: IntArray, efforts: FloatArray) -> list[JointMessage]:
+    """Messages with these efforts, never exactly the same twice: that would be a saturated sensor."""
+    different = efforts + 1e-9 * np.arange(len(efforts))[:, None]
+    return [replace(m, effort=e) for m, e in zip(joint_messages(stamps), different, strict=True)]
+
+
 @pytest.mark.parametrize("effect", range(5))
 def test_a_column_is_what_an_effort_of_that_effect_becomes(effect: int) -> None:
     """The effort is the effect's formula on the true motion: after the filter it equals the effect's column."""
     stamps, motion = regular(0.008, 8.0), Motion()
     truth = columns(*(motion.derivative(stamps, order) for order in range(3)))[:, :, effect]
-    samples = feed(pipeline(), [replace(m, effort=e) for m, e in zip(joint_messages(stamps), truth, strict=True)])
+    samples = feed(pipeline(), with_efforts(stamps, truth))
     assert samples.effects.shape == (len(samples), 3, 5)
     assert np.max(np.abs(samples.effects[:, :, effect] - samples.effort)) < 0.02 * np.max(np.abs(truth))
 
@@ -37,7 +43,7 @@ def test_friction_on_the_filtered_motion_would_not_do() -> None:
     """The sign of the filtered velocity jumps where the filtered friction passes smoothly."""
     stamps, motion = regular(0.008, 8.0), Motion()
     friction = np.tanh(motion.derivative(stamps, 1) / 0.02)
-    samples = feed(pipeline(), [replace(m, effort=e) for m, e in zip(joint_messages(stamps), friction, strict=True)])
+    samples = feed(pipeline(), with_efforts(stamps, friction))
     rough = columns(samples.position, samples.velocity, samples.acceleration)[:, :, 1]
     assert np.max(np.abs(rough - samples.effort)) > 0.3
     assert np.max(np.abs(samples.effects[:, :, 1] - samples.effort)) < 0.02

@@ -47,8 +47,8 @@ def test_the_same_samples_can_be_made_again() -> None:
     assert len(ours) > 100
     for field in fields(Samples):
         np.testing.assert_array_equal(getattr(ours, field.name), getattr(theirs, field.name))
-    for topic, ledger in again.ledgers.items():
-        assert (ledger.received, ledger.rejected.total()) == (first.ledgers[topic].accepted, 0)
+    for topic, ledger in again.ledger.topics.items():
+        assert (ledger.received, ledger.rejected.total()) == (first.ledger.topics[topic].accepted, 0)
 
 
 def test_only_the_last_seconds_are_kept() -> None:

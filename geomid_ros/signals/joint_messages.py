@@ -1,0 +1,186 @@
+"""What joint messages say, checked: numbers in the robot's order of joints, and whether efforts can be believed."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from geomid_ros.types import BoolArray, FloatArray, IntArray
+
+DRIVER_ERROR = "driver error: "
+"""How reasons begin that are no accident: whoever fills in the messages does it wrong."""
+_LARGEST_NUMBER = 1e9  # in SI units; no robot measures more
+_STANDING = 1e-2  # [rad/s, m/s] a slower robot may well send the same numbers twice
+_SATURATED = (
+    50_000_000  # [ns] for which an effort is exactly the largest that ever was: no sensor's rounding lasts so long
+)
+
+
+class RejectedError(Exception):
+    """A message that cannot be used; its text is the reason that is counted."""
+
+
+def usable(values: FloatArray) -> BoolArray:
+    """False for NaN, infinity and numbers that no robot measures."""
+    result: BoolArray = np.abs(values) < _LARGEST_NUMBER
+    return result
+
+
+class JointReader:
+    """Reads the joint messages of a robot, in the order of their stamps.
+
+    ``gains (joints,)`` multiply efforts; ``continuous (joints,)`` are those without end: their positions may jump by
+    whole turns. An effort that fails for less than ``max_gap`` [ns] costs the message, one that fails for longer its
+    joint's equation. ``note`` is told of peculiarities.
+    """
+
+    def __init__(
+        self, joints: Sequence[str], gains: FloatArray, continuous: BoolArray, max_gap: int, note: Callable[[str], None]
+    ) -> None:
+        self._joints = tuple(joints)
+        self._gains = gains
+        self._continuous = continuous
+        self._max_gap = max_gap
+        self._note = note
+        self._noted: set[str] = set()
+        self._names: list[str] = []
+        self._order = np.zeros(len(joints), dtype=np.int64)
+        self._largest = np.zeros(len(joints))
+        self._at_largest = np.zeros(len(joints), dtype=np.int64)  # messages so far, and those below
+        self._below_largest = np.zeros(len(joints), dtype=np.int64)
+        self.restart()
+
+    def restart(self) -> None:
+        """Another time begins."""
+        self._stamp = 0
+        self._last: FloatArray | None = None  # positions, velocities and efforts of the last message that was good
+        self._speed = 0.0
+        self._made_up = True  # until an effort is seen that is not zero
+        self._effort_stamps = np.zeros(len(self._joints), dtype=np.int64)
+        self._largest_since = np.zeros(len(self._joints), dtype=np.int64)
+
+    @property
+    def unmeasured(self) -> tuple[str, ...]:
+        """The joints whose efforts are missing, not finite or made up for so long that their equations are left out."""
+        if not self._stamp:
+            return ()
+        lost = (self._effort_stamps == 0) | (self._stamp - self._effort_stamps > self._max_gap)
+        return tuple(joint for joint, gone in zip(self._joints, lost, strict=True) if gone)
+
+    def read(
+        self,
+        stamp: int,
+        names: Sequence[str],
+        position: Sequence[float],
+        velocity: Sequence[float],
+        effort: Sequence[float],
+    ) -> FloatArray:
+        """Positions, velocities and efforts ``(3 joints,)``, NaN where an effort or a velocity is not measured.
+
+        Raises RejectedError for a message that cannot be used.
+        """
+        order = self._order_of(names)
+        for kind, values in (("position", position), ("velocity", velocity), ("effort", effort)):
+            if len(values) not in ((len(names),) if kind == "position" else (0, len(names))):
+                raise RejectedError(f"{DRIVER_ERROR}{kind} has {len(values)} entries for {len(names)} names")
+        if not len(velocity):
+            self._note_once("no velocities: positions are differentiated")
+        vector = np.full((3, len(order)), np.nan)
+        for row, values in enumerate((position, velocity, effort)):
+            if len(values):
+                vector[row] = np.asarray(values, dtype=np.float64)[order]
+        wild = np.flatnonzero(~usable(vector[0]))
+        if len(wild):
+            raise RejectedError(f"position of '{self._joints[int(wild[0])]}' not finite")
+        vector[2] *= self._gains
+        vector[1:][~usable(vector[1:])] = np.nan
+        self._unwind(vector[0])
+        if self._frozen(stamp, vector):
+            raise RejectedError("frozen: all numbers are those of the message before, though the robot moves")
+        self._check_effort(stamp, vector)
+        self._stamp, self._last = stamp, vector
+        return vector.ravel()
+
+    def _order_of(self, names: Sequence[str]) -> IntArray:
+        """Where the robot's joints are among a message's names, most often as in the message before."""
+        if not names:
+            raise RejectedError(DRIVER_ERROR + "no joint names")
+        if self._names != list(names):
+            index = {name: place for place, name in enumerate(names)}
+            if len(index) != len(names):
+                twice = next(name for place, name in enumerate(names) if index[name] != place)
+                raise RejectedError(f"{DRIVER_ERROR}joint '{twice}' is named twice")
+            missing = next((joint for joint in self._joints if joint not in index), None)
+            if missing is not None:
+                raise RejectedError(f"joint '{missing}' is missing")
+            extra = next((name for name in names if name not in self._joints), None)
+            if extra is not None:
+                self._note_once(f"joint '{extra}' is not one of the robot's: passed over")
+            self._names = list(names)
+            self._order = np.array([index[joint] for joint in self._joints], dtype=np.int64)
+        return self._order
+
+    def _note_once(self, remark: str) -> None:
+        if remark not in self._noted and len(self._noted) < len(self._joints) + 10:
+            self._noted.add(remark)
+            self._note(remark)
+
+    def _unwind(self, position: FloatArray) -> None:
+        """Add whole turns to the positions of joints without end, so that they do not jump."""
+        if np.any(self._continuous) and self._last is not None:
+            turns = np.where(self._continuous, np.round((self._last[0] - position) / (2.0 * np.pi)), 0.0)
+            position += 2.0 * np.pi * turns
+
+    def _frozen(self, stamp: int, vector: FloatArray) -> bool:
+        """Whether nothing has changed although the velocities, or else the positions before, say that it should."""
+        if self._last is None or not np.array_equal(vector, self._last, equal_nan=True):
+            self._speed = self._speed_at(stamp, vector)
+            return False
+        return self._speed > _STANDING
+
+    def _speed_at(self, stamp: int, vector: FloatArray) -> float:
+        if np.any(np.isfinite(vector[1])):
+            return float(np.nanmax(np.abs(vector[1])))
+        if self._last is None:
+            return 0.0
+        return float(np.max(np.abs(vector[0] - self._last[0]), initial=0.0)) / (1e-9 * (stamp - self._stamp))
+
+    def _check_effort(self, stamp: int, vector: FloatArray) -> None:
+        """Raise for efforts that fail, or leave them out where that lasts."""
+        effort = vector[2]
+        reason = "effort of '{}' missing or not finite"
+        if np.all(np.isnan(effort)):
+            reason = DRIVER_ERROR + "no effort of '{}' or any other joint"
+        if self._zeros(effort):
+            effort[:] = np.nan
+            reason = DRIVER_ERROR + "effort of '{}' and of all others is zero while the robot moves"
+        saturated = self._saturated(stamp, effort)
+        if np.any(saturated):
+            effort[saturated] = np.nan
+            reason = "effort of '{}' saturated: for long the same, and never larger"
+        measured = np.isfinite(effort)
+        lost = np.flatnonzero(~measured & (self._effort_stamps > 0) & (stamp - self._effort_stamps <= self._max_gap))
+        if len(lost):
+            raise RejectedError(reason.format(self._joints[int(lost[0])]))
+        self._effort_stamps[measured] = stamp
+
+    def _zeros(self, effort: FloatArray) -> bool:
+        """Whether all efforts are exactly zero in motion, as from a driver without a sensor; or still since then."""
+        self._made_up = not np.any(effort) and (self._made_up or self._speed > _STANDING)
+        return self._made_up
+
+    def _saturated(self, stamp: int, effort: FloatArray) -> BoolArray:
+        """Which efforts have for some time been exactly the largest that ever was, while the robot moves.
+
+        One that is so most of the time is not cut off; it has nothing else to say, as friction at constant speed.
+        """
+        size = np.abs(np.nan_to_num(effort))
+        largest = (size == self._largest) & (size > 0.0)
+        self._at_largest += largest
+        self._below_largest += ~largest
+        self._largest_since[~largest] = stamp
+        self._largest = np.maximum(self._largest, size)
+        long = stamp - self._largest_since >= _SATURATED
+        result: BoolArray = long & (self._at_largest < self._below_largest) & (self._speed > _STANDING)
+        return result

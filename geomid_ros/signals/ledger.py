@@ -1,0 +1,101 @@
+"""The ledger: what became of every message."""
+
+from __future__ import annotations
+
+import copy
+import threading
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+_MOST_REASONS = 50  # of a topic: whoever sends nonsense decides how many there are
+_LONGEST_REASON = 200  # characters
+_OTHER = "other reasons"
+
+
+@dataclass
+class Account:
+    """What became of the messages of a topic: how many were accepted, and by reason rejected (for what they say) and
+    dropped (for what the receiver is doing). ``noted``: peculiarities, mostly of messages that were accepted; ``lost``:
+    messages that were published and never came."""
+
+    accepted: int = 0
+    rejected: Counter[str] = field(default_factory=Counter)
+    dropped: Counter[str] = field(default_factory=Counter)
+    noted: Counter[str] = field(default_factory=Counter)
+    lost: int = 0
+
+    @property
+    def received(self) -> int:
+        """All messages that have come to their end: accepted, rejected or dropped."""
+        return self.accepted + self.rejected.total() + self.dropped.total()
+
+
+class Ledger:
+    """The accounts of all topics. Every message ends in one call of :meth:`accept`, :meth:`reject` or :meth:`drop`.
+
+    Any thread may call any method.
+    """
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._topics: dict[str, Account] = {}
+
+    @property
+    def topics(self) -> dict[str, Account]:
+        """A copy of the accounts by topic."""
+        with self._lock:
+            return copy.deepcopy(self._topics)
+
+    def restore(self, accounts: Mapping[str, Account]) -> None:
+        """Add what an earlier process counted; nothing, when this one has accepted or rejected anything itself."""
+        with self._lock:
+            if any(account.accepted or account.rejected for account in self._topics.values()):
+                return
+            for topic, before in accounts.items():
+                account = self._account(topic)
+                account.accepted += before.accepted
+                account.lost += before.lost
+                account.rejected.update(before.rejected)
+                account.dropped.update(before.dropped)
+                account.noted.update(before.noted)
+
+    def accept(self, topic: str) -> None:
+        """A message is used."""
+        with self._lock:
+            self._account(topic).accepted += 1
+
+    def reject(self, topic: str, reason: str) -> None:
+        """A message cannot be used for what it says."""
+        with self._lock:
+            count_reason(self._account(topic).rejected, reason)
+
+    def drop(self, topic: str, reason: str) -> None:
+        """A message is not looked at."""
+        with self._lock:
+            count_reason(self._account(topic).dropped, reason)
+
+    def revoke(self, topic: str, reason: str) -> None:
+        """A message that was accepted is rejected after all."""
+        with self._lock:
+            self._account(topic).accepted -= 1
+            count_reason(self._account(topic).rejected, reason)
+
+    def note(self, topic: str, remark: str) -> None:
+        """Something is peculiar."""
+        with self._lock:
+            count_reason(self._account(topic).noted, remark)
+
+    def lose(self, topic: str, count: int) -> None:
+        """Messages were published that never came."""
+        with self._lock:
+            self._account(topic).lost += count
+
+    def _account(self, topic: str) -> Account:
+        return self._topics.setdefault(topic, Account())
+
+
+def count_reason(reasons: Counter[str], reason: str) -> None:
+    """Count one more of a reason; of too many different ones, and of overlong ones, only the beginning is kept."""
+    short = reason if len(reason) <= _LONGEST_REASON else reason[:_LONGEST_REASON] + "..."
+    reasons[short if short in reasons or len(reasons) < _MOST_REASONS else _OTHER] += 1

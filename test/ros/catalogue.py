@@ -1,0 +1,145 @@
+# ruff: noqa: E501 it is a table
+"""The catalogue of what goes wrong beside a robot: every fault, the node's answer, and the tests that hold it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Fault:
+    """``answer``: R the message or row is rejected, S a new segment begins, W, E the level of the diagnostics, X the
+    process refuses. ``tests``: ``file.py::function``, with the parameters' id in brackets where it has one."""
+
+    number: int
+    fault: str
+    answer: str
+    tests: tuple[str, ...]
+
+
+def _message(case: str) -> str:
+    return f"test_catalogue_messages.py::test_a_bad_message_is_named_and_leaves_no_trace[{case}]"
+
+
+def _stream(case: str) -> str:
+    return f"test_catalogue_messages.py::test_a_bad_stream_is_named_and_leaves_no_trace[{case}]"
+
+
+def _jump(case: str) -> str:
+    return f"test_catalogue_streams.py::test_time_that_jumps_begins_a_segment_and_costs_nothing[{case}]"
+
+
+def _second(case: str) -> str:
+    return f"test_catalogue_streams.py::test_a_second_publisher_is_named_and_believed_no_more_than_the_first[{case}]"
+
+
+def _declared(case: str) -> str:
+    return f"test_catalogue_wrench.py::test_a_sensor_that_is_declared_wrongly_is_named[{case}]"
+
+
+def _changes(case: str) -> str:
+    return f"test_catalogue_wrench.py::test_a_sensor_that_changes_is_named[{case}]"
+
+
+def _solver(case: str) -> str:
+    return f"test_catalogue_failures.py::test_a_solver_that_fails_keeps_the_last_estimate[{case}]"
+
+
+def _exception(case: str) -> str:
+    return f"test_catalogue_failures.py::test_an_exception_costs_the_messages_it_meets[{case}]"
+
+
+def _disk(case: str) -> str:
+    return f"test_catalogue_failures.py::test_a_disk_that_cannot_be_written_stops_nothing[{case}]"
+
+
+_BAGS = "../files/test_bag_faults.py"
+_DESCRIPTION = "test_description.py::test_"
+_ENDINGS = "test_endings.py::test_"
+_FAILURES = "test_catalogue_failures.py::test_"
+_GRAPH = "test_catalogue_graph.py::test_"
+_STREAMS = "test_catalogue_streams.py::test_"
+
+CATALOGUE = (
+    Fault(
+        1,
+        "effort NaN",
+        "R W; for longer than `filter.max_gap` W, that joint's equation is left out",
+        (_message("1-nan-effort"), _stream("1-nan-effort-for-ever")),
+    ),
+    Fault(2, "position NaN", "R W", (_message("2-nan-position"),)),
+    Fault(3, "a number is infinite", "R W", (_message("3-infinite"),)),
+    Fault(4, "a number like 1e308", "R W", (_message("4-1e308"),)),
+    Fault(5, "no velocities", "positions are differentiated, W once", (_stream("5-velocity-empty"),)),
+    Fault(6, "no efforts", "R E; for longer, only wrenches are used, E", (_message("6-effort-empty"), _stream("6-effort-empty-for-ever"))),
+    Fault(7, "arrays of unequal lengths", "R E", (_message("7-unequal-lengths"),)),
+    Fault(8, "all efforts exactly zero in motion", "R E; for longer, only wrenches are used, E", (_message("8-zero-efforts-in-motion"), _stream("8-zero-efforts-for-ever"))),
+    Fault(9, "joints in another order, or in several", "taken by name", (_stream("9-another-order"),)),
+    Fault(10, "a joint missing", "R W", (_message("10-a-joint-missing"),)),
+    Fault(11, "joints of something else", "passed over, W once", (_stream("11-extra-joints"),)),
+    Fault(12, "a joint named twice", "R E", (_message("12-a-name-twice"),)),
+    Fault(13, "no names", "R E", (_message("13-no-names"),)),
+    Fault(14, "two publishers of a topic", "dropped, E naming both", (_second("14-two-publishers"),)),
+    Fault(15, "a phantom with prefixed names", "R W; dropped while it is one of two, E", (_message("15-prefixed-names"), _second("15-a-phantom"))),
+    Fault(16, "left and right arm in messages of their own", "dropped, E; with `merge_joint_states` put together", (_second("16-an-arm-of-its-own"), "test_catalogue_merging.py::test_16_two_arms_are_put_together")),
+    Fault(17, "a publisher replaced by another", "taken", (f"{_STREAMS}17_a_publisher_that_is_replaced",)),
+    Fault(18, "stamp zero", "R W", (_message("18-stamp-0"),)),
+    Fault(19, "the same stamp again", "R W", (_message("19-duplicate"),)),
+    Fault(20, "out of order", "R W", (_message("20-out-of-order"),)),
+    Fault(21, "a stamp from the future", "R W, once the next message tells", (_message("21-from-the-future"),)),
+    Fault(22, "a billion nanoseconds and more", "R W", (_message("22-nanoseconds"),)),
+    Fault(23, "older than a second", "R W, once the next message tells", (_message("23-older-than-a-second"),)),
+    Fault(24, "simulation reset", "S W, after ten messages, which are used", (_jump("24-simulation-reset"),)),
+    Fault(25, "bag in a loop", "S W, after ten messages, which are used", (_jump("25-bag-loop"),)),
+    Fault(26, "clock stepped back by less than `filter.max_gap`", "R W until it has caught up; by more, S", (f"{_STREAMS}26_a_clock_stepped_back_a_little_is_waited_out",)),
+    Fault(27, "a gap forward", "S W", (_jump("27-gap-forward"),)),
+    Fault(28, "paused simulation", "R W", (f"{_STREAMS}28_a_paused_simulation",)),
+    Fault(29, "simulated time without `/clock`", "W; data are taken by their own stamps", (f"{_GRAPH}29_simulated_time_without_a_clock",)),
+    Fault(30, "messages lost on the way", "counted, W", (f"{_GRAPH}30_messages_that_are_lost_on_the_way_are_counted",)),
+    Fault(31, "queue overflow", "dropped, W", (f"{_FAILURES}31_what_does_not_fit_into_the_queue_is_dropped",)),
+    Fault(32, "bursts", "taken", (f"{_STREAMS}32_a_burst_is_taken",)),
+    Fault(33, "QoS mismatch: durability", "E naming policy and publisher", (f"{_GRAPH}33_a_description_that_is_not_kept_for_those_who_come_late",)),
+    Fault(34, "QoS mismatch: reliability", "E naming policy and publisher", (f"{_GRAPH}34_joint_states_less_reliable_than_is_asked_for",)),
+    Fault(35, "wrench with its sign reversed", "E within two seconds of motion; from then on its rows are left out, until `~/reset`, which forgets those before", (_declared("35-sign-flipped"),)),
+    Fault(36, "wrench in another frame", "R W where it says so; the same as 35 where it does not", (_message("36-wrong-frame"), _declared("36-another-frame"))),
+    Fault(37, "wrench without a frame", "taken as in the declared one", (_stream("37-no-frame"),)),
+    Fault(38, "wrench in another unit", "the same as 35", (_declared("38-millinewtons"),)),
+    Fault(39, "wrench tared in mid-run", "E once it is known what is normal; its rows are taken, as a new load looks the same; `~/reset` forgets them", (_changes("39-tared"),)),
+    Fault(40, "wrench drifting", "the same as 39", (_changes("40-drifting"),)),
+    Fault(41, "effort saturated", "R W", (f"{_STREAMS}41_a_saturated_effort_costs_the_messages_that_have_it_for_long",)),
+    Fault(42, "stamps advancing over frozen numbers", "R W", (_message("42-frozen"),)),
+    Fault(43, "description late", "dropped, W", (f"{_DESCRIPTION}a_late_and_at_first_unreadable_description",)),
+    Fault(44, "description changed", "E; the old one is kept until `~/reset`", (f"{_DESCRIPTION}a_changed_description_waits_for_a_reset",)),
+    Fault(45, "description unreadable", "E; the old one is kept", (f"{_DESCRIPTION}a_late_and_at_first_unreadable_description",)),
+    Fault(46, "an inertia that cannot exist", "E naming the link", (f"{_DESCRIPTION}a_late_and_at_first_unreadable_description",)),
+    Fault(47, "standing still", "R; W naming the links of which no quantity can be told yet", (f"{_FAILURES}47_standing_still",)),
+    Fault(48, "rank deficient", "W in the status of each link of which no quantity can be told", (f"{_STREAMS}48_a_motion_of_one_joint_leaves_links_untold_and_names_them",)),
+    Fault(49, "solver not converged, not finite, or failing", "W, E where it fails; the last estimate is kept", (_solver("49-not-converged"), _solver("49-not-a-number"), _solver("49-solver-fails"))),
+    Fault(50, "solver over its time", "W; the last estimate is kept", (_solver("50-solver-over-its-time"),)),
+    Fault(51, "exception in a callback", "the message is dropped, E", (_exception("51-callback"),)),
+    Fault(52, "exception in a thread", "the message is dropped, or its rows rejected, E", (_exception("52-worker"), f"{_FAILURES}52_rows_that_cannot_be_made_are_counted")),
+    Fault(53, "a thread hangs", "restarted at most three times, E", (f"{_FAILURES}53_a_solver_that_hangs_is_replaced", f"{_FAILURES}53_an_intake_that_hangs_is_replaced_three_times")),
+    Fault(54, "shutdown from a callback", "ends within two seconds with status 0, the last estimate saved", (f"{_FAILURES}54_a_shutdown_from_a_callback_ends_the_node_well",)),
+    Fault(55, "Ctrl-C while solving", "the same", (f"{_ENDINGS}busy_nodes_save_their_last_estimate",)),
+    Fault(56, "Ctrl-C twice", "the same", (f"{_ENDINGS}busy_nodes_save_their_last_estimate",)),
+    Fault(57, "SIGTERM", "the same", (f"{_ENDINGS}busy_nodes_save_their_last_estimate", f"{_ENDINGS}a_node_told_to_end_while_it_starts", f"{_FAILURES}57_a_node_ends_though_all_its_threads_hang")),
+    Fault(58, "bag truncated", "X naming file and offset", (_BAGS,)),
+    Fault(59, "bag with a bit flipped", "X naming file and offset", (_BAGS,)),
+    Fault(60, "bag without metadata", "X naming file", (_BAGS,)),
+    Fault(61, "bag of a wrong type", "X naming file", (_BAGS,)),
+    Fault(62, "crafted bag", "X naming file", (_BAGS,)),
+    Fault(63, "empty bag", "X naming file", (_BAGS,)),
+    Fault(64, "disk full", "E; estimating goes on", (_disk("64-disk-full"),)),
+    Fault(65, "disk read-only", "E; estimating goes on", (_disk("65-read-only"),)),
+    Fault(66, "folder unwritable", "E; estimating goes on", (_disk("66-unwritable"), "test_services.py::test_saving_where_nothing_can_be_written_is_answered")),
+    Fault(67, "disk slow", "E; estimating goes on", (f"{_FAILURES}67_a_slow_disk_keeps_nobody_waiting",)),
+    Fault(68, "a service where it makes no sense (the node has no lifecycle)", "answered with what is missing", ("test_services.py::test_services_without_a_robot_say_what_is_missing",)),
+    Fault(69, "exception in a service", "answered with it, E", (f"{_FAILURES}69_an_exception_in_a_service_is_answered",)),
+    Fault(70, "unknown or ill-typed parameter", "X naming it at the start; refused later", ("test_parameters.py::test_what_cannot_be_used_is_refused_with_one_message", "test_parameters.py::test_parameters_are_described")),
+)  # fmt: skip
+
+
+def table() -> str:
+    """The catalogue as README has it."""
+    rows = [f"| {entry.number} | {entry.fault} | {entry.answer} |" for entry in CATALOGUE]
+    return "\n".join(["| # | fault | answer |", "|---|---|---|", *rows])

@@ -1,0 +1,111 @@
+"""The node with faults planted in its parts: which one is said by a file, and may change while it runs.
+
+``python -m ros.faulty``. The file is named by the environment; it has the fault's name, or nothing.
+"""
+
+from __future__ import annotations
+
+import errno
+import os
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from geomid_ros.estimation.identifier import Identifier
+from geomid_ros.ros import main, supervision, worker
+from geomid_ros.ros.worker import Worker
+from geomid_ros.session import Session
+from geomid_ros.signals.pipeline import SignalPipeline
+
+VARIABLE = "GEOMID_TEST_FAULT"
+MOST_WAITING = 1_000  # messages
+
+
+def fault() -> str:
+    """The present fault."""
+    path = Path(os.environ[VARIABLE])
+    return path.read_text() if path.exists() else ""
+
+
+def plant(owner: Any, name: str, acts: dict[str, Callable[..., Any]]) -> None:
+    """While the fault is one of ``acts``, call that with the method and its arguments instead of the method."""
+    healthy = getattr(owner, name)
+
+    def act(*arguments: Any, **named: Any) -> Any:
+        found = acts.get(fault())
+        return found(healthy, *arguments, **named) if found else healthy(*arguments, **named)
+
+    setattr(owner, name, act)
+
+
+def fail(*_: Any, **__: Any) -> None:
+    raise ZeroDivisionError("planted")
+
+
+def hang(*_: Any, **__: Any) -> None:
+    threading.Event().wait()
+
+
+def full(*_: Any, **__: Any) -> None:
+    raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+
+def read_only(*_: Any, **__: Any) -> None:
+    raise OSError(errno.EROFS, os.strerror(errno.EROFS))
+
+
+def unconverged(healthy: Any, *arguments: Any) -> Any:
+    return replace(healthy(*arguments), converged=False, reason="planted: no step helps")
+
+
+def not_a_number(healthy: Any, *arguments: Any) -> Any:
+    estimate = healthy(*arguments)
+    return replace(estimate, parameters=np.full_like(estimate.parameters, np.nan))
+
+
+def slowly(healthy: Any, *arguments: Any) -> Any:
+    time.sleep(2.5)
+    return healthy(*arguments)
+
+
+def wait(healthy: Any, *arguments: Any) -> Any:
+    planted = fault()
+    while fault() == planted:
+        time.sleep(0.01)
+    return healthy(*arguments)
+
+
+def shut_down(*_: Any) -> None:
+    import rclpy  # noqa: PLC0415
+
+    rclpy.shutdown()
+
+
+def run() -> None:
+    """Plant, and run the node."""
+    plant(Identifier, "solve", {
+        "solver fails": fail,
+        "solver hangs": hang,
+        "solver slow": slowly,
+        "not converged": unconverged,
+        "not a number": not_a_number,
+        "everything hangs": hang,
+    })  # fmt: skip
+    plant(Identifier, "add", {"rows fail": fail, "intake hangs": hang, "intake waits": wait})
+    plant(SignalPipeline, "push_wrench", {"messages fail": fail})
+    plant(Worker, "wrench", {"callback fails": fail, "callback shuts down": shut_down})
+    plant(Worker, "recent_messages", {"service fails": fail})
+    plant(os, "fsync", {"disk full": full, "disk read-only": read_only, "disk slow": slowly, "everything hangs": hang})
+    plant(Session, "save", {"saving fails": fail})
+    supervision.HANGING = 4.0
+    worker._MOST_WAITING = MOST_WAITING
+    main.main()
+
+
+if __name__ == "__main__":
+    run()

@@ -1,0 +1,242 @@
+"""Robots that move as they are told, and what their sensors say of it: pinocchio's recursive algorithm, planted bodies.
+
+Nothing here uses the regressors or the signal pipeline under test.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+from files.recordings import TYPES, Recorded
+from model.robots import Reference
+
+from geomid_ros.geometry import pseudo_inertia
+from geomid_ros.model.robot import Robot
+from geomid_ros.model.samples import Samples
+from geomid_ros.types import FloatArray
+
+START = 1_700_000_000
+SECOND = 1_000_000_000
+_TONES = 4
+_FREQUENCIES = (0.15, 1.0)  # [Hz]
+_MOVED = 0.1  # [m] times half the relative error: how far a centre of mass is moved
+_VISCOUS, _COULOMB = 0.3, 0.5  # planted friction at every joint that is asked for [N m s/rad], [N m]
+
+
+class InMotion:
+    """A robot with other bodies than its URDF says, in a motion of sinusoids that begins anywhere.
+
+    ``cuts`` are the links on which a wrench sensor is mounted, ``locked`` the joints that never move.
+    """
+
+    def __init__(
+        self,
+        urdf: str,
+        *,
+        duration: float,
+        rate: float,
+        seed: int,
+        floating_base: bool = False,
+        cuts: Sequence[str] = (),
+        locked: Sequence[str] = (),
+        begin: float = 0.0,
+        swing: float | FloatArray = 0.5,
+        error: float = 0.2,
+    ) -> None:
+        """``duration`` and ``begin`` [s], ``rate`` [Hz], ``swing``: a joint's largest excursion [rad or m], ``error``:
+        how far the bodies are from the URDF's, about the relative standard deviation of a mass.
+
+        The same ``seed`` gives the same robot in the same motion, whatever part of it is asked for.
+        """
+        rng = np.random.default_rng(seed)
+        self.robot = Robot(urdf, floating_base=floating_base, cuts=cuts, locked_joints=locked)
+        self.joints = self.robot.joint_names
+        self.truth = {body.name: _another(body.parameters, rng, error) for body in self.robot.bodies}
+        self.reference = Reference(urdf, floating_base=floating_base)
+        self.reference.set_inertias(self.truth)
+        times = begin + np.arange(round(duration * rate)) / rate
+        self.stamps = [START * SECOND + round(time * SECOND) for time in times.tolist()]
+        joints = _sines(times, *self._excursions(swing), rng)
+        base = _sines(times, np.zeros(6), np.array([0.1, 0.1, 0.1, 0.3, 0.3, 0.3]), rng)
+        self.samples = _samples(joints, base, floating_base)
+
+    def _excursions(self, swing: float) -> tuple[FloatArray, FloatArray]:
+        """Middle and amplitude of every joint, within its limits."""
+        model = self.reference.model
+        at = [model.joints[model.getJointId(joint)].idx_q for joint in self.joints]
+        low, high = np.maximum(model.lowerPositionLimit[at], -10.0), np.minimum(model.upperPositionLimit[at], 10.0)
+        amplitudes = np.minimum(swing, 0.45 * (high - low))
+        return np.clip(0.3, low + amplitudes, high - amplitudes), amplitudes
+
+    def efforts(self, wrenches: Mapping[str, FloatArray] | None = None, friction: bool = True) -> FloatArray:
+        """Efforts ``(T, joints)``, with ``wrenches (T, 6)`` on links."""
+        _, efforts = self.reference.inverse_dynamics(self.samples, self.joints, wrenches)
+        if not friction:
+            return efforts
+        return efforts + _VISCOUS * self.samples.velocity + _COULOMB * np.sign(self.samples.velocity)
+
+    def carried(self, link: str) -> FloatArray:
+        """Newton and Euler for the bodies from ``link`` on: the wrench on them all ``(T, 6)``, in the link's frame."""
+        bodies = [self.robot.body_names[index] for index in self.robot.subtree(link)]
+        wrenches = []
+        for index in range(len(self.samples)):
+            here = self.reference.placement(self.samples, index, self.joints, link)
+            wrenches.append(sum((here.actInv(self._force(index, body)) for body in bodies), pin.Force.Zero()).vector)
+        return np.array(wrenches)
+
+    def _force(self, index: int, link: str) -> pin.Force:
+        """What moves a body and holds it up at one instant, about the world's origin."""
+        body = pin.Inertia.FromDynamicParameters(self.truth[link])
+        placed = self.reference.placement(self.samples, index, self.joints, link)
+        velocity, acceleration = map(pin.Motion, self.reference.motion(self.samples, index, self.joints, link))
+        lift = pin.Motion(placed.rotation.T @ np.array([0.0, 0.0, 9.81]), np.zeros(3))
+        return placed.act(body * (acceleration + lift) + velocity.cross(body * velocity))
+
+    def on_ground(self) -> FloatArray:
+        """What a plate feels under the whole robot ``(T, 6)``, about the world's origin."""
+        base, _ = self.reference.inverse_dynamics(self.samples, self.joints)
+        poses = map(pin.XYZQUATToSE3, self.samples.base_pose)
+        return np.array([pose.act(pin.Force(force)).vector for pose, force in zip(poses, base, strict=True)])
+
+    def on_feet(self, feet: Sequence[str]) -> dict[str, FloatArray]:
+        """Forces on point feet, the least that carry the robot: wrenches ``(T, 6)`` in the frames of the ``feet``."""
+        ground = self.on_ground()
+        wrenches = {foot: np.zeros((len(self.samples), 6)) for foot in feet}
+        for index in range(len(self.samples)):
+            placements = [self.reference.placement(self.samples, index, self.joints, foot) for foot in feet]
+            effect = np.hstack([np.vstack([np.eye(3), pin.skew(placed.translation)]) for placed in placements])
+            forces = np.linalg.lstsq(effect, ground[index], rcond=None)[0].reshape(-1, 3)
+            for foot, placed, force in zip(feet, placements, forces, strict=True):
+                wrenches[foot][index, :3] = placed.rotation.T @ force
+        return wrenches
+
+    def joint_states(
+        self, efforts: FloatArray, joints: Sequence[str] | None = None, topic: str = "/joint_states"
+    ) -> list[Recorded]:
+        """Joint messages, of all or some of the ``joints``, in that order."""
+        names = list(joints or self.joints)
+        at = [self.joints.index(name) for name in names]
+        rows = zip(
+            self.samples.position[:, at].tolist(), self.samples.velocity[:, at].tolist(), efforts[:, at], strict=True
+        )
+        return [
+            _recorded(
+                topic,
+                "sensor_msgs/msg/JointState",
+                stamp,
+                header=_header(stamp, ""),
+                name=names,
+                position=np.array(position),
+                velocity=np.array(velocity),
+                effort=np.array(effort),
+            )
+            for stamp, (position, velocity, effort) in zip(self.stamps, rows, strict=True)
+        ]
+
+    def wrenches(self, topic: str, frame: str, wrenches: FloatArray) -> list[Recorded]:
+        """Wrench messages."""
+        return [
+            _recorded(
+                topic,
+                "geometry_msgs/msg/WrenchStamped",
+                stamp,
+                header=_header(stamp, frame),
+                wrench=_message("geometry_msgs/msg/Wrench", force=_vector(row[:3]), torque=_vector(row[3:])),
+            )
+            for stamp, row in zip(self.stamps, wrenches, strict=True)
+        ]
+
+    def odometry(self, topic: str = "/odom") -> list[Recorded]:
+        """Poses of the base; the twist is left at zero, as it is not needed."""
+        none = np.zeros(36)
+        still = _message(
+            "geometry_msgs/msg/TwistWithCovariance",
+            twist=_message("geometry_msgs/msg/Twist", linear=_vector(np.zeros(3)), angular=_vector(np.zeros(3))),
+            covariance=none,
+        )
+        return [
+            _recorded(
+                topic,
+                "nav_msgs/msg/Odometry",
+                stamp,
+                header=_header(stamp, "odom"),
+                child_frame_id="base",
+                pose=_message("geometry_msgs/msg/PoseWithCovariance", pose=_pose(pose), covariance=none),
+                twist=still,
+            )
+            for stamp, pose in zip(self.stamps, self.samples.base_pose, strict=True)
+        ]
+
+
+def noisy(values: FloatArray, level: float, seed: int) -> FloatArray:
+    """With white noise of this standard deviation."""
+    return values + level * np.random.default_rng(seed).standard_normal(values.shape)
+
+
+def in_time(*streams: Sequence[Recorded]) -> list[Recorded]:
+    """All messages in the order of their time."""
+    return sorted((item for stream in streams for item in stream), key=lambda item: item.time)
+
+
+def _another(parameters: FloatArray, rng: np.random.Generator, error: float) -> FloatArray:
+    """A body near another one: stretched, sheared and moved a little, and of another density."""
+    change = np.eye(4)
+    change[:3] += 0.5 * error * rng.normal(size=(3, 4)) * np.array([1.0, 1.0, 1.0, _MOVED])
+    change[3, 3] += 0.5 * error * rng.normal()
+    return np.asarray(pseudo_inertia.to_parameters(change @ pseudo_inertia.from_parameters(parameters) @ change.T))
+
+
+def _sines(times: FloatArray, centres: FloatArray, amplitudes: FloatArray, rng: np.random.Generator) -> FloatArray:
+    """Position, velocity and acceleration ``(3, T, coordinates)``."""
+    shape = (_TONES, len(centres))
+    speeds = 2.0 * np.pi * rng.uniform(*_FREQUENCIES, size=shape)
+    angles = speeds * times[:, None, None] + rng.uniform(0.0, 2.0 * np.pi, size=shape)
+    sizes = amplitudes * rng.dirichlet(np.ones(_TONES), size=len(centres)).T
+    position = centres + np.sum(sizes * np.sin(angles), axis=1)
+    velocity = np.sum(sizes * speeds * np.cos(angles), axis=1)
+    return np.array([position, velocity, -np.sum(sizes * speeds**2 * np.sin(angles), axis=1)])
+
+
+def _samples(joints: FloatArray, base: FloatArray, floating_base: bool) -> Samples:
+    """Of the base ``(3, T, 6)``: translation and rotation vector with derivatives."""
+    count, empty = joints.shape[1], np.zeros((joints.shape[1], 0))
+    pose, velocity, acceleration = np.empty((count, 7)), np.empty((count, 6)), np.empty((count, 6))
+    for k, (x, dx, ddx) in enumerate(zip(*base, strict=True)):
+        rotation = pin.exp3(x[3:])
+        pose[k] = pin.SE3ToXYZQUAT(pin.SE3(rotation, x[:3]))
+        turning = pin.Jexp3(x[3:]) @ dx[3:]
+        ahead, behind = (pin.Jexp3(x[3:] + h * dx[3:]) @ (dx[3:] + h * ddx[3:]) for h in (1e-4, -1e-4))
+        velocity[k] = [*(rotation.T @ dx[:3]), *turning]
+        linear = rotation.T @ ddx[:3] - np.cross(turning, rotation.T @ dx[:3])
+        acceleration[k] = [*linear, *((ahead - behind) / 2e-4)]
+    of_base = (pose, velocity, acceleration) if floating_base else (empty, empty, empty)
+    nothing = np.full_like(joints[0], np.nan)
+    return Samples(np.arange(1, count + 1), *joints, nothing, *of_base, np.zeros((count, 0, 6)))
+
+
+def _recorded(topic: str, kind: str, stamp: int, **fields: Any) -> Recorded:
+    return Recorded(topic, kind, stamp, _message(kind, **fields))
+
+
+def _message(kind: str, **fields: Any) -> Any:
+    return TYPES.types[kind](**fields)
+
+
+def _header(stamp: int, frame: str) -> Any:
+    time = _message("builtin_interfaces/msg/Time", sec=stamp // SECOND, nanosec=stamp % SECOND)
+    return _message("std_msgs/msg/Header", stamp=time, frame_id=frame)
+
+
+def _vector(values: FloatArray) -> Any:
+    x, y, z = values.tolist()
+    return _message("geometry_msgs/msg/Vector3", x=x, y=y, z=z)
+
+
+def _pose(values: FloatArray) -> Any:
+    x, y, z, *turn = values.tolist()
+    position = _message("geometry_msgs/msg/Point", x=x, y=y, z=z)
+    quaternion = _message("geometry_msgs/msg/Quaternion", **dict(zip("xyzw", turn, strict=True)))
+    return _message("geometry_msgs/msg/Pose", position=position, orientation=quaternion)

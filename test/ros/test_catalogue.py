@@ -1,0 +1,37 @@
+"""The catalogue is complete, every test it names exists, and README has it."""
+
+from __future__ import annotations
+
+import ast
+import re
+from pathlib import Path
+
+import pytest
+
+from .catalogue import CATALOGUE, Fault, table
+
+HERE = Path(__file__).parent
+README = HERE.parents[1] / "README.md"
+
+
+def test_there_are_seventy() -> None:
+    assert [entry.number for entry in CATALOGUE] == list(range(1, 71))
+    assert all(entry.tests for entry in CATALOGUE)
+
+
+@pytest.mark.parametrize("entry", CATALOGUE, ids=lambda entry: str(entry.number))
+def test_its_tests_exist(entry: Fault) -> None:
+    """The file, the function, and the case among its parameters."""
+    for test in entry.tests:
+        name, _, rest = test.partition("::")
+        text = (HERE / name).read_text(encoding="utf-8")
+        if not rest:
+            continue
+        function, _, case = rest.partition("[")
+        functions = {node.name for node in ast.walk(ast.parse(text)) if isinstance(node, ast.FunctionDef)}
+        assert function in functions, test
+        assert not case or re.search(rf'^    "{re.escape(case.rstrip("]"))}":', text, re.MULTILINE), test
+
+
+def test_readme_has_the_table() -> None:
+    assert table() in README.read_text(encoding="utf-8")

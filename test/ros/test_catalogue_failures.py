@@ -1,0 +1,279 @@
+"""The catalogue's faults of the node's own parts: solver, threads, disk, services. They are planted (``faulty.py``)."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import pytest
+from files.recordings import Recorded
+
+from .faulty import MOST_WAITING, VARIABLE
+from .processes import SOON
+from .rig import ERROR, GOOD, WARN, Rig, Twin, rigged
+from .spoiling import later
+
+SECOND = 1_000_000_000
+
+
+class Faulty:
+    """A rig whose node has one fault after the other."""
+
+    def __init__(self, rig: Rig, switch: Path) -> None:
+        self.rig = rig
+        self._switch = switch
+
+    @contextmanager
+    def has(self, fault: str) -> Iterator[None]:
+        """While the node has this fault."""
+        self._switch.write_text(fault)
+        try:
+            yield
+        finally:
+            self._switch.write_text("")
+
+
+@contextmanager
+def planted(folder: Path, **parameters: Any) -> Iterator[Faulty]:
+    """A node whose faults are to be chosen."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv(VARIABLE, str(folder / "fault"))
+        patch.setenv("PYTHONPATH", os.pathsep.join([str(Path(__file__).parents[1]), os.environ.get("PYTHONPATH", "")]))
+        with rigged(folder, "ros.faulty", **parameters) as rig:
+            yield Faulty(rig, folder / "fault")
+
+
+@pytest.fixture(scope="module")
+def faulty(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Faulty]:
+    with planted(tmp_path_factory.mktemp("faulty")) as faulty:
+        yield faulty
+
+
+def begun(rig: Rig) -> tuple[list[Recorded], list[Recorded], int, int]:
+    """A case in which half of the messages have come; those that are left, and how much was told and published."""
+    before, after = rig.begin()
+    rig.feed(before)
+    rig.assert_same_as_twin()
+    rig.settled(len(rig.arrays))
+    return before, after, len(rig.arrays), len(rig.inertias)
+
+
+SOLVER = {
+    "49-not-converged": ("not converged", WARN, "no new estimate: planted: no step helps"),
+    "49-not-a-number": ("not a number", WARN, "no estimate: the solver's result is not finite"),
+    "49-solver-fails": ("solver fails", ERROR, "the solver failed: ZeroDivisionError: planted"),
+    "50-solver-over-its-time": ("solver slow", WARN, "solving takes"),
+}
+
+
+@pytest.mark.parametrize("name", SOLVER)
+def test_a_solver_that_fails_keeps_the_last_estimate(name: str, faulty: Faulty) -> None:
+    fault, level, says = SOLVER[name]
+    rig = faulty.rig
+    _, after, begin, heard = begun(rig)
+    with faulty.has(fault):
+        rig.feed(after)
+        rig.says(begin, level, says)
+        assert len(rig.inertias) == heard
+        rig.settled(begin)
+    assert rig.node.running
+    rig.assert_same_as_twin()
+
+
+def test_47_standing_still(faulty: Faulty) -> None:
+    """The arm stops where it is; the first link only ever turns about its vertical axis, and shows nothing else."""
+    rig = faulty.rig
+    before, _, begin, _ = begun(rig)
+    last = before[-2:]
+    still = [
+        later(item.changed(velocity=0.0 * item.message.velocity) if k % 2 == 0 else item, (1 + k // 2) * 10_000_000)
+        for k in range(400)
+        for item in [next(m for m in last if m.topic == ("/joint_states", "/wrench")[k % 2])]
+    ]
+    rig.feed(still)
+    values = rig.settled(begin)
+    assert int(values["rows rejected: standing still"]) > 100
+    rig.says(begin, WARN, "standing still: nothing new can be told of 'link1'")
+    rig.assert_same_as_twin()
+
+
+def test_31_what_does_not_fit_into_the_queue_is_dropped(faulty: Faulty) -> None:
+    """The same wrench again and again: what is taken of it is rejected, when there is time to look at it."""
+    rig = faulty.rig
+    _, after, begin, heard = begun(rig)
+    with faulty.has("intake waits"):
+        rig.feed(after[:20])
+        wrench = next(item for item in reversed(after[:20]) if item.topic == "/wrench")
+        before = rig.sent["/wrench"]
+        rig.send([wrench] * (MOST_WAITING + 500), pause=0.0)
+        rig.says(begin, WARN, "/wrench dropped: queue full")
+        assert len(rig.inertias) == heard
+    values = rig.settled(len(rig.arrays))
+    assert int(values["/wrench dropped: queue full"]) <= 500
+    assert rig.sent["/wrench"] - before == MOST_WAITING + 500
+    rig.feed(after[20:])
+    rig.assert_same_as_twin()
+
+
+FAILURES = {
+    "51-callback": (
+        "callback fails",
+        "/wrench dropped: ZeroDivisionError in a callback",
+        "a message on /wrench could not be taken: ZeroDivisionError: planted",
+    ),
+    "52-worker": (
+        "messages fail",
+        "/wrench dropped: ZeroDivisionError while taking a message",
+        "a message on /wrench could not be taken: ZeroDivisionError: planted",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", FAILURES)
+def test_an_exception_costs_the_messages_it_meets(name: str, faulty: Faulty) -> None:
+    fault, dropped, says = FAILURES[name]
+    rig = faulty.rig
+    _, after, begin, heard = begun(rig)
+    bad = [item for item in after[:40] if item.topic == "/wrench"]
+    before = rig.settled(begin).get(dropped, "0")
+    with faulty.has(fault):
+        rig.send(bad)
+        values = rig.settled(len(rig.arrays))
+        rig.says(begin, ERROR, says)
+        assert int(values[dropped]) - int(before) == len(bad)
+        assert len(rig.inertias) == heard
+    rig.feed([item for item in after if item not in bad])
+    rig.assert_same_as_twin()
+
+
+def test_52_rows_that_cannot_be_made_are_counted(faulty: Faulty) -> None:
+    """The messages were accepted, their rows are lost."""
+    rig = faulty.rig
+    _, after, begin, heard = begun(rig)
+    with faulty.has("rows fail"):
+        rig.send(after[:100])
+        values = rig.settled(len(rig.arrays))
+        rig.says(begin, ERROR, "rows could not be made: ZeroDivisionError: planted")
+        assert int(values["rows rejected: ZeroDivisionError"]) > 0
+        assert len(rig.inertias) == heard
+    for item in after[:100]:  # the twin loses the same rows
+        rig.twin.feed_pipeline(item)
+    rig.feed(after[100:])
+    rig.assert_same_as_twin()
+
+
+def test_53_a_solver_that_hangs_is_replaced(faulty: Faulty) -> None:
+    rig = faulty.rig
+    _, after, begin, heard = begun(rig)
+    with faulty.has("solver hangs"):
+        rig.feed(after)
+        rig.says(begin, WARN, "solving takes")
+        rig.says(begin, ERROR, "the solver hung and was restarted")
+        assert len(rig.inertias) == heard
+    rig.stage.observer.wait_for(lambda: len(rig.inertias) > heard, "estimates of a solver that does not hang")
+    rig.assert_same_as_twin()
+    assert rig.node.running
+
+
+DISK = {
+    "64-disk-full": ("disk full", "No space left on device"),
+    "65-read-only": ("disk read-only", "Read-only file system"),
+    "66-unwritable": ("saving fails", "planted"),
+}
+
+
+@pytest.mark.parametrize("name", DISK)
+def test_a_disk_that_cannot_be_written_stops_nothing(name: str, faulty: Faulty) -> None:
+    fault, says = DISK[name]
+    rig = faulty.rig
+    _, after, begin, heard = begun(rig)
+    written = (rig.out / "estimate.json").read_text()
+    with faulty.has(fault):
+        success, message = rig.trigger("save")
+        assert not success
+        assert says in message
+        rig.says(begin, ERROR, "the estimate could not be saved", says)
+        assert (rig.out / "estimate.json").read_text() == written, "what was saved before is kept"
+        assert {path.name for path in rig.out.iterdir()} == {"estimate.json", "identified.urdf"}
+        rig.feed(after)
+        rig.stage.observer.wait_for(lambda: len(rig.inertias) > heard + 8, "estimates that go on")
+    rig.assert_same_as_twin()
+    rig.settled(begin)
+
+
+def test_67_a_slow_disk_keeps_nobody_waiting(faulty: Faulty) -> None:
+    rig = faulty.rig
+    _, after, begin, _ = begun(rig)
+    with faulty.has("disk slow"):
+        answer = rig.ask("save")
+        rig.feed(after)
+        rig.says(begin, ERROR, "saving takes", str(rig.out))
+        rig.settled(begin)
+        rig.stage.observer.wait_for(answer.done, "the answer")
+    assert answer.result().success
+    rig.assert_same_as_twin()
+
+
+def test_69_an_exception_in_a_service_is_answered(faulty: Faulty) -> None:
+    rig = faulty.rig
+    _, after, begin, heard = begun(rig)
+    with faulty.has("service fails"):
+        assert rig.trigger("find_gap") == (False, "ZeroDivisionError: planted")
+    rig.says(begin, ERROR, "~/find_gap failed: ZeroDivisionError: planted")
+    assert len(rig.inertias) == heard
+    rig.feed(after)
+    rig.settled(begin)
+    rig.assert_same_as_twin()
+
+
+def test_53_an_intake_that_hangs_is_replaced_three_times(faulty: Faulty) -> None:
+    """Every time the rows are lost; the messages that waited are accounted for. Then somebody is to look: ~/reset."""
+    rig = faulty.rig
+    _, _, begin, _ = begun(rig)
+    with faulty.has("intake hangs"):
+        for attempt, reason in enumerate(
+            [
+                *(f"the intake of messages hung and was restarted, {k} of at most 3 times" for k in (1, 2, 3)),
+                "the intake of messages hangs again after 3 restarts and is left alone",
+            ]
+        ):
+            rig.send(rig.shifted(later(item, (5 + 3 * attempt) * SECOND) for item in GOOD[300:600]))
+            rig.says(begin, ERROR, reason)
+    assert rig.node.running
+    again = len(rig.arrays)
+    assert rig.trigger("reset")[0]
+    rig.says(again, ERROR, "1 of at most 3 times")
+    rig.twin = Twin()
+    _, _, begin, _ = begun(rig)
+    rig.settled(begin)
+
+
+def test_54_a_shutdown_from_a_callback_ends_the_node_well(faulty: Faulty) -> None:
+    """Last, as it ends."""
+    rig = faulty.rig
+    _, after, _, _ = begun(rig)
+    (rig.out / "estimate.json").unlink()
+    with faulty.has("callback shuts down"):
+        rig.send(item for item in after[:4] if item.topic == "/wrench")
+        assert rig.node.seconds_to_end() <= SOON
+        assert rig.node.status() == 0, rig.node.output
+    saved = json.loads((rig.out / "estimate.json").read_text())
+    assert saved["rows"]["accepted"] == rig.twin.session.identifier.rows
+
+
+def test_57_a_node_ends_though_all_its_threads_hang(tmp_path: Path) -> None:
+    """A disk that answers nothing, a solver that never comes back."""
+    with planted(tmp_path, **{"checkpoint.folder": str(tmp_path / "checkpoints"), "checkpoint.period": 1.0}) as faulty:
+        rig = faulty.rig
+        _, after, begin, _ = begun(rig)
+        with faulty.has("everything hangs"):
+            rig.feed(after)
+            rig.says(begin, WARN, "solving takes")
+            assert rig.node.seconds_to_end(signal.SIGTERM) <= SOON
+        assert rig.node.status() == 0, rig.node.output
+        assert "is too slow to save the last estimate" in rig.node.output

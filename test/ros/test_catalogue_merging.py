@@ -1,0 +1,41 @@
+"""Left and right arm in messages of their own, from publishers of their own, on one topic."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import rclpy
+from files.recordings import TYPES, Recorded
+from sensor_msgs.msg import JointState
+
+from .observer import MATCHING, plenty
+from .rig import AFTER, BEFORE, rigged
+
+
+def part(item: Recorded, places: slice) -> Recorded:
+    """A joint message with some of its joints."""
+    numbers = {key: getattr(item.message, key)[places] for key in ("position", "velocity", "effort")}
+    return item.changed(name=item.message.name[places], **numbers)
+
+
+def test_16_two_arms_are_put_together(tmp_path: Path) -> None:
+    """As if one had sent all joints: the twin is fed whole messages."""
+    with rigged(tmp_path, merge_joint_states=True) as rig:
+        node = rclpy.create_node("right_arm", context=rig.stage.observer.node.context)
+        right = node.create_publisher(JointState, "/joint_states", plenty())
+        rig.stage.observer.wait_for(right.get_subscription_count, "the node")
+        rig.stage.observer.spin(MATCHING)
+        for item in BEFORE + AFTER:
+            if item.topic == "/joint_states":
+                rig.send([part(item, slice(0, 2))])
+                other = part(item, slice(2, None))
+                right.publish(bytes(TYPES.serialize_cdr(other.message, other.kind)))
+                rig.sent["/joint_states"] += 1
+            else:
+                rig.send([item])
+        rig.twin.feed(BEFORE + AFTER)
+        values = rig.settled()
+        assert values["joint_states accepted"] == values["joint_states received"]
+        assert "publishers" not in rig.stream(rig.arrays[-1]).message
+        rig.assert_same_as_twin()
+        node.destroy_node()

@@ -1,0 +1,257 @@
+"""The catalogue's faults of whole streams: clocks that jump, bursts, saturation, publishers too many."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+
+import numpy as np
+import pytest
+import rclpy
+from files.recordings import TYPES, Recorded
+from rclpy.publisher import Publisher
+from sensor_msgs.msg import JointState
+
+from .in_motion import InMotion, in_time, noisy
+from .observer import MATCHING, plenty
+from .rig import ERROR, GOOD, OK, WARN, Rig
+from .spoiling import later, stamp_of
+from .stage import description
+
+SECOND = 1_000_000_000
+BACK = (": clock set back: a new segment begins",)
+PAUSE = tuple(f"{topic}: pause: a new segment begins" for topic in ("joint_states", "/wrench"))
+
+
+def of_a_bag_in_a_loop(before: list[Recorded], after: list[Recorded]) -> list[Recorded]:
+    return [*after, *before, *after]
+
+
+def of_a_reset_simulation(_: list[Recorded], after: list[Recorded]) -> list[Recorded]:
+    """Its clock begins at nothing."""
+    begin = stamp_of(after[0]) - SECOND
+    return [later(item, -begin) for item in after]
+
+
+def after_a_pause(_: list[Recorded], after: list[Recorded]) -> list[Recorded]:
+    return [later(item, 2 * SECOND) for item in after]
+
+
+JUMPS: dict[str, tuple[Callable[[list[Recorded], list[Recorded]], list[Recorded]], tuple[str, ...]]] = {
+    "24-simulation-reset": (of_a_reset_simulation, BACK),
+    "25-bag-loop": (of_a_bag_in_a_loop, BACK),
+    "27-gap-forward": (after_a_pause, PAUSE),
+}
+
+
+@pytest.mark.parametrize("name", JUMPS)
+def test_time_that_jumps_begins_a_segment_and_costs_nothing(name: str, rig: Rig) -> None:
+    jump, says = JUMPS[name]
+    before, after = rig.begin()
+    rig.feed(before)
+    rig.assert_same_as_twin()
+    begin, rows = len(rig.arrays), rig.twin.session.identifier.rows
+    rejected = refused(rig)
+    rig.feed(jump(before, after))
+    rig.names_at_once(begin, WARN, *says)
+    assert refused(rig) == rejected, "a jump is no reason to refuse anything"
+    rig.assert_same_as_twin()
+    assert rig.twin.session.identifier.rows > rows, "information is kept, and more comes"
+
+
+def refused(rig: Rig) -> int:
+    values = rig.settled(len(rig.arrays))
+    return sum(int(value) for key, value in values.items() if " rejected: " in key or " dropped: " in key)
+
+
+def test_26_a_clock_stepped_back_a_little_is_waited_out(rig: Rig) -> None:
+    before, after = rig.begin()
+    rig.feed(before)
+    rig.assert_same_as_twin()
+    begin, heard = len(rig.arrays), len(rig.inertias)
+    rig.send(before[-60:])
+    rig.settled(begin)
+    rig.says(begin, None, "joint_states rejected: stamp not later than the one before")
+    assert len(rig.inertias) == heard
+    rig.feed(after)
+    rig.assert_same_as_twin()
+
+
+def test_28_a_paused_simulation(rig: Rig) -> None:
+    """The same message again and again."""
+    before, after = rig.begin()
+    rig.feed(before)
+    rig.assert_same_as_twin()
+    begin, heard = len(rig.arrays), len(rig.inertias)
+    rig.send(before[-2:] * 100)
+    rig.settled(begin)
+    rig.says(begin, None, "joint_states rejected: stamp not later than the one before")
+    assert len(rig.inertias) == heard
+    rig.feed(after)
+    rig.assert_same_as_twin()
+
+
+def test_32_a_burst_is_taken(rig: Rig) -> None:
+    """As fast as it can be published; before, a pause as long as the messages of the burst were held back."""
+    before, after = rig.begin()
+    rig.feed(before)
+    rig.stage.observer.spin(0.5)
+    begin = len(rig.arrays)
+    rig.send(after, pause=0.0)
+    rig.twin.feed(after)
+    values = rig.settled(begin)
+    assert not [key for key in values if key.endswith(" lost")]
+    rig.assert_same_as_twin()
+
+
+def of_one_robot(duration: float, begin: float, swing: Sequence[float]) -> list[Recorded]:
+    """Of the small arm with other bodies: each joint swings so far."""
+    arm = InMotion(
+        description("arm3"), duration=duration, rate=100, seed=48, begin=begin, cuts=["wrist_ft"], swing=np.array(swing)
+    )
+    return in_time(
+        arm.joint_states(noisy(arm.efforts(), 0.02, 1)),
+        arm.wrenches("/wrench", "wrist_ft", noisy(arm.carried("wrist_ft"), 0.02, 2)),
+    )
+
+
+def test_48_a_motion_of_one_joint_leaves_links_untold_and_names_them(rig: Rig) -> None:
+    """The last joint alone shows nothing of the link before it; the motion of all joints does."""
+    rig.begin()
+    begin = len(rig.arrays)
+    alone = of_one_robot(4.0, 0.0, [0.0, 0.0, 0.8])
+    rig.feed(alone)
+    rig.link_says(begin, "link2", WARN, "no quantity can be told by itself")
+    rig.link_says(begin, "link3", OK, "mass")
+    rig.assert_same_as_twin()
+    begin = len(rig.arrays)
+    rig.feed(of_one_robot(4.0, 6.0, [0.8, 0.8, 0.8]))
+    rig.link_says(begin, "link2", OK, "mass")
+    rig.assert_same_as_twin()
+
+
+LARGEST = 100.0  # [N m] more than the arm ever needs
+
+
+def cut_off(messages: list[Recorded]) -> list[Recorded]:
+    """An effort too large for its sensor for a third of the time: then it reads the same for long."""
+    efforts = [abs(item.message.effort[0]) for item in messages if item.topic == "/joint_states"]
+    gain = LARGEST / np.quantile(efforts, 0.7)
+
+    def cut(item: Recorded) -> Recorded:
+        effort = item.message.effort.copy()
+        effort[0] = np.clip(gain * effort[0], -LARGEST, LARGEST)
+        return item.changed(effort=effort)
+
+    return [cut(item) if item.topic == "/joint_states" else item for item in messages]
+
+
+def test_41_a_saturated_effort_costs_the_messages_that_have_it_for_long(rig: Rig) -> None:
+    before, after = rig.begin()
+    rig.feed(before)
+    rig.assert_same_as_twin()
+    begin, since, last = len(rig.arrays), 0, stamp_of(before[-1])
+    spared: list[Recorded] = []
+    messages = cut_off(after)
+    for item in messages:
+        if item.topic == "/joint_states":
+            full = abs(item.message.effort[0]) == LARGEST
+            since = (since or stamp_of(item)) if full else 0
+            if full and stamp_of(item) - since >= 50_000_000:
+                if stamp_of(item) - last <= 500_000_000:
+                    continue
+            else:
+                last = stamp_of(item)
+        spared.append(item)
+    assert 10 < len(messages) - len(spared) < 100
+    rig.send(messages)
+    rig.twin.feed(spared)
+    rig.settled(begin)
+    rig.says(begin, WARN, "joint_states rejected: effort of 'joint2' saturated")
+    rig.assert_same_as_twin()
+    rig.feed(rig.shifted(later(item, 2 * SECOND) for item in GOOD[900:1100]))
+    rig.assert_same_as_twin()
+
+
+@contextmanager
+def impostor(rig: Rig) -> Iterator[Publisher]:
+    """Another node that publishes joint_states."""
+    node = rclpy.create_node("impostor", context=rig.stage.observer.node.context)
+    publisher = node.create_publisher(JointState, "/joint_states", plenty())
+    rig.stage.observer.wait_for(publisher.get_subscription_count, "the node")
+    rig.stage.observer.spin(MATCHING)
+    try:
+        yield publisher
+    finally:
+        node.destroy_node()
+        rig.stage.observer.wait_for(
+            lambda: rig.stage.observer.node.count_publishers("/joint_states") == 1, "the impostor's end"
+        )
+        rig.stage.observer.spin(0.2)
+
+
+def phantom(item: Recorded) -> Recorded:
+    return item.changed(name=[f"ghost/{name}" for name in item.message.name])
+
+
+def right_arm(item: Recorded) -> Recorded:
+    first = {key: getattr(item.message, key)[:1] for key in ("position", "velocity", "effort")}
+    return item.changed(name=item.message.name[:1], **first)
+
+
+SECONDS: dict[str, Callable[[Recorded], Recorded]] = {
+    "14-two-publishers": lambda item: item,
+    "15-a-phantom": phantom,
+    "16-an-arm-of-its-own": right_arm,
+}
+
+
+@pytest.mark.parametrize("name", SECONDS)
+def test_a_second_publisher_is_named_and_believed_no_more_than_the_first(name: str, rig: Rig) -> None:
+    """Whatever it says; the wrenches go on."""
+    before, after = rig.begin()
+    rig.feed(before)
+    rig.assert_same_as_twin()
+    begin, heard = len(rig.arrays), len(rig.inertias)
+    with impostor(rig) as publisher:
+        for item in after[:40]:
+            if item.topic == "/joint_states":
+                rig.send([item])
+                other = later(SECONDS[name](item), 1_000_000)
+                publisher.publish(bytes(TYPES.serialize_cdr(other.message, other.kind)))
+                rig.sent["/joint_states"] += 1
+        rig.settled(begin)
+        rig.says(begin, ERROR, "joint_states has 2 publishers", "/impostor, /observer")
+        assert len(rig.inertias) == heard
+    assert rig.node.running
+    rig.feed(after[40:])
+    rig.assert_same_as_twin()
+
+
+def test_17_a_publisher_that_is_replaced(rig: Rig) -> None:
+    """Its successor's messages are taken as its own."""
+    before, after = rig.begin()
+    rig.feed(before)
+    rig.assert_same_as_twin()
+    begin = len(rig.arrays)
+    node, old = rig.stage.observer.node, rig.publishers["/joint_states"]
+    node.destroy_publisher(old)
+    rig.publishers["/joint_states"] = new = node.create_publisher(JointState, "/joint_states", plenty())
+    rig.stage.observer.wait_for(
+        lambda: new.get_subscription_count() and node.count_publishers("/joint_states") == 1, "it"
+    )
+    rig.stage.observer.spin(MATCHING)
+    rig.says(begin, WARN, "no messages on joint_states")
+    rig.feed(after)
+    rig.settled(begin)
+    rig.assert_same_as_twin()
+
+
+def test_a_healthy_stream_is_nothing_to_talk_about(rig: Rig) -> None:
+    """After all that: the judgement is of now."""
+    before, after = rig.begin()
+    rig.feed(before)
+    rig.settled(len(rig.arrays))
+    begin = len(rig.arrays)
+    rig.feed(after)
+    rig.told("good words", begin, lambda _, status: status.level == OK)

@@ -1,0 +1,314 @@
+"""What the node says is safe survives it, whatever ends it; a disk that fails costs checkpoints and nothing else."""
+
+from __future__ import annotations
+
+import errno
+import itertools
+import json
+import os
+import resource
+import signal
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import closing
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from geometry_msgs.msg import InertiaStamped
+
+from geomid_ros.estimation.estimator import WarmStart
+from geomid_ros.files.checkpoint import Checkpoint, decoded
+from geomid_ros.files.checkpoint_folder import CheckpointFolder
+from geomid_ros.files.configuration import Configuration
+from geomid_ros.ros.checkpoints import Checkpoints
+from geomid_ros.ros.worker import Worker
+from geomid_ros.session import Session
+from geomid_ros.signals.messages import feed_joint_state, feed_wrench
+
+from .observer import latched
+from .stage import KINDS, WRIST, Stage, description, messages
+
+ARM3 = {**WRIST, "robot_description": description("arm3"), "solve_period": 0.2}
+FLAT = {"wrenches": ["wrist"], "wrench.wrist.topic": "/wrench", "wrench.wrist.frame": "wrist_ft"}
+MESSAGES = messages()
+HALF = len(MESSAGES) // 2
+EACH = HALF // 2  # messages of either topic in half of the bag
+SOON = 0.05  # [s]
+PATIENCE = 30.0  # [s]
+
+
+def keeping(folder: Path, period: float = 0.1) -> dict[str, Any]:
+    return {**ARM3, "checkpoint": {"folder": str(folder), "period": period}}
+
+
+def session(robot: str = "arm3") -> Session:
+    return Session(description(robot), Configuration(FLAT), robot)
+
+
+def fed(of: Session, begin: int, end: int) -> Session:
+    """A session with this part of the bag, as a node has it that has heard nothing before."""
+    pipeline = of.new_pipeline()
+    for item in MESSAGES[begin:end]:
+        if item.topic == "/wrench":
+            feed_wrench(pipeline, item.topic, item.message)
+        else:
+            feed_joint_state(pipeline, item.message)
+    of.identifier.add(pipeline.collect())
+    return of
+
+
+def generations(folder: Path) -> list[Checkpoint]:
+    """All checkpoints in a folder, the newest last; each must be whole."""
+    of = session()
+    files = sorted(folder.glob("checkpoint-*"))
+    found = [decoded(file.read_bytes(), of.meaning, of.model.channels) for file in files]
+    return sorted(found, key=lambda checkpoint: checkpoint.number)
+
+
+def rows(folder: Path) -> int:
+    """Those of the newest checkpoint."""
+    return generations(folder)[-1].memory.summary.rows
+
+
+def told(stage: Stage, look: Callable[[DiagnosticStatus, dict[str, str]], bool], what: str) -> dict[str, str]:
+    """Values of the first diagnostics of checkpoints from now on that satisfy ``look``."""
+    arrays = stage.observer.collect(DiagnosticArray, "/diagnostics")
+
+    def find() -> dict[str, str]:
+        for status in itertools.chain.from_iterable(array.status for array in arrays):
+            values = {pair.key: pair.value for pair in status.values}
+            if status.name.endswith(": checkpoints") and look(status, values):
+                return values
+        arrays.clear()
+        return {}
+
+    return stage.observer.wait_for(find, what)
+
+
+def test_killed_at_random_it_goes_on_with_what_was_safe(stage: Stage, tmp_path: Path) -> None:
+    """With an estimate before any message has come, and counting on."""
+    folder, rng = tmp_path / "kept", np.random.default_rng(0)
+    safe = accepted = 0
+    for _ in range(3):
+        inertias = stage.observer.collect(InertiaStamped, "/geomid/inertias", latched())
+        node = stage.node(keeping(folder))
+        # The services of the one before are known for a while; that this one is there, it says itself.
+        known = told(stage, lambda *_: True, "a node")
+        assert int(known["rows"]) >= safe
+        assert ("goes on from" in known["beginning"]) == (safe > 0)
+        if safe:
+            stage.observer.wait_for(lambda heard=inertias: heard, "an estimate")
+        stage.observer.publish(MESSAGES[:HALF], KINDS)
+        values = told(stage, lambda _, values, least=safe: int(values["rows"]) > least, "rows that are safe")
+        safe = int(values["rows"])
+        stage.observer.publish(killing(node, MESSAGES[HALF:], int(rng.integers(HALF))), KINDS)
+        assert node.status() == -signal.SIGKILL
+        newest = generations(folder)[-1]
+        assert newest.memory.summary.rows >= safe
+        before, accepted = accepted, newest.accounts["joint_states"].accepted
+        assert before < accepted <= before + 2 * EACH
+
+
+def killing(node: Any, part: list[Any], at: int) -> Iterator[Any]:
+    """Messages, in the midst of which a node is killed."""
+    for index, item in enumerate(part):
+        if index == at:
+            node.send(signal.SIGKILL)
+        yield item
+
+
+def test_told_to_end_it_keeps_everything(stage: Stage, tmp_path: Path) -> None:
+    """Two halves of a bag, a node for each, are one robot: what the rows of both say, and all messages of both."""
+    folder, out = tmp_path / "kept", tmp_path / "out"
+    parameters = {**keeping(folder, 3600.0), "output_folder": str(out)}
+    alone = session()
+    for number, begin in ((signal.SIGTERM, 0), (signal.SIGINT, HALF)):
+        node = stage.node(parameters)
+        stage.observer.publish(MESSAGES[begin : begin + HALF], KINDS)
+        count = EACH * (1 + (begin > 0))
+        stage.fed({"joint_states": count, "/wrench": count})
+        assert stage.observer.trigger("/geomid/save")[0]
+        assert node.end(number) == 0
+        fed(alone, begin, begin + HALF)
+        assert rows(folder) == alone.identifier.rows
+    saved = json.loads((out / "estimate.json").read_text())
+    expected = alone.identifier.solve()
+    assert saved["rows"]["accepted"] == expected.rows_accepted
+    assert [link["mass"] for link in saved["links"]] == pytest.approx([link.mass for link in expected.links], rel=1e-6)
+    accounts = generations(folder)[-1].accounts
+    assert {topic: account.accepted for topic, account in accounts.items()} == {
+        "joint_states": len(MESSAGES) // 2,
+        "/wrench": len(MESSAGES) // 2,
+    }
+
+
+def test_another_robot_s_is_refused_aloud(stage: Stage, tmp_path: Path) -> None:
+    """And kept; the robot that is there is identified, and its rows are kept, too."""
+    folder, other = tmp_path / "kept", session("arm7")
+    with closing(keeper(folder, other)) as there:
+        there.write(other.checkpoint())
+    content = (folder / "checkpoint-a.safetensors").read_bytes()
+    node = stage.node(keeping(folder))
+    told(
+        stage,
+        lambda status, _: status.level == DiagnosticStatus.ERROR and "another robot" in status.message,
+        "a refusal",
+    )
+    assert "of another robot" in node.output
+    stage.observer.publish(MESSAGES[:HALF], KINDS)
+    values = told(stage, lambda status, values: status.level == DiagnosticStatus.OK and values["rows"] != "0", "peace")
+    assert "another robot" in values["beginning"]
+    assert node.end() == 0
+    assert rows(folder) > 0
+    (aside,) = folder.glob("unused-*")
+    assert aside.read_bytes() == content
+
+
+def test_without_a_place_for_checkpoints_it_estimates(stage: Stage, tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("in the way")
+    node = stage.node(keeping(tmp_path / "file"))
+    inertias = stage.observer.collect(InertiaStamped, "/geomid/inertias", latched())
+    stage.observer.publish(MESSAGES[:HALF], KINDS)
+    stage.observer.wait_for(lambda: inertias, "an estimate")
+    told(stage, lambda status, _: status.level == DiagnosticStatus.ERROR and "file" in status.message, "an error")
+    assert node.end() == 0
+    assert (tmp_path / "file").read_text() == "in the way"
+
+
+def test_a_disk_that_becomes_full_stops_nothing(stage: Stage, tmp_path: Path) -> None:
+    """As far as a process can tell: no file may grow any more. What was safe stays, and with room again it goes on."""
+    folder = tmp_path / "kept"
+    node = stage.node(keeping(folder))
+    inertias = stage.observer.collect(InertiaStamped, "/geomid/inertias", latched())
+    stage.observer.publish(MESSAGES[:HALF], KINDS)
+    safe = int(told(stage, lambda _, values: values["rows"] != "0", "rows that are safe")["rows"])
+    least = min(path.stat().st_size for path in folder.glob("checkpoint-*")) // 2
+    resource.prlimit(node._process.pid, resource.RLIMIT_FSIZE, (least, resource.RLIM_INFINITY))
+    inertias.clear()
+    stage.observer.publish(MESSAGES[HALF:], KINDS)
+    told(
+        stage,
+        lambda status, _: status.level == DiagnosticStatus.ERROR and "File too large" in status.message,
+        "an error",
+    )
+    stage.observer.wait_for(lambda: inertias, "estimates that go on")
+    assert rows(folder) >= safe
+    resource.prlimit(node._process.pid, resource.RLIMIT_FSIZE, (resource.RLIM_INFINITY, resource.RLIM_INFINITY))
+    told(stage, lambda status, values: status.level == DiagnosticStatus.OK and int(values["rows"]) > safe, "peace")
+    assert node.end() == 0
+    assert rows(folder) > safe
+
+
+def keeper(folder: Path, of: Session) -> CheckpointFolder:
+    return CheckpointFolder(folder, of.meaning, of.model.channels, of.configuration.buffer.folds)
+
+
+def wait_until(look: Callable[[], object]) -> None:
+    end = time.monotonic() + PATIENCE
+    while not look():
+        assert time.monotonic() < end
+        time.sleep(0.005)
+
+
+def rows_safe(checkpoints: Checkpoints) -> object:
+    return checkpoints.status.values["rows"]
+
+
+def test_a_disk_that_fails_is_reported_and_tried_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def fail(_: int) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    of = session()
+    with closing(Checkpoints(session(), tmp_path / "idle", SOON)), closing(Checkpoints(of, tmp_path, SOON)) as kept:
+        fed(of, 0, HALF)
+        wait_until(lambda: rows_safe(kept) == of.identifier.rows > 0)
+        with monkeypatch.context() as patch:
+            patch.setattr(os, "fsync", fail)
+            fed(of, HALF, len(MESSAGES))
+            wait_until(lambda: "No space left on device" in kept.status.error)
+            assert rows_safe(kept) < of.identifier.rows
+        wait_until(lambda: rows_safe(kept) == of.identifier.rows)
+        assert kept.status.error == ""
+    assert not list((tmp_path / "idle").glob("checkpoint*")), "there was nothing to write"
+    assert rows(tmp_path) == of.identifier.rows
+
+
+def test_a_disk_that_is_slow_is_reported_and_waited_for_by_nobody(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    may_go_on = threading.Event()
+    monkeypatch.setattr(os, "fsync", lambda _: may_go_on.wait(PATIENCE))
+    of = session()
+    with closing(Checkpoints(of, tmp_path, SOON)) as kept:
+        fed(of, 0, HALF)
+        wait_until(lambda: "the disk is slow" in kept.status.error)
+        fed(of, HALF, len(MESSAGES))
+        assert rows_safe(kept) == 0
+        may_go_on.set()
+        wait_until(lambda: rows_safe(kept) == of.identifier.rows and not kept.status.error)
+
+
+def test_the_end_waits_for_no_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    may_go_on = threading.Event()
+    monkeypatch.setattr(os, "fsync", lambda _: may_go_on.wait(PATIENCE))
+    of = session()
+    kept = Checkpoints(of, tmp_path, 3600.0)
+    fed(of, 0, HALF)
+    kept.close()
+    assert rows_safe(kept) == 0
+    may_go_on.set()
+    wait_until(lambda: rows_safe(kept) == of.identifier.rows)
+
+
+def test_what_was_to_be_forgotten_is(tmp_path: Path) -> None:
+    of = session()
+    with closing(Checkpoints(of, tmp_path, SOON)) as kept:
+        fed(of, 0, HALF)
+        wait_until(lambda: rows_safe(kept) == of.identifier.rows > 0)
+        of.identifier.reset()
+        wait_until(lambda: rows_safe(kept) == 0)
+    assert rows(tmp_path) == 0
+
+
+def test_the_older_one_serves_with_a_warning(tmp_path: Path) -> None:
+    of = fed(session(), 0, HALF)
+    with closing(keeper(tmp_path, of)) as there:
+        for _ in range(2):
+            there.write(of.checkpoint())
+    with (tmp_path / "checkpoint-b.safetensors").open("r+b") as file:
+        file.seek(5000)
+        file.write(b"damage")
+    with closing(Checkpoints(session(), tmp_path, 3600.0)) as kept:
+        assert kept.status.error == ""
+        assert f"goes on from checkpoint 1 with {of.identifier.rows} rows" in kept.status.warning
+        assert "checkpoint-b.safetensors is not used: the checksum is wrong" in kept.status.warning
+
+
+def test_the_first_solve_begins_where_the_last_ended(tmp_path: Path) -> None:
+    """Large robots take long to find the prior's weight; and it would be another estimate."""
+    with closing(Checkpoints(of := session(), tmp_path, 3600.0)), closing(working(of)[0]) as worker:
+        fed(of, 0, HALF)
+        wait_until(lambda: worker.solver.estimate is not None)
+        last = worker.solver.estimate
+    with closing(Checkpoints(of := session(), tmp_path, 3600.0)):
+        worker, starts = working(of)
+        with closing(worker):
+            wait_until(lambda: worker.solver.estimate is not None)
+            first = worker.solver.estimate
+    assert len(starts) >= 1
+    assert starts[0] is not None
+    np.testing.assert_array_equal(starts[0].parameters, last.parameters)
+    np.testing.assert_allclose(first.parameters, last.parameters, rtol=1e-9, atol=1e-12)
+    assert first.gamma == last.gamma
+
+
+def working(of: Session) -> tuple[Worker, list[WarmStart | None]]:
+    """A worker of a session, and where its solves begin."""
+    starts: list[WarmStart | None] = []
+    solve = of.identifier.solve
+    of.identifier.solve = lambda warm=None: starts.append(warm) or solve(warm)  # type: ignore[method-assign]
+    return Worker(of, SOON, lambda *_: None, lambda *_: None), starts

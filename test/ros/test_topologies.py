@@ -1,0 +1,317 @@
+"""Real set-ups: the ready configurations with the messages of robots whose bodies are known, over DDS.
+
+Elsewhere: namespaces, remapping and two nodes side by side (test_namespaces), descriptions that are late, changed or
+latched (test_description), stamps that jump (test_catalogue_streams).
+"""
+
+from __future__ import annotations
+
+import json
+import re
+import time
+from collections import Counter
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from builtin_interfaces.msg import Time
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from files.recordings import TYPES, Recorded
+from geometry_msgs.msg import InertiaStamped, WrenchStamped
+from model.robots import urdf
+from nav_msgs.msg import Odometry
+from rclpy.publisher import Publisher
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+from rosgraph_msgs.msg import Clock
+from sensor_msgs.msg import JointState
+from std_msgs.msg import String
+from test_configs import in_force
+
+from geomid_ros.types import FloatArray
+
+from .in_motion import SECOND, InMotion, in_time, noisy
+from .observer import BETWEEN_MESSAGES, MATCHING, latched, plenty
+from .processes import Process
+from .spoiling import later, stamp_of
+from .stage import Stage, description, messages
+
+CONFIG = Path(__file__).parents[2] / "config"
+KINDS = {
+    "sensor_msgs/msg/JointState": JointState,
+    "geometry_msgs/msg/WrenchStamped": WrenchStamped,
+    "nav_msgs/msg/Odometry": Odometry,
+}
+BEST_EFFORT = QoSProfile(depth=10_000, reliability=ReliabilityPolicy.BEST_EFFORT)
+FAR = 6.0  # standard deviations; links have ten quantities each, and friction is not the only thing that is simplified
+
+
+class Setup:
+    """A node with a ready configuration, and what its robot publishes."""
+
+    def __init__(self, stage: Stage, config: Path, urdf: str, *arguments: str, namespace: str = "") -> None:
+        """``arguments`` of ROS; ``namespace`` like ``/cell``."""
+        self.stage = stage
+        self.name = f"{namespace}/geomid".lstrip("/")
+        self._namespace = namespace
+        self._out = stage.folder / "out"
+        namespaced = ("-r", f"__ns:={namespace}") if namespace else ()
+        given = ("-p", f"output_folder:={self._out}", "-p", "solve_period:=0.2", *namespaced, *arguments)
+        self.node: Process = stage.start("geomid_ros.ros.main", "--ros-args", "--params-file", config, *map(str, given))
+        stage.serving(self.node, self.name)
+        self.inertias = stage.observer.collect(InertiaStamped, f"/{self.name}/inertias", latched())
+        self.arrays = stage.observer.collect(DiagnosticArray, "/diagnostics")
+        stage.observer.node.create_publisher(String, f"{namespace}/robot_description", latched(1)).publish(
+            String(data=urdf)
+        )
+        stage.observer.diagnostics(lambda _, status: "no messages on" in status.message, "a robot", self.name)
+        self.sent: Counter[str] = Counter()
+        self._publishers: dict[tuple[int, str], Publisher] = {}
+
+    def publish(self, *drivers: Sequence[Recorded], qos: QoSProfile | None = None) -> None:
+        """Publish what each driver says, each with publishers of its own, all in the order of their time."""
+        for number, items in enumerate(drivers):
+            for topic, kind in {item.topic: item.kind for item in items}.items():
+                if (number, topic) not in self._publishers:
+                    self._publishers[number, topic] = self.stage.observer.node.create_publisher(
+                        KINDS[kind], self._namespace + topic, qos or plenty()
+                    )
+        found = self._publishers.values()
+        self.stage.observer.wait_for(lambda: all(publisher.get_subscription_count() for publisher in found), "the node")
+        self.stage.observer.spin(MATCHING)
+        said = sorted(
+            ((item.time, number, item) for number, items in enumerate(drivers) for item in items),
+            key=lambda entry: entry[:2],
+        )
+        for _, number, item in said:
+            self._publishers[number, item.topic].publish(bytes(TYPES.serialize_cdr(item.message, item.kind)))
+            self.sent[item.topic] += 1
+            time.sleep(BETWEEN_MESSAGES)
+
+    def told(self, **names: str) -> dict[str, str]:
+        """The stream's values when all messages are in the ledger: accepted, all of them, and nothing was wrong.
+
+        ``names``: what topics are remapped to, by the names that the ledger has for them."""
+        known = {topic: name for name, topic in names.items()}
+        wanted = {f"{known.get(topic, topic[1:])} accepted": str(count) for topic, count in self.sent.items()}
+        array = self.stage.observer.diagnostics(
+            lambda values, _: wanted.items() <= values.items() and values["queue"] == "0", str(wanted), self.name
+        )
+        values = {pair.key: pair.value for pair in array.status[0].values}
+        assert not [key for key in values if " rejected: " in key or " dropped: " in key or key.endswith(" lost")]
+        for other in self.arrays:
+            for status in other.status:
+                assert status.level != DiagnosticStatus.ERROR, status.message
+        return values
+
+    def saved(self) -> dict[str, dict[str, Any]]:
+        """The links of the estimate for all messages so far."""
+        success, answer = self.stage.observer.trigger(f"/{self.name}/save")
+        assert success, answer
+        document = json.loads((self._out / "estimate.json").read_text())
+        assert document["converged"], document["reason"]
+        return {link["name"]: link for link in document["links"]}
+
+
+def assert_masses_are_true(links: dict[str, dict[str, Any]], truth: dict[str, FloatArray]) -> None:
+    """Of all links that are said to be told; the others must say so."""
+    assert links.keys() == truth.keys()
+    for name, link in links.items():
+        if "mass" not in link["cannot_tell"]:
+            assert abs(link["mass"] - truth[name][0]) < FAR * link["std"]["mass"] + 1e-3, name
+
+
+def with_tool(text: str, parent: str, name: str = "tool", mass: float = 1.2) -> str:
+    """A URDF with something fixed to a link."""
+    return text.replace(
+        "</robot>",
+        f"""<link name="{name}"><inertial><origin xyz="0.01 -0.02 0.06"/><mass value="{mass}"/>
+          <inertia ixx="{0.004 * mass}" ixy="0" ixz="0" iyy="{0.003 * mass}" iyz="0" izz="{0.002 * mass}"/>
+        </inertial></link><joint name="{name}_joint" type="fixed"><origin xyz="0 0 0.02"/><parent link="{parent}"/>
+          <child link="{name}"/></joint></robot>""",
+    )
+
+
+def test_a_universal_robot(stage: Stage, tmp_path: Path) -> None:
+    """Currents, in its driver's order of joints, and the wrench in a frame that no URDF has."""
+    text = with_tool(urdf("ur10_robot.urdf"), "tool0")
+    robot = InMotion(text, duration=7.0, rate=125.0, seed=1, cuts=["tool0"], swing=0.8)
+    gains = np.array([13.58, 14.30, 11.37, 11.24, 11.77, 11.77])
+    currents = noisy(robot.efforts(), 0.3, seed=2) / gains
+    wrench = noisy(-robot.carried("tool0"), 0.1, seed=3)
+    setup = Setup(stage, in_force(CONFIG / "ur.yaml", tmp_path), text)
+    topic = "/force_torque_sensor_broadcaster/wrench"
+    setup.publish(
+        in_time(robot.joint_states(currents, sorted(robot.joints)), robot.wrenches(topic, "tool0_controller", wrench))
+    )
+    setup.told()
+    links = setup.saved()
+    assert_masses_are_true(links, robot.truth)
+    assert links["tool0"]["mass"] == pytest.approx(robot.truth["tool0"][0], rel=0.01)
+    assert "mass" not in links["upper_arm_link"]["cannot_tell"], "currents tell it, with the right gains"
+
+
+def test_a_franka(stage: Stage) -> None:
+    """Best effort, on a topic of another name, with a hand whose fingers nobody mentions."""
+    text, fingers = urdf("panda.urdf"), ["panda_finger_joint1", "panda_finger_joint2"]
+    robot = InMotion(text, duration=6.0, rate=200.0, seed=1, locked=fingers, swing=0.8)
+    arguments = ("-r", "joint_states:=franka/joint_states", "-p", f"locked_joints:={json.dumps(fingers)}")
+    setup = Setup(stage, CONFIG / "franka.yaml", text, *arguments)
+    states = robot.joint_states(noisy(robot.efforts(), 0.1, seed=2), topic="/franka/joint_states")
+    setup.publish(states, qos=BEST_EFFORT)
+    setup.told(joint_states="/franka/joint_states")
+    links = setup.saved()
+    assert_masses_are_true(links, robot.truth)
+    assert "mass" not in links["panda_link7"]["cannot_tell"]
+    assert "panda_leftfinger" in links["panda_link7"]["merged"]
+
+
+def with_finger(text: str) -> str:
+    """The small arm with a finger that slides on its tool; what sensors are fixed to is called as in ros2_control."""
+    return text.replace("wrist_ft", "ft_frame").replace(
+        "</robot>",
+        """<link name="finger"><inertial><origin xyz="0 0 0.02"/><mass value="0.15"/>
+          <inertia ixx="1e-4" ixy="0" ixz="0" iyy="1e-4" iyz="0" izz="1e-4"/></inertial></link>
+        <joint name="finger_joint" type="prismatic"><origin xyz="0 0 0.1"/><parent link="tool"/><child link="finger"/>
+          <axis xyz="1 0 0"/><limit lower="-0.05" upper="0.05" effort="20" velocity="0.2"/></joint></robot>""",
+    )
+
+
+def test_an_arm_under_ros2_control(stage: Stage) -> None:
+    """In a namespace; NaN where a joint has no effort; wheels that the description does not have."""
+    text = with_finger(description("arm3"))
+    robot = InMotion(text, duration=7.0, rate=100.0, seed=4, cuts=["ft_frame"])
+    setup = Setup(stage, CONFIG / "ros2_control.yaml", text, namespace="/cell")
+    efforts = noisy(robot.efforts(), 0.05, seed=2)
+    efforts[:, robot.joints.index("finger_joint")] = np.nan
+    states = [
+        item.changed(
+            name=["left_wheel", *item.message.name],
+            **{key: np.array([np.nan, *getattr(item.message, key)]) for key in ("position", "velocity", "effort")},
+        )
+        for item in robot.joint_states(efforts, sorted(robot.joints))
+    ]
+    wrench = noisy(-robot.carried("ft_frame"), 0.05, seed=3)
+    setup.publish(in_time(states, robot.wrenches("/force_torque_sensor_broadcaster/wrench", "ft_frame", wrench)))
+    values = setup.told()
+    assert values["joint_states noted: joint 'left_wheel' is not one of the robot's: passed over"] == "1"
+    links = setup.saved()
+    assert_masses_are_true(links, robot.truth)
+    carried_mass = sum(links[name]["mass"] for name in ("ft_frame", "finger"))
+    assert carried_mass == pytest.approx(robot.truth["ft_frame"][0] + robot.truth["finger"][0], rel=0.01)
+
+
+def test_a_quadruped(stage: Stage) -> None:
+    """Odometry of a base that turns about all axes, and four feet that carry it."""
+    text = urdf("anymal_b_simple_description/robots/anymal.urdf")
+    robot = InMotion(text, duration=6.0, rate=100.0, seed=1, floating_base=True)
+    forces = robot.on_feet(["LF_FOOT", "RF_FOOT", "LH_FOOT", "RH_FOOT"])
+    feet = [
+        robot.wrenches(f"/{foot.lower()}/wrench", foot, noisy(force, 0.3, seed))
+        for seed, (foot, force) in enumerate(forces.items())
+    ]
+    setup = Setup(stage, CONFIG / "legged.yaml", text)
+    setup.publish(in_time(robot.joint_states(noisy(robot.efforts(forces), 0.1, seed=9)), robot.odometry(), *feet))
+    setup.told()
+    links = setup.saved()
+    assert_masses_are_true(links, robot.truth)
+    assert "mass" not in links["base"]["cannot_tell"]
+    assert total(links) == pytest.approx(sum(body[0] for body in robot.truth.values()), rel=0.01)
+
+
+def total(links: dict[str, dict[str, Any]]) -> float:
+    """The mass of all links."""
+    return float(sum(link["mass"] for link in links.values()))
+
+
+def test_a_person_on_a_force_plate(stage: Stage) -> None:
+    """Nobody measures efforts, and that is no error."""
+    text = urdf("human_description/robots/human.urdf")
+    robot = InMotion(text, duration=20.0, rate=30.0, seed=1, floating_base=True, swing=0.4)
+    nothing = np.zeros((len(robot.stamps), 0))
+    states = [item.changed(velocity=nothing[0], effort=nothing[0]) for item in robot.joint_states(robot.efforts())]
+    plate = robot.wrenches("/force_plate/wrench", "force_plate", noisy(robot.on_ground(), 1.0, seed=2))
+    setup = Setup(stage, CONFIG / "force_plate.yaml", text)
+    setup.publish(in_time(states, robot.odometry(), plate))
+    setup.told()
+    links = setup.saved()
+    assert_masses_are_true(links, robot.truth)
+    assert total(links) == pytest.approx(sum(body[0] for body in robot.truth.values()), rel=2e-3)
+
+
+def two_arms() -> str:
+    """Two small arms that look away from each other, on one body."""
+    sides = []
+    for side, yaw in (("left", 1.57), ("right", -1.57)):
+        _, _, arm = description("arm3").replace("wrist_ft", "tool0").partition('<robot name="arm3">')
+        arm = re.sub(r'(name|link)="', rf'\1="{side}_', arm.replace("</robot>", ""))
+        sides.append(
+            f'''{arm}<joint name="{side}_shoulder" type="fixed"><origin xyz="0 0 0.5" rpy="0.5 0 {yaw}"/>
+            <parent link="torso"/><child link="{side}_base_link"/></joint>'''
+        )
+    return f'<robot name="two_arms"><link name="torso"/>{"".join(sides)}</robot>'
+
+
+def test_two_arms_on_one_topic(stage: Stage) -> None:
+    """Two drivers, each with a clock phase of its own, and two wrench topics."""
+    text = two_arms()
+    cuts = ["left_tool0", "right_tool0"]
+    setup = Setup(stage, CONFIG / "dual_arm.yaml", text)
+    streams = []
+    for side, begin in (("left", 0.0), ("right", 0.003)):
+        robot = InMotion(text, duration=7.0, rate=100.0, seed=3, cuts=cuts, begin=begin)
+        joints = [joint for joint in robot.joints if joint.startswith(side)]
+        wrench = noisy(-robot.carried(f"{side}_tool0"), 0.05, seed=5)
+        topic = f"/{side}_force_torque_sensor_broadcaster/wrench"
+        states = robot.joint_states(noisy(robot.efforts(), 0.05, seed=6), joints)
+        streams.append(in_time(states, robot.wrenches(topic, f"{side}_tool0", wrench)))
+    setup.publish(*streams)
+    setup.told()
+    links = setup.saved()
+    assert_masses_are_true(links, robot.truth)
+    for tool in cuts:
+        assert links[tool]["mass"] == pytest.approx(robot.truth[tool][0], rel=0.01)
+
+
+def test_a_payload_within_two_seconds_of_motion(stage: Stage) -> None:
+    """Of a known arm; taken up, and put down again after ``~/reset``."""
+    bare = urdf("ur10_robot.urdf")
+    setup = Setup(stage, CONFIG / "payload.yaml", with_tool(bare, "tool0", mass=0.3))
+    for payload, begin in ((1.5, 0.0), (0.3, 60.0)):
+        loaded = with_tool(bare, "tool0", mass=payload)
+        known = InMotion(loaded, duration=2.0, rate=125.0, seed=1, cuts=["tool0"], begin=begin, swing=0.8, error=0.0)
+        assert stage.observer.trigger(f"/{setup.name}/reset")[0]
+        wrench = noisy(-known.carried("tool0"), 0.1, seed=3)
+        states = known.joint_states(noisy(known.efforts(), 0.3, seed=2))
+        setup.publish(in_time(states, known.wrenches("/force_torque_sensor_broadcaster/wrench", "tool0", wrench)))
+        setup.told()
+        (link,) = setup.saved().values()
+        assert link["name"] == "tool0"
+        assert link["mass"] == pytest.approx(payload, rel=0.1)
+        assert link["com"] == pytest.approx(known.truth["tool0"][1:4] / payload, abs=0.01)
+        stage.observer.wait_for(
+            lambda payload=payload: abs(setup.inertias[-1].inertia.m / payload - 1.0) < 0.1, "the payload on the topic"
+        )
+        assert {message.header.frame_id for message in setup.inertias} == {"tool0"}
+
+
+def test_a_simulation_that_begins_again(stage: Stage) -> None:
+    """Its clock and all stamps fall back to nothing; what was found is kept."""
+    setup = Setup(stage, CONFIG / "geomid.yaml", description("arm3"), "-p", "use_sim_time:=true")
+    states = [item for item in messages("arm3") if item.topic == "/joint_states"]
+    states = [later(item, SECOND - stamp_of(states[0])) for item in states]
+    clock = stage.observer.node.create_publisher(Clock, "/clock", 10)
+    setup.publish(states[:500])
+    clock.publish(Clock(clock=Time(sec=6)))
+    rows = int(setup.told()["rows"])
+    stage.observer.wait_for(lambda: any(array.header.stamp.sec == 6 for array in setup.arrays), "simulated time")
+    clock.publish(Clock(clock=Time(sec=1)))
+    again = setup.sent.copy()
+    setup.publish(states[:500])
+    values = setup.told()
+    assert setup.sent["/joint_states"] == 2 * again["/joint_states"]
+    assert values["joint_states noted: clock set back: a new segment begins"] == "1"
+    assert int(values["rows"]) > 1.5 * rows
+    stage.observer.wait_for(lambda: setup.arrays[-1].header.stamp.sec == 1, "simulated time from its beginning")
+    assert setup.saved().keys() == {"link1", "link2", "link3"}

@@ -1,0 +1,91 @@
+"""Joint messages of several publishers are put together as if one had sent them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from geomid_ros.model.samples import Samples
+from geomid_ros.signals.pipeline import SignalPipeline, SignalSettings
+
+from .feeding import JOINTS, JointMessage, assert_same, balanced, feed, in_time, joint_messages, regular
+
+STAMPS = regular(0.01, 4.0)
+WHOLE = joint_messages(STAMPS, velocity=True)
+
+
+def merging(*, merge: bool = True) -> SignalPipeline:
+    return SignalPipeline(JOINTS, settings=SignalSettings(period=0.01, merge=merge))
+
+
+def only(message: JointMessage, *names: str) -> JointMessage:
+    """The part of a message that has some of the joints."""
+    places = [list(message.name).index(name) for name in names]
+    numbers = {key: np.asarray(getattr(message, key))[places] for key in ("position", "velocity", "effort")}
+    return replace(message, name=names, **numbers)
+
+
+def expected() -> Samples:
+    return feed(merging(merge=False), WHOLE)
+
+
+def test_parts_with_the_same_stamps_are_the_whole() -> None:
+    """Right before left, left before right."""
+    left = [only(message, "shoulder") for message in WHOLE]
+    right = [only(message, "wrist", "elbow") for message in WHOLE]
+    both = [part for index, pair in enumerate(zip(left, right, strict=True)) for part in pair[:: 1 - 2 * (index % 2)]]
+    pipeline = merging()
+    assert_same(feed(pipeline, both), expected(), tolerance=0.0)
+    assert balanced(pipeline, both)
+    assert pipeline.ledger.topics["joint_states"].accepted == 2 * len(WHOLE)
+
+
+def test_messages_of_the_whole_are_a_part_too() -> None:
+    assert_same(feed(merging(), WHOLE), expected(), tolerance=0.0)
+
+
+def test_parts_with_stamps_of_their_own_meet_on_the_line_between() -> None:
+    """Two rates: the motion's curvature over a millisecond is all that is lost."""
+    quick = [only(message, "shoulder") for message in joint_messages(regular(0.001, 4.0), velocity=True)]
+    slow = [only(message, "elbow", "wrist") for message in joint_messages(regular(0.01, 4.0, 0.0003), velocity=True)]
+    samples = feed(merging(), in_time(quick, slow))
+    common = np.isin(expected().stamps, samples.stamps)
+    assert np.count_nonzero(common) > 0.9 * len(samples)
+    truth = expected().select(common)
+    shared = samples.select(np.isin(samples.stamps, truth.stamps))
+    assert np.max(np.abs(shared.position - truth.position)) < 1e-4
+    assert np.max(np.abs(shared.effort - truth.effort)) < 1e-3 * np.max(np.abs(truth.effort))
+
+
+def test_others_messages_are_named() -> None:
+    """A gripper's, and those of a publisher that has another's joint."""
+    parts = [only(message, *names) for message in WHOLE for names in (("shoulder",), ("elbow", "wrist"))]
+    strangers = [replace(only(WHOLE[50], "shoulder"), name=("finger",)), only(WHOLE[50], "shoulder", "elbow")]
+    pipeline = merging()
+    assert_same(feed(pipeline, [*parts[:100], *strangers, *parts[100:]]), expected(), tolerance=0.0)
+    rejected = pipeline.ledger.topics["joint_states"].rejected
+    assert rejected == {
+        "none of the robot's joints": 1,
+        "driver error: joint 'shoulder' comes with others than before": 1,
+    }
+
+
+def test_a_part_that_is_silent_stops_the_whole_and_starts_it_again() -> None:
+    left = [only(message, "shoulder") for message in WHOLE]
+    right = [only(message, "elbow", "wrist") for index, message in enumerate(WHOLE) if not 150 <= index < 220]
+    pipeline = merging()
+    samples = feed(pipeline, in_time(left, right))
+    gap = (samples.stamps > STAMPS[150]) & (samples.stamps < STAMPS[219])
+    assert not np.any(gap), "nothing is made up while one part is silent"
+    assert np.any(samples.stamps > STAMPS[300])
+
+
+def test_a_clock_set_back_begins_all_parts_anew() -> None:
+    parts = [only(message, *names) for message in WHOLE for names in (("shoulder",), ("elbow", "wrist"))]
+    pipeline = merging()
+    samples = feed(pipeline, [*parts, *parts])
+    assert balanced(pipeline, [*parts, *parts])
+    first = expected()
+    assert_same(samples.select(slice(len(first))), first, tolerance=0.0)
+    assert len(samples) > 1.9 * len(first)
