@@ -8,7 +8,7 @@ PIP_INSTALL := $(BIN)/python -m pip install -qq --disable-pip-version-check
 PYTEST_ARGS ?=
 BENCH_ARGS ?=
 
-.PHONY: help demo test lint bench colcon clean
+.PHONY: help demo test lint docs bench colcon clean
 
 help: ## List these targets
 	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "make %-7s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -22,6 +22,9 @@ test: lint ## Set up, then run the static checks and the tests
 lint: $(VENV)/.test-ready ## Set up, then run ruff and mypy
 	$(BIN)/ruff check
 	$(BIN)/mypy
+
+docs: $(VENV)/.test-ready ## Set up, then write the tables of README.md and docs/reference.md from the code
+	$(BIN)/python docs/tables.py
 
 bench: $(VENV)/.bench-ready ## Set up, then reproduce the paper beside other methods, into out/bench
 	$(BIN)/python -m benchmarks $(BENCH_ARGS)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import time
 from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor
@@ -65,6 +66,12 @@ def _measure(problem: Problem, name: str, weight: float) -> Measurement:
     seconds = first if first > _ENOUGH else min(first, best_of(lambda: fit(problem, weight)))
     peak = resident("VmHWM")
     return Measurement(parameters, seconds, first, peak, peak - before)
+
+
+def processor_seconds(process: int) -> float:
+    """Time that a process has had on the processor."""
+    fields = Path(f"/proc/{process}/stat").read_text(encoding="ascii").rpartition(")")[2].split()
+    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
 
 def resident(field: str, process: int | str = "self") -> float:

@@ -13,7 +13,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from benchmarks.measuring import resident
+from benchmarks.measuring import processor_seconds, resident
 from benchmarks.report import Report
 from geomid_ros.files.bags import Bag
 from geomid_ros.files.configuration import Configuration
@@ -100,13 +100,13 @@ def _played(recording: Path, urdf: Path, configuration: Configuration, out: Path
     with Bag(recording) as bag:
         sent = bag.count([f"/{_TOPIC}"])
     with LiveRun(recording, urdf, configuration, out, 1.0) as live:
-        begin, used = time.monotonic(), _processor_seconds(live.node_process)
+        begin, used = time.monotonic(), processor_seconds(live.node_process)
         processor = 0.0
         for _ in live.watch():
             if _RECEIVED not in live.diagnostics:
-                begin, used = time.monotonic(), _processor_seconds(live.node_process)
+                begin, used = time.monotonic(), processor_seconds(live.node_process)
             else:
-                processor = (_processor_seconds(live.node_process) - used) / (time.monotonic() - begin)
+                processor = (processor_seconds(live.node_process) - used) / (time.monotonic() - begin)
         memory = resident("VmHWM", live.node_process)
         told = live.diagnostics
     return _Outcome(
@@ -121,9 +121,3 @@ def _played(recording: Path, urdf: Path, configuration: Configuration, out: Path
         memory,
         os.getloadavg()[0],
     )
-
-
-def _processor_seconds(process: int) -> float:
-    """Time that a process has had on the processor."""
-    fields = Path(f"/proc/{process}/stat").read_text(encoding="ascii").rpartition(")")[2].split()
-    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")

@@ -8,6 +8,8 @@ from pathlib import Path
 import pytest
 import yaml
 
+from geomid_ros.signals.pipeline import JOINT_STATES, ODOM
+
 ROOT = Path(__file__).parents[1]
 LAUNCH_FILES = sorted((ROOT / "launch").glob("*.launch.py"))
 
@@ -42,6 +44,23 @@ def test_executables_exist(tree: ast.Module) -> None:
         assert callable(scripts[ast.literal_eval(node["executable"])].load())
 
 
+def defaults(tree: ast.Module) -> dict[str, ast.expr]:
+    """The default value of every launch argument."""
+    return {
+        ast.literal_eval(call.args[0]): keyword.value
+        for call in calls(tree, "DeclareLaunchArgument")
+        for keyword in call.keywords
+        if keyword.arg == "default_value"
+    }
+
+
+def text(part: ast.expr, tree: ast.Module) -> str:
+    """What a text or a launch argument stands for, unless somebody gives the argument."""
+    if isinstance(part, ast.Call):
+        return text(defaults(tree)[ast.literal_eval(part.args[0])], tree)
+    return str(ast.literal_eval(part))
+
+
 def test_parameter_files_exist(tree: ast.Module) -> None:
     joined = [call.args[0] for call in calls(tree, "PathJoinSubstitution")]
     assert joined
@@ -49,11 +68,20 @@ def test_parameter_files_exist(tree: ast.Module) -> None:
         assert isinstance(parts, ast.List)
         share, *below = parts.elts
         assert ast.unparse(share) == "FindPackageShare('geomid_ros')"
-        parameters = yaml.safe_load(ROOT.joinpath(*map(ast.literal_eval, below)).read_text())
+        parameters = yaml.safe_load(ROOT.joinpath(*(text(part, tree) for part in below)).read_text())
         assert all("ros__parameters" in node for node in parameters.values())
+
+
+def test_the_topics_that_can_be_given_are_the_nodes(tree: ast.Module) -> None:
+    """And are called by their own names unless somebody gives others."""
+    (node,) = calls(tree, "Node")
+    (pairs,) = [keyword.value for keyword in node.keywords if keyword.arg == "remappings"]
+    assert isinstance(pairs, ast.List)
+    topics = [tuple(text(part, tree) for part in pair.elts) for pair in pairs.elts if isinstance(pair, ast.Tuple)]
+    assert topics == [(JOINT_STATES, JOINT_STATES), (ODOM, ODOM)]
 
 
 def test_arguments_are_declared_and_used(tree: ast.Module) -> None:
     declared = first_arguments(tree, "DeclareLaunchArgument")
     assert declared == first_arguments(tree, "LaunchConfiguration")
-    assert declared >= {"params_file", "namespace", "use_sim_time"}
+    assert declared >= {"config", "params_file", "namespace", "use_sim_time"}

@@ -1,0 +1,134 @@
+"""Keys of the diagnostics, read off the code that makes them for a status in which everything has happened."""
+
+from __future__ import annotations
+
+import tempfile
+from collections import Counter
+from collections.abc import Iterator
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any, cast
+
+import numpy as np
+
+from geomid_ros.estimation.estimate import Estimate, LinkEstimate
+from geomid_ros.files.configuration import Configuration
+from geomid_ros.gap.result import GapResult
+from geomid_ros.gap.watch import ChannelGap
+from geomid_ros.ros.checkpoints import Checkpoints, CheckpointStatus
+from geomid_ros.ros.diagnostics import Diagnostics
+from geomid_ros.ros.gap_search import SearchStatus
+from geomid_ros.ros.status import Status
+from geomid_ros.session import Session
+from geomid_ros.signals.ledger import Account
+
+_NODE = "geomid"
+_ROBOT = Path(__file__).parents[1] / "bags/arm3.urdf"
+
+# Capitals stand for what differs from robot to robot.
+_MEANINGS = {
+    "stream": {
+        "active": "whether data are taken (`~/start`, `~/stop`)",
+        "lag": "by how much the filter holds rows back behind the data [s]",
+        "queue": "messages that wait to be taken up",
+        "receipt to row p50 [ms]": "half of the rows were ready so soon after the message that completed them came",
+        "receipt to row p99 [ms]": "99 of 100 were",
+        "receipt to row max [ms]": "all were, of the last 10,000 instants",
+        "solves": "estimates so far",
+        "rows": "instants whose rows are in the estimate",
+        "rows made": "instants for which there were rows",
+        "rows rejected: REASON": "those that were not taken: `standing still`, `not measured`",
+        "TOPIC received": "messages that have come to their end: accepted + rejected + dropped",
+        "TOPIC accepted": "of these, used",
+        "TOPIC rejected: REASON": "refused for what they say",
+        "TOPIC dropped: REASON": "not used for what the node was doing, stopped or still without a robot",
+        "TOPIC noted: REMARK": "used, or not, with something peculiar about them",
+        "TOPIC lost": "published, and never received",
+        "failed: WHAT": "exceptions that the node has survived",
+        "gap CHANNEL": "residuals of the last seconds, in units of the noise floor",
+        "converged": "whether the last solve did",
+        "solve seconds": "time that it took [s]",
+        "gamma": "weight of the prior",
+        "CHANNEL sigma": "standard deviation of the noise that the estimate assumes [N m, N]",
+        "CHANNEL rms": "root mean square of the residuals [N m, N]",
+    },
+    "gap finding": {
+        "verdict": "`no gap`, `named`, `incomplete` or `unexplained`",
+        "finding 1": "an effect, where and how large, in a sentence; then `finding 2` ...",
+        "unexplained JOINT": "what is left there, and what it depends on",
+        "CHANNEL before": "gap before the findings, in units of the noise floor",
+        "CHANNEL after": "and with them",
+    },
+    "checkpoints": {
+        "beginning": "what the node went on from, or why not",
+        "written": "checkpoints so far",
+        "rows": "rows that a crash would not lose",
+        "seconds": "time that the last one took [s]",
+    },
+    "LINK": {
+        "mass": "of the link with all that is fixed to it [kg]",
+        "mass std": "its standard deviation [kg]",
+        "com x": "centre of mass in the link's frame [m]; `com y`, `com z`",
+        "com x std": "its standard deviation [m]; `com y std`, `com z std`",
+        "from data": "share of the prior's uncertainty that the data took away, 0 to 1",
+        "distance from prior": "geodesic; 0.1 is about 10 % in one direction",
+        "min eigenvalue ratio": "how near to a body that cannot exist: smallest eigenvalue relative to the prior",
+        "merged": "links fixed to it, which are counted in",
+        "cannot be told": "quantities whose uncertainty the data did not halve",
+    },
+}
+_SAID_WITH_X = {f"com {axis}{what}" for axis in "yz" for what in ("", " std")}
+
+
+def rows() -> Iterator[tuple[str, str, str]]:
+    """Status, key and meaning. Raises KeyError for a key without meaning, or a meaning without key."""
+    array = Diagnostics(_NODE).array(_everything(), SearchStatus("", result=_search_result()), _checkpoints())
+    for status in array.status:
+        name = status.name.removeprefix(f"{_NODE}: ")
+        keys = [pair.key for pair in status.values if pair.key not in _SAID_WITH_X]
+        unused = _MEANINGS[name].keys() - set(keys)
+        if unused:
+            raise KeyError(f"diagnostics of {name} have no {', '.join(sorted(unused))}")
+        for key in keys:
+            yield name, key, _MEANINGS[name][key]
+
+
+def _everything() -> Status:
+    once = Counter({"REASON": 1})
+    return Status(
+        active=True,
+        topics=("TOPIC",),
+        failures=Counter({"WHAT": 1}),
+        rows_rejected=once,
+        receipt_to_row=(1e-3,),
+        accounts={"TOPIC": Account(1, once, once, Counter({"REMARK": 1}), 1)},
+        gaps=(ChannelGap("CHANNEL", 1.0, None),),
+        estimate=_estimate(),
+    )
+
+
+def _estimate() -> Estimate:
+    zeros, one = np.zeros(3), np.ones(1)
+    link = LinkEstimate("LINK", (), 1.0, zeros, np.eye(3), 0.0, zeros, np.eye(3), np.ones(10), 0.0, 0.0, 1.0, ())
+    return Estimate(True, "", 0.0, 1, 0.0, 1, 0, (link,), (), np.ones(10), ("CHANNEL",), one, one, one)
+
+
+def _search_result() -> GapResult:
+    """As much of a result as diagnostics look at."""
+    finding = SimpleNamespace(sentence="")
+    left = SimpleNamespace(joint="JOINT", gap=1.0, depends_on="velocity")
+    gap = SimpleNamespace(before=np.ones(1), after=np.ones(1))
+    result: Any = SimpleNamespace(
+        verdict="named", findings=(finding,), unexplained=(left,), channels=("CHANNEL",), gap=gap
+    )
+    return cast("GapResult", result)
+
+
+def _checkpoints() -> CheckpointStatus:
+    session = Session(_ROBOT.read_text(encoding="utf-8"), Configuration(), str(_ROBOT))
+    with tempfile.TemporaryDirectory() as folder:
+        checkpoints = Checkpoints(session, Path(folder) / "checkpoints", 60.0)
+        try:
+            return checkpoints.status
+        finally:
+            checkpoints.close()

@@ -1,0 +1,132 @@
+"""Topics and services that the node opens, read off the node itself, with what they mean."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Any
+
+import rclpy
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.signals import SignalHandlerOptions
+
+from geomid_ros.ros.node import GeomidNode
+
+_NAMESPACE, _NAME = "/namespace", "geomid"
+# With these the node opens all that it ever opens: a floating base, a wrench sensor, simulated time.
+_ARGUMENTS = ["--ros-args", "-r", f"__ns:={_NAMESPACE}", "-p", "use_sim_time:=true", "-p", "floating_base:=true"]
+_SENSOR = ["-p", "wrenches:=['NAME']", "-p", "wrench.NAME.frame:=LINK"]
+
+_MEANINGS = {
+    "joint_states": "joints in any order; velocity is used when it is there and agrees with the position",
+    "robot_description": "the URDF, unless given as a parameter",
+    "odom": "pose of a floating base, with `floating_base`",
+    "NAME": "one for every sensor in `wrenches`, here `NAME`; `wrench.NAME.topic` says another topic",
+    "~/inertias": "one message per link; `frame_id` is the link, `com` in its frame, "
+    "the inertia about the centre of mass in the link's axes",
+    "~/robot_description": "the identified URDF",
+    "~/predicted_joint_states": "efforts as the estimate predicts them, with the filtered motion, stamped as the data; "
+    "while somebody listens",
+    "~/markers": "ellipsoids for RViz, blue where known from the prior, orange where from the data",
+    "~/gap": "what `~/find_gap` found, as `gap.json`; with nothing but `error` in it where nothing can be said",
+    "/diagnostics": "at 1 Hz: the stream and every link, see docs/reference.md; the stream's warns when a gap opens",
+    "~/start": "take data",
+    "~/stop": "take no data; rows and estimate are kept",
+    "~/reset": "forget all rows, and take the latest robot description",
+    "~/save": "solve for all data so far, and write `estimate.json` and `identified.urdf` into `output_folder`",
+    "~/find_gap": "look for a gap in the last `gap.memory` seconds, beside everything else; "
+    "answers on `~/gap` and in the diagnostics",
+}
+
+
+@dataclass(frozen=True)
+class Entry:
+    """A topic or service under its relative name, as one may remap it."""
+
+    name: str
+    kind: str
+    qos: str
+    meaning: str
+
+
+@dataclass(frozen=True)
+class Interface:
+    """All that the node opens; ``of_every_node`` is what any node of rclpy opens."""
+
+    inputs: list[Entry]
+    outputs: list[Entry]
+    services: list[Entry]
+    of_every_node: list[Entry]
+
+
+def of_the_node() -> Interface:
+    """The interface of the node. Raises KeyError for what has no meaning here, or a meaning and does not exist."""
+    with _ros():
+        of_every_node = _of_every_node()
+        node = GeomidNode()
+        try:
+            known = {entry.name for entry in of_every_node}
+            inputs = _entries(known, ((s.topic_name, s.msg_type, s.qos_profile) for s in node.subscriptions))
+            outputs = _entries(known, ((p.topic_name, p.msg_type, p.qos_profile) for p in node.publishers))
+            services = _entries(known, ((s.service_name, s.srv_type, None) for s in node.services))
+        finally:
+            node.close()
+            node.destroy_node()
+    unused = _MEANINGS.keys() - {entry.name for entry in (*inputs, *outputs, *services)}
+    if unused:
+        raise KeyError(f"the node does not open {', '.join(sorted(unused))}")
+    return Interface(inputs, outputs, services, of_every_node)
+
+
+@contextmanager
+def _ros() -> Iterator[None]:
+    os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "OFF"  # nobody hears of this node
+    rclpy.init(args=[*_ARGUMENTS, *_SENSOR], signal_handler_options=SignalHandlerOptions.NO)
+    try:
+        yield
+    finally:
+        rclpy.shutdown()
+
+
+def _of_every_node() -> list[Entry]:
+    node = Node(_NAME)
+    try:
+        found = [
+            (node.get_subscriber_names_and_types_by_node, "subscribed, with `use_sim_time`"),
+            (node.get_publisher_names_and_types_by_node, "published"),
+            (node.get_service_names_and_types_by_node, "served"),
+        ]
+        return [
+            Entry(_relative(name), kinds[0], "", direction)
+            for names_and_types, direction in found
+            for name, kinds in sorted(names_and_types(_NAME, _NAMESPACE))
+        ]
+    finally:
+        node.destroy_node()
+
+
+def _entries(known: set[str], found: Iterable[tuple[str, Any, QoSProfile | None]]) -> list[Entry]:
+    own = [(_relative(name), kind, qos) for name, kind, qos in found if _relative(name) not in known]
+    return [Entry(name, _type_name(kind), _qos_text(qos) if qos else "", _MEANINGS[name]) for name, kind, qos in own]
+
+
+def _relative(name: str) -> str:
+    """A full name as the node has said it."""
+    private = f"{_NAMESPACE}/{_NAME}/"
+    if name.startswith(private):
+        return f"~/{name.removeprefix(private)}"
+    return name.removeprefix(f"{_NAMESPACE}/")
+
+
+def _type_name(kind: Any) -> str:
+    package, folder = kind.__module__.split(".")[:2]
+    return f"{package}/{folder}/{kind.__name__}"
+
+
+def _qos_text(qos: QoSProfile) -> str:
+    reliability = "best effort" if qos.reliability == ReliabilityPolicy.BEST_EFFORT else "reliable"
+    latched = ", transient local" if qos.durability == DurabilityPolicy.TRANSIENT_LOCAL else ""
+    return f"{reliability}{latched}, last {qos.depth}"

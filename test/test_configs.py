@@ -1,0 +1,140 @@
+"""The ready configurations: every file is valid, typed as ROS needs it, explained, and good for its robot."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+from commands.running import done
+from files.recordings import Recorded, altered
+
+from geomid_ros.files.configuration import Configuration, find_parameter
+from geomid_ros.model.sensors import WrenchSensor
+
+ROOT = Path(__file__).parents[1]
+README = (ROOT / "config/README.md").read_text(encoding="utf-8")
+MEASURED = ROOT.parent / "shared" / "data"
+SHIPPED = sorted(path for path in (ROOT / "config").glob("*.yaml") if path.name != "geomid.yaml")
+EXAMPLE = re.compile(r"^( *)# ( *(?:# .*|[a-z_0-9.]+:(?: \S.*)?))$")  # a parameter that is only shown
+
+each = pytest.mark.parametrize("path", SHIPPED, ids=lambda path: path.name)
+needs_recordings = pytest.mark.skipif(not MEASURED.is_dir(), reason=f"the measured recordings are not at {MEASURED}")
+
+
+def in_force(path: Path, folder: Path) -> Path:
+    """A copy of a parameter file with everything in force that it only shows."""
+    copy = folder / path.name
+    lines = (EXAMPLE.sub(r"\1\2", line) for line in path.read_text(encoding="utf-8").splitlines())
+    copy.write_text("\n".join(lines), encoding="utf-8")
+    return copy
+
+
+def leaves(tree: dict[str, Any], prefix: str = "") -> dict[str, Any]:
+    """Values by full name."""
+    found: dict[str, Any] = {}
+    for key, value in tree.items():
+        found |= leaves(value, f"{prefix}{key}.") if isinstance(value, dict) else {prefix + key: value}
+    return found
+
+
+@each
+def test_it_is_valid_as_it_is_and_with_what_it_shows(path: Path, tmp_path: Path) -> None:
+    shown = Configuration.read(in_force(path, tmp_path)).given
+    assert Configuration.read(path).given.keys() <= shown.keys()
+    assert shown
+
+
+@each
+def test_values_have_the_type_that_ros_needs(path: Path, tmp_path: Path) -> None:
+    """The node takes no integer for a real number, and cannot tell the type of an empty list."""
+    for name, value in leaves(yaml.safe_load(in_force(path, tmp_path).read_text())["/**"]["ros__parameters"]).items():
+        default = find_parameter(name).default
+        assert type(value) is type(default), name
+        if isinstance(value, list):
+            assert value, name
+            assert {type(entry) for entry in value} == {type(default[0])}, name
+
+
+@each
+def test_every_kind_of_value_is_explained(path: Path) -> None:
+    """Where a key stands for the first time, a comment stands above it, or above what it is part of."""
+    lines = path.read_text(encoding="utf-8").splitlines()
+    seen: set[str] = set()
+    for number, line in enumerate(lines):
+        key, _, value = line.strip().partition(":")
+        if line.strip().startswith("#") or not value or key in seen:
+            continue
+        seen.add(key)
+        above = number - 1
+        while lines[above].endswith(":") and not lines[above].strip().startswith("#"):
+            above -= 1
+        assert lines[above].strip().startswith("#"), f"{path.name}: {line.strip()}"
+
+
+@each
+def test_topics_are_relative(path: Path, tmp_path: Path) -> None:
+    """So that they move with the node into a namespace."""
+    for sensor in Configuration.read(in_force(path, tmp_path)).sensors:
+        assert re.fullmatch(r"[a-z0-9_]+(/[a-z0-9_]+)*", sensor.topic)
+
+
+@each
+def test_it_says_how_it_is_used_and_what_must_be_known_before(path: Path) -> None:
+    text = path.read_text(encoding="utf-8")
+    assert f"ros2 launch geomid_ros geomid.launch.py config:={path.name}" in text
+    (heading,) = re.findall(r'Read first: "(.*)" in config/README.md', text)
+    assert f"\n## {heading}\n" in README
+    assert f"`{path.name}`" in README
+
+
+def test_a_frame_may_have_another_name_in_messages() -> None:
+    values = {"wrenches": ["wrist"], "wrench.wrist.frame": "tool0", "wrench.wrist.frame_id": "tool0_controller"}
+    sensor = WrenchSensor("wrist", "tool0", "mounted", frame_id="tool0_controller")
+    assert Configuration(values).sensors == [sensor]
+    assert Configuration().with_sensors([sensor]).sensors == [sensor]
+
+
+def in_amperes(item: Recorded) -> Recorded:
+    """A joint message of the UR10 as its driver sends it."""
+    gains = Configuration.read(ROOT / "config/ur.yaml").signals([]).effort_gain
+    assert isinstance(gains, dict)
+    return item.changed(effort=item.message.effort / np.array([gains[joint] for joint in item.message.name]))
+
+
+def identified(bag: Path, urdf: Path, config: str, out: Path, *more: str) -> dict[str, float]:
+    """RMS residuals, summed over the channels: of the URDF, and of what is found, on the end of the bag."""
+    arguments = ("--config", ROOT / "config" / config, "--hold-out", "0.3", "--json", "--out", out, *more)
+    rms = json.loads(done("identify", bag, "--urdf", urdf, *arguments))["rms"]
+    return {kind: sum(rms[kind].values()) for kind in ("nominal", "held_out")}
+
+
+@needs_recordings
+def test_a_measured_universal_robot(tmp_path: Path) -> None:
+    """Its efforts were written as N m; the driver gives A."""
+    folder = MEASURED / "ur10_unisa_rosbag2"
+    bag = altered(folder / "ur10_exciting_trajectory", tmp_path / "bag", in_amperes)
+    found = identified(bag, folder / "ur10.urdf", "ur.yaml", tmp_path / "out")
+    assert found["held_out"] < 0.2 * found["nominal"]
+
+
+@needs_recordings
+def test_a_measured_franka(tmp_path: Path) -> None:
+    """Its driver called the joints otherwise than its description did."""
+    folder = MEASURED / "panda_unisa_rosbag2"
+    urdf = tmp_path / "fer.urdf"
+    urdf.write_text((folder / "panda_nohand.urdf").read_text().replace("panda_joint", "fer_joint"))
+    found = identified(folder / "panda_exciting_trajectory", urdf, "franka.yaml", tmp_path / "out")
+    assert found["held_out"] < 0.7 * found["nominal"]
+
+
+@needs_recordings
+def test_a_measured_person(tmp_path: Path) -> None:
+    folder = MEASURED / "human_forceplate"
+    wrench = ("--wrench", "/wrench:odom:external")
+    found = identified(folder / "first_60s", folder / "human_94kg.urdf", "force_plate.yaml", tmp_path / "out", *wrench)
+    assert found["held_out"] < 0.7 * found["nominal"]

@@ -1,0 +1,54 @@
+"""What the documents name exists: files, make targets, rooms of the house."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+DOCUMENTS = ("README.md", "CONTRIBUTING.md", "SECURITY.md", "docs/reference.md")
+FOLDERS = "geomid_ros|test|config|launch|security|bags|docs|benchmarks"
+HIDDEN = {"robots"}  # a room's folder of data
+# What the recipe in CONTRIBUTING.md makes.
+PLANNED = {"geomid_ros/model/effects/quadratic_drag.py"}
+
+
+def text_of(document: str) -> str:
+    return (ROOT / document).read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize("document", DOCUMENTS)
+def test_files_that_are_named_exist(document: str) -> None:
+    named = set(re.findall(rf"`((?:{FOLDERS})/[\w./]*)`", text_of(document))) - PLANNED
+    links = {str((ROOT / document).parent / link) for link in re.findall(r"\]\(([^)#:]+)\)", text_of(document))}
+    assert named | links
+    for name in named | links:
+        assert (ROOT / name).exists(), name
+
+
+@pytest.mark.parametrize("document", DOCUMENTS)
+def test_make_targets_that_are_named_exist(document: str) -> None:
+    targets = set(re.findall(r"^([a-z]+):", text_of("Makefile"), re.MULTILINE))
+    assert set(re.findall(r"(?:`|    )make ([a-z]+)", text_of(document))) <= targets
+
+
+def test_the_map_of_the_house_shows_every_room() -> None:
+    """No more and no less, and each floor as it is held by the test of the house."""
+    from test_house import FLOORS  # noqa: PLC0415 it parses the package
+
+    rows = re.findall(r"^\| (below|\d) \| ([^|]+) \|", text_of("CONTRIBUTING.md"), re.MULTILINE)
+    shown = {
+        room.removesuffix("/").removesuffix(".py"): -1 if floor == "below" else int(floor)
+        for floor, rooms in rows
+        for room in re.findall(r"`([\w./]+)`", rooms)
+    }
+    assert shown == FLOORS
+
+
+def test_folders_within_rooms_are_shown() -> None:
+    rows = re.findall(r"^\| \d \| `(\w+)/` \| (.+) \|$", text_of("CONTRIBUTING.md"), re.MULTILINE)
+    for room, what in rows:
+        within = {path.parent.name for path in (ROOT / "geomid_ros" / room).glob("*/__init__.py")}
+        assert set(re.findall(r"`(\w+)/`:", what)) == within - HIDDEN, room
