@@ -129,7 +129,8 @@ def _confidence(
     share: float,
     unseen: HeldOut,
 ) -> Confidence:
-    others = [rival for rival in rivals if rival.effect != RICHER.get(candidate.effect) or rival.joint != joint]
+    richer = RICHER.get(candidate.effect), joint  # fits as well by nature, but better only where it is needed
+    others = [rival for rival in rivals if (rival.effect, rival.joint) != richer or rival.loss < 0.0]
     if any(rival.loss < CONFIDENT_RIVAL for rival in others) or _only_prior(analysis, candidate):
         return "ambiguous"
     curves = _curves(analysis, unseen)
