@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -86,7 +86,8 @@ def analyse(
     progress("searching", 1.0)
     residual = stage.residual(columns, whole)
     repeats = floor_by_repeats(model, records)
-    freedom = 1.0 - whole.parameters_by_channel(search.design) / search.design.counts
+    counts = search.design.counts
+    freedom = 1.0 - whole.parameters_by_channel(search.design) / np.where(counts > 0.0, counts, np.nan)
     return Analysis(
         stage,
         columns,
@@ -162,10 +163,17 @@ def _noise(residual: FloatArray, valid: BoolArray, records: Records) -> tuple[Au
 
 def _typical_size(residual: FloatArray, valid: BoolArray) -> FloatArray:
     """Of each channel ``(C,)``: the standard deviation that the median size would have if it were Gaussian."""
-    sizes: FloatArray = np.nanmedian(np.where(valid, np.abs(residual), np.nan), axis=0) / _MEDIAN_OF_GAUSSIAN
-    return sizes
+    sizes = [
+        np.median(np.abs(values[used])) if np.any(used) else np.nan for values, used in _by_channel(residual, valid)
+    ]
+    return np.array(sizes) / _MEDIAN_OF_GAUSSIAN
 
 
 def _root_mean_square(residual: FloatArray, valid: BoolArray) -> FloatArray:
-    deviation: FloatArray = np.sqrt(np.nanmean(np.where(valid, residual, np.nan) ** 2, axis=0))
+    squares = [np.mean(values[used] ** 2) if np.any(used) else np.nan for values, used in _by_channel(residual, valid)]
+    deviation: FloatArray = np.sqrt(np.array(squares))
     return deviation
+
+
+def _by_channel(residual: FloatArray, valid: BoolArray) -> Iterable[tuple[FloatArray, BoolArray]]:
+    return zip(residual.T, valid.T, strict=True)

@@ -205,7 +205,7 @@ def fit(
     weights[:first] = spread**-2
     hessian = solution.evaluation.information + np.diag(weights)
     score = _score(objective, point, hessian, first, spread, prior)
-    score += sum(c.penalty for c in chosen) * float(np.log(np.max(counts)))
+    score += sum(c.penalty for c in chosen) * float(np.log(np.max(counts, initial=1.0)))
     return JointFit(tuple(chosen), terms, point, manifold, score, objective.squares(point), hessian, spread, products)
 
 

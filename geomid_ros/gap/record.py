@@ -68,12 +68,12 @@ class Records:
         """Which stretch each chosen sample belongs to."""
         return np.repeat(np.arange(len(self.chosen)), [len(index) for index in self.chosen])
 
-    def usable(self, targets: FloatArray) -> BoolArray:
-        """Which of the targets ``(N, C)`` are measured, at joints that move."""
+    def usable(self, model: MeasurementModel, targets: FloatArray) -> BoolArray:
+        """Which of the targets ``(N, C)`` are measured, and efforts of joints that move."""
         valid: BoolArray = np.isfinite(targets)
-        sign, rest = self.samples.effects[:, :, library.SIGN], self.samples.effects[:, :, library.REST]
-        joints = min(rest.shape[1], targets.shape[1])
-        valid[:, :joints] &= ((np.abs(sign) > _SAME_WAY) & (rest < _REST_SHARE))[:, :joints]
+        if model.efforts_usable:
+            sign, rest = self.samples.effects[:, :, library.SIGN], self.samples.effects[:, :, library.REST]
+            valid[:, : sign.shape[1]] &= (np.abs(sign) > _SAME_WAY) & (rest < _REST_SHARE)
         return valid
 
     @cached_property
@@ -145,8 +145,11 @@ def _advanced(part: Samples, seconds: float) -> Samples:
         return part
     times = (part.stamps - part.stamps[0]) * 1e-9
     effort = np.full(part.effort.shape, np.nan)
-    for joint in np.flatnonzero(np.all(np.isfinite(part.effort), axis=0)):
-        effort[:, joint] = CubicSpline(times, part.effort[:, joint], extrapolate=False)(times + seconds)
+    for joint, measured in enumerate(np.isfinite(part.effort).T):
+        if np.count_nonzero(measured) > 1:
+            known = CubicSpline(times[measured], part.effort[measured, joint], extrapolate=False)(times + seconds)
+            beside_gaps = np.interp(times + seconds, times, measured.astype(np.float64)) < 1.0
+            effort[:, joint] = np.where(beside_gaps, np.nan, known)
     return replace(part, effort=effort)
 
 

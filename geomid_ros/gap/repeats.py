@@ -18,25 +18,24 @@ _SAME = 0.01  # root mean square difference of repeated positions, in their stan
 
 
 def floor_by_repeats(model: MeasurementModel, records: Records) -> FloatArray:
-    """Standard deviation of the noise of each channel ``(C,)``, NaN where no motion is repeated.
+    """Standard deviation of the noise of each channel ``(C,)``, NaN where no motion is repeated or it is not measured.
 
     Two runs of a motion, in one stretch or in two, differ by the noise of both, whatever the robot does; so half their
     mean squared difference is the variance of the noise, coloured or not.
     """
-    squares, count = np.zeros(len(model.channels)), 0
+    squares, counts = np.zeros((2, len(model.channels)))
     for first, second in combinations_with_replacement(records.dense, 2):
         values = [_measured(model, part) for part in (first, second)]
         delay = repeated_after(first, second)
-        if values[0] is None or values[1] is None or delay is None:
+        known = np.all(np.isfinite(values[0]), axis=0) & np.all(np.isfinite(values[1]), axis=0)
+        if delay is None or not np.any(known):
             continue
         times, others = _seconds(first), _seconds(second)
         both = (times + delay >= others[0]) & (times + delay <= others[-1])
-        again = CubicSpline(others, values[1])(times[both] + delay)
-        squares += 0.5 * np.sum((again - values[0][both]) ** 2, axis=0)
-        count += int(np.count_nonzero(both))
-    if count == 0:
-        return np.full(len(model.channels), np.nan)
-    floor: FloatArray = np.sqrt(squares / count)
+        again = CubicSpline(others, values[1][:, known])(times[both] + delay)
+        squares[known] += 0.5 * np.sum((again - values[0][both][:, known]) ** 2, axis=0)
+        counts[known] += np.count_nonzero(both)
+    floor: FloatArray = np.sqrt(squares / np.where(counts > 0.0, counts, np.nan))
     return floor
 
 
@@ -77,11 +76,10 @@ def _seconds(part: Samples) -> FloatArray:
     return seconds
 
 
-def _measured(model: MeasurementModel, part: Samples) -> FloatArray | None:
-    """The measured numbers of all channels ``(N, C)``; None where not all are measured, or some are sums of others."""
+def _measured(model: MeasurementModel, part: Samples) -> FloatArray:
+    """The measured numbers of all channels ``(N, C)``; NaN where not measured, and if some are sums of others."""
     if len(model.sensors) != len(model.mounted):
-        return None
+        return np.full((len(part), len(model.channels)), np.nan)
     parts = [part.effort] if model.efforts_usable else []
     parts += [part.wrenches[:, model.sensors.index(sensor), sensor.axis_indices] for sensor in model.mounted]
-    values = np.concatenate(parts, axis=1)
-    return values if np.all(np.isfinite(values)) else None
+    return np.concatenate(parts, axis=1)

@@ -124,7 +124,7 @@ class Stage:
         """Which targets ``(N, C)`` are measured at instants that the model can be blamed for: not where a joint's dry
         friction is uncertain by more than a share of the noise, nor where that reaches other channels through the
         joint's acceleration."""
-        valid = self.records.usable(self.rows.targets)
+        valid = self.records.usable(self.model, self.rows.targets)
         if not self.model.efforts_usable or not np.any(self._dry_friction):
             return valid
         joints = self._dry_friction.shape[1]

@@ -130,7 +130,8 @@ def _confidence(
     unseen: HeldOut,
 ) -> Confidence:
     richer = RICHER.get(candidate.effect), joint  # fits as well by nature, but better only where it is needed
-    others = [rival for rival in rivals if (rival.effect, rival.joint) != richer or rival.loss < 0.0]
+    left = candidate.joint >= 0 and bool(_is_open(unseen)[candidate.joint])
+    others = [rival for rival in rivals if (rival.effect, rival.joint) != richer or rival.loss < 0.0 or left]
     if any(rival.loss < CONFIDENT_RIVAL for rival in others) or _only_prior(analysis, candidate):
         return "ambiguous"
     curves = _curves(analysis, unseen)
@@ -139,7 +140,7 @@ def _confidence(
     if instead is not None:
         margin = min(margin, instead.score - analysis.whole.score)
     beside = any(candidate.joint == curve.joint or depends_on(curve) == joint for curve in curves)
-    sure = not (curves or np.any(_is_open(unseen)))
+    sure = not (curves or np.any(_is_open(unseen))) and _is_judged(analysis, candidate, unseen)
     if candidate.joint < 0 and not sure:
         beside = margin < DOMINANT_LOSS or share < DOMINANT_SHARE
     weak = loss < (CONFIDENT_LOSS if sure else CONFIDENT_BESIDE_UNEXPLAINED) or margin < CONFIDENT_RIVAL
@@ -152,6 +153,11 @@ def _confidence(
         generalises(analysis.search.design, analysis.whole, candidate) and _predicts(analysis, candidate, unseen)
     )
     return "confident" if general else "tentative"
+
+
+def _is_judged(analysis: Analysis, candidate: Candidate, unseen: HeldOut) -> bool:
+    """Whether there are unseen data of a channel that a name reaches."""
+    return bool(np.any(unseen.counts[analysis.search.design.reached(candidate)] > 0.0))
 
 
 def _largest_gear_loss(analysis: Analysis, candidate: Candidate) -> float:

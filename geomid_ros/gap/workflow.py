@@ -64,7 +64,7 @@ def find_gap(
     with a cutoff that the recordings' rate allows.
 
     ``progress`` is called with what is being done and the finished share, 0 to 1. Raises InputError when the data are
-    too short, without motion or without anything measured that the model predicts.
+    too short, without motion or without anything measured that the model predicts, the held-out ones too.
     """
     started = perf_counter()
     report = progress or _silent
@@ -72,6 +72,7 @@ def find_gap(
     records = Records.make(train, settings.cutoff)
     held = Records.make(held_out or train, settings.cutoff)
     _check(bare, records)
+    _check_held_out(bare, held)
     prior = _prior(model, nominal, settings)
     if simulated:
         prior = _as_simulated(bare, Records.make(simulated, settings.cutoff), prior, report)
@@ -119,6 +120,15 @@ def _check(model: MeasurementModel, records: Records) -> None:
         raise InputError(f"no effort or wrench is measured: at least one of these channels is needed: {names}")
     if np.all(records.samples.effects[:, :, library.REST] > 0.5):
         raise InputError("no joint moves: record a motion that takes all joints through their ranges")
+
+
+def _check_held_out(model: MeasurementModel, held: Records) -> None:
+    """Refuse held-out data that judge nothing."""
+    if not held.dense or not np.any(held.usable(model, held.rows(model).targets)):
+        raise InputError(
+            "nothing to judge on: in the data that are held out no joint whose effort is measured moves, and no wrench "
+            "is measured, or they are too short; hold out more (--hold-out), or a recording in motion (--validate)"
+        )
 
 
 def _prior(model: MeasurementModel, nominal: FloatArray | None, settings: GapSettings) -> Prior:

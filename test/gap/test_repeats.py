@@ -44,3 +44,12 @@ def test_two_recordings_of_one_motion_are_repeats() -> None:
 def test_other_motions_are_no_repeats() -> None:
     records = Records.make([recording(1, 8.0, 2), recording(4, 8.0, 3)], planted.CUTOFF)
     assert np.all(np.isnan(floor_by_repeats(planted.model(), records)))
+
+
+def test_a_joint_that_is_not_measured_leaves_the_others_their_floor() -> None:
+    samples = recording(1, 40.0, 2)
+    effort = samples.effort.copy()
+    effort[:, 1] = np.nan
+    found = floor_by_repeats(planted.model(), Records.make([replace(samples, effort=effort)], planted.CUTOFF))
+    np.testing.assert_allclose(found[[0, 2]], SIZES[[0, 2]], rtol=0.13)
+    assert np.isnan(found[1])
