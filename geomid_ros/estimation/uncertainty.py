@@ -14,6 +14,8 @@ from geomid_ros.types import FloatArray, IntArray
 # What is usual counts as much for a spread as one direction of the tangent space that the data determine.
 _CERTAINTY_OF_USUAL = 1.0
 _ROUNDS = 30  # of the fixed point; a fixed number, so that rounding cannot change how many there are
+_LARGEST_SPREAD = 100.0  # times the usual
+_ROUNDING = 1e-12  # of the largest information: what rounding may make of none
 _STEP = 1e-5
 # Directions of so little variance are not told apart: a share of all of the variance there is.
 _FLOOR = 1e-4
@@ -173,13 +175,16 @@ def prior_spreads(rows: Fold, from_prior: FloatArray, kinds: Sequence[Kind]) -> 
     pull = rows.information @ from_prior + rows.gradient
     for _ in range(_ROUNDS):
         # In units of the spreads, in which the prior's part is the identity.
-        left = np.linalg.inv(np.eye(len(spreads)) + np.outer(spreads, spreads) * rows.information)
+        scaled = np.outer(spreads, spreads) * rows.information
+        least = 1.0 + _ROUNDING * float(np.max(np.diag(scaled), initial=0.0))
+        left = np.linalg.inv(scaled + least * np.eye(len(spreads)))
         moved = spreads * (left @ (spreads * pull))
-        determined = 1.0 - np.diag(left)
+        determined = np.clip(1.0 - np.diag(left), 0.0, 1.0)
         for kind in kinds:
             squares = float(np.sum(moved[kind.columns] ** 2)) + _CERTAINTY_OF_USUAL * kind.usual_spread**2
             count = float(np.sum(determined[kind.columns])) + _CERTAINTY_OF_USUAL
-            spreads[kind.columns] = np.sqrt(squares / count)
+            most = _LARGEST_SPREAD * kind.usual_spread  # few rows of many parameters can be fitted at any distance
+            spreads[kind.columns] = min(float(np.sqrt(squares / count)), most)
     return spreads
 
 
