@@ -13,9 +13,9 @@ from pathlib import Path
 from benchmarks import (
     coverage,
     human,
+    load,
     measured_arm,
     measured_gaps,
-    node,
     one_row,
     payload,
     people,
@@ -41,7 +41,7 @@ EXPERIMENTS: dict[str, Callable[[Report], None]] = {
     "scale": scale.run,
     "streaming": streaming.run,
     "payload": payload.run,
-    "node": node.run,
+    "load": load.run,
 }
 
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-_SILENCE = 300.0  # [s] without a word, after which a worker hangs
+_PATIENCE = 300.0  # [s] at one input, after which a worker hangs; on a busy machine it may get little of the processor
 
 
 @dataclass
@@ -41,7 +41,7 @@ def run(name: str, first: int, end: int, folder: Path, outcome: Outcome) -> Iter
     while begin < end:
         command = [sys.executable, "-m", "benchmarks.fuzz.worker", name, str(begin), str(end), str(folder)]
         with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as worker:  # noqa: S603 a command of ours
-            for line in _lines(worker, worker.stdout):
+            for line in _lines(worker, worker.stdout, folder / "at"):
                 outcome.take(json.loads(line))
                 yield outcome.counts.total()
         if worker.returncode == 0:
@@ -55,13 +55,20 @@ def run(name: str, first: int, end: int, folder: Path, outcome: Outcome) -> Iter
         outcome.counts.update(died=1, untold=begin - first - 1 - outcome.counts.total())
 
 
-def _lines(worker: subprocess.Popen[str], output: Any) -> Iterator[str]:
-    """What a worker says; if it says nothing for long, it is ended."""
+def _lines(worker: subprocess.Popen[str], output: Any, at: Path) -> Iterator[str]:
+    """What a worker says; if it stays at one input for long, it is ended."""
+    before = None
     with selectors.DefaultSelector() as selector:
         selector.register(output, selectors.EVENT_READ)
-        while selector.select(_SILENCE):
-            line = output.readline()
-            if not line:
-                return
-            yield line
+        while True:
+            if selector.select(_PATIENCE):
+                line = output.readline()
+                if not line:
+                    return
+                yield line
+                continue
+            now = at.read_text() if at.exists() else ""
+            if now == before:
+                break
+            before = now
     worker.kill()

@@ -1,4 +1,4 @@
-"""``python -m benchmarks.load arm --seconds 600``: the node under load, as tables."""
+"""``python -m benchmarks.load arm --arm 600``: the node under load, as tables."""
 
 from __future__ import annotations
 
@@ -17,8 +17,11 @@ def main() -> None:
     """Run the scenarios that are named, all unless named."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.load", description=__doc__)
     parser.add_argument("scenarios", nargs="*", metavar="SCENARIO", help=f"any of {', '.join(SCENARIOS)}")
-    for name, (_, amount, unit) in SCENARIOS.items():
-        parser.add_argument(f"--{name}", type=float, default=amount, metavar=unit.upper(), help=f"{unit} (%(default)s)")
+    for name, scenario in SCENARIOS.items():
+        unit = scenario.unit
+        parser.add_argument(
+            f"--{name}", type=float, default=scenario.amount, metavar=unit.upper(), help=f"{unit} (%(default)s)"
+        )
     parser.add_argument("--out", type=Path, default=Path("out/load"), help="folder for results.json (%(default)s)")
     arguments = parser.parse_args()
     unknown = [name for name in arguments.scenarios if name not in SCENARIOS]
@@ -26,7 +29,8 @@ def main() -> None:
         parser.error(f"no scenario is called {', '.join(unknown)}; there are {', '.join(SCENARIOS)}")
     report = Report(arguments.out)
     for name in arguments.scenarios or SCENARIOS:
-        SCENARIOS[name][0](report, getattr(arguments, name))
+        report.progress(f"load: {name}")
+        SCENARIOS[name].measure(report, getattr(arguments, name))
 
 
 if __name__ == "__main__":

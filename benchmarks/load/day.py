@@ -7,6 +7,7 @@ the node's predictions show that it has taken those before: nothing is lost, and
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
 
 from rclpy.qos import QoSProfile, ReliabilityPolicy
@@ -76,8 +77,8 @@ class _Follower:
             self.ticks += 1
 
 
-def day(robot: Robot, hours: float) -> Day:
-    """Let a node have so many hours of data."""
+def day(robot: Robot, hours: float, on_hour: Callable[[int, float], None]) -> Day:
+    """Let a node have so many hours of data; ``on_hour`` is told of each, and of the memory then [MB]."""
     with watched(robot, {"solve_period": 0.001}) as node:
         memory = [node.memory]
         follower = _Follower(node)
@@ -85,6 +86,7 @@ def day(robot: Robot, hours: float) -> Day:
         for hour in range(1, round(hours) + 1):
             follower.follow(round(hour * _HOUR * 1e9 / _PERIOD))
             memory.append(node.memory)
+            on_hour(hour, memory[-1])
         seconds = time.monotonic() - begin
         node.settle()
         sent = follower.ticks * len(robot.kinds)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import signal
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -26,13 +26,15 @@ _RATE = 1000.0  # Hz
 @dataclass(frozen=True)
 class Ending:
     """The node's ``state`` when it got a ``signal``; the seconds that it took to end, its exit status, and whether the
-    last estimate that it published is in the file (None: it published none, and there is no file)."""
+    last estimate that it published is in the file (None: it published none, and there is no file); what it ``said``
+    last."""
 
     state: str
     signal: str
     seconds: float
     status: int
     saved: bool | None
+    said: str
 
 
 def _nothing(_: Watched) -> None:
@@ -69,9 +71,11 @@ _STATES: dict[str, tuple[dict[str, Any], bool, Callable[[Watched], None]]] = {
 }
 
 
-def endings(robot: Robot) -> list[Ending]:
+def endings(robot: Robot) -> Iterator[Ending]:
     """One node for each state and signal."""
-    return [_ended(robot, state, number) for state in _STATES for number in (signal.SIGINT, signal.SIGTERM)]
+    for state in _STATES:
+        for number in (signal.SIGINT, signal.SIGTERM):
+            yield _ended(robot, state, number)
 
 
 def _ended(robot: Robot, state: str, number: signal.Signals) -> Ending:
@@ -87,7 +91,8 @@ def _ended(robot: Robot, state: str, number: signal.Signals) -> Ending:
         status = node.process.status()
         seconds = time.monotonic() - sent
         stage.observer.spin(0.5)
-        return Ending(state, number.name, seconds, status, _saved(heard, out / "estimate.json"))
+        saved = _saved(heard, out / "estimate.json")
+        return Ending(state, number.name, seconds, status, saved, node.process.output.strip().rpartition("\n")[2])
 
 
 def _saved(heard: list[InertiaStamped], path: Path) -> bool | None:

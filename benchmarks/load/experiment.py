@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from typing import Any
 
 from benchmarks.load.cycles import lives, services
@@ -72,7 +72,9 @@ def _overload(report: Report, seconds: float) -> None:
 
 
 def _day(report: Report, hours: float) -> None:
-    outcome = day(robots()["arm7"], hours)
+    outcome = day(
+        robots()["arm7"], hours, lambda hour, memory: report.progress(f"load: day: {hour} h, {memory:.1f} MB")
+    )
     headings = ["wall clock [s]", *_COUNTS, "solves", "MB start, 1 h, most, end", "growth after 1 h [MB]"]
     memory = outcome.memory[0], outcome.memory[1], max(outcome.memory), outcome.memory[-1]
     row = [f"{outcome.seconds:.0f}", *_counts(outcome), str(outcome.solves)]
@@ -97,7 +99,11 @@ def _cycles(report: Report, count: float) -> None:
 
 
 def _endings(report: Report, times: float) -> None:
-    outcomes = [ending for _ in range(round(times)) for ending in endings(robots()["arm7"])]
+    outcomes = []
+    for _ in range(round(times)):
+        for ending in endings(robots()["arm7"]):
+            outcomes.append(ending)
+            report.progress(f"load: {ending}")
     saved = {True: "yes", False: "NO", None: "nothing to save"}
     rows = [[o.state, o.signal, f"{o.seconds:.2f}", str(o.status), saved[o.saved]] for o in outcomes]
     caption = "Saved: the last masses published are those in estimate.json. " + _machine()
@@ -105,11 +111,21 @@ def _endings(report: Report, times: float) -> None:
     report.result("endings", [asdict(outcome) for outcome in outcomes])
 
 
-SCENARIOS: dict[str, tuple[Callable[[Report, float], None], float, str]] = {
-    "arm": (_arm, 600.0, "seconds"),
-    "body": (_body, 300.0, "seconds"),
-    "overload": (_overload, 10.0, "seconds"),
-    "day": (_day, 24.0, "hours"),
-    "cycles": (_cycles, 200.0, "cycles"),
-    "endings": (_endings, 1.0, "times"),
+@dataclass(frozen=True)
+class Scenario:
+    """What is measured and printed, for how much by default, of what ``unit``, and when there is little time."""
+
+    measure: Callable[[Report, float], None]
+    amount: float
+    unit: str
+    short: float
+
+
+SCENARIOS = {
+    "arm": Scenario(_arm, 600.0, "seconds", 60.0),
+    "body": Scenario(_body, 300.0, "seconds", 60.0),
+    "overload": Scenario(_overload, 10.0, "seconds", 5.0),
+    "day": Scenario(_day, 24.0, "hours", 2.0),
+    "cycles": Scenario(_cycles, 200.0, "cycles", 20.0),
+    "endings": Scenario(_endings, 1.0, "times", 1.0),
 }

@@ -8,13 +8,16 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import argparse
 import json
+import signal
 import struct
+import sys
 import time
 from dataclasses import asdict, dataclass, field
 
 import rclpy
 from rclpy.node import Node
 from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.signals import SignalHandlerOptions
 
 from benchmarks.load.robots import STAMP, Robot, robots
 
@@ -90,8 +93,9 @@ def main() -> None:
     parser.add_argument("robot", choices=robots())
     parser.add_argument("phases", nargs="+", type=lambda text: tuple(map(float, text.split(":"))))
     arguments = parser.parse_args()
+    signal.signal(signal.SIGINT, lambda *_: sys.exit(0))  # whoever has enough need not wait for the last phase
     finest = max(rate for _, rate in arguments.phases)
-    rclpy.init()
+    rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
     node = rclpy.create_node("robot")
     stream = Stream(node, robots()[arguments.robot], finest)
     while not stream.heard:

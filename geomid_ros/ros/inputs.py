@@ -54,9 +54,9 @@ class Inputs:
         believe: nothing is taken. Raises InputError for a name that is none.
         """
 
-        def take_or_drop(message: Any, ambiguous: bool) -> None:
+        def take_or_drop(message: Any) -> None:
             try:
-                reason = "several publishers" if ambiguous else take(message)
+                reason = "several publishers" if self._ambiguous(entry) else take(message)
             except Exception as error:  # noqa: BLE001 the message has its end, whatever it is
                 reason = f"{type(error).__name__} in a callback"
                 self._on_failure(f"a message on {name} could not be taken", error)
@@ -65,14 +65,13 @@ class Inputs:
 
         def take_what_waits(message: Any) -> None:
             # At once, as to wait for a message takes the executor ten times as long as to take it.
-            ambiguous = self._ambiguous(entry)
-            take_or_drop(message, ambiguous)
+            take_or_drop(message)
             for _ in range(_MOST_AT_ONCE):
                 with entry.subscription.handle:
                     taken = entry.subscription.handle.take_message(kind, False)
                 if taken is None:
                     break
-                take_or_drop(taken[0], ambiguous)
+                take_or_drop(taken[0])
 
         # Best effort matches publishers of either kind; the depth carries a 1 kHz stream over pauses of Python.
         qos = QoSProfile(depth=2000, history=HistoryPolicy.KEEP_LAST, reliability=ReliabilityPolicy.BEST_EFFORT)

@@ -11,6 +11,8 @@ from typing import TYPE_CHECKING
 from geomid_ros.errors import GeomidError, InputError
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from rclpy.executors import Executor
 
     from geomid_ros.ros.node import GeomidNode
@@ -20,23 +22,26 @@ _SWITCH_INTERVAL = 5e-4  # [s]
 
 def main() -> None:
     """Run the node until SIGINT or SIGTERM; exit status 0, or 2 with one message when it cannot start."""
-    # rclpy's own handlers would invalidate the publishers before the last estimate is out.
-    stopping = threading.Event()
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, lambda *_: stopping.set())
+    # To import what is needed takes longer than anybody may wait who ends it meanwhile; there is nothing to lose yet.
+    _on_signal(lambda: os._exit(0))
     # For so long, not 5 ms as is usual, the solver in the middle of Python code keeps who takes messages waiting.
     sys.setswitchinterval(_SWITCH_INTERVAL)
     # The matrices are small: threads of the linear algebra library would only wait for each other. numpy reads this
     # once.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     try:
-        _run(stopping)
+        _run()
     except GeomidError as error:
         print(f"geomid_node: {error}", file=sys.stderr)
         sys.exit(2)
 
 
-def _run(stopping: threading.Event) -> None:
+def _on_signal(act: Callable[[], object]) -> None:
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda *_: act())
+
+
+def _run() -> None:
     import rclpy  # noqa: PLC0415
     from rclpy.executors import SingleThreadedExecutor  # noqa: PLC0415
     from rclpy.signals import SignalHandlerOptions  # noqa: PLC0415
@@ -44,6 +49,9 @@ def _run(stopping: threading.Event) -> None:
 
     from geomid_ros.ros.node import GeomidNode  # noqa: PLC0415
 
+    # rclpy's own handlers would invalidate the publishers before the last estimate is out.
+    stopping = threading.Event()
+    _on_signal(stopping.set)
     try:
         rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
     except RuntimeError as error:

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import time
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
@@ -25,21 +23,19 @@ from std_srvs.srv import Trigger
 from geomid_ros.errors import GeomidError, InputError
 from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.gap_session import gap_session
-from geomid_ros.ros.checkpoints import Checkpoints
 from geomid_ros.ros.diagnostics import NO_DESCRIPTION, STOPPED, Diagnostics
 from geomid_ros.ros.gap_search import GapSearch
+from geomid_ros.ros.identification import Identification
 from geomid_ros.ros.inputs import Inputs
 from geomid_ros.ros.outputs import Outputs, latched
 from geomid_ros.ros.parameters import read_parameters
 from geomid_ros.ros.saving import Saving
 from geomid_ros.ros.status import Status
-from geomid_ros.ros.supervision import Supervision
 from geomid_ros.ros.worker import Worker
 from geomid_ros.session import Session
 from geomid_ros.signals.ledger import Ledger, count_reason
 from geomid_ros.signals.pipeline import JOINT_STATES, ODOM
 
-_PATIENCE = 0.9  # [s] for the threads to end; with the last checkpoint, and with all that takes, less than two
 _CHANGED = "the robot description has changed; it is used after ~/reset"
 
 
@@ -57,16 +53,14 @@ class GeomidNode(Node):
             raise InputError(f'a parameter has no value; an empty list is written as [""] ({error})') from error
         self._configuration = read_parameters(self)
         self._active: bool = self._configuration["active"]
-        self._worker: Worker | None = None
-        self._checkpoints: Checkpoints | None = None
         self._outputs = Outputs(self)
         self._search = GapSearch(self._outputs.finding)
-        self._supervision = Supervision()
         self._saving = Saving(self._configuration["output_folder"])
         self._urdf = ""  # the latest, not necessarily the worker's
         self._problem = ""  # with the robot description
         self._failures: Counter[str] = Counter()
         self._ledger = Ledger()
+        self._identification = Identification(self._configuration, self._ledger, self._outputs, self.get_logger())
         self._inputs = Inputs(self, self._ledger, self.fail)
         self._diagnostics = Diagnostics(self.get_fully_qualified_name().lstrip("/"))
         self._diagnostic_arrays = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
@@ -88,6 +82,10 @@ class GeomidNode(Node):
             self._build(self._configuration["robot_description"], "parameter robot_description")
         else:
             self._inputs.hear(String, "robot_description", self._on_description, latched())
+
+    @property
+    def _worker(self) -> Worker | None:
+        return self._identification.worker
 
     def _listen(self, kind: type, topic: str, take: Callable[[Worker, Any], None], several: bool = False) -> None:
         def take_or_tell_why_not(message: Any) -> str:
@@ -124,6 +122,11 @@ class GeomidNode(Node):
         except GeomidError as error:
             self._report(str(error))
 
+    def _build(self, urdf: str, source: str) -> None:
+        self._identification.build(urdf, source)
+        self._urdf = urdf
+        self._report("")
+
     def _report(self, problem: str) -> None:
         """Let the log and the diagnostics tell of a problem with the robot description, or of none."""
         if problem and problem != self._problem:
@@ -136,52 +139,19 @@ class GeomidNode(Node):
         count_reason(self._failures, sentence)
         self.get_logger().error(sentence)
 
-    def _build(self, urdf: str, source: str) -> None:
-        """Begin to identify the robot of this description. Raises InputError when it does not fit the parameters."""
-        session = Session(urdf, self._configuration, source, self._ledger)
-        if self._worker is not None:
-            self._worker.close()
-        self._restore(session)
-        self._urdf = urdf
-        self._report("")
-        self._worker = Worker(
-            session, self._configuration["solve_period"], self._outputs.prediction, self._outputs.estimate
-        )
-        self.get_logger().info(
-            f"identifying {len(session.model.body_names)} links from {len(session.model.channels)} channels"
-        )
-        if session.loaded.not_predicted:
-            self.get_logger().warning(session.loaded.not_predicted)
-
-    def _restore(self, session: Session) -> None:
-        """With a folder for checkpoints, let a session go on from the one there, and write those to come."""
-        if self._checkpoints is not None:
-            self._checkpoints.close()
-        if not self._configuration["checkpoint.folder"]:
-            return
-        folder = Path(self._configuration["checkpoint.folder"]).resolve()
-        self._checkpoints = Checkpoints(session, folder, self._configuration["checkpoint.period"])
-        if self._checkpoints.restored is not None and self._worker is None:
-            self._ledger.restore(self._checkpoints.restored.accounts)
-        status = self._checkpoints.status
-        if status.error or status.warning:
-            self.get_logger().error(status.error or status.warning)
-        elif self._checkpoints.beginning:
-            self.get_logger().info(self._checkpoints.beginning)
-
     def _publish_diagnostics(self) -> None:
-        self._look_after_worker()
+        self._identification.look_after()
         array = self._diagnostics.array(
             self._status(),
             self._search.status,
-            self._checkpoints.status if self._checkpoints is not None else None,
+            self._identification.checkpoints,
         )
         array.header.stamp = self.get_clock().now().to_msg()
         self._diagnostic_arrays.publish(array)
 
     def _status(self) -> Status:
         status = self._worker.status(self._active) if self._worker is not None else Status(self._active)
-        problems = (*self._inputs.problems, self._problem, *self._saving.problems, self._supervision.problem)
+        problems = (*self._inputs.problems, self._problem, *self._saving.problems, self._identification.problem)
         problems += status.problems
         return replace(
             status,
@@ -198,11 +168,6 @@ class GeomidNode(Node):
     def _now(self) -> int:
         return int(self.get_clock().now().nanoseconds)
 
-    def _look_after_worker(self) -> None:
-        if self._worker is not None:
-            urdf = self._worker.session.urdf
-            self._supervision.look_after(self._worker, lambda: self._build(urdf, "robot_description"))
-
     def _set_active(self, active: bool) -> tuple[bool, str]:
         self._active = active
         return True, "identifying" if active else "stopped; rows and estimate are kept"
@@ -215,8 +180,7 @@ class GeomidNode(Node):
                 self._build(self._urdf, "topic robot_description")
             except GeomidError as error:
                 return False, str(error)
-        self._supervision.forget()
-        self._worker.reset()
+        self._identification.reset()
         return True, "all rows forgotten"
 
     def _find_gap(self) -> tuple[bool, str]:
@@ -249,23 +213,10 @@ class GeomidNode(Node):
         return response
 
     def close(self) -> None:
-        """End the threads, within two seconds; with an output folder, the last estimate is saved there.
-
-        At once, as whoever ends the node may not wait for a solver at work; and again if that has found another.
-        """
-        end = time.monotonic() + _PATIENCE
+        """End the threads, within two seconds; with an output folder, the last estimate is saved there."""
         self._search.close()
-        if self._worker is None:
-            return
-        saved = self._save_last(self._worker, end)
-        self._worker.close(max(0.0, end - time.monotonic()))
-        if self._worker.estimate is not saved:
-            self._save_last(self._worker, end)
-        if self._checkpoints is not None:
-            self._checkpoints.close()
+        self._identification.close(self._save_last)
 
-    def _save_last(self, worker: Worker, end: float) -> Estimate | None:
-        estimate = worker.estimate
-        if estimate is not None and self._configuration["output_folder"]:
-            self.get_logger().info(self._saving.save_last(worker.session, estimate, max(0.0, end - time.monotonic())))
-        return estimate
+    def _save_last(self, session: Session, estimate: Estimate, patience: float) -> None:
+        if self._configuration["output_folder"]:
+            self.get_logger().info(self._saving.save_last(session, estimate, patience))

@@ -23,7 +23,8 @@ SECOND = 1_000_000_000
 _TONES = 4
 _FREQUENCIES = (0.15, 1.0)  # [Hz]
 _MOVED = 0.1  # [m] times half the relative error: how far a centre of mass is moved
-_VISCOUS, _COULOMB = 0.3, 0.5  # planted friction at every joint that is asked for [N m s/rad], [N m]
+VISCOUS, COULOMB = 0.3, 0.5
+"""Planted friction at every joint [N m s/rad], [N m]."""
 
 
 class InMotion:
@@ -76,7 +77,7 @@ class InMotion:
         _, efforts = self.reference.inverse_dynamics(self.samples, self.joints, wrenches)
         if not friction:
             return efforts
-        return efforts + _VISCOUS * self.samples.velocity + _COULOMB * np.sign(self.samples.velocity)
+        return efforts + VISCOUS * self.samples.velocity + COULOMB * np.sign(self.samples.velocity)
 
     def carried(self, link: str) -> FloatArray:
         """Newton and Euler for the bodies from ``link`` on: the wrench on them all ``(T, 6)``, in the link's frame."""

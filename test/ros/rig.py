@@ -183,23 +183,27 @@ class Rig:
         )
         return str(status.message)
 
-    def assert_same_as_twin(self) -> None:
-        """The estimate, once all messages have come, is that of a run without the bad ones; it is published."""
+    def published(self) -> Any:
+        """What the node has saved and published, once it has all the rows that the twin has."""
         rows = self.twin.session.identifier.rows
-        if not rows:
-            assert self.trigger("save") == (False, NOTHING)
-            return
         document = self.stage.observer.wait_for(lambda: self._saved(rows), f"an estimate of {rows} rows")
-        estimate = self.twin.session.identifier.solve()
-        for ours, theirs in zip(document["links"], estimate.links, strict=True):
-            assert ours["name"] == theirs.name
-            assert ours["mass"] == pytest.approx(theirs.mass, rel=SAME)
-            for key, value in (("com", theirs.com), ("inertia", theirs.inertia)):
-                assert np.linalg.norm(np.subtract(ours[key], value)) <= SAME * np.linalg.norm(value), key
         masses = [link["mass"] for link in document["links"]]
         self.stage.observer.wait_for(
             lambda: [message.inertia.m for message in self.inertias[-len(masses) :]] == masses, "what was saved"
         )
+        return document
+
+    def assert_same_as_twin(self) -> None:
+        """The estimate, once all messages have come, is that of a run without the bad ones; it is published."""
+        if not self.twin.session.identifier.rows:
+            assert self.trigger("save") == (False, NOTHING)
+            return
+        links, estimate = self.published()["links"], self.twin.session.identifier.solve()
+        for ours, theirs in zip(links, estimate.links, strict=True):
+            assert ours["name"] == theirs.name
+            assert ours["mass"] == pytest.approx(theirs.mass, rel=SAME)
+            for key, value in (("com", theirs.com), ("inertia", theirs.inertia)):
+                assert np.linalg.norm(np.subtract(ours[key], value)) <= SAME * np.linalg.norm(value), key
 
     def _saved(self, rows: int) -> Any:
         """What is saved now, if it is of so many rows."""

@@ -58,7 +58,7 @@ def begun(rig: Rig) -> tuple[list[Recorded], list[Recorded], int, int]:
     """A case in which half of the messages have come; those that are left, and how much was told and published."""
     before, after = rig.begin()
     rig.feed(before)
-    rig.assert_same_as_twin()
+    rig.published()
     rig.settled(len(rig.arrays))
     return before, after, len(rig.arrays), len(rig.inertias)
 
@@ -95,28 +95,28 @@ def test_47_standing_still(faulty: Faulty) -> None:
         for k in range(400)
         for item in [next(m for m in last if m.topic == ("/joint_states", "/wrench")[k % 2])]
     ]
-    rig.feed(still)
-    values = rig.settled(begin)
+    rig.feed(still[:260])
+    rig.settled(begin)  # 1.3 s: the filter, 0.56 s long on either side, has forgotten the motion
+    rig.feed(still[260:])
+    values = rig.settled(len(rig.arrays))
     assert int(values["rows rejected: standing still"]) > 100
     rig.says(begin, WARN, "standing still: nothing new can be told of 'link1'")
     rig.assert_same_as_twin()
 
 
 def test_31_what_does_not_fit_into_the_queue_is_dropped(faulty: Faulty) -> None:
-    """The same wrench again and again: what is taken of it is rejected, when there is time to look at it."""
+    """Every wrench ten times, and the last one hundreds of times: of those that fit one each is as good as ever."""
     rig = faulty.rig
     _, after, begin, heard = begun(rig)
-    with faulty.has("intake waits"):
-        rig.feed(after[:20])
-        wrench = next(item for item in reversed(after[:20]) if item.topic == "/wrench")
-        before = rig.sent["/wrench"]
-        rig.send([wrench] * (MOST_WAITING + 500), pause=0.0)
+    wrenches = [item for item in after if item.topic == "/wrench"][: MOST_WAITING // 20]
+    rig.twin.feed(wrenches)
+    with faulty.has("messages slow"):
+        rig.send([item for item in wrenches for _ in range(10)], pause=0.0)
+        rig.send(wrenches[-1:] * (MOST_WAITING // 2 + 500), pause=0.0)
         rig.says(begin, WARN, "/wrench dropped: queue full")
         assert len(rig.inertias) == heard
-    values = rig.settled(len(rig.arrays))
-    assert int(values["/wrench dropped: queue full"]) <= 500
-    assert rig.sent["/wrench"] - before == MOST_WAITING + 500
-    rig.feed(after[20:])
+    assert 0 < int(rig.settled(len(rig.arrays))["/wrench dropped: queue full"]) <= 500
+    rig.feed([item for item in after if item not in wrenches])
     rig.assert_same_as_twin()
 
 

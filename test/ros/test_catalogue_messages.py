@@ -129,7 +129,7 @@ def test_a_bad_message_is_named_and_leaves_no_trace(name: str, rig: Rig) -> None
     case = CASES[name]
     before, after = rig.begin()
     rig.feed(before)
-    rig.assert_same_as_twin()
+    rig.published()
     last = {item.topic: item for item in before[-2:]}
     begin, heard = len(rig.arrays), len(rig.inertias)
     rig.send(case.spoil(last["/joint_states"], last["/wrench"]))
@@ -224,7 +224,7 @@ def test_a_bad_stream_is_named_and_leaves_no_trace(name: str, rig: Rig) -> None:
     case = STREAMS[name]
     before, after = rig.begin()
     rig.feed(before)
-    rig.assert_same_as_twin()
+    rig.published()
     begin = len(rig.arrays)
     last = stamp_of(before[-1])
     rig.send([case.alter(item, place) for place, item in enumerate(after)])

@@ -235,6 +235,25 @@ def test_one_that_forgets_goes_on_estimating() -> None:
             wait_until(lambda: watched.estimates.qsize() > before)  # noqa: B023 it is waited for here
 
 
+def test_rows_are_counted_once_though_taking_them_fails(quiet: Watched, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Some of those that were being taken are there, and some are not."""
+    healthy = quiet.session.identifier.add
+
+    def take_all_but_the_last(samples: Any) -> None:
+        if len(samples) > 1:
+            healthy(samples.select(slice(len(samples) - 1)))
+        raise ZeroDivisionError
+
+    quiet.feed(0, 200)
+    quiet.final()
+    monkeypatch.setattr(quiet.session.identifier, "add", take_all_but_the_last)
+    quiet.feed(200)
+    quiet.final()
+    status = quiet.worker.status(active=True)
+    assert status.rows_rejected["ZeroDivisionError"] > 0
+    assert status.rows_made == status.rows + status.rows_rejected.total()
+
+
 def test_what_does_not_fit_into_the_queue_is_counted(quiet: Watched, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module, "_MOST_WAITING", 50)
     stop, waiting = threading.Event(), threading.Event()

@@ -17,6 +17,7 @@ from geomid_ros.files.configuration import Configuration
 from geomid_ros.files.effect_forms import FORMS
 from geomid_ros.files.shared_files import shared_file
 from geomid_ros.gap_session import effects_of
+from geomid_ros.model.effects.parameters import PARAMETERS
 from geomid_ros.session import Session
 
 # A place in a document: the list or object, and the index or key in it.
@@ -98,7 +99,7 @@ def effect_entries() -> list[dict[str, Any]]:
             "link": "tool" if form.place == "link" else "",
             "parameters": {
                 parameter: {"value": 0.01, "std": 0.001, "unit": kind.units[0]}
-                for parameter, kind in form.parameters.items()
+                for parameter, kind in PARAMETERS[name].items()
             },
         }
         for name, form in FORMS.items()
