@@ -9,6 +9,7 @@ from random import Random
 
 _EDGES = (0, 1, 0x7F, 0x80, 0xFF, 0x7FFF, 0xFFFF, 0x7FFFFFFF, 0xFFFFFFFF, 2**63 - 1, 2**64 - 1, 2**40, 1 << 27)
 _LONGEST = 64  # bytes of a block, mostly
+_LONGEST_TEXT = 6_000_000  # characters: a little more than is read of any file
 NUMBERS = (
     "nan", "inf", "-inf", "1e308", "-1e308", "1e-308", "1e999", "0", "-0.0", "-1", "1", "3.14", "1e50", "1e49", "1e10",
     "1e-10", "", " ", "1 2", "0x10", "1_0", "٣", "9" * 400, "1e", "+", "--1", "true", "0 0 0", "1 0 0", "nan 0 0",
@@ -28,7 +29,7 @@ def changed_bytes(data: bytes, random: Random, others: Sequence[bytes] = ()) -> 
 def changed_text(text: str, random: Random, snippets: Sequence[str]) -> str:
     """``text`` with one to four changes of numbers, words, lines; ``snippets`` may come in."""
     for _ in range(random.choice((1, 1, 2, 4))):
-        text = random.choice(_TEXT_CHANGES)(text, random, snippets)
+        text = random.choice(_TEXT_CHANGES)(text, random, snippets)[:_LONGEST_TEXT]
     return text
 
 

@@ -15,7 +15,7 @@ from geomid_ros.types import FloatArray, IntArray
 _CERTAINTY_OF_USUAL = 1.0
 _ROUNDS = 30  # of the fixed point; a fixed number, so that rounding cannot change how many there are
 _LARGEST_SPREAD = 100.0  # times the usual
-_ROUNDING = 1e-12  # of the largest information: what rounding may make of none
+_ROUNDING = float(np.finfo(float).eps)  # of the largest information: what rounding may make of none
 _STEP = 1e-5
 # Directions of so little variance are not told apart: a share of all of the variance there is.
 _FLOOR = 1e-4

@@ -308,3 +308,16 @@ def test_intervals_of_95_percent_hold_the_truth_about_that_often(correlation: fl
     assert set(found) == set(LEAST)
     for kind, share in found.items():
         assert share >= LEAST[kind], found
+
+
+@pytest.mark.parametrize("size", [1e2, 1e8, 1e14])
+def test_few_rows_without_noise_do_not_make_the_prior_boundless(size: float) -> None:
+    """Three rows of forty parameters that fit exactly, however far from the prior."""
+    rng = np.random.default_rng(7)
+    rows = size * rng.standard_normal((3, 40))
+    information = rows.T @ rows
+    kinds = [Kind(np.arange(30), 0.2), Kind(np.arange(30, 40), 1.0)]
+    spreads = prior_spreads(Fold(np.zeros(40), information), 1e6 * rng.standard_normal(40), kinds)
+    assert np.all(np.isfinite(spreads))
+    assert np.all(spreads > 0.0)
+    assert np.all(spreads <= 100.0 * np.repeat([0.2, 1.0], [30, 10]))
