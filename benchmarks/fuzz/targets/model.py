@@ -80,6 +80,8 @@ def changed_document(document: Any, random: Random) -> None:
     """Change one to four places of a document."""
     for _ in range(random.choice((1, 1, 2, 4))):
         found = list(places(document))
+        if not found:
+            return
         container, key = random.choice(found)
         other, other_key = random.choice(found)
         if random.random() < 0.2:
