@@ -26,7 +26,7 @@ from benchmarks import (
     streaming,
 )
 from benchmarks.problem import DataAbsentError
-from benchmarks.report import Report
+from benchmarks.report import Report, chosen
 
 EXPERIMENTS: dict[str, Callable[[Report], None]] = {
     "planar": planar.run,
@@ -51,11 +51,8 @@ def main() -> None:
     parser.add_argument("experiments", nargs="*", metavar="EXPERIMENT", help=f"any of {', '.join(EXPERIMENTS)}")
     parser.add_argument("--out", type=Path, default=Path("out/bench"), help="folder for results (%(default)s)")
     arguments = parser.parse_args()
-    unknown = [name for name in arguments.experiments if name not in EXPERIMENTS]
-    if unknown:
-        parser.error(f"no experiment is called {', '.join(unknown)}; there are {', '.join(EXPERIMENTS)}")
     report = Report(arguments.out)
-    for name in arguments.experiments or EXPERIMENTS:
+    for name in chosen(parser, arguments.experiments, EXPERIMENTS):
         try:
             EXPERIMENTS[name](report)
         except DataAbsentError as absent:

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Sequence
+from argparse import ArgumentParser
+from collections.abc import Collection, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -65,3 +66,11 @@ def _plain(value: Any) -> Any:
     if isinstance(value, list | tuple):
         return [_plain(item) for item in value]
     return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def chosen(parser: ArgumentParser, named: Sequence[str], known: Collection[str]) -> Collection[str]:
+    """The names on a command line, all that are known if there are none; ends the command at one that is not."""
+    unknown = [name for name in named if name not in known]
+    if unknown:
+        parser.error(f"nothing is called {', '.join(unknown)}; there are {', '.join(known)}")
+    return named or known

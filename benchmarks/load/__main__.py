@@ -10,7 +10,7 @@ import argparse
 from pathlib import Path
 
 from benchmarks.load.experiment import SCENARIOS
-from benchmarks.report import Report
+from benchmarks.report import Report, chosen
 
 
 def main() -> None:
@@ -24,11 +24,8 @@ def main() -> None:
         )
     parser.add_argument("--out", type=Path, default=Path("out/load"), help="folder for results.json (%(default)s)")
     arguments = parser.parse_args()
-    unknown = [name for name in arguments.scenarios if name not in SCENARIOS]
-    if unknown:
-        parser.error(f"no scenario is called {', '.join(unknown)}; there are {', '.join(SCENARIOS)}")
     report = Report(arguments.out)
-    for name in arguments.scenarios or SCENARIOS:
+    for name in chosen(parser, arguments.scenarios, SCENARIOS):
         report.progress(f"load: {name}")
         SCENARIOS[name].measure(report, getattr(arguments, name))
 

@@ -44,6 +44,7 @@ MOTION_EFFECTS: tuple[Effect, ...] = (
     *(StribeckFriction(speed, SMOOTHINGS[0]) for speed in STRIBECK_SPEEDS),
 )
 SIGN = MOTION_EFFECTS.index(CoulombFriction(SMOOTHINGS[0]))  # the direction of motion
+SMOOTH_SIGN = MOTION_EFFECTS.index(CoulombFriction(SMOOTHINGS[1]))  # the same, of friction that sets in slowly
 DRY = [place for place, effect in enumerate(MOTION_EFFECTS) if isinstance(effect, CoulombFriction)]
 REST = len(MOTION_EFFECTS)  # the last column: the share of the filter's window in which the joint stands still
 

@@ -37,9 +37,10 @@ def located(model: MeasurementModel, records: Records, residual: FloatArray, loa
 
 
 def strongest(found: Located) -> str:
-    """The variable that explains most of a channel's remainder."""
+    """The variable that explains most of a channel's remainder, ``unknown`` where none explains any of it."""
     shares = {name: float(getattr(found, name)) for name in ("velocity", "position", "load", "time", "reversals")}
-    return max(shares, key=lambda name: shares[name])
+    best = max(shares, key=lambda name: shares[name])
+    return best if shares[best] > 0.0 else "unknown"
 
 
 def share(values: FloatArray, variable: FloatArray) -> float:

@@ -134,7 +134,7 @@ def _load_terms(
 
 
 def _unsettled(part: Samples) -> FloatArray:
-    sharp, smooth = (part.effects[:, :, library.SIGN + place] for place in (0, 1))
+    sharp, smooth = part.effects[:, :, library.SIGN], part.effects[:, :, library.SMOOTH_SIGN]
     reach = 2 * round(_REVERSAL / _period(part)) + 1
     differences: FloatArray = maximum_filter1d(np.abs(sharp - smooth), reach, axis=0)
     return differences

@@ -57,7 +57,7 @@ class Finding:
 @dataclass(frozen=True)
 class Unexplained:
     """A joint or wrench channel whose remainder no name explains: ``gap`` times the floor, and on what it depends
-    (``position``, ``velocity``, ``load``, ``time``, ``reversals``, or the name of another joint)."""
+    (``position``, ``velocity``, ``load``, ``time``, ``reversals``, ``unknown``, or the name of another joint)."""
 
     joint: str
     depends_on: str

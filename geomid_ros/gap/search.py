@@ -8,8 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from geomid_ros.gap.design import Design
-from geomid_ros.gap.fit import JointFit, Prior, fit, improvement
+from geomid_ros.gap.fit import JointFit, Prior, fit
 from geomid_ros.gap.library import RICHER, Candidate
+from geomid_ros.gap.score_test import improvement
 
 LEAST_GAIN = 12.0
 """A name that improves the score by less is not taken: e^-6 in probability."""

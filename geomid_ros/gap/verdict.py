@@ -10,11 +10,11 @@ from geomid_ros.gap import library, naming
 from geomid_ros.gap.analysis import Analysis
 from geomid_ros.gap.crossvalidation import generalises
 from geomid_ros.gap.curves import depends_on, is_curve
-from geomid_ros.gap.fit import improvement
 from geomid_ros.gap.held_out import HeldOut
 from geomid_ros.gap.library import RICHER, Candidate
 from geomid_ros.gap.locate import strongest
 from geomid_ros.gap.result import Confidence, Finding, Ranked, Rival, Unexplained, Verdict
+from geomid_ros.gap.score_test import improvement
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.types import BoolArray, FloatArray
 

@@ -7,10 +7,11 @@ import pytest
 
 from geomid_ros.gap import library
 from geomid_ros.gap.design import Design
-from geomid_ros.gap.fit import JointFit, Prior, fit, improvement, unfitted
+from geomid_ros.gap.fit import JointFit, Prior, fit, unfitted
 from geomid_ros.gap.library import Candidate
 from geomid_ros.gap.noise import Autoregression
 from geomid_ros.gap.record import Records
+from geomid_ros.gap.score_test import improvement
 from geomid_ros.gap.stage import Stage, TotalModel
 
 from . import planted

@@ -5,7 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from geomid_ros.gap.result import GapResult
+from geomid_ros.gap.locate import strongest
+from geomid_ros.gap.result import GapResult, Located
 from geomid_ros.gap.settings import GapSettings
 from geomid_ros.gap.workflow import find_gap
 
@@ -49,3 +50,8 @@ def test_a_gap_that_stays_open_is_told_with_what_it_depends_on(drifting: GapResu
 
 def test_and_nothing_is_named_for_it(drifting: GapResult) -> None:
     assert drifting.findings == ()
+
+
+def test_what_depends_on_nothing_is_not_said_to_depend_on_the_first_in_line() -> None:
+    assert strongest(Located("wrench/fx", 0.0, 0.0, 0.0, 0.0, 0.0)) == "unknown"
+    assert strongest(Located("joint1", 0.1, 0.0, 0.3, 0.2, 0.0)) == "load"

@@ -22,6 +22,7 @@ _VARIABLES = {
     "load": "the effort it transmits",
     "time": "time",
     "reversals": "when it last reversed",
+    "unknown": "nothing that was looked at",
 }
 _RECORD = {
     "position": "a slow motion of the joint at one constant speed, through its whole range and back",
@@ -29,6 +30,7 @@ _RECORD = {
     "load": "the same motion with and without a known payload",
     "time": "the same motion every few minutes, from cold to warm",
     "reversals": "the joint to and fro, at several places, with small and with large strokes",
+    "unknown": "the same motion again, to see whether it is repeated",
 }
 CONFIDENCE: dict[Confidence, str] = {
     "confident": "nothing else explains the data as well",
