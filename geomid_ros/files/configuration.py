@@ -14,7 +14,7 @@ from geomid_ros.errors import InputError, unknown_name
 from geomid_ros.estimation.estimator import EstimatorSettings
 from geomid_ros.estimation.identifier import BufferSettings
 from geomid_ros.files.parameter_file import read_parameter_file
-from geomid_ros.model.effects import EFFECTS, Effect, effect
+from geomid_ros.model.effects import DEFAULT_EFFECTS, Effect, effect
 from geomid_ros.model.known import WeighedMass
 from geomid_ros.model.sensors import AXES, WrenchSensor
 from geomid_ros.signals.pipeline import SignalSettings
@@ -50,7 +50,7 @@ PARAMETERS = (
     Parameter("model", "", "estimate.json of an earlier run to start from instead of the URDF's inertias"),
     Parameter("links", _NONE, "moving links to identify; empty: all that have a mass"),
     Parameter("known", _NONE, "masses that were weighed, as LINK=MASS:STD, LINK+LINK=MASS:STD or total=MASS:STD [kg]"),
-    Parameter("effects", list(EFFECTS), f"effects identified at every joint: {', '.join(EFFECTS)}"),
+    Parameter("effects", list(DEFAULT_EFFECTS), f"effects identified at every joint: {', '.join(DEFAULT_EFFECTS)}"),
     Parameter("floating_base", False, "the base moves; its pose is read from the topic odom"),
     Parameter("locked_joints", _NONE, "joints of the URDF that never move and are in no message, taken as at zero"),
     Parameter("gravity", [0.0, 0.0, -9.81], "gravity in the base (world) frame [m/s^2]"),

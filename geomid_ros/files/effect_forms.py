@@ -1,21 +1,20 @@
-"""What a model's effects are called in files: where they act, their parameters, and which file says them."""
+"""A model's effects as files have them: the values of their parameters, and what follows from these."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
-from typing import Literal, Protocol, TypeAlias
+from typing import Protocol
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from geomid_ros.gap.result import Quantity
 from geomid_ros.geometry import pseudo_inertia
-from geomid_ros.model.effects.parameters import COM_ENTRIES, INERTIA_ENTRIES, PARAMETERS
+from geomid_ros.model.effects import PARAMETERS, PHYSICAL_EFFECTS
+from geomid_ros.model.effects.parameters import COM_ENTRIES, INERTIA_ENTRIES
 from geomid_ros.types import FloatArray
-
-Place: TypeAlias = Literal["joint", "robot", "link", "sensor"]
 
 
 class ModelEffect(Protocol):
@@ -48,66 +47,18 @@ class KnownEffect:
     parameters: Mapping[str, Quantity]
 
 
-@dataclass(frozen=True)
-class EffectForm:
-    """What an effect is, its place, and which of its :data:`PARAMETERS` a URDF and an MJCF say, too.
-
-    ``meaning`` in terms of a joint's position q, velocity v and acceleration a, and of the effort tau that its gear
-    transmits to the link.
-    """
-
-    meaning: str
-    place: Place
-    urdf: tuple[str, ...] = ()
-    mjcf: tuple[str, ...] = ()
-
-
-FORMS: dict[str, EffectForm] = {
-    "viscous_friction": EffectForm("effort coefficient v", "joint", ("coefficient",), ("coefficient",)),
-    "coulomb_friction": EffectForm("effort level sign(v)", "joint", ("level",), ("level",)),
-    "stribeck_friction": EffectForm(
-        "effort sign(v) (level + excess exp(-(v/speed)^2))", "joint", ("level",), ("level",)
-    ),
-    "load_friction": EffectForm("effort coefficient |tau| sign(v)", "joint"),
-    "rotor_inertia": EffectForm("effort inertia a", "joint", (), ("inertia",)),
-    "spring": EffectForm(
-        "effort stiffness (q - equilibrium), which the motor supplies against the spring",
-        "joint",
-        (),
-        ("stiffness", "equilibrium"),
-    ),
-    "effort_offset": EffectForm("measured effort = true + offset", "joint"),
-    "effort_gain": EffectForm("measured effort = gain true", "joint"),
-    "effort_delay": EffectForm("measured effort(t) = true(t - delay), at all joints", "robot"),
-    "gravity_tilt": EffectForm(
-        "gravity in the base frame is R^T g, R the rotation by the vector (tilt_x, tilt_y, 0)",
-        "robot",
-        (),
-        ("tilt_x", "tilt_y"),
-    ),
-    "payload": EffectForm(
-        "a rigid body fixed to the link, in its frame; its inertia is about its centre of mass",
-        "link",
-        tuple(PARAMETERS["payload"]),
-        tuple(PARAMETERS["payload"]),
-    ),
-    "joint_elasticity": EffectForm(
-        "link position = measured (motor) position - tau/stiffness", "joint", (), ("stiffness",)
-    ),
-    "backlash": EffectForm(
-        "play of gap in all between measured (motor) and link position, crossed at the speed tau/drag",
-        "joint",
-        (),
-        ("gap", "drag"),
-    ),
-    "wrench_offset": EffectForm("measured wrench = true + (fx ... tz), in the sensor's frame", "sensor"),
-}
-
-
 def values(effect: ModelEffect) -> dict[str, float]:
     """An effect's parameters without their units; what may be left out is zero."""
     optional = {name: 0.0 for name, form in PARAMETERS[effect.effect].items() if form.optional}
     return optional | {name: quantity.value for name, quantity in effect.parameters.items()}
+
+
+def joint_attributes(effect: str, known: Mapping[str, float], element: str) -> dict[str, float]:
+    """What an effect with the parameters ``known`` adds to attributes of a joint's ``element``: ``dynamics`` in a URDF,
+    ``joint`` in an MJCF."""
+    forms = PARAMETERS[effect].values()
+    places = [(form.name, place.partition("/")) for form in forms for place in (form.urdf, form.mjcf)]
+    return {attribute: known[name] for name, (own, _, attribute) in places if own == element}
 
 
 def inertia_matrix(payload: Mapping[str, float]) -> FloatArray:
@@ -129,19 +80,6 @@ def tilted_gravity(gravity: FloatArray, tilt: Mapping[str, float]) -> FloatArray
     return turned
 
 
-_ADD_UP = {
-    "viscous_friction",
-    "coulomb_friction",
-    "load_friction",
-    "rotor_inertia",
-    "effort_offset",
-    "effort_delay",
-    "gravity_tilt",
-    "backlash",
-    "wrench_offset",
-}
-
-
 def combined(effects: Iterable[ModelEffect]) -> list[KnownEffect]:
     """Effects of which none is there twice at a place: what adds up is added, gains are multiplied, of others the later
     one holds."""
@@ -156,7 +94,7 @@ def combined(effects: Iterable[ModelEffect]) -> list[KnownEffect]:
 def _together(first: KnownEffect, second: KnownEffect) -> KnownEffect:
     if second.effect == "effort_gain":
         return replace(second, parameters={"gain": _scaled(second.parameters["gain"], first.parameters["gain"].value)})
-    if second.effect not in _ADD_UP:
+    if not PHYSICAL_EFFECTS[second.effect].adds_up:
         return second
     both = [*first.parameters.items(), *second.parameters.items()]
     sums: dict[str, Quantity] = {}

@@ -28,8 +28,9 @@ from geomid_ros.files.effect_forms import (
 from geomid_ros.files.results import known_inertias, read_estimate
 from geomid_ros.files.sidecar import effect_of
 from geomid_ros.gap.result import Quantity
-from geomid_ros.model.effects import EFFECTS, Effect, Spring, StribeckFriction
-from geomid_ros.model.effects.parameters import PARAMETERS
+from geomid_ros.model.effects import EFFECTS, PARAMETERS, Effect
+from geomid_ros.model.effects.spring import Spring
+from geomid_ros.model.effects.stribeck_friction import StribeckFriction
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.sensors import AXES, WrenchSensor
 from geomid_ros.signals.pipeline import SignalSettings

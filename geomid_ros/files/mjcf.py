@@ -14,7 +14,7 @@ from xml.etree.ElementTree import Element, SubElement, indent, tostring
 
 import numpy as np
 
-from geomid_ros.files.effect_forms import ModelEffect, payload_parameters, tilted_gravity, values
+from geomid_ros.files.effect_forms import ModelEffect, joint_attributes, payload_parameters, tilted_gravity, values
 from geomid_ros.files.joint_frames import JointFrame, joint_frames
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.model.robot import Robot
@@ -130,16 +130,16 @@ class _Writer:
             SubElement(body, "joint", {"name": f"{joint.name}/{name}", **kind, **attributes})
 
     def _dynamics(self, joint: JointFrame) -> dict[str, str]:
-        dry = ("coulomb_friction", "stribeck_friction")
-        spring = self._effect("spring", joint)
-        numbers = {
-            "damping": self._effect("viscous_friction", joint).get("coefficient", 0.0),
-            "frictionloss": sum(self._effect(name, joint).get("level", 0.0) for name in dry),
-            "armature": self._rotor(joint),
-            "stiffness": spring.get("stiffness", 0.0),
-            "springref": spring.get("equilibrium", 0.0),
-        }
-        return {name: _words(number) for name, number in numbers.items() if number != 0.0}
+        numbers = self._said(joint) | {"armature": self._rotor(joint)}
+        return {name: _words(number) for name, number in sorted(numbers.items()) if number != 0.0}
+
+    def _said(self, joint: JointFrame) -> dict[str, float]:
+        """What the effects say of a joint's own attributes, added up."""
+        numbers: dict[str, float] = {}
+        for (effect, place), known in self._effects.items():
+            for name, value in joint_attributes(effect, known, "joint").items() if place == joint.name else ():
+                numbers[name] = numbers.get(name, 0.0) + value
+        return numbers
 
     def _gears(self, joint: JointFrame) -> dict[str, dict[str, str]]:
         """Attributes of the hinges behind a joint's own, by name."""
@@ -157,7 +157,7 @@ class _Writer:
         return gears
 
     def _rotor(self, joint: JointFrame) -> float:
-        known = self._effect("rotor_inertia", joint).get("inertia", 0.0)
+        known = self._said(joint).get("armature", 0.0)
         gives = self._effect("joint_elasticity", joint) or self._effect("backlash", joint)
         return max(known, _SMALL_ROTOR * self._carried(joint)) if gives else known
 

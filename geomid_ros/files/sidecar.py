@@ -5,7 +5,7 @@
     format: 1
     robot: NAME                     # as in the URDF
     effects:
-      - effect: stribeck_friction   # names, places, parameters and units: geomid_ros/files/effect_forms.py
+      - effect: stribeck_friction   # names, places, parameters and units: geomid_ros/model/effects/
         joint: joint3               # or the topic of a wrench sensor; absent for the whole robot
         link: tool                  # of a payload, else absent
         parameters:
@@ -29,10 +29,11 @@ import yaml
 
 from geomid_ros.errors import InputError, unknown_name
 from geomid_ros.files.atomic import write_text
-from geomid_ros.files.effect_forms import FORMS, EffectForm, KnownEffect, ModelEffect
+from geomid_ros.files.effect_forms import KnownEffect, ModelEffect
 from geomid_ros.files.parameter_file import read_yaml
 from geomid_ros.gap.result import Quantity
-from geomid_ros.model.effects.parameters import PARAMETERS, ParameterForm
+from geomid_ros.model.effects import PARAMETERS, PHYSICAL_EFFECTS, ParameterForm
+from geomid_ros.model.effects.effect import Place
 
 FORMAT = 1
 _MOST_EFFECTS = 10_000
@@ -58,12 +59,12 @@ def write_sidecar(path: Path, robot: str, effects: Iterable[ModelEffect]) -> Non
     document = {"format": FORMAT, "robot": robot, "effects": entries}
     text = yaml.safe_dump(document, sort_keys=False, allow_unicode=True, default_flow_style=None, width=120)
     names = dict.fromkeys(entry["effect"] for entry in entries)
-    meanings = "".join(f"#   {name}: {FORMS[name].meaning}\n" for name in names)
+    meanings = "".join(f"#   {name}: {PHYSICAL_EFFECTS[name].meaning}\n" for name in names)
     write_text(path, _HEADER + meanings + text)
 
 
 def _entry(effect: ModelEffect) -> dict[str, Any]:
-    form = FORMS[effect.effect]
+    forms = PARAMETERS[effect.effect]
     place = {"joint": effect.joint, "link": effect.link}
     return {
         "effect": effect.effect,
@@ -72,8 +73,8 @@ def _entry(effect: ModelEffect) -> dict[str, Any]:
             name: {"value": float(q.value), "std": float(q.std) if math.isfinite(q.std) else None, "unit": q.unit}
             for name, q in effect.parameters.items()
         },
-        "urdf": [name for name in form.urdf if name in effect.parameters],
-        "mjcf": [name for name in form.mjcf if name in effect.parameters],
+        "urdf": [name for name, form in forms.items() if form.urdf and name in effect.parameters],
+        "mjcf": [name for name, form in forms.items() if form.mjcf and name in effect.parameters],
     }
 
 
@@ -105,15 +106,14 @@ def effect_of(entry: Any, where: str) -> KnownEffect:
     if not isinstance(entry, dict):
         raise InputError(f"{where}: expected an effect with its parameters, found {reprlib.repr(entry)}")
     name = str(entry.get("effect"))
-    if name not in FORMS:
-        raise InputError(f"{where}: {unknown_name('effect', name, FORMS)}")
+    if name not in PHYSICAL_EFFECTS:
+        raise InputError(f"{where}: {unknown_name('effect', name, PHYSICAL_EFFECTS)}")
     where = f"{where} ({name})"
-    form = FORMS[name]
     parameters = entry.get("parameters")
     if not isinstance(parameters, dict):
         raise InputError(f"{where}: parameters: expected {', '.join(PARAMETERS[name])}")
     joint, link = (_text(entry, key, where) for key in ("joint", "link"))
-    _check_place(form, joint, link, where)
+    _check_place(PHYSICAL_EFFECTS[name].place, joint, link, where)
     return KnownEffect(name, joint, link, _parameters(parameters, PARAMETERS[name], f"{where}: parameters"))
 
 
@@ -124,11 +124,11 @@ def _text(entry: Mapping[str, Any], key: str, where: str) -> str:
     return value
 
 
-def _check_place(form: EffectForm, joint: str, link: str, where: str) -> None:
+def _check_place(place: Place, joint: str, link: str, where: str) -> None:
     needed = {"joint": joint, "sensor": joint, "link": link}
-    if form.place in needed and not needed[form.place]:
-        key = "link" if form.place == "link" else "joint"
-        what = "the topic of the wrench sensor" if form.place == "sensor" else f"the {key} at which it acts"
+    if place in needed and not needed[place]:
+        key = "link" if place == "link" else "joint"
+        what = "the topic of the wrench sensor" if place == "sensor" else f"the {key} at which it acts"
         raise InputError(f"{where}: {key} is not given, expected {what}")
 
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from geomid_ros.estimation.estimate import LinkEstimate
 from geomid_ros.files.bounded import read_text
-from geomid_ros.files.effect_forms import ModelEffect, inertia_matrix, values
+from geomid_ros.files.effect_forms import ModelEffect, inertia_matrix, joint_attributes, values
 from geomid_ros.files.urdf_spans import Edit, Span, edited, insertion, spans
 from geomid_ros.model.effects.parameters import COM_ENTRIES
 from geomid_ros.model.urdf_tree import MOST_BYTES
@@ -59,37 +59,28 @@ def _inertial(mass: float, com: FloatArray, inertia: FloatArray) -> bytes:
 def with_effects(urdf: str, effects: Iterable[ModelEffect]) -> str:
     """``urdf`` with the effects that a URDF can say; every other character of it is kept.
 
-    Viscous friction and the level of dry friction become the joint's ``<dynamics damping friction>``, a payload a link
-    that is fixed to the one which carries it.
+    What an effect says of a joint's ``<dynamics>`` is added up there; a payload becomes a link that is fixed to the one
+    which carries it.
     """
     data = urdf.encode()
     effects = list(effects)
     joints, links = spans(data, "joint", "dynamics"), spans(data, "link", "inertial")
     dynamics: dict[str, dict[str, float]] = {}
     for effect in effects:
-        if effect.effect in _DYNAMICS:
-            attribute, parameter = _DYNAMICS[effect.effect]
+        for attribute, value in joint_attributes(effect.effect, values(effect), "dynamics").items():
             own = dynamics.setdefault(effect.joint, {})
-            own[attribute] = own.get(attribute, 0.0) + values(effect)[parameter]
-    edits = [_dynamics(data, joints[name], attributes) for name, attributes in dynamics.items()]
+            own[attribute] = own.get(attribute, 0.0) + value
+    edits = [_dynamics(data, joints[name], own) for name, own in dynamics.items()]
     end = data.rindex(b"</robot")
     payloads = [_payload(effect, links, joints) for effect in effects if effect.effect == "payload"]
     edits.append((end, end, b"".join(payloads)))
     return edited(data, edits).decode()
 
 
-# Attribute of <dynamics> and the effect's parameter that it is.
-_DYNAMICS = {
-    "viscous_friction": ("damping", "coefficient"),
-    "coulomb_friction": ("friction", "level"),
-    "stribeck_friction": ("friction", "level"),
-}
-
-
-def _dynamics(data: bytes, joint: Span, attributes: Mapping[str, float]) -> Edit:
+def _dynamics(data: bytes, joint: Span, numbers: Mapping[str, float]) -> Edit:
     """The edit that gives a joint's <dynamics> these attributes; others that it has stay."""
     element = data[slice(*joint.child)] if joint.child else b"<dynamics/>"
-    for name, value in attributes.items():
+    for name, value in numbers.items():
         said = f'{name}="{value:.9g}"'.encode()
         pattern = rb"(?<=\s)" + name.encode() + rb"""\s*=\s*("[^"]*"|'[^']*')"""
         element, found = re.subn(pattern, said, element, count=1)

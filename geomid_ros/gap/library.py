@@ -6,24 +6,19 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from geomid_ros.model.effects import (
-    CROSSINGS,
-    Backlash,
-    CoulombFriction,
-    Effect,
-    EffortDelay,
-    EffortGain,
-    EffortOffset,
-    GravityTilt,
-    JointElasticity,
-    JointMotion,
-    LoadFriction,
-    RotorInertia,
-    SituationEffect,
-    Spring,
-    StribeckFriction,
-    ViscousFriction,
-)
+from geomid_ros.model.effects import EFFECTS, Effect, JointMotion, SituationEffect
+from geomid_ros.model.effects.backlash import CROSSINGS, Backlash
+from geomid_ros.model.effects.coulomb_friction import CoulombFriction
+from geomid_ros.model.effects.effort_delay import EffortDelay
+from geomid_ros.model.effects.effort_gain import EffortGain
+from geomid_ros.model.effects.effort_offset import EffortOffset
+from geomid_ros.model.effects.gravity_tilt import GravityTilt
+from geomid_ros.model.effects.joint_elasticity import JointElasticity
+from geomid_ros.model.effects.load_friction import LoadFriction
+from geomid_ros.model.effects.rotor_inertia import RotorInertia
+from geomid_ros.model.effects.spring import Spring
+from geomid_ros.model.effects.stribeck_friction import StribeckFriction
+from geomid_ros.model.effects.viscous_friction import ViscousFriction
 from geomid_ros.model.measurement import Coefficient, MeasurementModel
 from geomid_ros.types import FloatArray
 
@@ -35,14 +30,18 @@ RICHER = {"coulomb_friction": "stribeck_friction", "effort_offset": "spring"}
 _SCOUTS = 4  # one of so many scanned constants is tried before its name is chosen
 STILL = 0.01  # [rad/s or m/s] below this friction is no function of speed
 
-MOTION_EFFECTS: tuple[Effect, ...] = (
+_OFFSET = EffortOffset()
+_FIRST: tuple[Effect, ...] = (
     ViscousFriction(),
     RotorInertia(),
-    EffortOffset(),
+    _OFFSET,
     Spring(),
     *(CoulombFriction(smoothing) for smoothing in SMOOTHINGS),
     *(StribeckFriction(speed, SMOOTHINGS[0]) for speed in STRIBECK_SPEEDS),
 )
+_MORE = tuple(effect for effect in EFFECTS.values() if effect.name not in {first.name for first in _FIRST})
+MOTION_EFFECTS = (*_FIRST, *_MORE)
+"""All functions of one joint's motion, in the order of the samples' columns; what other files add comes last."""
 SIGN = MOTION_EFFECTS.index(CoulombFriction(SMOOTHINGS[0]))  # the direction of motion
 SMOOTH_SIGN = MOTION_EFFECTS.index(CoulombFriction(SMOOTHINGS[1]))  # the same, of friction that sets in slowly
 DRY = [place for place, effect in enumerate(MOTION_EFFECTS) if isinstance(effect, CoulombFriction)]
@@ -132,33 +131,7 @@ def candidates(model: MeasurementModel) -> list[Candidate]:
 
 
 def _joint_candidates(joint: int) -> list[Candidate]:
-    terms = [Term(joint, motion=index) for index in range(len(MOTION_EFFECTS))]
-    viscous, rotor, offset, spring = terms[:4]
-    found = [
-        Candidate("viscous_friction", joint, (viscous,), 1),
-        Candidate("rotor_inertia", joint, (rotor,), 1),
-        Candidate("effort_offset", joint, (offset,)),
-        Candidate("spring", joint, (spring, offset), 1, penalty=2),
-    ]
-    dry = {
-        effect.smoothing: term
-        for effect, term in zip(MOTION_EFFECTS, terms, strict=True)
-        if isinstance(effect, CoulombFriction)
-    }
-    found += [Candidate("coulomb_friction", joint, (term,), 1) for term in dry.values()]
-    found += [
-        Candidate(
-            "stribeck_friction",
-            joint,
-            (dry[effect.smoothing], term),
-            2,
-            penalty=3,
-            scanned=effect.speed,
-            scout=effect.speed in STRIBECK_SPEEDS[::_SCOUTS],
-        )
-        for effect, term in zip(MOTION_EFFECTS, terms, strict=True)
-        if isinstance(effect, StribeckFriction)
-    ]
+    found = [_motion_candidate(joint, effect) for effect in MOTION_EFFECTS]
     found += [
         Candidate(effect.name, joint, (Term(joint, situation=effect),), int(effect.positive)) for effect in _SITUATION
     ]
@@ -175,6 +148,19 @@ def _joint_candidates(joint: int) -> list[Candidate]:
         for place, crossing in enumerate(CROSSINGS)
     ]
     return found
+
+
+def _motion_candidate(joint: int, effect: Effect) -> Candidate:
+    def term(of: Effect) -> Term:
+        return Term(joint, motion=MOTION_EFFECTS.index(of))
+
+    if isinstance(effect, Spring):
+        return Candidate(effect.name, joint, (term(effect), term(_OFFSET)), 1, penalty=2)
+    if isinstance(effect, StribeckFriction):
+        terms = term(CoulombFriction(effect.smoothing)), term(effect)
+        scout = effect.speed in STRIBECK_SPEEDS[::_SCOUTS]
+        return Candidate(effect.name, joint, terms, 2, penalty=3, scanned=effect.speed, scout=scout)
+    return Candidate(effect.name, joint, (term(effect),), int(effect.positive))
 
 
 def _mover(model: MeasurementModel, place: int) -> int:

@@ -10,43 +10,11 @@ from geomid_ros.gap.fit import JointFit
 from geomid_ros.gap.library import Candidate
 from geomid_ros.gap.result import Quantity
 from geomid_ros.geometry import pseudo_inertia
-from geomid_ros.model.effects.parameters import PARAMETERS
+from geomid_ros.model.effects import PARAMETERS, PHYSICAL_EFFECTS
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.types import FloatArray
 
 _STEP = 1e-4
-_WORDS = {
-    "viscous_friction": "viscous friction",
-    "coulomb_friction": "Coulomb friction",
-    "stribeck_friction": "Stribeck friction",
-    "load_friction": "friction in proportion to the load",
-    "rotor_inertia": "rotor inertia",
-    "spring": "a spring",
-    "effort_offset": "an offset of the measured effort",
-    "effort_gain": "a wrong gain of the measured effort",
-    "gravity_tilt": "a base that is not level",
-    "effort_delay": "a delay between efforts and motion",
-    "payload": "a payload",
-    "joint_elasticity": "an elastic gear",
-    "backlash": "backlash",
-    "wrench_offset": "an offset of the wrench sensor",
-}
-_SETTLED_BY = {
-    "viscous_friction": "a motion that moves this joint at several constant speeds",
-    "coulomb_friction": "a slow motion of this joint to and fro, at several constant speeds",
-    "stribeck_friction": "runs of this joint at constant speeds from creeping to fast",
-    "load_friction": "the same motion with a known payload and without",
-    "rotor_inertia": "fast accelerations of this joint alone with the links after it stretched out and folded",
-    "spring": "a slow sweep of this joint through its range in several postures of the others",
-    "effort_offset": "a recording in which gravity loads this joint to both sides",
-    "effort_gain": "the same motion with a known payload",
-    "gravity_tilt": "a slow motion of the first joint through its range with the arm stretched out",
-    "effort_delay": "faster motions",
-    "payload": "the same motion with and without what the link carries, or a wrench sensor that carries the link",
-    "joint_elasticity": "faster motions, or an encoder on the link's side",
-    "backlash": "slow motions in which the load of this joint changes its sign",
-    "wrench_offset": "still poses with the sensor turned to all sides",
-}
 
 
 def parameters(
@@ -152,7 +120,7 @@ def sentence(effect: str, joint: str, link: str, found: Mapping[str, Quantity], 
         f"{name} {q.value:.4g} ± {1.96 * q.std:.2g}{'' if q.unit == '-' else ' ' + q.unit}" for name, q in shown
     )
     sure = {"confident": "", "tentative": "Perhaps ", "ambiguous": "One of several: "}[confidence]
-    text = f"{_WORDS[effect]}{where}: {values} (95 % interval)."
+    text = f"{PHYSICAL_EFFECTS[effect].label}{where}: {values} (95 % interval)."
     return sure + text if sure else text[0].upper() + text[1:]
 
 
@@ -161,4 +129,4 @@ def settled_by(effect: str, joint: str, rivals: Collection[tuple[str, str]]) -> 
     others = [other for name, other in rivals if name == "payload"]
     if effect == "payload" and others:
         return f"a motion that turns {', '.join(repr(name) for name in (joint, *others))} through their ranges"
-    return _SETTLED_BY[effect]
+    return PHYSICAL_EFFECTS[effect].settled_by

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from geomid_ros.model.effects import CROSSINGS
+from geomid_ros.model.effects.backlash import CROSSINGS
 from geomid_ros.types import FloatArray
 
 

@@ -16,7 +16,11 @@ from geomid_ros.gap.library import Candidate, Term
 from geomid_ros.gap.noise import Autoregression
 from geomid_ros.gap.record import Records
 from geomid_ros.geometry import pseudo_inertia
-from geomid_ros.model.effects import EffortDelay, EffortGain, GravityTilt, LoadFriction, Situation
+from geomid_ros.model.effects import Situation
+from geomid_ros.model.effects.effort_delay import EffortDelay
+from geomid_ros.model.effects.effort_gain import EffortGain
+from geomid_ros.model.effects.gravity_tilt import GravityTilt
+from geomid_ros.model.effects.load_friction import LoadFriction
 from geomid_ros.model.measurement import MeasurementModel, Rows
 from geomid_ros.types import BoolArray, FloatArray
 

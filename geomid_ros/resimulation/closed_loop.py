@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from geomid_ros.model.effects import JointMotion
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.samples import Samples
 from geomid_ros.resimulation.errors import root_mean_square
@@ -212,10 +213,10 @@ def _driving(part: _Commanded, controller: Controller, robot: WrittenRobot, simu
     setpoints = controller.stiffness * interpolated(times, part.position, middles - 0.5 * simulation.step)
     setpoints += controller.damping * interpolated(times, part.velocity, middles + 0.5 * simulation.step)
     needed = _effort(part, controller, samples.position, samples.velocity)
-    effort, feedforward, velocity, acceleration = (
+    effort, feedforward, *motion = (
         interpolated(times, values, middles)
-        for values in (needed, part.feedforward, samples.velocity, samples.acceleration)
+        for values in (needed, part.feedforward, samples.position, samples.velocity, samples.acceleration)
     )
-    friction = robot.unsaid_friction(effort, velocity, acceleration)
-    free = feedforward + controller.constant + setpoints - friction
-    return np.where(controller.found, free, robot.prescribed_effort(acceleration))
+    moving = JointMotion(*motion)
+    free = feedforward + controller.constant + setpoints - robot.unsaid_friction(effort, moving)
+    return np.where(controller.found, free, robot.prescribed_effort(moving.acceleration))

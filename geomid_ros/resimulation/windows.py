@@ -7,6 +7,7 @@ from functools import cached_property
 
 import numpy as np
 
+from geomid_ros.model.effects import JointMotion
 from geomid_ros.resimulation.stretch import Stretch, interpolated, smoothed
 from geomid_ros.resimulation.written_robot import Rollout, WrittenRobot
 from geomid_ros.types import FloatArray, IntArray
@@ -107,5 +108,5 @@ def driving_efforts(robot: WrittenRobot, stretch: Stretch, instants: FloatArray)
     """Measured efforts as they drive the joints in MuJoCo at ``instants (...)`` [s], ``(..., J)``."""
     samples, times = stretch.samples, stretch.times
     true = robot.true_effort(interpolated(times, samples.effort, instants + robot.delay))
-    velocity, acceleration = (interpolated(times, a, instants) for a in (samples.velocity, samples.acceleration))
-    return robot.driving_effort(true, velocity, acceleration)
+    motion = (samples.position, samples.velocity, samples.acceleration)
+    return robot.driving_effort(true, JointMotion(*(interpolated(times, values, instants) for values in motion)))

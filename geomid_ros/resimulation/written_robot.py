@@ -14,6 +14,7 @@ import numpy as np
 from geomid_ros.errors import InputError, unknown_name
 from geomid_ros.files.effect_forms import values
 from geomid_ros.files.sidecar import read_sidecar
+from geomid_ros.model.effects import EFFECTS, JointMotion
 from geomid_ros.model.samples import Samples
 from geomid_ros.model.sensors import AXES, WrenchSensor
 from geomid_ros.resimulation.mujoco_module import load_mujoco, load_rollout
@@ -88,6 +89,9 @@ class WrittenRobot:
             "stribeck_friction": (("excess", self._excess), ("speed", self._speed)),
             "load_friction": (("coefficient", self._load_friction),),
         }
+        forms = {name: effect.parameters[0] for name, effect in EFFECTS.items() if name not in of_joints}
+        self._by_motion = {name: np.zeros(count) for name, form in forms.items() if not form.mjcf}
+        of_joints |= {name: ((forms[name].name, array),) for name, array in self._by_motion.items()}
         for effect in read_sidecar(files.effects).effects if files.effects else ():
             if effect.effect in of_joints:
                 if effect.joint not in self.joints:
@@ -144,29 +148,33 @@ class WrittenRobot:
         """What accelerates joints that follow their measured motion."""
         return _IMMOVABLE * acceleration
 
-    def driving_effort(self, true_effort: FloatArray, velocity: FloatArray, acceleration: FloatArray) -> FloatArray:
-        """What drives the joints ``(..., J)`` in MuJoCo: the motors' true efforts less the friction that the MJCF does
-        not say, at this velocity and acceleration."""
-        friction = self.unsaid_friction(true_effort, velocity, acceleration)
+    def driving_effort(self, true_effort: FloatArray, motion: JointMotion) -> FloatArray:
+        """What drives the joints ``(..., J)`` in MuJoCo: the motors' true efforts less what the MJCF does not say of
+        this motion, ``(..., J)`` each."""
+        friction = self.unsaid_friction(true_effort, motion)
         follows = self.prescribed
-        driven: FloatArray = np.where(follows, self.prescribed_effort(acceleration), true_effort - friction)
+        driven: FloatArray = np.where(follows, self.prescribed_effort(motion.acceleration), true_effort - friction)
         return driven
 
-    def unsaid_friction(self, true_effort: FloatArray, velocity: FloatArray, acceleration: FloatArray) -> FloatArray:
-        """Friction ``(..., J)`` that only the sidecar says: what Stribeck's takes off at speed, and what the load adds.
+    def unsaid_friction(self, true_effort: FloatArray, motion: JointMotion) -> FloatArray:
+        """Friction ``(..., J)`` that only the sidecar says: what Stribeck's takes off at speed, what the load adds, and
+        other functions of the motion.
 
         A gear that passes tau on, of a motor whose effort less all other friction and rotor is u, has
         ``u = tau + c |tau| s`` with the direction of motion s.
         """
+        velocity = motion.velocity
         sign = np.tanh(velocity / _STILL_SPEED)
-        stribeck = self._excess * np.expm1(-((velocity / self._speed) ** 2)) * sign
+        by_motion = self._excess * np.expm1(-((velocity / self._speed) ** 2)) * sign
+        for name, coefficients in self._by_motion.items():
+            by_motion += coefficients * EFFECTS[name].column(motion)
         model, dofs = self.model, self.dofs
         dry = model.dof_frictionloss[dofs] - self._load_friction * self._usual_load
-        known = model.dof_damping[dofs] * velocity + dry * sign + stribeck
-        arriving = true_effort - known - np.where(self.prescribed, 0.0, model.dof_armature[dofs]) * acceleration
+        known = model.dof_damping[dofs] * velocity + dry * sign + by_motion
+        arriving = true_effort - known - np.where(self.prescribed, 0.0, model.dof_armature[dofs]) * motion.acceleration
         along = np.sign(arriving) * sign
         passed = np.abs(arriving) / (1.0 + self._load_friction * along)
-        unsaid: FloatArray = stribeck + self._load_friction * (passed - self._usual_load) * sign
+        unsaid: FloatArray = by_motion + self._load_friction * (passed - self._usual_load) * sign
         return unsaid
 
     def true_effort(self, measured: FloatArray) -> FloatArray:

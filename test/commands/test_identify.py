@@ -12,7 +12,7 @@ from files.recordings import BAGS
 
 from geomid_ros.commands import identify as command
 from geomid_ros.files.urdf import read_urdf
-from geomid_ros.model.effects import EFFECTS
+from geomid_ros.model.effects import DEFAULT_EFFECTS
 from geomid_ros.model.robot import Robot
 from geomid_ros.simulation import SimulationOptions, simulate
 
@@ -63,7 +63,7 @@ def test_the_estimate_is_whole(run: tuple[str, Path, str]) -> None:
     assert document["rows"]["accepted"] > 1000
     assert document["rms"]["held_out"].keys() == document["rms"]["nominal"].keys()
     joints = Robot(read_urdf(BAGS / f"{robot}.urdf")).joint_names
-    assert {(e["name"], e["joint"]) for e in document["effects"]} == {(e, j) for e in EFFECTS for j in joints}
+    assert {(e["name"], e["joint"]) for e in document["effects"]} == {(e, j) for e in DEFAULT_EFFECTS for j in joints}
     for entry in document["links"]:
         assert 0.0 <= entry["from_data"] <= 1.0
         assert entry["min_eigenvalue_ratio"] > 0.0

@@ -16,14 +16,14 @@ import pinocchio as pin
 from geometry import bodies
 
 from geomid_ros.geometry import pseudo_inertia
-from geomid_ros.model.effects import EFFECTS
+from geomid_ros.model.effects import DEFAULT_EFFECTS, EFFECTS
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.robot import Robot
 from geomid_ros.model.samples import Samples
 from geomid_ros.types import FloatArray
 
 BAGS = Path(__file__).parents[2] / "bags"
-ALL_EFFECTS = tuple(EFFECTS)
+ALL_EFFECTS = DEFAULT_EFFECTS
 COULOMB_SPEED = 0.02
 
 

@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-from geomid_ros.files.effect_forms import FORMS, KnownEffect
+from geomid_ros.files.effect_forms import KnownEffect
 from geomid_ros.gap.result import Quantity
-from geomid_ros.model.effects.parameters import PARAMETERS
+from geomid_ros.model.effects import PARAMETERS, PHYSICAL_EFFECTS
 
 
 def effect(name: str, place: str = "", **parameters: float) -> KnownEffect:
     """An effect at a joint, a link or a topic, in units of a turning joint, every standard deviation a tenth."""
-    form = FORMS[name]
+    place_of = PHYSICAL_EFFECTS[name].place
     quantities = {
         key: Quantity(value, abs(value) / 10.0, PARAMETERS[name][key].units[0]) for key, value in parameters.items()
     }
-    return KnownEffect(name, "" if form.place == "link" else place, place if form.place == "link" else "", quantities)
+    return KnownEffect(name, "" if place_of == "link" else place, place if place_of == "link" else "", quantities)
 
 
 PAYLOAD = {

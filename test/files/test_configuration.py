@@ -12,7 +12,7 @@ import yaml
 
 from geomid_ros.errors import InputError
 from geomid_ros.files.configuration import PARAMETERS, Configuration, find_parameter
-from geomid_ros.model.effects import EFFECTS
+from geomid_ros.model.effects import DEFAULT_EFFECTS
 from geomid_ros.model.sensors import WrenchSensor
 
 FILE = Path(__file__).parents[2] / "config/geomid.yaml"
@@ -91,7 +91,7 @@ def test_the_table_is_sound() -> None:
 
 def test_defaults() -> None:
     configuration = Configuration()
-    assert [effect.name for effect in configuration.effects] == list(EFFECTS)
+    assert [effect.name for effect in configuration.effects] == list(DEFAULT_EFFECTS)
     assert configuration.links is None
     assert configuration.sensors == []
     np.testing.assert_array_equal(configuration.gravity, [0.0, 0.0, -9.81])

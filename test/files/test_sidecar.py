@@ -11,22 +11,22 @@ import pytest
 import yaml
 
 from geomid_ros.errors import InputError
-from geomid_ros.files.effect_forms import FORMS, KnownEffect, combined, values
+from geomid_ros.files.effect_forms import KnownEffect, combined, values
 from geomid_ros.files.sidecar import read_sidecar, write_sidecar
 from geomid_ros.gap.result import Quantity
-from geomid_ros.model.effects.parameters import PARAMETERS
+from geomid_ros.model.effects import PARAMETERS, PHYSICAL_EFFECTS
 
 from .effects import PAYLOAD, effect
 
 
 def one_of_each() -> list[KnownEffect]:
-    """Every effect with numbers within its range."""
+    """Every effect with numbers within its range, viscous friction first."""
     places = {"joint": "joint1", "robot": "", "link": "tool", "sensor": "/wrench"}
     return [
         effect("payload", "tool", **PAYLOAD)
         if name == "payload"
         else effect(name, places[form.place], **{key: 0.1 + 0.01 * index for index, key in enumerate(PARAMETERS[name])})
-        for name, form in FORMS.items()
+        for name, form in sorted(PHYSICAL_EFFECTS.items(), key=lambda named: named[0] != "viscous_friction")
     ]
 
 

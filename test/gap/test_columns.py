@@ -8,7 +8,11 @@ from scipy.interpolate import CubicSpline
 from geomid_ros.gap.fit import Prior, unfitted
 from geomid_ros.gap.record import Records
 from geomid_ros.gap.stage import Stage, TotalModel, turned_gravity
-from geomid_ros.model.effects import EffortDelay, EffortGain, GravityTilt, JointElasticity, LoadFriction
+from geomid_ros.model.effects.effort_delay import EffortDelay
+from geomid_ros.model.effects.effort_gain import EffortGain
+from geomid_ros.model.effects.gravity_tilt import GravityTilt
+from geomid_ros.model.effects.joint_elasticity import JointElasticity
+from geomid_ros.model.effects.load_friction import LoadFriction
 from geomid_ros.types import FloatArray
 
 from . import planted

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from geomid_ros.gap.play import sides
-from geomid_ros.model.effects import CROSSINGS
+from geomid_ros.model.effects.backlash import CROSSINGS
 
 
 def square(period: float, seconds: float, size: float) -> np.ndarray:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from geomid_ros.model.effects import EFFECTS, effect
+from geomid_ros.model.effects import DEFAULT_EFFECTS, effect
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.robot import Robot
 from geomid_ros.model.sensors import WrenchSensor
@@ -93,7 +93,7 @@ def test_effects_add_their_terms() -> None:
 def test_a_row_says_which_parameters_it_can_depend_on() -> None:
     """The columns of a channel are all that differ from zero, and on a serial arm no others are given."""
     robot = Robot(urdf("panda.urdf"))
-    model = MeasurementModel(robot, list(EFFECTS.values()))
+    model = MeasurementModel(robot, [effect(name) for name in DEFAULT_EFFECTS])
     rows = model.rows(random_samples(robot, seed=6)).coefficients
     for place, channel in enumerate(model.channels):
         outside = np.setdiff1d(np.arange(model.dimension), channel.columns)
@@ -102,7 +102,7 @@ def test_a_row_says_which_parameters_it_can_depend_on() -> None:
 
 
 def test_units_follow_the_joints_kind() -> None:
-    model = MeasurementModel(Robot(urdf("panda.urdf")), list(EFFECTS.values()))
+    model = MeasurementModel(Robot(urdf("panda.urdf")), [effect(name) for name in DEFAULT_EFFECTS])
     assert [channel.unit for channel in model.channels] == ["N m"] * 7 + ["N"] * 2
     units = {(c.effect.name, c.unit) for c in model.coefficients}
     assert units == {

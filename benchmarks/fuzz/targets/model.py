@@ -14,10 +14,9 @@ import numpy as np
 from benchmarks.fuzz.mutations import changed_text
 from benchmarks.fuzz.target import require
 from geomid_ros.files.configuration import Configuration
-from geomid_ros.files.effect_forms import FORMS
 from geomid_ros.files.shared_files import shared_file
 from geomid_ros.gap_session import effects_of
-from geomid_ros.model.effects.parameters import PARAMETERS
+from geomid_ros.model.effects import PARAMETERS, PHYSICAL_EFFECTS
 from geomid_ros.session import Session
 
 # A place in a document: the list or object, and the index or key in it.
@@ -89,7 +88,7 @@ def changed_document(document: Any, random: Random) -> None:
         elif random.random() < 0.3:
             container[key] = json.loads(json.dumps(other[other_key]))
         else:
-            container[key] = copy.deepcopy(random.choice((*EDGES, *FORMS)))
+            container[key] = copy.deepcopy(random.choice((*EDGES, *PHYSICAL_EFFECTS)))
 
 
 def effect_entries() -> list[dict[str, Any]]:
@@ -104,7 +103,7 @@ def effect_entries() -> list[dict[str, Any]]:
                 for parameter, kind in PARAMETERS[name].items()
             },
         }
-        for name, form in FORMS.items()
+        for name, form in PHYSICAL_EFFECTS.items()
     ]
 
 

@@ -1,59 +1,59 @@
-"""Physical effects, one file each. ``EFFECTS`` are identified at every joint unless the user says otherwise; the others
-are named by the gap workflow. To add one to either: write its file, name its class here."""
+"""Physical effects, one file each: what is in a file of this folder is known everywhere."""
 
 from __future__ import annotations
 
+from importlib import import_module
+from pkgutil import iter_modules
+
 from geomid_ros.errors import unknown_name
-from geomid_ros.model.effects.backlash import CROSSINGS, Backlash
-from geomid_ros.model.effects.coulomb_friction import CoulombFriction
-from geomid_ros.model.effects.effect import Effect, JointMotion
-from geomid_ros.model.effects.effort_delay import EffortDelay
-from geomid_ros.model.effects.effort_gain import EffortGain
-from geomid_ros.model.effects.effort_offset import EffortOffset
-from geomid_ros.model.effects.gravity_tilt import GravityTilt
-from geomid_ros.model.effects.joint_elasticity import JointElasticity
-from geomid_ros.model.effects.load_friction import LoadFriction
-from geomid_ros.model.effects.rotor_inertia import RotorInertia
+from geomid_ros.model.effects.effect import Effect, JointMotion, PhysicalEffect
+from geomid_ros.model.effects.parameters import ParameterForm
 from geomid_ros.model.effects.situation import Situation, SituationEffect
-from geomid_ros.model.effects.spring import Spring
-from geomid_ros.model.effects.stribeck_friction import StribeckFriction
-from geomid_ros.model.effects.viscous_friction import ViscousFriction
 
 __all__ = [
-    "CROSSINGS",
+    "DEFAULT_EFFECTS",
     "EFFECTS",
-    "Backlash",
-    "CoulombFriction",
+    "PARAMETERS",
+    "PHYSICAL_EFFECTS",
     "Effect",
-    "EffortDelay",
-    "EffortGain",
-    "EffortOffset",
-    "GravityTilt",
-    "JointElasticity",
     "JointMotion",
-    "LoadFriction",
-    "RotorInertia",
+    "ParameterForm",
+    "PhysicalEffect",
     "Situation",
     "SituationEffect",
-    "Spring",
-    "StribeckFriction",
-    "ViscousFriction",
     "effect",
 ]
 
+DEFAULT_EFFECTS = ("viscous_friction", "coulomb_friction", "rotor_inertia", "effort_offset")
+"""Names of the effects that are identified at every joint unless the user says otherwise."""
+
+
+def _collected() -> dict[str, type[PhysicalEffect]]:
+    """The classes with a name in the files of this folder, by name, in the order of the files."""
+    found: dict[str, type[PhysicalEffect]] = {}
+    for file in sorted(module.name for module in iter_modules(__path__)):
+        for value in vars(import_module(f"{__name__}.{file}")).values():
+            if isinstance(value, type) and issubclass(value, PhysicalEffect) and hasattr(value, "name"):
+                other = found.setdefault(value.name, value)
+                if other is not value:
+                    raise TypeError(f"{other} and {value} have the same name, '{value.name}'")
+    return found
+
+
+PHYSICAL_EFFECTS = _collected()
+"""All effects, by name."""
+
+PARAMETERS = {name: {form.name: form for form in cls.parameters} for name, cls in PHYSICAL_EFFECTS.items()}
+"""The parameters of all effects, by their names."""
+
 EFFECTS: dict[str, Effect] = {
-    cls.name: cls()
-    for cls in (
-        ViscousFriction,
-        CoulombFriction,
-        RotorInertia,
-        EffortOffset,
-    )
+    name: cls() for name, cls in PHYSICAL_EFFECTS.items() if issubclass(cls, Effect) and len(cls.parameters) == 1
 }
+"""The effects that can be identified: functions of one joint's motion with one parameter, its coefficient."""
 
 
 def effect(name: str) -> Effect:
-    """The effect of that name; an unknown one is answered with the valid names."""
+    """The effect of that name that can be identified; an unknown one is answered with the valid names."""
     if name not in EFFECTS:
         raise unknown_name("effect", name, EFFECTS)
     return EFFECTS[name]

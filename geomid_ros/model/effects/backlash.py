@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from geomid_ros.model.effects.parameters import ParameterForm
 from geomid_ros.model.effects.situation import Situation, SituationEffect
 from geomid_ros.types import FloatArray
 
@@ -19,6 +20,13 @@ class Backlash(SituationEffect):
     crossing: int
 
     name = "backlash"
+    label = "backlash"
+    meaning = "play of gap in all between measured (motor) and link position, crossed at the speed tau/drag"
+    parameters = (
+        ParameterForm("gap", ("rad", "m"), above=0.0, mjcf="backlash/range"),
+        ParameterForm("drag", ("N m s/rad", "N s/m"), above=0.0, optional=True, mjcf="backlash/damping"),
+    )
+    settled_by = "slow motions in which the load of this joint changes its sign"
     positive = True
 
     def columns(self, situation: Situation, joint: int) -> FloatArray:

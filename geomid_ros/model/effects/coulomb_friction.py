@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from geomid_ros.model.effects.effect import Effect, JointMotion
+from geomid_ros.model.effects.parameters import EFFORT, ParameterForm
 from geomid_ros.types import FloatArray
 
 
@@ -19,8 +20,10 @@ class CoulombFriction(Effect):
     smoothing: float = 0.02
 
     name = "coulomb_friction"
-    positive = True
-    units = ("N m", "N")
+    label = "Coulomb friction"
+    meaning = "effort level sign(v)"
+    parameters = (ParameterForm("level", EFFORT, above=0.0, urdf="dynamics/friction", mjcf="joint/frictionloss"),)
+    settled_by = "a slow motion of this joint to and fro, at several constant speeds"
 
     def column(self, motion: JointMotion) -> FloatArray:
         result: FloatArray = np.tanh(motion.velocity / self.smoothing)

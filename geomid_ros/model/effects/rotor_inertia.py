@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 from geomid_ros.model.effects.effect import Effect, JointMotion
+from geomid_ros.model.effects.parameters import ParameterForm
 from geomid_ros.types import FloatArray
 
 
@@ -8,8 +9,10 @@ class RotorInertia(Effect):
     """Inertia of motor and gears as felt at the joint (armature): effort ``c a``."""
 
     name = "rotor_inertia"
-    positive = True
-    units = ("kg m^2", "kg")
+    label = "rotor inertia"
+    meaning = "effort inertia a"
+    parameters = (ParameterForm("inertia", ("kg m^2", "kg"), above=0.0, mjcf="joint/armature"),)
+    settled_by = "fast accelerations of this joint alone with the links after it stretched out and folded"
 
     def column(self, motion: JointMotion) -> FloatArray:
         return motion.acceleration

@@ -6,6 +6,7 @@ from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from typing import ClassVar
 
+from geomid_ros.model.effects.effect import PhysicalEffect
 from geomid_ros.types import FloatArray
 
 
@@ -36,13 +37,12 @@ class Situation:
     by_tilt: FloatArray
 
 
-class SituationEffect(ABC):
+class SituationEffect(PhysicalEffect, ABC):
     """An effect adds ``coefficients . columns(situation, joint)`` to the channels, to first order in the coefficients.
 
     ``positive``: the coefficient cannot be negative.
     """
 
-    name: ClassVar[str]
     positive: ClassVar[bool]
 
     @abstractmethod

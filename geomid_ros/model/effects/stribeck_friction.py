@@ -6,6 +6,7 @@ import numpy as np
 
 from geomid_ros.model.effects.coulomb_friction import CoulombFriction
 from geomid_ros.model.effects.effect import Effect, JointMotion
+from geomid_ros.model.effects.parameters import EFFORT, ParameterForm
 from geomid_ros.types import FloatArray
 
 
@@ -18,8 +19,15 @@ class StribeckFriction(Effect):
     smoothing: float = 0.02
 
     name = "stribeck_friction"
-    positive = True
-    units = ("N m", "N")
+    label = "Stribeck friction"
+    meaning = "effort sign(v) (level + excess exp(-(v/speed)^2))"
+    parameters = (
+        ParameterForm("level", EFFORT, above=0.0, urdf="dynamics/friction", mjcf="joint/frictionloss"),
+        ParameterForm("excess", EFFORT),  # the coefficient: positive and in units as the level
+        ParameterForm("speed", ("rad/s", "m/s"), above=0.0),
+    )
+    settled_by = "runs of this joint at constant speeds from creeping to fast"
+    adds_up = False
 
     def column(self, motion: JointMotion) -> FloatArray:
         result: FloatArray = CoulombFriction(self.smoothing).column(motion) * np.exp(

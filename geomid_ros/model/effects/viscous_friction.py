@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 from geomid_ros.model.effects.effect import Effect, JointMotion
+from geomid_ros.model.effects.parameters import ParameterForm
 from geomid_ros.types import FloatArray
 
 
@@ -8,8 +9,12 @@ class ViscousFriction(Effect):
     """Friction in proportion to speed: effort ``c v``."""
 
     name = "viscous_friction"
-    positive = True
-    units = ("N m s/rad", "N s/m")
+    label = "viscous friction"
+    meaning = "effort coefficient v"
+    parameters = (
+        ParameterForm("coefficient", ("N m s/rad", "N s/m"), above=0.0, urdf="dynamics/damping", mjcf="joint/damping"),
+    )
+    settled_by = "a motion that moves this joint at several constant speeds"
 
     def column(self, motion: JointMotion) -> FloatArray:
         return motion.velocity

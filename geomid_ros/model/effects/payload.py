@@ -1,0 +1,22 @@
+from __future__ import annotations
+
+from geomid_ros.model.effects.effect import PhysicalEffect
+from geomid_ros.model.effects.parameters import COM_ENTRIES, INERTIA_ENTRIES, ParameterForm
+
+_URDF, _MJCF = "link/inertial", "body/inertial"
+
+
+class Payload(PhysicalEffect):
+    """A body that a link carries; it is fitted as the bodies are, on its own pseudo-inertia."""
+
+    name = "payload"
+    label = "a payload"
+    meaning = "a rigid body fixed to the link, in its frame; its inertia is about its centre of mass"
+    parameters = (
+        ParameterForm("mass", ("kg", "kg"), above=0.0, urdf=_URDF, mjcf=_MJCF),
+        *(ParameterForm(name, ("m", "m"), urdf=_URDF, mjcf=_MJCF) for name in COM_ENTRIES),
+        *(ParameterForm(name, ("kg m^2", "kg m^2"), optional=True, urdf=_URDF, mjcf=_MJCF) for name in INERTIA_ENTRIES),
+    )
+    settled_by = "the same motion with and without what the link carries, or a wrench sensor that carries the link"
+    place = "link"
+    adds_up = False
