@@ -74,6 +74,19 @@ def processor_seconds(process: int) -> float:
     return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
 
+def family(process: int) -> list[int]:
+    """A process and those that it has started."""
+    children = Path(f"/proc/{process}/task/{process}/children").read_text(encoding="ascii").split()
+    return [process, *(member for child in children for member in family(int(child)))]
+
+
+def proportional(process: int) -> float:
+    """Resident memory of a process in MB, of which pages shared by several processes count for each in part."""
+    lines = Path(f"/proc/{process}/smaps_rollup").read_text(encoding="ascii").splitlines()
+    (line,) = (line for line in lines if line.startswith("Pss:"))
+    return int(line.split()[1]) / 1024.0
+
+
 def resident(field: str, process: int | str = "self") -> float:
     """Resident memory of a process in MB (``VmHWM`` is its peak; getrusage's is inherited from the parent)."""
     lines = Path(f"/proc/{process}/status").read_text(encoding="ascii").splitlines()

@@ -37,7 +37,8 @@ _MEANINGS = {
         "solves": "estimates so far",
         "rows": "instants whose rows are in the estimate",
         "rows made": "instants for which there were rows",
-        "rows rejected: REASON": "those that were not taken: `standing still`, `not measured`",
+        "rows rejected: REASON": "those that were not taken: `standing still`, `not measured`, "
+        "`wrench doubtful: TOPIC` or `wrench changed: TOPIC`, which may take rows back",
         "TOPIC received": "messages that have come to their end: accepted + rejected + dropped",
         "TOPIC accepted": "of these, used",
         "TOPIC rejected: REASON": "refused for what they say",

@@ -17,7 +17,7 @@ from ros.stage import Stage, staged
 
 from benchmarks.load.publisher import Sent
 from benchmarks.load.robots import Robot
-from benchmarks.measuring import processor_seconds, resident
+from benchmarks.measuring import family, processor_seconds, proportional
 
 _SETTLING = 8.0  # [s] for what is on its way to be counted
 QUANTILES = ("p50", "p99", "max")
@@ -70,13 +70,13 @@ class Watched:
 
     @property
     def memory(self) -> float:
-        """Resident [MB]."""
-        return resident("VmRSS", self.process.pid)
+        """Resident [MB], of the solving process too."""
+        return sum(map(proportional, family(self.process.pid)))
 
     @property
     def processor(self) -> float:
-        """Seconds used so far."""
-        return processor_seconds(self.process.pid)
+        """Seconds used so far, by the solving process too."""
+        return sum(map(processor_seconds, family(self.process.pid)))
 
     def publish(self, *phases: tuple[float, float]) -> Process:
         """Start to publish: seconds and rates [Hz]."""

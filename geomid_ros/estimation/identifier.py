@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import threading
 from collections import Counter
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import TypeAlias
 
 import numpy as np
 
 from geomid_ros.errors import InputError
 from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.estimation.estimator import EstimatorSettings, WarmStart, estimate
+from geomid_ros.estimation.probation import Instant, Probation
 from geomid_ros.estimation.summary import RowSummary, SummaryState, usable
 from geomid_ros.model.known import known_rows
 from geomid_ros.model.measurement import MeasurementModel, Rows
@@ -53,10 +56,37 @@ class Memory:
     last_stamp: int | None
 
 
+@dataclass(frozen=True, eq=False)
+class RowCounts:
+    """``made = taken + sum(rejected by reason)``, since the last reset."""
+
+    made: int
+    taken: int
+    rejected: Counter[str]
+
+
+@dataclass(frozen=True, eq=False)
+class EstimationTask:
+    """What is to be estimated of rows: see :func:`estimate`."""
+
+    model: MeasurementModel
+    settings: EstimatorSettings
+    prior: FloatArray | None
+
+    def solve(self, summary: RowSummary, warm: WarmStart | None) -> Estimate:
+        """The estimate from these rows; without ``warm`` it depends on nothing else."""
+        return estimate(self.model, summary, self.settings, self.prior, warm)
+
+
+Solve: TypeAlias = Callable[[EstimationTask, RowSummary, WarmStart | None], Estimate]
+
+
 class Identifier:
     """Accumulates samples' rows and solves for the parameters. One thread may add while another solves.
 
-    ``rows_rejected`` counts by reason the rows that were not taken.
+    Instants with new rows are counted (:attr:`instants`), so that it can be said since when rows of some channels are
+    bad. Those of the last instants can be taken back as if they had never been, as far as they are held
+    (:meth:`hold`) and not yet settled; estimates are of all that are not left out.
     """
 
     def __init__(
@@ -71,26 +101,31 @@ class Identifier:
         Raises InputError for a weighed mass that does not fit the model.
         """
         self.model = model
-        self.rows_rejected: Counter[str] = Counter()
-        self._estimator = estimator or EstimatorSettings()
+        self._task = EstimationTask(model, estimator or EstimatorSettings(), prior)
+        self._solve: Solve = EstimationTask.solve
         self._buffer = buffer or BufferSettings()
-        known_rows(model, self._estimator.known)
-        self._prior = prior
+        known_rows(model, self._task.settings.known)
+        self._lock = threading.Lock()
+        self._held = 0
+        self._instants = 0
+        self._begin_anew()
+
+    def _begin_anew(self) -> None:
+        self._summary = self._empty_summary()
+        self._probation = Probation()
+        self._made = 0
+        self._rejected: Counter[str] = Counter()
         self._last_pose: FloatArray | None = None
         self._last_stamp: int | None = None
-        self._lock = threading.Lock()
-        self._summary = self._empty_summary()
 
     def _empty_summary(self) -> RowSummary:
         buffer = self._buffer
         return RowSummary(self.model.channels, buffer.folds, buffer.block, buffer.forgetting_time)
 
     def reset(self) -> None:
-        """Forget all samples."""
+        """Forget all samples, and what is left out. Instants are counted on."""
         with self._lock:
-            self._summary = self._empty_summary()
-            self.rows_rejected.clear()
-            self._last_pose = self._last_stamp = None
+            self._begin_anew()
 
     def add(self, samples: Samples) -> tuple[IntArray, Rows]:
         """Take samples, in the order of time; returns stamps and rows of those that are not standing still."""
@@ -100,13 +135,55 @@ class Identifier:
             for index in range(len(samples)):
                 elapsed = self._elapsed(int(samples.stamps[index]))
                 measured = usable(rows.coefficients[index], rows.targets[index])
-                self.rows_rejected[NOT_MEASURED] += int(np.count_nonzero(~measured))
+                self._made += len(measured)
+                self._rejected[NOT_MEASURED] += int(np.count_nonzero(~measured))
                 if self._is_still(samples, index):
-                    self.rows_rejected[STANDING_STILL] += int(np.count_nonzero(measured))
+                    self._rejected[STANDING_STILL] += int(np.count_nonzero(measured))
                 else:
                     moving[index] = True
-                    self._summary.add(rows.coefficients[index], rows.targets[index], elapsed)
+                    targets = np.where(measured, rows.targets[index], np.nan)
+                    self._probation.append(Instant(self._instants, rows.coefficients[index], targets, elapsed))
+                    self._instants += 1
+                    self._settle_before(self._instants - self._held)
         return samples.stamps[moving], Rows(rows.coefficients[moving], rows.targets[moving])
+
+    def _settle_before(self, number: int) -> None:
+        while self._probation.first < number:
+            self._settle_first()
+
+    def _settle_first(self) -> None:
+        instant, rejected = self._probation.pop()
+        self._rejected += rejected
+        self._summary.add(instant.coefficients, instant.targets, instant.elapsed)
+
+    def hold(self, instants: int) -> None:
+        """From now on let the rows of so many last instants, none at first, be taken back; more are settled."""
+        with self._lock:
+            self._held = instants
+            self._settle_before(self._instants - instants)
+
+    def settle(self, before: int) -> None:
+        """Keep the rows of instants ``before`` this number for good. Who adds meanwhile hardly waits."""
+        while True:
+            with self._lock:
+                if self._probation.first >= before:
+                    break
+                self._settle_first()
+
+    def leave_out(self, reason: str, channels: Sequence[int], begin: int) -> bool:
+        """Take back the rows of ``channels`` from the instant of number ``begin`` on, as far as they are not settled,
+        and take no more of them.
+
+        They are rejected for this ``reason``. False if they were before.
+        """
+        with self._lock:
+            return self._probation.leave_out(reason, channels, begin)
+
+    def take_again(self, reason: str, begin: int) -> bool:
+        """Take the rows that are left out for this reason from the instant of number ``begin`` on, as far as that is
+        not settled. False if none are."""
+        with self._lock:
+            return self._probation.take_again(reason, begin)
 
     def _elapsed(self, stamp: int) -> float:
         """Seconds since the sample before; for another recording, or after a pause, not more than a little."""
@@ -129,19 +206,40 @@ class Identifier:
     def rows(self) -> int:
         """Rows taken so far."""
         with self._lock:
-            return self._summary.rows
+            return self._taken
+
+    @property
+    def _taken(self) -> int:
+        return self._summary.rows + self._probation.rows
+
+    @property
+    def instants(self) -> int:
+        """How many instants had new rows so far: the number of the next one."""
+        return self._instants
+
+    @property
+    def counts(self) -> RowCounts:
+        """What became of all rows so far."""
+        with self._lock:
+            return RowCounts(self._made, self._taken, self._rejected + self._probation.rejected)
+
+    @property
+    def rows_rejected(self) -> Counter[str]:
+        """Rows that were not taken, by reason."""
+        return self.counts.rejected
 
     def outgrown(self, rows: int) -> bool:
         """Whether what was chosen when there were ``rows`` rows should be chosen anew: a third of what is remembered
         came later."""
         with self._lock:
-            return self._summary.rows - rows > _RENEWED * self._summary.weight
+            return self._taken - rows > _RENEWED * (self._summary.weight + self._probation.rows)
 
     def snapshot(self) -> RowSummary:
-        """A copy of all that was added so far."""
+        """A copy of all that was added so far and is not left out."""
         self._absorb()
         with self._lock:
-            return self._summary.snapshot()
+            settled, held = self._summary.snapshot(), self._probation.instants
+        return _with(settled, held)
 
     def _absorb(self) -> None:
         """Absorb what waits, and give the lock away between one channel and the next: who adds meanwhile hardly
@@ -155,7 +253,9 @@ class Identifier:
         """A copy of all that :meth:`restore` goes on from."""
         self._absorb()
         with self._lock:
-            return Memory(self._summary.state(), self.rows_rejected.copy(), self._last_pose, self._last_stamp)
+            settled, held = self._summary.snapshot(), self._probation.instants
+            rejected, pose, stamp = self._rejected + self._probation.rejected, self._last_pose, self._last_stamp
+        return Memory(_with(settled, held).state(), rejected, pose, stamp)
 
     def restore(self, memory: Memory) -> None:
         """Go on from what another identifier of the same model and buffer settings remembers.
@@ -167,10 +267,25 @@ class Identifier:
         if memory.last_pose is not None and memory.last_pose.shape != (width,):
             raise InputError(f"a pose of shape {memory.last_pose.shape}, expected ({width},)")
         with self._lock:
-            self._summary.restore(memory.summary)
-            self.rows_rejected = memory.rows_rejected.copy()
+            summary = self._empty_summary()
+            summary.restore(memory.summary)
+            self._begin_anew()
+            self._summary = summary
+            self._rejected = memory.rows_rejected.copy()
+            self._made = summary.rows + self._rejected.total()
             self._last_pose, self._last_stamp = memory.last_pose, memory.last_stamp
 
     def solve(self, warm: WarmStart | None = None) -> Estimate:
         """The estimate from all rows so far; without ``warm`` it depends on nothing else."""
-        return estimate(self.model, self.snapshot(), self._estimator, self._prior, warm)
+        return self._solve(self._task, self.snapshot(), warm)
+
+    def solve_with(self, solve: Solve) -> None:
+        """Let ``solve`` do what :meth:`EstimationTask.solve` does, elsewhere maybe."""
+        self._solve = solve
+
+
+def _with(summary: RowSummary, instants: Sequence[Instant]) -> RowSummary:
+    """The summary, once it has these instants, too."""
+    for instant in instants:
+        summary.add(instant.coefficients, instant.targets, instant.elapsed)
+    return summary

@@ -122,8 +122,9 @@ class RowSummary:
 
     def _absorb(self, fold: int, index: int) -> None:
         part, waiting = self._summaries[fold][index], self._waiting[fold][index]
-        if part.time < self._time:
-            part.fade(float(self._remaining(part.time)))
+        remaining = float(self._remaining(part.time))
+        if remaining < 1.0:  # otherwise copies share the factor
+            part.fade(remaining)
         if waiting:
             rows, targets, times = zip(*waiting, strict=True)
             part.add(np.array(rows), np.array(targets), self._remaining(np.array(times)))

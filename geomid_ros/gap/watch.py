@@ -41,38 +41,59 @@ _LONGEST_STEP = 1.0  # [s] between rows; a longer pause counts as so long
 @dataclass(frozen=True)
 class ChannelGap:
     """A watched channel: the root mean square of its last rows in units of the floor, and the stamp [ns] since which
-    that is a gap, None if it is none."""
+    that is a gap, None if it is none. ``first``: the number of the instant at that stamp."""
 
     channel: str
     times_floor: float
     since: int | None
+    first: int = 0
 
 
 class GapWatch:
     """Learns from the first rows what is normal, and from then on says which channels are no longer.
 
-    One thread may call :meth:`add` while another calls :meth:`judge`.
+    One thread may call :meth:`add` while another calls all else.
     """
 
     def __init__(self, channels: Sequence[Channel], forgetting_time: float = np.inf) -> None:
         """``forgetting_time`` [s]: what is normal is what was so long ago; but not forgotten before it is known."""
         self._channels = [_ChannelWatch(channel, forgetting_time) for channel in channels]
         instant = 8 * len(channels) * max((int(np.max(c.columns, initial=0)) + 2 for c in channels), default=1)
-        self._waiting: deque[tuple[int, FloatArray, FloatArray]] = deque(maxlen=max(BLOCK, _MOST_WAITING // instant))
+        most = max(BLOCK, _MOST_WAITING // instant)
+        self._waiting: deque[tuple[int, int, FloatArray, FloatArray]] = deque(maxlen=most)
         self._gaps: tuple[ChannelGap, ...] = ()
+        self.judged = 0
+        """The number of the first instant that is not judged yet."""
 
-    def add(self, stamps: IntArray, rows: Rows) -> None:
-        """Take rows of a robot that moves, in the order of time; of those that nobody judges the last are kept."""
-        self._waiting.extend(zip(stamps.tolist(), rows.coefficients, rows.targets, strict=True))
+    def add(self, first: int, stamps: IntArray, rows: Rows) -> None:
+        """Take rows of a robot that moves, in the order of time; of those that nobody judges the last are kept.
 
-    def judge(self) -> None:
-        """Judge all whole blocks that wait."""
-        while len(self._waiting) >= BLOCK:
-            stamps, coefficients, targets = zip(*(self._waiting.popleft() for _ in range(BLOCK)), strict=True)
-            rows = Rows(np.array(coefficients), np.array(targets))
-            for index, channel in enumerate(self._channels):
-                channel.judge(np.array(stamps), rows.coefficients[:, index], rows.targets[:, index])
-            self._gaps = tuple(channel.gap for channel in self._channels if channel.watched)
+        Instants are counted: ``first`` is the number of the first one."""
+        numbers = range(first, first + len(stamps))
+        self._waiting.extend(zip(numbers, stamps.tolist(), rows.coefficients, rows.targets, strict=True))
+
+    def judge(self) -> bool:
+        """Judge the next whole block that waits; False if there is none."""
+        if len(self._waiting) < BLOCK:
+            return False
+        block = (self._waiting.popleft() for _ in range(BLOCK))
+        numbers, stamps, coefficients, targets = zip(*block, strict=True)
+        rows = Rows(np.array(coefficients), np.array(targets))
+        for index, channel in enumerate(self._channels):
+            channel.judge(numbers[0], np.array(stamps), rows.coefficients[:, index], rows.targets[:, index])
+        self._gaps = tuple(channel.gap for channel in self._channels if channel.watched)
+        self.judged = numbers[-1] + 1
+        return True
+
+    def normal(self, channels: Sequence[int]) -> int:
+        """The number of the instant before which these channels were found to be what they were.
+
+        What follows is still to be judged, suspect, or of an open gap: but of what is as long ago as that a suspicion
+        that has not been confirmed is forgotten, and nothing is said of it any more."""
+        suspect = [self._channels[index].first_suspect for index in channels]
+        begin = min([self.judged, *(first for first in suspect if first is not None)])
+        # A change in the last rows of a block does not show there.
+        return max(begin - BLOCK, self.judged - _MOST_SUSPECT * BLOCK)
 
     @property
     def gaps(self) -> tuple[ChannelGap, ...]:
@@ -99,7 +120,7 @@ class _ChannelWatch:
         self._suspect: deque[tuple[float, FloatArray]] = deque(maxlen=_MOST_SUSPECT)  # energies and rows
         self._ratios: deque[float] = deque(maxlen=_FEWEST_BAD)
         self._evidence = 0.0  # for an opening, or, when it is open, for its end
-        self._since = 0
+        self._since = self._first = 0
         self._open = False
 
     @property
@@ -111,10 +132,16 @@ class _ChannelWatch:
     def gap(self) -> ChannelGap:
         """What is to be said of the last blocks."""
         size = float(np.sqrt(np.mean(self._ratios))) if self._ratios else 1.0
-        return ChannelGap(self._channel.name, size, self._since if self._open else None)
+        return ChannelGap(self._channel.name, size, self._since if self._open else None, self._first)
 
-    def judge(self, stamps: IntArray, coefficients: FloatArray, targets: FloatArray) -> None:
-        """Take a block: ``stamps (N,)``, ``coefficients (N, D)``, ``targets (N,)``."""
+    @property
+    def first_suspect(self) -> int | None:
+        """The number of the first instant that may be, or is, in a gap; None if there is none."""
+        return self._first if self._open or self._evidence > 0.0 else None
+
+    def judge(self, first: int, stamps: IntArray, coefficients: FloatArray, targets: FloatArray) -> None:
+        """Take a block that begins with the instant of number ``first``: ``stamps (N,)``, ``coefficients (N, D)``,
+        ``targets (N,)``."""
         share = self._remaining(stamps)
         measured = usable(coefficients, targets)
         rows = np.column_stack([coefficients[:, self._channel.columns], targets])[measured]
@@ -124,7 +151,7 @@ class _ChannelWatch:
         joined = triangular(np.concatenate([self._factor, rows]))
         energy = max(_unexplained(joined) - _unexplained(self._factor), 0.0) / len(rows)
         if self.watched:
-            self._test(energy, int(stamps[0]))
+            self._test(energy, first, int(stamps[0]))
         self._suspect.append((energy, rows))
         if self._open:
             self._suspect.clear()
@@ -150,7 +177,7 @@ class _ChannelWatch:
         fewest = 2.0 * _ROWS_PER_PARAMETER * max(len(self._channel.columns), 1)
         return max(float(np.exp(-elapsed / self._forgetting_time)), 1.0 - BLOCK / fewest)
 
-    def _test(self, energy: float, stamp: int) -> None:
+    def _test(self, energy: float, first: int, stamp: int) -> None:
         level = self._level
         if level == 0.0:  # all that was measured is zero
             return
@@ -159,7 +186,7 @@ class _ChannelWatch:
         highest = level * (1.0 + _CAUTION / np.sqrt(shape * len(self._energies)))
         rise = shape * (energy / highest * (1.0 - 1.0 / _RISE) - np.log(_RISE))
         if not self._open and self._evidence == 0.0:
-            self._since = stamp
+            self._first, self._since = first, stamp
         self._evidence = max(0.0, self._evidence + min(-rise if self._open else rise, _SUSPICION))
         if self._evidence >= (_SUSPICION if self._open else _ALARM):
             self._open, self._evidence = not self._open, 0.0

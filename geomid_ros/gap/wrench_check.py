@@ -40,13 +40,18 @@ class WrenchCheck:
         self._problems: dict[str, str] = {}
 
     @property
+    def ended(self) -> bool:
+        """Whether it is known what is wrong."""
+        return self._count >= _ENOUGH or not self._forces
+
+    @property
     def problems(self) -> dict[str, str]:
         """What is wrong, by the topic of the sensor."""
         return self._problems
 
     def add(self, rows: Rows) -> None:
         """Take rows of instants in motion; after the first ones nothing is done any more."""
-        if self._count >= _ENOUGH or not self._forces:
+        if self.ended:
             return
         self._count += len(rows.targets)
         for topic, places in self._forces.items():

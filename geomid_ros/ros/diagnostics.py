@@ -192,7 +192,7 @@ def _errors(status: Status, new: Counter[str]) -> list[str]:
         )
     gaps = [gap for gap in _open(status) if _is_wrench(gap, status)]
     if gaps:
-        sentences.append(_gap_sentence(gaps) + ": was the sensor tared, does it drift, or has the load changed?")
+        sentences.append(f"{_gap_sentence(gaps)}: {_what_of_a_wrench(status.changed_sensors)}")
     for topic in status.topics:
         nothing = new[topic + _RECEIVED] >= _MANY and new[topic + _ACCEPTED] == 0
         bad = topic + _REJECTED if nothing else topic + _REJECTED + DRIVER_ERROR
@@ -230,6 +230,13 @@ def _open(status: Status) -> list[ChannelGap]:
 
 def _is_wrench(gap: ChannelGap, status: Status) -> bool:
     return any(gap.channel.startswith(f"{topic.strip('/')}/") for topic in status.topics)
+
+
+def _what_of_a_wrench(changed: Sequence[str]) -> str:
+    question = "was the sensor tared, does it drift, or has the load changed?"
+    if not changed:
+        return f"{question} Its rows are taken"
+    return f"{question} Rows of {', '.join(changed)} are left out until it is as before, or ~/reset"
 
 
 def _refused(counts: Mapping[str, int]) -> list[str]:

@@ -12,6 +12,7 @@ from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.files.configuration import Configuration
 from geomid_ros.ros.checkpoints import Checkpoints, CheckpointStatus
 from geomid_ros.ros.outputs import Outputs
+from geomid_ros.ros.solving_process import SolvingProcess
 from geomid_ros.ros.supervision import Supervision
 from geomid_ros.ros.worker import Worker
 from geomid_ros.session import Session
@@ -23,11 +24,19 @@ _PATIENCE = 0.9  # [s] for the threads to end; with the last checkpoint, and wit
 class Identification:
     """A worker on one robot, or on another one after it; none before the first description."""
 
-    def __init__(self, configuration: Configuration, ledger: Ledger, outputs: Outputs, logger: RcutilsLogger) -> None:
+    def __init__(
+        self,
+        configuration: Configuration,
+        ledger: Ledger,
+        outputs: Outputs,
+        logger: RcutilsLogger,
+        solving: SolvingProcess | None,
+    ) -> None:
         self._configuration = configuration
         self._ledger = ledger
         self._outputs = outputs
         self._logger = logger
+        self._solving = solving
         self._supervision = Supervision()
         self._checkpoints: Checkpoints | None = None
         self._worker: Worker | None = None
@@ -39,8 +48,8 @@ class Identification:
 
     @property
     def problem(self) -> str:
-        """Of threads that hang."""
-        return self._supervision.problem
+        """Of threads that hang, or a process that has ended."""
+        return self._supervision.problem or (self._solving.problem if self._solving else "")
 
     @property
     def checkpoints(self) -> CheckpointStatus | None:
@@ -50,6 +59,8 @@ class Identification:
     def build(self, urdf: str, source: str) -> None:
         """Begin to identify the robot of this description. Raises InputError when it does not fit the parameters."""
         session = Session(urdf, self._configuration, source, self._ledger)
+        if self._solving:
+            session.identifier.solve_with(self._solving.solve)
         if self._worker is not None:
             self._worker.close()
         self._restore(session)

@@ -6,9 +6,11 @@ import os
 import signal
 import sys
 import threading
+import time
+from contextlib import closing
 from typing import TYPE_CHECKING
 
-from geomid_ros.errors import GeomidError, InputError
+from geomid_ros.errors import GeomidError
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -16,8 +18,10 @@ if TYPE_CHECKING:
     from rclpy.executors import Executor
 
     from geomid_ros.ros.node import GeomidNode
+    from geomid_ros.ros.solving_process import SolvingProcess
 
 _SWITCH_INTERVAL = 5e-4  # [s]
+_PAUSE = 1e-3  # [s] to wait for a message costs the executor many times what it costs to take all that have come
 
 
 def main() -> None:
@@ -42,27 +46,34 @@ def _on_signal(act: Callable[[], object]) -> None:
 
 
 def _run() -> None:
+    from geomid_ros.ros.solving_process import SolvingProcess  # noqa: PLC0415
+
+    with closing(SolvingProcess()) as solving:  # first, as ROS starts threads
+        _run_node(solving)
+
+
+def _run_node(solving: SolvingProcess) -> None:
     import rclpy  # noqa: PLC0415
     from rclpy.executors import SingleThreadedExecutor  # noqa: PLC0415
     from rclpy.signals import SignalHandlerOptions  # noqa: PLC0415
     from rclpy.utilities import ok, try_shutdown  # noqa: PLC0415
 
     from geomid_ros.ros.node import GeomidNode  # noqa: PLC0415
+    from geomid_ros.ros.starting import starting_ros  # noqa: PLC0415
 
     # rclpy's own handlers would invalidate the publishers before the last estimate is out.
     stopping = threading.Event()
     _on_signal(stopping.set)
-    try:
+    with starting_ros():
         rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
-    except RuntimeError as error:
-        raise InputError(f"the ROS arguments cannot be used ({error})") from error
     try:
-        node = GeomidNode()
+        node = GeomidNode(solving)
         executor = SingleThreadedExecutor()
         executor.add_node(node)
         try:
             while ok() and not stopping.is_set():
                 _spin_once(executor, node)
+                time.sleep(_PAUSE)
         finally:
             node.close()
             executor.remove_node(node)

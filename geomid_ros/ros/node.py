@@ -30,6 +30,8 @@ from geomid_ros.ros.inputs import Inputs
 from geomid_ros.ros.outputs import Outputs, latched
 from geomid_ros.ros.parameters import read_parameters
 from geomid_ros.ros.saving import Saving
+from geomid_ros.ros.solving_process import SolvingProcess
+from geomid_ros.ros.starting import starting_ros
 from geomid_ros.ros.status import Status
 from geomid_ros.ros.worker import Worker
 from geomid_ros.session import Session
@@ -46,9 +48,12 @@ def _take_wrench(topic: str, worker: Worker, message: WrenchStamped) -> None:
 class GeomidNode(Node):
     """Subscribes to ``joint_states``, wrench topics, ``odom`` and ``robot_description``; publishes what it finds."""
 
-    def __init__(self) -> None:
+    def __init__(self, solving: SolvingProcess | None = None) -> None:
+        """``solving``: a process that solves, which else is done in this one. Raises InputError for parameters that do
+        not fit."""
         try:
-            super().__init__("geomid", automatically_declare_parameters_from_overrides=True)
+            with starting_ros():
+                super().__init__("geomid", automatically_declare_parameters_from_overrides=True)
         except ValueError as error:
             raise InputError(f'a parameter has no value; an empty list is written as [""] ({error})') from error
         self._configuration = read_parameters(self)
@@ -60,7 +65,9 @@ class GeomidNode(Node):
         self._problem = ""  # with the robot description
         self._failures: Counter[str] = Counter()
         self._ledger = Ledger()
-        self._identification = Identification(self._configuration, self._ledger, self._outputs, self.get_logger())
+        self._identification = Identification(
+            self._configuration, self._ledger, self._outputs, self.get_logger(), solving
+        )
         self._inputs = Inputs(self, self._ledger, self.fail)
         self._diagnostics = Diagnostics(self.get_fully_qualified_name().lstrip("/"))
         self._diagnostic_arrays = self.create_publisher(DiagnosticArray, "/diagnostics", 10)

@@ -14,6 +14,7 @@ import numpy as np
 from geomid_ros.errors import GeomidError
 from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.estimation.estimator import WarmStart
+from geomid_ros.gap.changed_sensors import changed_sensors, sensor_channels
 from geomid_ros.gap.watch import ChannelGap, GapWatch
 from geomid_ros.ros.duty import Duty
 from geomid_ros.session import Session
@@ -26,11 +27,16 @@ Done: TypeAlias = Callable[[Estimate | GeomidError], None]
 
 class Solver:
     """Solves every ``period`` [s] in which rows came, and when asked. ``on_estimate(session, estimate)`` is called, in
-    its thread, for each new estimate; one that is worse than none is not kept."""
+    its thread, for each new estimate; one that is worse than none is not kept.
+
+    While a mounted wrench sensor is no longer what it was, its rows are left out; but not if all are forgotten in time.
+    """
 
     def __init__(self, session: Session, period: float, on_estimate: Callable[[Session, Estimate], None]) -> None:
         self._session = session
         self._period = period
+        self._forgets = bool(np.isfinite(session.configuration.buffer.forgetting_time))
+        self._sensors = sensor_channels(session.model)
         self._on_estimate = on_estimate
         self._lock = threading.Lock()  # held, never long, for all that follows
         self._estimate: Estimate | None = None
@@ -39,6 +45,7 @@ class Solver:
         self._epoch = 0  # of what is solved for in an earlier one, nobody wants to know
         self._solves = 0
         self._solved_rows = 0
+        self._changed: tuple[str, ...] = ()
         self._asking: list[Done] = []
         self.watch = self._new_watch()
         self._start()
@@ -76,14 +83,28 @@ class Solver:
         self._requests.put(done)
 
     def reset(self) -> None:
-        """Forget the estimate, and what is being solved."""
+        """Forget all rows, and what was learned from them."""
         with self._lock:
-            self._epoch += 1
-            self.watch = self._new_watch()
-            self._estimate = None
-            self._problem = ""
-            self._session.warm = None
-            self._solved_rows = 0
+            self._session.identifier.reset()
+            self._begin_anew()
+
+    def begin_anew(self) -> None:
+        """Forget what was learned, and is being solved, from rows some of which are taken back."""
+        with self._lock:
+            self._begin_anew()
+
+    def _begin_anew(self) -> None:
+        self.watch = self._new_watch()
+        self._changed = ()
+        self._estimate = None
+        self._problem = ""
+        self._solve_afresh()
+
+    def _solve_afresh(self) -> None:
+        """Let nothing that was solved for, or is now, choose where the next solve begins, nor the prior's weight."""
+        self._epoch += 1
+        self._session.warm = None
+        self._solved_rows = 0
 
     @property
     def estimate(self) -> Estimate | None:
@@ -111,6 +132,11 @@ class Solver:
         """Of the channels that are watched."""
         return self.watch.gaps
 
+    @property
+    def changed_sensors(self) -> tuple[str, ...]:
+        """Topics of the wrench sensors that are no longer what they were, so that their rows are left out."""
+        return self._changed
+
     def _new_watch(self) -> GapWatch:
         return GapWatch(self._session.model.channels, self._session.configuration.buffer.forgetting_time)
 
@@ -126,6 +152,7 @@ class Solver:
             if done is None:
                 return
             with duty.on(SOLVING):
+                self._judge()
                 result = self._solve_once(None)
             with self._lock:
                 if done not in self._asking:  # it was told that it took too long
@@ -134,16 +161,38 @@ class Solver:
             done(result)
 
     def _solve_for_new_rows(self, duty: Duty) -> None:
-        if self._session.identifier.rows > self._solved_rows:
-            with duty.on(SOLVING):
-                self._judge()
+        with duty.on(SOLVING):
+            self._judge()
+            if self._session.identifier.rows != self._solved_rows:
                 self._solve_once(self._warm_start())
 
     def _judge(self) -> None:
+        watch = self.watch
         try:
-            self.watch.judge()
+            while watch.judge():
+                self._heed(watch)
         except Exception as error:  # noqa: BLE001 the thread must outlive it; what happened is reported
             self._fail(error)
+
+    def _heed(self, watch: GapWatch) -> None:
+        """Leave out the rows of the sensors that have changed, and keep for good what is as it was."""
+        if self._forgets or not self._sensors:
+            return
+        changed = changed_sensors(watch.gaps, self._session.model)
+        with self._lock:
+            if watch is not self.watch:  # all was forgotten meanwhile
+                return
+            self._changed = tuple(changed or ())
+            for topic, channels in self._sensors.items():
+                reason = f"wrench changed: {topic}"
+                if changed is None:  # nothing is the matter with the sensor
+                    self._session.identifier.take_again(reason, 0)
+                elif topic not in changed:
+                    self._session.identifier.take_again(reason, watch.judged)
+                elif self._session.identifier.leave_out(reason, channels, changed[topic]):
+                    self._solve_afresh()
+        doubted = [] if changed is None else [place for places in self._sensors.values() for place in places]
+        self._session.identifier.settle(watch.normal(doubted))
 
     def _warm_start(self) -> WarmStart | None:
         """Where to start from; None chooses the prior's weight anew, when it was chosen for other data."""

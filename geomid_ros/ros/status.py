@@ -18,7 +18,8 @@ class Status:
     samples, are those taken (``rows``) and those rejected. ``queue``: messages that wait for their fate.
     ``receipt_to_row`` [s]: for the last instants whose rows were added, the time since the message that completed them
     came to its callback. The fixed lag of the filter is not in it. ``unmeasured``: joints without efforts. ``gaps``: of
-    the channels that are watched.
+    the channels that are watched. ``changed_sensors``: topics of the wrench sensors that are no longer what they were,
+    and whose rows are left out.
     """
 
     active: bool
@@ -38,3 +39,4 @@ class Status:
     unmeasured: tuple[str, ...] = ()
     gaps: tuple[ChannelGap, ...] = ()
     estimate: Estimate | None = None
+    changed_sensors: tuple[str, ...] = ()

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from geomid_ros.ros.worker import Worker
 
 MOST_RESTARTS = 3
-HANGING = 60.0  # [s] nothing takes so long, not even the first solve, in which functions are compiled
+HANGING = 120.0  # [s] nothing takes so long on a busy machine, not even the first solve of a humanoid
 
 
 class Supervision:

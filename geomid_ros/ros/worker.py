@@ -7,14 +7,16 @@ import threading
 import time
 from collections import Counter, deque
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from typing import Any, TypeAlias
 
 import numpy as np
 
 from geomid_ros.estimation.estimate import Estimate
+from geomid_ros.gap.changed_sensors import sensor_channels
 from geomid_ros.gap.wrench_check import WrenchCheck
+from geomid_ros.model.measurement import Rows
 from geomid_ros.model.samples import Samples
 from geomid_ros.ros.duty import Duty
 from geomid_ros.ros.solver import SOLVING, Done, Solver
@@ -25,10 +27,11 @@ from geomid_ros.signals.messages import feed_joint_state, feed_odometry, feed_wr
 from geomid_ros.signals.pipeline import JOINT_STATES, ODOM, Accepted
 from geomid_ros.types import FloatArray
 
-_MOST_WAITING = 20_000  # messages; more are dropped, and counted
+_LONGEST_WAIT = 1.0  # [s] while a message has waited for so long, those that come are dropped, and counted
 _PATIENCE = 0.8  # [s] for both threads to finish what they do when they are told to end
 _TRANSITION = 2_000_000_000  # [ns] a gap opens some time in so long, and is not at once what it will be
 _LATENCIES = 10_000  # of so many last instants it is known how long their rows took
+_MOST_HELD = 100_000_000  # bytes of rows that can be taken back
 _LONG = 1.0  # [s] nothing that a thread does takes longer, but solving may, if ``solve_period`` is longer
 
 OnSamples: TypeAlias = Callable[[Session, Samples, FloatArray], None]
@@ -42,15 +45,6 @@ class _Message:
     topic: str
     feed: Callable[[], None]
     received: float
-
-
-@dataclass(frozen=True)
-class _Rows:
-    """What became of rows. Replaced as a whole: whoever looks at it finds it balanced."""
-
-    made: int
-    taken: int
-    rejected: Counter[str]
 
 
 class Worker:
@@ -69,10 +63,11 @@ class Worker:
         self._longest_solve = max(_LONG, solve_period)
         self._lock = threading.Lock()  # held, never long, for what follows here
         self._failures: Counter[str] = Counter()
-        self._rows_lost: Counter[str] = Counter()
-        self._rows = self._rows_of(session.identifier.rows + session.identifier.rows_rejected.total())
+        self._rows_lost: Counter[str] = Counter()  # replaced as a whole
         self._receipt_to_row: deque[float] = deque(maxlen=_LATENCIES)
-        self._wrenches = self._new_check()
+        self._sensors = sensor_channels(session.model)
+        self._begin_check()
+        self._last_taken = time.perf_counter()  # when what the intake took last was received, or later
         self._inbox: queue.SimpleQueue[_Message | Callable[[], None] | None] = queue.SimpleQueue()
         # A daemon: the process may end while it computes.
         self._intake = threading.Thread(target=self._take_messages, name="geomid-intake", daemon=True)
@@ -133,7 +128,7 @@ class Worker:
 
     def status(self, active: bool) -> Status:
         """What to report now."""
-        pipeline, rows = self.session.pipeline, self._rows
+        pipeline, rows, lost = self.session.pipeline, self.session.identifier.counts, self._rows_lost
         with self._lock:
             receipt_to_row, failures = tuple(self._receipt_to_row), self._failures + self.solver.failures
         return Status(
@@ -143,8 +138,8 @@ class Worker:
             failures,
             self.session.topics,
             rows.taken,
-            rows.made,
-            rows.rejected,
+            rows.made + lost.total(),
+            rows.rejected + lost,
             pipeline.lag,
             self._inbox.qsize() + pipeline.held,
             receipt_to_row,
@@ -154,12 +149,13 @@ class Worker:
             pipeline.unmeasured if self.session.model.efforts_usable else (),
             self.solver.gaps,
             self.solver.estimate,
+            self.solver.changed_sensors,
         )
 
     @property
     def _doubts(self) -> list[str]:
         return [
-            f"{topic}: {problem} Its rows are left out until ~/reset"
+            f"{topic}: {problem} Its rows are left out, those before too, until ~/reset"
             for topic, problem in self._wrenches.problems.items()
         ]
 
@@ -175,14 +171,18 @@ class Worker:
         return f"{what} takes {seconds:.0f} s so far, more than {limit:g} s" if seconds > limit else ""
 
     def _put(self, topic: str, feed: Callable[[], None]) -> None:
-        if self._inbox.qsize() >= _MOST_WAITING:
+        now = time.perf_counter()
+        if self._inbox.empty():
+            self._last_taken = now
+        elif now - self._last_taken > _LONGEST_WAIT:
             self.ledger.drop(topic, "queue full")
-        else:
-            self._inbox.put(_Message(topic, feed, time.perf_counter()))
+            return
+        self._inbox.put(_Message(topic, feed, now))
 
     def _take_messages(self) -> None:
         while (task := self._inbox.get()) is not None:
             if isinstance(task, _Message):
+                self._last_taken = task.received
                 with self.duty.on(task.topic):
                     self._take(task)
             else:
@@ -197,38 +197,51 @@ class Worker:
             self._fail(f"a message on {message.topic} could not be taken", error)
         samples = self.session.pipeline.collect()
         if samples is not None:
-            self._add(self._without_doubtful(samples), message.received)
-
-    def _without_doubtful(self, samples: Samples) -> Samples:
-        doubtful = [sensor.topic in self._wrenches.problems for sensor in self.session.model.sensors]
-        if not any(doubtful):
-            return samples
-        wrenches = samples.wrenches.copy()
-        wrenches[:, doubtful] = np.nan
-        return replace(samples, wrenches=wrenches)
+            self._add(samples, message.received)
 
     def _add(self, samples: Samples, received: float) -> None:
-        estimate = self.solver.estimate
-        made = self._rows.made + len(samples) * len(self.session.model.channels)
+        estimate, identifier = self.solver.estimate, self.session.identifier
+        before = identifier.counts.made
         try:
-            stamps, new = self.session.identifier.add(samples)
+            stamps, new = identifier.add(samples)
         except Exception as error:  # noqa: BLE001 as above
-            known = self._rows_of(made)
-            self._rows_lost[type(error).__name__] += made - known.taken - known.rejected.total()
-            self._rows = self._rows_of(made)
+            lost = before + len(samples) * len(self.session.model.channels) - identifier.counts.made
+            self._rows_lost = self._rows_lost + Counter({type(error).__name__: lost})
             self._fail("rows could not be made", error)
             return
-        self._rows = self._rows_of(made)
         with self._lock:
             self._receipt_to_row.append(time.perf_counter() - received)
-        self.solver.watch.add(stamps, new)
-        self._wrenches.add(new)
+        self._check_wrenches(new)
+        self.solver.watch.add(identifier.instants - len(stamps), stamps, self._without_doubtful(new))
         if estimate is not None:
             self._tell(samples, estimate)
 
-    def _rows_of(self, made: int) -> _Rows:
-        identifier = self.session.identifier
-        return _Rows(made, identifier.rows, identifier.rows_rejected + self._rows_lost)
+    def _check_wrenches(self, rows: Rows) -> None:
+        """Judge the sensors by their first rows, once, and take these back where they are wrong."""
+        if self._wrenches.ended:
+            return
+        self._wrenches.add(rows)
+        for topic in self._wrenches.problems:
+            self.session.identifier.leave_out(f"wrench doubtful: {topic}", self._sensors[topic], 0)
+        if self._wrenches.problems:
+            self.solver.begin_anew()
+        self._hold()
+
+    def _hold(self) -> None:
+        """Let rows be taken back while anything may yet find them bad."""
+        model = self.session.model
+        forgets = np.isfinite(self.session.configuration.buffer.forgetting_time)
+        instant = 8 * (model.dimension + 1) * len(model.channels)
+        doubted = model.mounted and not (forgets and self._wrenches.ended)
+        self.session.identifier.hold(_MOST_HELD // instant if doubted else 0)
+
+    def _without_doubtful(self, rows: Rows) -> Rows:
+        doubtful = [place for topic in self._wrenches.problems for place in self._sensors[topic]]
+        if not doubtful:
+            return rows
+        targets = rows.targets.copy()
+        targets[:, doubtful] = np.nan
+        return Rows(rows.coefficients, targets)
 
     def _tell(self, samples: Samples, estimate: Estimate) -> None:
         try:
@@ -240,14 +253,13 @@ class Worker:
         with self._lock:
             count_reason(self._failures, f"{what}: {type(error).__name__}: {error}")
 
-    def _new_check(self) -> WrenchCheck:
+    def _begin_check(self) -> None:
         model = self.session.model
-        return WrenchCheck(model.channels, model.sensors, self.session.nominal_parameters)
+        self._wrenches = WrenchCheck(model.channels, model.sensors, self.session.nominal_parameters)
+        self._hold()
 
     def _forget(self) -> None:
-        self._wrenches = self._new_check()
-        self.session.identifier.reset()
         self.session.recent.clear()
         self.solver.reset()
-        self._rows_lost.clear()
-        self._rows = self._rows_of(0)
+        self._rows_lost = Counter()
+        self._begin_check()

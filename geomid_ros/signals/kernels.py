@@ -6,8 +6,10 @@ is h followed by a central difference of order six, so that derivatives belong t
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
+from typing import TypeVar
+
 import numpy as np
-from scipy.signal import firwin
 
 from geomid_ros.errors import InputError
 from geomid_ros.types import FloatArray
@@ -20,7 +22,8 @@ _SECOND_DIFFERENCE = np.array([2.0, -27.0, 270.0, -490.0, 270.0, -27.0, 2.0]) / 
 _HALF_DIFFERENCE = 3
 LOWEST_RATE_PER_CUTOFF = 2.5
 _LARGEST_NOISE_GAIN = 2.0
-_DIFFERENT_NODES = ~np.eye(4, dtype=bool)
+
+T = TypeVar("T", float, FloatArray)
 
 
 def derivative_kernels(cutoff: float, period: float) -> FloatArray:
@@ -35,11 +38,20 @@ def derivative_kernels(cutoff: float, period: float) -> FloatArray:
             f"at most {1 / period / LOWEST_RATE_PER_CUTOFF:.3g} Hz"
         )
     half = max(1, round(0.5 * _LENGTH_IN_CUTOFF_PERIODS / (cutoff * period)))
-    low_pass = firwin(2 * half + 1, cutoff, window=("kaiser", _KAISER_BETA), fs=1.0 / period)
-    value = np.pad(low_pass, _HALF_DIFFERENCE)
-    first = np.convolve(low_pass, _FIRST_DIFFERENCE) / period
-    second = np.convolve(low_pass, _SECOND_DIFFERENCE) / period**2
+    value = np.pad(_low_pass(cutoff * period, half), _HALF_DIFFERENCE)
+    first = np.convolve(value, _FIRST_DIFFERENCE, mode="same") / period
+    second = np.convolve(value, _SECOND_DIFFERENCE, mode="same") / period**2
     return np.array([value, first, second])
+
+
+def _low_pass(cutoff: float, half: int) -> FloatArray:
+    """An ideal low-pass of ``cutoff`` (a share of the rate) under a Kaiser window, ``(2 half + 1,)``, of sum 1.
+
+    As scipy.signal.firwin has it, to import which takes as long as a quarter of the node's start.
+    """
+    taps = np.sinc(2.0 * cutoff * np.arange(-half, half + 1)) * np.kaiser(2 * half + 1, _KAISER_BETA)
+    result: FloatArray = taps / np.sum(taps)
+    return result
 
 
 def cubic_weights(nodes: FloatArray, times: FloatArray) -> FloatArray:
@@ -48,13 +60,33 @@ def cubic_weights(nodes: FloatArray, times: FloatArray) -> FloatArray:
     Lagrange's cubic; where the nodes lie so unevenly (messages in bursts) that it would amplify noise, the line between
     the middle nodes.
     """
-    spacings = nodes[:, :, None] - nodes[:, None, :]
-    factors = np.ones(spacings.shape)
-    np.divide((times[:, None] - nodes)[:, None, :], spacings, out=factors, where=_DIFFERENT_NODES)
-    weights: FloatArray = factors.prod(axis=2)
+    weights = np.stack(_lagrange(nodes.T, times), axis=1)
     noisy = np.sum(weights**2, axis=1) > _LARGEST_NOISE_GAIN**2
     if np.any(noisy):
-        share = (times - nodes[:, 1]) / (nodes[:, 2] - nodes[:, 1])
-        linear = np.stack([np.zeros_like(share), 1.0 - share, share, np.zeros_like(share)], axis=1)
-        weights[noisy] = linear[noisy]
+        weights[noisy] = np.stack(_line(nodes[noisy].T, times[noisy]), axis=1)
     return weights
+
+
+def cubic_weights_at(nodes: Sequence[float], time: float) -> tuple[float, float, float, float]:
+    """:func:`cubic_weights` of one time, without the cost of arrays: live streams ask for one after the other."""
+    weights = _lagrange(nodes, time)
+    if sum(weight * weight for weight in weights) > _LARGEST_NOISE_GAIN**2:
+        return _line(nodes, time)
+    return weights
+
+
+def _lagrange(nodes: Iterable[T], time: T) -> tuple[T, T, T, T]:
+    a, b, c, d = nodes
+    p, q, r, s = time - a, time - b, time - c, time - d
+    return (
+        q / (a - b) * (r / (a - c)) * (s / (a - d)),
+        p / (b - a) * (r / (b - c)) * (s / (b - d)),
+        p / (c - a) * (q / (c - b)) * (s / (c - d)),
+        p / (d - a) * (q / (d - b)) * (r / (d - c)),
+    )
+
+
+def _line(nodes: Iterable[T], time: T) -> tuple[T, T, T, T]:
+    _, b, c, _ = nodes
+    share = (time - b) / (c - b)
+    return 0.0 * share, 1.0 - share, share, 0.0 * share

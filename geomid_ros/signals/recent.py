@@ -8,7 +8,7 @@ from collections import deque
 from geomid_ros.signals.pipeline import Accepted
 from geomid_ros.types import FloatArray
 
-_MOST_BYTES = 200_000_000
+_MOST_BYTES = 100_000_000
 _BYTES_BESIDE_NUMBERS = 250  # of an entry
 
 

@@ -13,7 +13,7 @@ from typing import TypeAlias
 import numpy as np
 
 from geomid_ros.model import se3
-from geomid_ros.signals.kernels import cubic_weights, derivative_kernels
+from geomid_ros.signals.kernels import cubic_weights, cubic_weights_at, derivative_kernels
 from geomid_ros.types import FloatArray
 
 # Position, velocity and acceleration, each (N, joints), to effects' columns (N, joints, effects).
@@ -148,9 +148,8 @@ class VectorStream(Stream):
         if not instants:
             return
         origin = self._nodes[0][0]
-        nodes = np.array([[float(stamp - origin) for stamp, _ in self._nodes]])
-        times = np.array([float(k * self._grid.period - origin) for k in instants])
-        weights = cubic_weights(np.repeat(nodes, len(times), axis=0), times)
+        nodes = [float(stamp - origin) for stamp, _ in self._nodes]
+        weights = np.array([cubic_weights_at(nodes, float(k * self._grid.period - origin)) for k in instants])
         stacked = np.array([values for _, values in self._nodes])
         self._on_grid.extend(instants.start, np.einsum("ni,ij->nj", weights, stacked))
 

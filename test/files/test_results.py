@@ -89,7 +89,7 @@ def session_from(model: Path) -> Session:
 def test_an_estimate_is_started_from(tmp_path: Path) -> None:
     path = tmp_path / "estimate.json"
     write_estimate(path, document())
-    prior = session_from(path).identifier._prior
+    prior = session_from(path).identifier._task.prior
     assert prior is not None
     link1, link2, link3 = prior[:30].reshape(3, 10)
     np.testing.assert_allclose(link3, ESTIMATE.links[0].parameters, rtol=ROUNDING, atol=ROUNDING)

@@ -58,8 +58,9 @@ class Robot:
         for begin in range(0, len(self.targets), BLOCK):
             rows = slice(begin, begin + BLOCK)
             stamps = PERIOD * np.arange(begin + 1, begin + BLOCK + 1)
-            watch.add(stamps, Rows(self.coefficients[rows, None], self.targets[rows, None]))
-            watch.judge()
+            watch.add(begin, stamps, Rows(self.coefficients[rows, None], self.targets[rows, None]))
+            assert watch.judge()
+            assert not watch.judge()
             yield watch.gaps
 
 
@@ -190,9 +191,74 @@ def test_channels_are_judged_by_themselves() -> None:
         count = len(robot.targets[rows])
         targets = np.column_stack([np.full(count, np.nan), np.zeros(count), robot.targets[rows]])
         coefficients = np.repeat(robot.coefficients[rows, None], 3, axis=1)
-        watch.add(PERIOD * np.arange(begin + 1, begin + count + 1), Rows(coefficients, targets))
+        watch.add(begin, PERIOD * np.arange(begin + 1, begin + count + 1), Rows(coefficients, targets))
         watch.judge()
     gaps = {gap.channel: gap for gap in watch.gaps}
     assert gaps.keys() == {"zero", "joint"}
     assert gaps["zero"].since is None
     assert gaps["joint"].since is not None
+
+
+LONGEST = 21  # blocks: a suspicion, and the one before it
+
+
+class TestNormal:
+    """What is kept for good."""
+
+    @staticmethod
+    def followed(robot: Robot) -> Iterator[tuple[int, int, ChannelGap | None]]:
+        """After every block how many instants were judged, how many are normal, and the gap if it is open."""
+        watch = new_watch()
+        for gaps in robot.judged(watch):
+            opened = [gap for gap in gaps if gap.since is not None]
+            yield watch.judged, watch.normal([0]), opened[0] if opened else None
+
+    @pytest.mark.parametrize("kind", ["white", "independent", "coloured", "uneven"])
+    def test_nothing_of_a_gap_is_kept_before_it_opens(self, kind: str) -> None:
+        """Nor of the block before it; unless it has been suspect for longer than a suspicion lasts."""
+        for seed in range(20):
+            robot = Robot(seed, kind)
+            robot.change(HALF - 10)  # in the last rows of a block
+            kept = 0
+            for judged, normal, gap in self.followed(robot):
+                if gap is not None:
+                    assert kept <= max(gap.first - BLOCK, judged - LONGEST * BLOCK)
+                    break
+                kept = normal
+            else:
+                pytest.fail("no gap")
+            if kind != "uneven":  # where the first of what is bad may be taken for rough
+                assert kept <= gap.first - BLOCK <= HALF - 10, seed
+
+    def test_what_is_as_it_was_is_kept_soon(self) -> None:
+        """All but one or two blocks, mostly."""
+        behind = [judged - normal for judged, normal, _ in self.followed(Robot(0, "coloured", 300))]
+        assert np.median(behind) == BLOCK
+        assert np.mean(np.array(behind) <= 2 * BLOCK) > 0.8
+
+    def test_a_gap_that_stays_open_does_not_hold_up_everything(self) -> None:
+        robot = Robot(1)
+        robot.change()
+        *_, (judged, normal, gap) = self.followed(robot)
+        assert gap is not None
+        assert judged - normal == (LONGEST - 1) * BLOCK
+
+    def test_of_no_channel_all_but_the_last_block_is_kept(self) -> None:
+        robot, watch = Robot(2), new_watch()
+        robot.change()
+        for _ in robot.judged(watch):
+            assert watch.normal([]) == watch.judged - BLOCK
+
+    def test_instants_are_counted_by_whoever_adds_them(self) -> None:
+        """There may be some between that nobody has seen."""
+        robot, watch = Robot(3), new_watch()
+        robot.change()
+        stamps = PERIOD * np.arange(1, len(robot.targets) + 1)
+        for begin in range(0, len(stamps), BLOCK):
+            rows = slice(begin, begin + BLOCK)
+            watch.add(1000 + 2 * begin, stamps[rows], Rows(robot.coefficients[rows, None], robot.targets[rows, None]))
+            while watch.judge():
+                pass
+        (gap,) = watch.gaps
+        assert watch.judged == 1000 + 2 * (len(stamps) - BLOCK) + BLOCK
+        assert gap.since == stamps[(gap.first - 1000) // 2]

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import errno
 import os
+import sys
 import threading
 import time
 from collections.abc import Callable
@@ -17,13 +18,13 @@ from typing import Any
 import numpy as np
 
 from geomid_ros.estimation.identifier import Identifier
-from geomid_ros.ros import main, supervision, worker
+from geomid_ros.ros import main, supervision
 from geomid_ros.ros.worker import Worker
 from geomid_ros.session import Session
 from geomid_ros.signals.pipeline import SignalPipeline
 
 VARIABLE = "GEOMID_TEST_FAULT"
-MOST_WAITING = 1_000  # messages, enough for every other test
+SLOW = 0.02  # [s] for a message
 
 
 def fault() -> str:
@@ -51,6 +52,13 @@ def hang(*_: Any, **__: Any) -> None:
     threading.Event().wait()
 
 
+def compute(*_: Any, **__: Any) -> None:
+    """For ever, as far as the node can tell; when the fault is gone the thread is, too, and leaves the processor."""
+    while fault():
+        sum(range(1000))
+    sys.exit()
+
+
 def full(*_: Any, **__: Any) -> None:
     raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
@@ -74,7 +82,7 @@ def slowly(healthy: Any, *arguments: Any) -> Any:
 
 
 def a_little_slowly(healthy: Any, *arguments: Any) -> Any:
-    time.sleep(0.02)
+    time.sleep(SLOW)
     return healthy(*arguments)
 
 
@@ -89,6 +97,7 @@ def run() -> None:
     plant(Identifier, "solve", {
         "solver fails": fail,
         "solver hangs": hang,
+        "solver computes for ever": compute,
         "solver slow": slowly,
         "not converged": unconverged,
         "not a number": not_a_number,
@@ -101,7 +110,6 @@ def run() -> None:
     plant(os, "fsync", {"disk full": full, "disk read-only": read_only, "disk slow": slowly, "everything hangs": hang})
     plant(Session, "save", {"saving fails": fail})
     supervision.HANGING = 4.0
-    worker._MOST_WAITING = MOST_WAITING
     main.main()
 
 

@@ -51,6 +51,10 @@ class Twin:
             if samples is not None:
                 self.session.identifier.add(samples)
 
+    def samples(self, items: Iterable[Recorded]) -> Samples:
+        """The samples that messages complete, all together."""
+        return Samples.concatenate([found for found in map(self.feed_pipeline, items) if found is not None])
+
     def feed_pipeline(self, item: Recorded) -> Samples | None:
         """Take a message; the samples that it completes."""
         if item.topic == "/joint_states":
@@ -151,8 +155,12 @@ class Rig:
         try:
             return self.stage.observer.wait_for(find, what, PATIENCE)
         except AssertionError as error:
-            last = [self.stream(array) for array in self.arrays[-3:]]
-            raise AssertionError(f"{error}; the last diagnostics were {last}") from None
+            last = [status for array in self.arrays[-3:] if (status := self.stream(array))]
+            said = [(status.level, status.message) for status in last]
+            values = {pair.key: pair.value for pair in last[-1].values} if last else {}
+            raise AssertionError(
+                f"{error}; sent {dict(self.sent)}, the last diagnostics said {said}, {values}"
+            ) from None
 
     def settled(self, begin: int = 0) -> dict[str, str]:
         """The stream's values when all that was sent has come to its end; by then the ledger balances."""

@@ -225,6 +225,7 @@ def test_a_bad_stream_is_named_and_leaves_no_trace(name: str, rig: Rig) -> None:
     before, after = rig.begin()
     rig.feed(before)
     rig.published()
+    rig.settled(len(rig.arrays))  # the next diagnostics are of what is sent now alone
     begin = len(rig.arrays)
     last = stamp_of(before[-1])
     rig.send([case.alter(item, place) for place, item in enumerate(after)])
@@ -236,4 +237,32 @@ def test_a_bad_stream_is_named_and_leaves_no_trace(name: str, rig: Rig) -> None:
     assert rig.node.running
     rig.assert_same_as_twin()
     rig.feed(rig.shifted(later(item, 2 * SECOND) for item in GOOD[900:1100]))
+    rig.assert_same_as_twin()
+
+
+MALFORMED = {
+    "a header alone": b"\x00\x01\x00\x00",
+    "an end too soon": b"\x00\x01\x00\x00" + 20 * b"\x01",
+    "a length that is not there": b"\x00\x01\x00\x00" + 16 * b"\x00" + 8 * b"\xff",
+}
+
+
+@pytest.mark.parametrize("name", MALFORMED)
+def test_bytes_that_are_no_message_are_rejected(name: str, rig: Rig) -> None:
+    """Whoever publishes may publish any bytes."""
+    before, after = rig.begin()
+    rig.feed(before)
+    rig.published()
+    begin = len(rig.arrays)
+    for topic, publisher in rig.publishers.items():
+        publisher.publish(MALFORMED[name])
+        rig.sent[topic] += 1
+    rig.names_at_once(
+        begin,
+        WARN,
+        "joint_states rejected: not a valid sensor_msgs/msg/JointState",
+        "/wrench rejected: not a valid geometry_msgs/msg/WrenchStamped",
+    )
+    assert rig.node.running
+    rig.feed(after)
     rig.assert_same_as_twin()

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import copy
+import json
 from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from files.recordings import Recorded
+
+from geomid_ros.model.samples import Samples
 
 from .rig import ERROR, GOOD, Rig, Twin
 from .spoiling import later, stamp_of
@@ -37,34 +40,31 @@ SPOKEN: dict[str, tuple[Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.
 }
 
 
-JUDGED = 60  # instants in motion, after which a sensor is judged
+AXES = 6
+PART = 900  # messages, which do not wait for so long that some are dropped, on a busy machine either
 
 
-def feed_without_wrenches(twin: Twin, messages: list[Recorded], since: int) -> None:
-    """What no wrench says counts, after so many instants."""
-    count = 0
-    for item in messages:
-        samples = twin.feed_pipeline(item)
-        if samples is not None:
-            if count >= since:
-                samples = replace(samples, wrenches=np.full_like(samples.wrenches, np.nan))
-            moving, _ = twin.session.identifier.add(samples)
-            count += len(moving)
+def silenced(samples: Samples, since: int = 0) -> Samples:
+    """What no wrench says from a stamp on."""
+    wrenches = samples.wrenches.copy()
+    wrenches[samples.stamps >= since] = np.nan
+    return replace(samples, wrenches=wrenches)
 
 
 @pytest.mark.parametrize("name", SPOKEN)
 def test_a_sensor_that_is_declared_wrongly_is_named(name: str, rig: Rig) -> None:
-    """Its rows are left out from then on; after ~/reset, nothing is left of those before."""
+    """The estimate is that of a run in which it said nothing; after ~/reset it may speak again."""
     change, says = SPOKEN[name]
     before, after = rig.begin()
     begin = len(rig.arrays)
     wrong = [with_wrench(item, change) for item in before + after]
     rig.send(wrong)
-    feed_without_wrenches(rig.twin, wrong, JUDGED)
+    moving, _ = rig.twin.session.identifier.add(silenced(rig.twin.samples(wrong)))
+    rig.says(begin, ERROR, "/wrench: ", says, "Its rows are left out, those before too, until ~/reset")
     rig.settled(begin)
-    rig.says(begin, ERROR, "/wrench: ", says, "Its rows are left out until ~/reset")
-    assert rig.node.running
     rig.assert_same_as_twin()
+    left_out = {"rows rejected: wrench doubtful: /wrench": str(AXES * len(moving))}
+    rig.told("all its rows left out", begin, lambda values, _: left_out.items() <= values.items())
     before, after = rig.begin()
     begin = len(rig.arrays)
     rig.feed(before + after)
@@ -85,14 +85,30 @@ CHANGES: dict[str, Callable[[float], float]] = {
 
 @pytest.mark.parametrize("name", CHANGES)
 def test_a_sensor_that_changes_is_named(name: str, rig: Rig) -> None:
-    """Once it is known what is normal: two rounds of the motion. The rows are taken: a new load looks the same."""
+    """Once it is known what is normal: two rounds of the motion. The estimate is that of a run in which it said nothing
+    since; and where the change is sudden, that is all that is bad."""
     bias = CHANGES[name]
     rig.begin()
     rounds = [rig.shifted(later(item, k * 9 * SECOND) for item in GOOD) for k in range(3)]
-    rig.feed(rounds[0] + rounds[1])
-    rig.assert_same_as_twin()
     begin, origin = len(rig.arrays), stamp_of(rounds[2][0])
-    rig.feed([biased(item, bias(1e-9 * (stamp_of(item) - origin))) for item in rounds[2]])
-    rig.says(begin, ERROR, "gap at wrench/fz", "was the sensor tared")
-    rig.settled(begin)
+    bad = [biased(item, bias(1e-9 * (stamp_of(item) - origin))) for item in rounds[2]]
+    messages = rounds[0] + rounds[1] + bad
+    for part in range(0, len(messages), PART):
+        rig.send(messages[part : part + PART])
+        rig.settled()
+    rig.says(begin, ERROR, "gap at wrench/fz", "was the sensor tared", "Rows of /wrench are left out until")
+    assert rig.trigger("save")[0], "what waits is judged by now"
+    rows = json.loads((rig.out / "estimate.json").read_text())["rows"]
+    left_out = rows["rejected"]["wrench changed: /wrench"]
+    samples = rig.twin.samples(messages)
+    made = len(samples) * len(rig.twin.session.model.channels)
+    assert rows["accepted"] + sum(rows["rejected"].values()) == made, "all messages have come"
+    since = Twin().session.identifier.add(samples)[0][-left_out // AXES]
+    rig.twin.session.identifier.add(silenced(samples, since))
     rig.assert_same_as_twin()
+    spared = Twin().samples(rounds[0] + rounds[1] + rounds[2])
+    touched = samples.stamps[np.any(np.abs(samples.wrenches - spared.wrenches) > 1e-9, axis=(1, 2))]
+    assert touched[0] > origin - SECOND
+    assert since > origin - 4 * SECOND, "not much more is left out"
+    if name == "39-tared":
+        assert since <= touched[0], "all that is bad is left out"

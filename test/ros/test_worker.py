@@ -7,6 +7,7 @@ import threading
 import time
 from collections.abc import Iterator
 from contextlib import closing
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -33,6 +34,7 @@ SOON, NEVER = 0.01, 3600.0  # [s] periods of the solver
 def patience(monkeypatch: pytest.MonkeyPatch) -> None:
     """The machine may be busy."""
     monkeypatch.setattr(module, "_PATIENCE", PATIENCE)
+    monkeypatch.setattr(module, "_LONGEST_WAIT", PATIENCE)
 
 
 class Watched:
@@ -254,8 +256,13 @@ def test_rows_are_counted_once_though_taking_them_fails(quiet: Watched, monkeypa
     assert status.rows_made == status.rows + status.rows_rejected.total()
 
 
-def test_what_does_not_fit_into_the_queue_is_counted(quiet: Watched, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(module, "_MOST_WAITING", 50)
+def test_what_comes_while_others_have_waited_for_long_is_dropped(
+    quiet: Watched, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The first of those that wait tells for how long."""
+    now = [0.0]
+    monkeypatch.setattr(module, "_LONGEST_WAIT", 1.0)
+    monkeypatch.setattr(module, "time", SimpleNamespace(perf_counter=lambda: now[0], monotonic=time.monotonic))
     stop, waiting = threading.Event(), threading.Event()
 
     def stand_still() -> None:
@@ -264,14 +271,16 @@ def test_what_does_not_fit_into_the_queue_is_counted(quiet: Watched, monkeypatch
 
     quiet.worker._inbox.put(stand_still)
     assert waiting.wait(PATIENCE)
-    quiet.feed(0, 200)
+    for now[0], begin, end in ((10.0, 0, 20), (10.9, 20, 50), (11.1, 50, 200)):
+        quiet.feed(begin, end)
     assert quiet.worker.status(active=True).queue == 50
     stop.set()
     quiet.final()
-    status = quiet.worker.status(active=True)
-    account = status.accounts["joint_states"]
+    quiet.feed(200, 260)
+    quiet.final()
+    account = quiet.worker.status(active=True).accounts["joint_states"]
     assert account.dropped == {"queue full": 150}
-    assert (account.accepted, account.received) == (50, 200)
+    assert (account.accepted, account.received) == (110, 260)
 
 
 def test_the_status_can_be_asked_for_all_the_time(busy: Watched) -> None:

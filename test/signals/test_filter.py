@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.signal import firwin
 
 from geomid_ros.errors import InputError
-from geomid_ros.signals.kernels import cubic_weights, derivative_kernels
+from geomid_ros.signals.kernels import cubic_weights, cubic_weights_at, derivative_kernels
 from geomid_ros.signals.pipeline import SignalPipeline, SignalSettings
 from geomid_ros.types import FloatArray, IntArray
 
@@ -139,11 +140,21 @@ def test_a_grid_just_fine_enough_is_accepted(period: float) -> None:
     assert pipeline.lag > 0.4
 
 
+@pytest.mark.parametrize(("cutoff", "period"), [(5.0, 1e-3), (3.0, 1 / 30), (5.0, 0.08)])
+def test_the_low_pass_is_that_of_the_textbook(cutoff: float, period: float) -> None:
+    """The window method's, here by scipy."""
+    low_pass = derivative_kernels(cutoff, period)[0, 3:-3]
+    theirs = firwin(len(low_pass), cutoff, window=("kaiser", 6.0), fs=1.0 / period)
+    np.testing.assert_allclose(low_pass, theirs, rtol=1e-12, atol=1e-15)
+
+
 def test_cubic_weights_are_exact_for_cubics() -> None:
     rng = np.random.default_rng(0)
     nodes = np.cumsum(rng.uniform(0.6, 1.4, size=(50, 4)), axis=1)
     times = nodes[:, 1] + rng.uniform(size=50) * (nodes[:, 2] - nodes[:, 1])
     weights = cubic_weights(nodes, times)
+    one_by_one = [cubic_weights_at(four, time) for four, time in zip(nodes.tolist(), times.tolist(), strict=True)]
+    np.testing.assert_array_equal(one_by_one, weights)
     for power in range(4):
         np.testing.assert_allclose(np.sum(weights * nodes**power, axis=1), times**power, rtol=1e-12)
 
@@ -162,6 +173,7 @@ def test_bursts_do_not_amplify_noise(gap: float) -> None:
         for share in (0.0, 0.3, 0.5, 1.0):
             time = middle[:, 1] + share * (middle[:, 2] - middle[:, 1])
             weights = cubic_weights(middle, time)
+            assert cubic_weights_at(nodes, float(time[0])) == tuple(weights[0])
             assert np.sum(weights**2) <= 4.0
             np.testing.assert_allclose([np.sum(weights), np.sum(weights * middle)], [1.0, time[0]], atol=1e-9)
 

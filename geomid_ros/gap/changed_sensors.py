@@ -1,0 +1,30 @@
+"""Whether it is a wrench sensor that has changed, rather than the robot."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from geomid_ros.gap.watch import BLOCK, ChannelGap
+from geomid_ros.model.measurement import MeasurementModel
+
+
+def sensor_channels(model: MeasurementModel) -> dict[str, list[int]]:
+    """The places of each mounted sensor's channels, by its topic."""
+    places = {channel.name: place for place, channel in enumerate(model.channels)}
+    return {s.topic: [places[f"{s.topic.strip('/')}/{axis}"] for axis in s.axes] for s in model.mounted}
+
+
+def changed_sensors(gaps: Sequence[ChannelGap], model: MeasurementModel) -> dict[str, int] | None:
+    """The mounted sensors that have changed, and the number of the instant before which they had not, by topic; None if
+    it may be the robot that has.
+
+    A load that is picked up is felt at the joints, too: where there is a gap at any other channel, it may be the robot.
+    """
+    first = {gap.channel: gap.first for gap in gaps if gap.since is not None}
+    begin = {}
+    for topic, places in sensor_channels(model).items():
+        numbers = [first.pop(name) for name in (model.channels[place].name for place in places) if name in first]
+        if numbers:
+            # A change in the last rows of a block does not show there.
+            begin[topic] = min(numbers) - BLOCK
+    return None if first else begin

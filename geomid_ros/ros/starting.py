@@ -1,0 +1,27 @@
+"""ROS that cannot start: one sentence that says why, as whoever starts it gave the arguments and the environment."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+from geomid_ros.errors import InputError
+
+
+@contextmanager
+def starting_ros() -> Iterator[None]:
+    """What rclpy raises inside becomes an InputError that names what is wrong or missing."""
+    try:
+        yield
+    except RuntimeError as error:  # rclpy's own are such
+        reason = " ".join(str(error).split())
+        raise InputError(f"ROS cannot start with these arguments and variables ({reason}){_security()}") from error
+
+
+def _security() -> str:
+    """What security was asked for, as rcl does not always say what it missed."""
+    if os.environ.get("ROS_SECURITY_ENABLE") != "true":
+        return ""
+    keystore = os.environ.get("ROS_SECURITY_KEYSTORE")
+    return f". ROS_SECURITY_ENABLE is true, and ROS_SECURITY_KEYSTORE is {keystore or 'not set'}"

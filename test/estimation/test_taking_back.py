@@ -1,0 +1,228 @@
+"""Rows that are taken back leave no trace: the identifier knows what it would, had they never come."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from geomid_ros.estimation.estimator import EstimatorSettings
+from geomid_ros.estimation.identifier import NOT_MEASURED, BufferSettings, Identifier
+from geomid_ros.model.samples import Samples
+
+from .arms import Case, arm
+from .test_identifier import content
+
+BAD = (1,)  # a channel
+BEGIN, END = 130, 260
+COUNT = 400
+SETTINGS = pytest.mark.parametrize("forgetting_time", [np.inf, 1.5])
+
+
+def case() -> Case:
+    """Four seconds of the small arm, in which one effort is not measured now and then."""
+    found = arm("arm3", 0, seconds=4)
+    effort = found.samples.effort.copy()
+    effort[::7, 1] = np.nan
+    return found.with_efforts(effort)
+
+
+def begun(of: Case, forgetting_time: float, hold: int) -> Identifier:
+    identifier = Identifier(of.model, buffer=BufferSettings(folds=3, block=20, forgetting_time=forgetting_time))
+    identifier.hold(hold)
+    return identifier
+
+
+def add(identifier: Identifier, samples: Samples, after: Callable[[int], None] = lambda _: None) -> Identifier:
+    """Add them in pieces, and say how many there are after each."""
+    for begin in range(0, len(samples), 13):
+        identifier.add(samples.select(slice(begin, begin + 13)))
+        after(min(begin + 13, len(samples)))
+    return identifier
+
+
+def without(of: Case, begin: int, end: int = COUNT) -> Case:
+    """As if the channel had said nothing there."""
+    effort = of.samples.effort.copy()
+    effort[begin:end, BAD[0]] = np.nan
+    return of.with_efforts(effort)
+
+
+def assert_same(found: Identifier, expected: Identifier) -> None:
+    """In all that is remembered, and in the estimate."""
+    assert found.rows == expected.rows
+    assert found.counts.made == expected.counts.made == found.rows + found.rows_rejected.total()
+    np.testing.assert_allclose(content(found.snapshot()), content(expected.snapshot()), rtol=1e-10)
+    ours, theirs = found.memory().summary, expected.memory().summary
+    assert (ours.instants, ours.rows) == (theirs.instants, theirs.rows)
+    np.testing.assert_allclose([ours.time, ours.weight], [theirs.time, theirs.weight], rtol=1e-12)
+    np.testing.assert_allclose(ours.counts, theirs.counts, rtol=1e-12)
+    np.testing.assert_allclose(found.solve().parameters, expected.solve().parameters, rtol=1e-9, atol=1e-12)
+
+
+@SETTINGS
+@pytest.mark.parametrize("said_at", [BEGIN, 200, COUNT])
+def test_what_is_left_out_has_never_been(forgetting_time: float, said_at: int) -> None:
+    """Whenever it is said, and whatever was solved for, or written down, before."""
+    of, asked = case(), []
+
+    def after(count: int) -> None:
+        asked.append(identifier.snapshot().rows)
+        identifier.memory()
+        if count >= said_at:
+            identifier.leave_out("bad", BAD, BEGIN)
+
+    identifier = begun(of, forgetting_time, COUNT)
+    add(identifier, of.samples, after)
+    assert_same(identifier, add(begun(of, forgetting_time, 0), without(of, BEGIN).samples))
+    assert identifier.rows_rejected["bad"] == np.count_nonzero(np.isfinite(of.samples.effort[BEGIN:, BAD[0]]))
+    assert identifier.rows_rejected[NOT_MEASURED] == np.count_nonzero(np.isnan(of.samples.effort))
+    assert max(np.diff(asked)) > 0
+
+
+@SETTINGS
+def test_what_is_taken_again_is_there_as_if_nothing_had_been(forgetting_time: float) -> None:
+    """From some instant on, or all of it."""
+    of = case()
+    for end, expected in ((END, without(of, BEGIN, END)), (0, of)):
+        identifier = add(begun(of, forgetting_time, COUNT), of.samples)
+        assert identifier.leave_out("bad", BAD, BEGIN)
+        assert not identifier.leave_out("bad", BAD, BEGIN + 50), "it is already"
+        assert identifier.take_again("bad", end)
+        assert not identifier.take_again("bad", end + 1), "it is already"
+        assert_same(identifier, add(begun(of, forgetting_time, 0), expected.samples))
+
+
+def test_what_is_settled_stays() -> None:
+    """Whether it was taken or left out by then."""
+    of = case()
+    identifier = add(begun(of, np.inf, COUNT), of.samples)
+    identifier.settle(100)
+    identifier.leave_out("bad", BAD, 0)
+    identifier.settle(END)
+    identifier.take_again("bad", 0)
+    assert_same(identifier, add(begun(of, np.inf, 0), without(of, 100, END).samples))
+
+
+def test_no_more_is_held_than_was_asked_for() -> None:
+    """The last instants; and nothing, where nothing was asked for."""
+    of = case()
+    for hold in (0, 50):
+        identifier = add(begun(of, np.inf, hold), of.samples)
+        identifier.leave_out("bad", BAD, 0)
+        assert_same(identifier, add(begun(of, np.inf, 0), without(of, COUNT - hold).samples))
+    identifier = add(begun(of, np.inf, COUNT), of.samples)
+    identifier.hold(50)
+    identifier.leave_out("bad", BAD, 0)
+    assert_same(identifier, add(begun(of, np.inf, 0), without(of, COUNT - 50).samples))
+
+
+@pytest.mark.parametrize("hold", [0, 5])
+def test_what_is_left_out_stays_so_though_nothing_is_held(hold: int) -> None:
+    """Until it is taken again."""
+    of = case()
+    identifier = add(begun(of, np.inf, COUNT), of.samples.select(slice(200)))
+    identifier.leave_out("bad", BAD, 100)
+    identifier.hold(hold)
+    add(identifier, of.samples.select(slice(200, 300)))
+    identifier.take_again("bad", 300)
+    add(identifier, of.samples.select(slice(300, None)))
+    assert_same(identifier, add(begun(of, np.inf, 0), without(of, 100, 300).samples))
+
+
+def test_one_after_the_other() -> None:
+    """Two times, for one reason and for two, of the same channel and of others."""
+    of = case()
+    identifier = add(begun(of, np.inf, COUNT), of.samples)
+    for begin, end in ((50, 70), (90, 110)):
+        identifier.leave_out("bad", BAD, begin)
+        identifier.take_again("bad", end)
+    identifier.leave_out("worse", (0, 2), 300)
+    effort = of.samples.effort.copy()
+    effort[50:70, 1] = effort[90:110, 1] = effort[300:, [0, 2]] = np.nan
+    assert_same(identifier, add(begun(of, np.inf, 0), of.with_efforts(effort).samples))
+    assert identifier.rows_rejected["worse"] == 200
+
+
+def test_numbers_are_those_of_instants_that_move() -> None:
+    of = case()
+    identifier = begun(of, np.inf, COUNT)
+    identifier.add(of.samples.select(slice(10)))
+    still = of.samples.select(np.full(30, 9))
+    identifier.add(replace(still, velocity=np.zeros_like(still.velocity)))
+    assert identifier.instants == 10
+    identifier.add(of.samples.select(slice(10, 20)))
+    assert identifier.instants == 20
+
+
+def test_a_reset_forgets_what_is_left_out() -> None:
+    of = case()
+    identifier = add(begun(of, np.inf, COUNT), of.samples)
+    identifier.leave_out("bad", BAD, BEGIN)
+    identifier.reset()
+    assert identifier.counts.made == identifier.rows == 0
+    assert_same(add(identifier, of.samples), add(begun(of, np.inf, 0), of.samples))
+
+
+def test_least_squares_on_the_rows_that_are_left() -> None:
+    """By another way: the minimum of the sum of squares of the dense rows themselves."""
+    of = case()
+    identifier = add(begun(of, np.inf, COUNT), of.samples)
+    identifier.leave_out("bad", BAD, BEGIN)
+    identifier.take_again("bad", END)
+    rows = of.model.rows(of.samples)
+    targets = rows.targets.copy()
+    targets[BEGIN:END, BAD] = np.nan
+    used = np.isfinite(targets)
+    matrix, right = rows.coefficients[used], targets[used]
+    a, b = identifier.snapshot().compressed(np.ones(3), of.model.dimension)
+    np.testing.assert_allclose(a.T @ a, matrix.T @ matrix, atol=1e-9 * np.linalg.norm(matrix) ** 2)
+    residual = right - matrix @ np.linalg.lstsq(matrix, right, rcond=1e-9)[0]
+    ours = right - matrix @ np.linalg.lstsq(a, b, rcond=1e-9)[0]
+    assert np.linalg.norm(ours) == pytest.approx(np.linalg.norm(residual), rel=1e-9)
+    everything = rows.coefficients[np.isfinite(rows.targets)]
+    assert np.linalg.norm(everything.T @ everything - a.T @ a) > 1e-3 * np.linalg.norm(matrix) ** 2
+
+
+def test_one_thread_takes_back_while_another_adds() -> None:
+    """Nothing is lost or counted twice; and who looks meanwhile finds it balanced."""
+    of = arm("arm3", 0, seconds=10)
+    identifier = Identifier(of.model, EstimatorSettings(gamma=0.01))
+    identifier.hold(300)
+    ended, seen = threading.Event(), []
+
+    def meddle() -> None:
+        rng = np.random.default_rng(0)
+        while not ended.is_set():
+            identifier.leave_out("bad", BAD, identifier.instants - int(rng.integers(200)))
+            identifier.take_again("bad", identifier.instants)
+            identifier.settle(identifier.instants - 100)
+            counts = identifier.counts
+            seen.append(counts.made - counts.taken - counts.rejected.total())
+
+    other = threading.Thread(target=meddle)
+    other.start()
+    add(identifier, of.samples)
+    ended.set()
+    other.join()
+    assert seen
+    assert not any(seen)
+    taken = sum(part.count for channel in identifier.snapshot().parts() for part in channel)
+    assert taken == identifier.rows == 3000 - identifier.rows_rejected["bad"]
+
+
+def restored(identifier: Identifier, of: Case, hold: int) -> Identifier:
+    result = begun(of, np.inf, hold)
+    result.restore(identifier.memory())
+    return result
+
+
+def test_what_another_life_knew_is_not_taken_back() -> None:
+    of = case()
+    first, second = of.samples.select(slice(200)), of.samples.select(slice(200, None))
+    identifier = add(restored(add(begun(of, np.inf, COUNT), first), of, COUNT), second)
+    identifier.leave_out("bad", BAD, 0)
+    assert_same(identifier, add(begun(of, np.inf, 0), without(of, 200).samples))

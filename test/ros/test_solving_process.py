@@ -1,0 +1,130 @@
+"""Solving in a process of its own: the same estimates, and an end with its node, or before it."""
+
+from __future__ import annotations
+
+import os
+import signal
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import closing
+from pathlib import Path
+
+import numpy as np
+import pytest
+from files.recordings import BAGS
+
+from geomid_ros.errors import GeomidError
+from geomid_ros.estimation.estimate import Estimate
+from geomid_ros.files.configuration import Configuration
+from geomid_ros.files.urdf import read_urdf
+from geomid_ros.ros.solving_process import SolvingProcess
+from geomid_ros.session import Session
+from geomid_ros.signals.messages import feed_joint_state
+
+from .rig import ERROR
+from .stage import KINDS, WRIST, Stage, description, messages
+
+pytestmark = pytest.mark.filterwarnings("ignore:This process .* is multi-threaded")  # the tests', not the node's
+MESSAGES = messages()
+PATIENCE = 30.0  # [s]
+
+
+def children(process: int) -> list[int]:
+    """The processes that one has started."""
+    return [int(child) for child in Path(f"/proc/{process}/task/{process}/children").read_text().split()]
+
+
+def session(messages: int = 400, **parameters: object) -> Session:
+    """The small arm's, with rows of so many messages."""
+    result = Session(read_urdf(BAGS / "arm3.urdf"), Configuration(parameters), "arm3.urdf")
+    for item in MESSAGES[: 2 * messages]:
+        if item.topic == "/joint_states":
+            feed_joint_state(result.pipeline, item.message)
+            samples = result.pipeline.collect()
+            if samples is not None:
+                result.identifier.add(samples)
+    return result
+
+
+def assert_same(ours: Estimate, theirs: Estimate) -> None:
+    np.testing.assert_array_equal(ours.parameters, theirs.parameters)
+    assert (ours.rows_accepted, ours.gamma, ours.steps) == (theirs.rows_accepted, theirs.gamma, theirs.steps)
+    for link, other in zip(ours.links, theirs.links, strict=True):
+        np.testing.assert_array_equal(link.std_inertia, other.std_inertia)
+        assert link.inertia.flags.writeable == other.inertia.flags.writeable
+
+
+@pytest.fixture
+def solving() -> Iterator[SolvingProcess]:
+    with closing(SolvingProcess()) as process:
+        yield process
+
+
+def test_the_estimates_are_those_of_one_process(solving: SolvingProcess) -> None:
+    """Of one session and of another one, cold and warm."""
+    for effects in (["viscous_friction"], [""]):
+        ours, theirs = session(effects=effects), session(effects=effects)
+        ours.identifier.solve_with(solving.solve)
+        assert_same(ours.identifier.solve(), theirs.identifier.solve())
+    assert solving.problem == ""
+
+
+def test_errors_are_those_of_one_process(solving: SolvingProcess) -> None:
+    empty, full = session(0), session()
+    for each in (empty, full):
+        each.identifier.solve_with(solving.solve)
+    with pytest.raises(GeomidError, match="no usable rows"):
+        empty.identifier.solve()
+    assert full.identifier.solve().rows_accepted > 0
+    assert solving.problem == ""
+
+
+def test_without_the_process_it_is_solved_here(solving: SolvingProcess) -> None:
+    ours, theirs = session(), session()
+    ours.identifier.solve_with(solving.solve)
+    ours.identifier.solve()
+    solving.close()
+    assert_same(ours.identifier.solve(), theirs.identifier.solve())
+    assert "the solving process has ended" in solving.problem
+
+
+def test_a_solve_that_was_given_up_stands_in_nobodys_way(solving: SolvingProcess) -> None:
+    """While a thread waits for a process that does nothing, another one asks."""
+    ours, theirs = session(), session()
+    ours.identifier.solve_with(solving.solve)
+    os.kill(solving._process.pid or 0, signal.SIGSTOP)
+    first: list[Estimate] = []
+    thread = threading.Thread(target=lambda: first.append(ours.identifier.solve()))
+    thread.start()
+    end = time.monotonic() + PATIENCE
+    while not solving._solving.locked() and time.monotonic() < end:
+        time.sleep(0.01)
+    assert_same(ours.identifier.solve(), theirs.identifier.solve())
+    thread.join(PATIENCE)
+    assert_same(first[0], theirs.identifier.solve())
+
+
+def test_the_node_tells_that_the_process_has_ended_and_goes_on(stage: Stage, tmp_path: Path) -> None:
+    values = {**WRIST, "robot_description": description("arm3"), "solve_period": 0.2}
+    node = stage.node({**values, "output_folder": str(tmp_path)})
+    (process,) = children(node.pid)
+    stage.observer.publish(MESSAGES[:400], KINDS)
+    stage.fed({"joint_states": 200, "/wrench": 200})
+    os.kill(process, signal.SIGKILL)
+    stage.observer.publish(MESSAGES[400:], KINDS)
+    stage.observer.diagnostics(
+        lambda _, status: status.level == ERROR and "the solving process has ended" in status.message, "its end"
+    )
+    assert stage.observer.trigger("/geomid/save")[0]
+    assert node.running
+    assert (tmp_path / "estimate.json").exists()
+
+
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM, signal.SIGINT])
+def test_the_process_ends_with_its_node(stage: Stage, number: signal.Signals) -> None:
+    node = stage.node({"robot_description": description("arm3")})
+    (process,) = children(node.pid)
+    node.send(number)
+    node.status()
+    stage.observer.wait_for(lambda: not Path(f"/proc/{process}").exists(), "the end of the solving process")

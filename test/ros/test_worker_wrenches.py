@@ -1,0 +1,322 @@
+"""Which rows of wrench sensors a worker takes, of an arm with two sensors in its chain."""
+
+from __future__ import annotations
+
+import queue
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import closing
+from dataclasses import replace
+from functools import cache
+from typing import Any
+
+import numpy as np
+import pytest
+from files.recordings import BAGS, Recorded
+
+from geomid_ros.errors import GeomidError
+from geomid_ros.estimation.estimate import Estimate
+from geomid_ros.files.configuration import Configuration
+from geomid_ros.files.urdf import read_urdf
+from geomid_ros.model.samples import Samples
+from geomid_ros.ros import worker as module
+from geomid_ros.ros.diagnostics import Diagnostics
+from geomid_ros.ros.status import Status
+from geomid_ros.ros.worker import Worker
+from geomid_ros.session import Session
+from geomid_ros.signals.messages import feed_joint_state, feed_wrench
+
+from .in_motion import SECOND, START, InMotion, in_time, noisy
+from .spoiling import later
+
+SECONDS, RATE = 42.0, 50.0
+TARED, BACK = 26.0, 33.0  # [s]
+BLOCK = 40  # instants that are judged together
+URDF = BAGS / "arm3.urdf"
+AXES, CHANNELS = 6, 15
+SENSORS = ("/elbow", "/wrist")
+VALUES = {
+    "wrenches": ["elbow", "wrist"],
+    "wrench.elbow.topic": "/elbow",
+    "wrench.elbow.frame": "link2",
+    "wrench.wrist.topic": "/wrist",
+    "wrench.wrist.frame": "wrist_ft",
+}
+PATIENCE = 60.0
+SAME = 1e-9
+Change = Callable[[float, np.ndarray], np.ndarray]  # of a wrench, or efforts, at a time
+
+
+@pytest.fixture(autouse=True)
+def patience(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The machine may be busy."""
+    monkeypatch.setattr(module, "_PATIENCE", PATIENCE)
+
+
+@cache
+def arm() -> tuple[InMotion, dict[str, np.ndarray], np.ndarray]:
+    """The arm, what its sensors and its joints measure."""
+    robot = InMotion(
+        read_urdf(URDF), duration=SECONDS, rate=RATE, seed=2, cuts=["link2", "wrist_ft"], swing=0.8, error=0.1
+    )
+    wrenches = {"/elbow": robot.carried("link2"), "/wrist": robot.carried("wrist_ft")}
+    noisy_ones = {topic: noisy(values, 0.05, seed) for seed, (topic, values) in enumerate(wrenches.items())}
+    return robot, noisy_ones, noisy(robot.efforts(), 0.05, seed=7)
+
+
+def messages(seconds: float = SECONDS, **changes: Change) -> list[Recorded]:
+    """What is measured, changed by sensor, or at the ``joints``."""
+    robot, wrenches, efforts = arm()
+    times = (np.array(robot.stamps) - START * SECOND) / SECOND
+
+    def changed(name: str, values: np.ndarray) -> np.ndarray:
+        change = changes.get(name, lambda _, value: value)
+        return np.array([change(*pair) for pair in zip(times, values, strict=True)])
+
+    streams = [
+        robot.wrenches("/elbow", "link2", changed("elbow", wrenches["/elbow"])),
+        robot.wrenches("/wrist", "wrist_ft", changed("wrist", wrenches["/wrist"])),
+        robot.joint_states(changed("joints", efforts)),
+    ]
+    return [item for item in in_time(*streams) if item.time < (START + seconds) * SECOND]
+
+
+def biased(bias: Sequence[float], begin: float = TARED, end: float = np.inf) -> Change:
+    return lambda time, value: value + np.array(bias) * (begin <= time < end)
+
+
+def session(**values: Any) -> Session:
+    return Session(read_urdf(URDF), Configuration({**VALUES, **values}), "arm3.urdf")
+
+
+class Working:
+    """A worker that judges and solves when asked, or every so many seconds."""
+
+    def __init__(self, period: float = 3600.0, **values: Any) -> None:
+        self.session = session(**values)
+        self.worker = Worker(self.session, period, lambda *_: None, lambda *_: None)
+
+    def close(self) -> None:
+        self.worker.close()
+
+    def feed(self, items: list[Recorded]) -> Status:
+        """Take messages; the status once all that can be judged is."""
+        self.take(items)
+        self.final()
+        assert self.session.identifier.instants - self.worker.solver.watch.judged < BLOCK
+        return self.status()
+
+    def take(self, items: list[Recorded]) -> None:
+        """Take messages. At any time, all rows are accounted for."""
+        for number, item in enumerate(items):
+            while not self.worker._inbox.empty():  # on a busy machine what waits for long is dropped
+                time.sleep(1e-4)
+            if item.topic == "/joint_states":
+                self.worker.joint_state(item.message)
+            else:
+                self.worker.wrench(item.topic, item.message)
+            if number % 20 == 0:
+                self.status()
+
+    def status(self) -> Status:
+        status = self.worker.status(active=True)
+        assert status.rows_made == status.rows + status.rows_rejected.total()
+        return status
+
+    def final(self) -> Estimate:
+        """From all messages so far."""
+        answers: queue.Queue[Estimate | GeomidError] = queue.Queue()
+        self.worker.final_estimate(answers.put)
+        answer = answers.get(timeout=PATIENCE)
+        assert isinstance(answer, Estimate), answer
+        return answer
+
+
+@pytest.fixture
+def working() -> Iterator[Working]:
+    with closing(Working()) as working:
+        yield working
+
+
+def samples(items: list[Recorded]) -> Samples:
+    """All that messages complete."""
+    pipeline = session().pipeline
+    found = []
+    for item in items:
+        if item.topic == "/joint_states":
+            feed_joint_state(pipeline, item.message)
+        else:
+            feed_wrench(pipeline, item.topic, item.message)
+        found.append(pipeline.collect())
+    return Samples.concatenate([part for part in found if part is not None])
+
+
+def silent(of: Samples, topic: str, begin: int = 0, end: int | None = None) -> Samples:
+    """As if a sensor had said nothing between two of the instants."""
+    wrenches = of.wrenches.copy()
+    wrenches[begin:end, SENSORS.index(topic)] = np.nan
+    return replace(of, wrenches=wrenches)
+
+
+def first(of: Samples, count: int) -> Samples:
+    return of.select(slice(count))
+
+
+def assert_same(estimate: Estimate, of: Samples, **values: Any) -> None:
+    """As that of a run with these."""
+    twin = session(**values).identifier
+    twin.add(of)
+    expected = twin.solve()
+    assert estimate.rows_accepted == expected.rows_accepted
+    for ours, theirs in zip(estimate.links, expected.links, strict=True):
+        np.testing.assert_allclose(ours.parameters, theirs.parameters, rtol=0, atol=SAME * abs(theirs.parameters).max())
+
+
+def said(status: Status) -> str:
+    return str(Diagnostics("geomid").array(status).status[0].message)
+
+
+def first_suspect(status: Status, *channels: str) -> int:
+    """The number of the first instant of the open gaps, which are at these channels and others of the same sensors."""
+    opened = [gap for gap in status.gaps if gap.since is not None]
+    assert set(channels) <= {gap.channel for gap in opened}
+    assert {gap.channel.split("/")[0] for gap in opened} == {channel.split("/")[0] for channel in channels}
+    return min(gap.first for gap in opened)
+
+
+def split(items: list[Recorded], seconds: float) -> tuple[list[Recorded], list[Recorded]]:
+    """What is measured before and after."""
+    at = next(k for k, item in enumerate(items) if item.time >= (START + seconds) * SECOND)
+    return items[:at], items[at:]
+
+
+def test_only_the_doubtful_sensor_loses_its_rows(working: Working) -> None:
+    """All of them; the other none."""
+    items = messages(8.0, wrist=lambda _, value: -value)
+    status, of = working.feed(items), samples(items)
+    assert status.rows_rejected["wrench doubtful: /wrist"] == AXES * len(of)
+    assert status.rows_rejected["wrench doubtful: /elbow"] == 0
+    assert "/wrist: " in said(status)
+    assert "/elbow" not in said(status)
+    assert_same(working.final(), silent(of, "/wrist"))
+
+
+@pytest.fixture
+def busy() -> Iterator[Working]:
+    with closing(Working(0.02)) as working:
+        yield working
+
+
+def test_what_was_solved_for_from_bad_rows_is_forgotten(busy: Working, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The estimate, where the next one begins, and the prior's weight."""
+    items = messages(8.0, wrist=lambda _, value: -value)
+    before, after = split(items, 1.5)
+    busy.feed(before)
+    assert not busy.worker._wrenches.ended
+    wait_until(lambda: busy.session.warm is not None)
+    starts: list[Any] = []
+    solve = busy.session.identifier.solve
+    known = busy.session.identifier
+
+    def note(warm: Any = None) -> Estimate:
+        starts.append((warm, known.rows_rejected["wrench doubtful: /wrist"]))
+        return solve(warm)
+
+    monkeypatch.setattr(known, "solve", note)
+    busy.feed(after)
+    first_after = next(warm for warm, doubtful in starts if doubtful)
+    assert first_after is None
+    assert_same(busy.final(), silent(samples(items), "/wrist"))
+
+
+def test_only_the_sensor_that_changed_loses_its_rows_and_only_until_it_is_as_before(working: Working) -> None:
+    """Equal to a run in which it said nothing from before it was tared until the gap had closed."""
+    items = messages(wrist=biased([0.0, 0.0, 2.0, 0.0, 0.0, 0.0], TARED, BACK))
+    of, spared = samples(items), samples(messages())
+    touched = np.flatnonzero(np.any(np.abs(of.wrenches - spared.wrenches) > 1e-9, axis=(1, 2)))
+    before, after = split(items, BACK)
+    status = working.feed(before)
+    begin = first_suspect(status, "wrist/fz") - BLOCK
+    assert begin <= touched[0], "all that is bad is left out"
+    assert status.rows_rejected["wrench changed: /wrist"] == AXES * (status.rows_made // CHANNELS - begin)
+    assert "Rows of /wrist are left out until" in said(status)
+    assert_same(working.final(), silent(first(of, status.rows_made // CHANNELS), "/wrist", begin))
+    status = working.feed(after)
+    end = begin + status.rows_rejected["wrench changed: /wrist"] // AXES
+    assert touched[-1] < end <= touched[-1] + 10 * BLOCK
+    assert "gap" not in said(status)
+    assert not status.changed_sensors
+    assert_same(working.final(), silent(of, "/wrist", begin, end))
+
+
+@pytest.mark.parametrize("later_by", [0.0, 5.0])
+def test_a_load_that_the_joints_feel_is_no_fault_of_the_sensor(working: Working, later_by: float) -> None:
+    """Though they may feel it only when the sensor's rows are left out already."""
+    felt = TARED + later_by
+    items = messages(
+        felt + 6.0,
+        wrist=biased([0.0, 0.0, 2.0, 0.0, 0.0, 0.0]),
+        joints=lambda t, efforts: efforts + 3.0 * np.sin(3.0 * t) * (t >= felt),
+    )
+    before, after = split(items, felt)
+    assert working.feed(before).changed_sensors == (("/wrist",) if later_by else ())
+    status = working.feed(after)
+    opened = {gap.channel for gap in status.gaps if gap.since is not None}
+    assert {"wrist/fz", "joint1"} <= opened
+    assert "Its rows are taken" in said(status)
+    assert not status.changed_sensors
+    assert_same(working.final(), samples(items))
+
+
+def test_who_forgets_in_time_takes_what_has_changed() -> None:
+    """That is what was asked for; but not what was wrong from the beginning."""
+    items = messages(35.0, wrist=biased([0.0, 0.0, 2.0, 0.0, 0.0, 0.0]))
+    wrong = messages(8.0, wrist=lambda _, value: -value)
+    with closing(Working(forgetting_time=20.0)) as working:
+        status = working.feed(items)
+        first_suspect(status, "wrist/fz")
+        assert "Its rows are taken" in said(status)
+        assert_same(working.final(), samples(items), forgetting_time=20.0)
+    with closing(Working(forgetting_time=20.0)) as working:
+        working.feed(wrong)
+        assert_same(working.final(), silent(samples(wrong), "/wrist"), forgetting_time=20.0)
+
+
+def test_what_was_solved_for_before_a_change_was_noticed_chooses_nothing(working: Working) -> None:
+    """Neither where the next solve begins nor the prior's weight."""
+    before, after = split(messages(TARED + 6.0, wrist=biased([0.0, 0.0, 2.0, 0.0, 0.0, 0.0])), TARED)
+    working.feed(before)
+    assert working.session.warm is not None
+    working.take(after)
+    working.worker.solver._judge()
+    assert working.worker.solver.changed_sensors == ("/wrist",)
+    assert working.worker.solver._warm_start() is None
+    assert working.worker.estimate is not None, "there is none better yet"
+
+
+def test_a_sensor_may_speak_again_after_a_reset(working: Working) -> None:
+    wrong, right = messages(8.0, wrist=lambda _, value: -value), messages(8.0)
+    working.feed(wrong)
+    working.worker.reset()
+    status = working.feed([later(item, 100 * SECOND) for item in right])
+    assert not any("wrench" in reason for reason in status.rows_rejected)
+    assert not status.problems
+
+
+def test_what_can_be_taken_back_is_bounded(working: Working, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of what waits to be judged, too."""
+    monkeypatch.setattr(module, "_MOST_HELD", 100 * 8 * CHANNELS * (working.session.model.dimension + 1))
+    working.worker.reset()
+    monkeypatch.setattr(working.worker.solver, "_judge", lambda: None)
+    items = messages(8.0)
+    working.take(items)
+    working.final()
+    assert len(working.session.identifier._probation.instants) == 100
+    assert_same(working.final(), samples(items))
+
+
+def wait_until(look: Callable[[], bool]) -> None:
+    end = time.monotonic() + PATIENCE
+    while not look():
+        assert time.monotonic() < end
+        time.sleep(0.005)
