@@ -15,6 +15,7 @@ import pinocchio as pin
 from matplotlib.figure import Figure
 
 from benchmarks.comparison import Outcome, compare, link_distances, show
+from benchmarks.moving_base import moving_base
 from benchmarks.problem import Problem, Rows
 from benchmarks.report import Report
 from geomid_ros.geometry import pseudo_inertia
@@ -138,18 +139,8 @@ def _motions(rng: np.random.Generator, text: str, count: int) -> tuple[Samples, 
 
 def _samples(joints: FloatArray, base: FloatArray) -> Samples:
     """From ``(3, N, ...)``: positions, velocities, accelerations; of the base, translation and rotation vector."""
-    count = joints.shape[1]
-    pose, velocity, acceleration = np.empty((count, 7)), np.empty((count, 6)), np.empty((count, 6))
-    for k, (x, dx, ddx) in enumerate(zip(*base, strict=True)):
-        rotation = pin.exp3(x[3:])
-        pose[k] = pin.SE3ToXYZQUAT(pin.SE3(rotation, x[:3]))
-        turning = pin.Jexp3(x[3:]) @ dx[3:]
-        ahead, behind = (pin.Jexp3(x[3:] + h * dx[3:]) @ (dx[3:] + h * ddx[3:]) for h in (1e-4, -1e-4))
-        velocity[k] = np.concatenate([rotation.T @ dx[:3], turning])
-        linear = rotation.T @ ddx[:3] - np.cross(turning, rotation.T @ dx[:3])
-        acceleration[k] = np.concatenate([linear, (ahead - behind) / 2e-4])
-    nothing = np.full_like(joints[0], np.nan)
-    return Samples(np.arange(count), *joints, nothing, pose, velocity, acceleration, np.zeros((count, 1, 6)))
+    count, nothing = joints.shape[1], np.full_like(joints[0], np.nan)
+    return Samples(np.arange(count), *joints, nothing, *moving_base(base), np.zeros((count, 1, 6)))
 
 
 def _with(samples: Samples, wrenches: FloatArray) -> Samples:

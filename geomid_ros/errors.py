@@ -16,14 +16,18 @@ class GeomidError(Exception):
     """
 
     def __init__(self, message: str) -> None:
-        if len(message) > _LONGEST:
-            message = f"{message[: _LONGEST // 2]} ... {message[-_LONGEST // 2 :]}"
-        shown = (c if c.isprintable() or c == "\n" else c.encode("unicode_escape").decode() for c in message)
-        super().__init__("".join(shown))
+        super().__init__(printable(message))
 
 
 class InputError(GeomidError):
     """Input from outside (file, topic, option, parameter) that cannot be used."""
+
+
+def printable(message: str) -> str:
+    """The message as a terminal may have it: no control characters, and not too long."""
+    if len(message) > _LONGEST:
+        message = f"{message[: _LONGEST // 2]} ... {message[-_LONGEST // 2 :]}"
+    return "".join(c if c.isprintable() or c == "\n" else c.encode("unicode_escape").decode() for c in message)
 
 
 def unknown_name(kind: str, name: str, valid: Iterable[str]) -> InputError:

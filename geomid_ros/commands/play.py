@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from functools import partial
 from pathlib import Path
 
 import click
 
 from geomid_ros.commands.progress import progress_bar
-from geomid_ros.errors import InputError
+from geomid_ros.errors import InputError, printable
+from geomid_ros.files.configuration import Configuration
 
 
 @click.command()
@@ -17,14 +17,26 @@ from geomid_ros.errors import InputError
 @click.option(
     "--wait", default=10.0, show_default=True, type=click.FloatRange(0.0), help="Wait so long for subscribers [s]."
 )
-def play(bag: Path, rate: float, wait: float) -> None:
-    """Publish the topics of BAG live."""
+@click.option("--topic", multiple=True, help="Publish this topic, too; may be repeated. A robot follows its commands.")
+@click.option(
+    "--config",
+    type=click.Path(path_type=Path),
+    help="The node's parameter file (YAML); publish the topics of the wrench sensors in it, too.",
+)
+def play(bag: Path, rate: float, wait: float, topic: tuple[str, ...], config: Path | None) -> None:
+    """Publish topics of BAG live.
+
+    Only those that geomid reads: joint_states, odom and robot_description in any namespace, and /clock.
+    """
     try:
         from geomid_ros.ros.player import play as published  # noqa: PLC0415 the other commands need no ROS
     except ImportError as error:
         raise InputError(f"ROS 2 is needed to play a bag, and cannot be imported ({error})") from error
+    sensors = Configuration.read(config).sensors if config else []
+    named = [*topic, *(sensor.topic for sensor in sensors)]
+    count = 0
     with progress_bar() as bar:
         task = bar.add_task(f"playing {bag.name}", total=None)
-        for done, total in published(bag, rate, wait, partial(click.echo, err=True)):
-            bar.update(task, completed=done, total=total)
-    click.echo(f"Published all messages of {bag}")
+        for count, total in published(bag, rate, wait, named, lambda said: click.echo(printable(said), err=True)):
+            bar.update(task, completed=count, total=total)
+    click.echo(f"Published {count} messages of {bag}")

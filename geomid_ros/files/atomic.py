@@ -1,4 +1,4 @@
-"""Files that are either whole or not there."""
+"""Files that are either whole or not there, and nobody's but their owner's."""
 
 from __future__ import annotations
 
@@ -8,6 +8,8 @@ import tempfile
 from pathlib import Path
 
 from geomid_ros.errors import GeomidError
+
+_MODE, _FOLDER_MODE = 0o600, 0o700
 
 
 def write_text(path: Path, text: str) -> None:
@@ -19,13 +21,13 @@ def write_text(path: Path, text: str) -> None:
     write_bytes(path, content)
 
 
-def write_bytes(path: Path, content: bytes, mode: int = 0o644) -> None:
+def write_bytes(path: Path, content: bytes) -> None:
     """Write ``content`` to ``path`` by way of a temporary file beside it. It is on the disk when this returns.
 
-    Raises GeomidError naming the file.
+    Only the owner may read it. Folders that are missing are made. Raises GeomidError naming the file.
     """
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
+        make_folder(path.parent)
         descriptor, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
         temporary = Path(name)
         try:
@@ -33,7 +35,7 @@ def write_bytes(path: Path, content: bytes, mode: int = 0o644) -> None:
                 file.write(content)
                 file.flush()
                 os.fsync(file.fileno())
-            temporary.chmod(mode)
+            temporary.chmod(_MODE)
             temporary.replace(path)
         except BaseException:
             temporary.unlink()
@@ -41,6 +43,14 @@ def write_bytes(path: Path, content: bytes, mode: int = 0o644) -> None:
         _sync_folder(path.parent)
     except OSError as error:
         raise GeomidError(f"{path}: cannot be written ({error.strerror or error})") from error
+
+
+def make_folder(path: Path) -> None:
+    """Make a folder, and those that it is in, for their owner alone; one that exists stays as it is. Raises OSError."""
+    for folder in reversed(path.parents):
+        if not folder.exists():
+            folder.mkdir(_FOLDER_MODE, exist_ok=True)
+    path.mkdir(_FOLDER_MODE, exist_ok=True)
 
 
 def _sync_folder(folder: Path) -> None:

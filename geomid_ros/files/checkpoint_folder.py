@@ -1,4 +1,4 @@
-"""Where a node keeps its checkpoints: two generations, each whole, and nothing that could not be used thrown away."""
+"""Where a node keeps its checkpoints: two generations, each whole, and the newest of those that could not be used."""
 
 from __future__ import annotations
 
@@ -14,14 +14,16 @@ from pathlib import Path
 from typing import Any
 
 from geomid_ros.errors import GeomidError, InputError
-from geomid_ros.files.atomic import write_bytes
+from geomid_ros.files.atomic import make_folder, write_bytes
 from geomid_ros.files.checkpoint import Checkpoint, decoded, encoded, largest_size
 from geomid_ros.model.measurement import Channel
 
 _NAMES = ("checkpoint-a.safetensors", "checkpoint-b.safetensors")
 _LOCK = ".lock"
 _READ = os.O_RDONLY | os.O_NONBLOCK | os.O_NOFOLLOW | os.O_CLOEXEC  # of a pipe it waits for nobody
-_MODE, _FOLDER_MODE, _OF_OTHERS = 0o600, 0o700, 0o077
+_MODE, _OF_OTHERS = 0o600, 0o077
+_ASIDE = "unused-"  # how the names of files begin that could not be used
+_MOST_ASIDE = 10
 
 
 @dataclass(frozen=True)
@@ -50,7 +52,7 @@ class CheckpointFolder:
         self._next = _NAMES[0]
         self._in_the_way = ""
         try:
-            path.mkdir(mode=_FOLDER_MODE, parents=True, exist_ok=True)
+            make_folder(path)
             mode = stat.S_IMODE(path.stat().st_mode)
             if mode & _OF_OTHERS:
                 raise GeomidError(f"{path}: no checkpoints in a folder that others may use (mode {mode:o}): chmod 700")
@@ -70,7 +72,8 @@ class CheckpointFolder:
     def restore(self, use: Callable[[Checkpoint], None]) -> Restored:
         """Let ``use`` go on from the newest checkpoint that is whole and of this robot and configuration.
 
-        ``use`` raises InputError for one that it cannot use. Such are renamed, so that nothing replaces them.
+        ``use`` raises InputError for one that it cannot use. Such are renamed, so that nothing replaces them; of all
+        that were ever renamed the newest are kept.
         """
         self._clear()
         found, problems = self._candidates()
@@ -84,7 +87,9 @@ class CheckpointFolder:
             used, self._number = found[name], found[name].number
             self._next = _other(name)
             break
-        return Restored(used, tuple(self._set_aside(name, problem) for name, problem in problems.items()))
+        sentences = tuple(self._set_aside(name, problem) for name, problem in problems.items())
+        self._clear_aside()
+        return Restored(used, sentences)
 
     def _clear(self) -> None:
         """Remove what was being written when a process was killed."""
@@ -92,6 +97,12 @@ class CheckpointFolder:
             for left in self.path.glob(f".{name}.*"):
                 with suppress(OSError):
                     left.unlink()
+
+    def _clear_aside(self) -> None:
+        """Remove the oldest of what was set aside: the names are in the order of time."""
+        for old in sorted(path for name in _NAMES for path in self.path.glob(f"{_ASIDE}*-{name}"))[:-_MOST_ASIDE]:
+            with suppress(OSError):
+                old.unlink()
 
     def _candidates(self) -> tuple[dict[str, Checkpoint], dict[str, str]]:
         """The checkpoints that can be read, and what is wrong with the others, by name."""
@@ -124,7 +135,7 @@ class CheckpointFolder:
             content = encoded(replace(checkpoint, number=self._number + 1), self._channels)
         except InputError as error:
             raise GeomidError(f"{path}: cannot be written ({error})") from error
-        write_bytes(path, content, _MODE)
+        write_bytes(path, content)
         self._number += 1
         self._next = _other(self._next)
 
@@ -137,7 +148,7 @@ def _other(name: str) -> str:
 def _renamed(path: Path) -> str:
     """Give a file a name that no other has; the new name. Raises OSError."""
     now = datetime.now(UTC)
-    names = (f"unused-{now:%Y%m%dT%H%M%SZ}-{number}-{path.name}" for number in count())
+    names = (f"{_ASIDE}{now:%Y%m%dT%H%M%S.%fZ}-{number}-{path.name}" for number in count())
     aside = next(path.with_name(name) for name in names if not path.with_name(name).exists())
     path.rename(aside)
     return aside.name

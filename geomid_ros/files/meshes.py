@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping
+from io import BytesIO
 from pathlib import Path
 from urllib.parse import unquote
 
@@ -13,8 +14,10 @@ from scipy.spatial import QhullError
 from trimesh.units import unit_conversion
 
 from geomid_ros.errors import InputError
+from geomid_ros.files.bounded import read_bytes
 
 SUFFIXES = (".stl", ".dae", ".obj")
+_MOST_BYTES = 100_000_000
 
 
 class MeshFinder:
@@ -42,7 +45,7 @@ class MeshFinder:
         else:
             raise InputError(f"{where}: the mesh '{uri}' is neither a package:// nor a file:// URI nor a path")
         for path in candidates:
-            if path.is_file():
+            if path.exists() and not path.is_dir():
                 return path
         raise InputError(f"{where}: the mesh '{uri}' is not there. {_advice(uri, candidates)}")
 
@@ -70,13 +73,18 @@ def _advice(uri: str, candidates: list[Path]) -> str:
 def read_mesh(path: Path, where: str) -> tuple[trimesh.Trimesh, bool]:
     """The solid in a mesh file, in metres, and whether its surface is closed; if it is not, its convex hull.
 
-    As in RViz, the unit of a Collada file counts and its upward axis does not. Raises InputError beginning with
-    ``where``, also for a surface that is not closed and flat.
+    As in RViz, the unit of a Collada file counts and its upward axis does not. No other file is opened, though a mesh
+    may name materials. Raises InputError beginning with ``where``, also for a surface that is not closed and flat.
     """
-    if path.suffix.lower() not in SUFFIXES:
+    suffix = path.suffix.lower()
+    if suffix not in SUFFIXES:
         raise InputError(f"{where}: {path} is no mesh that can be read; expected {', '.join(SUFFIXES)}")
     try:
-        scene = trimesh.load_scene(path, skip_materials=True)
+        content = read_bytes(path, "mesh", _MOST_BYTES)
+    except InputError as error:
+        raise InputError(f"{where}: {error}") from error
+    try:
+        scene = trimesh.load_scene(BytesIO(content), file_type=suffix[1:], skip_materials=True)
         unit = unit_conversion(scene.units, "meters") if scene.units else 1.0
         loaded = scene.to_mesh()
     except Exception as error:  # whatever a broken file makes its reader raise

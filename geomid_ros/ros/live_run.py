@@ -24,6 +24,7 @@ from std_srvs.srv import Trigger
 from geomid_ros.errors import GeomidError
 from geomid_ros.files.configuration import Configuration
 from geomid_ros.files.urdf import read_urdf
+from geomid_ros.ros.starting import starting_ros
 
 _START_TIMEOUT = 20.0
 _SAVE_TIMEOUT = 30.0
@@ -41,12 +42,13 @@ class LiveRun:
         values = {**configuration.given, "robot_description": read_urdf(urdf), "output_folder": str(out)}
         parameters.write_text(yaml.safe_dump({"/**": {"ros__parameters": values}}), encoding="utf-8")
         node = [sys.executable, "-m", "geomid_ros.ros.main", "--ros-args", "--params-file", str(parameters)]
-        player = [sys.executable, "-m", "geomid_ros", "play", str(bag), "--rate", str(rate)]
+        playing = ["play", str(bag), "--rate", str(rate), "--config", str(parameters)]
         self._log = (Path(self._folder.name) / "log").open("w+b")
+        with starting_ros():
+            rclpy.init()
+            self._watcher = rclpy.create_node("geomid_demo")
         self._node = self._start(node)
-        self._player = self._start(player)
-        rclpy.init()
-        self._watcher = rclpy.create_node("geomid_demo")
+        self._player = self._start([sys.executable, "-m", "geomid_ros", *playing])
         self._masses: dict[str, float] = {}
         self.diagnostics: dict[str, str] = {}  # of the stream, as they came last
         latched = QoSProfile(depth=256, durability=DurabilityPolicy.TRANSIENT_LOCAL)

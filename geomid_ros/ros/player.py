@@ -1,11 +1,11 @@
-"""Publishes a bag's topics live, at the pace of the recording."""
+"""Publishes topics of a bag live, at the pace of the recording."""
 
 from __future__ import annotations
 
 import importlib
 import signal
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator
 from importlib.machinery import PathFinder
 from pathlib import Path
 from typing import Any
@@ -18,31 +18,45 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import try_shutdown
 
-from geomid_ros.errors import InputError
+from geomid_ros.errors import InputError, unknown_name
 from geomid_ros.files.bags import Bag
+from geomid_ros.ros.starting import starting_ros
+from geomid_ros.signals.pipeline import JOINT_STATES, ODOM
 
+_READ = (JOINT_STATES, ODOM, "robot_description", "/clock")  # by geomid, whatever is configured
 _LATCHED = ("robot_description", "tf_static")
 _SETTLING = 0.5  # [s] a subscriber that does not ask for lost messages hears a publisher a little after it is seen
 _LINGER = 1.0  # [s] what was published last must reach its subscribers before the publishers go
 
 
-def play(path: Path, rate: float, wait: float, skipped: Callable[[str], None]) -> Iterator[tuple[int, int]]:
+def play(
+    path: Path, rate: float, wait: float, named: Collection[str], skipped: Callable[[str], None]
+) -> Iterator[tuple[int, int]]:
     """Publish a bag at ``rate`` times its own pace, reporting (messages published, messages in all).
 
-    Waits up to ``wait`` [s] for a subscriber on each topic that carries data, so that none misses the beginning. Topics
-    of types that are not installed are left out, and ``skipped`` is told of each.
+    Only topics that geomid reads whatever is configured are published, and those that are ``named``: among others there
+    may be commands, which a robot that listens would follow. Waits up to ``wait`` [s] for a subscriber on each topic
+    that carries data, so that none misses the beginning. Topics of types that are not installed are left out;
+    ``skipped`` is told of what is not published. Raises InputError if nothing is left, or for a name that the bag does
+    not have.
     """
     with Bag(path) as bag:
-        kinds = {topic: _message_class(kind) for topic, kind in bag.topics.items()}
+        chosen = _chosen(bag, named)
+        if len(chosen) < len(bag.topics):
+            others = ", ".join(topic for topic in bag.topics if topic not in chosen)
+            skipped(f"Not published, as geomid does not read them (see --topic and --config): {others}")
+        kinds = {topic: _message_class(bag.topics[topic]) for topic in chosen}
         for topic in [topic for topic, kind in kinds.items() if kind is None]:
             skipped(f"{topic} is left out: its type {bag.topics[topic]} is not installed here")
             del kinds[topic]
         total = bag.count(list(kinds))
         # rclpy's own handlers would invalidate the publishers while they publish.
-        rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
+        with starting_ros():
+            rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, signal.default_int_handler)
-        node = rclpy.create_node("geomid_play")
+        with starting_ros():
+            node = rclpy.create_node("geomid_play")
         try:
             publishers = {topic: _publisher(node, topic, kind, path) for topic, kind in kinds.items()}
             _wait_for_subscribers(publishers, wait)
@@ -56,6 +70,23 @@ def play(path: Path, rate: float, wait: float, skipped: Callable[[str], None]) -
         finally:
             node.destroy_node()
             try_shutdown()
+
+
+def _chosen(bag: Bag, named: Collection[str]) -> list[str]:
+    """The topics that are to be published."""
+    for name in named:
+        if not any(_is_called(topic, name) for topic in bag.topics):
+            raise unknown_name(f"topic in {bag.path}", name, bag.topics)
+    chosen = [topic for topic in bag.topics if any(_is_called(topic, name) for name in (*_READ, *named))]
+    if not chosen:
+        topics = ", ".join(bag.topics) or "none"
+        raise InputError(f"{bag.path}: has no topic that geomid reads; name others with --topic. Its topics: {topics}")
+    return chosen
+
+
+def _is_called(topic: str, name: str) -> bool:
+    """Whether a topic has this name; one that begins with no slash, in any namespace."""
+    return ("/" + topic.lstrip("/")).endswith("/" + name) if name[:1] != "/" else topic == name
 
 
 def _message_class(kind: str | None) -> Any:

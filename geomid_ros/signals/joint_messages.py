@@ -12,9 +12,10 @@ DRIVER_ERROR = "driver error: "
 """How reasons begin that are no accident: whoever fills in the messages does it wrong."""
 _LARGEST_NUMBER = 1e9  # in SI units; no robot measures more
 _STANDING = 1e-2  # [rad/s, m/s] a slower robot may well send the same numbers twice
-_SATURATED = (
-    50_000_000  # [ns] for which an effort is exactly the largest that ever was: no sensor's rounding lasts so long
-)
+_SATURATED, _FEWEST = 50_000_000, 6  # [ns], messages: as long as a saturated effort is exactly the largest, at least
+_FAR, _FLATTER = 9, 3  # steps of its sensor below the largest; how much longer than from there it takes to be so long
+_MOSTLY = 0.75  # the share of its messages in which an effort that is cut off is the largest, at most
+_NEVER = -(2**60)  # the number of a message
 
 
 class RejectedError(Exception):
@@ -46,9 +47,11 @@ class JointReader:
         self._noted: set[str] = set()
         self._names: list[str] = []
         self._order = np.zeros(len(joints), dtype=np.int64)
-        self._largest = np.zeros(len(joints))
-        self._at_largest = np.zeros(len(joints), dtype=np.int64)  # messages so far, and those below
-        self._below_largest = np.zeros(len(joints), dtype=np.int64)
+        self._largest = np.full(len(joints), np.finfo(np.float64).tiny)  # efforts that are zero are none
+        self._step = np.full(len(joints), np.inf)  # smallest change of an effort, its sensor's resolution at most
+        self._far = np.full(len(joints), -np.inf)  # below this an effort is far from the largest
+        self._messages = 0
+        self._at_largest = np.zeros(len(joints), dtype=np.int64)  # of the messages so far
         self.restart()
 
     def restart(self) -> None:
@@ -59,6 +62,9 @@ class JointReader:
         self._made_up = True  # until an effort is seen that is not zero
         self._effort_stamps = np.zeros(len(self._joints), dtype=np.int64)
         self._largest_since = np.zeros(len(self._joints), dtype=np.int64)
+        self._last_below = np.full(len(self._joints), self._messages)  # numbers of the last messages below the largest
+        self._last_far = np.full(len(self._joints), _NEVER)  # effort, and far below it
+        self._moved = np.zeros(len(self._joints), dtype=np.bool_)  # while its effort has been the largest
 
     @property
     def unmeasured(self) -> tuple[str, ...]:
@@ -155,7 +161,7 @@ class JointReader:
         if self._zeros(effort):
             effort[:] = np.nan
             reason = DRIVER_ERROR + "effort of '{}' and of all others is zero while the robot moves"
-        saturated = self._saturated(stamp, effort)
+        saturated = self._saturated(stamp, vector)
         if np.any(saturated):
             effort[saturated] = np.nan
             reason = "effort of '{}' saturated: for long the same, and never larger"
@@ -170,17 +176,48 @@ class JointReader:
         self._made_up = not np.any(effort) and (self._made_up or self._speed > _STANDING)
         return self._made_up
 
-    def _saturated(self, stamp: int, effort: FloatArray) -> BoolArray:
-        """Which efforts have for some time been exactly the largest that ever was, while the robot moves.
+    def _saturated(self, stamp: int, vector: FloatArray) -> BoolArray:
+        """Which efforts have for some time been exactly the largest that ever was, while the joint moves.
 
-        One that is so most of the time is not cut off; it has nothing else to say, as friction at constant speed.
+        Rounding does that to a slow curve, too: -t^2 that just reaches the top level, of depth 1, is on it for
+        2 sqrt(1), and takes sqrt(9) - 1 to it from depth 9; -t^4 for 2, from 9^(1/4) - 1. One that is cut off comes
+        fast and stays. One that is at its largest nearly always is not cut off; it has nothing else to say, as
+        friction at constant speed. What looks like a drive at its limit: a coarse or noiseless sensor that after a jump
+        shows the same during a long acceleration, larger than any other.
         """
-        size = np.abs(np.nan_to_num(effort))
-        largest = (size == self._largest) & (size > 0.0)
+        effort = vector[2]
+        size = np.abs(effort)
+        self._messages += 1
+        if self._last is not None:
+            self._learn(effort, size, self._last[2])
+        largest: BoolArray = size == self._largest
+        below = ~largest
         self._at_largest += largest
-        self._below_largest += ~largest
-        self._largest_since[~largest] = stamp
-        self._largest = np.maximum(self._largest, size)
-        long = stamp - self._largest_since >= _SATURATED
-        result: BoolArray = long & (self._at_largest < self._below_largest) & (self._speed > _STANDING)
+        self._largest_since[below] = stamp
+        self._last_below[below] = self._messages
+        self._moved[below] = False
+        self._last_far[size < self._far] = self._messages
+        if not largest.any():
+            return largest
+        self._moved |= largest & ~(np.abs(vector[1]) < _STANDING)
+        longest = _FEWEST + _FLATTER * (self._last_below - self._last_far)  # that rounding could explain
+        long: BoolArray = self._messages - self._last_below >= longest
+        if not long.any():
+            return long
+        moved = self._moved & (self._speed > _STANDING)
+        seldom = self._at_largest < _MOSTLY * self._messages
+        result: BoolArray = long & moved & seldom & (stamp - self._largest_since >= _SATURATED)
         return result
+
+    def _learn(self, effort: FloatArray, size: FloatArray, last: FloatArray) -> None:
+        """How large efforts become, and in which steps."""
+        change = np.abs(effort - last)
+        finer = (change > 0.0) & (change < self._step)
+        grown = size > self._largest
+        if finer.any() or grown.any():
+            self._step[finer] = change[finer]
+            self._largest[grown] = size[grown]
+            self._largest_since[grown], self._last_below[grown] = self._stamp, self._messages - 1
+            self._moved[grown] = False
+            self._far = self._largest - _FAR * self._step
+            self._last_far[np.abs(last) < self._far] = self._messages - 1

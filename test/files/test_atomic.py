@@ -27,8 +27,22 @@ def test_text_is_written_as_it_is(tmp_path: Path) -> None:
     path = tmp_path / "new/folders/file.urdf"
     write_text(path, text)
     assert path.read_bytes() == text.encode()
-    assert stat.S_IMODE(path.stat().st_mode) == 0o644
     assert os.listdir(path.parent) == [path.name]  # noqa: PTH208 names are enough
+
+
+@pytest.mark.parametrize("mask", [0o000, 0o022, 0o077])
+def test_it_is_for_its_owner_alone(mask: int, tmp_path: Path) -> None:
+    """So are the folders that are made for it; one that was there stays as it is, and so does what is in it."""
+    (tmp_path / "shared").mkdir()
+    (tmp_path / "shared").chmod(0o755)
+    path = tmp_path / "shared" / "new" / "folders" / "estimate.json"
+    before = os.umask(mask)
+    try:
+        write_text(path, "new")
+    finally:
+        os.umask(before)
+    modes = [stat.S_IMODE(made.stat().st_mode) for made in (path, *path.parents[:3])]
+    assert modes == [0o600, 0o700, 0o700, 0o755]
 
 
 def test_a_file_is_replaced(path: Path) -> None:
@@ -68,7 +82,7 @@ def test_it_is_on_the_disk_before_it_has_its_name_and_then_its_name_is(
 
     monkeypatch.setattr(os, "fsync", sync)
     monkeypatch.setattr(Path, "replace", replaced)
-    write_bytes(path, b"new", 0o600)
+    write_bytes(path, b"new")
     temporary = steps[0].removeprefix("file, ")
     assert steps == [f"file, {temporary}", f"{temporary} becomes {path}", f"folder, {path.parent}"]
     assert path.read_bytes() == b"new"

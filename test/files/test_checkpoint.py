@@ -345,7 +345,7 @@ def newest(path: Path) -> Path:
 
 
 class TestFolder:
-    """Two generations, and nothing thrown away that could not be used."""
+    """Two generations, and what could not be used is kept, unless there is much of it."""
 
     def test_nobody_else_may_read(self, folder: Path) -> None:
         assert stat.S_IMODE(folder.stat().st_mode) == 0o700
@@ -410,6 +410,17 @@ class TestFolder:
             for _ in range(3):
                 keeper.write(one.checkpoint())
         assert set(before.values()) < set(contents(folder).values())
+
+    def test_of_what_was_set_aside_the_newest_are_kept(self, folder: Path) -> None:
+        """And nothing is removed that is not ours."""
+        foreign = folder / "unused-20000101T000000Z-notes.txt"
+        foreign.write_text("of somebody else")
+        for number in range(14):
+            (folder / GENERATIONS[number % 2]).write_bytes(b"%d" % number)
+            assert len(restored(folder)[1]) == 1
+        kept = [path.read_bytes() for path in sorted(folder.glob("unused-*.safetensors"))]
+        assert kept == [b"%d" % number for number in range(4, 14)]
+        assert foreign.read_text() == "of somebody else"
 
     def test_what_does_not_change_rows_may_change(self, folder: Path) -> None:
         """What changes the estimate lets it be found anew, with another weight of the prior."""

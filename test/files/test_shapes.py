@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -224,6 +225,35 @@ class TestMeshes:
         (tmp_path / name).write_bytes(content)
         with pytest.raises(InputError, match=rf"^robot.urdf: link 'arm': .*{message}"):
             read(element(f'<mesh filename="{name}"/>'), tmp_path)
+
+    def test_what_would_never_end_is_named(self, tmp_path: Path) -> None:
+        """A pipe that nobody writes to, a device; and more than memory holds."""
+        os.mkfifo(tmp_path / "pipe.stl")
+        (tmp_path / "device.obj").symlink_to("/dev/zero")
+        with (tmp_path / "large.dae").open("wb") as file:
+            file.truncate(10**11)
+        for name, message in (
+            ("pipe.stl", "no regular file"),
+            ("device.obj", "no regular file"),
+            ("large.dae", "larger than 100 MB"),
+        ):
+            with pytest.raises(InputError, match=rf"^robot.urdf: link 'arm': .*/{name}: {message}"):
+                read(element(f'<mesh filename="{name}"/>'), tmp_path)
+
+    @pytest.mark.parametrize("suffix", [".obj", ".dae"])
+    def test_no_other_file_is_opened(self, suffix: str, tmp_path: Path) -> None:
+        """A mesh names its materials and pictures: whoever opened this pipe to read it would wait for ever."""
+        os.mkfifo(tmp_path / "colours")
+        path = saved(trimesh.creation.box(SIZE), tmp_path / f"box{suffix}")
+        text = path.read_text()
+        library = '<library_images><image id="i"><init_from>colours</init_from></image></library_images>'
+        named = (
+            "mtllib colours\nusemtl a\n" + text if suffix == ".obj" else text.replace("</asset>", "</asset>" + library)
+        )
+        path.write_text(named)
+        np.testing.assert_allclose(
+            moments(element(f'<mesh filename="{path.name}"/>'), tmp_path), shapes.box(SIZE), rtol=1e-6, atol=1e-9
+        )
 
 
 class TestFinding:

@@ -76,23 +76,38 @@ def test_a_large_file_is_not_read_to_its_end(tmp_path: Path) -> None:
             read(path)
 
 
-def test_meshes_are_never_opened(tmp_path: Path) -> None:
-    """Whoever opened this pipe to read it would wait for ever."""
-    pipe = tmp_path / "mesh.stl"
-    os.mkfifo(pipe)
-    mesh = f'<geometry><mesh filename="file://{pipe}"/></geometry>'
-    text = ARM3.replace('<geometry><cylinder radius="0.07" length="0.1"/></geometry>', mesh)
-    assert str(pipe) in text
-    (tmp_path / "robot.urdf").write_text(text)
-    script = """
+SESSION = """
 import sys
 from pathlib import Path
 from geomid_ros.files.configuration import Configuration
 from geomid_ros.session import Session
 Session(Path(sys.argv[1]).read_text(), Configuration(), "robot.urdf")
 """
-    command = [sys.executable, "-c", script, str(tmp_path / "robot.urdf")]
-    subprocess.run(command, check=True, cwd=ROOT, timeout=60)
+COMMAND = """
+import sys
+from geomid_ros.commands.root import root
+urdf, out, bag, command, *others = sys.argv[1:]
+root([command, bag, "--urdf", urdf, "--out", out, *others])
+"""
+
+
+@pytest.mark.parametrize(
+    "run",
+    [(SESSION,), (COMMAND, "identify"), (COMMAND, "gap", "--hold-out", "0.2")],
+    ids=["the node's session", "identify", "gap"],
+)
+def test_meshes_are_never_opened(run: tuple[str, ...], tmp_path: Path) -> None:
+    """Whoever opened this pipe to read it would wait for ever."""
+    pipe, path, out = tmp_path / "mesh.stl", tmp_path / "robot.urdf", tmp_path / "out"
+    os.mkfifo(pipe)
+    mesh = f'<geometry><mesh filename="file://{pipe}"/></geometry>'
+    text = ARM3.replace('<geometry><cylinder radius="0.07" length="0.1"/></geometry>', mesh)
+    assert str(pipe) in text
+    path.write_text(text)
+    script, *command = run
+    arguments = [str(path), str(out), str(BAGS / "arm3"), *command]
+    subprocess.run([sys.executable, "-c", script, *arguments], check=True, cwd=ROOT, timeout=300)
+    assert not command or str(pipe) in (out / "identified.urdf").read_text()
     assert str(pipe) not in urdf_tree.without_shapes(text, "robot.urdf")
 
 

@@ -13,6 +13,7 @@ import pinocchio as pin
 from files.recordings import TYPES, Recorded
 from model.robots import Reference
 
+from benchmarks.moving_base import moving_base
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.model.robot import Robot
 from geomid_ros.model.samples import Samples
@@ -204,16 +205,7 @@ def _sines(times: FloatArray, centres: FloatArray, amplitudes: FloatArray, rng: 
 def _samples(joints: FloatArray, base: FloatArray, floating_base: bool) -> Samples:
     """Of the base ``(3, T, 6)``: translation and rotation vector with derivatives."""
     count, empty = joints.shape[1], np.zeros((joints.shape[1], 0))
-    pose, velocity, acceleration = np.empty((count, 7)), np.empty((count, 6)), np.empty((count, 6))
-    for k, (x, dx, ddx) in enumerate(zip(*base, strict=True)):
-        rotation = pin.exp3(x[3:])
-        pose[k] = pin.SE3ToXYZQUAT(pin.SE3(rotation, x[:3]))
-        turning = pin.Jexp3(x[3:]) @ dx[3:]
-        ahead, behind = (pin.Jexp3(x[3:] + h * dx[3:]) @ (dx[3:] + h * ddx[3:]) for h in (1e-4, -1e-4))
-        velocity[k] = [*(rotation.T @ dx[:3]), *turning]
-        linear = rotation.T @ ddx[:3] - np.cross(turning, rotation.T @ dx[:3])
-        acceleration[k] = [*linear, *((ahead - behind) / 2e-4)]
-    of_base = (pose, velocity, acceleration) if floating_base else (empty, empty, empty)
+    of_base = moving_base(base) if floating_base else 3 * (empty,)
     nothing = np.full_like(joints[0], np.nan)
     return Samples(np.arange(1, count + 1), *joints, nothing, *of_base, np.zeros((count, 0, 6)))
 

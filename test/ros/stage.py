@@ -71,9 +71,9 @@ class Stage:
 
         self.observer.wait_for(offered, f"service {wanted}")
 
-    def play(self, bag: Path, rate: float = 1.0) -> Process:
+    def play(self, bag: Path, rate: float = 1.0, *arguments: str | Path) -> Process:
         """Start to play a bag."""
-        return self.start("geomid_ros", "play", bag, "--rate", str(rate), "--wait", "60")
+        return self.start("geomid_ros", "play", bag, "--rate", str(rate), "--wait", "60", *arguments)
 
     def spin_while(self, process: Process) -> None:
         """Let messages come until a process has ended well."""

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 from files.recordings import BAGS
-from geometry_msgs.msg import InertiaStamped, WrenchStamped
+from geometry_msgs.msg import InertiaStamped
 from sensor_msgs.msg import JointState
 
 from .observer import latched
@@ -28,7 +28,7 @@ def test_busy_nodes_save_their_last_estimate(stage: Stage, tmp_path: Path) -> No
         stage.serving(node, f"{number.name.lower()}/geomid")
         topic = f"/{number.name.lower()}/geomid/inertias"
         inertias[number] = stage.observer.collect(InertiaStamped, topic, latched())
-    stage.play(BAGS / "arm3", 2.0)
+    stage.play(BAGS / "arm3", 2.0, "--topic", "/wrench")
     for number, node in nodes.items():
         stage.observer.wait_for(lambda heard=inertias[number]: len(heard) > 10, "estimates")
         node.send(number)
@@ -47,7 +47,6 @@ def test_a_player_that_is_told_to_end(number: signal.Signals, stage: Stage) -> N
     player = stage.play(BAGS / "arm3")
     if number == signal.SIGINT:
         heard = stage.observer.collect(JointState, "/joint_states")
-        stage.observer.collect(WrenchStamped, "/wrench")
         stage.observer.wait_for(lambda: len(heard) > 10, "messages")
     else:
         topics = stage.observer.node.get_topic_names_and_types

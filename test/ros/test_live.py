@@ -79,7 +79,7 @@ def perform(stage: Stage, run: Live, out: Path) -> None:
     run.inertias = observer.collect(InertiaStamped, "/geomid/inertias", latched())
     run.descriptions = observer.collect(String, "/geomid/robot_description", latched())
     run.markers = observer.collect(MarkerArray, "/geomid/markers", latched())
-    stage.spin_while(stage.play(BAGS / run.robot, RATE))
+    stage.spin_while(stage.play(BAGS / run.robot, RATE, "--topic", "/wrench"))
     run.answer = observer.trigger("/geomid/save")
     run.saved = json.loads((out / "estimate.json").read_text())
     run.urdf = read_urdf(out / "identified.urdf")

@@ -5,6 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+import pytest
+from files.recordings import BAGS
 from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
 from rcl_interfaces.srv import DescribeParameters, GetParameters, ListParameters, SetParameters
 
@@ -45,6 +47,41 @@ def test_what_cannot_be_used_is_refused_with_one_message(stage: Stage) -> None:
             assert part in line, f"{case}: {line}"
     assert missing.status() == 2
     assert "nowhere.yaml" in missing.output
+
+
+# Variables of the environment, ROS arguments, and what the one message must hold.
+CANNOT_START: dict[str, tuple[dict[str, str], tuple[str, ...], tuple[str, ...]]] = {
+    "no keystore": ({"ROS_SECURITY_KEYSTORE": "{folder}/nowhere"}, (), ("{folder}/nowhere",)),
+    "keystore not named": ({}, (), ("ROS_SECURITY_KEYSTORE is not set",)),
+    "empty keystore": ({"ROS_SECURITY_KEYSTORE": "{folder}"}, (), ("ROS_SECURITY_KEYSTORE is {folder}",)),
+    "parameter": ({}, ("-p", "x"), ("'-p x'",)),
+    "remapping": ({}, ("-r", "x"), ("'-r x'",)),
+    "QoS": ({}, ("-p", "qos_overrides./joint_states.subscription.reliability:=good"), ("'joint_states'", "`good`")),
+    "depth": ({}, ("-p", "qos_overrides./joint_states.subscription.depth:=-1"), ("'joint_states'", "qos_overrides")),
+}
+
+
+def test_ros_that_cannot_start_is_refused_with_one_message(
+    stage: Stage, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Status 2 and what is wrong or missing, from the node and the player; no traceback."""
+    (tmp_path / "enclaves").mkdir()
+    enforced = {"ROS_SECURITY_ENABLE": "true", "ROS_SECURITY_STRATEGY": "Enforce"}
+    started: dict[str, list[Process]] = {}
+    for case, (variables, arguments, _) in CANNOT_START.items():
+        with monkeypatch.context() as patch:
+            for name, value in ({} if arguments else {**enforced, **variables}).items():
+                patch.setenv(name, value.format(folder=tmp_path))
+            started[case] = [stage.node({}, *arguments, ready=False)]
+            if not arguments:
+                started[case].append(stage.play(BAGS / "arm3"))
+    for case, (_, _, parts) in CANNOT_START.items():
+        for process in started[case]:
+            assert process.status() == 2, f"{case}: {process.output}"
+            (line,) = [line for line in process.output.splitlines() if line.startswith(("geomid_node: ", "Error: "))]
+            for part in parts:
+                assert part.format(folder=tmp_path) in line, f"{case}: {line}"
+            assert "Traceback" not in process.output
 
 
 def get(stage: Stage, names: list[str], namespace: str = "") -> list[ParameterValue]:

@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from files.recordings import BAGS, recorded, write_bag
-from geometry_msgs.msg import WrenchStamped
+from files.recordings import BAGS, TYPES, Recorded, recorded, write_bag
+from geometry_msgs.msg import Twist, WrenchStamped
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 
 from geomid_ros.ros.player import _message_class
 
 from .observer import latched
-from .stage import Stage
+from .processes import parameter_file
+from .stage import WRIST, Stage
 
 
 def test_it_publishes_what_was_recorded_in_its_order(stage: Stage, tmp_path: Path) -> None:
@@ -26,7 +28,7 @@ def test_it_publishes_what_was_recorded_in_its_order(stage: Stage, tmp_path: Pat
     player = stage.play(bag, 8.0)
     stage.spin_while(player)
     assert "/robot_description is left out: its type vendor_m/msg/Secret is not installed here" in player.output
-    assert f"Published all messages of {bag}" in player.output
+    assert f"Published 200 messages of {bag}" in player.output
     expected = [item.message for item in items if item.topic == "/joint_states"]
     assert len(heard) == len(expected) == 200
     for ours, theirs in zip(heard, expected, strict=True):
@@ -36,9 +38,48 @@ def test_it_publishes_what_was_recorded_in_its_order(stage: Stage, tmp_path: Pat
         assert list(ours.effort) == theirs.effort.tolist()
 
 
+def with_commands(folder: Path) -> tuple[Path, int]:
+    """A second of the small arm with commands beside it, and the number of its joint messages."""
+    items = [item for item in recorded(BAGS / "arm3")[:301] if item.kind != "std_msgs/msg/String"]
+    states = [item for item in items if item.topic == "/joint_states"]
+    zero = TYPES.types["geometry_msgs/msg/Vector3"](x=0.0, y=0.0, z=0.0)
+    twist = TYPES.types["geometry_msgs/msg/Twist"](linear=zero, angular=zero)
+    items += [replace(item, topic="/joint_commands") for item in states]
+    items += [replace(item, topic="/cell/joint_states") for item in states]
+    items += [replace(item, topic="/my_joint_states") for item in states]
+    items += [Recorded("/cmd_vel", "geometry_msgs/msg/Twist", item.time, twist) for item in states]
+    return write_bag(folder, sorted(items, key=lambda item: item.time)), len(states)
+
+
+def test_nothing_that_a_robot_would_follow_is_published_unless_named(stage: Stage, tmp_path: Path) -> None:
+    """Only what geomid reads: by default, and with what is named or declared as a wrench sensor."""
+    bag, count = with_commands(tmp_path / "bag")
+    topics = ("/joint_states", "/cell/joint_states", "/my_joint_states", "/joint_commands")
+    heard = {topic: stage.observer.collect(JointState, topic) for topic in topics}
+    heard |= {"/cmd_vel": stage.observer.collect(Twist, "/cmd_vel")}
+    heard |= {"/wrench": stage.observer.collect(WrenchStamped, "/wrench")}
+
+    def played(*arguments: str | Path) -> tuple[set[str], str]:
+        for messages in heard.values():
+            messages.clear()
+        player = stage.play(bag, 8.0, *arguments)
+        stage.spin_while(player)
+        assert {len(messages) for messages in heard.values() if messages} == {count}
+        (line,) = [line for line in player.output.splitlines() if line.startswith("Not published")]
+        assert set(line.partition("): ")[2].split(", ")) == {topic for topic in heard if not heard[topic]}
+        return {topic for topic in heard if heard[topic]}, player.output
+
+    read = {"/joint_states", "/cell/joint_states"}
+    assert played()[0] == read
+    config = parameter_file(tmp_path, WRIST)
+    assert played("--config", config, "--topic", "/cmd_vel")[0] == {*read, "/wrench", "/cmd_vel"}
+    refused = stage.play(bag, 8.0, "--topic", "cmd_velo")
+    assert refused.status() == 2
+    assert "Did you mean '/cmd_vel'?" in refused.output
+
+
 def test_the_description_is_kept_for_who_comes_late(stage: Stage) -> None:
     heard = stage.observer.collect(JointState, "/joint_states")
-    stage.observer.collect(WrenchStamped, "/wrench")
     player = stage.play(BAGS / "arm3", 2.0)
     stage.observer.wait_for(lambda: len(heard) > 50, "joint states")
     descriptions = stage.observer.collect(String, "/robot_description", latched(1))

@@ -223,7 +223,7 @@ def test_a_quadruped(stage: Stage) -> None:
         robot.wrenches(f"/{foot.lower()}/wrench", foot, noisy(force, 0.3, seed))
         for seed, (foot, force) in enumerate(forces.items())
     ]
-    setup = Setup(stage, CONFIG / "legged.yaml", text, "-p", "solve_period:=60.0")  # once, of all rows
+    setup = Setup(stage, CONFIG / "legged.yaml", text)
     setup.publish(in_time(robot.joint_states(noisy(robot.efforts(forces), 0.1, seed=9)), robot.odometry(), *feet))
     setup.told()
     links = setup.saved()
