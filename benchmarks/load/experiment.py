@@ -51,8 +51,9 @@ def _steady(report: Report, name: str, robot: str, parameters: dict[str, Any], s
     ]
     caption = (
         f"{parameters or 'Default parameters'}. From receipt to row: the highest that any diagnostics after the first "
-        "tenth told, each of the last 10,000 instants; the filter's fixed lag is not in it. The node took "
-        f"{100.0 * outcome.processor:.0f} % of a core; the publisher was at most {outcome.latest:.0f} ms late. "
+        "tenth told, each of the last 10,000 instants; the filter's fixed lag is not in it. The node and the "
+        f"process that solves for it took {100.0 * outcome.processor:.0f} % of a core, and the memory; "
+        f"the publisher was at most {outcome.latest:.0f} ms late. "
     )
     report.table(f"{seconds:g} s at 1 kHz", headings, [row], caption + _machine())
     report.result(name, asdict(outcome) | {"unaccounted": outcome.unaccounted})
@@ -81,7 +82,7 @@ def _day(report: Report, hours: float) -> None:
     row += [", ".join(f"{value:.0f}" for value in memory), f"{outcome.growth:+.1f}"]
     caption = (
         "The real node over DDS; the stamps are 80 ms apart and run as fast as the node follows. "
-        "Diagnostics and solves go by the wall clock. "
+        "Diagnostics and solves go by the wall clock. Memory: of the node and the process that solves for it. "
     )
     report.table(f"{hours:g} h of stamps", headings, [row], caption + _machine())
     report.result("day", asdict(outcome) | {"unaccounted": outcome.unaccounted, "growth": outcome.growth})
