@@ -19,7 +19,7 @@ from benchmarks.load.watched import Account, Watched, watched
 
 _PERIOD = 80_000_000  # [ns] of the stamps: the longest for a cutoff of 5 Hz
 _MOTION = 80.0  # [s] after which the motion is the same again
-_AHEAD = 400  # ticks that are published before the predictions of the first of them
+_AHEAD = 200  # ticks that are published before the predictions of the first of them
 _PATIENCE = 60.0  # [s] for a prediction
 _SLOWLY = 0.005  # [s] between ticks before the first estimate
 _HOUR = 3600.0
