@@ -18,13 +18,17 @@ def changed_sensors(gaps: Sequence[ChannelGap], model: MeasurementModel) -> dict
     """The mounted sensors that have changed, and the number of the instant before which they had not, by topic; None if
     it may be the robot that has.
 
-    A load that is picked up is felt at the joints, too: where there is a gap at any other channel, it may be the robot.
+    A load that is picked up is felt by other sensors and at the joints, too: where there is a gap at any other channel,
+    or no other is watched, it may be the robot.
     """
+    mounted = {topic: [model.channels[p].name for p in places] for topic, places in sensor_channels(model).items()}
+    others = {gap.channel for gap in gaps}.difference(*mounted.values())
     first = {gap.channel: gap.first for gap in gaps if gap.since is not None}
-    begin = {}
-    for topic, places in sensor_channels(model).items():
-        numbers = [first.pop(name) for name in (model.channels[place].name for place in places) if name in first]
-        if numbers:
-            # A change in the last rows of a block does not show there.
-            begin[topic] = min(numbers) - BLOCK
-    return None if first else begin
+    # A change in the last rows of a block does not show there.
+    begin = {
+        topic: min(first[name] for name in names if name in first) - BLOCK
+        for topic, names in mounted.items()
+        if not first.keys().isdisjoint(names)
+    }
+    may_be_the_robot = not others or not others.isdisjoint(first) or len(begin) > 1
+    return None if may_be_the_robot else begin

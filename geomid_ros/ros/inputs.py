@@ -90,7 +90,7 @@ class Inputs:
                 take_or_drop(*taken)
 
         # Best effort matches publishers of either kind; the depth carries a 1 kHz stream over pauses of Python.
-        qos = QoSProfile(depth=2000, history=HistoryPolicy.KEEP_LAST, reliability=ReliabilityPolicy.BEST_EFFORT)
+        qos = QoSProfile(depth=1000, history=HistoryPolicy.KEEP_LAST, reliability=ReliabilityPolicy.BEST_EFFORT)
         entry = _Input(name, self._subscribe(kind, name, take_what_waits, qos, raw=True), several)
         self._inputs.append(entry)
 

@@ -12,12 +12,14 @@ from multiprocessing import get_context
 from multiprocessing.connection import Connection
 from typing import Any
 
+from geomid_ros.errors import GeomidError
 from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.estimation.estimator import WarmStart
 from geomid_ros.estimation.identifier import EstimationTask
 from geomid_ros.estimation.summary import RowSummary
 
 _NICE = 5  # who takes messages comes first
+_PATIENCE = 60.0  # [s] for a solve that its caller has given up
 _PR_SET_PDEATHSIG = 1  # of prctl(2)
 _PROTOCOL = 5  # of pickle; it leaves read-only arrays read-only
 
@@ -25,7 +27,8 @@ _PROTOCOL = 5  # of pickle; it leaves read-only arrays read-only
 class SolvingProcess:
     """Solves one task after the other.
 
-    When it has ended, or is still at a solve that its caller has given up, whoever asks solves in his own process.
+    When it has ended, or does not come to the end of a solve that its caller has given up, whoever asks solves in his
+    own process.
     """
 
     def __init__(self) -> None:
@@ -37,6 +40,7 @@ class SolvingProcess:
         theirs.close()
         self._task: EstimationTask | None = None  # that the process knows
         self._solving = threading.Lock()
+        self._closed = False
 
     @property
     def problem(self) -> str:
@@ -46,16 +50,24 @@ class SolvingProcess:
         return "the solving process has ended; until the node is started anew, messages wait for solves"
 
     def solve(self, task: EstimationTask, summary: RowSummary, warm: WarmStart | None) -> Estimate:
-        """As :meth:`EstimationTask.solve`."""
-        if not self._solving.acquire(blocking=False):
+        """As :meth:`EstimationTask.solve`. Raises GeomidError, too, when :meth:`close` ends the process meanwhile."""
+        if not self._solving.acquire(timeout=_PATIENCE):
             self.close()  # whoever waits for it has been given up
             return task.solve(summary, warm)
         try:
-            answer = self._answer(task, summary, warm)
-        except (EOFError, OSError):  # the process has ended
-            return task.solve(summary, warm)
+            return self._solved(task, summary, warm)
         finally:
             self._solving.release()
+
+    def _solved(self, task: EstimationTask, summary: RowSummary, warm: WarmStart | None) -> Estimate:
+        if self._closed:
+            return task.solve(summary, warm)
+        try:
+            answer = self._answer(task, summary, warm)
+        except (EOFError, OSError) as error:  # the process has ended
+            if self._closed:
+                raise GeomidError("the solve was given up") from error
+            return task.solve(summary, warm)
         if isinstance(answer, Exception):
             raise answer
         return answer
@@ -69,6 +81,7 @@ class SolvingProcess:
 
     def close(self) -> None:
         """End the process, whatever it is at."""
+        self._closed = True
         self._process.kill()
         self._process.join()
 
@@ -93,8 +106,8 @@ def _serve(connection: Connection[Any, Any], parents: Connection[Any, Any]) -> N
 
 
 def _end_with_parent() -> None:
-    """Not with the terminal, whose Ctrl-C the parent answers in an orderly way."""
+    """And not before: signals that reach the whole group are the parent's to answer."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    signal.signal(signal.SIGTERM, signal.SIG_DFL)
+    signal.signal(signal.SIGTERM, signal.SIG_IGN)
     if sys.platform == "linux":
         ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)

@@ -27,7 +27,7 @@ from geomid_ros.signals.messages import feed_joint_state, feed_odometry, feed_wr
 from geomid_ros.signals.pipeline import JOINT_STATES, ODOM, Accepted
 from geomid_ros.types import FloatArray
 
-_LONGEST_WAIT = 1.0  # [s] while a message has waited for so long, those that come are dropped, and counted
+_LONGEST_WAIT = 0.75  # [s] while a message has waited for so long, those that come are dropped, and counted
 _PATIENCE = 0.8  # [s] for both threads to finish what they do when they are told to end
 _TRANSITION = 2_000_000_000  # [ns] a gap opens some time in so long, and is not at once what it will be
 _LATENCIES = 10_000  # of so many last instants it is known how long their rows took
@@ -107,11 +107,11 @@ class Worker:
 
     def reset(self) -> None:
         """Forget all rows and the estimate, after the messages that wait."""
-        self._inbox.put(self._forget)
+        self._put_task(self._forget)
 
     def final_estimate(self, done: Done) -> None:
         """Solve from scratch for all messages received so far; ``done`` gets the result in the solver's thread."""
-        self._inbox.put(lambda: self.solver.ask(done))
+        self._put_task(lambda: self.solver.ask(done))
 
     def recent_messages(self) -> list[Accepted]:
         """What the session remembers of the last messages; where a gap has opened, since then.
@@ -169,6 +169,11 @@ class Worker:
         what, seconds = self.solver.duty.current
         limit = self._longest_solve if what == SOLVING else _LONG
         return f"{what} takes {seconds:.0f} s so far, more than {limit:g} s" if seconds > limit else ""
+
+    def _put_task(self, task: Callable[[], None]) -> None:
+        if self._inbox.empty():
+            self._last_taken = time.perf_counter()
+        self._inbox.put(task)
 
     def _put(self, topic: str, feed: Callable[[], None]) -> None:
         now = time.perf_counter()

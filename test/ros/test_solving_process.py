@@ -6,7 +6,7 @@ import os
 import signal
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import closing
 from pathlib import Path
 
@@ -16,8 +16,10 @@ from files.recordings import BAGS
 
 from geomid_ros.errors import GeomidError
 from geomid_ros.estimation.estimate import Estimate
+from geomid_ros.estimation.identifier import Identifier
 from geomid_ros.files.configuration import Configuration
 from geomid_ros.files.urdf import read_urdf
+from geomid_ros.ros import solving_process as module
 from geomid_ros.ros.solving_process import SolvingProcess
 from geomid_ros.session import Session
 from geomid_ros.signals.messages import feed_joint_state
@@ -47,7 +49,15 @@ def session(messages: int = 400, **parameters: object) -> Session:
     return result
 
 
-def assert_same(ours: Estimate, theirs: Estimate) -> None:
+def wait_until(look: Callable[[], bool]) -> None:
+    end = time.monotonic() + PATIENCE
+    while not look():
+        assert time.monotonic() < end
+        time.sleep(0.01)
+
+
+def assert_same(ours: Estimate | GeomidError, theirs: Estimate) -> None:
+    assert isinstance(ours, Estimate)
     np.testing.assert_array_equal(ours.parameters, theirs.parameters)
     assert (ours.rows_accepted, ours.gamma, ours.steps) == (theirs.rows_accepted, theirs.gamma, theirs.steps)
     for link, other in zip(ours.links, theirs.links, strict=True):
@@ -89,20 +99,51 @@ def test_without_the_process_it_is_solved_here(solving: SolvingProcess) -> None:
     assert "the solving process has ended" in solving.problem
 
 
-def test_a_solve_that_was_given_up_stands_in_nobodys_way(solving: SolvingProcess) -> None:
-    """While a thread waits for a process that does nothing, another one asks."""
+def in_thread(identifier: Identifier) -> tuple[threading.Thread, list[Estimate | GeomidError]]:
+    """A thread that solves, and what comes of it."""
+    results: list[Estimate | GeomidError] = []
+
+    def solve() -> None:
+        try:
+            results.append(identifier.solve())
+        except GeomidError as error:
+            results.append(error)
+
+    thread = threading.Thread(target=solve)
+    thread.start()
+    return thread, results
+
+
+def test_a_solve_that_was_given_up_is_waited_for(solving: SolvingProcess) -> None:
+    """The process goes on with what is asked for next: here, rows of another session."""
+    ours, theirs = session(effects=["viscous_friction"]), session()
+    for each in (ours, theirs):
+        each.identifier.solve_with(solving.solve)
+    os.kill(solving._process.pid or 0, signal.SIGSTOP)
+    first, given_up = in_thread(ours.identifier)
+    wait_until(solving._solving.locked)
+    second, wanted = in_thread(theirs.identifier)
+    os.kill(solving._process.pid or 0, signal.SIGCONT)
+    first.join(PATIENCE)
+    second.join(PATIENCE)
+    assert_same(given_up[0], session(effects=["viscous_friction"]).identifier.solve())
+    assert_same(wanted[0], session().identifier.solve())
+    assert solving.problem == ""
+
+
+def test_a_process_that_does_not_come_to_an_end_is_ended(
+    solving: SolvingProcess, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(module, "_PATIENCE", 0.1)
     ours, theirs = session(), session()
     ours.identifier.solve_with(solving.solve)
     os.kill(solving._process.pid or 0, signal.SIGSTOP)
-    first: list[Estimate] = []
-    thread = threading.Thread(target=lambda: first.append(ours.identifier.solve()))
-    thread.start()
-    end = time.monotonic() + PATIENCE
-    while not solving._solving.locked() and time.monotonic() < end:
-        time.sleep(0.01)
+    thread, given_up = in_thread(ours.identifier)
+    wait_until(solving._solving.locked)
     assert_same(ours.identifier.solve(), theirs.identifier.solve())
     thread.join(PATIENCE)
-    assert_same(first[0], theirs.identifier.solve())
+    assert str(given_up[0]) == "the solve was given up"
+    assert "the solving process has ended" in solving.problem
 
 
 def test_the_node_tells_that_the_process_has_ended_and_goes_on(stage: Stage, tmp_path: Path) -> None:

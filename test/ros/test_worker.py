@@ -283,6 +283,30 @@ def test_what_comes_while_others_have_waited_for_long_is_dropped(
     assert (account.accepted, account.received) == (110, 260)
 
 
+def test_what_comes_behind_a_task_after_a_pause_is_taken(quiet: Watched, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nothing has waited, however long ago the last message came."""
+    now = [0.0]
+    monkeypatch.setattr(module, "_LONGEST_WAIT", 1.0)
+    monkeypatch.setattr(module, "time", SimpleNamespace(perf_counter=lambda: now[0], monotonic=time.monotonic))
+    quiet.feed(0, 20)
+    quiet.final()
+    stop, waiting = threading.Event(), threading.Event()
+
+    def stand_still() -> None:
+        waiting.set()
+        stop.wait(PATIENCE)
+
+    quiet.worker._inbox.put(stand_still)
+    assert waiting.wait(PATIENCE)
+    now[0] = 100.0
+    quiet.worker.reset()
+    quiet.feed(20, 40)
+    stop.set()
+    quiet.final()
+    account = quiet.worker.status(active=True).accounts["joint_states"]
+    assert (account.accepted, account.received) == (40, 40)
+
+
 def test_the_status_can_be_asked_for_all_the_time(busy: Watched) -> None:
     """While ledgers get new reasons, and rows are counted."""
     feeding = threading.Thread(target=feed_much, args=(busy,))
