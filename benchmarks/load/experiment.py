@@ -66,7 +66,7 @@ def _overload(report: Report, seconds: float) -> None:
     row = [*rates, *_counts(outcome), f"{outcome.latest:.2f}", f"{outcome.recovery:.2f}"]
     caption = (
         "Rates of joint states, and of as many wrenches. Recovery: from when the load is normal (1 kHz) again until "
-        "predictions are, and stay, less than 0.1 s late. "
+        "for a second no prediction is more than 0.1 s late. "
     )
     report.table(f"Four times what it can carry, for {seconds:g} s", headings, [row], caption + _machine())
     report.result("overload", asdict(outcome) | {"unaccounted": outcome.unaccounted})
