@@ -14,6 +14,7 @@ from geomid_ros.files.checkpoint_folder import CheckpointFolder, Restored
 from geomid_ros.session import Session
 
 _PATIENCE = 0.4  # [s] for the last checkpoint
+_SHORTEST_PAUSE = 0.1  # of the period, between checkpoints that take long
 
 
 @dataclass(frozen=True)
@@ -106,7 +107,7 @@ class Checkpoints:
 
     def _write_repeatedly(self, folder: CheckpointFolder) -> None:
         with closing(folder):
-            while not self._ending.wait(self._period):
+            while not self._ending.wait(max(self._period - self._seconds, _SHORTEST_PAUSE * self._period)):
                 if self._has_new_rows:
                     self._write(folder)
             if self._has_new_rows or self._session.pipeline.ledger.topics:

@@ -243,7 +243,7 @@ def test_a_disk_that_is_slow_is_reported_and_waited_for_by_nobody(
     may_go_on = threading.Event()
     monkeypatch.setattr(os, "fsync", lambda _: may_go_on.wait(PATIENCE))
     of = session()
-    with closing(Checkpoints(of, tmp_path, SOON)) as kept:
+    with closing(Checkpoints(of, tmp_path, 10.0 * SOON)) as kept:
         fed(of, 0, HALF)
         wait_until(lambda: "the disk is slow" in kept.status.error)
         fed(of, HALF, len(MESSAGES))
