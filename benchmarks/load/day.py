@@ -21,6 +21,7 @@ _PERIOD = 80_000_000  # [ns] of the stamps: the longest for a cutoff of 5 Hz
 _MOTION = 80.0  # [s] after which the motion is the same again
 _AHEAD = 200  # ticks that are published before the predictions of the first of them
 _PATIENCE = 60.0  # [s] for a prediction
+_A_WHILE = 2.0  # [s]
 _SLOWLY = 0.005  # [s] between ticks before the first estimate
 _HOUR = 3600.0
 
@@ -52,7 +53,9 @@ class _Follower:
     """Publishes as fast as a node predicts."""
 
     def __init__(self, node: Watched) -> None:
+        self._node = node
         self._observer = node.stage.observer
+        self._heard = time.monotonic()
         self._predicted = -1  # tick
         self._origin = time.time_ns()
         self.ticks = 0
@@ -64,7 +67,16 @@ class _Follower:
 
     def _hear(self, message: JointState) -> None:
         stamp = message.header.stamp.sec * 1_000_000_000 + message.header.stamp.nanosec
+        self._heard = time.monotonic()
         self._predicted = (stamp - self._origin) // _PERIOD
+
+    def _wait(self) -> None:
+        """Until the node has caught up; or for a while, as the predictions that are missing may be of lost messages."""
+        begin = time.monotonic()
+        while self.ticks - self._predicted > _AHEAD // 2 and time.monotonic() - begin < _A_WHILE:
+            self._observer.spin(0.001)
+        if time.monotonic() - self._heard > _PATIENCE:
+            raise RuntimeError(f"no prediction for {_PATIENCE:g} s; the diagnostics are {self._node.values}")
 
     def follow(self, ticks: int) -> None:
         """Publish so many ticks in all."""
@@ -72,7 +84,7 @@ class _Follower:
             if self._predicted < 0:
                 self._observer.spin(_SLOWLY)
             elif self.ticks - self._predicted > _AHEAD:
-                self._observer.wait_for(lambda: self.ticks - self._predicted <= _AHEAD // 2, "predictions", _PATIENCE)
+                self._wait()
             self._stream.publish(self.ticks, self._origin + self.ticks * _PERIOD)
             self.ticks += 1
 
