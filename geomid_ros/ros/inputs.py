@@ -53,7 +53,7 @@ class Inputs:
     def listen(self, kind: type, name: str, take: Callable[[Any], str], several: bool = False) -> None:
         """Subscribe to data. ``take(message)`` gives the reason why it does not take a message, or nothing.
 
-        The messages are those of rosbags, with the attributes of ``kind``: rclpy takes thrice as long to make its own.
+        The messages are those of rosbags, with the attributes of ``kind``: rclpy takes thrice as long to make a wrench.
         While there is more than one publisher, unless ``several`` is as it should be, nobody knows which one to
         believe: nothing is taken. Raises InputError for a name that is none.
         """

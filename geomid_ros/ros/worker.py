@@ -186,12 +186,18 @@ class Worker:
 
     def _take_messages(self) -> None:
         while (task := self._inbox.get()) is not None:
-            if isinstance(task, _Message):
-                self._last_taken = task.received
-                with self.duty.on(task.topic):
-                    self._take(task)
-            else:
-                task()
+            try:
+                self._do(task)
+            except Exception as error:  # noqa: BLE001 the thread must outlive anything; what happened is reported
+                self._fail("the intake failed", error)
+
+    def _do(self, task: _Message | Callable[[], None]) -> None:
+        if isinstance(task, _Message):
+            self._last_taken = task.received
+            with self.duty.on(task.topic):
+                self._take(task)
+        else:
+            task()
 
     def _take(self, message: _Message) -> None:
         """Let a message end in the ledger, and the rows that it completes in the identifier."""

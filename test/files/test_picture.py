@@ -16,8 +16,10 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from geomid_ros.errors import GeomidError
-from geomid_ros.files.report import picture
-from geomid_ros.files.report.picture import BodyDrawing, Ellipsoid, Series, identification_picture
+from geomid_ros.files.report import ellipsoids, picture, robot_drawing, series_drawing, sheet
+from geomid_ros.files.report.ellipsoids import BodyDrawing, Ellipsoid
+from geomid_ros.files.report.picture import identification_picture
+from geomid_ros.files.report.series_drawing import Series
 
 POINT = Ellipsoid(np.zeros(3), np.zeros(3), np.eye(3), 0.0)
 NOWHERE = Ellipsoid(np.full(3, np.nan), np.full(3, np.nan), np.eye(3), np.nan)
@@ -48,7 +50,7 @@ def channels(count: int) -> list[Series]:
 
 def is_whole_picture(path: Path) -> bool:
     data = path.read_bytes()
-    size = tuple(round(inches * picture.DPI) for inches in picture.SIZE)
+    size = tuple(round(inches * sheet.DPI) for inches in sheet.SIZE)
     return data[:8] == b"\x89PNG\r\n\x1a\n" and struct.unpack(">II", data[16:24]) == size and b"IEND" in data[-12:]
 
 
@@ -143,7 +145,7 @@ def test_table_has_name_masses_and_share(tmp_path: Path, monkeypatch: pytest.Mon
 
 
 def extents(bodies: list[BodyDrawing]) -> Iterator[float]:
-    for d in picture._made_visible(bodies):
+    for d in ellipsoids.made_visible(bodies):
         yield float(np.max(d.body.identified.semi_axes))
 
 
@@ -153,22 +155,22 @@ def test_huge_tiny_and_far_bodies_are_marked_and_do_not_ruin_the_view() -> None:
         body = bodies[index].identified
         changed = replace(body, semi_axes=np.full(3, size), centre=body.centre + far, mass=1000.0)
         bodies[index] = replace(bodies[index], identified=changed)
-        assert picture._made_visible(bodies)[index].marks == mark
-    points = np.array([d.body.identified.centre for d in picture._made_visible(bodies)])
+        assert ellipsoids.made_visible(bodies)[index].marks == mark
+    points = np.array([d.body.identified.centre for d in ellipsoids.made_visible(bodies)])
     assert np.max(np.abs(points)) < 2.5
     assert 0.005 < min(extents(bodies)) < max(extents(bodies)) < 1.0
-    assert [d.marks for d in picture._made_visible(chain(6))] == 6 * [""]
+    assert [d.marks for d in ellipsoids.made_visible(chain(6))] == 6 * [""]
 
 
 def test_outline_is_that_of_the_ellipsoid() -> None:
     rng = np.random.default_rng(0)
     axes = np.linalg.qr(rng.normal(size=(3, 3)))[0]
     solid = Ellipsoid(rng.normal(size=3), np.array([0.3, 0.1, 0.05]), axes, 1.0)
-    view = picture._view(rng.normal(size=(5, 3)))
+    view = ellipsoids.view_of(rng.normal(size=(5, 3)))
     sphere = rng.normal(size=(100_000, 3))
     sphere /= np.linalg.norm(sphere, axis=1, keepdims=True)
     flat = view.flat(sphere @ (axes * solid.semi_axes).T)
-    np.testing.assert_allclose(flat.max(axis=0), picture._half_widths(view, solid), rtol=1e-3)
+    np.testing.assert_allclose(flat.max(axis=0), ellipsoids.half_widths(view, solid), rtol=1e-3)
     turn, stretch, _ = np.linalg.svd(view.sphere_map(solid)[:2])
     radii = np.linalg.norm(flat @ turn / stretch, axis=1)
     assert radii.max() == pytest.approx(1.0, abs=1e-3)
@@ -179,7 +181,7 @@ def test_outline_is_that_of_the_ellipsoid() -> None:
 )
 def test_a_person_is_seen_from_the_front_and_an_arm_from_its_side(across: list[float], towards: list[float]) -> None:
     points = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 1.0], across])
-    rotation = picture._view(points).rotation
+    rotation = ellipsoids.view_of(points).rotation
     assert rotation[2] @ towards > 0.8
     assert rotation[0] @ across > 0.8
     np.testing.assert_allclose(rotation @ rotation.T, np.eye(3), atol=1e-12)
@@ -189,16 +191,16 @@ def test_every_peak_of_a_long_line_survives() -> None:
     times = 1e-3 * np.arange(100_001)
     values = 1e-3 * np.sin(times)
     values[[0, 777, 50_000, 100_000]] = [5.0, -7.0, 9.0, -3.0]
-    clock = picture._Clock.of([Series("x", "N", times, values, values, values)])
-    seconds, kept = picture._thinned(times, values, clock)
-    assert len(kept) <= 2 * picture._BINS + 2
+    clock = series_drawing._Clock.of([Series("x", "N", times, values, values, values)])
+    seconds, kept = series_drawing._thinned(times, values, clock)
+    assert len(kept) <= 2 * series_drawing._BINS + 2
     np.testing.assert_array_equal(np.interp(times[[0, 777, 50_000, 100_000]], seconds, kept), [5.0, -7.0, 9.0, -3.0])
 
 
 def test_pauses_are_shortened_and_break_the_line() -> None:
     times = np.concatenate([3600.0 + np.arange(0.0, 5.0, 0.01), np.arange(0.0, 5.0, 0.01)])
-    clock = picture._Clock.of([Series("x", "N", times, times, times, times)])
-    seconds, values = picture._thinned(times, times, clock)
+    clock = series_drawing._Clock.of([Series("x", "N", times, times, times, times)])
+    seconds, values = series_drawing._thinned(times, times, clock)
     assert np.count_nonzero(np.isnan(values)) == 1
     assert (np.nanmin(seconds), clock.label) == (0.0, "time [s], pauses shortened")
     assert 10.0 < np.nanmax(seconds) < 11.0
@@ -207,13 +209,13 @@ def test_pauses_are_shortened_and_break_the_line() -> None:
 def test_samples_of_a_slower_channel_are_joined() -> None:
     series = channel("x")
     values = np.where(np.arange(300) % 3 == 0, series.measured, np.nan)
-    assert not np.any(np.isnan(picture._thinned(series.times, values, picture._Clock.of([series]))[1]))
+    assert not np.any(np.isnan(series_drawing._thinned(series.times, values, series_drawing._Clock.of([series]))[1]))
 
 
 def test_limits_show_peaks_but_no_outliers() -> None:
     series = channel("x")
     series.measured[100], series.predicted[200] = 2.0, 1e6
-    low, high = picture._limits(series)
+    low, high = series_drawing._limits(series)
     assert -2.0 < low < -1.0
     assert 2.0 < high < 5.0
 
@@ -233,10 +235,10 @@ def test_limits_show_peaks_but_no_outliers() -> None:
     ],
 )
 def test_numbers_are_short(value: float, text: str) -> None:
-    assert picture._number(value) == text
+    assert sheet.number(value) == text
 
 
 def test_badges_do_not_overlap() -> None:
-    places = picture._spread(np.zeros((30, 2)), 0.2)
+    places = robot_drawing._spread(np.zeros((30, 2)), 0.2)
     distances = np.linalg.norm(places[:, None] - places, axis=-1) + np.eye(30)
     assert distances.min() > 0.19

@@ -6,7 +6,7 @@ import queue
 import threading
 import time
 from collections.abc import Iterator
-from contextlib import closing
+from contextlib import closing, contextmanager
 from types import SimpleNamespace
 from typing import Any
 
@@ -256,25 +256,38 @@ def test_rows_are_counted_once_though_taking_them_fails(quiet: Watched, monkeypa
     assert status.rows_made == status.rows + status.rows_rejected.total()
 
 
-def test_what_comes_while_others_have_waited_for_long_is_dropped(
-    quiet: Watched, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """The first of those that wait tells for how long."""
-    now = [0.0]
-    monkeypatch.setattr(module, "_LONGEST_WAIT", 1.0)
-    monkeypatch.setattr(module, "time", SimpleNamespace(perf_counter=lambda: now[0], monotonic=time.monotonic))
+@contextmanager
+def standing_still(watched: Watched) -> Iterator[None]:
+    """The intake takes nothing."""
     stop, waiting = threading.Event(), threading.Event()
 
     def stand_still() -> None:
         waiting.set()
         stop.wait(PATIENCE)
 
-    quiet.worker._inbox.put(stand_still)
+    watched.worker._inbox.put(stand_still)
     assert waiting.wait(PATIENCE)
-    for now[0], begin, end in ((10.0, 0, 20), (10.9, 20, 50), (11.1, 50, 200)):
-        quiet.feed(begin, end)
-    assert quiet.worker.status(active=True).queue == 50
-    stop.set()
+    try:
+        yield
+    finally:
+        stop.set()
+
+
+@pytest.fixture
+def now(monkeypatch: pytest.MonkeyPatch) -> list[float]:
+    """The time by which messages wait; after one second others are dropped."""
+    time_of_day = [0.0]
+    monkeypatch.setattr(module, "_LONGEST_WAIT", 1.0)
+    monkeypatch.setattr(module, "time", SimpleNamespace(perf_counter=lambda: time_of_day[0], monotonic=time.monotonic))
+    return time_of_day
+
+
+def test_what_comes_while_others_have_waited_for_long_is_dropped(quiet: Watched, now: list[float]) -> None:
+    """The first of those that wait tells for how long."""
+    with standing_still(quiet):
+        for now[0], begin, end in ((10.0, 0, 20), (10.9, 20, 50), (11.1, 50, 200)):
+            quiet.feed(begin, end)
+        assert quiet.worker.status(active=True).queue == 50
     quiet.final()
     quiet.feed(200, 260)
     quiet.final()
@@ -283,28 +296,31 @@ def test_what_comes_while_others_have_waited_for_long_is_dropped(
     assert (account.accepted, account.received) == (110, 260)
 
 
-def test_what_comes_behind_a_task_after_a_pause_is_taken(quiet: Watched, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_comes_behind_a_task_after_a_pause_is_taken(quiet: Watched, now: list[float]) -> None:
     """Nothing has waited, however long ago the last message came."""
-    now = [0.0]
-    monkeypatch.setattr(module, "_LONGEST_WAIT", 1.0)
-    monkeypatch.setattr(module, "time", SimpleNamespace(perf_counter=lambda: now[0], monotonic=time.monotonic))
     quiet.feed(0, 20)
     quiet.final()
-    stop, waiting = threading.Event(), threading.Event()
-
-    def stand_still() -> None:
-        waiting.set()
-        stop.wait(PATIENCE)
-
-    quiet.worker._inbox.put(stand_still)
-    assert waiting.wait(PATIENCE)
-    now[0] = 100.0
-    quiet.worker.reset()
-    quiet.feed(20, 40)
-    stop.set()
+    with standing_still(quiet):
+        now[0] = 100.0
+        quiet.worker.reset()
+        quiet.feed(20, 40)
     quiet.final()
     account = quiet.worker.status(active=True).accounts["joint_states"]
     assert (account.accepted, account.received) == (40, 40)
+
+
+def test_the_intake_outlives_whatever_fails_behind_a_message(quiet: Watched, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The messages were taken, and so are those to come."""
+    with monkeypatch.context() as patch:
+        patch.setattr(quiet.worker.solver.watch, "add", lambda *_: 1 / 0)
+        quiet.feed(0, 200)
+        quiet.final()
+    quiet.feed(200, 400)
+    quiet.final()
+    status = quiet.worker.status(active=True)
+    assert status.accounts["joint_states"].accepted == 400
+    assert status.failures["the intake failed: ZeroDivisionError: division by zero"] > 0
+    assert status.rows_made == status.rows + status.rows_rejected.total()
 
 
 def test_the_status_can_be_asked_for_all_the_time(busy: Watched) -> None:

@@ -8,7 +8,9 @@ from pathlib import Path
 import numpy as np
 
 from geomid_ros.estimation.estimate import Estimate
-from geomid_ros.files.report.picture import BodyDrawing, Ellipsoid, Series, identification_picture
+from geomid_ros.files.report.ellipsoids import BodyDrawing, Ellipsoid
+from geomid_ros.files.report.picture import identification_picture
+from geomid_ros.files.report.series_drawing import Series
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.model.samples import Samples
 from geomid_ros.session import Session

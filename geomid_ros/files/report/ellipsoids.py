@@ -1,0 +1,184 @@
+"""A robot's bodies as ellipsoids of a size that can be seen, and how they look from the viewer's place.
+
+The projection is orthographic: there an ellipsoid's outline is an ellipse.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from geomid_ros.types import FloatArray
+
+_LARGE, _SMALL, _FAR, ABSENT = "▲", "▼", "◆", "✕"
+MARKS = {
+    _LARGE: "larger than drawn (dashed)",
+    _SMALL: "smaller than drawn (dashed)",
+    _FAR: "farther away than drawn (dashed)",
+    ABSENT: "not drawn: not finite",
+}
+
+
+@dataclass(frozen=True, eq=False)
+class Ellipsoid:
+    """A body's equivalent uniform ellipsoid in the robot's pose, in the world frame.
+
+    ``centre (3,)`` and ``semi_axes (3,)`` [m], ``axes (3, 3)`` with their directions as columns, ``mass`` [kg].
+    """
+
+    centre: FloatArray
+    semi_axes: FloatArray
+    axes: FloatArray
+    mass: float
+
+
+@dataclass(frozen=True, eq=False)
+class BodyDrawing:
+    """A link: its frame's ``origin (3,)`` in the world [m], ``parent_origin (3,)`` where the stick to it starts.
+
+    ``from_data``: share of the estimate that came from data, 0 to 1.
+    """
+
+    name: str
+    origin: FloatArray
+    parent_origin: FloatArray | None
+    prior: Ellipsoid
+    identified: Ellipsoid
+    from_data: float
+
+
+@dataclass(frozen=True, eq=False)
+class View:
+    """Orthographic: ``rotation (3, 3)`` has rows right, up, towards the viewer."""
+
+    rotation: FloatArray
+
+    def flat(self, points: FloatArray) -> FloatArray:
+        """World points ``(..., 3)`` on the picture ``(..., 2)`` [m]."""
+        return points @ self.rotation[:2].T
+
+    def depth(self, point: FloatArray) -> float:
+        """Larger is nearer to the viewer [m]."""
+        return float(self.rotation[2] @ point)
+
+    def sphere_map(self, body: Ellipsoid) -> FloatArray:
+        """``(3, 3)``: takes the unit sphere to the ellipsoid about its centre, in the view's axes [m]."""
+        return self.rotation @ (body.axes * body.semi_axes)
+
+
+@dataclass(frozen=True, eq=False)
+class Drawn:
+    """A body as it goes onto the sheet: with sizes and places that can be seen, and the marks that say so."""
+
+    number: int
+    body: BodyDrawing
+    prior_marks: str
+    identified_marks: str
+
+    @property
+    def marks(self) -> str:
+        """All of them, each once."""
+        return "".join(mark for mark in MARKS if mark in self.prior_marks + self.identified_marks)
+
+
+def made_visible(bodies: Sequence[BodyDrawing]) -> list[Drawn]:
+    """The bodies, numbered from one, as they go onto the sheet."""
+    limit = _limit(bodies)
+    drawn = []
+    for number, body in enumerate(bodies, start=1):
+        prior, prior_marks = _fitted(body.prior, body.origin, limit)
+        identified, marks = _fitted(body.identified, body.origin, limit)
+        drawn.append(Drawn(number, replace(body, prior=prior, identified=identified), prior_marks, marks))
+    return drawn
+
+
+def _limit(bodies: Sequence[BodyDrawing]) -> float:
+    """Longest semi-axis, and distance from its link's origin, that an ellipsoid is drawn with [m].
+
+    In proportion to the robot, or to most of its bodies where the frames lie close together.
+    """
+    joints = stick_ends(bodies)
+    robot = float(np.linalg.norm(np.ptp(joints, axis=0)))
+    reaches = [np.linalg.norm(body.prior.centre - body.origin) + np.max(body.prior.semi_axes) for body in bodies]
+    finite = [reach for reach in reaches if np.isfinite(reach)]
+    return max(0.5 * robot, 1.5 * float(np.median(finite)) if finite else 0.0) or 1.0
+
+
+def stick_ends(bodies: Sequence[BodyDrawing]) -> FloatArray:
+    """Where sticks begin and end, ``(K, 3)`` [m]."""
+    return np.array([end for body in bodies for end in (body.parent_origin, body.origin) if end is not None])
+
+
+def _fitted(body: Ellipsoid, origin: FloatArray, limit: float) -> tuple[Ellipsoid, str]:
+    """The ellipsoid in a size and place that the picture can show, and the marks that tell of the difference."""
+    if not all(np.all(np.isfinite(part)) for part in (body.centre, body.semi_axes, body.axes)):
+        return body, ABSENT
+    marks, centre, semi_axes = "", body.centre, np.abs(body.semi_axes)
+    distance, largest = float(np.linalg.norm(centre - origin)), float(np.max(semi_axes))
+    if distance > limit:
+        marks += _FAR
+        centre = origin + (centre - origin) * limit / distance
+    if largest > limit:
+        marks += _LARGE
+        semi_axes = semi_axes * limit / largest
+    elif largest < 0.01 * limit:
+        marks += _SMALL
+        semi_axes = np.full(3, 0.01 * limit)
+    return replace(body, centre=centre, semi_axes=np.maximum(semi_axes, 1e-3 * limit)), marks
+
+
+def solids_of(drawn: Sequence[Drawn]) -> list[Ellipsoid]:
+    """All ellipsoids that are drawn."""
+    pairs = [(d.body.prior, d.prior_marks) for d in drawn] + [(d.body.identified, d.identified_marks) for d in drawn]
+    return [solid for solid, marks in pairs if marks != ABSENT]
+
+
+def view_of(points: FloatArray) -> View:
+    """From slightly above, across the direction in which ``points (K, 3)`` spread, and turned a little for depth.
+
+    A person who faces x is seen from the front, an arm that reaches along x from its right.
+    """
+    level = points[:, :2] - points[:, :2].mean(axis=0)
+    variances, directions = np.linalg.eigh(level.T @ level)
+    usual, azimuth = np.radians(-45.0), np.radians(-60.0)
+    if variances[1] > 1e-3 * np.sum((points - points.mean(axis=0)) ** 2):
+        across = directions[:, 0] * np.where(directions[:, 0] @ (1.0, -1.0) < 0.0, -1.0, 1.0)
+        offset = np.angle(np.exp(1j * (np.arctan2(across[1], across[0]) - usual)))
+        azimuth = usual + offset - np.clip(offset, -np.radians(25.0), np.radians(25.0))
+    elevation = np.radians(16.0)
+    towards = np.array([np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)])
+    right = np.array([-np.sin(azimuth), np.cos(azimuth), 0.0])
+    return View(np.array([right, np.cross(towards, right), towards]))
+
+
+def bounds(view: View, points: FloatArray, solids: Sequence[Ellipsoid]) -> tuple[FloatArray, FloatArray]:
+    """Lower left and upper right corner ``(2,)`` of points ``(K, 3)`` and ellipsoids on the picture [m]."""
+    centres = np.array([view.flat(solid.centre) for solid in solids]).reshape(-1, 2)
+    halves = np.array([half_widths(view, solid) for solid in solids]).reshape(-1, 2)
+    ends = np.vstack([view.flat(points), centres - halves, centres + halves])
+    return ends.min(axis=0), ends.max(axis=0)
+
+
+def half_widths(view: View, solid: Ellipsoid) -> FloatArray:
+    """Half the extent of the ellipsoid on the picture, ``(2,)`` [m]."""
+    halves: FloatArray = np.linalg.norm(view.sphere_map(solid)[:2], axis=1)
+    return halves
+
+
+def floor_below(points: FloatArray, solids: Sequence[Ellipsoid]) -> tuple[FloatArray, float]:
+    """A grid below points ``(K, 3)`` and ellipsoids: crossings ``(rows, columns, 3)``, distance of the lines [m]."""
+    halves = np.array([np.linalg.norm(solid.axes * solid.semi_axes, axis=1) for solid in solids]).reshape(-1, 3)
+    centres = np.array([solid.centre for solid in solids]).reshape(-1, 3)
+    ends = np.vstack([points, centres - halves, centres + halves])
+    step = _round_step((float(np.max(np.ptp(ends, axis=0))) or 1.0) / 7.0)
+    low, high = np.floor(ends.min(axis=0) / step), np.ceil(ends.max(axis=0) / step)
+    x, y = (step * np.arange(low[k], high[k] + 1.0) for k in range(2))
+    return np.stack(np.broadcast_arrays(x[:, None], y[None, :], ends[:, 2].min()), axis=-1), step
+
+
+def _round_step(rough: float) -> float:
+    """1, 2 or 5 times a power of ten, near ``rough``."""
+    power = 10.0 ** np.floor(np.log10(rough))
+    return float(power * min((1.0, 2.0, 5.0, 10.0), key=lambda factor: abs(np.log(factor * power / rough))))

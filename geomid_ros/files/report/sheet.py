@@ -1,0 +1,86 @@
+"""A sheet to draw on: its size and colours, places on it in inches from its top left corner, and text."""
+
+from __future__ import annotations
+
+from typing import TypeAlias
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.font_manager import FontProperties
+from matplotlib.textpath import text_to_path
+
+Place: TypeAlias = tuple[float, float, float, float]
+"""Left, top, width, height [inch]."""
+
+DPI = 150
+SIZE = (17.0, 10.0)  # [inch]
+
+# Grey is the URDF and colour the identified, in the robot as over time. For the colour-blind: Okabe and Ito's
+# vermilion.
+INK, FAINT, URDF, IDENTIFIED = "#1a1a1a", "#6b7075", "#9a9fa5", "#d55e00"
+NONE = "—"
+
+
+def add_axes(figure: Figure, place: Place, share: Axes | None = None) -> Axes:
+    """Axes at a place; they ``share`` the x axis of others."""
+    left, top, width, height = place
+    rectangle = (left / SIZE[0], 1.0 - (top + height) / SIZE[1], width / SIZE[0], height / SIZE[1])
+    return figure.add_axes(rectangle, sharex=share)
+
+
+def add_area(figure: Figure, place: Place) -> Axes:
+    """Axes without a frame whose coordinates are inches from the top left corner."""
+    axes = add_axes(figure, place)
+    axes.set_axis_off()
+    axes.set_xlim(0.0, place[2])
+    axes.set_ylim(place[3], 0.0)
+    return axes
+
+
+def add_text(
+    where: Figure | Axes,
+    x: float,
+    y: float,
+    text: str,
+    size: float = 9.5,
+    color: str = INK,
+    weight: str = "normal",
+    ha: str = "left",
+    va: str = "center",
+    zorder: float = 5.0,
+) -> None:
+    """Text at (x, y) inches from the top left corner of a figure or an area; a dollar sign is no formula."""
+    if isinstance(where, Figure):
+        x, y = x / SIZE[0], 1.0 - y / SIZE[1]
+    where.text(x, y, text, size=size, color=color, weight=weight, ha=ha, va=va, zorder=zorder, parse_math=False)
+
+
+def text_width(text: str, size: float, weight: str = "normal") -> float:
+    """Of a line of text [inch]."""
+    font = FontProperties(size=size, weight=weight)
+    return float(text_to_path.get_text_width_height_descent(text, font, ismath=False)[0]) / 72.0
+
+
+def shortened(text: str, inches: float, size: float, weight: str = "normal") -> str:
+    """``text`` no wider than ``inches``: names differ at their ends, so something inside is left out."""
+    short = text
+    for length in range(len(text) - 1, 1, -1):
+        if text_width(short, size, weight) <= inches:
+            break
+        head = 2 * length // 5
+        short = f"{text[:head]}…{text[len(text) - length + head :]}"
+    return short
+
+
+def number(value: float) -> str:
+    """Three digits, with an exponent only where it is shorter."""
+    if not np.isfinite(value):
+        return NONE
+    if value == 0.0:
+        return "0"
+    magnitude = int(np.floor(np.log10(abs(value))))
+    if magnitude < -3 or magnitude > 4:
+        mantissa, exponent = f"{value:.1e}".split("e")
+        return f"{mantissa}e{int(exponent)}"
+    return f"{value:.{max(2 - magnitude, 0)}f}"
