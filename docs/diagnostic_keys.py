@@ -11,7 +11,7 @@ from typing import Any, cast
 
 import numpy as np
 
-from geomid_ros.estimation.estimate import Estimate, LinkEstimate
+from geomid_ros.estimation.estimate import Estimate, LinkEstimate, LinksInformation
 from geomid_ros.files.configuration import Configuration
 from geomid_ros.gap.result import GapResult
 from geomid_ros.gap.watch import ChannelGap
@@ -111,7 +111,8 @@ def _everything() -> Status:
 def _estimate() -> Estimate:
     zeros, one = np.zeros(3), np.ones(1)
     link = LinkEstimate("LINK", (), 1.0, zeros, np.eye(3), 0.0, zeros, np.eye(3), np.ones(10), 0.0, 0.0, 1.0, ())
-    return Estimate(True, "", 0.0, 1, 0.0, 1, 0, (link,), (), np.ones(10), ("CHANNEL",), one, one, one)
+    known = LinksInformation(np.eye(10), np.zeros(10))
+    return Estimate(True, "", 0.0, 1, 0.0, 1, 0, (link,), (), np.ones(10), ("CHANNEL",), one, one, one, known)
 
 
 def _search_result() -> GapResult:

@@ -78,7 +78,14 @@ def find(
     """What :func:`~geomid_ros.gap.workflow.find_gap` finds with the session's model."""
     settings = GapSettings(cutoff=cutoff)
     return find_gap(
-        session.model, train, held_out, settings, nominal=session.prior, simulated=simulated, progress=progress
+        session.model,
+        train,
+        held_out,
+        settings,
+        nominal=session.prior,
+        known=session.loaded.information(session.model),
+        simulated=simulated,
+        progress=progress,
     )
 
 

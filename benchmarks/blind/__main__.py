@@ -41,7 +41,8 @@ def _parsed() -> argparse.Namespace:
         "--seeds",
         type=_seeds,
         default=range(10_000, 10_040),
-        help="FIRST:LAST+1, or one (10000:10040; 0 to 999 to develop)",
+        help="FIRST:LAST+1, FIRST:LAST+1:STEP (every 14th has the same single effect), or one (10000:10040; 0 to 999 "
+        "to develop)",
     )
     parser.add_argument("--kinds", type=_kinds, default=KINDS, help=f"of {','.join(KINDS)} (all)")
     parser.add_argument("--jobs", type=int, default=2, help="processes (%(default)s)")
@@ -52,8 +53,8 @@ def _parsed() -> argparse.Namespace:
 
 
 def _seeds(text: str) -> Sequence[int]:
-    first, _, end = text.partition(":")
-    return range(int(first), int(end) if end else int(first) + 1)
+    numbers = [int(number) for number in text.split(":")]
+    return range(*numbers) if len(numbers) > 1 else range(numbers[0], numbers[0] + 1)
 
 
 def _kinds(text: str) -> Sequence[str]:

@@ -58,6 +58,19 @@ class KnownEstimate:
 
 
 @dataclass(frozen=True, eq=False)
+class LinksInformation:
+    """What the data said of the inertias of all links together.
+
+    ``|residuals + rows (x - parameters)|^2`` is minus twice the logarithm of the likelihood of link parameters x, up to
+    a constant, with the effects that suit x best: ``residuals (10 links,)``, and ``rows (10 links, 10 links)``, upper
+    triangular.
+    """
+
+    rows: FloatArray
+    residuals: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
 class Estimate:
     """All that a solve found.
 
@@ -80,4 +93,5 @@ class Estimate:
     sigmas: FloatArray
     rms_nominal: FloatArray
     rms: FloatArray
+    information: LinksInformation
     known: tuple[KnownEstimate, ...] = ()

@@ -41,10 +41,12 @@ class Kind:
 @dataclass(frozen=True, eq=False)
 class Uncertainty:
     """At an estimate: ``covariance (D, D)`` of its error in tangent coordinates, and the standard deviations
-    ``prior_spreads (D,)`` of the prior's."""
+    ``prior_spreads (D,)`` of the prior's. ``share``: what correlations leave of the measured rows' information, 0 to
+    1."""
 
     covariance: FloatArray
     prior_spreads: FloatArray
+    share: float
 
     def from_data(self, columns: slice) -> float:
         """The share of the prior's variance in these coordinates that the data took away, 0 to 1.
@@ -81,7 +83,7 @@ def uncertainty(
     independent = Fold(share * measured.gradient + known.gradient, share * measured.information + known.information)
     spreads = prior_spreads(independent, from_prior, kinds)
     return Uncertainty(
-        error_covariance(measured.information, known.information, trust, weights, factors, spreads), spreads
+        error_covariance(measured.information, known.information, trust, weights, factors, spreads), spreads, share
     )
 
 

@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from geomid_ros.errors import InputError, unknown_name
+from geomid_ros.estimation.estimate import LinksInformation
 from geomid_ros.files.continued_effects import continued
 from geomid_ros.files.effect_forms import (
     KnownEffect,
@@ -25,7 +26,7 @@ from geomid_ros.files.effect_forms import (
     tilted_gravity,
     values,
 )
-from geomid_ros.files.results import known_inertias, read_estimate
+from geomid_ros.files.results import known_inertias, known_information, read_estimate
 from geomid_ros.files.sidecar import effect_of
 from geomid_ros.gap.result import Quantity
 from geomid_ros.model.effects import EFFECTS, PARAMETERS, Effect
@@ -42,11 +43,13 @@ NOT_PREDICTED = ("load_friction", "joint_elasticity", "backlash")
 
 @dataclass(frozen=True)
 class LoadedModel:
-    """The ``inertias (10,)`` of bodies by name, without payloads, and the ``effects`` that the file ``source`` says."""
+    """The ``inertias (10,)`` of bodies by name, without payloads, and the ``effects`` that the file ``source`` says;
+    ``known`` of these bodies together, in their order."""
 
     source: str = ""
     inertias: Mapping[str, FloatArray] | None = None
     effects: tuple[ModelEffect, ...] = ()
+    known: LinksInformation | None = None
 
     @staticmethod
     def read(path: str) -> LoadedModel:
@@ -60,7 +63,8 @@ class LoadedModel:
             *_single_coefficients(document, path),
             *(effect_of(entry, f"{path}: added[{index}]") for index, entry in enumerate(added)),
         ]
-        return LoadedModel(path, known_inertias(document, path), tuple(combined(effects)))
+        inertias, known = known_inertias(document, path), known_information(document, path)
+        return LoadedModel(path, inertias, tuple(combined(effects)), known)
 
     def refitted(self, model: MeasurementModel, coefficients: FloatArray) -> LoadedModel:
         """The same with the ``coefficients`` of ``model`` fitted anew, without those that are NaN or not as positive as
@@ -186,6 +190,20 @@ class LoadedModel:
         if np.any(found[positive] <= 0.0) or np.any(np.isinf(found)):
             raise InputError(f"{self.source}: an effect that must be positive and finite is not")
         return np.concatenate([*inertias, found])
+
+    def information(self, model: MeasurementModel) -> LinksInformation | None:
+        """How much is known of all identified bodies of ``model`` together, in their order; None if nothing is.
+
+        Links that are not identified here are as they were found.
+        """
+        if self.known is None or self.inertias is None:
+            return None
+        rows = np.zeros((len(self.known.rows), 10 * len(model.body_names)))
+        for source, name in enumerate(self.inertias):
+            if name in model.body_names:
+                place = model.body_names.index(name)
+                rows[:, 10 * place : 10 * place + 10] = self.known.rows[:, 10 * source : 10 * source + 10]
+        return LinksInformation(rows, self.known.residuals)
 
     def _payload(self, body: str, model: MeasurementModel) -> FloatArray:
         """Parameters ``(10,)`` of what a body carries."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import json
 import math
 import reprlib
@@ -12,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from geomid_ros.errors import InputError
-from geomid_ros.estimation.estimate import Estimate
+from geomid_ros.estimation.estimate import Estimate, LinksInformation
 from geomid_ros.files.atomic import write_text
 from geomid_ros.files.bounded import read_text
 from geomid_ros.geometry import pseudo_inertia
@@ -23,6 +24,7 @@ _MOST_BYTES = 5_000_000
 _MOST_LINKS = 1000
 _MOST_EFFECTS = 10_000
 _LARGEST = 1e50  # products of three still fit
+_PACKED = "<f4"
 
 
 def estimate_document(
@@ -80,7 +82,16 @@ def estimate_document(
             kind: None if values is None else _by_channel(estimate.channels, values) for kind, values in rms.items()
         },
         "sigma": _by_channel(estimate.channels, estimate.sigmas),
+        "information": {
+            "rows": _packed(estimate.information.rows[np.triu_indices(len(estimate.information.rows))]),
+            "residuals": _packed(estimate.information.residuals),
+        },
     }
+
+
+def _packed(numbers: FloatArray) -> str:
+    """Little-endian numbers of four bytes in base64: seven digits do, and nobody reads so many."""
+    return base64.b64encode(numbers.astype(_PACKED).tobytes()).decode()
 
 
 def _by_channel(channels: Sequence[str], values: FloatArray) -> dict[str, float | None]:
@@ -121,6 +132,29 @@ def _check_list(found: Any, most: int, where: str) -> None:
 def known_inertias(document: Mapping[str, Any], source: str) -> dict[str, FloatArray]:
     """Parameters ``(10,)`` in pinocchio's order of the links in a document, by name."""
     return {str(link.get("name")): _inertia(link, source) for link in document["links"]}
+
+
+def known_information(document: Mapping[str, Any], source: str) -> LinksInformation | None:
+    """What a document says of its links together, in their order; None if it says nothing.
+
+    Raises InputError for what is no such thing.
+    """
+    if (entry := document.get("information")) is None:
+        return None
+    size = 10 * len(document["links"])
+    rows = np.zeros((size, size))
+    try:
+        rows[np.triu_indices(size)] = _unpacked(entry["rows"]).reshape(size * (size + 1) // 2)
+        residuals = _unpacked(entry["residuals"]).reshape(size)
+    except (KeyError, TypeError, ValueError, OverflowError) as error:
+        raise InputError(f"{source}: the information on {size // 10} links cannot be read ({error})") from error
+    if not (np.all(np.isfinite(rows)) and np.all(np.isfinite(residuals))):
+        raise InputError(f"{source}: the information on the links is not finite")
+    return LinksInformation(rows, residuals)
+
+
+def _unpacked(text: Any) -> FloatArray:
+    return np.frombuffer(base64.b64decode(text, validate=True), _PACKED).astype(np.float64)
 
 
 def _inertia(link: Mapping[str, Any], source: str) -> FloatArray:

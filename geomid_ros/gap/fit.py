@@ -9,13 +9,15 @@ spread. So large errors of all inertias make the prior wide instead of passing f
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 
+from geomid_ros.estimation.estimate import LinksInformation
 from geomid_ros.estimation.objective import Evaluation, bend
 from geomid_ros.estimation.solvers import trust_region
+from geomid_ros.gap import other_recordings
 from geomid_ros.gap.design import Design
 from geomid_ros.gap.library import Candidate, Term
 from geomid_ros.geometry import pseudo_inertia, spd, symmetric
@@ -29,6 +31,7 @@ _LEAST_SHARE = 1e-10  # of the target's sum of squares: no residual is smaller
 _TOLERANCE = 3e-5
 _ROUNDS = 4
 _STEPS = 40
+_CENTRINGS = 5
 _SMALLEST_FACTOR = 0.05  # by which one step shrinks an inertia at most
 _SPREADS = (0.03, 0.8)
 
@@ -36,8 +39,8 @@ _SPREADS = (0.03, 0.8)
 @dataclass(frozen=True, eq=False)
 class Prior:
     """What is known before: the inertias ``(10 links,)``, the usual spread of their errors, and the effects that the
-    model already has: their terms, values and spreads ``(k,)``. ``certainty``: how
-    many directions of inertial error the usual spread counts as much as."""
+    model already has: their terms, values and spreads ``(k,)``. ``certainty``: how many directions of inertial error
+    the usual spread counts as much as. ``known``: what other recordings say of the links."""
 
     inertias: FloatArray
     spread: float
@@ -45,6 +48,7 @@ class Prior:
     values: FloatArray
     spreads: FloatArray
     certainty: float = 4.0
+    known: LinksInformation | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,7 +57,7 @@ class JointFit:
 
     ``score``: minus twice the log marginal likelihood, with the parameters' penalty; ``squares (C,)`` whitened sums
     of squares; ``information`` the Hessian ``(D, D)`` of half the score in tangent coordinates, ``jacobian (D, D)`` of
-    the parameters by them; ``spread`` of the links.
+    the parameters by them; ``spread`` of the links; ``inflation`` of the variances of what other recordings say.
     """
 
     chosen: tuple[Candidate, ...]
@@ -64,6 +68,7 @@ class JointFit:
     squares: FloatArray
     information: FloatArray
     spread: float
+    inflation: float
     products: FloatArray
 
     @property
@@ -123,7 +128,8 @@ class _StraightManifold(ParameterManifold):
 
 @dataclass(frozen=True, eq=False)
 class _ProfileObjective:
-    """Half of ``sum_c N_c log S_c`` plus the prior's terms, with weights ``(D,)`` of the tangent coordinates to it."""
+    """Half of ``sum_c N_c log S_c`` plus the prior's terms, with weights ``(D,)`` of the tangent coordinates to it, and
+    with ``known (r, D + 1)`` rows of standard deviation 1, whose last column are their residuals at the prior."""
 
     manifold: ParameterManifold
     products: FloatArray
@@ -131,6 +137,7 @@ class _ProfileObjective:
     least: FloatArray
     prior: Point
     weights: FloatArray
+    known: FloatArray
 
     @property
     def scale(self) -> float:
@@ -152,11 +159,14 @@ class _ProfileObjective:
         weights = self.counts / squares
         slope = self.manifold.whiten(point, (weights @ moved)[None, :-1])[0]
         rows = np.tensordot(weights, self.products[:, :-1, :-1], axes=1)
-        information = self.manifold.whiten(point, self.manifold.whiten(point, rows).T)
+        off = self.known @ np.append(point.parameters - self.prior.parameters, 1.0)
+        normals = self.manifold.whiten(point, self.known[:, :-1])
+        slope += off @ normals
+        information = self.manifold.whiten(point, self.manifold.whiten(point, rows).T) + normals.T @ normals
         to_prior = self.manifold.log(point, self.prior)
         root = np.sqrt(self.weights)
         curvature = root[:, None] * self.manifold.half_squared_distance_hessian(point, self.prior) * root
-        value = 0.5 * float(self.counts @ np.log(squares)) + 0.5 * float(self.weights @ to_prior**2)
+        value = 0.5 * float(self.counts @ np.log(squares) + self.weights @ to_prior**2 + off @ off)
         # Along a straight line the data have no curvature but their information; the prior has that of the line.
         hessian = information + curvature + bend(self.manifold, self.weights * to_prior)
         return Evaluation(value, slope - self.weights * to_prior, information, hessian)
@@ -171,7 +181,7 @@ def fit(
 ) -> JointFit:
     """Fit the chosen candidates together with all that is known, from an earlier fit where one is given.
 
-    The links' ``spread`` is estimated unless given.
+    The links' ``spread`` is estimated, and so is how far other recordings are trusted, unless it is given.
     """
     fixed = spread is not None
     bodies = [c.payload for c in chosen if c.payload >= 0]
@@ -186,27 +196,40 @@ def fit(
     weights[first : manifold.inertial.stop] = PAYLOAD_SPREAD**-2
     held = slice(manifold.real.start, manifold.real.start + len(prior.terms))
     weights[held] = (scales[: len(prior.terms)] / prior.spreads) ** 2
+    rows = other_recordings.rows(prior.known, manifold.dimension)
     counts, least = design.counts, _LEAST_SHARE * design.target_squares + 1e-300
     afresh = start is None or set(bodies) != set(start.bodies)
+    inflation = 1.0 if fixed or start is None else start.inflation
     if spread is None:
         spread = prior.spread if start is None or afresh else start.spread
     point = _first_point(manifold, known, None if afresh else start, bodies, terms)
+
+    def objective(spread: float, inflation: float) -> _ProfileObjective:
+        trusted = np.where(np.arange(manifold.dimension) < first, spread**-2, weights)
+        return _ProfileObjective(manifold, products, counts, least, known, trusted, rows / np.sqrt(inflation))
+
+    if afresh and bodies:
+        point = _with_centred_payloads(objective(spread, inflation), point, len(bodies))
     for _ in range(_ROUNDS):
-        weights[:first] = spread**-2
-        objective = _ProfileObjective(manifold, products, counts, least, known, weights)
-        solution = trust_region(objective, point, _TOLERANCE, _STEPS)
+        trusted = objective(spread, inflation)
+        solution = trust_region(trusted, point, _TOLERANCE, _STEPS)
         point = solution.point
         if fixed:
             break
-        hessian = solution.evaluation.information + np.diag(weights)
-        before, spread = spread, _spread(manifold, point, known, hessian, first, prior)
-        if abs(np.log(spread / before)) < 0.05:
+        hessian = solution.evaluation.information + np.diag(trusted.weights)
+        before = np.array([spread, inflation])
+        spread = _spread(manifold, point, known, hessian, first, prior)
+        inflation = other_recordings.inflation(rows, manifold, point, known, hessian)
+        if np.all(np.abs(np.log([spread, inflation] / before)) < 0.05):
             break
-    weights[:first] = spread**-2
-    hessian = solution.evaluation.information + np.diag(weights)
-    score = _score(objective, point, hessian, first, spread, prior)
+    trusted = objective(spread, inflation)
+    found = trusted.evaluate(point)
+    hessian = found.information + np.diag(trusted.weights)
+    score = 2.0 * found.value + _cost_of_spread(hessian[:first, :first], spread, prior)
+    score += other_recordings.cost_of_inflation(rows, inflation)
     score += sum(c.penalty for c in chosen) * float(np.log(np.max(counts, initial=1.0)))
-    return JointFit(tuple(chosen), terms, point, manifold, score, objective.squares(point), hessian, spread, products)
+    squares = trusted.squares(point)
+    return JointFit(tuple(chosen), terms, point, manifold, score, squares, hessian, spread, inflation, products)
 
 
 def unfitted(prior: Prior) -> JointFit:
@@ -222,6 +245,7 @@ def unfitted(prior: Prior) -> JointFit:
         np.zeros(0),
         np.eye(size),
         prior.spread,
+        1.0,
         np.zeros((0, size + 1, size + 1)),
     )
 
@@ -247,7 +271,11 @@ def _known(manifold: ParameterManifold, prior: Prior, bodies: Sequence[int]) -> 
 
 
 def _payload_prior(link: FloatArray, mass: float) -> FloatArray:
-    centre = link[1:4] / link[0]
+    return _ball(mass, link[1:4] / link[0])
+
+
+def _ball(mass: float, centre: FloatArray) -> FloatArray:
+    """Parameters ``(10,)`` of a body of a payload's usual size."""
     pseudo = mass * np.diag([_PAYLOAD_SIZE**2] * 3 + [1.0])
     pseudo[:3, :3] += mass * np.outer(centre, centre)
     pseudo[:3, 3] = pseudo[3, :3] = mass * centre
@@ -272,6 +300,31 @@ def _first_point(
     return Point(np.array(inertias), np.zeros(0), np.array(reals))
 
 
+def _with_centred_payloads(objective: _ProfileObjective, point: Point, payloads: int) -> Point:
+    """With the last bodies where least squares that knows no cone wants their masses and centres.
+
+    From elsewhere a body gets there by growing thin, and then hardly moves any more.
+    """
+    manifold = objective.manifold
+    places = slice(manifold.inertial.stop - 10 * payloads, manifold.inertial.stop)
+    evaluation = objective.evaluate(point)
+    for _ in range(_CENTRINGS):
+        hessian = evaluation.information + np.diag(objective.weights)
+        step = -np.linalg.solve(hessian, evaluation.gradient)
+        parameters = point.parameters.copy()
+        wanted = parameters + manifold.whiten(point, np.eye(manifold.dimension)) @ step
+        bodies = wanted[places].reshape(-1, 10)
+        if np.any(bodies[:, 0] <= 0.0):
+            break
+        parameters[places] = np.concatenate([_ball(body[0], body[1:4] / body[0]) for body in bodies])
+        candidate = manifold.point(parameters)
+        trial = objective.evaluate(candidate)
+        if trial.value >= evaluation.value:
+            break
+        point, evaluation = candidate, trial
+    return point
+
+
 def _spread(
     manifold: ParameterManifold, point: Point, known: Point, hessian: FloatArray, links: int, prior: Prior
 ) -> float:
@@ -282,13 +335,7 @@ def _spread(
     return float(np.clip(np.sqrt(square), *_SPREADS))
 
 
-def _score(
-    objective: _ProfileObjective, point: Point, hessian: FloatArray, links: int, spread: float, prior: Prior
-) -> float:
-    weights = replace(
-        objective, weights=np.where(np.arange(len(objective.weights)) < links, spread**-2, objective.weights)
-    )
-    fitted = 2.0 * weights.evaluate(point).value
-    _, volume = np.linalg.slogdet(spread**2 * hessian[:links, :links])
-    hyper = prior.certainty * ((prior.spread / spread) ** 2 + 2.0 * np.log(spread / prior.spread))
-    return float(fitted + volume + hyper)
+def _cost_of_spread(hessian: FloatArray, spread: float, prior: Prior) -> float:
+    """Of a ``hessian`` of the links: their volume, by Laplace's approximation, and the prior of the spread."""
+    _, volume = np.linalg.slogdet(spread**2 * hessian)
+    return float(volume) + prior.certainty * ((prior.spread / spread) ** 2 + 2.0 * float(np.log(spread / prior.spread)))

@@ -8,6 +8,7 @@ from time import perf_counter
 import numpy as np
 
 from geomid_ros.errors import InputError
+from geomid_ros.estimation.estimate import LinksInformation
 from geomid_ros.gap import library
 from geomid_ros.gap.analysis import Analysis, analyse
 from geomid_ros.gap.fit import Prior, unfitted
@@ -38,6 +39,7 @@ def find_gap(
     settings: GapSettings = _DEFAULT,
     *,
     nominal: FloatArray | None = None,
+    known: LinksInformation | None = None,
     simulated: Sequence[Samples] = (),
     progress: Callable[[str, float], None] | None = None,
 ) -> GapResult:
@@ -46,7 +48,7 @@ def find_gap(
     ``model``: the robot, its wrench sensors, and the effects that are already part of the model (none for a bare URDF).
     ``nominal (D,)``: the model's parameters (the URDF's inertias and no effects unless given, as
     :func:`geomid_ros.estimation.estimator.nominal_parameters`; those of an estimate.json with ``--model``; NaN where
-    that has none).
+    that has none). ``known``: how much the recordings that these were identified from say of all links together.
 
     ``train``, ``held_out``: one element per recording, or per part of one without a pause, in the order of time: all
     the samples of a stretch in ONE :class:`Samples` (``Samples.concatenate`` what a pipeline collects), not batches.
@@ -73,7 +75,7 @@ def find_gap(
     held = Records.make(held_out or train, settings.cutoff)
     _check(bare, records)
     _check_held_out(bare, held)
-    prior = _prior(model, nominal, settings)
+    prior = _prior(model, nominal, known, settings)
     if simulated:
         prior = _as_simulated(bare, Records.make(simulated, settings.cutoff), prior, report)
     analysis = analyse(bare, records, prior, report)
@@ -131,19 +133,20 @@ def _check_held_out(model: MeasurementModel, held: Records) -> None:
         )
 
 
-def _prior(model: MeasurementModel, nominal: FloatArray | None, settings: GapSettings) -> Prior:
+def _prior(
+    model: MeasurementModel, nominal: FloatArray | None, known: LinksInformation | None, settings: GapSettings
+) -> Prior:
     size = len(model.nominal_inertias)
     values = np.full(model.dimension, np.nan) if nominal is None else nominal
     inertias = np.where(np.isfinite(values[:size]), values[:size], model.nominal_inertias)
     coefficients = np.nan_to_num(values[size:])
-    known = [
-        (library.base_term(c), float(v)) for c, v in zip(model.coefficients, coefficients, strict=True) if v != 0.0
-    ]
-    strengths = np.array([value for _, value in known])
+    own = [(library.base_term(c), float(v)) for c, v in zip(model.coefficients, coefficients, strict=True) if v != 0.0]
+    strengths = np.array([value for _, value in own])
     spreads = np.maximum(_SPREAD_OF_EFFECTS * np.abs(strengths), _LEAST_SPREAD)
-    terms = tuple(term for term, _ in known)
+    terms = tuple(term for term, _ in own)
     if np.any(np.isfinite(values[:size])):
-        return Prior(inertias, settings.identified_spread, terms, strengths, spreads, _CERTAINTY_OF_IDENTIFIED)
+        spread = settings.identified_spread
+        return Prior(inertias, spread, terms, strengths, spreads, _CERTAINTY_OF_IDENTIFIED, known)
     return Prior(inertias, settings.spread, terms, strengths, spreads)
 
 

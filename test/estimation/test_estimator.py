@@ -226,3 +226,15 @@ def test_samples_counted_twice_change_nothing_but_the_count() -> None:
 
 
 SIGMAS = {"joint1": 0.05, "joint2": 0.05, "joint3": 0.05}
+
+
+@CASES
+def test_the_truth_is_as_likely_as_the_information_on_the_links_says(name: str, seed: int) -> None:
+    """Its residuals are noise of standard deviation 1, as many as it determines directions: chi-squared."""
+    case, found = standard(name, seed)
+    known, links = found.information, 10 * len(case.model.identified)
+    assert known.rows.shape == (links, links)
+    off = known.residuals + known.rows @ (case.truth - found.parameters)[:links]
+    rank = int(np.sum(np.abs(np.diag(known.rows)) > 1e-6 * np.max(known.rows)))
+    assert links / 3 < rank < links
+    assert abs(float(off @ off) / rank - 1.0) < 4.0 * np.sqrt(2.0 / rank)

@@ -95,7 +95,7 @@ def test_where_the_weight_is_that_of_bayes_from_data_is_the_trace_of_the_resolut
     fisher, spreads = information(rng, 6, 3), np.full(6, 0.3)
     covariance = error_covariance(fisher, np.zeros((6, 6)), 1.0, spreads**-2.0, np.ones(6), spreads)
     resolution = np.linalg.inv(fisher + np.diag(spreads**-2.0)) @ fisher
-    found = Uncertainty(covariance, spreads)
+    found = Uncertainty(covariance, spreads, 1.0)
     assert found.from_data(slice(0, 6)) == pytest.approx(np.trace(resolution) / 6.0, rel=1e-9)
 
 

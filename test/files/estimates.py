@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from geomid_ros.estimation.estimate import EffectEstimate, Estimate, LinkEstimate
+from geomid_ros.estimation.estimate import EffectEstimate, Estimate, LinkEstimate, LinksInformation
 from geomid_ros.geometry import pseudo_inertia
 
 
@@ -28,6 +28,7 @@ def estimate_of(*links: LinkEstimate, effects: tuple[EffectEstimate, ...] = ()) 
     """An estimate of two channels, the second of which was not measured."""
     parameters = np.concatenate([link.parameters for link in links] + [[e.value for e in effects]])
     of_channels = np.array([0.5, np.nan])
+    information = np.triu(np.random.default_rng(1).normal(size=(10 * len(links), 10 * len(links))))
     return Estimate(
         True,
         "gradient",
@@ -43,4 +44,5 @@ def estimate_of(*links: LinkEstimate, effects: tuple[EffectEstimate, ...] = ()) 
         of_channels,
         2.0 * of_channels,
         of_channels,
+        LinksInformation(information, np.diag(information)),
     )

@@ -211,6 +211,19 @@ def test_what_cannot_be_used_is_named(tmp_path: Path, added: Any, message: str) 
         Session(ARM, Configuration({"model": str(tmp_path / "estimate.json")}, "test"), "arm3.urdf")
 
 
+def test_information_stands_where_the_links_of_the_robot_stand(tmp_path: Path) -> None:
+    """Whatever their order in the file; of links that it does not have nothing is known."""
+    found = estimate_of(link_estimate("link3"), link_estimate("link1"))
+    write_estimate(tmp_path / "estimate.json", estimate_document(found, {}))
+    session = Session(ARM, Configuration({"model": str(tmp_path / "estimate.json")}, "test"), "arm3.urdf")
+    known = session.loaded.information(session.model)
+    assert known is not None
+    link1, link2, link3 = np.split(known.rows, 3, axis=1)
+    np.testing.assert_allclose(np.hstack([link3, link1]), found.information.rows, rtol=1e-6)
+    assert not np.any(link2)
+    np.testing.assert_allclose(known.residuals, found.information.residuals, rtol=1e-6)
+
+
 def test_a_payload_on_another_robots_link_is_named(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"estimate.json: unknown link with a payload 'hand'.*link3"):
         write_model_and_load(tmp_path, [effect("payload", "hand", **PAYLOAD)])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import json
 from collections.abc import Callable
 from pathlib import Path
@@ -13,7 +14,7 @@ import pytest
 from geomid_ros.errors import InputError
 from geomid_ros.estimation.estimate import EffectEstimate
 from geomid_ros.files.configuration import Configuration
-from geomid_ros.files.results import estimate_document, known_inertias, read_estimate, write_estimate
+from geomid_ros.files.results import estimate_document, known_inertias, known_information, read_estimate, write_estimate
 from geomid_ros.files.urdf import read_urdf
 from geomid_ros.session import Session
 
@@ -81,6 +82,14 @@ def test_round_trip(tmp_path: Path) -> None:
         np.testing.assert_allclose(known[link.name], link.parameters, rtol=ROUNDING, atol=ROUNDING)
 
 
+def test_what_is_known_of_the_links_together_is_read_again() -> None:
+    known = known_information(document(), "estimate.json")
+    assert known is not None
+    np.testing.assert_allclose(known.rows, ESTIMATE.information.rows, rtol=1e-6)
+    np.testing.assert_allclose(known.residuals, ESTIMATE.information.residuals, rtol=1e-6)
+    assert known_information({"links": []}, "estimate.json") is None
+
+
 def session_from(model: Path) -> Session:
     configuration = Configuration({"model": str(model)}, "test")
     return Session(read_urdf(BAGS / "arm3.urdf"), configuration, "arm3.urdf")
@@ -116,6 +125,7 @@ def edited(path: list[str | int], value: Any) -> Callable[[dict[str, Any]], None
     return edit
 
 
+NOT_FINITE = base64.b64encode(np.full(20, np.nan, "<f4").tobytes()).decode()
 UNUSABLE: dict[str, tuple[Callable[[dict[str, Any]], None], str]] = {
     "no links": (edited(["links"], None), "no 'links'"),
     "no effects": (edited(["effects"], None), "'effects'"),
@@ -126,6 +136,12 @@ UNUSABLE: dict[str, tuple[Callable[[dict[str, Any]], None], str]] = {
     "a mass that is a text": (edited(["links", 0, "mass"], "heavy"), "valid mass"),
     "a centre in the plane": (edited(["links", 0, "com"], [1.0, 2.0]), "valid mass"),
     "an inertia without shape": (edited(["links", 0, "inertia"], [1.0, 2.0]), "valid mass"),
+    "information of other links": (edited(["information", "rows"], "AAAAAA=="), "the information on 2 links"),
+    "information that is no base64": (edited(["information", "rows"], "?"), "the information on 2 links"),
+    "information without rows": (edited(["information", "rows"], None), "the information on 2 links"),
+    "information without residuals": (edited(["information", "residuals"], None), "the information on 2 links"),
+    "information that is a number": (edited(["information"], 3), "the information on 2 links"),
+    "information that is not finite": (edited(["information", "residuals"], NOT_FINITE), "is not finite"),
     "a negative mass": (edited(["links", 0, "mass"], -1.0), "'link3' belongs to no body"),
     "a mass that is not a number": (edited(["links", 0, "mass"], float("nan")), "'link3' belongs to no body"),
     "an impossible inertia": (edited(["links", 0, "inertia", 0], [9.0, 0.0, 0.0]), "'link3' belongs to no body"),

@@ -1,10 +1,12 @@
 """The joint fit and its score test: against exact fits, and where they must be blind."""
 
 from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from geomid_ros.estimation.estimate import LinksInformation
 from geomid_ros.gap import library
 from geomid_ros.gap.design import Design
 from geomid_ros.gap.fit import JointFit, Prior, fit, unfitted
@@ -13,6 +15,8 @@ from geomid_ros.gap.noise import Autoregression
 from geomid_ros.gap.record import Records
 from geomid_ros.gap.score_test import improvement
 from geomid_ros.gap.stage import Stage, TotalModel
+from geomid_ros.geometry import pseudo_inertia
+from geomid_ros.types import FloatArray
 
 from . import planted
 
@@ -26,12 +30,17 @@ def prior(spread: float = 0.2) -> Prior:
     return Prior(MODEL.nominal_inertias, spread, (), np.zeros(0), np.zeros(0))
 
 
+def designed(*seeds: int, friction: float = SMALL) -> Design:
+    """Of recordings of one robot, whose second joint has this friction."""
+    rigid = planted.rigid(planted.true_inertias(7, 0.2))
+    samples = [planted.recording(lambda q, v, a: rigid(q, v, a) + [0.0, friction, 0.0] * v, seed) for seed in seeds]
+    stage = Stage(MODEL, Records.make(samples, planted.CUTOFF), TotalModel.of(MODEL, unfitted(prior())))
+    return stage.design(stage.columns(CANDIDATES, ()), WHITE)
+
+
 @pytest.fixture(scope="module")
 def design() -> Design:
-    rigid = planted.rigid(planted.true_inertias(7, 0.2))
-    samples = planted.recording(lambda q, v, a: rigid(q, v, a) + [0.0, SMALL, 0.0] * v, 7)
-    stage = Stage(MODEL, Records.make([samples], planted.CUTOFF), TotalModel.of(MODEL, unfitted(prior())))
-    return stage.design(stage.columns(CANDIDATES, ()), WHITE)
+    return designed(7)
 
 
 @pytest.fixture(scope="module")
@@ -43,24 +52,88 @@ def named(effect: str, joint: int) -> Candidate:
     return next(c for c in CANDIDATES if c.effect == effect and c.joint == joint)
 
 
-def test_the_fit_is_a_minimum(design: Design) -> None:
+RANDOM = np.random.default_rng(3)
+KNOWN = LinksInformation(RANDOM.normal(scale=30.0, size=(12, 30)), RANDOM.normal(size=12))
+
+
+@pytest.mark.parametrize("known", [None, KNOWN], ids=["one recording", "others, too"])
+def test_the_fit_is_a_minimum(design: Design, known: LinksInformation | None) -> None:
     """Steps away from it, with the spread that it found, raise the score."""
-    found = fit(design, prior(), [named("viscous_friction", 1)], spread=0.2)
+    found = fit(design, replace(prior(), known=known), [named("viscous_friction", 1)], spread=0.2)
     rng = np.random.default_rng(0)
     for _ in range(5):
         direction = rng.standard_normal(found.manifold.dimension)
         direction *= 0.3 / np.sqrt(direction @ found.information @ direction)
         for sign in (1.0, -1.0):
-            assert objective(design, found, sign * direction) > objective(design, found, 0.0 * direction)
+            assert objective(design, found, sign * direction, known) > objective(design, found, 0.0 * direction, known)
 
 
-def objective(design: Design, found: JointFit, tangent: np.ndarray) -> float:
+def objective(design: Design, found: JointFit, tangent: FloatArray, known: LinksInformation | None) -> float:
     """The posterior without the spread's own terms, from its definition."""
     point = found.manifold.exp(found.point, tangent)
     vector = np.append(point.parameters, -1.0)
     squares = [vector @ products @ vector for products in found.products]
     links = found.manifold.log(found.manifold.point(np.append(MODEL.nominal_inertias, point.reals)), point)[:-1]
-    return float(design.counts @ np.log(squares) + links @ links / found.spread**2)
+    inertias = vector[:30] - MODEL.nominal_inertias
+    off = np.zeros(1) if known is None else known.residuals + known.rows @ inertias
+    return float(design.counts @ np.log(squares) + links @ links / found.spread**2 + off @ off)
+
+
+def said(found: JointFit, design: Design) -> LinksInformation:
+    """What a recording said of the links, which were fitted alone."""
+    count = len(MODEL.nominal_inertias)
+    weights, vector = design.counts / found.squares, np.append(found.point.parameters, -1.0)
+    values, vectors = np.linalg.eigh(np.einsum("c,cij->ij", weights, found.products[:, :count, :count]))
+    rows = np.sqrt(np.maximum(values, 0.0))[:, None] * vectors.T
+    slope = np.einsum("c,ci->i", weights, found.products[:, :count] @ vector)
+    residuals = vectors.T @ slope / np.sqrt(np.maximum(values, 1e-9 * values[-1]))
+    return LinksInformation(rows, residuals - rows @ (vector[:count] - MODEL.nominal_inertias))
+
+
+def test_what_is_known_of_a_recording_counts_as_if_it_were_fitted_again() -> None:
+    first, second, both = (fit(designed(*seeds), prior(), [], spread=0.2) for seeds in ((7,), (8,), (7, 8)))
+    again = fit(designed(8), replace(prior(), known=said(first, designed(7))), [], spread=0.2)
+
+    def errors(found: JointFit) -> float:
+        """Mean square of the distance from the fit to both, in its standard deviations."""
+        off = np.linalg.solve(both.jacobian, found.point.parameters - both.point.parameters)
+        return float(off @ both.information @ off) / len(off)
+
+    assert errors(again) < 0.05
+    assert errors(again) < 0.05 * min(errors(first), errors(second))
+
+
+def test_what_is_known_is_trusted_as_far_as_it_agrees() -> None:
+    """Recordings whose links seem others, by many times what their noise allows, had errors of the model."""
+    first, second = designed(7, friction=0.0), designed(8, friction=0.0)
+    known = said(fit(first, prior(), [], spread=0.2), first)
+    agreeing = fit(second, replace(prior(), known=known), [])
+    assert agreeing.inflation < 2.0
+    shifted = LinksInformation(known.rows, known.residuals + 100.0 * np.random.default_rng(5).standard_normal(30))
+    contradicting = fit(second, replace(prior(), known=shifted), [])
+    assert contradicting.inflation > 1000.0
+    alone = fit(second, prior(), [])
+    np.testing.assert_allclose(contradicting.squares, alone.squares, rtol=0.02)
+
+
+def test_a_payload_is_reached_from_afar() -> None:
+    """Its prior lies at the link's centre; the body is many times its own size away from there."""
+    inertias = planted.true_inertias(7, 0.2)
+    loaded, centre = inertias.copy(), np.array([0.5, -0.6, 0.4])
+    ball = centre @ centre * np.eye(3) - np.outer(centre, centre) + 1e-3 * np.eye(3)
+    rows, columns = pseudo_inertia.INERTIA_ENTRIES
+    loaded[-1] += 0.8 * np.concatenate([[1.0], centre, ball[rows, columns]])
+    stage = Stage(
+        MODEL,
+        Records.make([planted.recording(planted.rigid(loaded), 9)], planted.CUTOFF),
+        TotalModel.of(MODEL, unfitted(prior())),
+    )
+    precise = replace(prior(), inertias=inertias[list(MODEL.identified)].ravel(), spread=1e-3, certainty=1e4)
+    payload = next(c for c in CANDIDATES if c.payload == len(MODEL.identified) - 1)
+    found = fit(stage.design(stage.columns([payload], ()), WHITE), precise, [payload])
+    body = pseudo_inertia.to_parameters(found.point.pseudo_inertias)[-1]
+    stds = np.sqrt(np.diag(found.covariance)[found.manifold.link(found.manifold.links - 1)])
+    assert np.all(np.abs(body[:4] - 0.8 * np.array([1.0, *centre])) < 3.0 * stds[:4])
 
 
 @pytest.mark.parametrize(("effect", "joint"), [("viscous_friction", 1), ("coulomb_friction", 1), ("effort_offset", 2)])

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from geomid_ros.errors import InputError
+from geomid_ros.estimation.identifier import Identifier
 from geomid_ros.gap.result import GapResult
 from geomid_ros.gap.workflow import find_gap
 from geomid_ros.types import FloatArray
@@ -116,6 +117,23 @@ def test_a_payload_that_only_the_prior_tells_is_not_sure_but_beside_an_identifie
     mass = finding.parameters["mass"]
     assert abs(mass.value - PAYLOAD) < 3.0 * mass.std
     assert mass.std < 0.3 * PAYLOAD
+
+
+def test_a_payload_weighs_what_it_weighs_beside_inertias_that_were_identified_together() -> None:
+    """Their errors are large, but not where the motion tells: to know both makes the payload's mass sharp."""
+    inertias = planted.true_inertias(52, 0.2)
+    identifier = Identifier(planted.model())
+    identifier.add(planted.recording(planted.rigid(inertias), 53))
+    before = identifier.solve()
+    loaded = planted.rigid(carrying(inertias))
+    recordings = [planted.recording(loaded, 52)], [planted.recording(loaded, 1052, 15.0)]
+    found = [
+        find_gap(planted.model(), *recordings, nominal=before.parameters, known=known).findings[0].parameters["mass"]
+        for known in (before.information, None)
+    ]
+    assert abs(found[0].value - PAYLOAD) < 3.0 * found[0].std
+    assert found[0].std < 0.02 * PAYLOAD
+    assert found[0].std < 0.3 * found[1].std
 
 
 def test_a_payload_that_the_simulator_lacks_is_listed_and_its_friction_is_not() -> None:
