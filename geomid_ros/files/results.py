@@ -22,8 +22,10 @@ from geomid_ros.types import FloatArray
 FORMAT = 1
 _MOST_BYTES = 5_000_000
 _MOST_LINKS = 1000
+_MOST_LINKS_TOGETHER = 100  # of more, what is known of all together would be most of the file
 _MOST_EFFECTS = 10_000
 _LARGEST = 1e50  # products of three still fit
+_LARGEST_ROW = 1e18
 _PACKED = "<f4"
 
 
@@ -82,11 +84,13 @@ def estimate_document(
             kind: None if values is None else _by_channel(estimate.channels, values) for kind, values in rms.items()
         },
         "sigma": _by_channel(estimate.channels, estimate.sigmas),
-        "information": {
-            "rows": _packed(estimate.information.rows[np.triu_indices(len(estimate.information.rows))]),
-            "residuals": _packed(estimate.information.residuals),
-        },
+        "information": _together(estimate.information) if len(estimate.links) <= _MOST_LINKS_TOGETHER else None,
     }
+
+
+def _together(information: LinksInformation) -> dict[str, str]:
+    triangle = information.rows[np.triu_indices(len(information.rows))]
+    return {"rows": _packed(triangle), "residuals": _packed(information.residuals)}
 
 
 def _packed(numbers: FloatArray) -> str:
@@ -142,14 +146,15 @@ def known_information(document: Mapping[str, Any], source: str) -> LinksInformat
     if (entry := document.get("information")) is None:
         return None
     size = 10 * len(document["links"])
-    rows = np.zeros((size, size))
     try:
-        rows[np.triu_indices(size)] = _unpacked(entry["rows"]).reshape(size * (size + 1) // 2)
+        triangle = _unpacked(entry["rows"]).reshape(size * (size + 1) // 2)  # as many as the file has room for
         residuals = _unpacked(entry["residuals"]).reshape(size)
     except (KeyError, TypeError, ValueError, OverflowError) as error:
         raise InputError(f"{source}: the information on {size // 10} links cannot be read ({error})") from error
-    if not (np.all(np.isfinite(rows)) and np.all(np.isfinite(residuals))):
-        raise InputError(f"{source}: the information on the links is not finite")
+    if not all(np.all(np.abs(numbers) < _LARGEST_ROW) for numbers in (triangle, residuals)):
+        raise InputError(f"{source}: the information on the links is more than any measurement can tell")
+    rows = np.zeros((size, size))
+    rows[np.triu_indices(size)] = triangle
     return LinksInformation(rows, residuals)
 
 
