@@ -13,7 +13,7 @@ from geomid_ros.gap.fit import JointFit, Prior, unfitted
 from geomid_ros.gap.library import Candidate, Term
 from geomid_ros.gap.noise import Autoregression, runs_of
 from geomid_ros.gap.record import Records
-from geomid_ros.gap.repeats import floor_by_repeats
+from geomid_ros.gap.repeats import noise_by_repeats
 from geomid_ros.gap.search import Search
 from geomid_ros.gap.stage import Stage, TotalModel
 from geomid_ros.model.measurement import MeasurementModel
@@ -85,7 +85,7 @@ def analyse(
         noise = _noise(residual, stage.valid, records)
     progress("searching", 1.0)
     residual = stage.residual(columns, whole)
-    repeats = floor_by_repeats(model, records)
+    repeats = noise_by_repeats(model, records)
     counts = search.design.counts
     freedom = 1.0 - whole.parameters_by_channel(search.design) / np.where(counts > 0.0, counts, np.nan)
     return Analysis(
@@ -97,8 +97,7 @@ def analyse(
         found,
         whole,
         noise,
-        # What looks like a repeat need not be one.
-        np.fmin(repeats, _root_mean_square(residual, stage.valid) / np.sqrt(freedom)),
+        repeats.floor(_root_mean_square(residual, stage.valid) / np.sqrt(freedom)),
     )
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from itertools import combinations_with_replacement
 
 import numpy as np
@@ -14,11 +15,32 @@ from geomid_ros.types import FloatArray
 
 _SHORTEST_PERIOD = 1.0  # [s]
 _LEAST_OVERLAP = 0.45  # of the shorter stretch, that is compared: two periods just fit into one stretch
+_SURE = 2.0  # standard deviations of a standard deviation
 _SAME = 0.01  # root mean square difference of repeated positions, in their standard deviation
 
 
-def floor_by_repeats(model: MeasurementModel, records: Records) -> FloatArray:
-    """Standard deviation of the noise of each channel ``(C,)``, NaN where no motion is repeated or it is not measured.
+@dataclass(frozen=True, eq=False)
+class Repeats:
+    """``noise (C,)``: standard deviation of each channel, NaN where no motion is repeated or it is not measured, from
+    ``counts (C,)`` independent instants."""
+
+    noise: FloatArray
+    counts: FloatArray
+
+    def floor(self, remainder: FloatArray) -> FloatArray:
+        """The noise of each channel ``(C,)``, of which the standard deviation ``remainder (C,)`` of what a model leaves
+        is another measure, but for what the model lacks.
+
+        That measure has more data, so it stands unless the repeats say surely less: the smaller one of two that differ
+        by chance is too small.
+        """
+        sure = self.noise * (1.0 + _SURE / np.sqrt(2.0 * np.maximum(self.counts, 1.0))) < remainder
+        floor: FloatArray = np.where(sure | np.isnan(remainder), self.noise, remainder)
+        return floor
+
+
+def noise_by_repeats(model: MeasurementModel, records: Records) -> Repeats:
+    """The noise of each channel, without a model.
 
     Two runs of a motion, in one stretch or in two, differ by the noise of both, whatever the robot does; so half their
     mean squared difference is the variance of the noise, coloured or not.
@@ -35,8 +57,8 @@ def floor_by_repeats(model: MeasurementModel, records: Records) -> FloatArray:
         again = CubicSpline(others, values[1][:, known])(times[both] + delay)
         squares[known] += 0.5 * np.sum((again - values[0][both][:, known]) ** 2, axis=0)
         counts[known] += np.count_nonzero(both)
-    floor: FloatArray = np.sqrt(squares / np.where(counts > 0.0, counts, np.nan))
-    return floor
+    independent = len(records.samples) / max(1, sum(len(part) for part in records.dense))
+    return Repeats(np.sqrt(squares / np.where(counts > 0.0, counts, np.nan)), independent * counts)
 
 
 def repeated_after(first: Samples, second: Samples) -> float | None:

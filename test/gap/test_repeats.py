@@ -7,7 +7,7 @@ import pytest
 from scipy.signal import lfilter
 
 from geomid_ros.gap.record import Records
-from geomid_ros.gap.repeats import floor_by_repeats, repeated_after
+from geomid_ros.gap.repeats import Repeats, noise_by_repeats, repeated_after
 from geomid_ros.model.samples import Samples
 
 from . import planted
@@ -30,7 +30,7 @@ def test_noise_is_what_two_periods_differ_by(memory: float) -> None:
     records = Records.make([recording(1, 40.0, 2, memory)], planted.CUTOFF)
     assert repeated_after(records.dense[0], records.dense[0]) == pytest.approx(PERIOD, abs=1e-3)
     # A spline between white samples averages them: up to a tenth of the deviation of noise that is not filtered.
-    np.testing.assert_allclose(floor_by_repeats(planted.model(), records), SIZES, rtol=0.13)
+    np.testing.assert_allclose(noise_by_repeats(planted.model(), records).noise, SIZES, rtol=0.13)
 
 
 def test_two_recordings_of_one_motion_are_repeats() -> None:
@@ -38,18 +38,37 @@ def test_two_recordings_of_one_motion_are_repeats() -> None:
     first, second = recording(1, 8.0, 2), recording(1, 9.0, 3)
     records = Records.make([first, second.select(slice(32, None))], planted.CUTOFF)
     assert repeated_after(*records.dense) == pytest.approx(-32 / planted.RATE, abs=1e-3)
-    np.testing.assert_allclose(floor_by_repeats(planted.model(), records), SIZES, rtol=0.15)
+    np.testing.assert_allclose(noise_by_repeats(planted.model(), records).noise, SIZES, rtol=0.15)
 
 
 def test_other_motions_are_no_repeats() -> None:
     records = Records.make([recording(1, 8.0, 2), recording(4, 8.0, 3)], planted.CUTOFF)
-    assert np.all(np.isnan(floor_by_repeats(planted.model(), records)))
+    assert np.all(np.isnan(noise_by_repeats(planted.model(), records).noise))
 
 
 def test_a_joint_that_is_not_measured_leaves_the_others_their_floor() -> None:
     samples = recording(1, 40.0, 2)
     effort = samples.effort.copy()
     effort[:, 1] = np.nan
-    found = floor_by_repeats(planted.model(), Records.make([replace(samples, effort=effort)], planted.CUTOFF))
+    found = noise_by_repeats(planted.model(), Records.make([replace(samples, effort=effort)], planted.CUTOFF)).noise
     np.testing.assert_allclose(found[[0, 2]], SIZES[[0, 2]], rtol=0.13)
     assert np.isnan(found[1])
+
+
+def test_what_a_model_leaves_is_the_floor_unless_repeats_say_surely_less() -> None:
+    noise, remainder = np.array([0.99, 0.8, 1.2, np.nan, 1.0]), np.array([1.0, 1.0, 1.0, 1.0, np.nan])
+    floor = Repeats(noise, np.full(5, 200.0)).floor(remainder)
+    np.testing.assert_array_equal(floor, [1.0, 0.8, 1.0, 1.0, 1.0])
+    assert Repeats(noise, np.full(5, 5.0)).floor(remainder)[1] == 1.0, "five instants are sure of nothing"
+
+
+@pytest.mark.parametrize("memory", [0.0, 0.8])
+def test_the_floor_of_a_model_that_lacks_nothing_is_not_too_low(memory: float) -> None:
+    """On average over robots and channels: of two measures of the noise the smaller one would be."""
+    ratios = []
+    for seed in range(12):
+        samples = recording(1, 2.0 * PERIOD, seed, memory)
+        repeats = noise_by_repeats(planted.model(), Records.make([samples], planted.CUTOFF))
+        remainder = SIZES * (1.0 + np.random.default_rng(seed).standard_normal(3) / np.sqrt(2.0 * 2.0 * repeats.counts))
+        ratios.append(repeats.floor(remainder) / SIZES)
+    assert abs(np.mean(ratios) - 1.0) < 0.02
