@@ -83,6 +83,7 @@ def find(
         held_out,
         settings,
         nominal=session.prior,
+        deviations=session.loaded.deviations(session.model),
         known=session.loaded.information(session.model),
         simulated=simulated,
         progress=progress,

@@ -92,16 +92,18 @@ def _told(document: dict[str, Any]) -> tuple[str, Judgement | None]:
 
 def _report(judged: Sequence[Judgement], out: Path) -> None:
     table = figures(judged)
-    print()
-    print_matrix(judged)
+    single = [case for case in judged if len(case.truth) < 2]
+    if single:
+        print()
+        print_matrix(single)
+        draw_matrix(single, out / "matrix.png")
     print()
     print(f"{'':<62} {'value':>12} {'cases':>6}   {'must be':<18} aim")
     for figure in table:
         print(figure)
-    draw_matrix(judged, out / "matrix.png")
     results = {"figures": [asdict(figure) for figure in table], "cases": [asdict(case) for case in judged]}
     (out / "results.json").write_text(json.dumps(results, indent=1) + "\n")
-    print(f"\nWritten: {out / 'results.json'}, {out / 'matrix.png'}")
+    print(f"\nWritten: {out / 'results.json'}{' and matrix.png' if single else ''}")
 
 
 if __name__ == "__main__":

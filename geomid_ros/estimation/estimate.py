@@ -57,6 +57,10 @@ class KnownEstimate:
     std: float
 
 
+FINEST = 1e7
+"""The inverse of the smallest relative error of an inertia that data are believed to tell."""
+
+
 @dataclass(frozen=True, eq=False)
 class LinksInformation:
     """What the data said of the inertias of all links together.

@@ -9,7 +9,14 @@ import numpy as np
 from scipy.fft import dct
 
 from geomid_ros.errors import InputError, unknown_name
-from geomid_ros.estimation.estimate import EffectEstimate, Estimate, KnownEstimate, LinkEstimate, LinksInformation
+from geomid_ros.estimation.estimate import (
+    FINEST,
+    EffectEstimate,
+    Estimate,
+    KnownEstimate,
+    LinkEstimate,
+    LinksInformation,
+)
 from geomid_ros.estimation.gamma import PAPER, choose_gamma
 from geomid_ros.estimation.objective import GeodesicObjective, ResidualObjective, residual_objective, trust_in_known
 from geomid_ros.estimation.solvers import SOLVERS, trust_region
@@ -266,7 +273,8 @@ def _information(
     known: KnownRows,
     sure: Uncertainty,
 ) -> LinksInformation:
-    """With the effects eliminated, within their prior: a QR decomposition in which their columns come first."""
+    """With the effects eliminated, within their prior: a QR decomposition in which their columns come first. Data
+    without any noise count as if they had a little."""
     size, first = manifold.dimension, manifold.inertial.stop
     _, diagonal = manifold.jacobian(point)
     of_effects = np.zeros((size - first, size + 1))
@@ -279,6 +287,8 @@ def _information(
     stacked = np.concatenate([*of_data, of_effects, np.zeros((first, size + 1))])
     order = [*range(first, size), *range(first), size]
     left = triangular(stacked[:, order])[size - first : size, size - first :]
+    whitened = manifold.whiten(point, np.column_stack([left[:, :-1], np.zeros((first, size - first))]))
+    left = left / max(1.0, float(np.max(np.abs(whitened), initial=0.0)) / FINEST)
     return LinksInformation(frozen(left[:, :-1]), frozen(left[:, -1]))
 
 

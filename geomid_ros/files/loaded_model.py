@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -44,12 +44,14 @@ NOT_PREDICTED = ("load_friction", "joint_elasticity", "backlash")
 @dataclass(frozen=True)
 class LoadedModel:
     """The ``inertias (10,)`` of bodies by name, without payloads, and the ``effects`` that the file ``source`` says;
-    ``known`` of these bodies together, in their order."""
+    ``known`` of these bodies together, in their order; the fixed links that are ``merged`` into them, where the file
+    says so."""
 
     source: str = ""
     inertias: Mapping[str, FloatArray] | None = None
     effects: tuple[ModelEffect, ...] = ()
     known: LinksInformation | None = None
+    merged: Mapping[str, frozenset[str]] = field(default_factory=dict)
 
     @staticmethod
     def read(path: str) -> LoadedModel:
@@ -63,8 +65,9 @@ class LoadedModel:
             *_single_coefficients(document, path),
             *(effect_of(entry, f"{path}: added[{index}]") for index, entry in enumerate(added)),
         ]
-        inertias, known = known_inertias(document, path), known_information(document, path)
-        return LoadedModel(path, inertias, tuple(combined(effects)), known)
+        inertias = known_inertias(document, path)
+        known = known_information(document, inertias, path)
+        return LoadedModel(path, inertias, tuple(combined(effects)), known, _merged(document, path))
 
     def refitted(self, model: MeasurementModel, coefficients: FloatArray) -> LoadedModel:
         """The same with the ``coefficients`` of ``model`` fitted anew, without those that are NaN or not as positive as
@@ -182,6 +185,7 @@ class LoadedModel:
         if not self.inertias.keys() & set(model.body_names):
             names = f"{', '.join(self.inertias) or 'none'}; those of this robot: {', '.join(model.body_names)}"
             raise InputError(f"{self.source}: an estimate of another robot. Its links: {names}")
+        self._check_merged(model)
         inertias = [
             self.inertias.get(name, np.full(10, np.nan)) + self._payload(name, model) for name in model.body_names
         ]
@@ -191,18 +195,40 @@ class LoadedModel:
             raise InputError(f"{self.source}: an effect that must be positive and finite is not")
         return np.concatenate([*inertias, found])
 
+    def _check_merged(self, model: MeasurementModel) -> None:
+        """Raises InputError if a body consists of other links than the one of its name in the file. Links that weigh
+        nothing here are of no body."""
+        moving = {link for body in model.robot.bodies for link in (body.name, *body.merged)}
+        for body in (model.robot.bodies[place] for place in model.identified):
+            there, here = self.merged.get(body.name, frozenset(body.merged)), {*body.merged}
+            if there & moving != here:
+                then, now = (", ".join(sorted(links)) or "no other link" for links in (there, here))
+                raise InputError(
+                    f"{self.source}: link '{body.name}' was identified together with {then}, here it moves with {now}: "
+                    "declare the same mounted wrench sensors and locked joints as then"
+                )
+
+    def deviations(self, model: MeasurementModel) -> FloatArray:
+        """Standard deviations ``(D,)`` of those parameters that are effects of one coefficient, NaN where the file says
+        none."""
+        stds = {
+            (known.effect, known.joint): next(iter(known.parameters.values())).std
+            for known in self.effects
+            if len(known.parameters) == 1
+        }
+        found = [stds.get((c.effect.name, c.joint_name), math.nan) for c in model.coefficients]
+        return np.concatenate([np.full(len(model.nominal_inertias), np.nan), found])
+
     def information(self, model: MeasurementModel) -> LinksInformation | None:
-        """How much is known of all identified bodies of ``model`` together, in their order; None if nothing is.
+        """How much is known of all identified bodies of ``model`` together, in their order; None if nothing is, or if
+        some of them were not identified.
 
         Links that are not identified here are as they were found.
         """
-        if self.known is None or self.inertias is None:
+        if self.known is None or self.inertias is None or not {*model.body_names} <= self.inertias.keys():
             return None
-        rows = np.zeros((len(self.known.rows), 10 * len(model.body_names)))
-        for source, name in enumerate(self.inertias):
-            if name in model.body_names:
-                place = model.body_names.index(name)
-                rows[:, 10 * place : 10 * place + 10] = self.known.rows[:, 10 * source : 10 * source + 10]
+        places = [10 * list(self.inertias).index(name) for name in model.body_names]
+        rows = np.concatenate([self.known.rows[:, place : place + 10] for place in places], axis=1)
         return LinksInformation(rows, self.known.residuals)
 
     def _payload(self, body: str, model: MeasurementModel) -> FloatArray:
@@ -216,16 +242,29 @@ class LoadedModel:
         return total
 
 
+def _merged(document: Mapping[str, Any], source: str) -> dict[str, frozenset[str]]:
+    """The fixed links that are merged into each link of a document that says so."""
+    try:
+        return {
+            str(link["name"]): frozenset(map(str, link["merged"])) for link in document["links"] if "merged" in link
+        }
+    except TypeError as error:
+        raise InputError(f"{source}: a link's 'merged' is no list of names ({error})") from error
+
+
 def _single_coefficients(document: Mapping[str, Any], source: str) -> list[KnownEffect]:
     """The effects of one coefficient at a joint, in a document of :mod:`geomid_ros.files.results`."""
     try:
-        entries = [(str(entry["name"]), str(entry["joint"]), float(entry["value"])) for entry in document["effects"]]
+        entries = [
+            (str(entry["name"]), str(entry["joint"]), float(entry["value"]), float(entry.get("std") or math.nan))
+            for entry in document["effects"]
+        ]
     except (KeyError, TypeError, ValueError, OverflowError) as error:
         raise InputError(f"{source}: an effect lacks a valid name, joint or value ({error})") from error
-    for name, _, _ in entries:
+    for name, *_ in entries:
         if name not in EFFECTS:
             raise InputError(f"{source}: {unknown_name('effect', name, EFFECTS)}")
-    return [known_effect(name, joint, value) for name, joint, value in entries]
+    return [known_effect(name, joint, value, std=std) for name, joint, value, std in entries]
 
 
 def known_effect(name: str, joint: str, value: float, unit: str = "", std: float = np.nan) -> KnownEffect:

@@ -13,10 +13,11 @@ from typing import Any
 import numpy as np
 
 from geomid_ros.errors import InputError
-from geomid_ros.estimation.estimate import Estimate, LinksInformation
+from geomid_ros.estimation.estimate import FINEST, Estimate, LinksInformation
 from geomid_ros.files.atomic import write_text
 from geomid_ros.files.bounded import read_text
 from geomid_ros.geometry import pseudo_inertia
+from geomid_ros.geometry.manifold import ParameterManifold
 from geomid_ros.types import FloatArray
 
 FORMAT = 1
@@ -25,7 +26,7 @@ _MOST_LINKS = 1000
 _MOST_LINKS_TOGETHER = 100  # of more, what is known of all together would be most of the file
 _MOST_EFFECTS = 10_000
 _LARGEST = 1e50  # products of three still fit
-_LARGEST_ROW = 1e18
+_LARGEST_RESIDUAL = 1e9
 _PACKED = "<f4"
 
 
@@ -84,13 +85,17 @@ def estimate_document(
             kind: None if values is None else _by_channel(estimate.channels, values) for kind, values in rms.items()
         },
         "sigma": _by_channel(estimate.channels, estimate.sigmas),
-        "information": _together(estimate.information) if len(estimate.links) <= _MOST_LINKS_TOGETHER else None,
+        "information": _together(estimate) if len(estimate.links) <= _MOST_LINKS_TOGETHER else None,
     }
 
 
-def _together(information: LinksInformation) -> dict[str, str]:
-    triangle = information.rows[np.triu_indices(len(information.rows))]
-    return {"rows": _packed(triangle), "residuals": _packed(information.residuals)}
+def _together(estimate: Estimate) -> dict[str, Any]:
+    rows = estimate.information.rows
+    return {
+        "links": [link.name for link in estimate.links],
+        "rows": _packed(rows[np.triu_indices(len(rows))]),
+        "residuals": _packed(estimate.information.residuals),
+    }
 
 
 def _packed(numbers: FloatArray) -> str:
@@ -135,27 +140,48 @@ def _check_list(found: Any, most: int, where: str) -> None:
 
 def known_inertias(document: Mapping[str, Any], source: str) -> dict[str, FloatArray]:
     """Parameters ``(10,)`` in pinocchio's order of the links in a document, by name."""
-    return {str(link.get("name")): _inertia(link, source) for link in document["links"]}
+    known: dict[str, FloatArray] = {}
+    for link in document["links"]:
+        parameters, name = _inertia(link, source), str(link["name"])
+        if name in known:
+            raise InputError(f"{source}: there are two links '{name}', expected each once")
+        known[name] = parameters
+    return known
 
 
-def known_information(document: Mapping[str, Any], source: str) -> LinksInformation | None:
-    """What a document says of its links together, in their order; None if it says nothing.
+def known_information(
+    document: Mapping[str, Any], inertias: Mapping[str, FloatArray], source: str
+) -> LinksInformation | None:
+    """What a document says of its links together, which have these ``inertias (10,)``, in their order; None if it says
+    nothing.
 
     Raises InputError for what is no such thing.
     """
     if (entry := document.get("information")) is None:
         return None
-    size = 10 * len(document["links"])
+    size = 10 * len(inertias)
     try:
+        names = list(entry["links"])
         triangle = _unpacked(entry["rows"]).reshape(size * (size + 1) // 2)  # as many as the file has room for
         residuals = _unpacked(entry["residuals"]).reshape(size)
     except (KeyError, TypeError, ValueError, OverflowError) as error:
-        raise InputError(f"{source}: the information on {size // 10} links cannot be read ({error})") from error
-    if not all(np.all(np.abs(numbers) < _LARGEST_ROW) for numbers in (triangle, residuals)):
-        raise InputError(f"{source}: the information on the links is more than any measurement can tell")
+        raise InputError(f"{source}: the information on {len(inertias)} links cannot be read ({error})") from error
+    if names != list(inertias):
+        raise InputError(f"{source}: the information is on other links than those listed, or in another order")
     rows = np.zeros((size, size))
     rows[np.triu_indices(size)] = triangle
+    if not _can_be_measured(rows, inertias) or not np.all(np.abs(residuals) < _LARGEST_RESIDUAL):
+        raise InputError(f"{source}: the information on the links is more than any measurement can tell")
     return LinksInformation(rows, residuals)
+
+
+def _can_be_measured(rows: FloatArray, inertias: Mapping[str, FloatArray]) -> bool:
+    """Whether rows ``(n, 10 links)`` determine no inertia more finely than it is believed."""
+    manifold = ParameterManifold(len(inertias), 0, np.zeros(0))
+    if not np.all(np.isfinite(rows)):
+        return False
+    whitened = manifold.whiten(manifold.point(np.concatenate([*inertias.values()])), rows)
+    return bool(np.all(np.abs(whitened) < 2.0 * FINEST))  # rounded to seven digits
 
 
 def _unpacked(text: Any) -> FloatArray:

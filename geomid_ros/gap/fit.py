@@ -9,7 +9,7 @@ spread. So large errors of all inertias make the prior wide instead of passing f
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -181,8 +181,27 @@ def fit(
 ) -> JointFit:
     """Fit the chosen candidates together with all that is known, from an earlier fit where one is given.
 
-    The links' ``spread`` is estimated, and so is how far other recordings are trusted, unless it is given.
+    The links' ``spread`` is estimated, and so is how far other recordings are trusted, unless it is given. Recordings
+    that contradict each other leave two minima: in one the others are right and what is measured here is mostly error,
+    in the other it is the reverse. Both are looked for, the one that is more likely is taken.
     """
+    if prior.known is None or spread is not None:
+        return _fit(design, prior, chosen, start, spread)
+    alone = _fit(design, replace(prior, known=None), chosen, start)
+    rows = other_recordings.rows(prior.known, alone.manifold.dimension)
+    off = alone.point.parameters - _known(alone.manifold, prior, alone.bodies).parameters
+    loose = replace(alone, inflation=other_recordings.contradiction(rows, off))
+    return min((_fit(design, prior, chosen, first) for first in (start, loose)), key=lambda found: found.score)
+
+
+def _fit(
+    design: Design,
+    prior: Prior,
+    chosen: Sequence[Candidate],
+    start: JointFit | None = None,
+    spread: float | None = None,
+) -> JointFit:
+    """The minimum that is reached from the start."""
     fixed = spread is not None
     bodies = [c.payload for c in chosen if c.payload >= 0]
     own = dict.fromkeys(term for c in chosen for term in c.terms)

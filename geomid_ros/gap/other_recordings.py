@@ -34,6 +34,12 @@ def inflation(rows: FloatArray, manifold: ParameterManifold, point: Point, prior
     return max(1.0, (float(off @ off) + unsure + _CERTAINTY) / (_count(rows) + _CERTAINTY))
 
 
+def contradiction(rows: FloatArray, off: FloatArray) -> float:
+    """The inflation, at least 1, with which the rows are as wrong as they say at parameters that are ``off (D,)`` the
+    prior."""
+    return max(1.0, float(np.sum((rows @ np.append(off, 1.0)) ** 2)) / max(1, _count(rows)))
+
+
 def cost_of_inflation(rows: FloatArray, inflation: float) -> float:
     """Minus twice the logarithm of its probability, beside that of the rows' residuals in units of the enlarged
     standard deviations."""

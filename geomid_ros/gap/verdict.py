@@ -13,7 +13,7 @@ from geomid_ros.gap.curves import depends_on, is_curve
 from geomid_ros.gap.held_out import HeldOut
 from geomid_ros.gap.library import RICHER, Candidate
 from geomid_ros.gap.locate import strongest
-from geomid_ros.gap.result import Confidence, Finding, Ranked, Rival, Unexplained, Verdict
+from geomid_ros.gap.result import Confidence, Finding, Quantity, Ranked, Rival, Unexplained, Verdict
 from geomid_ros.gap.score_test import improvement
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.types import BoolArray, FloatArray
@@ -44,6 +44,7 @@ ALIKE_ONE_WAY: Mapping[str, str] = {
 }
 """Names that differ only at a joint that moves to and fro."""
 LEAST_OTHER_WAY = 0.05
+_SURE_OF_MASS = 3.0  # standard deviations
 REACHED = 1.15
 """A channel whose remainder is below this times the floor has reached it."""
 
@@ -61,10 +62,12 @@ def _finding(model: MeasurementModel, analysis: Analysis, candidate: Candidate, 
     share = _share(analysis, candidate)
     separability = improvement(search.design, search.without(whole, candidate), candidate)[1]
     joint = naming.place_name(model, candidate)
-    confidence = _confidence(analysis, candidate, joint, loss, rivals, share, unseen)
     close = [(rival.effect, rival.joint) for rival in rivals if rival.loss < CONFIDENT_RIVAL]
     load = float(np.std(analysis.stage.situation.load[:, candidate.joint])) if candidate.scanned else 0.0
     parameters = naming.parameters(model, whole, candidate, _scanned_std(analysis, candidate), load)
+    confidence = _confidence(analysis, candidate, joint, loss, rivals, share, unseen)
+    if confidence == "confident" and candidate.payload >= 0 and _may_weigh_nothing(parameters["mass"]):
+        confidence = "tentative"
     link = naming.link_name(model, candidate)
     return Finding(
         candidate.effect,
@@ -79,6 +82,10 @@ def _finding(model: MeasurementModel, analysis: Analysis, candidate: Candidate, 
         naming.sentence(candidate.effect, joint, link, parameters, confidence),
         naming.settled_by(candidate.effect, joint, close) if confidence != "confident" else "",
     )
+
+
+def _may_weigh_nothing(mass: Quantity) -> bool:
+    return not mass.value > _SURE_OF_MASS * mass.std
 
 
 def _scanned_std(analysis: Analysis, candidate: Candidate) -> float:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from time import perf_counter
 
 import numpy as np
@@ -39,6 +40,7 @@ def find_gap(
     settings: GapSettings = _DEFAULT,
     *,
     nominal: FloatArray | None = None,
+    deviations: FloatArray | None = None,
     known: LinksInformation | None = None,
     simulated: Sequence[Samples] = (),
     progress: Callable[[str, float], None] | None = None,
@@ -48,7 +50,8 @@ def find_gap(
     ``model``: the robot, its wrench sensors, and the effects that are already part of the model (none for a bare URDF).
     ``nominal (D,)``: the model's parameters (the URDF's inertias and no effects unless given, as
     :func:`geomid_ros.estimation.estimator.nominal_parameters`; those of an estimate.json with ``--model``; NaN where
-    that has none). ``known``: how much the recordings that these were identified from say of all links together.
+    that has none). ``deviations (D,)``: their standard deviations where they are known, NaN elsewhere. ``known``: what
+    the recordings say that these were identified from, others than ``train``, of all links together.
 
     ``train``, ``held_out``: one element per recording, or per part of one without a pause, in the order of time: all
     the samples of a stretch in ONE :class:`Samples` (``Samples.concatenate`` what a pipeline collects), not batches.
@@ -75,7 +78,7 @@ def find_gap(
     held = Records.make(held_out or train, settings.cutoff)
     _check(bare, records)
     _check_held_out(bare, held)
-    prior = _prior(model, nominal, known, settings)
+    prior = _prior(model, nominal, deviations, known, settings)
     if simulated:
         prior = _as_simulated(bare, Records.make(simulated, settings.cutoff), prior, report)
     analysis = analyse(bare, records, prior, report)
@@ -134,16 +137,21 @@ def _check_held_out(model: MeasurementModel, held: Records) -> None:
 
 
 def _prior(
-    model: MeasurementModel, nominal: FloatArray | None, known: LinksInformation | None, settings: GapSettings
+    model: MeasurementModel,
+    nominal: FloatArray | None,
+    deviations: FloatArray | None,
+    known: LinksInformation | None,
+    settings: GapSettings,
 ) -> Prior:
-    size = len(model.nominal_inertias)
-    values = np.full(model.dimension, np.nan) if nominal is None else nominal
+    size, unknown = len(model.nominal_inertias), np.full(model.dimension, np.nan)
+    values = unknown if nominal is None else nominal
+    unsure = np.nan_to_num((unknown if deviations is None else deviations)[size:])
     inertias = np.where(np.isfinite(values[:size]), values[:size], model.nominal_inertias)
     coefficients = np.nan_to_num(values[size:])
-    own = [(library.base_term(c), float(v)) for c, v in zip(model.coefficients, coefficients, strict=True) if v != 0.0]
-    strengths = np.array([value for _, value in own])
-    spreads = np.maximum(_SPREAD_OF_EFFECTS * np.abs(strengths), _LEAST_SPREAD)
-    terms = tuple(term for term, _ in own)
+    own = np.flatnonzero(coefficients)
+    strengths = coefficients[own]
+    spreads = np.maximum(np.maximum(_SPREAD_OF_EFFECTS * np.abs(strengths), _LEAST_SPREAD), unsure[own])
+    terms = tuple(library.base_term(model.coefficients[place]) for place in own)
     if np.any(np.isfinite(values[:size])):
         spread = settings.identified_spread
         return Prior(inertias, spread, terms, strengths, spreads, _CERTAINTY_OF_IDENTIFIED, known)
@@ -155,7 +163,7 @@ def _as_simulated(
 ) -> Prior:
     """What the user's simulator shows: its inertias with their payloads, and its effects, in place of the model's."""
     _check(model, records)
-    found = analyse(model, records, prior, report).names
+    found = analyse(model, records, replace(prior, known=None), report).names
     inertias = TotalModel.of(model, found).inertias[list(model.identified)].ravel()
     values = np.array([found.value(term) for term in found.terms])
     spreads = np.maximum(_SPREAD_OF_SIMULATED * np.abs(values), _LEAST_SPREAD)

@@ -37,10 +37,10 @@ EXACT = 1e-9
 
 def session_with(tmp_path: Path, known: Iterable[KnownEffect], **values: Any) -> Session:
     """A session of the arm from an estimate.json with the URDF's inertias and these effects."""
-    robot = Robot(ARM)
+    configuration = Configuration({"model": str(tmp_path / "estimate.json"), **values}, "test")
+    robot = Robot(ARM, cuts=[sensor.frame for sensor in configuration.sensors])
     inertias = {body.name: body.parameters for body in robot.bodies}
     write_model(tmp_path, MeasurementModel(robot, ()), ARM, inertias, known, GRAVITY)
-    configuration = Configuration({"model": str(tmp_path / "estimate.json"), **values}, "test")
     return Session(ARM, configuration, "arm3.urdf")
 
 
@@ -153,8 +153,10 @@ def test_an_estimate_from_a_model_is_the_model_again(tmp_path: Path, common: lis
     assert "backlash of joint1: not predicted" in session.loaded.not_predicted
     before, samples = predicted(session)
     links = tuple(
-        replace(link_estimate(name), mass=p[0], com=p[1:4] / p[0], inertia=_central(p), parameters=p)
-        for name, p in zip(session.model.body_names, session.prior[:30].reshape(-1, 10), strict=True)
+        replace(link_estimate(name, body.merged), mass=p[0], com=p[1:4] / p[0], inertia=_central(p), parameters=p)
+        for name, body, p in zip(
+            session.model.body_names, session.robot.bodies, session.prior[:30].reshape(-1, 10), strict=True
+        )
     )
     session.save(tmp_path / "again", estimate_of(*links, effects=tuple(estimated(session))))
     again = Session(
@@ -205,23 +207,33 @@ def test_nothing_is_known_without_a_model() -> None:
     ],
 )
 def test_what_cannot_be_used_is_named(tmp_path: Path, added: Any, message: str) -> None:
-    document = estimate_document(estimate_of(link_estimate("link3")), {})
+    document = estimate_document(estimate_of(link_estimate("link3", ("tool",))), {})
     write_estimate(tmp_path / "estimate.json", json.loads(json.dumps(document)) | {"added": added})
     with pytest.raises(InputError, match=rf"estimate\.json: {message}"):
         Session(ARM, Configuration({"model": str(tmp_path / "estimate.json")}, "test"), "arm3.urdf")
 
 
 def test_information_stands_where_the_links_of_the_robot_stand(tmp_path: Path) -> None:
-    """Whatever their order in the file; of links that it does not have nothing is known."""
-    found = estimate_of(link_estimate("link3"), link_estimate("link1"))
+    """Whatever their order in the file; of links that are not looked for it needs to say nothing."""
+    names = ["link2", "link3", "link1"]
+    found = estimate_of(*(link_estimate(name, merged) for name, merged in zip(names, [(), ("tool",), ()], strict=True)))
+    write_estimate(tmp_path / "estimate.json", estimate_document(found, {}))
+    values = {"model": str(tmp_path / "estimate.json")}
+    all_links = Session(ARM, Configuration(values, "test"), "arm3.urdf")
+    some = Session(ARM, Configuration(values | {"links": ["link1", "link3"]}, "test"), "arm3.urdf")
+    by_name = dict(zip(names, np.split(found.information.rows, 3, axis=1), strict=True))
+    for session, expected in ((all_links, ["link1", "link2", "link3"]), (some, ["link1", "link3"])):
+        known = session.loaded.information(session.model)
+        assert known is not None
+        np.testing.assert_allclose(known.rows, np.hstack([by_name[name] for name in expected]), rtol=1e-6)
+        np.testing.assert_allclose(known.residuals, found.information.residuals, rtol=1e-6)
+
+
+def test_information_that_took_other_links_for_known_is_left(tmp_path: Path) -> None:
+    found = estimate_of(link_estimate("link3", ("tool",)), link_estimate("link1"))
     write_estimate(tmp_path / "estimate.json", estimate_document(found, {}))
     session = Session(ARM, Configuration({"model": str(tmp_path / "estimate.json")}, "test"), "arm3.urdf")
-    known = session.loaded.information(session.model)
-    assert known is not None
-    link1, link2, link3 = np.split(known.rows, 3, axis=1)
-    np.testing.assert_allclose(np.hstack([link3, link1]), found.information.rows, rtol=1e-6)
-    assert not np.any(link2)
-    np.testing.assert_allclose(known.residuals, found.information.residuals, rtol=1e-6)
+    assert session.loaded.information(session.model) is None
 
 
 def test_a_payload_on_another_robots_link_is_named(tmp_path: Path) -> None:
@@ -230,7 +242,7 @@ def test_a_payload_on_another_robots_link_is_named(tmp_path: Path) -> None:
 
 
 def write_model_and_load(tmp_path: Path, effects: list[KnownEffect]) -> Session:
-    document = estimate_document(estimate_of(link_estimate("link3")), {})
+    document = estimate_document(estimate_of(link_estimate("link3", ("tool",))), {})
     entries = [
         {
             "effect": e.effect,

@@ -83,11 +83,11 @@ def test_round_trip(tmp_path: Path) -> None:
 
 
 def test_what_is_known_of_the_links_together_is_read_again() -> None:
-    known = known_information(document(), "estimate.json")
+    known = known_information(document(), known_inertias(document(), "estimate.json"), "estimate.json")
     assert known is not None
     np.testing.assert_allclose(known.rows, ESTIMATE.information.rows, rtol=1e-6)
     np.testing.assert_allclose(known.residuals, ESTIMATE.information.residuals, rtol=1e-6)
-    assert known_information({"links": []}, "estimate.json") is None
+    assert known_information({"links": []}, {}, "estimate.json") is None
 
 
 def test_the_estimate_of_many_links_can_be_read_again(tmp_path: Path) -> None:
@@ -95,7 +95,8 @@ def test_the_estimate_of_many_links_can_be_read_again(tmp_path: Path) -> None:
     for count, said in ((100, True), (101, False)):
         many = estimate_of(*(link_estimate(f"link{number}") for number in range(count)))
         write_estimate(tmp_path / "many.json", estimate_document(many, {}))
-        assert (known_information(read_estimate(tmp_path / "many.json"), "many.json") is not None) is said
+        read = read_estimate(tmp_path / "many.json")
+        assert (known_information(read, known_inertias(read, "many.json"), "many.json") is not None) is said
 
 
 def session_from(model: Path) -> Session:
@@ -118,6 +119,7 @@ def test_an_estimate_is_started_from(tmp_path: Path) -> None:
 def of_another_robot(result: dict[str, Any]) -> None:
     for link in result["links"]:
         link["name"] = "leg_" + link["name"]
+    result["information"]["links"] = [link["name"] for link in result["links"]]
 
 
 def edited(path: list[str | int], value: Any) -> Callable[[dict[str, Any]], None]:
@@ -148,6 +150,14 @@ UNUSABLE: dict[str, tuple[Callable[[dict[str, Any]], None], str]] = {
     "information that is no base64": (edited(["information", "rows"], "?"), "the information on 2 links"),
     "information without rows": (edited(["information", "rows"], None), "the information on 2 links"),
     "information without residuals": (edited(["information", "residuals"], None), "the information on 2 links"),
+    "information in another order": (edited(["information", "links"], ["link1", "link3"]), "in another order"),
+    "information without links": (edited(["information", "links"], None), "the information on 2 links"),
+    "a link twice": (edited(["links", 1, "name"], "link3"), "two links 'link3'"),
+    "a link merged with a number": (edited(["links", 0, "merged"], 3), "'merged' is no list"),
+    "a link merged with another one": (
+        edited(["links", 0, "merged"], ["hand"]),
+        "'link3' was identified together with",
+    ),
     "information that is a number": (edited(["information"], 3), "the information on 2 links"),
     "information that is not finite": (edited(["information", "residuals"], NOT_FINITE), "more than any measurement"),
     "a negative mass": (edited(["links", 0, "mass"], -1.0), "'link3' belongs to no body"),

@@ -136,6 +136,21 @@ def test_a_payload_weighs_what_it_weighs_beside_inertias_that_were_identified_to
     assert found[0].std < 0.3 * found[1].std
 
 
+@pytest.mark.parametrize("seed", [54, 55])
+def test_a_payload_that_is_gone_is_no_other_effect(seed: int) -> None:
+    """What the recordings with it said of the links contradicts those without: then it is worth little, and is not
+    imitated by wrong sensors."""
+    inertias = planted.true_inertias(seed, 0.2)
+    identifier = Identifier(planted.model())
+    identifier.add(planted.recording(planted.rigid(carrying(inertias)), seed))
+    before = identifier.solve()
+    without = planted.rigid(inertias)
+    recordings = [planted.recording(without, seed + 500)], [planted.recording(without, seed + 1000, 15.0)]
+    result = find_gap(planted.model(), *recordings, nominal=before.parameters, known=before.information)
+    assert not [finding for finding in result.findings if finding.confidence == "confident"]
+    assert np.max(result.gap.inertias_only) < 1.3
+
+
 def test_a_payload_that_the_simulator_lacks_is_listed_and_its_friction_is_not() -> None:
     inertias = planted.true_inertias(61, 0.05)
     friction = np.array([0.0, 0.4, 0.0])
