@@ -180,7 +180,8 @@ def _can_be_measured(rows: FloatArray, inertias: Mapping[str, FloatArray]) -> bo
     manifold = ParameterManifold(len(inertias), 0, np.zeros(0))
     if not np.all(np.isfinite(rows)):
         return False
-    whitened = manifold.whiten(manifold.point(np.concatenate([*inertias.values()])), rows)
+    with np.errstate(all="ignore"):  # of bodies beyond all measure; what is no number is refused
+        whitened = manifold.whiten(manifold.point(np.concatenate([*inertias.values()])), rows)
     return bool(np.all(np.abs(whitened) < 2.0 * FINEST))  # rounded to seven digits
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import copy
 import json
 from collections.abc import Iterator
@@ -18,6 +19,7 @@ from geomid_ros.files.shared_files import shared_file
 from geomid_ros.gap_session import effects_of
 from geomid_ros.model.effects import PARAMETERS, PHYSICAL_EFFECTS
 from geomid_ros.session import Session
+from geomid_ros.types import FloatArray
 
 # A place in a document: the list or object, and the index or key in it.
 _Place: TypeAlias = tuple[Any, Any]
@@ -116,15 +118,22 @@ class ModelTarget:
         session = Session(self._urdf, Configuration(), "arm3.urdf")
         inertia = [[0.02, 0.0, 0.0], [0.0, 0.02, 0.0], [0.0, 0.0, 0.02]]
         links = [
-            {"name": name, "merged": [], "mass": 1.5, "com": [0.0, 0.01, 0.1], "inertia": inertia}
-            for name in session.model.body_names
+            {"name": body.name, "merged": list(body.merged), "mass": 1.5, "com": [0.0, 0.01, 0.1], "inertia": inertia}
+            for body in session.robot.bodies
         ]
+        size = 10 * len(links)
+        information = {
+            "links": [link["name"] for link in links],
+            "rows": _packed(np.ones(size * (size + 1) // 2)),
+            "residuals": _packed(np.ones(size)),
+        }
         effects = [
             {"name": c.effect.name, "joint": c.joint_name, "value": 0.1, "std": 0.01, "unit": c.unit}
             for c in session.model.coefficients
         ]
         added = [entry for entry in effect_entries() if entry["link"] != "tool"]
-        self._whole = json.dumps({"format": 1, "links": links, "effects": effects, "added": added})
+        whole = {"format": 1, "links": links, "effects": effects, "added": added, "information": information}
+        self._whole = json.dumps(whole)
         self._configuration = Configuration({"model": str(self._path), "gap.memory": 0.0})
         self._use(self._whole)
 
@@ -143,3 +152,10 @@ class ModelTarget:
         effects_of(self._path)
         prior = session.prior
         require(prior is not None and not np.any(np.isinf(prior)), "parameters that are no numbers")
+        known = session.loaded.information(session.model)
+        require(known is None or np.all(np.isfinite(known.rows)), "information that is no numbers")
+
+
+def _packed(numbers: FloatArray) -> str:
+    """As the file has them: four bytes each, in base64."""
+    return base64.b64encode(numbers.astype("<f4").tobytes()).decode()
