@@ -10,14 +10,13 @@ from scipy.fft import dct
 
 from geomid_ros.errors import InputError, unknown_name
 from geomid_ros.estimation.estimate import (
-    FINEST,
     EffectEstimate,
     Estimate,
     KnownEstimate,
     LinkEstimate,
-    LinksInformation,
 )
 from geomid_ros.estimation.gamma import PAPER, choose_gamma
+from geomid_ros.estimation.links_information import links_information
 from geomid_ros.estimation.objective import GeodesicObjective, ResidualObjective, residual_objective, trust_in_known
 from geomid_ros.estimation.solvers import SOLVERS, trust_region
 from geomid_ros.estimation.starting_point import (
@@ -27,7 +26,7 @@ from geomid_ros.estimation.starting_point import (
     scales_of_reals,
     usual_spreads,
 )
-from geomid_ros.estimation.summary import RowSummary, triangular
+from geomid_ros.estimation.summary import RowSummary
 from geomid_ros.estimation.uncertainty import (
     Fold,
     Kind,
@@ -155,7 +154,7 @@ def estimate(
         frozen(sigmas),
         frozen(summary.rms(nominal_parameters(model))),
         frozen(summary.rms(solution.point.parameters)),
-        _information(manifold, prior_point, solution.point, measured, known, sure),
+        links_information(manifold, prior_point, solution.point, measured, known, sure),
         _known(known, manifold, solution.point, sure),
     )
 
@@ -263,33 +262,6 @@ def _effects(
         EffectEstimate(c.effect.name, c.joint_name, float(value), c.unit, float(s), share)
         for c, value, s, share in zip(model.coefficients, point.parameters[first:], std, shares, strict=True)
     )
-
-
-def _information(
-    manifold: ParameterManifold,
-    prior: Point,
-    point: Point,
-    measured: tuple[FloatArray, FloatArray],
-    known: KnownRows,
-    sure: Uncertainty,
-) -> LinksInformation:
-    """With the effects eliminated, within their prior: a QR decomposition in which their columns come first. Data
-    without any noise count as if they had a little."""
-    size, first = manifold.dimension, manifold.inertial.stop
-    _, diagonal = manifold.jacobian(point)
-    of_effects = np.zeros((size - first, size + 1))
-    of_effects[:, first:size] = np.diag(1.0 / (diagonal * sure.prior_spreads[first:]))
-    of_effects[:, size] = -manifold.log(point, prior)[first:] / sure.prior_spreads[first:]
-    of_data = [
-        factor * np.column_stack([rows, rows @ point.parameters - targets])
-        for factor, rows, targets in ((np.sqrt(sure.share), *measured), (1.0, known.rows, known.targets))
-    ]
-    stacked = np.concatenate([*of_data, of_effects, np.zeros((first, size + 1))])
-    order = [*range(first, size), *range(first), size]
-    left = triangular(stacked[:, order])[size - first : size, size - first :]
-    whitened = manifold.whiten(point, np.column_stack([left[:, :-1], np.zeros((first, size - first))]))
-    left = left / max(1.0, float(np.max(np.abs(whitened), initial=0.0)) / FINEST)
-    return LinksInformation(frozen(left[:, :-1]), frozen(left[:, -1]))
 
 
 def _known(known: KnownRows, manifold: ParameterManifold, point: Point, sure: Uncertainty) -> tuple[KnownEstimate, ...]:

@@ -15,24 +15,18 @@ from functools import cached_property
 import numpy as np
 
 from geomid_ros.estimation.estimate import LinksInformation
-from geomid_ros.estimation.objective import Evaluation, bend
 from geomid_ros.estimation.solvers import trust_region
-from geomid_ros.gap import other_recordings
+from geomid_ros.gap import other_recordings, payload_start
 from geomid_ros.gap.design import Design
 from geomid_ros.gap.library import Candidate, Term
-from geomid_ros.geometry import pseudo_inertia, spd, symmetric
+from geomid_ros.gap.profile_objective import ProfileObjective, StraightManifold
 from geomid_ros.geometry.manifold import ParameterManifold, Point
 from geomid_ros.types import FloatArray
 
-PAYLOAD_SPREAD = 3.0
-_PAYLOAD_MASS = 0.2  # of the mean link's mass: where a payload's weak prior is centred
-_PAYLOAD_SIZE = 0.1  # [m]
 _LEAST_SHARE = 1e-10  # of the target's sum of squares: no residual is smaller
 _TOLERANCE = 3e-5
 _ROUNDS = 4
 _STEPS = 40
-_CENTRINGS = 5
-_SMALLEST_FACTOR = 0.05  # by which one step shrinks an inertia at most
 _SPREADS = (0.03, 0.8)
 
 
@@ -108,70 +102,6 @@ class JointFit:
         return int(self.manifold.real.start) + self.terms.index(term)
 
 
-@dataclass(frozen=True, eq=False)
-class _StraightManifold(ParameterManifold):
-    """The manifold with steps along straight lines of the parameters instead of geodesics.
-
-    Precise data confine the inertias to a thin slab of straight hyperplanes, which a geodesic leaves after a short way.
-    Where a straight step would leave the cone, the eigenvalue approaches zero instead.
-    """
-
-    def exp(self, base: Point, tangent: FloatArray) -> Point:
-        """The end of the straight step that leaves ``base`` with tangent coordinates ``(D,)``."""
-        matrices = symmetric.to_matrix(tangent[self.inertial].reshape(self.links, symmetric.SIZE))
-        values, vectors = np.linalg.eigh(matrices)
-        bent = np.maximum(0.5 * np.exp(2.0 * np.minimum(values + 0.5, 0.0)), _SMALLEST_FACTOR)
-        factors = np.where(values > -0.5, 1.0 + values, bent)
-        whitened = (vectors * factors[..., None, :]) @ np.swapaxes(vectors, -1, -2)
-        return Point(spd.congruence(base.root, whitened), base.positives, base.reals + self.scales * tangent[self.real])
-
-
-@dataclass(frozen=True, eq=False)
-class _ProfileObjective:
-    """Half of ``sum_c N_c log S_c`` plus the prior's terms, with weights ``(D,)`` of the tangent coordinates to it, and
-    with ``known (r, D + 1)`` rows of standard deviation 1, whose last column are their residuals at the prior."""
-
-    manifold: ParameterManifold
-    products: FloatArray
-    counts: FloatArray
-    least: FloatArray
-    prior: Point
-    weights: FloatArray
-    known: FloatArray
-
-    @property
-    def scale(self) -> float:
-        return float(np.sum(self.counts))
-
-    @property
-    def prior_weight(self) -> float:
-        return float(np.min(self.weights))
-
-    def squares(self, point: Point) -> FloatArray:
-        vector = np.append(point.parameters, -1.0)
-        squares: FloatArray = np.maximum((self.products @ vector) @ vector, self.least)
-        return squares
-
-    def evaluate(self, point: Point) -> Evaluation:
-        vector = np.append(point.parameters, -1.0)
-        moved = self.products @ vector
-        squares = np.maximum(moved @ vector, self.least)
-        weights = self.counts / squares
-        slope = self.manifold.whiten(point, (weights @ moved)[None, :-1])[0]
-        rows = np.tensordot(weights, self.products[:, :-1, :-1], axes=1)
-        off = self.known @ np.append(point.parameters - self.prior.parameters, 1.0)
-        normals = self.manifold.whiten(point, self.known[:, :-1])
-        slope += off @ normals
-        information = self.manifold.whiten(point, self.manifold.whiten(point, rows).T) + normals.T @ normals
-        to_prior = self.manifold.log(point, self.prior)
-        root = np.sqrt(self.weights)
-        curvature = root[:, None] * self.manifold.half_squared_distance_hessian(point, self.prior) * root
-        value = 0.5 * float(self.counts @ np.log(squares) + self.weights @ to_prior**2 + off @ off)
-        # Along a straight line the data have no curvature but their information; the prior has that of the line.
-        hessian = information + curvature + bend(self.manifold, self.weights * to_prior)
-        return Evaluation(value, slope - self.weights * to_prior, information, hessian)
-
-
 def fit(
     design: Design,
     prior: Prior,
@@ -195,11 +125,7 @@ def fit(
 
 
 def _fit(
-    design: Design,
-    prior: Prior,
-    chosen: Sequence[Candidate],
-    start: JointFit | None = None,
-    spread: float | None = None,
+    design: Design, prior: Prior, chosen: Sequence[Candidate], start: JointFit | None, spread: float | None = None
 ) -> JointFit:
     """The minimum that is reached from the start."""
     fixed = spread is not None
@@ -208,11 +134,11 @@ def _fit(
     terms = (*prior.terms, *(term for term in own if term not in prior.terms))
     products = design.gather(bodies, terms)
     scales = _scales(products, design, bodies, len(terms))
-    manifold = _StraightManifold(len(prior.inertias) // 10 + len(bodies), 0, scales)
+    manifold = StraightManifold(len(prior.inertias) // 10 + len(bodies), 0, scales)
     known = _known(manifold, prior, bodies)
     first = 10 * (len(prior.inertias) // 10)
     weights = np.full(manifold.dimension, 1e-6)
-    weights[first : manifold.inertial.stop] = PAYLOAD_SPREAD**-2
+    weights[first : manifold.inertial.stop] = payload_start.SPREAD**-2
     held = slice(manifold.real.start, manifold.real.start + len(prior.terms))
     weights[held] = (scales[: len(prior.terms)] / prior.spreads) ** 2
     rows = other_recordings.rows(prior.known, manifold.dimension)
@@ -223,12 +149,12 @@ def _fit(
         spread = prior.spread if start is None or afresh else start.spread
     point = _first_point(manifold, known, None if afresh else start, bodies, terms)
 
-    def objective(spread: float, inflation: float) -> _ProfileObjective:
+    def objective(spread: float, inflation: float) -> ProfileObjective:
         trusted = np.where(np.arange(manifold.dimension) < first, spread**-2, weights)
-        return _ProfileObjective(manifold, products, counts, least, known, trusted, rows / np.sqrt(inflation))
+        return ProfileObjective(manifold, products, counts, least, known, trusted, rows / np.sqrt(inflation))
 
     if afresh and bodies:
-        point = _with_centred_payloads(objective(spread, inflation), point, len(bodies))
+        point = payload_start.centred(objective(spread, inflation), point, len(bodies))
     for _ in range(_ROUNDS):
         trusted = objective(spread, inflation)
         solution = trust_region(trusted, point, _TOLERANCE, _STEPS)
@@ -253,7 +179,7 @@ def _fit(
 
 def unfitted(prior: Prior) -> JointFit:
     """What is known before, as if it were a fit to no data."""
-    manifold = _StraightManifold(len(prior.inertias) // 10, 0, np.ones(len(prior.values)))
+    manifold = StraightManifold(len(prior.inertias) // 10, 0, np.ones(len(prior.values)))
     size = manifold.dimension
     return JointFit(
         (),
@@ -282,24 +208,10 @@ def _scales(products: FloatArray, design: Design, bodies: Sequence[int], terms: 
 
 def _known(manifold: ParameterManifold, prior: Prior, bodies: Sequence[int]) -> Point:
     links = prior.inertias.reshape(-1, 10)
-    mass = _PAYLOAD_MASS * float(np.mean(links[:, 0]))
-    payloads = [_payload_prior(links[body], mass) for body in bodies]
+    payloads = [payload_start.usual(links, body) for body in bodies]
     reals = np.zeros(len(manifold.scales))
     reals[: len(prior.values)] = prior.values
     return manifold.point(np.concatenate([prior.inertias, *payloads, reals]))
-
-
-def _payload_prior(link: FloatArray, mass: float) -> FloatArray:
-    return _ball(mass, link[1:4] / link[0])
-
-
-def _ball(mass: float, centre: FloatArray) -> FloatArray:
-    """Parameters ``(10,)`` of a body of a payload's usual size."""
-    pseudo = mass * np.diag([_PAYLOAD_SIZE**2] * 3 + [1.0])
-    pseudo[:3, :3] += mass * np.outer(centre, centre)
-    pseudo[:3, 3] = pseudo[3, :3] = mass * centre
-    result: FloatArray = pseudo_inertia.to_parameters(pseudo)
-    return result
 
 
 def _first_point(
@@ -317,31 +229,6 @@ def _first_point(
     reals = [start.value(t) if t in start.terms else float(known.reals[i]) for i, t in enumerate(terms)]
     inertias = [*start.point.pseudo_inertias[:links], *payloads]
     return Point(np.array(inertias), np.zeros(0), np.array(reals))
-
-
-def _with_centred_payloads(objective: _ProfileObjective, point: Point, payloads: int) -> Point:
-    """With the last bodies where least squares that knows no cone wants their masses and centres.
-
-    From elsewhere a body gets there by growing thin, and then hardly moves any more.
-    """
-    manifold = objective.manifold
-    places = slice(manifold.inertial.stop - 10 * payloads, manifold.inertial.stop)
-    evaluation = objective.evaluate(point)
-    for _ in range(_CENTRINGS):
-        hessian = evaluation.information + np.diag(objective.weights)
-        step = -np.linalg.solve(hessian, evaluation.gradient)
-        parameters = point.parameters.copy()
-        wanted = parameters + manifold.whiten(point, np.eye(manifold.dimension)) @ step
-        bodies = wanted[places].reshape(-1, 10)
-        if np.any(bodies[:, 0] <= 0.0):
-            break
-        parameters[places] = np.concatenate([_ball(body[0], body[1:4] / body[0]) for body in bodies])
-        candidate = manifold.point(parameters)
-        trial = objective.evaluate(candidate)
-        if trial.value >= evaluation.value:
-            break
-        point, evaluation = candidate, trial
-    return point
 
 
 def _spread(

@@ -1,0 +1,82 @@
+"""What the joint fit minimises for channels of unknown noise, and the steps in which it does so."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from geomid_ros.estimation.objective import Evaluation, bend
+from geomid_ros.geometry import spd, symmetric
+from geomid_ros.geometry.manifold import ParameterManifold, Point
+from geomid_ros.types import FloatArray
+
+_SMALLEST_FACTOR = 0.05  # by which one step shrinks an inertia at most
+
+
+@dataclass(frozen=True, eq=False)
+class StraightManifold(ParameterManifold):
+    """The manifold with steps along straight lines of the parameters instead of geodesics.
+
+    Precise data confine the inertias to a thin slab of straight hyperplanes, which a geodesic leaves after a short way.
+    Where a straight step would leave the cone, the eigenvalue approaches zero instead.
+    """
+
+    def exp(self, base: Point, tangent: FloatArray) -> Point:
+        """The end of the straight step that leaves ``base`` with tangent coordinates ``(D,)``."""
+        matrices = symmetric.to_matrix(tangent[self.inertial].reshape(self.links, symmetric.SIZE))
+        values, vectors = np.linalg.eigh(matrices)
+        bent = np.maximum(0.5 * np.exp(2.0 * np.minimum(values + 0.5, 0.0)), _SMALLEST_FACTOR)
+        factors = np.where(values > -0.5, 1.0 + values, bent)
+        whitened = (vectors * factors[..., None, :]) @ np.swapaxes(vectors, -1, -2)
+        return Point(spd.congruence(base.root, whitened), base.positives, base.reals + self.scales * tangent[self.real])
+
+
+@dataclass(frozen=True, eq=False)
+class ProfileObjective:
+    """Half of ``sum_c N_c log S_c`` plus the prior's terms, with weights ``(D,)`` of the tangent coordinates to it, and
+    with ``known (r, D + 1)`` rows of standard deviation 1, whose last column are their residuals at the prior."""
+
+    manifold: ParameterManifold
+    products: FloatArray
+    counts: FloatArray
+    least: FloatArray
+    prior: Point
+    weights: FloatArray
+    known: FloatArray
+
+    @property
+    def scale(self) -> float:
+        """Number of all rows."""
+        return float(np.sum(self.counts))
+
+    @property
+    def prior_weight(self) -> float:
+        """The least weight of a coordinate."""
+        return float(np.min(self.weights))
+
+    def squares(self, point: Point) -> FloatArray:
+        """Sums of squares ``(C,)`` of the channels at ``point``, at least ``least (C,)``."""
+        vector = np.append(point.parameters, -1.0)
+        squares: FloatArray = np.maximum((self.products @ vector) @ vector, self.least)
+        return squares
+
+    def evaluate(self, point: Point) -> Evaluation:
+        """Value, gradient, information and Hessian along straight lines at ``point``."""
+        vector = np.append(point.parameters, -1.0)
+        moved = self.products @ vector
+        squares = np.maximum(moved @ vector, self.least)
+        weights = self.counts / squares
+        slope = self.manifold.whiten(point, (weights @ moved)[None, :-1])[0]
+        rows = np.tensordot(weights, self.products[:, :-1, :-1], axes=1)
+        off = self.known @ np.append(point.parameters - self.prior.parameters, 1.0)
+        normals = self.manifold.whiten(point, self.known[:, :-1])
+        slope += off @ normals
+        information = self.manifold.whiten(point, self.manifold.whiten(point, rows).T) + normals.T @ normals
+        to_prior = self.manifold.log(point, self.prior)
+        root = np.sqrt(self.weights)
+        curvature = root[:, None] * self.manifold.half_squared_distance_hessian(point, self.prior) * root
+        value = 0.5 * float(self.counts @ np.log(squares) + self.weights @ to_prior**2 + off @ off)
+        # Along a straight line the data have no curvature but their information; the prior has that of the line.
+        hessian = information + curvature + bend(self.manifold, self.weights * to_prior)
+        return Evaluation(value, slope - self.weights * to_prior, information, hessian)
