@@ -28,6 +28,7 @@ _MOST_EFFECTS = 10_000
 _LARGEST = 1e50  # products of three still fit
 _LARGEST_RESIDUAL = 1e9
 _PACKED = "<f4"
+_WITHOUT_INFORMATION = "identify again, or delete 'information', without which less is known of payloads"
 
 
 def estimate_document(
@@ -165,13 +166,16 @@ def known_information(
         triangle = _unpacked(entry["rows"]).reshape(size * (size + 1) // 2)  # as many as the file has room for
         residuals = _unpacked(entry["residuals"]).reshape(size)
     except (KeyError, TypeError, ValueError, OverflowError) as error:
-        raise InputError(f"{source}: the information on {len(inertias)} links cannot be read ({error})") from error
+        what = f"the information on {len(inertias)} links cannot be read ({error})"
+        raise InputError(f"{source}: {what}; {_WITHOUT_INFORMATION}") from error
     if names != list(inertias):
-        raise InputError(f"{source}: the information is on other links than those listed, or in another order")
+        what = "the information is on other links than those listed, or in another order"
+        raise InputError(f"{source}: {what}; {_WITHOUT_INFORMATION}")
     rows = np.zeros((size, size))
     rows[np.triu_indices(size)] = triangle
     if not _can_be_measured(rows, inertias) or not np.all(np.abs(residuals) < _LARGEST_RESIDUAL):
-        raise InputError(f"{source}: the information on the links is more than any measurement can tell")
+        what = "the information on the links is more than any measurement can tell"
+        raise InputError(f"{source}: {what}; {_WITHOUT_INFORMATION}")
     return LinksInformation(rows, residuals)
 
 
