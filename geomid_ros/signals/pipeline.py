@@ -10,7 +10,7 @@ from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 
@@ -20,7 +20,7 @@ from geomid_ros.model.sensors import WrenchSensor
 from geomid_ros.signals.joint_messages import JointReader, RejectedError, usable
 from geomid_ros.signals.joint_parts import JointParts, Part
 from geomid_ros.signals.ledger import Ledger
-from geomid_ros.signals.streams import EffectColumns, Grid, JointStream, PoseStream, Stream, VectorStream
+from geomid_ros.signals.streams import EffectColumns, Grid, JointSegment, PoseSegment, Stream, VectorSegment
 from geomid_ros.signals.timeline import Read, Timeline, Turn
 from geomid_ros.signals.velocity_choice import VelocityChoice
 from geomid_ros.types import FloatArray
@@ -123,7 +123,7 @@ class SignalPipeline:
         self._timelines: dict[_Source, Timeline] = {}
         self._velocity = VelocityChoice(len(self._joints))
         self._grid: Grid | None = None
-        self._streams: dict[str, Stream] = {}
+        self._streams: dict[str, Stream[Any]] = {}
         self._waiting: deque[tuple[str, int, FloatArray]] = deque()
         self._first_stamps: deque[int] = deque(maxlen=_MESSAGES_TO_INFER_PERIOD)
         self._next_instant = 0
@@ -263,13 +263,11 @@ class SignalPipeline:
                 self._start(max(_PERIOD_ROUNDING, round(period / _PERIOD_ROUNDING) * _PERIOD_ROUNDING))
 
     def _take(self, grid: Grid, topic: str, stamp: int, values: FloatArray) -> None:
-        """Pass values on and make what samples they complete at once, before a later gap restarts a stream."""
+        """Pass values on and make what samples they complete."""
         self._streams[topic].push(stamp, values)
         if topic == JOINT_STATES and _EFFORTS in self._streams:
             self._streams[_EFFORTS].push(stamp - self._effort_delay, values[2 * len(self._joints) :])
-        samples = self._ready_samples(grid)
-        if samples is not None:
-            self._pending.append(samples)
+        self._make_samples(grid)
         self._drop_before((stamp - _HORIZON) // grid.period)
 
     def _start(self, period: int) -> None:
@@ -281,13 +279,16 @@ class SignalPipeline:
         self._waiting.clear()
 
     def _open_streams(self, grid: Grid) -> None:
-        self._joint_stream = JointStream(grid, self._max_gap, len(self._joints), self._effect_columns)
+        def joint_segment() -> JointSegment:
+            return JointSegment(grid, len(self._joints), self._effect_columns)
+
+        self._joint_stream = Stream(self._max_gap, joint_segment)
         self._streams = {JOINT_STATES: self._joint_stream}
-        self._streams |= {topic: VectorStream(grid, self._max_gap) for topic in self._sensors}
+        self._streams |= {topic: Stream(self._max_gap, partial(VectorSegment, grid)) for topic in self._sensors}
         if self._effort_delay:
-            self._streams[_EFFORTS] = VectorStream(grid, self._max_gap)
+            self._streams[_EFFORTS] = Stream(self._max_gap, partial(VectorSegment, grid))
         if self._floating_base:
-            self._streams[ODOM] = PoseStream(grid, self._max_gap)
+            self._streams[ODOM] = Stream(self._max_gap, partial(PoseSegment, grid))
 
     def collect(self) -> Samples | None:
         """The samples that have become ready since the last call, oldest first; None if there are none."""
@@ -297,15 +298,18 @@ class SignalPipeline:
         self._pending.clear()
         return samples
 
-    def _ready_samples(self, grid: Grid) -> Samples | None:
-        ranges = [stream.ready() for stream in self._streams.values()]
-        start = max([self._next_instant, *(r.start for r in ranges)])
-        instants = range(-(-start // grid.stride) * grid.stride, min(r.stop for r in ranges), grid.stride)
-        if not instants:
-            return None
-        samples = self._samples(grid, instants)
-        self._drop_before(instants[-1] + 1)
-        return samples
+    def _make_samples(self, grid: Grid) -> None:
+        """Make the samples for which every topic has the numbers; go on where one of them has paused."""
+        streams = self._streams.values()
+        while True:
+            ranges = [stream.segment.ready() for stream in streams]
+            start = max([self._next_instant, *(r.start for r in ranges)])
+            instants = range(-(-start // grid.stride) * grid.stride, min(r.stop for r in ranges), grid.stride)
+            if instants:
+                self._pending.append(self._samples(grid, instants))
+                self._drop_before(instants[-1] + 1)
+            elif not any(stream.skip_to(instants.start) for stream in streams):
+                break
 
     def _drop_before(self, instant: int) -> None:
         if instant > self._next_instant:
@@ -316,18 +320,18 @@ class SignalPipeline:
     def _samples(self, grid: Grid, instants: range) -> Samples:
         count, joints = len(instants), len(self._joints)
         value, first, second = (
-            part.reshape(count, 3, joints) for part in self._streams[JOINT_STATES].filtered(instants)
+            part.reshape(count, 3, joints) for part in self._joint_stream.segment.filtered(instants)
         )
         position = value[:, 0]
         position[:, self._continuous] = np.remainder(position[:, self._continuous] + np.pi, 2.0 * np.pi) - np.pi
         velocity, acceleration = self._velocity.choose(value[:, 1], first[:, 1], first[:, 0], second[:, 0])
-        effort = self._streams[_EFFORTS].filtered(instants)[0] if self._effort_delay else value[:, 2]
+        effort = self._streams[_EFFORTS].segment.filtered(instants)[0] if self._effort_delay else value[:, 2]
         pose = base_velocity = base_acceleration = np.zeros((count, 0))
         if self._floating_base:
-            pose, base_velocity, base_acceleration = self._streams[ODOM].filtered(instants)
+            pose, base_velocity, base_acceleration = self._streams[ODOM].segment.filtered(instants)
         wrenches = np.zeros((count, len(self._sensors), 6))
         for index, topic in enumerate(self._sensors):
-            wrenches[:, index] = self._streams[topic].filtered(instants)[0]
+            wrenches[:, index] = self._streams[topic].segment.filtered(instants)[0]
         stamps = np.array([instant * grid.period for instant in instants], dtype=np.int64)
         return Samples(
             stamps,
@@ -339,7 +343,7 @@ class SignalPipeline:
             base_velocity,
             base_acceleration,
             wrenches,
-            self._joint_stream.effects(instants),
+            self._joint_stream.segment.effects(instants),
         )
 
 

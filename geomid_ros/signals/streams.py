@@ -7,8 +7,9 @@ to listen: a node that joins late and a reader of the whole bag make the same sa
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections import deque
 from collections.abc import Callable
-from typing import TypeAlias
+from typing import Generic, TypeAlias, TypeVar
 
 import numpy as np
 
@@ -38,31 +39,12 @@ class Grid:
         self.stride = max(1, int(1e9 / (samples_per_cutoff_period * cutoff * period)))
 
 
-class Stream(ABC):
-    """One topic's numbers. Feed with :meth:`push`; ask for filtered instants with :meth:`filtered`.
+class Segment(ABC):
+    """Numbers of one topic without a pause. Feed with :meth:`push`; ask for filtered instants with :meth:`filtered`."""
 
-    A pause longer than ``max_gap`` [ns] starts a new segment: nothing is interpolated or filtered across it.
-    """
-
-    def __init__(self, grid: Grid, max_gap: int) -> None:
-        self._grid = grid
-        self._max_gap = max_gap
-        self._last: int | None = None
-
+    @abstractmethod
     def push(self, stamp: int, values: FloatArray) -> None:
         """Take the values of a message stamped ``stamp`` [ns], later than the one before."""
-        if self._last is not None and stamp - self._last > self._max_gap:
-            self._restart()
-        self._last = stamp
-        self._take(stamp, values)
-
-    @abstractmethod
-    def _restart(self) -> None:
-        """Forget what was taken: a new segment begins."""
-
-    @abstractmethod
-    def _take(self, stamp: int, values: FloatArray) -> None:
-        """Take values of the current segment."""
 
     @abstractmethod
     def ready(self) -> range:
@@ -75,6 +57,44 @@ class Stream(ABC):
     @abstractmethod
     def drop_before(self, instant: int) -> None:
         """Instants before this one will not be asked for again."""
+
+
+S = TypeVar("S", bound=Segment)
+
+
+class Stream(Generic[S]):
+    """One topic's numbers. A pause longer than ``max_gap`` [ns] starts a new segment: nothing is interpolated or
+    filtered across it. The one before stays until other topics, that may come later, are past it, too."""
+
+    def __init__(self, max_gap: int, new_segment: Callable[[], S]) -> None:
+        self._max_gap = max_gap
+        self._new_segment = new_segment
+        self._last: int | None = None
+        self._segments = deque([new_segment()])
+
+    @property
+    def segment(self) -> S:
+        """The oldest that may still be asked for."""
+        return self._segments[0]
+
+    def push(self, stamp: int, values: FloatArray) -> None:
+        """Take the values of a message stamped ``stamp`` [ns], later than the one before."""
+        if self._last is not None and stamp - self._last > self._max_gap:
+            self._segments.append(self._new_segment())
+        self._last = stamp
+        self._segments[-1].push(stamp, values)
+
+    def drop_before(self, instant: int) -> None:
+        """Instants before this one will not be asked for again."""
+        for segment in self._segments:
+            segment.drop_before(instant)
+
+    def skip_to(self, instant: int) -> bool:
+        """Give up the oldest segment if it has ended before this instant. False if it has not."""
+        if len(self._segments) == 1 or self.segment.ready().stop > instant:
+            return False
+        self._segments.popleft()
+        return True
 
 
 class _GridValues:
@@ -126,18 +146,15 @@ class _GridValues:
             self.first += surplus
 
 
-class VectorStream(Stream):
-    """A stream of plain vectors, interpolated by local cubics and filtered component by component."""
+class VectorSegment(Segment):
+    """Plain vectors, interpolated by local cubics and filtered component by component."""
 
-    def __init__(self, grid: Grid, max_gap: int) -> None:
-        super().__init__(grid, max_gap)
-        self._restart()
-
-    def _restart(self) -> None:
+    def __init__(self, grid: Grid) -> None:
+        self._grid = grid
         self._nodes: list[tuple[int, FloatArray]] = []
         self._on_grid = _GridValues()
 
-    def _take(self, stamp: int, values: FloatArray) -> None:
+    def push(self, stamp: int, values: FloatArray) -> None:
         self._nodes.append((stamp, values))
         if len(self._nodes) < 4:
             return
@@ -164,25 +181,22 @@ class VectorStream(Stream):
         self._on_grid.drop_before(instant - self._grid.half)
 
 
-class JointStream(VectorStream):
+class JointSegment(VectorSegment):
     """Joint messages' vectors (positions first), and with them the columns of effects.
 
     Friction jumps when a joint reverses, and the measured effort shows the jump as the filter has smoothed it. So the
     effects are computed on a sharper motion, at every instant of the grid, and filtered as the efforts are.
     """
 
-    def __init__(self, grid: Grid, max_gap: int, joints: int, columns: EffectColumns) -> None:
+    def __init__(self, grid: Grid, joints: int, columns: EffectColumns) -> None:
+        super().__init__(grid)
         self._joints = joints
         self._columns = columns
         self._sharp_half = grid.sharp_kernels.shape[1] // 2
-        super().__init__(grid, max_gap)
-
-    def _restart(self) -> None:
-        super()._restart()
         self._columns_on_grid = _GridValues()
 
-    def _take(self, stamp: int, values: FloatArray) -> None:
-        super()._take(stamp, values)
+    def push(self, stamp: int, values: FloatArray) -> None:
+        super().push(stamp, values)
         possible = self._on_grid.inside(self._sharp_half)
         start = self._columns_on_grid.end if len(self._columns_on_grid.values) else possible.start
         half, stride = self._grid.half, self._grid.stride
@@ -207,8 +221,8 @@ class JointStream(VectorStream):
         self._on_grid.drop_before(min(instant - self._grid.half, self._columns_on_grid.end - self._sharp_half))
 
 
-class PoseStream(Stream):
-    """A stream of poses ``(7,)``, filtered and differentiated on SE(3).
+class PoseSegment(Segment):
+    """Poses ``(7,)``, filtered and differentiated on SE(3).
 
     Around an instant the poses are taken as logarithms relative to a reference, which is moved until the filtered
     logarithm vanishes: the filtered pose is the kernel-weighted mean on the group. There the logarithm's derivatives
@@ -219,15 +233,12 @@ class PoseStream(Stream):
     _MEAN_STEPS = 4
     _MEAN_TOLERANCE = 1e-12
 
-    def __init__(self, grid: Grid, max_gap: int) -> None:
-        super().__init__(grid, max_gap)
-        self._restart()
-
-    def _restart(self) -> None:
+    def __init__(self, grid: Grid) -> None:
+        self._grid = grid
         self._stamps: list[int] = []
         self._poses: list[FloatArray] = []
 
-    def _take(self, stamp: int, values: FloatArray) -> None:
+    def push(self, stamp: int, values: FloatArray) -> None:
         self._stamps.append(stamp)
         self._poses.append(values)
 

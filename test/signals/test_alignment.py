@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -143,6 +144,29 @@ def test_who_waits_for_ever_for_joints_does_not_fill_the_memory() -> None:
     assert balanced(alone, messages)
 
 
+def test_who_comes_first_where_topics_pause_changes_nothing() -> None:
+    """Messages of one topic may come in any number before the other's, as after a process was stopped for a while."""
+    parts = [regular(0.01, 3.0, offset) for offset in (0.0, 4.0, 4.0 + 3.0 + 0.6, 20.0)]
+    joints, wrench = joint_messages(np.concatenate(parts)), wrench_messages(np.concatenate(parts[:2] + parts[3:]))
+    expected = feed(pipeline(0.01), in_time(joints, wrench))
+    assert len(segments(expected)) == 3
+    for seed, longest in enumerate((2, 30, 300, 3000)):
+        messages = interleaved([list(joints), list(wrench)], longest, np.random.default_rng(seed))
+        assert_same(feed(pipeline(0.01), messages), expected, tolerance=1e-12)
+    whole = pipeline(0.01)
+    feed(whole, in_time(joints, wrench))
+    assert all(len(stream._segments) == 1 for stream in whole._streams.values()), "what is past is forgotten"
+
+
+def interleaved(topics: list[list[Message]], longest: int, random: np.random.Generator) -> Iterator[Message]:
+    """Each topic in its order; of one after the other up to ``longest`` messages at once."""
+    while any(topics):
+        for topic in topics:
+            count = random.integers(1, longest + 1)
+            yield from topic[:count]
+            del topic[:count]
+
+
 def test_a_topic_that_falls_silent_does_not_fill_the_memory() -> None:
     """Joints go on for a minute and a half after the wrench stopped; when it is back, so are the samples."""
     stamps = regular(0.05, 100.0)
@@ -151,9 +175,9 @@ def test_a_topic_that_falls_silent_does_not_fill_the_memory() -> None:
     waiting, longest = pipeline(0.05, cutoff=2.0), 0
     for message in in_time(joints, silent):
         message.push(waiting)
-        longest = max(longest, len(waiting._streams["joint_states"]._on_grid.values))
+        longest = max(longest, len(waiting._streams["joint_states"].segment._on_grid.values))
     assert 60.0 / 0.05 < longest < 65.0 / 0.05
-    assert len(waiting._streams["joint_states"]._on_grid.values) < 100
+    assert len(waiting._streams["joint_states"].segment._on_grid.values) < 100
     samples = waiting.collect()
     assert samples is not None
     assert np.max(np.diff(samples.stamps)) > 90e9
