@@ -66,6 +66,8 @@ def figures(cases: Sequence[Judgement]) -> list[Line]:
         _share("right and confident, large inertial errors, visible", large_visible, _all_right, "", ""),
         _statistic("held-out gap of the worst channel after, median", fitted, _after, median, "<= 1.1", "1.03"),
         _statistic("held-out gap of the worst channel after, largest", fitted, _after, max, "<= 1.2", ""),
+        _channels("held-out gap of every channel after, median", fitted, median),
+        _channels("held-out gap of every channel after, standard deviation", fitted, np.std),
         _statistic("simulated again after, median", fitted, lambda case: case.resimulated, median, "<= 1.5", "1.1"),
         _statistic("simulated again after, largest", fitted, lambda case: case.resimulated, max, "<= 1.5", ""),
         _statistic("seconds per run, median", cases, lambda case: case.seconds, median, "<= 10", "<= 3"),
@@ -109,6 +111,11 @@ def _statistic(
 ) -> Line:
     values = [value for value in map(quantity, cases) if math.isfinite(value)]
     return Line(what, summary(values) if values else math.nan, "", len(values), must, aim)
+
+
+def _channels(what: str, cases: Sequence[Judgement], summary: Callable[[list[float]], float]) -> Line:
+    values = [value for case in cases for value in case.channels]
+    return Line(what, float(summary(values)) if values else math.nan, "", len(values), "", "")
 
 
 def _parameter_figures(cases: Sequence[Judgement]) -> Iterable[Line]:

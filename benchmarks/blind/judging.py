@@ -25,10 +25,11 @@ _ALSO_TRUE = {
 class Judgement:
     """A case in short. ``truth`` are the hidden effects, ``named`` the findings as (effect, joint, confidence).
 
-    ``visible``: the worst channel's gap beside fitted inertias reaches VISIBLE. ``right``: hidden effects named
-    confidently; ``listed``: hidden effects named at all, as rivals too; ``wrong``: confident names of what is not
-    there. ``flagged``: an outside effect is reported as unexplained on its joint. ``errors``: of the parameters of
-    what was named rightly, by ``effect``, in the unit of :func:`parameter_errors`.
+    ``visible``: the worst channel's gap beside fitted inertias reaches VISIBLE. ``after``: what is left of the worst
+    channel on held-out data; ``channels``: of each. ``right``: hidden effects named confidently; ``listed``: hidden
+    effects named at all, as rivals too; ``wrong``: confident names of what is not there. ``flagged``: an outside effect
+    is reported as unexplained on its joint. ``errors``: of the parameters of what was named rightly, by ``effect``, in
+    the unit of :func:`parameter_errors`.
     """
 
     kind: str
@@ -49,6 +50,7 @@ class Judgement:
     before: float
     inertias_only: float
     after: float
+    channels: tuple[float, ...]
     resimulated: float
     errors: Mapping[str, float]
     seconds: float
@@ -82,6 +84,7 @@ def judge(document: Mapping[str, Any]) -> Judgement:
         flagged=_flagged(truth["effects"], {entry["joint"] for entry in gap["unexplained"]}),
         verdict=gap["verdict"],
         **gaps,
+        channels=tuple(value for value in gap["gap"]["after"].values() if value is not None),
         resimulated=_worst(resimulated.values()),
         errors=dict(
             error
