@@ -264,11 +264,15 @@ class SignalPipeline:
 
     def _take(self, grid: Grid, topic: str, stamp: int, values: FloatArray) -> None:
         """Pass values on and make what samples they complete."""
-        self._streams[topic].push(stamp, values)
-        if topic == JOINT_STATES and _EFFORTS in self._streams:
-            self._streams[_EFFORTS].push(stamp - self._effort_delay, values[2 * len(self._joints) :])
+        parts = {topic: (stamp, values)}
+        if topic == JOINT_STATES and self._effort_delay:
+            parts[_EFFORTS] = (stamp - self._effort_delay, values[2 * len(self._joints) :])
+        for name, part in parts.items():
+            self._streams[name].push(*part)
         self._make_samples(grid)
-        self._drop_before((stamp - _HORIZON) // grid.period)
+        oldest = (stamp - _HORIZON - abs(self._effort_delay)) // grid.period - grid.lag
+        for name in parts:
+            self._streams[name].drop_before(oldest)
 
     def _start(self, period: int) -> None:
         grid = Grid(period, self._settings.cutoff, self._settings.samples_per_cutoff_period)
@@ -307,15 +311,11 @@ class SignalPipeline:
             instants = range(-(-start // grid.stride) * grid.stride, min(r.stop for r in ranges), grid.stride)
             if instants:
                 self._pending.append(self._samples(grid, instants))
-                self._drop_before(instants[-1] + 1)
+                self._next_instant = instants[-1] + 1
+                for stream in streams:
+                    stream.drop_before(self._next_instant)
             elif not any(stream.skip_to(instants.start) for stream in streams):
                 break
-
-    def _drop_before(self, instant: int) -> None:
-        if instant > self._next_instant:
-            self._next_instant = instant
-            for stream in self._streams.values():
-                stream.drop_before(instant)
 
     def _samples(self, grid: Grid, instants: range) -> Samples:
         count, joints = len(instants), len(self._joints)

@@ -86,15 +86,15 @@ class Stream(Generic[S]):
 
     def drop_before(self, instant: int) -> None:
         """Instants before this one will not be asked for again."""
-        for segment in self._segments:
-            segment.drop_before(instant)
+        self.skip_to(instant)
+        self.segment.drop_before(instant)
 
     def skip_to(self, instant: int) -> bool:
-        """Give up the oldest segment if it has ended before this instant. False if it has not."""
-        if len(self._segments) == 1 or self.segment.ready().stop > instant:
-            return False
-        self._segments.popleft()
-        return True
+        """Give up the segments that end before this instant. False if none does."""
+        count = len(self._segments)
+        while len(self._segments) > 1 and self.segment.ready().stop <= instant:
+            self._segments.popleft()
+        return len(self._segments) < count
 
 
 class _GridValues:

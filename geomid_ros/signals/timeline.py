@@ -10,7 +10,7 @@ from typing import TypeAlias
 from geomid_ros.types import FloatArray
 
 Read: TypeAlias = Callable[[], FloatArray]
-_TO_CONFIRM_A_PAUSE = 2  # messages
+_TO_CONFIRM_SLOWNESS = 3  # messages, each a pause after the one before
 _TO_CONFIRM_A_RESET = 10  # messages; a few late ones are no clock that was set back
 
 
@@ -35,7 +35,8 @@ class Timeline:
     """The stamps of one topic.
 
     A message that is ahead or behind by more than ``max_gap`` [ns] is held until the next ones tell what it was: when
-    they go on from there, a pause (one is enough) or a clock that was set back; when they do not, a wrong stamp.
+    they go on from there, a pause (one is enough) or a clock that was set back; when they do not, a wrong stamp. Of a
+    topic that is slower than ``max_gap``, no message goes on from the one before: that it pauses, two more tell.
     """
 
     def __init__(self, max_gap: int) -> None:
@@ -64,19 +65,23 @@ class Timeline:
 
     def _hold(self, stamp: int, read: Read) -> Verdict:
         verdict, back = Verdict(), stamp < self._last
-        if self._held:
-            newest = self._held[-1][0]
-            if newest - self._max_gap <= stamp <= newest:
-                return Verdict(refused=["stamp not later than the one before"])
-            if stamp < newest or back != (newest < self._last):
-                verdict.refused = self.release()
+        if self._held and self._held[-1][0] - self._max_gap <= stamp <= self._held[-1][0]:
+            return Verdict(refused=["stamp not later than the one before"])
+        while self._held and (stamp < self._held[-1][0] or back != (self._held[-1][0] < self._last)):
+            verdict.refused.append(self._reason(self._held.pop()[0]))
         self._held.append((stamp, read))
-        if len(self._held) >= (_TO_CONFIRM_A_RESET if back else _TO_CONFIRM_A_PAUSE):
+        if self._is_confirmed(back):
             verdict.turn = Turn.RESET if back else Turn.PAUSE
             verdict.use, self._held = self._held, []
             if back:
                 self._last = 0
         return verdict
+
+    def _is_confirmed(self, back: bool) -> bool:
+        if back:
+            return len(self._held) >= _TO_CONFIRM_A_RESET
+        stamps = [stamp for stamp, _ in self._held]
+        return len(stamps) >= _TO_CONFIRM_SLOWNESS or (len(stamps) > 1 and stamps[1] - stamps[0] <= self._max_gap)
 
     def advance(self, stamp: int) -> None:
         """A message with this stamp is used."""
@@ -84,9 +89,12 @@ class Timeline:
 
     def release(self) -> list[str]:
         """Let what is held go; the reason for each message."""
-        reasons = ["stamp from the future" if stamp > self._last else "stamp too old" for stamp, _ in self._held]
+        reasons = [self._reason(stamp) for stamp, _ in self._held]
         self._held.clear()
         return reasons
+
+    def _reason(self, stamp: int) -> str:
+        return "stamp from the future" if stamp > self._last else "stamp too old"
 
     def forget(self) -> list[tuple[int, Read]]:
         """Begin anew, with what is held to begin with."""

@@ -185,6 +185,33 @@ def test_a_topic_that_falls_silent_does_not_fill_the_memory() -> None:
     assert_same(samples, common(whole, samples.stamps), tolerance=1e-9)
 
 
+@pytest.mark.parametrize("cutoff", [2.0, 0.2])
+def test_a_topic_is_waited_for_for_a_minute(cutoff: float) -> None:
+    """Besides the filter's lag, which is 13 s with the slower one."""
+    stamps = regular(0.05, 100.0)
+    joints, wrench = joint_messages(stamps), wrench_messages(stamps)
+    late = [(message.stamp + 59_000_000_000, message) for message in wrench]
+    ahead = sorted([*((message.stamp, message) for message in joints), *late], key=lambda entry: entry[0])
+    assert_same(
+        feed(pipeline(0.05, cutoff=cutoff), (message for _, message in ahead)),
+        feed(pipeline(0.05, cutoff=cutoff), in_time(joints, wrench)),
+        tolerance=1e-9,
+    )
+
+
+def test_a_straggler_of_the_time_before_does_not_fill_the_memory() -> None:
+    """The clock is set back, a wrench of the time before comes after that, and then none any more."""
+    stamps = regular(0.05, 20.0)
+    joints, wrench = joint_messages(stamps), wrench_messages(stamps)
+    waiting = pipeline(0.05, cutoff=2.0)
+    feed(waiting, in_time(joints, wrench[:-1]))
+    back = joint_messages(regular(0.05, 100.0) - 1000_000_000_000)
+    for message in [*back[:12], wrench[-1], *back[12:]]:
+        message.push(waiting)
+    assert "clock set back: a new segment begins" in waiting.ledger.topics["joint_states"].noted
+    assert len(waiting._streams["joint_states"].segment._on_grid.values) < 65.0 / 0.05
+
+
 def segments(samples: Samples) -> list[Samples]:
     """The samples divided where more than twice the usual step lies between two."""
     steps = np.diff(samples.stamps)

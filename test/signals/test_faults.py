@@ -280,6 +280,25 @@ def test_one_message_from_the_future_does_not_stop_everything() -> None:
     assert_same(samples.select(np.isin(samples.stamps, after.stamps)), after, tolerance=0.0)
 
 
+def test_nor_does_one_that_follows_the_first_after_a_pause() -> None:
+    """Two wrong stamps could as well be the pause; what goes on from the first tells."""
+    messages = joint_messages(regular(0.01, 9.0))
+    paused = [*messages[:300], *messages[400:]]
+    startled = SignalPipeline(JOINTS, settings=SignalSettings(period=0.01))
+    future = replace(messages[401], stamp=messages[401].stamp + 3_600_000_000_000)
+    samples = feed(startled, [*paused[:301], future, *paused[301:]])
+    assert startled.ledger.topics["joint_states"].rejected == {"stamp from the future": 1}
+    assert_same(samples, feed(SignalPipeline(JOINTS, settings=SignalSettings(period=0.01)), paused), tolerance=0.0)
+
+
+def test_a_topic_slower_than_the_longest_gap_is_not_from_the_future() -> None:
+    slow = SignalPipeline(JOINTS, settings=SignalSettings(period=0.01))
+    for message in joint_messages(regular(0.7, 7.0)):
+        message.push(slow)
+    account = slow.ledger.topics["joint_states"]
+    assert (account.accepted, account.rejected, slow.held) == (10, {}, 0)
+
+
 def test_a_clock_stepped_back_a_little_is_waited_out() -> None:
     """Three tenths of a second, less than a gap: what lies twice in time is used once."""
     stamps = regular(0.01, 6.0)
