@@ -40,11 +40,11 @@ from sensor_msgs.msg import JointState
 from benchmarks.measuring import processor_seconds
 from benchmarks.report import Report
 from geomid_ros.errors import InputError
-from geomid_ros.files.checkpoint import Checkpoint, decoded
-from geomid_ros.files.configuration import Configuration
-from geomid_ros.files.urdf import read_urdf
+from geomid_ros.files.checkpoints.checkpoint import Checkpoint, decoded
+from geomid_ros.files.models.urdf import read_urdf
 from geomid_ros.model.samples import Samples
-from geomid_ros.session import Session
+from geomid_ros.session.configuration import Configuration
+from geomid_ros.session.session import Session
 from geomid_ros.types import FloatArray
 
 _URDF = Path(__file__).parents[1] / "bags" / "arm7.urdf"

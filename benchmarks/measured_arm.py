@@ -8,13 +8,13 @@ from matplotlib.figure import Figure
 from benchmarks.comparison import Outcome, compare, show
 from benchmarks.problem import Problem, Rows, measured
 from benchmarks.report import Report
-from geomid_ros.commands.recordings import Topics, read_samples
 from geomid_ros.estimation.starting_point import channel_sizes, prior_parameters, scales_of_reals
-from geomid_ros.files.bags import Bag
-from geomid_ros.files.configuration import Configuration
-from geomid_ros.files.urdf import read_urdf
+from geomid_ros.files.bags.bag import Bag
+from geomid_ros.files.models.urdf import read_urdf
 from geomid_ros.model.samples import Samples
-from geomid_ros.session import Session
+from geomid_ros.session.configuration import Configuration
+from geomid_ros.session.recordings import Topics, read_samples
+from geomid_ros.session.session import Session
 
 _FOLDER = "ur10_unisa_rosbag2"
 _TRAINING = 0.7  # of the time

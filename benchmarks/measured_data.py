@@ -21,15 +21,15 @@ from rich import box
 from rich.console import Console
 from rich.table import Table
 
-from geomid_ros.commands.recordings import Topics, read_samples
 from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.estimation.starting_point import prior_parameters
-from geomid_ros.files.bags import Bag
-from geomid_ros.files.configuration import Configuration
-from geomid_ros.files.urdf import read_urdf
+from geomid_ros.files.bags.bag import Bag
+from geomid_ros.files.models.urdf import read_urdf
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.model.samples import Samples
-from geomid_ros.session import Session
+from geomid_ros.session.configuration import Configuration
+from geomid_ros.session.recordings import Topics, read_samples
+from geomid_ros.session.session import Session
 from geomid_ros.types import FloatArray
 
 DATA = Path(__file__).parents[2] / "shared" / "data"

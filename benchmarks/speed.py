@@ -17,17 +17,17 @@ from benchmarks.peers import compressed_geodesic, euclidean_lmi, geodesic, geode
 from benchmarks.problem import Problem
 from benchmarks.report import Report
 from benchmarks.simulated_person import simulated_person
-from geomid_ros.commands.recordings import Topics, read_samples
 from geomid_ros.estimation.estimator import WarmStart
 from geomid_ros.estimation.gamma import PAPER
 from geomid_ros.estimation.rows import solve_rows
 from geomid_ros.estimation.solvers import cyclic, trust_region
-from geomid_ros.files.bags import Bag
-from geomid_ros.files.configuration import Configuration
-from geomid_ros.files.urdf import read_urdf
+from geomid_ros.files.bags.bag import Bag
+from geomid_ros.files.models.urdf import read_urdf
 from geomid_ros.geometry import symmetric
 from geomid_ros.model.samples import Samples
-from geomid_ros.session import Session
+from geomid_ros.session.configuration import Configuration
+from geomid_ros.session.recordings import Topics, read_samples
+from geomid_ros.session.session import Session
 
 _TOLERANCE = 1e-8  # of the gradient, relative to the sum of the weights
 _CLOSE = 1e-6  # of the objective

@@ -17,12 +17,12 @@ from geomid_ros.estimation.identifier import Identifier
 from geomid_ros.estimation.objective import residual_objective
 from geomid_ros.estimation.solvers import trust_region
 from geomid_ros.estimation.starting_point import channel_sizes, prior_parameters, scales_of_reals
-from geomid_ros.files.configuration import Configuration
-from geomid_ros.files.urdf import read_urdf
+from geomid_ros.files.models.urdf import read_urdf
 from geomid_ros.model.known import known_rows
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.samples import Samples
-from geomid_ros.session import Session
+from geomid_ros.session.configuration import Configuration
+from geomid_ros.session.session import Session
 from geomid_ros.types import FloatArray
 
 _URDF = Path(__file__).parents[1] / "bags" / "arm7.urdf"

@@ -12,14 +12,14 @@ from typing import Any, cast
 import numpy as np
 
 from geomid_ros.estimation.estimate import Estimate, LinkEstimate, LinksInformation
-from geomid_ros.files.configuration import Configuration
 from geomid_ros.gap.result import GapResult
-from geomid_ros.gap.watch import ChannelGap
-from geomid_ros.ros.checkpoints import Checkpoints, CheckpointStatus
+from geomid_ros.live.checkpointing import Checkpoints, CheckpointStatus
+from geomid_ros.live.gap_search import SearchStatus
+from geomid_ros.live.status import Status
+from geomid_ros.monitoring.change_detection import ChannelGap
 from geomid_ros.ros.diagnostics import Diagnostics
-from geomid_ros.ros.gap_search import SearchStatus
-from geomid_ros.ros.status import Status
-from geomid_ros.session import Session
+from geomid_ros.session.configuration import Configuration
+from geomid_ros.session.session import Session
 from geomid_ros.signals.ledger import Account
 
 _NODE = "geomid"

@@ -12,7 +12,7 @@ from pathlib import Path
 import diagnostic_keys
 import interface
 
-from geomid_ros.files.configuration import PARAMETERS, Parameter
+from geomid_ros.session.configuration import PARAMETERS, Parameter
 
 ROOT = Path(__file__).parents[1]
 FILES = (ROOT / "README.md", ROOT / "docs/reference.md")

@@ -13,8 +13,8 @@ import yaml
 from commands.running import done
 from files.recordings import Recorded, altered
 
-from geomid_ros.files.configuration import Configuration, find_parameter
 from geomid_ros.model.sensors import WrenchSensor
+from geomid_ros.session.configuration import Configuration, find_parameter
 
 ROOT = Path(__file__).parents[1]
 README = (ROOT / "config/README.md").read_text(encoding="utf-8")

@@ -38,7 +38,7 @@ def test_the_map_of_the_house_shows_every_room() -> None:
     """No more and no less, and each floor as it is held by the test of the house."""
     from test_house import FLOORS  # noqa: PLC0415 it parses the package
 
-    rows = re.findall(r"^\| (below|\d) \| ([^|]+) \|", text_of("CONTRIBUTING.md"), re.MULTILINE)
+    rows = re.findall(r"^\| (below|\d+) \| ([^|]+) \|", text_of("CONTRIBUTING.md"), re.MULTILINE)
     shown = {
         room.removesuffix("/").removesuffix(".py"): -1 if floor == "below" else int(floor)
         for floor, rooms in rows
@@ -48,7 +48,7 @@ def test_the_map_of_the_house_shows_every_room() -> None:
 
 
 def test_folders_within_rooms_are_shown() -> None:
-    rows = re.findall(r"^\| \d \| `(\w+)/` \| (.+) \|$", text_of("CONTRIBUTING.md"), re.MULTILINE)
+    rows = re.findall(r"^\| \d+ \| `(\w+)/` \| (.+) \|$", text_of("CONTRIBUTING.md"), re.MULTILINE)
     for room, what in rows:
         within = {path.parent.name for path in (ROOT / "geomid_ros" / room).glob("*/__init__.py")}
         assert set(re.findall(r"`(\w+)/`:", what)) == within - HIDDEN, room

@@ -12,8 +12,8 @@ from files.recordings import BAGS, recorded
 
 from geomid_ros.errors import InputError
 from geomid_ros.estimation.estimate import Estimate
-from geomid_ros.files.configuration import Configuration
-from geomid_ros.session import Session
+from geomid_ros.session.configuration import Configuration
+from geomid_ros.session.session import Session
 from geomid_ros.signals.messages import feed_joint_state
 from geomid_ros.types import FloatArray
 

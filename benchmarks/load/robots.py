@@ -12,9 +12,9 @@ from geometry_msgs.msg import WrenchStamped
 from rclpy.serialization import serialize_message
 from sensor_msgs.msg import JointState
 
-from geomid_ros.files.configuration import Configuration
 from geomid_ros.model.samples import Samples
-from geomid_ros.session import Session
+from geomid_ros.session.configuration import Configuration
+from geomid_ros.session.session import Session
 from geomid_ros.types import FloatArray
 
 _NOISE = 0.2  # N m, N

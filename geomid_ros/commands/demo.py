@@ -11,16 +11,17 @@ from rich.console import Console
 from rich.live import Live
 from rich.table import Table
 
-from geomid_ros.commands.recordings import Topics, read_samples
+from geomid_ros.commands.progress import tracked
 from geomid_ros.errors import InputError
-from geomid_ros.files.bags import Bag
-from geomid_ros.files.configuration import Configuration
-from geomid_ros.files.report.drawing import draw_identification
-from geomid_ros.files.results import read_estimate
+from geomid_ros.files.bags.bag import Bag
+from geomid_ros.files.models.results import read_estimate
+from geomid_ros.files.models.urdf import read_urdf
 from geomid_ros.files.shared_files import shared_file
-from geomid_ros.files.urdf import read_urdf
 from geomid_ros.model.samples import Samples
-from geomid_ros.session import Session
+from geomid_ros.report.drawing import draw_identification
+from geomid_ros.session.configuration import Configuration
+from geomid_ros.session.recordings import Topics, read_samples
+from geomid_ros.session.session import Session
 
 _WRENCH = {
     "wrenches": ["wrist"],
@@ -91,7 +92,7 @@ def _table(session: Session, masses: dict[str, float], truth: dict[str, float], 
 def _compare_with_offline(session: Session, bag: Path, live: dict[str, Any], picture: Path) -> float:
     """Identify from the bag itself and draw it; the largest relative difference in mass to the live estimate."""
     with Bag(bag) as recording:
-        batches = list(read_samples(recording, session, session.pipeline, Topics("joint_states", "odom")))
+        batches = list(read_samples(recording, session, session.pipeline, Topics("joint_states", "odom"), tracked))
     for samples in batches:
         session.identifier.add(samples)
     estimate = session.identifier.solve()

@@ -7,10 +7,10 @@ from pathlib import Path
 import click
 
 from geomid_ros.errors import InputError
-from geomid_ros.files.exports import blocks, franka, ur
-from geomid_ros.files.exports.inertial import Export
-from geomid_ros.files.exports.model import Model, read_model
-from geomid_ros.files.exports.payload import attached, chosen, difference, each_link
+from geomid_ros.exports import blocks, franka, ur
+from geomid_ros.exports.inertial import Export
+from geomid_ros.exports.model import Model, read_model
+from geomid_ros.exports.payload import attached, chosen, difference, each_link
 
 _CONTROLLERS = {"ur": ur, "franka": franka}
 _DESCRIPTIONS = {"moveit": blocks.urdf, "gazebo": blocks.sdf, "mujoco": blocks.mjcf}

@@ -10,22 +10,22 @@ from tempfile import TemporaryDirectory
 import click
 import numpy as np
 
-from geomid_ros.commands.gap_recordings import Bags, Reader, Recordings
 from geomid_ros.commands.gap_simulation import position_units, simulate_again
 from geomid_ros.commands.gap_tables import print_gap
 from geomid_ros.commands.options import URDF, configured, held_out_share, recording_options
-from geomid_ros.commands.progress import staged
-from geomid_ros.commands.recordings import Topics
+from geomid_ros.commands.progress import staged, tracked
 from geomid_ros.errors import InputError
-from geomid_ros.files.effect_forms import ModelEffect
-from geomid_ros.files.gap_model import model_files, write_model
-from geomid_ros.files.gap_results import gap_document, write_gap
-from geomid_ros.files.report.gap_page import GapPage, SimulatedAgain, write_gap_page
-from geomid_ros.files.urdf import read_urdf
+from geomid_ros.files.models.effect_forms import ModelEffect
+from geomid_ros.files.models.gap_model import model_files, write_model
+from geomid_ros.files.models.gap_results import gap_document, write_gap
+from geomid_ros.files.models.urdf import read_urdf
 from geomid_ros.gap.result import GapResult
-from geomid_ros.gap_session import find, gap_session
 from geomid_ros.model.samples import Samples
-from geomid_ros.session import Session
+from geomid_ros.report.gap_page import GapPage, SimulatedAgain, write_gap_page
+from geomid_ros.session.gap import find, gap_session
+from geomid_ros.session.gap_recordings import Bags, Reader, Recordings
+from geomid_ros.session.recordings import Topics
+from geomid_ros.session.session import Session
 from geomid_ros.types import FloatArray
 
 Progress = Callable[[str, float], None]
@@ -75,7 +75,7 @@ def gap(
     urdf = urdf or _urdf_beside(model)
     configuration = configured(config, model, floating_base, wrench)
     session = gap_session(read_urdf(urdf), configuration, str(urdf))
-    reader = Reader(session, Topics(joint_topic, odom_topic))
+    reader = Reader(session, Topics(joint_topic, odom_topic), tracked)
     chosen = Bags(bags, held_out_share(hold_out, validate), validate, simulated)
     recordings = reader.read(chosen)
     sharp = reader.sharp(chosen)

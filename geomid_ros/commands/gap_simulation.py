@@ -7,15 +7,15 @@ from importlib.util import find_spec
 
 import numpy as np
 
-from geomid_ros.files.report.gap_page import SimulatedAgain
+from geomid_ros.files.models.gap_model import ModelFiles
 from geomid_ros.gap.result import GapResult
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.samples import Samples
+from geomid_ros.report.gap_page import SimulatedAgain
 from geomid_ros.resimulation.closed_loop import ClosedLoop, closed_loop
 from geomid_ros.resimulation.noise import Noise
 from geomid_ros.resimulation.resimulate import Resimulated, resimulate
 from geomid_ros.resimulation.windows import HORIZON
-from geomid_ros.resimulation.written_robot import ModelFiles
 from geomid_ros.types import FloatArray
 
 NO_MUJOCO = "MuJoCo is not installed (pip install mujoco)"

@@ -10,8 +10,9 @@ from rich.markup import escape
 from rich.table import Table
 
 from geomid_ros.commands.tables import number_columns, plain_table, results_console
-from geomid_ros.files.report.gap_page import SimulatedAgain
-from geomid_ros.files.report.gap_words import (
+from geomid_ros.gap.result import GapResult
+from geomid_ros.report.gap_page import SimulatedAgain
+from geomid_ros.report.gap_words import (
     headline,
     measured,
     not_explained,
@@ -23,7 +24,6 @@ from geomid_ros.files.report.gap_words import (
     verdict_sentence,
     worst,
 )
-from geomid_ros.gap.result import GapResult
 
 _MOST_CANDIDATES = 8
 _MOST_RIVALS = 3

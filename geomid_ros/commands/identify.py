@@ -9,15 +9,15 @@ import click
 import numpy as np
 
 from geomid_ros.commands.options import URDF, configured, held_out_share, recording_options
-from geomid_ros.commands.progress import working
-from geomid_ros.commands.recordings import Topics, check_efforts, read_samples
+from geomid_ros.commands.progress import tracked, working
 from geomid_ros.commands.tables import print_estimate
 from geomid_ros.errors import InputError
-from geomid_ros.files.bags import Bag
-from geomid_ros.files.report.drawing import draw_identification
-from geomid_ros.files.urdf import read_urdf
+from geomid_ros.files.bags.bag import Bag
+from geomid_ros.files.models.urdf import read_urdf
 from geomid_ros.model.samples import Samples
-from geomid_ros.session import Session
+from geomid_ros.report.drawing import draw_identification
+from geomid_ros.session.recordings import Topics, check_efforts, read_samples
+from geomid_ros.session.session import Session
 
 
 @click.command()
@@ -113,7 +113,7 @@ def _read_bag(
 ) -> None:
     """Append a bag's samples to ``train``, those of the last share of its time to ``held_out``."""
     with Bag(path) as bag:
-        batches = list(read_samples(bag, session, session.new_pipeline(), topics))
+        batches = list(read_samples(bag, session, session.new_pipeline(), topics, tracked))
     first, last = int(batches[0].stamps[0]), int(batches[-1].stamps[-1])
     boundary = last + 1 - round(held_out_share * (last + 1 - first))
     for samples in batches:

@@ -7,8 +7,8 @@ from typing import Any
 
 import click
 
-from geomid_ros.files.configuration import Configuration
 from geomid_ros.model.sensors import WrenchSensor
+from geomid_ros.session.configuration import Configuration
 
 URDF: dict[str, Any] = {"type": click.Path(path_type=Path), "help": "The robot's description."}
 

@@ -8,7 +8,7 @@ import click
 
 from geomid_ros.commands.progress import progress_bar
 from geomid_ros.errors import InputError, printable
-from geomid_ros.files.configuration import Configuration
+from geomid_ros.session.configuration import Configuration
 
 
 @click.command()

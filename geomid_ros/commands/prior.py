@@ -12,16 +12,16 @@ from geomid_ros.commands.progress import tracked, working
 from geomid_ros.commands.tables import print_prior
 from geomid_ros.errors import InputError, unknown_name
 from geomid_ros.files.atomic import write_text
-from geomid_ros.files.meshes import MeshFinder
-from geomid_ros.files.report.prior_picture import PlacedLink, prior_picture
-from geomid_ros.files.shaped_urdf import ShapedUrdf
-from geomid_ros.files.shapes import ShapeReader
-from geomid_ros.files.urdf import Inertia, read_urdf, with_inertials
+from geomid_ros.files.models.urdf import Inertia, read_urdf, with_inertials
+from geomid_ros.files.shapes.meshes import MeshFinder
+from geomid_ros.files.shapes.shaped_urdf import ShapedUrdf
+from geomid_ros.files.shapes.shapes import ShapeReader
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.model.robot import Robot
 from geomid_ros.model.samples import Samples
 from geomid_ros.model.shape_prior import IMPOSSIBLE, ShapePrior, massless_links, shape_prior
 from geomid_ros.model.urdf_tree import UrdfTree
+from geomid_ros.report.prior_picture import PlacedLink, prior_picture
 
 # Of machines: thin covers, and more than solid steel. Outside, it is more likely that a mesh is in other units.
 _LIGHTEST, _HEAVIEST = 50.0, 20_000.0  # [kg/m^3]

@@ -14,7 +14,7 @@ from geomid_ros.estimation.estimate import Estimate, LinkEstimate
 from geomid_ros.estimation.estimator import QUANTITIES
 from geomid_ros.model import shapes
 from geomid_ros.model.shape_prior import LinkPrior, ShapePrior
-from geomid_ros.session import Session
+from geomid_ros.session.session import Session
 from geomid_ros.types import FloatArray
 
 _WIDTH_OF_FILES = 110

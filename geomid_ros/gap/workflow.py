@@ -10,16 +10,16 @@ import numpy as np
 
 from geomid_ros.errors import InputError
 from geomid_ros.estimation.estimate import LinksInformation
-from geomid_ros.gap import library
-from geomid_ros.gap.analysis import Analysis, analyse
-from geomid_ros.gap.fit import Prior, unfitted
-from geomid_ros.gap.held_out import HeldOut
-from geomid_ros.gap.locate import located
-from geomid_ros.gap.record import Records
+from geomid_ros.gap import candidates as library
+from geomid_ros.gap.evidence.record import Records
+from geomid_ros.gap.fitting.fit import Prior, unfitted
+from geomid_ros.gap.fitting.stage import Stage, TotalModel
+from geomid_ros.gap.judgement.held_out import HeldOut
+from geomid_ros.gap.judgement.locate import located
+from geomid_ros.gap.judgement.verdict import findings, ranking, unexplained, verdict
 from geomid_ros.gap.result import GapResult
+from geomid_ros.gap.search.analysis import Analysis, analyse
 from geomid_ros.gap.settings import GapSettings
-from geomid_ros.gap.stage import Stage, TotalModel
-from geomid_ros.gap.verdict import findings, ranking, unexplained, verdict
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.samples import Samples
@@ -62,7 +62,7 @@ def find_gap(
     The samples come from a pipeline made for the purpose::
 
         SignalPipeline(
-            robot.joint_names, ..., effect_columns=geomid_ros.gap.library.effect_columns,
+            robot.joint_names, ..., effect_columns=geomid_ros.gap.candidates.effect_columns,
             settings=replace(signals, cutoff=settings.cutoff),
         )
 

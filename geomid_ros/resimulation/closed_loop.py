@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from geomid_ros.files.models.gap_model import ModelFiles
 from geomid_ros.model.effects import JointMotion
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.samples import Samples
@@ -14,7 +15,7 @@ from geomid_ros.resimulation.errors import root_mean_square
 from geomid_ros.resimulation.noise import Noise
 from geomid_ros.resimulation.stretch import Stretch, interpolated, smoothed, stretches
 from geomid_ros.resimulation.windows import Windows, WindowSimulation
-from geomid_ros.resimulation.written_robot import ModelFiles, WrittenRobot
+from geomid_ros.resimulation.written_robot import WrittenRobot
 from geomid_ros.types import BoolArray, FloatArray
 
 _SEPARATIONS = (0.03, 0.05, 0.08)  # [s] at which the noise of filtered samples is another, and the motion the same

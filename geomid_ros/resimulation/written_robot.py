@@ -12,8 +12,9 @@ from typing import Any
 import numpy as np
 
 from geomid_ros.errors import InputError, unknown_name
-from geomid_ros.files.effect_forms import values
-from geomid_ros.files.sidecar import read_sidecar
+from geomid_ros.files.models.effect_forms import values
+from geomid_ros.files.models.gap_model import ModelFiles
+from geomid_ros.files.models.sidecar import read_sidecar
 from geomid_ros.model.effects import EFFECTS, JointMotion
 from geomid_ros.model.samples import Samples
 from geomid_ros.model.sensors import AXES, WrenchSensor
@@ -22,14 +23,6 @@ from geomid_ros.types import BoolArray, FloatArray, IntArray
 
 _STILL_SPEED = 0.02  # [rad/s, m/s] within which the sign of a velocity is smoothed
 _IMMOVABLE = 1e7  # [kg m^2, kg] inertia of a joint that follows its measured motion, whatever acts on it
-
-
-@dataclass(frozen=True)
-class ModelFiles:
-    """An MJCF and, if there is one, its sidecar of effects."""
-
-    mjcf: Path
-    effects: Path | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,7 +39,7 @@ class WrittenRobot:
     """A compiled ``model`` with a fixed base. Arrays ``(..., J)`` follow ``joints``, the measured ones.
 
     ``dofs (J,)`` are the joints' places in MuJoCo's qpos and qvel, which are alike; ``gears`` names the hinges behind
-    the joints (see :mod:`geomid_ros.files.mjcf`) by their places.
+    the joints (see :mod:`geomid_ros.files.models.mjcf`) by their places.
     """
 
     def __init__(self, files: ModelFiles, joints: Sequence[str]) -> None:

@@ -12,11 +12,11 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from geomid_ros.estimation.estimate import Estimate, LinkEstimate
 from geomid_ros.estimation.estimator import QUANTITIES
 from geomid_ros.estimation.identifier import STANDING_STILL
-from geomid_ros.files.report.gap_words import not_explained
-from geomid_ros.gap.watch import ChannelGap
-from geomid_ros.ros.checkpoints import CheckpointStatus
-from geomid_ros.ros.gap_search import SearchStatus
-from geomid_ros.ros.status import Status
+from geomid_ros.live.checkpointing import CheckpointStatus
+from geomid_ros.live.gap_search import SearchStatus
+from geomid_ros.live.status import Status
+from geomid_ros.monitoring.change_detection import ChannelGap
+from geomid_ros.report.gap_words import not_explained
 from geomid_ros.signals.joint_messages import DRIVER_ERROR
 from geomid_ros.signals.pipeline import JOINT_STATES
 

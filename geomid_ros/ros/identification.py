@@ -9,13 +9,13 @@ from pathlib import Path
 from rclpy.impl.rcutils_logger import RcutilsLogger
 
 from geomid_ros.estimation.estimate import Estimate
-from geomid_ros.files.configuration import Configuration
-from geomid_ros.ros.checkpoints import Checkpoints, CheckpointStatus
+from geomid_ros.live.checkpointing import Checkpoints, CheckpointStatus
+from geomid_ros.live.solving_process import SolvingProcess
+from geomid_ros.live.watchdog import Supervision
+from geomid_ros.live.worker import Worker
 from geomid_ros.ros.outputs import Outputs
-from geomid_ros.ros.solving_process import SolvingProcess
-from geomid_ros.ros.supervision import Supervision
-from geomid_ros.ros.worker import Worker
-from geomid_ros.session import Session
+from geomid_ros.session.configuration import Configuration
+from geomid_ros.session.session import Session
 from geomid_ros.signals.ledger import Ledger
 
 _PATIENCE = 0.9  # [s] for the threads to end; with the last checkpoint, and with all that takes, less than two

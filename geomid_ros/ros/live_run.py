@@ -22,9 +22,9 @@ from rclpy.utilities import try_shutdown
 from std_srvs.srv import Trigger
 
 from geomid_ros.errors import GeomidError
-from geomid_ros.files.configuration import Configuration
-from geomid_ros.files.urdf import read_urdf
+from geomid_ros.files.models.urdf import read_urdf
 from geomid_ros.ros.starting import starting_ros
+from geomid_ros.session.configuration import Configuration
 
 _START_TIMEOUT = 20.0
 _SAVE_TIMEOUT = 30.0

@@ -17,8 +17,8 @@ if TYPE_CHECKING:
 
     from rclpy.executors import Executor
 
+    from geomid_ros.live.solving_process import SolvingProcess
     from geomid_ros.ros.node import GeomidNode
-    from geomid_ros.ros.solving_process import SolvingProcess
 
 _SWITCH_INTERVAL = 5e-4  # [s]
 _PAUSE = 1e-3  # [s] to wait for a message costs the executor many times what it costs to take all that have come
@@ -46,7 +46,7 @@ def _on_signal(act: Callable[[], object]) -> None:
 
 
 def _run() -> None:
-    from geomid_ros.ros.solving_process import SolvingProcess  # noqa: PLC0415
+    from geomid_ros.live.solving_process import SolvingProcess  # noqa: PLC0415
 
     with closing(SolvingProcess()) as solving:  # first, as ROS starts threads
         _run_node(solving)

@@ -22,19 +22,19 @@ from std_srvs.srv import Trigger
 
 from geomid_ros.errors import GeomidError, InputError
 from geomid_ros.estimation.estimate import Estimate
-from geomid_ros.gap_session import gap_session
+from geomid_ros.live.gap_search import GapSearch
+from geomid_ros.live.saving import Saving
+from geomid_ros.live.solving_process import SolvingProcess
+from geomid_ros.live.status import Status
+from geomid_ros.live.worker import Worker
 from geomid_ros.ros.diagnostics import NO_DESCRIPTION, STOPPED, Diagnostics
-from geomid_ros.ros.gap_search import GapSearch
 from geomid_ros.ros.identification import Identification
 from geomid_ros.ros.inputs import Inputs
 from geomid_ros.ros.outputs import Outputs, latched
 from geomid_ros.ros.parameters import read_parameters
-from geomid_ros.ros.saving import Saving
-from geomid_ros.ros.solving_process import SolvingProcess
 from geomid_ros.ros.starting import starting_ros
-from geomid_ros.ros.status import Status
-from geomid_ros.ros.worker import Worker
-from geomid_ros.session import Session
+from geomid_ros.session.gap import gap_session
+from geomid_ros.session.session import Session
 from geomid_ros.signals.ledger import Ledger, count_reason
 from geomid_ros.signals.pipeline import JOINT_STATES, ODOM
 

@@ -12,11 +12,11 @@ from std_msgs.msg import String
 from visualization_msgs.msg import MarkerArray
 
 from geomid_ros.estimation.estimate import Estimate
-from geomid_ros.files.urdf import with_identified_inertias
+from geomid_ros.files.models.urdf import with_identified_inertias
+from geomid_ros.live.gap_search import SearchStatus
 from geomid_ros.model.samples import Samples
-from geomid_ros.ros.gap_search import SearchStatus
 from geomid_ros.ros.messages import inertia_message, marker_message, predicted_message
-from geomid_ros.session import Session
+from geomid_ros.session.session import Session
 from geomid_ros.types import FloatArray
 
 

@@ -7,7 +7,7 @@ from typing import Any
 from rcl_interfaces.msg import FloatingPointRange, ParameterDescriptor
 from rclpy.node import Node
 
-from geomid_ros.files.configuration import PARAMETERS, Configuration, Parameter, find_parameter
+from geomid_ros.session.configuration import PARAMETERS, Configuration, Parameter, find_parameter
 
 
 def read_parameters(node: Node) -> Configuration:

@@ -19,7 +19,7 @@ from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import try_shutdown
 
 from geomid_ros.errors import InputError, unknown_name
-from geomid_ros.files.bags import Bag
+from geomid_ros.files.bags.bag import Bag
 from geomid_ros.ros.starting import starting_ros
 from geomid_ros.signals.pipeline import JOINT_STATES, ODOM
 

@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 from files.recordings import BAGS, Recorded, altered, recorded, write_bag
 
-from geomid_ros.files.results import read_estimate
-from geomid_ros.files.sidecar import read_sidecar
-from geomid_ros.files.urdf import read_urdf
+from geomid_ros.files.models.results import read_estimate
+from geomid_ros.files.models.sidecar import read_sidecar
+from geomid_ros.files.models.urdf import read_urdf
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.model.robot import Robot
 from geomid_ros.simulation import SimulationOptions, simulate

@@ -11,7 +11,7 @@ import pytest
 from files.recordings import BAGS
 
 from geomid_ros.commands import identify as command
-from geomid_ros.files.urdf import read_urdf
+from geomid_ros.files.models.urdf import read_urdf
 from geomid_ros.model.effects import DEFAULT_EFFECTS
 from geomid_ros.model.robot import Robot
 from geomid_ros.simulation import SimulationOptions, simulate

@@ -11,13 +11,13 @@ from geomid_ros.errors import InputError
 from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.estimation.estimator import EstimatorSettings
 from geomid_ros.estimation.identifier import BufferSettings, Identifier
-from geomid_ros.files.configuration import Configuration
 from geomid_ros.geometry import pseudo_inertia, spd
 from geomid_ros.model.effects import EFFECTS
 from geomid_ros.model.known import WeighedMass
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.robot import Robot
-from geomid_ros.session import Session
+from geomid_ros.session.configuration import Configuration
+from geomid_ros.session.session import Session
 
 from .arms import ALL_EFFECTS, Case, Motion, arm, efforts, samples, shipped
 from .frames import rewritten

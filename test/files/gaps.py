@@ -8,7 +8,6 @@ from typing import Literal
 
 import numpy as np
 
-from geomid_ros.files.report.gap_page import GapPage, SimulatedAgain
 from geomid_ros.gap.result import (
     Finding,
     Gap,
@@ -22,6 +21,7 @@ from geomid_ros.gap.result import (
     Verdict,
 )
 from geomid_ros.geometry import pseudo_inertia
+from geomid_ros.report.gap_page import GapPage, SimulatedAgain
 from geomid_ros.types import FloatArray
 
 FLOOR = 0.05  # [N m]

@@ -11,7 +11,7 @@ import pytest
 from rosbags.rosbag2 import StoragePlugin
 
 from geomid_ros.errors import InputError
-from geomid_ros.files.bags import Bag
+from geomid_ros.files.bags.bag import Bag
 
 from .recordings import BAGS, TYPES, altered, chunks, recorded, with_checksums, write_bag
 

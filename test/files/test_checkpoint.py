@@ -24,13 +24,13 @@ from geomid_ros.errors import GeomidError, InputError
 from geomid_ros.estimation.estimator import WarmStart
 from geomid_ros.estimation.identifier import Memory
 from geomid_ros.estimation.summary import SummaryState
-from geomid_ros.files import checkpoint_folder
-from geomid_ros.files.checkpoint import Checkpoint, decoded, encoded, largest_size
-from geomid_ros.files.checkpoint_folder import CheckpointFolder
-from geomid_ros.files.configuration import Configuration
-from geomid_ros.files.tensor_file import pack, unpack
+from geomid_ros.files.checkpoints import checkpoint_folder
+from geomid_ros.files.checkpoints.checkpoint import Checkpoint, decoded, encoded, largest_size
+from geomid_ros.files.checkpoints.checkpoint_folder import CheckpointFolder
+from geomid_ros.files.checkpoints.tensor_file import pack, unpack
 from geomid_ros.model.samples import Samples
-from geomid_ros.session import Session
+from geomid_ros.session.configuration import Configuration
+from geomid_ros.session.session import Session
 from geomid_ros.signals.ledger import Account, Ledger
 
 from .recordings import BAGS

@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from geomid_ros.files.gap_results import gap_document, write_gap
-from geomid_ros.files.sidecar import effect_of
+from geomid_ros.files.models.gap_results import gap_document, write_gap
+from geomid_ros.files.models.sidecar import effect_of
 from geomid_ros.gap.result import Quantity
 
 from .gaps import FLOOR, gap_result

@@ -11,8 +11,8 @@ import pytest
 from model.robots import Reference, random_parameters, random_samples, urdf
 from scipy.spatial.transform import Rotation
 
-from geomid_ros.files.mjcf import mjcf
-from geomid_ros.files.urdf import read_urdf, with_effects
+from geomid_ros.files.models.mjcf import mjcf
+from geomid_ros.files.models.urdf import read_urdf, with_effects
 from geomid_ros.model.robot import Robot
 from geomid_ros.model.samples import Samples
 from geomid_ros.model.sensors import WrenchSensor

@@ -13,10 +13,16 @@ import pytest
 
 from geomid_ros.errors import InputError
 from geomid_ros.estimation.estimate import EffectEstimate
-from geomid_ros.files.configuration import Configuration
-from geomid_ros.files.results import estimate_document, known_inertias, known_information, read_estimate, write_estimate
-from geomid_ros.files.urdf import read_urdf
-from geomid_ros.session import Session
+from geomid_ros.files.models.results import (
+    estimate_document,
+    known_inertias,
+    known_information,
+    read_estimate,
+    write_estimate,
+)
+from geomid_ros.files.models.urdf import read_urdf
+from geomid_ros.session.configuration import Configuration
+from geomid_ros.session.session import Session
 
 from .estimates import estimate_of, link_estimate
 from .recordings import BAGS

@@ -14,13 +14,13 @@ import numpy as np
 import pytest
 
 from geomid_ros.errors import GeomidError, InputError
-from geomid_ros.files.configuration import Configuration
-from geomid_ros.files.loaded_model import LoadedModel
+from geomid_ros.files.models.loaded_model import LoadedModel
+from geomid_ros.files.models.sidecar import read_sidecar
+from geomid_ros.files.models.urdf import read_urdf
 from geomid_ros.files.parameter_file import read_yaml
-from geomid_ros.files.sidecar import read_sidecar
-from geomid_ros.files.urdf import read_urdf
 from geomid_ros.model import urdf_tree
 from geomid_ros.model.robot import Robot
+from geomid_ros.session.configuration import Configuration
 
 from .recordings import BAGS
 
@@ -79,8 +79,8 @@ def test_a_large_file_is_not_read_to_its_end(tmp_path: Path) -> None:
 SESSION = """
 import sys
 from pathlib import Path
-from geomid_ros.files.configuration import Configuration
-from geomid_ros.session import Session
+from geomid_ros.session.configuration import Configuration
+from geomid_ros.session.session import Session
 Session(Path(sys.argv[1]).read_text(), Configuration(), "robot.urdf")
 """
 COMMAND = """

@@ -8,8 +8,8 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from geomid_ros.files.effect_forms import inertia_matrix
-from geomid_ros.files.urdf import read_urdf, with_effects
+from geomid_ros.files.models.effect_forms import inertia_matrix
+from geomid_ros.files.models.urdf import read_urdf, with_effects
 from geomid_ros.model.robot import Robot
 
 from .effects import PAYLOAD, effect

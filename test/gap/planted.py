@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pinocchio as pin
 
-from geomid_ros.gap import library
+from geomid_ros.gap import candidates as library
 from geomid_ros.geometry import pseudo_inertia, spd
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.robot import Robot

@@ -5,9 +5,9 @@ import pinocchio as pin
 import pytest
 from scipy.interpolate import CubicSpline
 
-from geomid_ros.gap.fit import Prior, unfitted
-from geomid_ros.gap.record import Records
-from geomid_ros.gap.stage import Stage, TotalModel, turned_gravity
+from geomid_ros.gap.evidence.record import Records
+from geomid_ros.gap.fitting.fit import Prior, unfitted
+from geomid_ros.gap.fitting.stage import Stage, TotalModel, turned_gravity
 from geomid_ros.model.effects.effort_delay import EffortDelay
 from geomid_ros.model.effects.effort_gain import EffortGain
 from geomid_ros.model.effects.gravity_tilt import GravityTilt

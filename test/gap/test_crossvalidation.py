@@ -4,13 +4,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from geomid_ros.gap import library
-from geomid_ros.gap.crossvalidation import generalises
-from geomid_ros.gap.fit import Prior, fit, unfitted
-from geomid_ros.gap.library import Candidate
-from geomid_ros.gap.noise import Autoregression
-from geomid_ros.gap.record import Records
-from geomid_ros.gap.stage import Stage, TotalModel
+from geomid_ros.gap import candidates as library
+from geomid_ros.gap.candidates import Candidate
+from geomid_ros.gap.evidence.noise import Autoregression
+from geomid_ros.gap.evidence.record import Records
+from geomid_ros.gap.fitting.fit import Prior, fit, unfitted
+from geomid_ros.gap.fitting.stage import Stage, TotalModel
+from geomid_ros.gap.judgement.crossvalidation import generalises
 from geomid_ros.model.samples import Samples
 
 from . import planted

@@ -7,14 +7,14 @@ import numpy as np
 import pytest
 
 from geomid_ros.estimation.estimate import LinksInformation
-from geomid_ros.gap import library
-from geomid_ros.gap.design import Design
-from geomid_ros.gap.fit import JointFit, Prior, fit, unfitted
-from geomid_ros.gap.library import Candidate
-from geomid_ros.gap.noise import Autoregression
-from geomid_ros.gap.record import Records
-from geomid_ros.gap.score_test import improvement
-from geomid_ros.gap.stage import Stage, TotalModel
+from geomid_ros.gap import candidates as library
+from geomid_ros.gap.candidates import Candidate
+from geomid_ros.gap.evidence.design import Design
+from geomid_ros.gap.evidence.noise import Autoregression
+from geomid_ros.gap.evidence.record import Records
+from geomid_ros.gap.fitting.fit import JointFit, Prior, fit, unfitted
+from geomid_ros.gap.fitting.stage import Stage, TotalModel
+from geomid_ros.gap.search.score_test import improvement
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.types import FloatArray
 

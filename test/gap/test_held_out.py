@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from geomid_ros.gap.locate import strongest
+from geomid_ros.gap.judgement.locate import strongest
 from geomid_ros.gap.result import GapResult, Located
 from geomid_ros.gap.settings import GapSettings
 from geomid_ros.gap.workflow import find_gap

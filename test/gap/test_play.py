@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from geomid_ros.gap.play import sides
+from geomid_ros.gap.evidence.play import sides
 from geomid_ros.model.effects.backlash import CROSSINGS
 
 

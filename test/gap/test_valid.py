@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from geomid_ros.gap import library
-from geomid_ros.gap.fit import Prior, unfitted
-from geomid_ros.gap.record import Records
-from geomid_ros.gap.stage import Stage, TotalModel
+from geomid_ros.gap import candidates as library
+from geomid_ros.gap.evidence.record import Records
+from geomid_ros.gap.fitting.fit import Prior, unfitted
+from geomid_ros.gap.fitting.stage import Stage, TotalModel
 from geomid_ros.types import BoolArray
 
 from . import planted

@@ -8,16 +8,16 @@ from pathlib import Path
 import numpy as np
 from model.robots import Reference, with_values
 
-from geomid_ros.files.effect_forms import ModelEffect
-from geomid_ros.files.mjcf import mjcf
-from geomid_ros.files.sidecar import write_sidecar
-from geomid_ros.files.urdf import read_urdf
+from geomid_ros.files.models.effect_forms import ModelEffect
+from geomid_ros.files.models.gap_model import ModelFiles
+from geomid_ros.files.models.mjcf import mjcf
+from geomid_ros.files.models.sidecar import write_sidecar
+from geomid_ros.files.models.urdf import read_urdf
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.robot import Robot
 from geomid_ros.model.samples import Samples
 from geomid_ros.model.sensors import WrenchSensor
 from geomid_ros.resimulation.noise import Noise
-from geomid_ros.resimulation.written_robot import ModelFiles
 from geomid_ros.types import FloatArray
 
 ARM = read_urdf(Path(__file__).parents[2] / "bags/arm3.urdf")

@@ -9,11 +9,11 @@ import pytest
 from files.effects import effect
 from model.robots import with_values
 
+from geomid_ros.files.models.gap_model import ModelFiles
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.robot import Robot
 from geomid_ros.model.samples import Samples
 from geomid_ros.resimulation.closed_loop import ClosedLoop, closed_loop
-from geomid_ros.resimulation.written_robot import ModelFiles
 from geomid_ros.types import FloatArray
 
 from .recordings import ARM, JOINTS, MODEL, PERIOD, files, motion, noise_example, recording

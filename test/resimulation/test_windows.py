@@ -12,8 +12,9 @@ from files.effects import PAYLOAD, effect
 from model.robots import with_values
 
 from geomid_ros.errors import InputError
-from geomid_ros.files.effect_forms import payload_parameters
-from geomid_ros.files.urdf import with_effects
+from geomid_ros.files.models.effect_forms import payload_parameters
+from geomid_ros.files.models.gap_model import ModelFiles
+from geomid_ros.files.models.urdf import with_effects
 from geomid_ros.gap.result import GapResult
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.robot import Robot
@@ -21,7 +22,6 @@ from geomid_ros.model.samples import Samples
 from geomid_ros.model.sensors import WrenchSensor
 from geomid_ros.resimulation.noise import Noise
 from geomid_ros.resimulation.resimulate import Resimulated, resimulate
-from geomid_ros.resimulation.written_robot import ModelFiles
 from geomid_ros.types import FloatArray
 
 from .recordings import ARM, FLOOR, JOINTS, MODEL, PERIOD, Added, files, noise_example, recording

@@ -17,9 +17,10 @@ from typing import Any
 import numpy as np
 
 from geomid_ros.estimation.identifier import Identifier
-from geomid_ros.ros import main, supervision
-from geomid_ros.ros.worker import Worker
-from geomid_ros.session import Session
+from geomid_ros.live import watchdog as supervision
+from geomid_ros.live.worker import Worker
+from geomid_ros.ros import main
+from geomid_ros.session.session import Session
 from geomid_ros.signals.pipeline import SignalPipeline
 
 VARIABLE = "GEOMID_TEST_FAULT"

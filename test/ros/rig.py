@@ -18,9 +18,9 @@ from geometry_msgs.msg import InertiaStamped
 from rclpy.publisher import Publisher
 from std_srvs.srv import Trigger
 
-from geomid_ros.files.configuration import Configuration
 from geomid_ros.model.samples import Samples
-from geomid_ros.session import Session
+from geomid_ros.session.configuration import Configuration
+from geomid_ros.session.session import Session
 from geomid_ros.signals.messages import feed_joint_state, feed_wrench
 
 from .observer import BETWEEN_MESSAGES, MATCHING, latched, plenty

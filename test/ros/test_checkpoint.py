@@ -21,12 +21,12 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from geometry_msgs.msg import InertiaStamped
 
 from geomid_ros.estimation.estimator import WarmStart
-from geomid_ros.files.checkpoint import Checkpoint, decoded
-from geomid_ros.files.checkpoint_folder import CheckpointFolder
-from geomid_ros.files.configuration import Configuration
-from geomid_ros.ros.checkpoints import Checkpoints
-from geomid_ros.ros.worker import Worker
-from geomid_ros.session import Session
+from geomid_ros.files.checkpoints.checkpoint import Checkpoint, decoded
+from geomid_ros.files.checkpoints.checkpoint_folder import CheckpointFolder
+from geomid_ros.live.checkpointing import Checkpoints
+from geomid_ros.live.worker import Worker
+from geomid_ros.session.configuration import Configuration
+from geomid_ros.session.session import Session
 from geomid_ros.signals.messages import feed_joint_state, feed_wrench
 
 from .observer import latched

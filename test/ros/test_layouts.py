@@ -15,8 +15,8 @@ import yaml
 from diagnostic_msgs.msg import DiagnosticArray
 from sensor_msgs.msg import JointState
 
+from geomid_ros.live.status import Status
 from geomid_ros.ros.diagnostics import Diagnostics
-from geomid_ros.ros.status import Status
 
 ROOT = Path(__file__).parents[2]
 CONFIG = ROOT / "config"

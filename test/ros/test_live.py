@@ -17,7 +17,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 from visualization_msgs.msg import Marker, MarkerArray
 
-from geomid_ros.files.urdf import read_urdf
+from geomid_ros.files.models.urdf import read_urdf
 from geomid_ros.model.robot import Robot
 
 from .observer import latched

@@ -10,7 +10,7 @@ from files.recordings import BAGS
 from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
 from rcl_interfaces.srv import DescribeParameters, GetParameters, ListParameters, SetParameters
 
-from geomid_ros.files.configuration import PARAMETERS
+from geomid_ros.session.configuration import PARAMETERS
 
 from .processes import Process
 from .stage import Stage, description

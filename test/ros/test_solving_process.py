@@ -17,11 +17,11 @@ from files.recordings import BAGS
 from geomid_ros.errors import GeomidError
 from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.estimation.identifier import Identifier
-from geomid_ros.files.configuration import Configuration
-from geomid_ros.files.urdf import read_urdf
-from geomid_ros.ros import solving_process as module
-from geomid_ros.ros.solving_process import SolvingProcess
-from geomid_ros.session import Session
+from geomid_ros.files.models.urdf import read_urdf
+from geomid_ros.live import solving_process as module
+from geomid_ros.live.solving_process import SolvingProcess
+from geomid_ros.session.configuration import Configuration
+from geomid_ros.session.session import Session
 from geomid_ros.signals.messages import feed_joint_state
 
 from .rig import ERROR

@@ -15,13 +15,13 @@ from files.recordings import BAGS
 
 from geomid_ros.errors import GeomidError
 from geomid_ros.estimation.estimate import Estimate
-from geomid_ros.files.configuration import Configuration
-from geomid_ros.files.urdf import read_urdf
-from geomid_ros.ros import worker as module
+from geomid_ros.files.models.urdf import read_urdf
+from geomid_ros.live import worker as module
+from geomid_ros.live.status import Status
+from geomid_ros.live.worker import Worker
 from geomid_ros.ros.diagnostics import Diagnostics
-from geomid_ros.ros.status import Status
-from geomid_ros.ros.worker import Worker
-from geomid_ros.session import Session
+from geomid_ros.session.configuration import Configuration
+from geomid_ros.session.session import Session
 
 from .stage import messages
 

@@ -16,14 +16,14 @@ from files.recordings import BAGS, Recorded
 
 from geomid_ros.errors import GeomidError
 from geomid_ros.estimation.estimate import Estimate
-from geomid_ros.files.configuration import Configuration
-from geomid_ros.files.urdf import read_urdf
+from geomid_ros.files.models.urdf import read_urdf
+from geomid_ros.live import worker as module
+from geomid_ros.live.status import Status
+from geomid_ros.live.worker import Worker
 from geomid_ros.model.samples import Samples
-from geomid_ros.ros import worker as module
 from geomid_ros.ros.diagnostics import Diagnostics
-from geomid_ros.ros.status import Status
-from geomid_ros.ros.worker import Worker
-from geomid_ros.session import Session
+from geomid_ros.session.configuration import Configuration
+from geomid_ros.session.session import Session
 from geomid_ros.signals.messages import feed_joint_state, feed_wrench
 
 from .in_motion import SECOND, START, InMotion, in_time, noisy

@@ -11,12 +11,12 @@ import numpy as np
 from benchmarks.fuzz.mutations import changed_bytes
 from benchmarks.fuzz.target import require
 from benchmarks.fuzz.targets.model import EDGES, changed_document
-from geomid_ros.files.checkpoint import decoded, encoded
-from geomid_ros.files.configuration import Configuration
+from geomid_ros.files.checkpoints.checkpoint import decoded, encoded
+from geomid_ros.files.checkpoints.tensor_file import pack, unpack
 from geomid_ros.files.shared_files import shared_file
-from geomid_ros.files.tensor_file import pack, unpack
 from geomid_ros.model.samples import Samples
-from geomid_ros.session import Session
+from geomid_ros.session.configuration import Configuration
+from geomid_ros.session.session import Session
 from geomid_ros.signals.ledger import Account
 
 _CRAFTED = 0.6  # of the inputs have the right checksum around something else

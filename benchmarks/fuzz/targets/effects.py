@@ -11,8 +11,8 @@ import yaml
 from benchmarks.fuzz.mutations import changed_text
 from benchmarks.fuzz.target import require
 from benchmarks.fuzz.targets.model import changed_document, effect_entries
-from geomid_ros.files.effect_forms import combined, values
-from geomid_ros.files.sidecar import read_sidecar, write_sidecar
+from geomid_ros.files.models.effect_forms import combined, values
+from geomid_ros.files.models.sidecar import read_sidecar, write_sidecar
 
 _SNIPPETS = ("*a", "&a", "!!float x", "[", "{", "\t", "? ", "- ", ": ", "\x00", "1e999", ".inf", "~")
 

@@ -11,7 +11,7 @@ from benchmarks.fuzz.mcap_writer import Form, Message, mcap
 from benchmarks.fuzz.messages import CHANNELS, START, serialised
 from benchmarks.fuzz.mutations import changed_bytes
 from benchmarks.fuzz.target import require
-from geomid_ros.files.bags import Bag
+from geomid_ros.files.bags.bag import Bag
 
 _Content: TypeAlias = list[tuple[str, int, bytes]]
 _COUNT = 40  # messages

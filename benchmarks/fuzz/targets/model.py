@@ -14,11 +14,11 @@ import numpy as np
 
 from benchmarks.fuzz.mutations import changed_text
 from benchmarks.fuzz.target import require
-from geomid_ros.files.configuration import Configuration
 from geomid_ros.files.shared_files import shared_file
-from geomid_ros.gap_session import effects_of
 from geomid_ros.model.effects import PARAMETERS, PHYSICAL_EFFECTS
-from geomid_ros.session import Session
+from geomid_ros.session.configuration import Configuration
+from geomid_ros.session.gap import effects_of
+from geomid_ros.session.session import Session
 from geomid_ros.types import FloatArray
 
 # A place in a document: the list or object, and the index or key in it.

@@ -9,8 +9,8 @@ import yaml
 
 from benchmarks.fuzz.mutations import NUMBERS, changed_text
 from benchmarks.fuzz.target import require
-from geomid_ros.files.configuration import PARAMETERS, Configuration
 from geomid_ros.files.shared_files import shared_file
+from geomid_ros.session.configuration import PARAMETERS, Configuration
 
 _SNIPPETS = (
     "&a [1, 2]",

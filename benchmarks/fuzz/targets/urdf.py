@@ -12,12 +12,12 @@ import numpy as np
 
 from benchmarks.fuzz.mutations import NUMBERS, changed_text
 from benchmarks.fuzz.target import require
-from geomid_ros.files.configuration import Configuration
-from geomid_ros.files.loaded_model import known_effect
+from geomid_ros.files.models.loaded_model import known_effect
+from geomid_ros.files.models.urdf import with_effects, with_inertials
 from geomid_ros.files.shared_files import shared_file
-from geomid_ros.files.urdf import with_effects, with_inertials
 from geomid_ros.geometry import pseudo_inertia
-from geomid_ros.session import Session
+from geomid_ros.session.configuration import Configuration
+from geomid_ros.session.session import Session
 
 _SMALL = """<?xml version="1.0"?>
 <robot name="small">

@@ -1,0 +1,167 @@
+"""The model that is exported: an ``estimate.json`` with the ``identified.urdf`` beside it, or any URDF."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from geomid_ros.errors import InputError, unknown_name
+from geomid_ros.estimation.estimator import QUANTITIES
+from geomid_ros.exports.inertial import Inertial, quantities_of
+from geomid_ros.files.models.joint_frames import joint_frames
+from geomid_ros.files.models.loaded_model import LoadedModel
+from geomid_ros.files.models.results import known_inertias, read_estimate
+from geomid_ros.files.models.urdf import read_urdf
+from geomid_ros.geometry import pseudo_inertia
+from geomid_ros.model.effects.parameters import COM_ENTRIES
+from geomid_ros.model.urdf_tree import UrdfJoint, UrdfTree, parse
+from geomid_ros.types import FloatArray
+
+_URDF = "identified.urdf"
+# A payload's parameters in the order of the quantities.
+_PAYLOAD = ("mass", *COM_ENTRIES, "ixx", "ixy", "iyy", "ixz", "iyz", "izz")
+_SAME_MASS = 1e-6  # relative; the URDF has nine digits
+
+
+@dataclass(frozen=True, eq=False)
+class Body:
+    """A link with a mass, ``inertial`` in its frame; ``merged`` are the links that are fixed to it and counted in.
+
+    ``untold`` are the quantities that the data said little about, None where nobody says what the data did;
+    ``from_data`` is the share that came from the data, NaN where it is not known.
+    """
+
+    inertial: Inertial
+    merged: tuple[str, ...] = ()
+    untold: tuple[str, ...] | None = None
+    from_data: float = np.nan
+
+
+@dataclass(frozen=True, eq=False)
+class Model:
+    """The file ``source``, the URDF's ``tree``, the placements ``(4, 4)`` of all links in the root with all joints at
+    zero, and the links with a mass. ``estimated`` are those that the data were asked about."""
+
+    source: str
+    tree: UrdfTree
+    placements: Mapping[str, FloatArray]
+    bodies: Mapping[str, Body]
+    estimated: tuple[str, ...]
+
+    def placement(self, link: str, frame: str) -> FloatArray:
+        """The homogeneous matrix ``(4, 4)`` from a link's coordinates to those of the link ``frame``."""
+        result: FloatArray = np.linalg.inv(self.placements[frame]) @ self.placements[link]
+        return result
+
+    def check_link(self, link: str, kind: str) -> None:
+        """Raise InputError if there is no such link."""
+        if link not in self.tree.links:
+            raise InputError(f"{self.source}: {unknown_name(kind, link, self.tree.links)}")
+
+    def subtree(self, link: str) -> list[str]:
+        """A link and all that come after it."""
+        links = [link]
+        for member in links:
+            links += [joint.child for joint in self.tree.children(member)]
+        return links
+
+    def joints_above(self, link: str) -> list[UrdfJoint]:
+        """The joints between a link and the root, the next one first."""
+        parents = {joint.child: joint for joint in self.tree.joints}
+        joints = []
+        while link in parents:
+            joints.append(parents[link])
+            link = parents[link].parent
+        return joints
+
+
+def read_model(path: Path) -> Model:
+    """Read an ``estimate.json`` or a URDF. Raises InputError naming the file."""
+    document = read_estimate(path) if path.suffix == ".json" else None
+    urdf = path if document is None else path.parent / _URDF
+    if document is not None and not urdf.exists():
+        raise InputError(
+            f"{path}: there is no {_URDF} beside it, which says where the links are; keep the files that were written "
+            "together in one folder"
+        )
+    text = read_urdf(urdf)
+    tree = parse(text, str(urdf))
+    bodies = _urdf_bodies(tree) if document is None else _estimated_bodies(document, tree, str(path))
+    estimated = () if document is None else tuple(str(link["name"]) for link in document["links"])
+    return Model(str(path), tree, _placements(text, tree, str(urdf)), bodies, estimated)
+
+
+def _placements(urdf: str, tree: UrdfTree, source: str) -> dict[str, FloatArray]:
+    joints = {joint.child: joint for joint in joint_frames(urdf, source)}
+    placements = {tree.root: np.eye(4)}
+    links = [tree.root]
+    for link in links:
+        for child in (joint.child for joint in tree.children(link)):
+            joint = joints[child]
+            placed = pseudo_inertia.change_of_frame(joint.rotation.as_matrix(), joint.position)
+            placements[child] = placements[link] @ placed
+            links.append(child)
+    return placements
+
+
+def _urdf_bodies(tree: UrdfTree) -> dict[str, Body]:
+    unknown = np.full(10, np.nan)
+    return {name: Body(Inertial(quantities_of(own), unknown)) for name, own in tree.inertials.items()}
+
+
+def _estimated_bodies(document: Mapping[str, Any], tree: UrdfTree, source: str) -> dict[str, Body]:
+    """The URDF's bodies, with what the document says of those that were identified; the others are as unsure as
+    before."""
+    inertias = known_inertias(document, source)
+    _check_same_model(inertias, tree, source)
+    bodies = _urdf_bodies(tree)
+    if any("cannot_tell" in link for link in document["links"]):
+        bodies = {name: Body(body.inertial, untold=QUANTITIES) for name, body in bodies.items()}
+    for link in document["links"]:
+        bodies[link["name"]] = _estimated_body(link, inertias[link["name"]], source)
+    return bodies | _found_payloads(bodies, source)
+
+
+def _check_same_model(inertias: Mapping[str, FloatArray], tree: UrdfTree, source: str) -> None:
+    for name, parameters in inertias.items():
+        written = tree.inertials.get(name, np.zeros(10))[0]
+        if abs(written - parameters[0]) > _SAME_MASS * parameters[0]:
+            raise InputError(
+                f"{source}: the {_URDF} beside it is not of this estimate: link '{name}' weighs {written:.6g} kg there "
+                f"and {parameters[0]:.6g} kg here"
+            )
+
+
+def _estimated_body(link: Mapping[str, Any], parameters: FloatArray, source: str) -> Body:
+    try:
+        untold = link.get("cannot_tell")
+        return Body(
+            Inertial(quantities_of(parameters), _std(link["std"]) if "std" in link else np.full(10, np.nan)),
+            tuple(map(str, link["merged"])),
+            None if untold is None else tuple(map(str, untold)),
+            float(link.get("from_data", np.nan)),
+        )
+    except (KeyError, TypeError, ValueError) as error:
+        raise InputError(
+            f"{source}: link '{link['name']}' lacks a valid std, merged or cannot_tell ({error})"
+        ) from error
+
+
+def _found_payloads(bodies: Mapping[str, Body], source: str) -> dict[str, Body]:
+    """Payloads that ``geomid gap`` found: links of their own in the URDF, whose standard deviations the file has."""
+    found = {}
+    for effect in LoadedModel.read(source).effects:
+        name = f"{effect.link}_payload"
+        if effect.effect == "payload" and name in bodies:
+            std = [effect.parameters[key].std if key in effect.parameters else np.nan for key in _PAYLOAD]
+            found[name] = Body(Inertial(bodies[name].inertial.quantities, np.array(std)))
+    return found
+
+
+def _std(std: Mapping[str, Any]) -> FloatArray:
+    inertia = np.array(std["inertia"], dtype=float).reshape(3, 3)[pseudo_inertia.INERTIA_ENTRIES]
+    return np.concatenate([[float(std["mass"])], np.array(std["com"], dtype=float).reshape(3), inertia])

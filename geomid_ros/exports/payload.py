@@ -1,0 +1,189 @@
+"""What is attached to a flange: the links after it, named links, or what a reference without the tool does not have."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from geomid_ros.errors import InputError
+from geomid_ros.exports.inertial import Export, Inertial, Term, total
+from geomid_ros.exports.model import Body, Model
+
+# Gravity is compensated by mass and centre of mass: links of which the data did not show these may be this share of the
+# mass.
+_UNTOLD_SHARE = 0.1
+_AS_INDEPENDENT = "± counts both estimates' errors as independent: too large if one started from the other"
+_SAME = 1e-6  # relative: a URDF has nine digits
+
+
+def attached(model: Model, frame: str) -> Export:
+    """All links at and after the link ``frame``, in its axes.
+
+    Raises InputError if there are none with a mass, if they are counted in with a link before, or if the data did not
+    show them.
+    """
+    model.check_link(frame, "frame")
+    return _sum_of(model, model.subtree(frame), frame)
+
+
+def chosen(model: Model, links: Sequence[str], frame: str) -> Export:
+    """These links in the axes of the link ``frame``. Raises InputError as :func:`attached` does."""
+    model.check_link(frame, "frame")
+    for link in links:
+        model.check_link(link, "link")
+        if link not in model.bodies:
+            holders = [name for name, body in model.bodies.items() if link in body.merged]
+            reason = f"it is counted in with '{holders[0]}'" if holders else "it has no mass"
+            raise InputError(f"{model.source}: link '{link}' is no body of its own: {reason}")
+    return _sum_of(model, list(dict.fromkeys(links)), frame)
+
+
+def difference(model: Model, reference: Model, frame: str) -> Export:
+    """What ``model`` has and ``reference`` has not, in the axes of the link ``frame``, which both have.
+
+    Compared is all that moves with the link that carries the frame, so that a tool counts that was identified as one
+    body with the wrist. Raises InputError as :func:`attached` does, and if the difference is no body.
+    """
+    carried, taken = _moving_with(model, frame), _moving_with(reference, frame)
+    _check_told(model, carried)
+    terms = [*_terms(model, carried, frame), *_terms(reference, taken, frame, -1.0)]
+    what = f"{model.source} without {reference.source}"
+    try:
+        inertial = total(terms, f"what {model.source} has more than {reference.source} at '{frame}'")
+    except InputError as error:
+        raise InputError(
+            f"{error}. A small difference of two estimates drowns in their errors: identify the tool as a body of its "
+            "own (a wrench sensor mounted before it divides them), or leave all else as in the reference (identify "
+            "--urdf and --model of the reference, --links)"
+        ) from error
+    notes = (
+        *_joints_at_zero(model, carried, frame),
+        *_exact(model, carried, inertial),
+        *_exact(reference, taken, inertial),
+        *([_AS_INDEPENDENT] if any(reference.bodies[link].inertial.has_std for link in taken) else []),
+        *_other_differences(model, reference, frame),
+    )
+    return Export(f"payload at '{frame}': {what}", frame, inertial, notes)
+
+
+def each_link(model: Model) -> list[Export]:
+    """The links of a model, each in its own axes: those that were identified, or all of a URDF. Raises InputError for a
+    link that cannot exist."""
+    exports = []
+    for name in model.estimated or model.bodies:
+        body = model.bodies[name]
+        inertial = total([Term(body.inertial, np.eye(4))], f"{model.source}: link '{name}'")
+        exports.append(Export(f"link '{name}'", name, inertial, _link_notes(body)))
+    return exports
+
+
+def _link_notes(body: Body) -> tuple[str, ...]:
+    notes = []
+    if body.merged:
+        notes.append(f"counts in {', '.join(body.merged)}: these links get no inertial")
+    if math.isfinite(body.from_data):
+        notes.append(f"{100.0 * body.from_data:.0f} % from data")
+    if body.untold:
+        notes.append(f"hardly told by the data, mostly as in the prior: {', '.join(body.untold)}")
+    return tuple(notes)
+
+
+def _sum_of(model: Model, links: Sequence[str], frame: str) -> Export:
+    _check_whole(model, links)
+    massive = _massive(model, links)
+    if not massive:
+        raise InputError(
+            f"{model.source}: nothing at or after '{frame}' has a mass. What is attached there may be counted in "
+            "with a link before it: name a model without it (--without)"
+        )
+    _check_told(model, massive)
+    inertial = total(_terms(model, massive, frame), f"{model.source}: {', '.join(massive)} together")
+    parts = ", ".join(f"{link} ({model.bodies[link].inertial.mass:.4g} kg)" for link in massive)
+    untold = [
+        f"hardly told by the data of {link}, mostly as in the prior: {', '.join(model.bodies[link].untold or ())}"
+        for link in massive
+        if model.bodies[link].untold
+    ]
+    notes = (*_joints_at_zero(model, massive, frame), *_exact(model, massive, inertial), *untold)
+    return Export(f"payload at '{frame}': {parts}", frame, inertial, notes)
+
+
+def _massive(model: Model, links: Sequence[str]) -> list[str]:
+    return [link for link in links if link in model.bodies]
+
+
+def _carrier(model: Model, frame: str) -> str:
+    """The moving link (or the root) that the link ``frame`` is fixed to."""
+    return next((joint.child for joint in model.joints_above(frame) if joint.type != "fixed"), model.tree.root)
+
+
+def _moving_with(model: Model, frame: str) -> list[str]:
+    """The links with a mass that move with the link that carries a frame, which is checked."""
+    model.check_link(frame, "frame")
+    links = model.subtree(_carrier(model, frame))
+    _check_whole(model, links)
+    return _massive(model, links)
+
+
+def _terms(model: Model, links: Sequence[str], frame: str, sign: float = 1.0) -> list[Term]:
+    return [Term(model.bodies[link].inertial, model.placement(link, frame), sign) for link in links]
+
+
+def _check_whole(model: Model, links: Sequence[str]) -> None:
+    """Refuse to cut a body in two."""
+    for name, body in model.bodies.items():
+        inside = [link for link in body.merged if link in links]
+        if inside and name not in links:
+            raise InputError(
+                f"{model.source}: '{name}' was identified as one body with {', '.join(inside)}, which cannot be told "
+                f"apart. Name an estimate or a URDF of the robot without what is attached (--without), or '{name}' "
+                "itself (--links)"
+            )
+
+
+def _check_told(model: Model, links: Sequence[str]) -> None:
+    masses = {link: model.bodies[link].inertial.mass for link in links}
+    untold = {link: names for link in links if (names := _weight_untold(model.bodies[link]))}
+    if sum(masses[link] for link in untold) > _UNTOLD_SHARE * sum(masses.values()):
+        quantities = "; ".join(f"{', '.join(names)} of '{link}'" for link, names in untold.items())
+        raise InputError(
+            f"{model.source}: the data hardly told {quantities}; these are mostly what was known before. Record a "
+            "motion that turns the flange into all directions, or weigh what it carries (identify --known). The "
+            "numbers as they are: export identified.urdf"
+        )
+
+
+def _weight_untold(body: Body) -> list[str]:
+    """What the data did not tell of what gravity acts on."""
+    return [name for name in body.untold or () if name == "mass" or name.startswith("com")]
+
+
+def _joints_at_zero(model: Model, links: Sequence[str], frame: str) -> list[str]:
+    """The joints between a frame and links, whose positions change where these are."""
+    above_frame = set(model.joints_above(frame))
+    between = [joint for link in links for joint in model.joints_above(link) if joint not in above_frame]
+    moving = dict.fromkeys(joint.name for joint in between if joint.type != "fixed")
+    return [f"with these joints at zero: {', '.join(moving)}"] if moving else []
+
+
+def _exact(model: Model, links: Sequence[str], inertial: Inertial) -> list[str]:
+    """Which links count as exact in the sum ``inertial``."""
+    names = [link for link in links if not model.bodies[link].inertial.has_std]
+    return [f"taken as exact: {', '.join(names)} of {model.source}"] if names and inertial.has_std else []
+
+
+def _other_differences(model: Model, reference: Model, frame: str) -> list[str]:
+    """Links elsewhere that differ: part of the payload may be in them."""
+    carried = model.subtree(_carrier(model, frame))
+    common = [link for link in _massive(model, model.tree.links) if link in reference.bodies and link not in carried]
+    differing = [link for link in common if not _same(model.bodies[link].inertial, reference.bodies[link].inertial)]
+    if not differing:
+        return []
+    alone = f"identify '{_carrier(model, frame)}' alone (identify --urdf and --model of the reference, --links)"
+    return [f"{', '.join(differing)} differ, too, and part of the payload may be in them: {alone}"]
+
+
+def _same(one: Inertial, other: Inertial) -> bool:
+    return bool(np.allclose(one.quantities, other.quantities, rtol=_SAME, atol=_SAME * one.mass))

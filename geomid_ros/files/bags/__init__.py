@@ -1,0 +1,1 @@
+"""Recordings: rosbag2 folders, .mcap and .db3 files."""

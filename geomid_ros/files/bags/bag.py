@@ -1,0 +1,128 @@
+"""Reading rosbags, with only the built-in message definitions: what a bag says of its types is never executed."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Collection, Iterator
+from contextlib import ExitStack
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from types import TracebackType
+from typing import Any, Self
+
+from rosbags.typesys import Stores, get_typestore
+
+from geomid_ros.errors import InputError
+from geomid_ros.files.bags.database import Database
+from geomid_ros.files.bags.folder import bag_files
+from geomid_ros.files.bags.mcap import McapFile
+from geomid_ros.files.bags.storage import RawMessage, Storage
+from geomid_ros.files.bags.unpacking import unpacked_message
+
+_typestore = get_typestore(Stores.ROS2_JAZZY)
+_FORMATS: dict[str, Callable[[Path], Storage]] = {".mcap": McapFile, ".db3": Database}
+_MOST_BYTES = 8_000_000  # of a message whose fields are read; a robot description has up to 5 MB
+
+
+class Bag:
+    """An open rosbag2 folder, or a single ``.mcap`` or ``.db3`` file; use it in a ``with`` statement.
+
+    It is looked at as a whole when opened. Raises InputError, naming the file, for whatever cannot be read; of a
+    damaged file it tells where the damage is and how much could be read.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self._storages: list[Storage] = []
+        self._stack = ExitStack()
+        with ExitStack() as stack:
+            try:
+                files = bag_files(path, lambda: Path(stack.enter_context(TemporaryDirectory(prefix="geomid_bag_"))))
+                for file in files.paths:
+                    self._storages.append(_FORMATS[files.suffix](file))
+                    stack.callback(self._storages[-1].close)
+            except OSError as error:
+                raise InputError(f"{path}: cannot be read as a rosbag2 recording ({error})") from error
+            self._packed = files.packed
+            self._stack = stack.pop_all()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._stack.close()
+
+    @property
+    def topics(self) -> dict[str, str | None]:
+        """Message type of each topic; None where there are several."""
+        kinds: dict[str, set[str]] = {}
+        for storage in self._storages:
+            for topic, kind in storage.counts:
+                kinds.setdefault(topic, set()).add(kind)
+        return {topic: found.pop() if len(found) == 1 else None for topic, found in kinds.items()}
+
+    @property
+    def start(self) -> int:
+        """When the first message was recorded [ns]; zero if there is none."""
+        return min((storage.start for storage in self._storages if storage.start is not None), default=0)
+
+    def find_topic(self, name: str, message_type: str, option: str) -> str:
+        """The topic called ``name``, with or without a leading slash, checked to carry ``message_type``.
+
+        ``option`` tells the user where the name can be changed.
+        """
+        wanted = "/" + name.lstrip("/")
+        topics = {("/" + topic.lstrip("/")): (topic, kind) for topic, kind in self.topics.items()}
+        if wanted not in topics:
+            listing = ", ".join(f"{topic} ({kind})" for topic, kind in self.topics.items()) or "none"
+            raise InputError(f"{self.path}: has no topic {wanted}, which {option} names. Its topics: {listing}")
+        topic, kind = topics[wanted]
+        if kind != message_type:
+            raise InputError(f"{self.path}: topic {topic} is of type {kind}, expected {message_type}")
+        return topic
+
+    def count(self, topics: Collection[str]) -> int:
+        """How many messages the topics have."""
+        counts: Counter[str] = Counter()
+        for storage in self._storages:
+            for (topic, _), count in storage.counts.items():
+                counts[topic] += count
+        return sum(counts[topic] for topic in topics)
+
+    def messages(self, topics: Collection[str]) -> Iterator[tuple[str, int, Any]]:
+        """Topic, time of recording [ns] and message of everything on ``topics``, in the order of recording."""
+        for count, (topic, time, kind, data) in enumerate(self._raw_messages(topics)):
+            where = f"{self.path}: message on {topic} at {time} ns"
+            if kind not in _typestore.types:
+                raise InputError(f"{where} is of the type {kind}, which is none of those that come with ROS 2")
+            if len(data) > _MOST_BYTES:
+                raise InputError(f"{where} has {len(data)} bytes, more than the {_MOST_BYTES} that are read")
+            try:
+                yield topic, time, _typestore.deserialize_cdr(data, kind)
+            except Exception as error:  # whatever bytes of another form make the code for this type raise
+                raise InputError(
+                    f"{where} is not a valid {kind} ({_first_line(error)}); {count} before it are"
+                ) from error
+
+    def raw_messages(self, topics: Collection[str]) -> Iterator[tuple[str, int, bytes]]:
+        """Topic, time of recording [ns] and serialised message of everything on ``topics``."""
+        for topic, time, _, data in self._raw_messages(topics):
+            yield topic, time, data
+
+    def _raw_messages(self, topics: Collection[str]) -> Iterator[RawMessage]:
+        for storage in self._storages:
+            for message in storage.messages(topics):
+                yield self._unpacked(message) if self._packed else message
+
+    def _unpacked(self, message: RawMessage) -> RawMessage:
+        try:
+            return message._replace(data=unpacked_message(message.data))
+        except ValueError as error:
+            where = f"message on {message.topic} at {message.time} ns"
+            raise InputError(f"{self.path}: {where} cannot be unpacked, {error}") from error
+
+
+def _first_line(error: BaseException) -> str:
+    return (str(error).splitlines() or [type(error).__name__])[0]

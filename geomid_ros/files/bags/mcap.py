@@ -1,0 +1,286 @@
+"""Mcap files (https://mcap.dev/spec): walked through once when opened, and then read part by part.
+
+The index at the end is not used, as it may say anything. Every checksum that is there is checked: of chunks, of the
+data section and of the summary; and the number of messages against the summary's.
+"""
+
+from __future__ import annotations
+
+import heapq
+import math
+import struct
+from binascii import crc32
+from collections import Counter
+from collections.abc import Collection, Iterator
+from pathlib import Path
+from typing import NamedTuple, TypeVar
+
+from geomid_ros.errors import InputError
+from geomid_ros.files.bags.storage import FaultError, Part, RawMessage, damaged
+from geomid_ros.files.bags.unpacking import MOST_BYTES, unpacked
+
+_MAGIC = b"\x89MCAP0\r\n"
+_HEADER, _FOOTER, _SCHEMA, _CHANNEL, _MESSAGE, _CHUNK, _STATISTICS, _DATA_END = 1, 2, 3, 4, 5, 6, 0x0B, 0x0F
+_RECORD = struct.Struct("<BQ")  # kind, length
+_MESSAGE_HEAD = struct.Struct("<HIQQ")  # channel, sequence, times of recording and of publishing
+_PIECE = 1 << 20  # bytes read at once, and of messages outside chunks that make a stretch
+_MOST_STRETCHES = 1_000_000
+_MOST_PENDING = 1 << 28  # bytes of messages that are held at once: those of a chunk, and of others that overlap it
+_BYTES_BESIDE_DATA = 250  # of a message that is held
+T = TypeVar("T")
+_TOO_MUCH = "its chunks are too large, or overlap in time too much; 'mcap sort' may put them in order"
+_RESCUE = "'mcap recover' may save it"
+
+
+class _Stretch(NamedTuple):
+    """A chunk's record, or messages' records one behind the other: where they begin and end, the first time of
+    recording among them, and their channels."""
+
+    begin: int
+    end: int
+    chunk: bool
+    first: float
+    channels: frozenset[int]
+
+
+class _Fields:
+    """Reads the fields of a record one after the other. Raises ValueError or struct.error where it ends too early."""
+
+    def __init__(self, record: memoryview) -> None:
+        self._record = record
+        self._place = 0
+
+    def numbers(self, form: str) -> tuple[int, ...]:
+        values = struct.unpack_from(form, self._record, self._place)
+        self._place += struct.calcsize(form)
+        return values
+
+    def block(self, length: int) -> memoryview:
+        block = self._record[self._place : self._place + length]
+        if len(block) < length:
+            raise ValueError("a record ends before its last field")
+        self._place += length
+        return block
+
+    def text(self) -> str:
+        return str(self.block(*self.numbers("<I")), "utf-8")
+
+
+class McapFile:
+    """An open mcap file; see :class:`~geomid_ros.files.bags.storage.Storage`.
+
+    Raises InputError naming the file, the place, and how much can be read before it.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._size = path.stat().st_size
+        self._schemas: dict[int, str] = {}
+        self._channels: dict[int, tuple[str, str]] = {}
+        self._counted: Counter[int] = Counter()
+        self._last = 0
+        self._stretches: list[_Stretch] = []
+        self._known_sets: dict[frozenset[int], frozenset[int]] = {}
+        self._file = path.open("rb")
+        try:
+            self._scan()
+        except FaultError as fault:
+            self.close()
+            raise damaged(path, fault, Part(self._counted.total(), self._last, _RESCUE)) from fault
+
+    def close(self) -> None:
+        """Close the file."""
+        self._file.close()
+
+    @property
+    def counts(self) -> dict[tuple[str, str], int]:
+        """How many messages there are, by topic and type."""
+        counts: Counter[tuple[str, str]] = Counter(dict.fromkeys(self._channels.values(), 0))
+        for channel, count in self._counted.items():
+            counts[self._channels[channel]] += count
+        return dict(counts)
+
+    @property
+    def start(self) -> int | None:
+        """When the first message was recorded [ns]."""
+        first = min((stretch.first for stretch in self._stretches), default=math.inf)
+        return int(first) if math.isfinite(first) else None
+
+    def messages(self, topics: Collection[str]) -> Iterator[RawMessage]:
+        """Everything on ``topics`` in the order of recording."""
+        wanted = {channel: named for channel, named in self._channels.items() if named[0] in topics}
+        pending: list[tuple[int, int, int, bytes]] = []
+        held = serial = 0
+        for stretch in sorted(self._stretches, key=lambda stretch: stretch.first):
+            if wanted.keys().isdisjoint(stretch.channels):
+                continue
+            while pending and pending[0][0] < stretch.first:
+                held -= _BYTES_BESIDE_DATA + len(pending[0][-1])
+                yield self._raw_message(heapq.heappop(pending))
+            for channel, time, data in self._read(stretch):
+                if channel in wanted:
+                    heapq.heappush(pending, (time, serial, channel, bytes(data)))
+                    held += _BYTES_BESIDE_DATA + len(data)
+                    serial += 1
+                if held > _MOST_PENDING:
+                    raise InputError(f"{self._path}: {_TOO_MUCH}")
+        while pending:
+            yield self._raw_message(heapq.heappop(pending))
+
+    def _raw_message(self, entry: tuple[int, int, int, bytes]) -> RawMessage:
+        time, _, channel, data = entry
+        return RawMessage(self._channels[channel][0], time, self._channels[channel][1], data)
+
+    def _read(self, stretch: _Stretch) -> Iterator[tuple[int, int, memoryview]]:
+        """Channel, time and bytes of each message in a stretch that was looked at before."""
+        try:
+            for kind, record in _records(self._data(stretch.begin, stretch.end, stretch.chunk)):
+                if kind == _MESSAGE:
+                    channel, _, time, _ = _MESSAGE_HEAD.unpack_from(record)
+                    yield channel, time, record[_MESSAGE_HEAD.size :]
+        except (FaultError, OSError, ValueError, struct.error) as error:
+            raise InputError(f"{self._path}: has changed since it was opened ({error})") from error
+
+    def _scan(self) -> None:
+        """Look at the whole file."""
+        if not self._size:
+            raise FaultError("the file is empty", 0)
+        if self._bytes(0, len(_MAGIC)) != _MAGIC:
+            raise FaultError("it does not begin as an mcap file does", 0)
+        data_end = 0
+        for kind, begin, end in self._walk():
+            if data_end:
+                if kind == _STATISTICS:
+                    self._check_count(begin)
+            elif kind == _DATA_END:
+                self._check_sum(0, begin, self._number(begin + _RECORD.size, 4), "data section")
+                data_end = end
+            elif kind == _HEADER:
+                self._check_profile(begin, end)
+            elif kind in (_CHUNK, _SCHEMA, _CHANNEL, _MESSAGE):
+                self._add(self._examined(begin, end, kind == _CHUNK))
+        last = self._size - len(_MAGIC)
+        if self._bytes(last, self._size) != _MAGIC or not data_end:
+            raise FaultError("its end is missing", self._size)
+        self._check_sum(data_end, last - 4, self._number(last - 4, 4), "summary")
+
+    def _walk(self) -> Iterator[tuple[int, int, int]]:
+        """Kind, offset and end of each record, up to the footer."""
+        kind, begin = 0, len(_MAGIC)
+        while kind != _FOOTER:
+            head = self._bytes(begin, begin + _RECORD.size)
+            if len(head) < _RECORD.size:
+                raise FaultError("the file ends before its footer", begin)
+            kind, length = _RECORD.unpack(head)
+            end = begin + _RECORD.size + length
+            if end > self._size:
+                there = self._size - begin - _RECORD.size
+                raise FaultError(f"a record of {length} bytes, of which {there} are there", begin)
+            yield kind, begin, end
+            begin = end
+
+    def _bytes(self, begin: int, end: int) -> bytes:
+        self._file.seek(begin)
+        return self._file.read(end - begin)
+
+    def _data(self, begin: int, end: int, chunk: bool) -> memoryview:
+        """The records of a stretch. Raises FaultError, ValueError and struct.error."""
+        if end - begin > MOST_BYTES:
+            raise FaultError(f"a record of {end - begin} bytes, more than {MOST_BYTES}", begin)
+        data = memoryview(self._bytes(begin, end))
+        return memoryview(_chunk_data(_Fields(data[_RECORD.size :]))) if chunk else data
+
+    def _examined(self, begin: int, end: int, chunk: bool) -> _Stretch:
+        first, channels = math.inf, set()
+        try:
+            for kind, record in _records(self._data(begin, end, chunk)):
+                if kind == _MESSAGE:
+                    channel, _, time, _ = _MESSAGE_HEAD.unpack_from(record)
+                    if channel not in self._channels:
+                        raise ValueError(f"a message of channel {channel}, which was not announced")  # noqa: TRY301
+                    channels.add(channel)
+                    first = min(first, time)
+                    self._last = max(self._last, time)
+                    self._counted[channel] += 1
+                elif kind == _SCHEMA:
+                    self._take_schema(_Fields(record))
+                elif kind == _CHANNEL:
+                    self._take_channel(_Fields(record))
+        except (ValueError, struct.error) as error:
+            raise FaultError(str(error), begin) from error
+        shared = frozenset(channels)
+        return _Stretch(begin, end, chunk, first, self._known_sets.setdefault(shared, shared))
+
+    def _add(self, new: _Stretch) -> None:
+        """Append a stretch; records outside chunks become one with those before them."""
+        old = self._stretches[-1] if self._stretches else None
+        if old and not old.chunk and not new.chunk and old.end == new.begin and new.end - old.begin < _PIECE:
+            channels = old.channels | new.channels
+            channels = self._known_sets.setdefault(channels, channels)
+            self._stretches[-1] = _Stretch(old.begin, new.end, False, min(old.first, new.first), channels)
+        elif len(self._stretches) == _MOST_STRETCHES:
+            raise FaultError(f"more than {_MOST_STRETCHES} chunks", new.begin)
+        else:
+            self._stretches.append(new)
+
+    def _take_schema(self, fields: _Fields) -> None:
+        (schema,) = fields.numbers("<H")
+        _set_once(self._schemas, schema, fields.text(), "schema")
+
+    def _take_channel(self, fields: _Fields) -> None:
+        channel, schema = fields.numbers("<HH")
+        topic, encoding = fields.text(), fields.text()
+        kind = self._schemas.get(schema, "unknown")
+        _set_once(self._channels, channel, (topic, kind if encoding == "cdr" else f"{kind} in {encoding}"), "channel")
+
+    def _check_profile(self, begin: int, end: int) -> None:
+        try:
+            profile = _Fields(memoryview(self._bytes(begin + _RECORD.size, min(end, begin + _PIECE)))).text()
+        except (ValueError, struct.error) as error:
+            raise FaultError(f"its header, {error}", begin) from error
+        if profile != "ros2":
+            raise FaultError(f"it is of the profile {profile[:20]!r}, expected 'ros2'", begin)
+
+    def _number(self, begin: int, size: int) -> int:
+        """The number of ``size`` bytes at an offset."""
+        return int.from_bytes(self._bytes(begin, begin + size), "little")
+
+    def _check_count(self, begin: int) -> None:
+        told = self._number(begin + _RECORD.size, 8)
+        if told != self._counted.total():
+            raise FaultError(f"its statistics tell of {told} messages, it has {self._counted.total()}", begin)
+
+    def _check_sum(self, begin: int, end: int, told: int, what: str) -> None:
+        """Compare the checksum of a part of the file with what it should be; zero says nothing."""
+        found = 0
+        for place in range(begin, end, _PIECE) if told else ():
+            found = crc32(self._bytes(place, min(end, place + _PIECE)), found)
+        if found != told:
+            raise FaultError(f"the checksum of its {what} is wrong", begin)
+
+
+def _set_once(table: dict[int, T], key: int, value: T, what: str) -> None:
+    if table.setdefault(key, value) != value:
+        raise ValueError(f"{what} {key} is announced twice, and differently")
+
+
+def _chunk_data(fields: _Fields) -> bytes | memoryview:
+    """What a chunk holds. Raises ValueError or struct.error."""
+    _, _, size, told = fields.numbers("<QQQI")
+    method = fields.text()
+    data = unpacked(fields.block(*fields.numbers("<Q")), method, size)
+    if told and crc32(data) != told:
+        raise ValueError("the checksum of a chunk is wrong")
+    return data
+
+
+def _records(data: memoryview) -> Iterator[tuple[int, memoryview]]:
+    """Kind and content of each record. Raises ValueError or struct.error where they are cut off."""
+    begin = 0
+    while begin < len(data):
+        kind, length = _RECORD.unpack_from(data, begin)
+        begin += _RECORD.size
+        if length > len(data) - begin:
+            raise ValueError("a record is longer than what it is in")
+        yield kind, data[begin : begin + length]
+        begin += length

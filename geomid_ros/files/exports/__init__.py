@@ -1,1 +1,0 @@
-"""What other software wants of an estimate: payloads of robot controllers, inertials of robot descriptions."""

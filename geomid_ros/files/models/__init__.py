@@ -1,0 +1,1 @@
+"""Model files: URDF, MJCF, estimate.json, effects.yaml, gap.json."""

@@ -1,0 +1,95 @@
+"""The model with what the gap workflow found, as files: ``estimate.json``, URDF, MJCF and the sidecar of effects.
+
+``estimate.json`` is a starting point like any other (:mod:`geomid_ros.files.models.results`), with less in it: of links
+``name``, ``merged``, ``mass``, ``com`` and ``inertia``; ``effects`` of one coefficient at a joint; and ``added``, the
+other effects, as the sidecar has them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from geomid_ros.files.atomic import write_text
+from geomid_ros.files.models.effect_forms import ModelEffect, combined
+from geomid_ros.files.models.gap_results import effect_entry
+from geomid_ros.files.models.mjcf import mjcf
+from geomid_ros.files.models.results import FORMAT, write_estimate
+from geomid_ros.files.models.sidecar import write_sidecar
+from geomid_ros.files.models.urdf import Inertia, with_effects, with_inertials
+from geomid_ros.geometry import pseudo_inertia
+from geomid_ros.model.effects import EFFECTS
+from geomid_ros.model.measurement import MeasurementModel
+from geomid_ros.types import FloatArray
+
+ESTIMATE, URDF, MJCF, EFFECTS_FILE = "estimate.json", "identified.urdf", "identified.xml", "effects.yaml"
+
+
+@dataclass(frozen=True)
+class ModelFiles:
+    """An MJCF and, if there is one, its sidecar of effects."""
+
+    mjcf: Path
+    effects: Path | None = None
+
+
+def write_model(
+    folder: Path,
+    model: MeasurementModel,
+    urdf: str,
+    inertias: Mapping[str, FloatArray],
+    effects: Iterable[ModelEffect],
+    gravity: FloatArray,
+) -> list[Path]:
+    """Write the model with ``inertias (10,)`` of identified bodies by name and all of its ``effects`` into ``folder``;
+    returns the files.
+
+    ``gravity (3,)`` is that of a base which stands straight. Of effects that are there twice, see
+    :func:`~geomid_ros.files.models.effect_forms.combined`.
+    """
+    effects = combined(effects)
+    bodies = {name: _inertia(parameters) for name, parameters in inertias.items()}
+    merged = {body.name: body.merged for body in model.robot.bodies if body.name in bodies}
+    removed = [name for names in merged.values() for name in names]
+    write_estimate(folder / ESTIMATE, _estimate(bodies, merged, effects))
+    write_text(folder / URDF, with_effects(with_inertials(urdf, bodies, removed), effects))
+    write_text(folder / MJCF, mjcf(model.robot, inertias, effects, model.sensors, gravity))
+    write_sidecar(folder / EFFECTS_FILE, model.robot.name, effects)
+    return [folder / name for name in (ESTIMATE, URDF, MJCF, EFFECTS_FILE)]
+
+
+def model_files(folder: Path) -> ModelFiles:
+    """The files of :func:`write_model` in ``folder`` that a simulation needs."""
+    return ModelFiles(folder / MJCF, folder / EFFECTS_FILE)
+
+
+def _inertia(parameters: FloatArray) -> Inertia:
+    centre = pseudo_inertia.centre_of_mass(parameters)
+    return float(parameters[0]), centre, pseudo_inertia.central_inertia(parameters)
+
+
+def _estimate(
+    bodies: Mapping[str, Inertia], merged: Mapping[str, Sequence[str]], effects: Sequence[ModelEffect]
+) -> dict[str, Any]:
+    return {
+        "format": FORMAT,
+        "links": [
+            {
+                "name": name,
+                "merged": list(merged[name]),
+                "mass": mass,
+                "com": com.tolist(),
+                "inertia": inertia.tolist(),
+            }
+            for name, (mass, com, inertia) in bodies.items()
+        ],
+        "effects": [_coefficient(effect) for effect in effects if effect.effect in EFFECTS],
+        "added": [effect_entry(effect) for effect in effects if effect.effect not in EFFECTS],
+    }
+
+
+def _coefficient(effect: ModelEffect) -> dict[str, Any]:
+    (quantity,) = effect_entry(effect)["parameters"].values()
+    return {"name": effect.effect, "joint": effect.joint, **quantity}

@@ -1,0 +1,108 @@
+"""``gap.json``: what the gap workflow found, for programs.
+
+==============  =======================================================================================================
+key             value
+==============  =======================================================================================================
+format          1
+verdict         ``no gap``, ``named``, ``incomplete`` or ``unexplained``
+findings        list of named effects, the surest first:
+                ``effect``, ``joint`` (a wrench sensor's topic, or empty for the whole robot), ``link`` (of a payload),
+                ``parameters`` {name: {``value``, ``std``, ``unit``}},
+                ``confidence`` (``confident``, ``tentative`` or ``ambiguous``),
+                ``rivals`` [{``effect``, ``joint``, ``loss``}] other names for the same, ``loss`` by how much worse,
+                ``separability`` (0: this motion cannot tell it from the inertias, to 1: nothing like it),
+                ``loss`` (how much worse without it, a difference of -2 log p), ``share`` (of the gap that it closes),
+                ``sentence`` and ``settled_by`` (the recording that would settle an ambiguity, or empty)
+unexplained     list of {``joint`` (or wrench channel), ``depends_on``, ``gap`` (times the floor)}
+gap             {``before``, ``inertias_only``, ``after``}, each {channel: held-out residual in units of the floor},
+                and ``expected``: what noise and the uncertainty of the fit would leave if the model were right
+floor           {channel: the noise's standard deviation in N m or N}
+resimulated     {``before``, ``after``}, each {joint or wrench channel: error of held-out data simulated again in short
+                windows, in units of what noise makes of it}; null where it could not be simulated
+closed_loop     the same of efforts in closed loop under the recorded commands, or null
+==============  =======================================================================================================
+
+Numbers that do not exist (a channel without measurements, say) are null.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, TypeAlias
+
+from geomid_ros.files.atomic import write_text
+from geomid_ros.files.models.effect_forms import ModelEffect
+from geomid_ros.gap.result import Finding, GapResult
+from geomid_ros.types import FloatArray
+
+FORMAT = 1
+
+
+Errors: TypeAlias = Mapping[str, Mapping[str, float]]
+
+
+def gap_document(result: GapResult, simulations: Mapping[str, Errors]) -> dict[str, Any]:
+    """The document of a result; ``simulations`` has the errors {before, after} of ``windows`` and ``closed_loop``."""
+    kinds = ("before", "inertias_only", "after", "expected")
+    return {
+        "format": FORMAT,
+        "verdict": result.verdict,
+        "findings": [_finding(finding) for finding in result.findings],
+        "unexplained": [
+            {"joint": entry.joint, "depends_on": entry.depends_on, "gap": _number(entry.gap)}
+            for entry in result.unexplained
+        ],
+        "gap": {kind: _by_channel(result.channels, getattr(result.gap, kind)) for kind in kinds},
+        "floor": _by_channel(result.channels, result.floor),
+        "resimulated": _errors(simulations.get("windows")),
+        "closed_loop": _errors(simulations.get("closed_loop")),
+    }
+
+
+def _errors(errors: Errors | None) -> dict[str, Any] | None:
+    if errors is None:
+        return None
+    return {kind: {name: _number(value) for name, value in by_name.items()} for kind, by_name in errors.items()}
+
+
+def effect_entry(effect: ModelEffect) -> dict[str, Any]:
+    """An effect with its place and parameters, as :func:`geomid_ros.files.models.sidecar.effect_of` reads it."""
+    return {
+        "effect": effect.effect,
+        "joint": effect.joint,
+        "link": effect.link,
+        "parameters": {
+            name: {"value": _number(quantity.value), "std": _number(quantity.std), "unit": quantity.unit}
+            for name, quantity in effect.parameters.items()
+        },
+    }
+
+
+def _finding(finding: Finding) -> dict[str, Any]:
+    return effect_entry(finding) | {
+        "confidence": finding.confidence,
+        "rivals": [
+            {"effect": rival.effect, "joint": rival.joint, "loss": _number(rival.loss)} for rival in finding.rivals
+        ],
+        "separability": _number(finding.separability),
+        "loss": _number(finding.loss),
+        "share": _number(finding.share),
+        "sentence": finding.sentence,
+        "settled_by": finding.settled_by,
+    }
+
+
+def _by_channel(channels: Sequence[str], values: FloatArray) -> dict[str, float | None]:
+    return {name: _number(value) for name, value in zip(channels, values, strict=True)}
+
+
+def _number(value: float) -> float | None:
+    return float(value) if math.isfinite(value) else None
+
+
+def write_gap(path: Path, document: Mapping[str, Any]) -> None:
+    """Write a gap's document."""
+    write_text(path, json.dumps(document, indent=2, allow_nan=False) + "\n")

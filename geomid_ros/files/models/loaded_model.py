@@ -1,0 +1,273 @@
+"""A model that was found before, as :class:`~geomid_ros.session.session.Session` starts from it.
+
+Inertias and the effects' coefficients are where the estimation begins. What was found of the sensors and of gravity
+holds: efforts are divided by their gain and freed of their delay, wrenches of their offset, gravity is turned.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from geomid_ros.errors import InputError, unknown_name
+from geomid_ros.estimation.estimate import LinksInformation
+from geomid_ros.files.models.continued_effects import continued
+from geomid_ros.files.models.effect_forms import (
+    KnownEffect,
+    ModelEffect,
+    combined,
+    payload_parameters,
+    tilted_gravity,
+    values,
+)
+from geomid_ros.files.models.results import known_inertias, known_information, read_estimate
+from geomid_ros.files.models.sidecar import effect_of
+from geomid_ros.gap.result import Quantity
+from geomid_ros.model.effects import EFFECTS, PARAMETERS, Effect
+from geomid_ros.model.effects.spring import Spring
+from geomid_ros.model.effects.stribeck_friction import StribeckFriction
+from geomid_ros.model.measurement import MeasurementModel
+from geomid_ros.model.sensors import AXES, WrenchSensor
+from geomid_ros.signals.pipeline import SignalSettings
+from geomid_ros.types import FloatArray
+
+NOT_PREDICTED = ("load_friction", "joint_elasticity", "backlash")
+"""Effects that are no part of the measurement model: only the MJCF and its sidecar have them."""
+
+
+@dataclass(frozen=True)
+class LoadedModel:
+    """The ``inertias (10,)`` of bodies by name, without payloads, and the ``effects`` that the file ``source`` says;
+    ``known`` of these bodies together, in their order; the fixed links that are ``merged`` into them, where the file
+    says so."""
+
+    source: str = ""
+    inertias: Mapping[str, FloatArray] | None = None
+    effects: tuple[ModelEffect, ...] = ()
+    known: LinksInformation | None = None
+    merged: Mapping[str, frozenset[str]] = field(default_factory=dict)
+
+    @staticmethod
+    def read(path: str) -> LoadedModel:
+        """Read an ``estimate.json``; nothing is known if there is no ``path``. Raises InputError naming the file and
+        what is wrong in it."""
+        if not path:
+            return LoadedModel()
+        document = read_estimate(Path(path))
+        added = document.get("added", [])
+        effects = [
+            *_single_coefficients(document, path),
+            *(effect_of(entry, f"{path}: added[{index}]") for index, entry in enumerate(added)),
+        ]
+        inertias = known_inertias(document, path)
+        known = known_information(document, inertias, path)
+        return LoadedModel(path, inertias, tuple(combined(effects)), known, _merged(document, path))
+
+    def refitted(self, model: MeasurementModel, coefficients: FloatArray) -> LoadedModel:
+        """The same with the ``coefficients`` of ``model`` fitted anew, without those that are NaN or not as positive as
+        they must be, and without payloads, which are in the links' inertias by then."""
+        entries = [
+            {"name": c.effect.name, "joint": c.joint_name, "value": float(value), "std": math.nan, "unit": c.unit}
+            for c, value in zip(model.coefficients, coefficients, strict=True)
+            if math.isfinite(value) and (value > 0.0 or not c.effect.positive)
+        ]
+        fitted = {(entry["name"], entry["joint"]) for entry in entries}
+        gone = [key for key in self._own_effects if key not in fitted]
+        document = continued(entries, [known for known in self.effects if (known.effect, known.joint) not in gone])
+        added = [effect_of(entry, self.source) for entry in document["added"]]
+        return LoadedModel(self.source, None, (*_single_coefficients(document, self.source), *added))
+
+    def _of(self, effect: str) -> list[tuple[str, dict[str, float]]]:
+        """Places and values of an effect."""
+        return [(known.joint, values(known)) for known in self.effects if known.effect == effect]
+
+    @property
+    def not_predicted(self) -> str:
+        """What is known and cannot be predicted, in a sentence; empty for nothing."""
+        names = [f"{known.effect} of {known.joint}" for known in self.effects if known.effect in NOT_PREDICTED]
+        return f"{self.source}: {', '.join(names)}: not predicted, only simulated with the MJCF" if names else ""
+
+    @property
+    def beside_inertias(self) -> list[ModelEffect]:
+        """The effects without payloads, which are in the inertias of :meth:`parameters`."""
+        return [known for known in self.effects if known.effect != "payload"]
+
+    @property
+    def in_samples(self) -> list[ModelEffect]:
+        """The same, as samples show them that are corrected as :meth:`signals` and :meth:`sensors` say."""
+        corrected = ("effort_gain", "effort_delay", "wrench_offset")
+        offsets = [
+            known_effect("effort_offset", joint, own["offset"] / self._gains.get(joint, 1.0))
+            for joint, own in self._of("effort_offset")
+        ]
+        others = [known for known in self.beside_inertias if known.effect not in (*corrected, "effort_offset")]
+        return [*others, *offsets]
+
+    def gravity(self, gravity: FloatArray) -> FloatArray:
+        """Gravity ``(3,)`` in the base frame, of what it would be if the base stood straight."""
+        for _, tilt in self._of("gravity_tilt"):
+            return tilted_gravity(gravity, tilt)
+        return gravity
+
+    def sensors(self, sensors: Sequence[WrenchSensor]) -> list[WrenchSensor]:
+        """The sensors with what is known of their offsets."""
+        offsets = {topic: tuple(offset[axis] for axis in AXES) for topic, offset in self._of("wrench_offset")}
+        return [replace(sensor, offset=offsets.get(sensor.topic, sensor.offset)) for sensor in sensors]
+
+    def signals(self, settings: SignalSettings, joints: Sequence[str]) -> SignalSettings:
+        """The settings with what is known of the effort sensors."""
+        given = settings.effort_gain
+        by_joint = given if isinstance(given, dict) else dict.fromkeys(joints, given)
+        gains = {joint: by_joint.get(joint, 1.0) / self._gains.get(joint, 1.0) for joint in joints}
+        delay = sum(delay["delay"] for _, delay in self._of("effort_delay"))
+        return replace(settings, effort_gain=gains if self._gains else given, effort_delay=delay)
+
+    @cached_property
+    def _gains(self) -> dict[str, float]:
+        return {joint: gain["gain"] for joint, gain in self._of("effort_gain")}
+
+    @cached_property
+    def _coefficients(self) -> dict[tuple[str, str], float]:
+        """Coefficients of the measurement model's effects by name and joint, at efforts without error of scale."""
+        found: dict[tuple[str, str], float] = {}
+
+        def add(name: str, joint: str, value: float) -> None:
+            found[name, joint] = found.get((name, joint), 0.0) + value
+
+        for known in self.effects:
+            own = values(known)
+            if known.effect == "effort_offset":
+                add("effort_offset", known.joint, own["offset"] / self._gains.get(known.joint, 1.0))
+            elif known.effect == "spring":
+                add("spring", known.joint, own["stiffness"])
+                add("effort_offset", known.joint, -own["stiffness"] * own["equilibrium"])
+            elif known.effect == "stribeck_friction":
+                add("coulomb_friction", known.joint, own["level"])
+                add("stribeck_friction", known.joint, own["excess"])
+            elif known.effect in EFFECTS:
+                add(known.effect, known.joint, *own.values())
+        return found
+
+    @cached_property
+    def _own_effects(self) -> dict[tuple[str, str], Effect]:
+        """The measurement model's effects of the coefficients, by name and joint."""
+        speeds = {joint: own["speed"] for joint, own in self._of("stribeck_friction")}
+        spring = Spring()
+
+        def effect(name: str, joint: str) -> Effect:
+            if name == "stribeck_friction":
+                return StribeckFriction(speeds[joint])
+            return spring if name == "spring" else EFFECTS[name]
+
+        return {(name, joint): effect(name, joint) for name, joint in self._coefficients}
+
+    def local_effects(self, common: Collection[str]) -> dict[str, list[Effect]]:
+        """The effects that are known at single joints, by joint, beside those that every joint has, by name."""
+        found: dict[str, list[Effect]] = {}
+        for (name, joint), effect in self._own_effects.items():
+            if name not in common:
+                found.setdefault(joint, []).append(effect)
+        return found
+
+    def parameters(self, model: MeasurementModel) -> FloatArray | None:
+        """The parameters ``(D,)`` of ``model``, NaN where nothing is known; None if nothing is.
+
+        Raises InputError when the model is of another robot, or when no measurement can have these values.
+        """
+        if self.inertias is None:
+            return None
+        if not self.inertias.keys() & set(model.body_names):
+            names = f"{', '.join(self.inertias) or 'none'}; those of this robot: {', '.join(model.body_names)}"
+            raise InputError(f"{self.source}: an estimate of another robot. Its links: {names}")
+        self._check_merged(model)
+        inertias = [
+            self.inertias.get(name, np.full(10, np.nan)) + self._payload(name, model) for name in model.body_names
+        ]
+        found = np.array([self._coefficients.get((c.effect.name, c.joint_name), np.nan) for c in model.coefficients])
+        positive = np.array([c.effect.positive for c in model.coefficients], dtype=bool)
+        if np.any(found[positive] <= 0.0) or np.any(np.isinf(found)):
+            raise InputError(f"{self.source}: an effect that must be positive and finite is not")
+        return np.concatenate([*inertias, found])
+
+    def _check_merged(self, model: MeasurementModel) -> None:
+        """Raises InputError if a body consists of other links than the one of its name in the file. Links that weigh
+        nothing here are of no body."""
+        moving = {link for body in model.robot.bodies for link in (body.name, *body.merged)}
+        for body in (model.robot.bodies[place] for place in model.identified):
+            there, here = self.merged.get(body.name, frozenset(body.merged)), {*body.merged}
+            if there & moving != here:
+                then, now = (", ".join(sorted(links)) or "no other link" for links in (there, here))
+                raise InputError(
+                    f"{self.source}: link '{body.name}' was identified together with {then}, here it moves with {now}: "
+                    "declare the same mounted wrench sensors and locked joints as then"
+                )
+
+    def deviations(self, model: MeasurementModel) -> FloatArray:
+        """Standard deviations ``(D,)`` of those parameters that are effects of one coefficient, NaN where the file says
+        none."""
+        stds = {
+            (known.effect, known.joint): next(iter(known.parameters.values())).std
+            for known in self.effects
+            if len(known.parameters) == 1
+        }
+        found = [stds.get((c.effect.name, c.joint_name), math.nan) for c in model.coefficients]
+        return np.concatenate([np.full(len(model.nominal_inertias), np.nan), found])
+
+    def information(self, model: MeasurementModel) -> LinksInformation | None:
+        """How much is known of all identified bodies of ``model`` together, in their order; None if nothing is, or if
+        some of them were not identified.
+
+        Links that are not identified here are as they were found.
+        """
+        if self.known is None or self.inertias is None or not {*model.body_names} <= self.inertias.keys():
+            return None
+        places = [10 * list(self.inertias).index(name) for name in model.body_names]
+        rows = np.concatenate([self.known.rows[:, place : place + 10] for place in places], axis=1)
+        return LinksInformation(rows, self.known.residuals)
+
+    def _payload(self, body: str, model: MeasurementModel) -> FloatArray:
+        """Parameters ``(10,)`` of what a body carries."""
+        total = np.zeros(10)
+        for known in self.effects:
+            if known.effect == "payload" and known.link not in model.body_names:
+                raise InputError(f"{self.source}: {unknown_name('link with a payload', known.link, model.body_names)}")
+            if known.effect == "payload" and known.link == body:
+                total += payload_parameters(values(known))
+        return total
+
+
+def _merged(document: Mapping[str, Any], source: str) -> dict[str, frozenset[str]]:
+    """The fixed links that are merged into each link of a document that says so."""
+    try:
+        return {
+            str(link["name"]): frozenset(map(str, link["merged"])) for link in document["links"] if "merged" in link
+        }
+    except TypeError as error:
+        raise InputError(f"{source}: a link's 'merged' is no list of names ({error})") from error
+
+
+def _single_coefficients(document: Mapping[str, Any], source: str) -> list[KnownEffect]:
+    """The effects of one coefficient at a joint, in a document of :mod:`geomid_ros.files.models.results`."""
+    try:
+        entries = [
+            (str(entry["name"]), str(entry["joint"]), float(entry["value"]), float(entry.get("std") or math.nan))
+            for entry in document["effects"]
+        ]
+    except (KeyError, TypeError, ValueError, OverflowError) as error:
+        raise InputError(f"{source}: an effect lacks a valid name, joint or value ({error})") from error
+    for name, *_ in entries:
+        if name not in EFFECTS:
+            raise InputError(f"{source}: {unknown_name('effect', name, EFFECTS)}")
+    return [known_effect(name, joint, value, std=std) for name, joint, value, std in entries]
+
+
+def known_effect(name: str, joint: str, value: float, unit: str = "", std: float = np.nan) -> KnownEffect:
+    """An effect of one coefficient at a joint."""
+    ((parameter, form),) = PARAMETERS[name].items()
+    return KnownEffect(name, joint, "", {parameter: Quantity(value, std, unit or form.units[0])})

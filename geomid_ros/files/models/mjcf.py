@@ -1,0 +1,228 @@
+"""MJCF of an identified robot with its effects, as far as MJCF can say them.
+
+Kinematics are the URDF's, without shapes. Gravity, damping, dry friction, armature and springs are MuJoCo's own
+elements; a payload is a body fixed to its link. A joint that gives, by elasticity or backlash, has a further hinge (or
+slide) named ``JOINT/elasticity`` or ``JOINT/backlash`` on the same axis behind its own, which is the motor's: the one
+that is measured and driven.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from xml.etree.ElementTree import Element, SubElement, indent, tostring
+
+import numpy as np
+
+from geomid_ros.files.models.effect_forms import (
+    ModelEffect,
+    joint_attributes,
+    payload_parameters,
+    tilted_gravity,
+    values,
+)
+from geomid_ros.files.models.joint_frames import JointFrame, joint_frames
+from geomid_ros.geometry import pseudo_inertia
+from geomid_ros.model.robot import Robot
+from geomid_ros.model.sensors import WrenchSensor
+from geomid_ros.types import FloatArray
+
+LONGEST_STEP = 1e-3  # [s]
+_STEPS_PER_RADIAN = 4.0  # of the fastest oscillation of an elastic joint
+# MuJoCo's dry friction, and the ends of a backlash, are constraints that act within this many steps, the fewest that
+# it allows: until a joint almost stands still, friction is then what it should be. Harder ones make a light rotor
+# rattle in its backlash.
+_CONSTRAINT_STEPS = 2.0
+# Where a second hinge needs an inertia before it and none is known: a share of the inertia behind it.
+_SMALL_ROTOR = 0.01
+_ELASTIC_DAMPING = 0.05  # damping ratio of the link on the elastic gear, the motor held
+_MASSLESS = 1e-12  # [kg, kg m^2] MuJoCo wants everything that moves to have a mass
+
+
+def mjcf(
+    robot: Robot,
+    inertias: Mapping[str, FloatArray],
+    effects: Iterable[ModelEffect] = (),
+    sensors: Sequence[WrenchSensor] = (),
+    gravity: FloatArray | None = None,
+) -> str:
+    """The MJCF of ``robot``, its moving bodies with ``inertias (10,)`` by name, or the URDF's where none is given.
+
+    Dry friction and damping in the URDF count for nothing: friction is among the ``effects`` or
+    there is none. ``gravity (3,)`` [m/s^2] is that of a base which stands straight, the robot's unless given. Mounted
+    ``sensors`` become a force and a torque sensor named ``TOPIC/force`` and ``TOPIC/torque``, of what the part before
+    applies to the part behind, in the sensor's frame.
+    """
+    straight = robot.gravity if gravity is None else gravity
+    root = _Writer(robot, inertias, effects, straight).document(
+        [sensor for sensor in sensors if sensor.role == "mounted"]
+    )
+    indent(root)
+    return f"<!-- {robot.name.replace('--', '- -')}: bodies and effects as geomid identified them -->\n" + (
+        tostring(root, encoding="unicode") + "\n"
+    )
+
+
+class _Writer:
+    """One robot on its way into an MJCF."""
+
+    def __init__(
+        self, robot: Robot, inertias: Mapping[str, FloatArray], effects: Iterable[ModelEffect], gravity: FloatArray
+    ) -> None:
+        self._robot = robot
+        self._straight_gravity = gravity
+        self._bodies = {body.name: inertias.get(body.name, body.parameters) for body in robot.bodies}
+        self._joints = joint_frames(robot.urdf, robot.source)
+        self._moving = set(robot.joint_names)
+        effects = list(effects)
+        self._effects = {(effect.effect, effect.joint): values(effect) for effect in effects}
+        self._payloads = {effect.link: values(effect) for effect in effects if effect.effect == "payload"}
+
+    def document(self, sensors: Sequence[WrenchSensor]) -> Element:
+        root = Element("mujoco", model=self._robot.name)
+        SubElement(root, "compiler", angle="radian", inertiafromgeom="false", balanceinertia="false")
+        step = self._step()
+        gravity = _words(self._gravity())
+        SubElement(root, "option", timestep=_words(step), integrator="implicitfast", gravity=gravity)
+        default = SubElement(SubElement(root, "default"), "joint")
+        constraint = _words([_CONSTRAINT_STEPS * step, 1.0])
+        default.attrib |= {"solreffriction": constraint, "solreflimit": constraint}
+        base = self._add_link(SubElement(root, "worldbody"), self._robot.tree.root, None)
+        if self._robot.floating_base:
+            base.insert(0, Element("freejoint", name="floating_base"))
+        actuators = SubElement(root, "actuator")
+        for joint in self._joints:
+            if joint.name in self._moving:
+                self._add_motor(actuators, joint)
+        self._add_sensors(root, sensors)
+        return root
+
+    def _gravity(self) -> FloatArray:
+        tilt = self._effects.get(("gravity_tilt", ""))
+        return tilted_gravity(self._straight_gravity, tilt) if tilt else self._straight_gravity
+
+    def _effect(self, name: str, joint: JointFrame) -> Mapping[str, float]:
+        return self._effects.get((name, joint.name), {})
+
+    def _add_link(self, parent: Element, link: str, joint: JointFrame | None) -> Element:
+        body = SubElement(parent, "body", name=_body_name(link))
+        if joint is not None:
+            quaternion = np.roll(joint.rotation.as_quat(), 1)
+            body.attrib |= {"pos": _words(joint.position), "quat": _words(quaternion)}
+        moves = joint is not None and joint.name in self._moving
+        if link in self._bodies:
+            _add_inertial(body, self._bodies[link])
+        elif moves:
+            _add_inertial(body, _MASSLESS * np.array([1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 1.0, 0.0, 0.0, 1.0]))
+        if joint is not None and moves:
+            self._add_joints(body, joint)
+        if link in self._payloads:
+            payload = SubElement(body, "body", name=f"{_body_name(link)}/payload")
+            _add_inertial(payload, payload_parameters(self._payloads[link]))
+        for child in self._children(link):
+            self._add_link(body, child.child, child)
+        return body
+
+    def _children(self, link: str) -> list[JointFrame]:
+        return [joint for joint in self._joints if joint.parent == link]
+
+    def _add_joints(self, body: Element, joint: JointFrame) -> None:
+        """The joint itself, and the hinges behind it."""
+        kind = {"type": "slide" if joint.slides else "hinge", "axis": _words(joint.axis)}
+        own = SubElement(body, "joint", {"name": joint.name, **kind, **self._dynamics(joint)})
+        if joint.lower < joint.upper and math.isfinite(joint.lower + joint.upper):
+            own.attrib |= {"limited": "true", "range": _words([joint.lower, joint.upper])}
+        for name, attributes in self._gears(joint).items():
+            SubElement(body, "joint", {"name": f"{joint.name}/{name}", **kind, **attributes})
+
+    def _dynamics(self, joint: JointFrame) -> dict[str, str]:
+        numbers = self._said(joint) | {"armature": self._rotor(joint)}
+        return {name: _words(number) for name, number in sorted(numbers.items()) if number != 0.0}
+
+    def _said(self, joint: JointFrame) -> dict[str, float]:
+        """What the effects say of a joint's own attributes, added up."""
+        numbers: dict[str, float] = {}
+        for (effect, place), known in self._effects.items():
+            for name, value in joint_attributes(effect, known, "joint").items() if place == joint.name else ():
+                numbers[name] = numbers.get(name, 0.0) + value
+        return numbers
+
+    def _gears(self, joint: JointFrame) -> dict[str, dict[str, str]]:
+        """Attributes of the hinges behind a joint's own, by name."""
+        gears = {}
+        elasticity, backlash = self._effect("joint_elasticity", joint), self._effect("backlash", joint)
+        if elasticity:
+            stiffness = elasticity["stiffness"]
+            damping = 2.0 * _ELASTIC_DAMPING * math.sqrt(stiffness * self._carried(joint))
+            gears["elasticity"] = {"stiffness": _words(stiffness), "damping": _words(damping)}
+        if elasticity and backlash:
+            gears["elasticity"]["armature"] = _words(_SMALL_ROTOR * self._carried(joint))
+        if backlash:
+            ends = [-0.5 * backlash["gap"], 0.5 * backlash["gap"]]
+            gears["backlash"] = {"limited": "true", "range": _words(ends), "damping": _words(backlash["drag"])}
+        return gears
+
+    def _rotor(self, joint: JointFrame) -> float:
+        known = self._said(joint).get("armature", 0.0)
+        gives = self._effect("joint_elasticity", joint) or self._effect("backlash", joint)
+        return max(known, _SMALL_ROTOR * self._carried(joint)) if gives else known
+
+    def _step(self) -> float:
+        """A time step that resolves the oscillation of every rotor on its elastic gear."""
+        elastic = [joint for joint in self._joints if self._effect("joint_elasticity", joint)]
+        periods = [
+            math.sqrt(self._rotor(joint) / self._effect("joint_elasticity", joint)["stiffness"]) for joint in elastic
+        ]
+        return min([LONGEST_STEP, *(period / _STEPS_PER_RADIAN for period in periods)])
+
+    def _carried(self, joint: JointFrame) -> float:
+        """Inertia [kg m^2, kg] that a joint carries, about its axis, all joints at zero."""
+        parameters = pseudo_inertia.to_parameters(self._composite(joint.child))
+        if joint.slides:
+            return float(parameters[0])
+        return float(joint.axis @ pseudo_inertia.rotational_inertia(parameters) @ joint.axis)
+
+    def _composite(self, link: str) -> FloatArray:
+        """Pseudo-inertia ``(4, 4)`` of a link and all that comes after it, all joints at zero."""
+        total = pseudo_inertia.from_parameters(self._bodies.get(link, np.zeros(10)))
+        if link in self._payloads:
+            total = total + pseudo_inertia.from_parameters(payload_parameters(self._payloads[link]))
+        for joint in self._children(link):
+            placed = pseudo_inertia.change_of_frame(joint.rotation.as_matrix(), joint.position)
+            total = total + placed @ self._composite(joint.child) @ placed.T
+        return total
+
+    def _add_motor(self, actuators: Element, joint: JointFrame) -> None:
+        motor = SubElement(actuators, "motor", name=joint.name, joint=joint.name)
+        if math.isfinite(joint.effort):
+            motor.attrib |= {"ctrllimited": "true", "ctrlrange": _words([-joint.effort, joint.effort])}
+
+    def _add_sensors(self, root: Element, sensors: Sequence[WrenchSensor]) -> None:
+        """Sites in the sensors' frames, and what is sensed there."""
+        sensed = SubElement(root, "sensor")
+        bodies = {body.get("name"): body for body in root.iter("body")}
+        for sensor in sensors:
+            bodies[_body_name(sensor.frame)].append(Element("site", name=sensor.topic))
+            for kind in ("force", "torque"):
+                SubElement(sensed, kind, name=f"{sensor.topic}/{kind}", site=sensor.topic)
+
+
+def _body_name(link: str) -> str:
+    """MuJoCo keeps the name of the world to itself."""
+    return "world_link" if link == "world" else link
+
+
+def _add_inertial(body: Element, parameters: FloatArray) -> None:
+    inertia = pseudo_inertia.central_inertia(parameters)
+    SubElement(
+        body,
+        "inertial",
+        pos=_words(pseudo_inertia.centre_of_mass(parameters)),
+        mass=_words(parameters[0]),
+        fullinertia=_words(inertia[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]),
+    )
+
+
+def _words(numbers: FloatArray | Sequence[float] | float) -> str:
+    """Numbers to the last bit."""
+    return " ".join(repr(float(number)) for number in np.ravel(numbers))

@@ -1,1 +1,0 @@
-"""What `geomid` hands to people: the report of an identification."""

@@ -1,0 +1,161 @@
+"""The solids that fill a URDF's links: collision shapes, or visual ones where a link has no others."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import PurePosixPath
+from xml.etree.ElementTree import Element
+
+import numpy as np
+import trimesh
+from scipy.spatial.transform import Rotation
+from trimesh import creation
+
+from geomid_ros.errors import InputError
+from geomid_ros.files.shapes.meshes import MeshFinder, read_mesh
+from geomid_ros.model import shapes
+from geomid_ros.model.shape_prior import Solid
+from geomid_ros.model.urdf_tree import read_numbers
+from geomid_ros.types import FloatArray, IntArray
+
+# Attributes of the primitives and how many numbers they hold.
+_PRIMITIVES = {"box": (("size",), 3), "cylinder": (("radius", "length"), 2), "sphere": (("radius",), 1)}
+# Of the surfaces of round shapes, with which only their overlap with others is computed.
+_SECTIONS, _SUBDIVISIONS = 128, 4
+# Surfaces are joined in single precision.
+_ROUNDING = 1e-5
+
+
+@dataclass(frozen=True, eq=False)
+class _Shape:
+    """One shape: its ``moments (4, 4)``, and a ``surface`` that lies on it with all its corners."""
+
+    moments: FloatArray
+    surface: trimesh.Trimesh
+    name: str
+
+    def moved(self, placement: FloatArray) -> _Shape:
+        """The shape after an affine map ``(4, 4)``."""
+        return _Shape(shapes.moved(self.moments, placement), self.surface.copy().apply_transform(placement), self.name)
+
+
+class ShapeReader:
+    """Reads what fills links; :attr:`warnings` say what could not be taken as it is."""
+
+    def __init__(self, finder: MeshFinder, source: str) -> None:
+        """``source`` names the URDF in messages."""
+        self._no_volume: list[str] = []
+        self._hulls: list[str] = []
+        self._doubled: list[str] = []
+        self._finder = finder
+        self._source = source
+
+    @property
+    def warnings(self) -> list[str]:
+        """One sentence for each thing that was found, with all links where it was."""
+        found = {
+            "of no volume and left out": self._no_volume,
+            "convex hulls taken of meshes whose surface is not closed": self._hulls,
+            "shapes that cannot be joined, so that what they share counts twice": self._doubled,
+        }
+        return [f"{what}: {', '.join(dict.fromkeys(where))}" for what, where in found.items() if where]
+
+    def solid(self, link: Element) -> Solid | None:
+        """What fills a ``<link>``: the union of its collision shapes, which are made closed and solid where visual ones
+        often are mere covers; of its visual shapes if it has no others; None if all have no volume.
+
+        Raises InputError naming the link.
+        """
+        for kind in ("collision", "visual"):
+            found = list(self._shapes(link, kind))
+            if found:
+                name = found[0].name if len(found) == 1 else f"{len(found)} shapes"
+                return Solid(self._union(found, link.get("name", "")), *_together(found), f"{kind}: {name}")
+        return None
+
+    def _shapes(self, link: Element, kind: str) -> Iterator[_Shape]:
+        """The shapes of one kind in the link's frame, without those of no volume."""
+        name = link.get("name", "")
+        where = f"{self._source}: link '{name}'"
+        for element in link.findall(kind):
+            for geometry in element.findall("geometry"):
+                for tag in (child.tag for child in geometry[:1]):
+                    shape = self._mesh(geometry, name, where) if tag == "mesh" else _primitive(geometry, tag, where)
+                    if shape is None:
+                        self._no_volume.append(f"{kind} {tag} of {name}")
+                    else:
+                        yield shape.moved(_placement(element, where))
+
+    def _mesh(self, geometry: Element, link: str, where: str) -> _Shape | None:
+        scale = read_numbers(geometry, "mesh", ("scale",), [1.0, 1.0, 1.0], where)
+        uri = geometry[0].get("filename", "")
+        mesh, closed = read_mesh(self._finder.find(uri, where), where)
+        if np.prod(scale) == 0.0 or not mesh.is_volume:
+            return None
+        name = PurePosixPath(uri).name
+        if not closed:
+            self._hulls.append(f"{name} of {link}")
+            name = f"hull of {name}"
+        shape = _Shape(shapes.polyhedron(mesh.vertices, mesh.faces), mesh, name)
+        return shape.moved(np.diag([*scale, 1.0]))
+
+    def _union(self, found: Sequence[_Shape], link: str) -> FloatArray:
+        """Moments ``(4, 4)`` of the union: the sum, less what surfaces have in common.
+
+        The surface of a round shape lies within it, so that what it lacks is a solid too: the difference is one.
+        """
+        total: FloatArray = np.sum([shape.moments for shape in found], axis=0)
+        if len(found) == 1:
+            return total
+        apart = [shapes.polyhedron(shape.surface.vertices, shape.surface.faces) for shape in found]
+        volumes = [shapes.volume(moments) for moments in apart]
+        together = _union_of_surfaces([shape.surface for shape in found])
+        if not (1.0 - _ROUNDING) * max(volumes) < shapes.volume(together) < (1.0 + _ROUNDING) * sum(volumes):
+            self._doubled.append(link)
+            return total
+        overlap: FloatArray = np.sum(apart, axis=0) - together
+        return total - overlap if shapes.volume(overlap) > _ROUNDING * sum(volumes) else total
+
+
+def _union_of_surfaces(surfaces: Sequence[trimesh.Trimesh]) -> FloatArray:
+    """Moments ``(4, 4)`` within any of the surfaces; zero if they cannot be joined."""
+    try:
+        united = trimesh.boolean.union(surfaces, engine="manifold", check_volume=False)
+    except ImportError:  # no rosdep key brings manifold3d
+        return np.zeros((4, 4))
+    return shapes.polyhedron(united.vertices, united.faces)
+
+
+def _together(found: Sequence[_Shape]) -> tuple[FloatArray, IntArray]:
+    """Corners ``(V, 3)`` and triangles ``(T, 3)`` of all surfaces."""
+    starts = np.cumsum([0, *(len(shape.surface.vertices) for shape in found[:-1])])
+    triangles = [shape.surface.faces + start for shape, start in zip(found, starts, strict=True)]
+    return np.concatenate([shape.surface.vertices for shape in found]), np.concatenate(triangles)
+
+
+def _primitive(geometry: Element, tag: str, where: str) -> _Shape | None:
+    """A primitive about its own centre; None if it has no volume."""
+    if tag not in _PRIMITIVES:
+        raise InputError(f"{where}: a shape is a <{tag}>. Valid: {', '.join(_PRIMITIVES)}, mesh")
+    keys, count = _PRIMITIVES[tag]
+    sizes = read_numbers(geometry, tag, keys, [0.0] * count, where)
+    if min(sizes) < 0.0:
+        raise InputError(f"{where}: a {tag} has a negative {' or '.join(keys)}")
+    if 0.0 in sizes:
+        return None
+    if tag == "box":
+        return _Shape(shapes.box(np.array(sizes)), creation.box(sizes), tag)
+    if tag == "cylinder":
+        radius, length = sizes
+        return _Shape(shapes.cylinder(radius, length), creation.cylinder(radius, length, sections=_SECTIONS), tag)
+    return _Shape(shapes.sphere(sizes[0]), creation.icosphere(_SUBDIVISIONS, sizes[0]), tag)
+
+
+def _placement(element: Element, where: str) -> FloatArray:
+    """The ``<origin>`` of a shape, ``(4, 4)``."""
+    placement = np.eye(4)
+    placement[:3, 3] = read_numbers(element, "origin", ("xyz",), [0.0, 0.0, 0.0], where)
+    angles = read_numbers(element, "origin", ("rpy",), [0.0, 0.0, 0.0], where)
+    placement[:3, :3] = Rotation.from_euler("xyz", angles).as_matrix()
+    return placement

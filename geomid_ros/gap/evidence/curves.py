@@ -1,0 +1,102 @@
+"""The unknown: free curves of one or two variables, which compete with the names for what is left."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from geomid_ros.gap.candidates import Candidate, Term
+from geomid_ros.gap.evidence.record import Records
+from geomid_ros.model.effects import Situation
+from geomid_ros.model.measurement import MeasurementModel
+from geomid_ros.types import FloatArray
+
+POSITION, VELOCITY, LOAD, TIME = "position", "velocity", "load", "time"
+_PERIODS = range(2, 49)  # per turn of the joint
+_HANDICAP = 1.0  # in parameters: of as good a name and curve the name is taken
+
+
+def is_curve(candidate: Candidate) -> bool:
+    """Whether a candidate is a free curve and no name."""
+    return bool(candidate.terms) and bool(candidate.terms[0].curve)
+
+
+def depends_on(candidate: Candidate) -> str:
+    """The variable of a curve: position, velocity, load, time or a joint's name."""
+    return candidate.effect
+
+
+class Curves:
+    """Columns of free curves on some records; the places of their knots are those of the first records."""
+
+    def __init__(self, model: MeasurementModel, records: Records, situation: Situation) -> None:
+        self._model = model
+        self._knots: dict[tuple[str, int], FloatArray] = {}
+        joints = len(model.robot.joints) if model.efforts_usable else 0
+        for joint in range(joints):
+            for kind, values in self._variables(records, situation, joint).items():
+                self._knots[kind, joint] = np.quantile(values, [0.005, 0.995])
+        self._times = (int(records.samples.stamps[0]), int(records.samples.stamps[-1]))
+        self.candidates = [c for joint in range(joints) for c in self._candidates(records, situation, joint)]
+
+    @staticmethod
+    def _variables(records: Records, situation: Situation, joint: int) -> dict[str, FloatArray]:
+        return {
+            POSITION: records.samples.position[:, joint],
+            VELOCITY: records.samples.velocity[:, joint],
+            LOAD: situation.predicted[:, joint],
+        }
+
+    def _candidates(self, records: Records, situation: Situation, joint: int) -> Iterator[Candidate]:
+        for kind, name, matrix in self._matrices(records, situation, joint):
+            terms = tuple(Term(joint, index=index, curve=name) for index in range(matrix.shape[1]))
+            look_elsewhere = 1.0 if name.startswith("wave") else 0.0
+            yield Candidate(kind, joint, terms, penalty=len(terms) + _HANDICAP + look_elsewhere)
+
+    def columns(self, records: Records, situation: Situation) -> dict[Term, dict[int, FloatArray]]:
+        """Columns of all curves' terms."""
+        found = {}
+        joints = {candidate.joint for candidate in self.candidates}
+        for joint in sorted(joints):
+            for _, name, matrix in self._matrices(records, situation, joint):
+                for index in range(matrix.shape[1]):
+                    found[Term(joint, index=index, curve=name)] = {joint: matrix[:, index]}
+        return found
+
+    def _matrices(self, records: Records, situation: Situation, joint: int) -> Iterator[tuple[str, str, FloatArray]]:
+        samples, sign = records.samples, situation.sign[:, joint]
+        position = samples.position[:, joint]
+        for kind, values in self._variables(records, situation, joint).items():
+            yield kind, f"{kind} curve", self._hats(kind, joint, values, 8)
+            if kind != VELOCITY:
+                yield kind, f"friction by {kind}", sign[:, None] * self._hats(kind, joint, values, 5)
+        for waves in _PERIODS:
+            yield POSITION, f"wave {waves}", np.stack([np.sin(waves * position), np.cos(waves * position)], axis=1)
+        time = (samples.stamps - self._times[0]) / max(self._times[1] - self._times[0], 1)
+        yield TIME, "drift", (2.0 * time - 1.0)[:, None]
+        yield TIME, "drift from the start", _time_in_stretch(records)[:, None]
+        yield TIME, "course", np.asarray(np.polynomial.legendre.legvander(2.0 * time - 1.0, 4)[:, 1:], dtype=np.float64)
+        for other, name in enumerate(self._model.robot.joint_names):
+            if other != joint:
+                q, v = samples.position[:, other], samples.velocity[:, other]
+                yield name, f"{name} speed", v[:, None]
+                yield name, f"{name} friction", situation.sign[:, other, None]
+                yield name, f"{name} position", np.stack([q, q**2, q**3], axis=1)
+                sums = (np.sin(q + position), np.cos(q + position), np.sin(q - position), np.cos(q - position))
+                yield name, f"{name} and position", np.stack([np.sin(q), np.cos(q), *sums], axis=1)
+
+    def _hats(self, kind: str, joint: int, values: FloatArray, count: int) -> FloatArray:
+        """Piecewise linear functions that add up to 1, ``(N, count)``."""
+        low, high = self._knots[kind, joint]
+        place = np.clip((values - low) / max(high - low, 1e-12), 0.0, 1.0) * (count - 1)
+        hats: FloatArray = np.maximum(0.0, 1.0 - np.abs(place[:, None] - np.arange(count)))
+        return hats
+
+
+def _time_in_stretch(records: Records) -> FloatArray:
+    """Time since the beginning of each sample's stretch ``(N,)``, the longest one's last being 1."""
+    stamps = records.samples.stamps
+    starts = np.array([part.stamps[0] for part in records.dense])
+    since: FloatArray = (stamps - starts[records.segment]).astype(np.float64)
+    return since / max(float(np.max(since)), 1.0)

@@ -1,0 +1,132 @@
+"""All columns that compete for the explanation of each channel, whitened, and kept as products of columns."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from geomid_ros.gap.candidates import Candidate, Term
+from geomid_ros.gap.evidence.noise import Autoregression, runs_of
+from geomid_ros.gap.evidence.record import Records
+from geomid_ros.model.effects import Situation
+from geomid_ros.types import BoolArray, FloatArray
+
+Columns = Mapping[Term, Mapping[int, FloatArray]]  # of each term, by channel: (N,)
+
+
+def term_columns(
+    records: Records, terms: Sequence[Term], situation: Callable[[], Situation]
+) -> dict[Term, dict[int, FloatArray]]:
+    """Columns of named terms at the chosen rows, by the channels that they reach; ``situation``, which takes
+    long, is asked for only when a term needs it."""
+    found: dict[Term, dict[int, FloatArray]] = {}
+    for term in terms:
+        if term.motion >= 0:
+            found[term] = {term.joint: records.samples.effects[:, term.joint, term.motion]}
+        elif term.channel >= 0:
+            found[term] = {term.channel: np.ones(len(records.samples))}
+        elif term.situation is not None:
+            values = term.situation.columns(situation(), term.joint)[:, :, term.index]
+            reached = np.flatnonzero(np.any(values != 0.0, axis=0)).tolist()
+            found[term] = {channel: values[:, channel] for channel in reached}
+    return found
+
+
+BLOCKS = 8  # of time, for cross-validation
+
+
+@dataclass(frozen=True, eq=False)
+class ChannelProducts:
+    """Products ``(K + 1, K + 1)`` of a channel's K whitened columns and of its target (the last but for a zero row for
+    what does not reach the channel), and those of each block of time; ``place`` of each term, ``count`` of rows,
+    ``inertial`` columns first."""
+
+    products: FloatArray
+    blocks: FloatArray
+    place: Mapping[Term, int]
+    count: int
+    inertial: int
+
+    def gather(self, terms: Sequence[Term]) -> list[int]:
+        """Places of terms; those that are absent stand at the zero row."""
+        return [self.place.get(term, -1) for term in terms]
+
+
+@dataclass(frozen=True, eq=False)
+class Design:
+    """Products of all channels, for ``dimension`` inertial columns."""
+
+    channels: tuple[ChannelProducts, ...]
+    dimension: int
+
+    @staticmethod
+    def make(
+        coefficients: FloatArray,
+        targets: FloatArray,
+        valid: BoolArray,
+        columns: Columns,
+        noise: Sequence[Autoregression],
+        records: Records,
+    ) -> Design:
+        """From rows ``(N, C, D)``, targets ``(N, C)``, which of them are ``valid``, columns and the channels' noise."""
+        channels = []
+        for channel in range(targets.shape[1]):
+            terms = [term for term, by_channel in columns.items() if channel in by_channel]
+            own = [columns[term][channel] for term in terms]
+            stacked = np.column_stack([coefficients[:, channel], *own, targets[:, channel]])
+            runs = runs_of(valid[:, channel], records.segment)
+            white = noise[channel].whiten(stacked, runs)
+            blocks = np.array([np.pad(part.T @ part, ((0, 1), (0, 1))) for part in np.array_split(white, BLOCKS)])
+            place = {term: coefficients.shape[2] + index for index, term in enumerate(terms)}
+            channels.append(ChannelProducts(np.sum(blocks, axis=0), blocks, place, len(white), coefficients.shape[2]))
+        return Design(tuple(channels), coefficients.shape[2])
+
+    @property
+    def counts(self) -> FloatArray:
+        """Rows of each channel."""
+        return np.array([float(channel.count) for channel in self.channels])
+
+    @property
+    def target_squares(self) -> FloatArray:
+        """Sum of squares of each channel's target."""
+        return np.array([channel.products[-2, -2] for channel in self.channels])
+
+    def gather(self, bodies: Sequence[int], terms: Sequence[Term]) -> FloatArray:
+        """Products ``(C, n, n)`` of the inertial columns, once more those of each link of ``bodies``, the terms'
+        and the target's."""
+        indices = [self._places(channel, bodies, terms) for channel in self.channels]
+        return np.array([c.products[np.ix_(index, index)] for c, index in zip(self.channels, indices, strict=True)])
+
+    def gather_blocks(self, bodies: Sequence[int], terms: Sequence[Term]) -> FloatArray:
+        """The same for each block of time ``(C, blocks, n, n)``."""
+        found = []
+        for channel in self.channels:
+            index = self._places(channel, bodies, terms)
+            found.append(channel.blocks[:, index][:, :, index])
+        return np.array(found)
+
+    def _places(self, channel: ChannelProducts, bodies: Sequence[int], terms: Sequence[Term]) -> list[int]:
+        again = [10 * body + k for body in bodies for k in range(10)]
+        return [*range(self.dimension), *again, *channel.gather(terms), -2]
+
+    def reached(self, candidate: Candidate) -> list[int]:
+        """The channels that a candidate can change."""
+        if candidate.payload >= 0:
+            return list(range(len(self.channels)))
+        return [i for i, c in enumerate(self.channels) if any(term in c.place for term in candidate.terms)]
+
+    def cross(
+        self, bodies: Sequence[int], terms: Sequence[Term], candidate: Candidate
+    ) -> tuple[FloatArray, FloatArray]:
+        """Products of a candidate's columns with those of :meth:`gather`, ``(R, k, n)``, and with themselves, in the R
+        channels that it reaches."""
+        own = range(10 * candidate.payload, 10 * candidate.payload + 10) if candidate.payload >= 0 else ()
+        with_others, with_own = [], []
+        for channel in [self.channels[index] for index in self.reached(candidate)]:
+            mine = [*own, *channel.gather(candidate.terms)]
+            index = self._places(channel, bodies, terms)
+            with_others.append(channel.products[np.ix_(mine, index)])
+            with_own.append(channel.products[np.ix_(mine, mine)])
+        return np.array(with_others), np.array(with_own)

@@ -1,0 +1,1 @@
+"""Inertias and effects fitted together under the geometric prior."""

@@ -1,0 +1,247 @@
+"""The joint fit: all inertias under the geometric prior, payloads and effects, for channels of unknown noise.
+
+Minus twice the logarithm of the likelihood, maximised over each channel's variance, is ``sum_c N_c log S_c`` with the
+sums of squares S_c. The prior on the links is Gaussian in geodesic distance, of a spread s that is itself estimated:
+the marginal likelihood of s in Laplace's approximation (MacKay 1992) with an inverse-gamma prior around the usual
+spread. So large errors of all inertias make the prior wide instead of passing for an effect.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from geomid_ros.estimation.estimate import LinksInformation
+from geomid_ros.estimation.solvers import trust_region
+from geomid_ros.gap.candidates import Candidate, Term
+from geomid_ros.gap.evidence.design import Design
+from geomid_ros.gap.fitting import other_recordings, payload_start
+from geomid_ros.gap.fitting.profile_objective import ProfileObjective, StraightManifold
+from geomid_ros.geometry.manifold import ParameterManifold, Point
+from geomid_ros.types import FloatArray
+
+_LEAST_SHARE = 1e-10  # of the target's sum of squares: no residual is smaller
+_TOLERANCE = 3e-5
+_ROUNDS = 4
+_STEPS = 40
+_SPREADS = (0.03, 0.8)
+
+
+@dataclass(frozen=True, eq=False)
+class Prior:
+    """What is known before: the inertias ``(10 links,)``, the usual spread of their errors, and the effects that the
+    model already has: their terms, values and spreads ``(k,)``. ``certainty``: how many directions of inertial error
+    the usual spread counts as much as. ``known``: what other recordings say of the links."""
+
+    inertias: FloatArray
+    spread: float
+    terms: tuple[Term, ...]
+    values: FloatArray
+    spreads: FloatArray
+    certainty: float = 4.0
+    known: LinksInformation | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class JointFit:
+    """The minimum for some ``chosen`` candidates.
+
+    ``score``: minus twice the log marginal likelihood, with the parameters' penalty; ``squares (C,)`` whitened sums
+    of squares; ``information`` the Hessian ``(D, D)`` of half the score in tangent coordinates, ``jacobian (D, D)`` of
+    the parameters by them; ``spread`` of the links; ``inflation`` of the variances of what other recordings say.
+    """
+
+    chosen: tuple[Candidate, ...]
+    terms: tuple[Term, ...]
+    point: Point
+    manifold: ParameterManifold
+    score: float
+    squares: FloatArray
+    information: FloatArray
+    spread: float
+    inflation: float
+    products: FloatArray
+
+    @property
+    def bodies(self) -> list[int]:
+        """Links that carry a payload."""
+        return [c.payload for c in self.chosen if c.payload >= 0]
+
+    @cached_property
+    def inverse(self) -> FloatArray:
+        """Inverse of the information ``(D, D)``."""
+        return np.asarray(np.linalg.inv(self.information))
+
+    @cached_property
+    def jacobian(self) -> FloatArray:
+        """Derivative ``(D, D)`` of the parameters by the tangent coordinates."""
+        return self.manifold.whiten(self.point, np.eye(self.manifold.dimension))
+
+    @property
+    def covariance(self) -> FloatArray:
+        """Of the parameters ``(D, D)``."""
+        result: FloatArray = self.jacobian @ self.inverse @ self.jacobian.T
+        return result
+
+    def parameters_by_channel(self, design: Design) -> FloatArray:
+        """How many parameters each channel determined, ``(C,)``: the trace of its share of the information."""
+        weights = design.counts / self.squares
+        traces = np.einsum("cij,ji->c", self.products[:, :-1, :-1], self.covariance)
+        result: FloatArray = weights * traces
+        return result
+
+    def value(self, term: Term) -> float:
+        """A coefficient."""
+        return float(self.point.reals[self.terms.index(term)])
+
+    def place(self, term: Term) -> int:
+        """Where a coefficient stands among the parameters."""
+        return int(self.manifold.real.start) + self.terms.index(term)
+
+
+def fit(
+    design: Design,
+    prior: Prior,
+    chosen: Sequence[Candidate],
+    start: JointFit | None = None,
+    spread: float | None = None,
+) -> JointFit:
+    """Fit the chosen candidates together with all that is known, from an earlier fit where one is given.
+
+    The links' ``spread`` is estimated, and so is how far other recordings are trusted, unless it is given. Recordings
+    that contradict each other leave two minima: in one the others are right and what is measured here is mostly error,
+    in the other it is the reverse. Both are looked for, the one that is more likely is taken.
+    """
+    if prior.known is None or spread is not None:
+        return _fit(design, prior, chosen, start, spread)
+    alone = _fit(design, replace(prior, known=None), chosen, start)
+    rows = other_recordings.rows(prior.known, alone.manifold.dimension)
+    off = alone.point.parameters - _known(alone.manifold, prior, alone.bodies).parameters
+    loose = replace(alone, inflation=other_recordings.contradiction(rows, off))
+    return min((_fit(design, prior, chosen, first) for first in (start, loose)), key=lambda found: found.score)
+
+
+def _fit(
+    design: Design, prior: Prior, chosen: Sequence[Candidate], start: JointFit | None, spread: float | None = None
+) -> JointFit:
+    """The minimum that is reached from the start."""
+    fixed = spread is not None
+    bodies = [c.payload for c in chosen if c.payload >= 0]
+    own = dict.fromkeys(term for c in chosen for term in c.terms)
+    terms = (*prior.terms, *(term for term in own if term not in prior.terms))
+    products = design.gather(bodies, terms)
+    scales = _scales(products, design, bodies, len(terms))
+    manifold = StraightManifold(len(prior.inertias) // 10 + len(bodies), 0, scales)
+    known = _known(manifold, prior, bodies)
+    first = 10 * (len(prior.inertias) // 10)
+    weights = np.full(manifold.dimension, 1e-6)
+    weights[first : manifold.inertial.stop] = payload_start.SPREAD**-2
+    held = slice(manifold.real.start, manifold.real.start + len(prior.terms))
+    weights[held] = (scales[: len(prior.terms)] / prior.spreads) ** 2
+    rows = other_recordings.rows(prior.known, manifold.dimension)
+    counts, least = design.counts, _LEAST_SHARE * design.target_squares + 1e-300
+    afresh = start is None or set(bodies) != set(start.bodies)
+    inflation = 1.0 if fixed or start is None else start.inflation
+    if spread is None:
+        spread = prior.spread if start is None or afresh else start.spread
+    point = _first_point(manifold, known, None if afresh else start, bodies, terms)
+
+    def objective(spread: float, inflation: float) -> ProfileObjective:
+        trusted = np.where(np.arange(manifold.dimension) < first, spread**-2, weights)
+        return ProfileObjective(manifold, products, counts, least, known, trusted, rows / np.sqrt(inflation))
+
+    if afresh and bodies:
+        point = payload_start.centred(objective(spread, inflation), point, len(bodies))
+    for _ in range(_ROUNDS):
+        trusted = objective(spread, inflation)
+        solution = trust_region(trusted, point, _TOLERANCE, _STEPS)
+        point = solution.point
+        if fixed:
+            break
+        hessian = solution.evaluation.information + np.diag(trusted.weights)
+        before = np.array([spread, inflation])
+        spread = _spread(manifold, point, known, hessian, first, prior)
+        inflation = other_recordings.inflation(rows, manifold, point, known, hessian)
+        if np.all(np.abs(np.log([spread, inflation] / before)) < 0.05):
+            break
+    trusted = objective(spread, inflation)
+    found = trusted.evaluate(point)
+    hessian = found.information + np.diag(trusted.weights)
+    score = 2.0 * found.value + _cost_of_spread(hessian[:first, :first], spread, prior)
+    score += other_recordings.cost_of_inflation(rows, inflation)
+    score += sum(c.penalty for c in chosen) * float(np.log(np.max(counts, initial=1.0)))
+    squares = trusted.squares(point)
+    return JointFit(tuple(chosen), terms, point, manifold, score, squares, hessian, spread, inflation, products)
+
+
+def unfitted(prior: Prior) -> JointFit:
+    """What is known before, as if it were a fit to no data."""
+    manifold = StraightManifold(len(prior.inertias) // 10, 0, np.ones(len(prior.values)))
+    size = manifold.dimension
+    return JointFit(
+        (),
+        prior.terms,
+        manifold.point(np.concatenate([prior.inertias, prior.values])),
+        manifold,
+        np.inf,
+        np.zeros(0),
+        np.eye(size),
+        prior.spread,
+        1.0,
+        np.zeros((0, size + 1, size + 1)),
+    )
+
+
+def _scales(products: FloatArray, design: Design, bodies: Sequence[int], terms: int) -> FloatArray:
+    """Of each coefficient: the one with which its column is as large as the target."""
+    start = design.dimension + 10 * len(bodies)
+    counts = np.maximum(design.counts, 1.0)
+    squares = np.diagonal(products, axis1=1, axis2=2) / counts[:, None]
+    own, target = squares[:, start : start + terms], np.broadcast_to(squares[:, -1:], (len(squares), terms))
+    size = np.divide(target, own, out=np.full(own.shape, np.inf), where=own > 0.0)
+    best = np.sqrt(np.min(size, axis=0, initial=np.inf))
+    return np.where(np.isfinite(best) & (best > 0.0), best, 1.0)
+
+
+def _known(manifold: ParameterManifold, prior: Prior, bodies: Sequence[int]) -> Point:
+    links = prior.inertias.reshape(-1, 10)
+    payloads = [payload_start.usual(links, body) for body in bodies]
+    reals = np.zeros(len(manifold.scales))
+    reals[: len(prior.values)] = prior.values
+    return manifold.point(np.concatenate([prior.inertias, *payloads, reals]))
+
+
+def _first_point(
+    manifold: ParameterManifold, known: Point, start: JointFit | None, bodies: Sequence[int], terms: Sequence[Term]
+) -> Point:
+    if start is None:
+        return known
+    links = manifold.links - len(bodies)
+    payloads = [
+        start.point.pseudo_inertias[links + start.bodies.index(body)]
+        if body in start.bodies
+        else known.pseudo_inertias[links + place]
+        for place, body in enumerate(bodies)
+    ]
+    reals = [start.value(t) if t in start.terms else float(known.reals[i]) for i, t in enumerate(terms)]
+    inertias = [*start.point.pseudo_inertias[:links], *payloads]
+    return Point(np.array(inertias), np.zeros(0), np.array(reals))
+
+
+def _spread(
+    manifold: ParameterManifold, point: Point, known: Point, hessian: FloatArray, links: int, prior: Prior
+) -> float:
+    """MacKay's re-estimate: mean square of the links' errors, those that the data do not determine included."""
+    distance = float(np.sum(manifold.log(known, point)[:links] ** 2))
+    unsure = float(np.trace(np.linalg.inv(hessian)[:links, :links]))
+    square = (distance + unsure + prior.certainty * prior.spread**2) / (links + prior.certainty)
+    return float(np.clip(np.sqrt(square), *_SPREADS))
+
+
+def _cost_of_spread(hessian: FloatArray, spread: float, prior: Prior) -> float:
+    """Of a ``hessian`` of the links: their volume, by Laplace's approximation, and the prior of the spread."""
+    _, volume = np.linalg.slogdet(spread**2 * hessian)
+    return float(volume) + prior.certainty * ((prior.spread / spread) ** 2 + 2.0 * float(np.log(spread / prior.spread)))

@@ -1,0 +1,1 @@
+"""How sure each name is: held-out data, where the gap lies, the verdict and its words."""

@@ -1,0 +1,80 @@
+"""Fits on data that they have not seen."""
+
+from __future__ import annotations
+
+from functools import cached_property
+
+import numpy as np
+
+from geomid_ros.gap.evidence.record import Records
+from geomid_ros.gap.fitting.fit import JointFit, Prior, unfitted
+from geomid_ros.gap.fitting.stage import Stage, TotalModel
+from geomid_ros.gap.judgement.locate import located
+from geomid_ros.gap.result import Gap, Located, Trace
+from geomid_ros.gap.search.analysis import Analysis
+from geomid_ros.model.measurement import MeasurementModel
+from geomid_ros.types import FloatArray
+
+
+class HeldOut:
+    """What the fits of an ``analysis`` leave of held-out ``records``, at the instants at which the last one may be
+    blamed."""
+
+    def __init__(self, model: MeasurementModel, records: Records, prior: Prior, analysis: Analysis) -> None:
+        self._model = model
+        self._records = records
+        self._prior = prior
+        self._analysis = analysis
+        self._last = self._stage(analysis.names)
+        self._untouched = unfitted(prior)
+        self._residuals: dict[JointFit, FloatArray] = {}
+
+    @cached_property
+    def gap(self) -> Gap:
+        """Of all channels, in units of the floor."""
+        names = self._analysis.names
+        variance = self._last.variance(self._last.columns(names.chosen, self._prior.terms), names)
+        unsure = self._times_floor(np.sqrt(variance))
+        fits = (self._untouched, self._analysis.bare, names)
+        before, bare, after = (self.times_floor(found) for found in fits)
+        return Gap(before, bare, after, np.sqrt(1.0 + unsure**2))
+
+    @cached_property
+    def trace(self) -> Trace:
+        """The measured values and the predictions."""
+        samples, measured = self._records.samples, self._records.rows(self._model).targets
+        fits = (self._untouched, self._analysis.bare, self._analysis.names)
+        before, middle, after = (measured - self._residual(found) for found in fits)
+        load = np.abs(after)
+        return Trace(samples.stamps, samples.position, samples.velocity, load, measured, before, middle, after)
+
+    @cached_property
+    def located(self) -> tuple[Located, ...]:
+        """Where the remainder of each channel lives."""
+        residual = np.where(self._last.valid, self._residual(self._analysis.names), np.nan)
+        return located(self._model, self._records, residual, self.trace.load)
+
+    @cached_property
+    def counts(self) -> FloatArray:
+        """Number of independent instants of each channel ``(C,)``."""
+        counts: FloatArray = np.sum(self._last.valid, axis=0, dtype=np.float64)
+        return counts
+
+    def times_floor(self, found: JointFit) -> FloatArray:
+        """Root mean square of what a fit leaves ``(C,)``, in units of the floor; NaN where nothing is measured."""
+        return self._times_floor(self._residual(found))
+
+    def _stage(self, found: JointFit) -> Stage:
+        return Stage(self._model, self._records, TotalModel.of(self._model, found), self._analysis.floor)
+
+    def _residual(self, found: JointFit) -> FloatArray:
+        if found not in self._residuals:
+            stage = self._last if found is self._analysis.names else self._stage(found)
+            self._residuals[found] = stage.residual(stage.columns(found.chosen, self._prior.terms), found)
+        return self._residuals[found]
+
+    def _times_floor(self, residual: FloatArray) -> FloatArray:
+        squares = np.sum(np.where(self._last.valid, residual, 0.0) ** 2, axis=0)
+        counts = np.where(self.counts > 0.0, self.counts, np.nan)
+        times: FloatArray = np.sqrt(squares / counts) / self._analysis.floor
+        return times

@@ -1,0 +1,1 @@
+"""Which effects are needed: score test, beam search, rivals."""

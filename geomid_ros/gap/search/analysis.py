@@ -1,0 +1,178 @@
+"""Search and linearisation in turn, until the total model settles."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from geomid_ros.gap import candidates as library
+from geomid_ros.gap.candidates import Candidate, Term
+from geomid_ros.gap.evidence.curves import Curves, is_curve
+from geomid_ros.gap.evidence.noise import Autoregression, runs_of
+from geomid_ros.gap.evidence.record import Records
+from geomid_ros.gap.evidence.repeats import noise_by_repeats
+from geomid_ros.gap.fitting.fit import JointFit, Prior, unfitted
+from geomid_ros.gap.fitting.stage import Stage, TotalModel
+from geomid_ros.gap.search.beam_search import Search
+from geomid_ros.model.measurement import MeasurementModel
+from geomid_ros.types import BoolArray, FloatArray
+
+_ROUNDS = 6
+_SETTLED = 0.5  # standard deviations
+_MOST_CURVES = 4
+_FAR_TILT = 0.03  # [rad]
+_FAR_DELAY = 2e-3  # [s]
+_MEDIAN_OF_GAUSSIAN = 0.6745
+_VISIBLE = 1.07  # times larger, to be worth a word
+
+Columns = dict[Term, dict[int, FloatArray]]
+
+
+@dataclass(frozen=True, eq=False)
+class Analysis:
+    """Where the search ended: the last ``stage`` with its ``columns`` and ``search``; the fit with ``names`` alone,
+    with curves for what they leave (``whole``), and without either (``bare``); each channel's ``noise``, its standard
+    deviation ``floor (C,)``, from repeats of a motion if there are any."""
+
+    stage: Stage
+    columns: Columns
+    search: Search
+    curves: Curves
+    bare: JointFit
+    names: JointFit
+    whole: JointFit
+    noise: tuple[Autoregression, ...]
+    floor: FloatArray
+
+
+def analyse(
+    model: MeasurementModel, records: Records, prior: Prior, progress: Callable[[str, float], None]
+) -> Analysis:
+    """Find the set of names that explains the records best."""
+    total = TotalModel.of(model, unfitted(prior))
+    stage = Stage(model, records, total)
+    curves = Curves(model, records, stage.situation)
+    names = library.candidates(model)
+    columns = stage.columns(names, prior.terms, curves)
+    noise = (Autoregression.white(),) * len(model.channels)
+    bare = Search(stage.design(columns, noise), prior, names).fit([])
+    noise = _flexible_noise(stage, columns, bare, stage.valid)
+    floor: FloatArray | None = None
+    chosen: Sequence[Candidate] = ()
+    before: JointFit | None = None
+    for attempt in range(_ROUNDS):
+        progress("searching", attempt / _ROUNDS)
+        stage = Stage(model, records, TotalModel.of(model, bare) if attempt == 0 else total, floor)
+        columns = stage.columns(names, prior.terms, curves)
+        search = Search(stage.design(columns, noise), prior, names, curves.candidates)
+        found = search.without_absurd(search.fit(chosen))
+        final = attempt == _ROUNDS - 1
+        if final or _near(TotalModel.of(model, found), total):
+            found = search.without_absurd(search.settle(search.prune(found), to_the_end=final))
+        whole = found
+        total = TotalModel.of(model, found)
+        last = final or _same(before, found)
+        before = found
+        if last:
+            found, whole = _with_and_without_curves(search, found)
+        chosen = found.chosen
+        if last:
+            break
+        residual = stage.residual(columns, found)
+        floor = _typical_size(residual, stage.valid)
+        noise = _noise(residual, stage.valid, records)
+    progress("searching", 1.0)
+    residual = stage.residual(columns, whole)
+    repeats = noise_by_repeats(model, records)
+    counts = search.design.counts
+    freedom = 1.0 - whole.parameters_by_channel(search.design) / np.where(counts > 0.0, counts, np.nan)
+    return Analysis(
+        stage,
+        columns,
+        search,
+        curves,
+        search.fit([]),
+        found,
+        whole,
+        noise,
+        repeats.floor(_root_mean_square(residual, stage.valid) / np.sqrt(freedom)),
+    )
+
+
+def _with_and_without_curves(search: Search, found: JointFit) -> tuple[JointFit, JointFit]:
+    """The fit of the names alone, and the one with the curves that they leave room for: the same names in both."""
+    whole = search.simplified(search.without_absurd(_with_curves(search, found)))
+    names = search.without_absurd(search.fit([c for c in whole.chosen if not is_curve(c)], whole))
+    if {*names.chosen} != {c for c in whole.chosen if not is_curve(c)}:
+        whole = search.fit([*names.chosen, *(c for c in whole.chosen if is_curve(c))], names)
+    return names, whole if search.possible(whole) else names
+
+
+def _with_curves(search: Search, found: JointFit) -> JointFit:
+    """With the free curves that the rest needs: those without which some channel's remainder is visibly larger."""
+    current = found
+    while len(current.chosen) < len(found.chosen) + _MOST_CURVES and (larger := search.add_curve(current)) is not None:
+        current = search.prune(larger)
+    if current is not found:
+        current = search.exchange(current)
+    for curve in [c for c in current.chosen if is_curve(c)]:
+        without = search.without(current, curve)
+        if float(np.sqrt(np.max(without.squares / current.squares))) < _VISIBLE:
+            current = without
+    return current
+
+
+def _near(found: TotalModel, total: TotalModel) -> bool:
+    """Whether columns for one are good for the other."""
+    return bool(np.all(np.abs(found.tilt - total.tilt) < _FAR_TILT) and abs(found.delay - total.delay) < _FAR_DELAY)
+
+
+def _same(before: JointFit | None, found: JointFit) -> bool:
+    """Whether the same was found as in the round before, up to a share of the standard deviations."""
+    if before is None or {c.group for c in before.chosen} != {c.group for c in found.chosen}:
+        return False
+    stds = np.sqrt(np.diag(found.covariance))
+    shared = [term for term in found.terms if term in before.terms]
+    return all(abs(before.value(term) - found.value(term)) < _SETTLED * stds[found.place(term)] for term in shared)
+
+
+def _flexible_noise(stage: Stage, columns: Columns, bare: JointFit, valid: BoolArray) -> tuple[Autoregression, ...]:
+    """First noise: what the motions of each channel's own joint and the whole robot's effects leave of the residual."""
+    residual = stage.residual(columns, bare)
+    left = np.full(residual.shape, np.nan)
+    for channel in range(residual.shape[1]):
+        chosen = valid[:, channel]
+        own = [by[channel] for term, by in columns.items() if channel in by and not term.curve]
+        matrix = np.column_stack(own)[chosen] if own else np.zeros((np.count_nonzero(chosen), 0))
+        matrix = matrix / np.maximum(np.linalg.norm(matrix, axis=0), 1e-12)
+        solution = np.linalg.lstsq(matrix, residual[chosen, channel], rcond=1e-6)[0]
+        left[chosen, channel] = residual[chosen, channel] - matrix @ solution
+    return _noise(left, valid, stage.records)
+
+
+def _noise(residual: FloatArray, valid: BoolArray, records: Records) -> tuple[Autoregression, ...]:
+    runs = [
+        runs_of(valid[:, channel] & np.isfinite(residual[:, channel]), records.segment)
+        for channel in range(residual.shape[1])
+    ]
+    return tuple(Autoregression.fit(residual[:, channel], runs[channel]) for channel in range(residual.shape[1]))
+
+
+def _typical_size(residual: FloatArray, valid: BoolArray) -> FloatArray:
+    """Of each channel ``(C,)``: the standard deviation that the median size would have if it were Gaussian."""
+    sizes = [
+        np.median(np.abs(values[used])) if np.any(used) else np.nan for values, used in _by_channel(residual, valid)
+    ]
+    return np.array(sizes) / _MEDIAN_OF_GAUSSIAN
+
+
+def _root_mean_square(residual: FloatArray, valid: BoolArray) -> FloatArray:
+    squares = [np.mean(values[used] ** 2) if np.any(used) else np.nan for values, used in _by_channel(residual, valid)]
+    deviation: FloatArray = np.sqrt(np.array(squares))
+    return deviation
+
+
+def _by_channel(residual: FloatArray, valid: BoolArray) -> Iterable[tuple[FloatArray, BoolArray]]:
+    return zip(residual.T, valid.T, strict=True)

@@ -1,0 +1,240 @@
+"""Which set of candidates explains the gap: a greedy search with exact fits, elimination and exchange."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from geomid_ros.gap.candidates import RICHER, Candidate
+from geomid_ros.gap.evidence.design import Design
+from geomid_ros.gap.fitting.fit import JointFit, Prior, fit
+from geomid_ros.gap.search.score_test import improvement
+
+LEAST_GAIN = 12.0
+"""A name that improves the score by less is not taken: e^-6 in probability."""
+_SHORTLIST = 4
+_PAYLOADS = 3
+_EXCHANGES = 4
+_MOST_EFFECTS = 40
+_PLAUSIBLE = 0.5  # of a name's loss: what the score test must promise of a rival that is tried in its place
+_NEEDED = 5.0 * LEAST_GAIN  # a name whose loss is larger, by a quadratic estimate, need not be tried to be left out
+# Beyond these it is no effect of a robot that works: limits of the coefficients, either sign.
+_LARGEST = {
+    "effort_gain": 0.5,
+    "load_friction": 1.0,
+    "effort_delay": 0.2,  # [s]
+    "backlash": 0.2,  # [rad]
+    "joint_elasticity": 1.0,  # [rad/(N m)]
+}
+_LIKE_A_PAYLOAD = {
+    "payload",
+    "rotor_inertia",
+    "spring",
+    "effort_offset",
+    "effort_gain",
+    "gravity_tilt",
+    "joint_elasticity",
+    "wrench_offset",
+}
+_LARGEST_EXCESS = 4.0  # of the friction of a fast joint
+_LARGEST_TURN = 12.6  # [rad] between the zero of a joint and the rest of its spring
+
+
+@dataclass(frozen=True)
+class Trial:
+    """A candidate's improvement of a fit by the score test, its penalty paid, and its separability."""
+
+    candidate: Candidate
+    gain: float
+    separability: float
+
+
+class Search:
+    """Search over sets of candidates for one design."""
+
+    def __init__(
+        self, design: Design, prior: Prior, candidates: Sequence[Candidate], curves: Sequence[Candidate] = ()
+    ) -> None:
+        self.design = design
+        self.prior = prior
+        self.candidates = list(candidates)
+        self._scouts = [c for c in self.candidates if c.scout]
+        self.curves = list(curves)
+        self._fits: dict[frozenset[Candidate], JointFit] = {}
+        self._payload_trials: dict[frozenset[Candidate], list[Trial]] = {}
+
+    def fit(self, chosen: Sequence[Candidate], start: JointFit | None = None) -> JointFit:
+        """The joint fit of a set; each set is fitted once."""
+        key = frozenset(chosen)
+        if key not in self._fits:
+            self._fits[key] = fit(self.design, self.prior, chosen, start)
+        return self._fits[key]
+
+    def ranked(self, current: JointFit, among: Sequence[Candidate] | None = None) -> list[Trial]:
+        """Candidates that could join, the best of each group, by the score test."""
+        best: dict[tuple[str, int, int], Trial] = {}
+        for candidate in self._scouts if among is None else among:
+            if any(candidate.excludes(other) for other in current.chosen):
+                continue
+            gain, separability = improvement(self.design, current, candidate)
+            if candidate.group not in best or gain > best[candidate.group].gain:
+                best[candidate.group] = Trial(candidate, gain, separability)
+        return sorted(best.values(), key=lambda trial: -trial.gain)
+
+    def possible(self, found: JointFit) -> bool:
+        """Whether no coefficient has a sign or a size that it cannot have, and no payload outweighs the robot."""
+        return not any(self._is_absurd(found, candidate) for candidate in found.chosen)
+
+    def without_absurd(self, current: JointFit) -> JointFit:
+        """Without the candidates that cannot be, one after the other, or with simpler names in their places."""
+        while absurd := [c for c in current.chosen if self._is_absurd(current, c)]:
+            current = min((f for c in absurd for f in self._simpler(current, c)), key=lambda f: f.score)
+        return current
+
+    def _simpler(self, current: JointFit, candidate: Candidate) -> list[JointFit]:
+        """The fit without a candidate, and those with a name that is a special case of it."""
+        rest = self.without(current, candidate)
+        special = [
+            c for c in self.candidates if c.joint == candidate.joint and RICHER.get(c.effect) == candidate.effect
+        ]
+        return [rest, *(self.fit([*rest.chosen, c], rest) for c in special)]
+
+    def _is_absurd(self, found: JointFit, candidate: Candidate) -> bool:
+        if candidate.payload >= 0:
+            place = len(self.prior.inertias) // 10 + found.bodies.index(candidate.payload)
+            return bool(found.point.pseudo_inertias[place, 3, 3] > np.sum(self.prior.inertias[::10]))
+        values = [found.value(term) for term in candidate.terms]
+        if candidate.effect == "spring" and abs(values[1]) > _LARGEST_TURN * values[0]:
+            return True
+        if candidate.effect == "stribeck_friction" and values[1] > _LARGEST_EXCESS * values[0]:
+            return True
+        wrong_sign = any(value <= 0.0 for value in values[: candidate.positives])
+        return wrong_sign or abs(values[0]) > _LARGEST.get(candidate.effect, np.inf)
+
+    def extended(
+        self, current: JointFit, skip: tuple[str, int, int] | None = None, least: float = 0.5 * LEAST_GAIN
+    ) -> list[JointFit]:
+        """Exact fits with one candidate more, the best first: those that the score test prefers, and payloads; none of
+        which it promises less than ``least``."""
+        trials = [t for t in self.ranked(current) if t.gain > least and t.candidate.payload < 0]
+        trials = [t for t in trials if t.candidate.group != skip][:_SHORTLIST]
+        if not current.bodies and (skip is None or skip[0] in _LIKE_A_PAYLOAD):
+            trials += [t for t in self._payloads(current) if t.gain > least]
+        shortlist = [t.candidate for t in trials if t.candidate.group != skip]
+        fits = [self.fit([*current.chosen, candidate], current) for candidate in shortlist]
+        return sorted((f for f in fits if self.possible(f)), key=lambda f: f.score)
+
+    def _payloads(self, current: JointFit) -> list[Trial]:
+        """The payloads worth a trial. After the fit the score test says little of them: inertias that are nearly free,
+        because the payload made all of them wrong, imitate it. So it is asked with the usual spread of the inertias."""
+        key = frozenset(current.chosen)
+        if key not in self._payload_trials:
+            firm = fit(self.design, self.prior, current.chosen, current, spread=self.prior.spread)
+            trials = self.ranked(firm, [c for c in self.candidates if c.payload >= 0])
+            self._payload_trials[key] = [trial for trial in trials if trial.gain > 0.0][:_PAYLOADS]
+        return self._payload_trials[key]
+
+    def without(self, current: JointFit, candidate: Candidate) -> JointFit:
+        """The fit without one of its candidates."""
+        return self.fit([c for c in current.chosen if c is not candidate], current)
+
+    def grow(self, current: JointFit) -> JointFit | None:
+        """The best set with one candidate more; None if nothing is worth it."""
+        if len(current.chosen) >= _MOST_EFFECTS:
+            return None
+        fits = self.extended(current)
+        return fits[0] if fits and current.score - fits[0].score > LEAST_GAIN else None
+
+    def prune(self, current: JointFit) -> JointFit:
+        """Without the candidates that are not worth their parameters, the least one first."""
+        while doubtful := [c for c in current.chosen if _estimated_loss(self.design, current, c) < _NEEDED]:
+            smaller = min((self.without(current, c) for c in doubtful), key=lambda f: f.score)
+            if smaller.score - current.score > LEAST_GAIN:
+                break
+            current = smaller
+        return current
+
+    def rivals(self, current: JointFit, candidate: Candidate) -> list[JointFit]:
+        """The best sets in which another name stands in the place of one candidate."""
+        rest = self.without(current, candidate)
+        least = max(0.5 * LEAST_GAIN, _PLAUSIBLE * (rest.score - current.score))
+        return self.extended(rest, candidate.group, least)
+
+    def add_curve(self, current: JointFit) -> JointFit | None:
+        """The best set with one free curve more; None if none is worth its parameters."""
+        trials = [trial for trial in self.ranked(current, self.curves) if trial.gain > LEAST_GAIN]
+        fits = [self.fit([*current.chosen, trial.candidate], current) for trial in trials[:2]]
+        best = min((f for f in fits if self.possible(f)), key=lambda f: f.score, default=None)
+        return best if best is not None and current.score - best.score > LEAST_GAIN else None
+
+    def instead(self, current: JointFit, candidate: Candidate) -> JointFit | None:
+        """The best set in which a free curve at the same joint stands in the place of a name."""
+        rest = self.without(current, candidate)
+        trials = self.ranked(rest, [c for c in self.curves if c.joint == candidate.joint])
+        if not trials or trials[0].gain < 0.0:
+            return None
+        return self.fit([*rest.chosen, trials[0].candidate], rest)
+
+    def settle(self, current: JointFit, to_the_end: bool = False) -> JointFit:
+        """Grow, exchange and prune until nothing changes, or, unless ``to_the_end``, until a name is found that changes
+        all columns."""
+        known = _turns(current)
+        for _ in range(_EXCHANGES):
+            before = current.score
+            while (larger := self.grow(current)) is not None:
+                current = self.prune(larger)
+                if _turns(current) - known and not to_the_end:
+                    return current
+            current = self.exchange(current)
+            if current.score >= before - 1e-6:
+                break
+        return current
+
+    def simplified(self, current: JointFit) -> JointFit:
+        """With simpler names in the places of those that contain them, where that costs less than a name is worth."""
+        for candidate in current.chosen:
+            simpler = [f for f in self._simpler(current, candidate)[1:] if self.possible(f)]
+            best = min(simpler, key=lambda f: f.score, default=None)
+            if best is not None and best.score - current.score < LEAST_GAIN:
+                current = best
+        return current
+
+    def neighbours(self, candidate: Candidate) -> list[Candidate]:
+        """The same name with the next smaller and the next larger of its scanned constant, where there are such."""
+        if not candidate.scanned:
+            return []
+        alike = sorted((c for c in self.candidates if c.group == candidate.group), key=lambda c: c.scanned)
+        place = alike.index(candidate)
+        return [*alike[max(place - 1, 0) : place], *alike[place + 1 : place + 2]]
+
+    def exchange(self, current: JointFit) -> JointFit:
+        """Replace candidates, also by the same name with other constants, while that improves the score."""
+        for candidate in current.chosen:
+            rest = self.without(current, candidate)
+            same = [c for c in self.candidates if c.group == candidate.group]
+            others = [self.fit([*rest.chosen, t.candidate], rest) for t in self.ranked(rest, same)]
+            others += [self.fit([*rest.chosen, c], current) for c in self.neighbours(candidate)]
+            others += self.rivals(current, candidate)
+            better = [f for f in others if self.possible(f) and f.score < current.score - 1e-3]
+            if better:
+                return min(better, key=lambda f: f.score)
+        return current
+
+
+def _turns(found: JointFit) -> set[str]:
+    """The names of a fit whose size all other columns depend on."""
+    return {c.effect for c in found.chosen} & {"gravity_tilt", "effort_delay"}
+
+
+def _estimated_loss(design: Design, current: JointFit, candidate: Candidate) -> float:
+    """By how much the score is worse without a candidate, to second order, its penalty not counted; 0 for a payload,
+    whose loss is not nearly quadratic."""
+    if candidate.payload >= 0:
+        return 0.0
+    places = [current.place(term) for term in candidate.terms]
+    values = np.array([current.value(term) for term in candidate.terms])
+    squared = float(values @ np.linalg.solve(current.covariance[np.ix_(places, places)], values))
+    count = float(np.max(design.counts))
+    return count * float(np.log1p(squared / count))

@@ -1,0 +1,94 @@
+"""The gap workflow in a thread of its own: one search at a time, which the end of the node does not wait for."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from geomid_ros.errors import InputError
+from geomid_ros.files.models.gap_results import FORMAT, gap_document
+from geomid_ros.gap.result import GapResult
+from geomid_ros.report.gap_words import verdict_sentence
+from geomid_ros.session.gap import find_in_messages
+from geomid_ros.session.session import Session
+from geomid_ros.signals.pipeline import Accepted
+
+_PATIENCE = 0.2  # [s] for a search to notice that it is to end
+
+
+@dataclass(frozen=True)
+class SearchStatus:
+    """What is to be said of a search: a ``sentence``; the ``stage`` while it goes on, then the ``result``, or neither
+    when it failed."""
+
+    sentence: str
+    stage: str = ""
+    result: GapResult | None = None
+
+    @property
+    def document(self) -> dict[str, Any]:
+        """As ``gap.json``; with nothing but the sentence, as ``error``, when it failed."""
+        return gap_document(self.result, {}) if self.result else {"format": FORMAT, "error": self.sentence}
+
+
+class _EndedError(Exception):
+    """Nobody wants to know any more."""
+
+
+class GapSearch:
+    """Looks for a gap. ``on_end(status)`` is called in its thread, unless it was closed before."""
+
+    def __init__(self, on_end: Callable[[SearchStatus], None]) -> None:
+        self._on_end = on_end
+        self._status: SearchStatus | None = None
+        self._thread: threading.Thread | None = None
+        self._lock = threading.Lock()  # held while it is said how a search ended
+        self._closed = False
+
+    @property
+    def status(self) -> SearchStatus | None:
+        """How the search stands, or how the last one ended; None before the first."""
+        return self._status
+
+    @property
+    def running(self) -> bool:
+        """Whether it looks."""
+        return self._status is not None and self._status.stage != ""
+
+    def start(self, make_session: Callable[[], Session], messages: Sequence[Accepted]) -> None:
+        """Begin to look at what a pipeline has accepted, with the model of a session of its own."""
+        self._progress("beginning", 0.0)
+        # A daemon: the process may end while it computes.
+        self._thread = threading.Thread(
+            target=self._run, args=(make_session, messages), name="geomid-gap-search", daemon=True
+        )
+        self._thread.start()
+
+    def close(self) -> None:
+        """End, and say nothing any more."""
+        with self._lock:
+            self._closed = True
+        if self._thread is not None:
+            self._thread.join(_PATIENCE)
+
+    def _run(self, make_session: Callable[[], Session], messages: Sequence[Accepted]) -> None:
+        try:
+            result = find_in_messages(make_session(), messages, self._progress)
+            status = SearchStatus(verdict_sentence(result), result=result)
+        except _EndedError:
+            return
+        except InputError as error:
+            status = SearchStatus(f"no finding: {error}")
+        except Exception as error:  # noqa: BLE001 whoever asked must have an answer
+            status = SearchStatus(f"no finding: {type(error).__name__}: {error}")
+        with self._lock:
+            if not self._closed:
+                self._status = status
+                self._on_end(status)
+
+    def _progress(self, stage: str, share: float) -> None:
+        if self._closed:
+            raise _EndedError
+        self._status = SearchStatus(f"looking: {stage}, {100.0 * share:.0f} %", stage)

@@ -1,0 +1,244 @@
+"""The thread that turns rows into estimates."""
+
+from __future__ import annotations
+
+import queue
+import threading
+import time
+from collections import Counter
+from collections.abc import Callable
+from typing import TypeAlias
+
+import numpy as np
+
+from geomid_ros.errors import GeomidError
+from geomid_ros.estimation.estimate import Estimate
+from geomid_ros.estimation.estimator import WarmStart
+from geomid_ros.live.duty import Duty
+from geomid_ros.monitoring.change_detection import ChannelGap, GapWatch
+from geomid_ros.monitoring.changed_sensors import changed_sensors, sensor_channels
+from geomid_ros.session.session import Session
+from geomid_ros.signals.ledger import count_reason
+
+SOLVING = "solving"
+
+Done: TypeAlias = Callable[[Estimate | GeomidError], None]
+
+
+class Solver:
+    """Solves every ``period`` [s] in which rows came, and when asked. ``on_estimate(session, estimate)`` is called, in
+    its thread, for each new estimate; one that is worse than none is not kept.
+
+    While a mounted wrench sensor is no longer what it was, its rows are left out; but not if all are forgotten in time.
+    """
+
+    def __init__(self, session: Session, period: float, on_estimate: Callable[[Session, Estimate], None]) -> None:
+        self._session = session
+        self._period = period
+        self._forgets = bool(np.isfinite(session.configuration.buffer.forgetting_time))
+        self._sensors = sensor_channels(session.model)
+        self._on_estimate = on_estimate
+        self._lock = threading.Lock()  # held, never long, for all that follows
+        self._estimate: Estimate | None = None
+        self._problem = ""
+        self._failures: Counter[str] = Counter()
+        self._epoch = 0  # of what is solved for in an earlier one, nobody wants to know
+        self._solves = 0
+        self._solved_rows = 0
+        self._changed: tuple[str, ...] = ()
+        self._asking: list[Done] = []
+        self.watch = self._new_watch()
+        self._start()
+
+    def _start(self) -> None:
+        self.duty = Duty()
+        self._requests: queue.SimpleQueue[Done | None] = queue.SimpleQueue()
+        # A daemon: the process may end while it computes.
+        self._thread = threading.Thread(
+            target=self._solve_repeatedly, args=(self.duty, self._requests), name="geomid-solver", daemon=True
+        )
+        self._thread.start()
+
+    def restart(self) -> None:
+        """Give up what the thread is at, and begin another. Who waits for it has an answer."""
+        with self._lock:
+            self._epoch += 1
+            asking, self._asking = self._asking, []
+        self._requests.put(None)
+        self._start()
+        for done in asking:
+            done(GeomidError("the solver did not end in time and was restarted"))
+
+    def close(self, patience: float) -> None:
+        """End; what is being solved is finished first, unless it takes longer than ``patience`` [s]."""
+        self._requests.put(None)
+        self._thread.join(patience)
+        with self._lock:
+            self._epoch += 1
+
+    def ask(self, done: Done) -> None:
+        """Solve from scratch; ``done`` gets the result in the solver's thread."""
+        with self._lock:
+            self._asking.append(done)
+        self._requests.put(done)
+
+    def reset(self) -> None:
+        """Forget all rows, and what was learned from them."""
+        with self._lock:
+            self._session.identifier.reset()
+            self._begin_anew()
+
+    def begin_anew(self) -> None:
+        """Forget what was learned, and is being solved, from rows some of which are taken back."""
+        with self._lock:
+            self._begin_anew()
+
+    def _begin_anew(self) -> None:
+        self.watch = self._new_watch()
+        self._changed = ()
+        self._estimate = None
+        self._problem = ""
+        self._solve_afresh()
+
+    def _solve_afresh(self) -> None:
+        """Let nothing that was solved for, or is now, choose where the next solve begins, nor the prior's weight."""
+        self._epoch += 1
+        self._session.warm = None
+        self._solved_rows = 0
+
+    @property
+    def estimate(self) -> Estimate | None:
+        """The last estimate."""
+        return self._estimate
+
+    @property
+    def solves(self) -> int:
+        """Estimates made so far."""
+        return self._solves
+
+    @property
+    def problem(self) -> str:
+        """Why the last try gave no new estimate."""
+        return self._problem
+
+    @property
+    def failures(self) -> Counter[str]:
+        """Exceptions in the solver, by what they said."""
+        with self._lock:
+            return self._failures.copy()
+
+    @property
+    def gaps(self) -> tuple[ChannelGap, ...]:
+        """Of the channels that are watched."""
+        return self.watch.gaps
+
+    @property
+    def changed_sensors(self) -> tuple[str, ...]:
+        """Topics of the wrench sensors that are no longer what they were, so that their rows are left out."""
+        return self._changed
+
+    def _new_watch(self) -> GapWatch:
+        return GapWatch(self._session.model.channels, self._session.configuration.buffer.forgetting_time)
+
+    def _solve_repeatedly(self, duty: Duty, requests: queue.SimpleQueue[Done | None]) -> None:
+        next_solve = time.monotonic()
+        while True:
+            try:
+                done = requests.get(timeout=max(0.0, next_solve - time.monotonic()))
+            except queue.Empty:
+                next_solve = time.monotonic() + self._period
+                self._solve_for_new_rows(duty)
+                continue
+            if done is None:
+                return
+            with duty.on(SOLVING):
+                self._judge()
+                result = self._solve_once(None)
+            with self._lock:
+                if done not in self._asking:  # it was told that it took too long
+                    return
+                self._asking.remove(done)
+            done(result)
+
+    def _solve_for_new_rows(self, duty: Duty) -> None:
+        with duty.on(SOLVING):
+            self._judge()
+            if self._session.identifier.rows != self._solved_rows:
+                self._solve_once(self._warm_start())
+
+    def _judge(self) -> None:
+        watch = self.watch
+        try:
+            while watch.judge():
+                self._heed(watch)
+        except Exception as error:  # noqa: BLE001 the thread must outlive it; what happened is reported
+            self._fail(error)
+
+    def _heed(self, watch: GapWatch) -> None:
+        """Leave out the rows of the sensors that have changed, and keep for good what is as it was."""
+        if self._forgets or not self._sensors:
+            return
+        changed = changed_sensors(watch.gaps, self._session.model)
+        with self._lock:
+            if watch is not self.watch:  # all was forgotten meanwhile
+                return
+            self._changed = tuple(changed or ())
+            for topic, channels in self._sensors.items():
+                reason = f"wrench changed: {topic}"
+                if changed is None:  # nothing is the matter with the sensor
+                    self._session.identifier.take_again(reason, 0)
+                elif topic not in changed:
+                    self._session.identifier.take_again(reason, watch.judged)
+                elif self._session.identifier.leave_out(reason, channels, changed[topic]):
+                    self._solve_afresh()
+        doubted = [] if changed is None else [place for places in self._sensors.values() for place in places]
+        self._session.identifier.settle(watch.normal(doubted))
+
+    def _warm_start(self) -> WarmStart | None:
+        """Where to start from; None chooses the prior's weight anew, when it was chosen for other data."""
+        with self._lock:
+            warm = self._session.warm
+            if warm is None or self._problem or self._session.identifier.outgrown(warm.rows):
+                return None
+            return warm
+
+    def _solve_once(self, warm: WarmStart | None) -> Estimate | GeomidError:
+        with self._lock:
+            rows, epoch = self._session.identifier.rows, self._epoch
+        try:
+            estimate = self._finite(self._session.identifier.solve(warm))
+            if self._keep(estimate, rows, epoch, warm):
+                self._on_estimate(self._session, estimate)
+        except Exception as error:  # noqa: BLE001 the last estimate stays; what happened is reported
+            if not isinstance(error, GeomidError):
+                self._fail(error)
+            with self._lock:
+                if epoch == self._epoch:
+                    self._problem = f"no estimate: {error}"
+            return error if isinstance(error, GeomidError) else GeomidError(str(error))
+        return estimate
+
+    def _finite(self, estimate: Estimate) -> Estimate:
+        if np.all(np.isfinite(estimate.parameters)):
+            return estimate
+        raise GeomidError("the solver's result is not finite")
+
+    def _keep(self, estimate: Estimate, rows: int, epoch: int, warm: WarmStart | None) -> bool:
+        """Keep an estimate, unless it is of rows that were to be forgotten, or not as good as the one before."""
+        with self._lock:
+            if epoch != self._epoch:
+                return False
+            self._solves += 1
+            self._solved_rows = rows
+            if not estimate.converged and self._estimate is not None and self._estimate.converged:
+                self._problem = f"no new estimate: {estimate.reason}"
+                return False
+            self._problem = ""
+            self._estimate = estimate
+            chosen = rows if warm is None else warm.rows
+            self._session.warm = WarmStart(estimate.parameters, estimate.gamma, chosen)
+            return True
+
+    def _fail(self, error: Exception) -> None:
+        with self._lock:
+            count_reason(self._failures, f"the solver failed: {type(error).__name__}: {error}")

@@ -1,0 +1,1 @@
+"""Whether a stream is what it claims to be: change detection, plausibility of wrenches."""

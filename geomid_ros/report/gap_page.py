@@ -1,0 +1,303 @@
+"""``report.html``: what the gap workflow found, on one page that needs no network and runs no script."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from jinja2 import Environment, FileSystemLoader, StrictUndefined
+
+from geomid_ros.files.atomic import write_text
+from geomid_ros.files.models.effect_forms import ModelEffect
+from geomid_ros.gap.result import Finding, GapResult, Located
+from geomid_ros.geometry import pseudo_inertia, spd
+from geomid_ros.report import gap_words
+from geomid_ros.report.gap_figures import (
+    AFTER,
+    BEFORE,
+    INERTIAS_ONLY,
+    MEASURED,
+    Against,
+    Picture,
+    Remainder,
+    after_pause,
+    elapsed,
+    overlay_picture,
+    remainder_picture,
+)
+from geomid_ros.types import FloatArray
+
+_MOST_CHANNELS = 6  # whose remainder is drawn
+_MOST_OVERLAYS = 12
+_SECONDS = 10.0  # of held-out data, in a panel
+_MOST_CANDIDATES = 15
+_OPEN = 1.15  # times the floor from which on there is a gap to look at
+_CHANGED = 0.01  # geodesic distance from which on a link's inertia has changed
+_FINE_TICKS, _TICKS = (1.0, 2.0, 5.0, 10.0, 20.0), (1.0, 10.0, 100.0, 1000.0, 10_000.0)
+_TITLES = {"windows": "Forward in short windows", "closed_loop": "In closed loop"}
+_KINDS = {"before": "nominal", "inertias_only": "inertias only", "after": "with effect"}
+
+
+@dataclass(frozen=True, eq=False)
+class SimulatedAgain:
+    """The robot's simulation before and after, beside what was measured.
+
+    ``sentence`` says how it was simulated; ``errors`` {before, after} by channel in units of the floor. Of ``joints``,
+    in ``units``: ``measured``, ``before``, ``after (N, joints)`` over ``times (N,)`` [s], NaN where a new simulation
+    begins; at most ``seconds`` are shown.
+    """
+
+    kind: Literal["windows", "closed_loop"]
+    sentence: str
+    errors: Mapping[str, Mapping[str, float]]
+    joints: Sequence[str]
+    units: Sequence[str]
+    times: FloatArray
+    measured: FloatArray
+    before: FloatArray
+    after: FloatArray
+    seconds: float = 10.0
+
+
+@dataclass(frozen=True, eq=False)
+class GapPage:
+    """What the page is made of.
+
+    ``joints`` with ``units`` (rad or m) of their positions name the columns of the trace's motion. ``nominal
+    (bodies, 10)`` are the model file's inertias of the result's bodies. ``rigid (N, channels)`` is what the final
+    model predicts on the trace without any named effect. ``known`` are effects that the model had before.
+    ``simulated`` are simulations; if there are none, ``not_simulated`` says why.
+    """
+
+    robot: str
+    recordings: Sequence[str]
+    joints: Sequence[str]
+    units: Sequence[str]
+    result: GapResult
+    nominal: FloatArray
+    rigid: FloatArray
+    known: Sequence[ModelEffect] = ()
+    simulated: Sequence[SimulatedAgain] = ()
+    not_simulated: str = ""
+
+
+def write_gap_page(path: Path, page: GapPage, progress: Callable[[float], None]) -> None:
+    """Write the page; ``progress`` is called with the share of its pictures that are drawn."""
+    write_text(path, _template().render(_content(page, progress)))
+
+
+def _template() -> Any:
+    environment = Environment(
+        loader=FileSystemLoader(Path(__file__).parent),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    words = ("headline", "place", "title", "ratio", "percent", "measured_angle", "interval")
+    environment.filters |= {name: getattr(gap_words, name) for name in words}
+    return environment.get_template("gap.html.j2")
+
+
+def _content(page: GapPage, progress: Callable[[float], None]) -> dict[str, Any]:
+    result = page.result
+    overlays = [partial(_overlay, page, channel) for channel in _overlay_channels(result)]
+    remainders = [
+        (result.channels[channel], [partial(remainder_picture, _remainder(page, channel), against) for against in many])
+        for channel in _telling_channels(result)
+        for many in [list(_variables(page, channel))]
+    ]
+    motions = [[partial(_motion, again, joint) for joint in _worst_joints(again)] for again in page.simulated]
+    total = len(overlays) + sum(len(many) for _, many in remainders) + sum(map(len, motions))
+    draw = _Drawing(total, progress)
+    return {
+        "page": page,
+        "result": result,
+        "verdict": gap_words.verdict_sentence(result),
+        "confidence": gap_words.CONFIDENCE,
+        "bars": _Bars.of_result(result),
+        "kinds": _KINDS,
+        "colors": {"measured": MEASURED, "before": BEFORE, "inertias_only": INERTIAS_ONLY, "after": AFTER},
+        "seconds": float(elapsed(result.trace.stamps)[-1]) if len(result.trace.stamps) else 0.0,
+        "remainders": [(name, [draw(picture) for picture in many]) for name, many in remainders],
+        "overlays": [draw(picture) for picture in overlays],
+        "motions": [
+            (_TITLES[again.kind], again, _Bars.of_motion(again), [draw(picture) for picture in many])
+            for again, many in zip(page.simulated, motions, strict=True)
+        ],
+        "candidates": result.ranking[:_MOST_CANDIDATES],
+        "located": _located(result),
+        "links": list(_links(page)),
+        "old": partial(_old, page.known),
+        "not_explained": gap_words.not_explained(result),
+        "record": gap_words.to_record(result),
+    }
+
+
+class _Drawing:
+    """Draws pictures and counts them."""
+
+    def __init__(self, total: int, progress: Callable[[float], None]) -> None:
+        self._total = total
+        self._done = 0
+        self._progress = progress
+
+    def __call__(self, picture: Callable[[], Picture]) -> Picture:
+        drawn = picture()
+        self._done += 1
+        self._progress(self._done / self._total)
+        return drawn
+
+
+# --- Bars ---
+
+
+@dataclass(frozen=True)
+class _Bars:
+    """Bars from 1 (the floor) on, logarithmic: ``rows`` of a name, a note and values by kind; ``ticks``, ``end``."""
+
+    rows: Sequence[tuple[str, str, Mapping[str, float]]]
+    end: float
+
+    @staticmethod
+    def of_result(result: GapResult) -> _Bars:
+        kinds = list(_KINDS) if result.findings else ["before", "inertias_only"]
+        gaps = {kind: getattr(result.gap, kind) for kind in kinds}
+        rows = [
+            (name, f"floor {result.floor[k]:.2g} {result.units[k]}", {kind: float(gaps[kind][k]) for kind in kinds})
+            for k, name in enumerate(result.channels)
+            if any(math.isfinite(values[k]) for values in gaps.values())
+        ]
+        return _Bars.over(rows)
+
+    @staticmethod
+    def of_motion(again: SimulatedAgain) -> _Bars:
+        kinds = ("before", "after")
+        return _Bars.over(
+            [(name, "", {kind: again.errors[kind][name] for kind in kinds}) for name in again.errors["before"]]
+        )
+
+    @staticmethod
+    def over(rows: Sequence[tuple[str, str, Mapping[str, float]]]) -> _Bars:
+        """Bars on an axis on which the longest has room."""
+        largest = gap_words.worst(np.array([value for _, _, values in rows for value in values.values()]))
+        return _Bars(rows, max(2.0, 1.1 * largest))
+
+    @property
+    def ticks(self) -> list[tuple[str, float]]:
+        """Labels of the axis and where they are, in percent of its length."""
+        ticks = _FINE_TICKS if self.end < 30.0 else _TICKS
+        return [(f"{tick:g}", self.length(tick)) for tick in ticks if tick <= self.end]
+
+    def length(self, value: float) -> float:
+        """Length of a bar in percent of the axis."""
+        return 100.0 * math.log(max(value, 1.0)) / math.log(self.end) if math.isfinite(value) else 0.0
+
+
+# --- Which channels, against what ---
+
+
+def _telling_channels(result: GapResult) -> list[int]:
+    """Channels whose remainder is worth a look: where something was named or is missing, then where most improved."""
+    if result.verdict == "no gap":
+        return []
+    places = [finding.joint for finding in result.findings] + [entry.joint for entry in result.unexplained]
+    named = [k for place in places if place for k, name in enumerate(result.channels) if _is_at(name, place)]
+    improved = np.argsort(-np.nan_to_num(result.gap.inertias_only - result.gap.after), kind="stable")
+    everywhere = [int(k) for k in improved[:3]] if not named or "" in places else []
+    return list(dict.fromkeys(named + everywhere))[:_MOST_CHANNELS]
+
+
+def _located(result: GapResult) -> list[Located]:
+    """Where the gap lives, for channels in which inertias leave one."""
+    gaps = dict(zip(result.channels, result.gap.inertias_only, strict=True))
+    return [entry for entry in result.located if gaps.get(entry.channel, 0.0) > _OPEN and math.isfinite(entry.velocity)]
+
+
+def _is_at(channel: str, place: str) -> bool:
+    return channel == place or channel.startswith(place.strip("/") + "/")
+
+
+def _remainder(page: GapPage, channel: int) -> Remainder:
+    result, trace = page.result, page.result.trace
+    rigid = page.rigid[:, channel]
+    return Remainder(
+        result.channels[channel],
+        result.units[channel],
+        trace.measured[:, channel] - rigid,
+        trace.after[:, channel] - rigid,
+        float(result.floor[channel]),
+    )
+
+
+def _variables(page: GapPage, channel: int) -> Iterator[Against]:
+    """Motion of the channel's joint and of those that it depends on, load, time."""
+    result, trace = page.result, page.result.trace
+    name = result.channels[channel]
+    others = [entry.depends_on for entry in result.unexplained if _is_at(name, entry.joint)]
+    for joint in [name, *others]:
+        if joint in page.joints:
+            column, of = page.joints.index(joint), "" if joint == name else f" of {joint}"
+            unit = page.units[column]
+            yield Against(f"position{of}", unit, trace.position[:, column])
+            yield Against(f"velocity{of}", f"{unit}/s", trace.velocity[:, column])
+    yield Against("load", result.units[channel], trace.load[:, channel])
+    yield Against("time", "s", elapsed(trace.stamps))
+
+
+def _overlay_channels(result: GapResult) -> list[int]:
+    """Measured channels, the worst before first."""
+    order = np.argsort(-np.nan_to_num(result.gap.before), kind="stable")
+    return [int(k) for k in order if np.any(np.isfinite(result.trace.measured[:, k]))][:_MOST_OVERLAYS]
+
+
+def _overlay(page: GapPage, channel: int) -> Picture:
+    result, trace = page.result, page.result.trace
+    new = after_pause(trace.stamps)
+    lines = {key: np.where(new, np.nan, getattr(trace, key)[:, channel]) for key in ("measured", "before", "after")}
+    return overlay_picture(result.channels[channel], result.units[channel], elapsed(trace.stamps), lines, _SECONDS)
+
+
+def _worst_joints(again: SimulatedAgain) -> list[int]:
+    """Joints whose simulation was judged, the worst before first."""
+    before = again.errors["before"]
+    judged = [index for index, joint in enumerate(again.joints) if joint in before]
+    return sorted(judged, key=lambda index: -before[again.joints[index]])[:_MOST_OVERLAYS]
+
+
+def _motion(again: SimulatedAgain, joint: int) -> Picture:
+    lines = {key: getattr(again, key)[:, joint] for key in ("measured", "before", "after")}
+    return overlay_picture(again.joints[joint], again.units[joint], again.times, lines, again.seconds)
+
+
+# --- The model file ---
+
+
+def _old(known: Sequence[ModelEffect], finding: Finding, parameter: str) -> str:
+    """What the model said of a finding's parameter before."""
+    for effect in known:
+        if (effect.effect, effect.joint) == (finding.effect, finding.joint) and parameter in effect.parameters:
+            return gap_words.measured(effect.parameters[parameter])
+    return "none"
+
+
+def _links(page: GapPage) -> Iterator[dict[str, Any]]:
+    """Of every body: name, old and new mass, centre of mass and central inertia, and the distance between the two."""
+    for name, old, new in zip(page.result.bodies, page.nominal, page.result.inertias, strict=True):
+        pseudo = pseudo_inertia.from_parameters(np.array([old, new]))
+        distance = float(spd.distance(pseudo[0], pseudo[1]))
+        yield {"name": name, "old": _body(old), "new": _body(new), "distance": distance, "changed": distance > _CHANGED}
+
+
+def _body(parameters: FloatArray) -> dict[str, Any]:
+    inertia = pseudo_inertia.central_inertia(parameters)
+    return {
+        "mass": float(parameters[0]),
+        "com": np.round(1e3 * pseudo_inertia.centre_of_mass(parameters), 1) + 0.0,  # no minus before a zero
+        "inertia": np.diag(inertia),
+    }

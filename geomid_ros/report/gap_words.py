@@ -1,0 +1,166 @@
+"""What the gap workflow found, in words: the same in the terminal as on the page."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from geomid_ros.files.models.effect_forms import ModelEffect
+from geomid_ros.gap.result import Confidence, Finding, GapResult, Quantity, Ranked, Rival, Unexplained
+from geomid_ros.types import FloatArray
+
+NONE = "n/a"
+_CLOSED = 1.15  # a gap that falls by less did not fall
+_MOST_NAMED = 4  # in a sentence
+_MOST_NAMED_OF_MANY = 2
+_NAMES = {"coulomb": "Coulomb", "stribeck": "Stribeck"}
+_VARIABLES = {
+    "position": "its position",
+    "velocity": "its velocity",
+    "load": "the effort it transmits",
+    "time": "time",
+    "reversals": "when it last reversed",
+    "unknown": "nothing that was looked at",
+}
+_RECORD = {
+    "position": "a slow motion of the joint at one constant speed, through its whole range and back",
+    "velocity": "the joint through one range at several constant speeds, slow to fast, both ways",
+    "load": "the same motion with and without a known payload",
+    "time": "the same motion every few minutes, from cold to warm",
+    "reversals": "the joint to and fro, at several places, with small and with large strokes",
+    "unknown": "the same motion again, to see whether it is repeated",
+}
+CONFIDENCE: dict[Confidence, str] = {
+    "confident": "nothing else explains the data as well",
+    "tentative": "the best name, but the evidence is thin",
+    "ambiguous": "other names explain these data as well",
+}
+
+
+def effect_name(effect: str) -> str:
+    """An effect as it is written in a sentence: ``Coulomb friction``."""
+    return " ".join(_NAMES.get(word, word) for word in effect.split("_"))
+
+
+def headline(effect: str) -> str:
+    """An effect as a heading begins."""
+    name = effect_name(effect)
+    return name[:1].upper() + name[1:]
+
+
+def place(joint: str, link: str = "") -> str:
+    """Where an effect acts, as the end of a sentence."""
+    return f"on {link}" if link else f"at {joint}" if joint else "of the whole robot"
+
+
+def title(entry: ModelEffect | Rival | Ranked) -> str:
+    """An effect with where it acts."""
+    return f"{headline(entry.effect)} {place(entry.joint, getattr(entry, 'link', ''))}"
+
+
+def ratio(value: float) -> str:
+    """A gap in units of the floor."""
+    if not math.isfinite(value):
+        return NONE
+    return f"{value:.2f}" if value < 9.995 else f"{value:.1f}" if value < 99.95 else f"{value:.0f}"
+
+
+def percent(share: float) -> str:
+    """A share, 0 to 1."""
+    return f"{100.0 * share:.0f} %" if math.isfinite(share) else NONE
+
+
+def _decimals(std: float, value: float) -> int:
+    """Decimals that show two digits of the standard deviation, or four of the value where there is none."""
+    size, digits = (std, 2) if math.isfinite(std) and std > 0.0 else (abs(value), 4)
+    return int(np.clip(digits - 1 - math.floor(math.log10(size)), 0, 9)) if math.isfinite(size) and size > 0.0 else 0
+
+
+def measured(quantity: Quantity) -> str:
+    """A value with its standard deviation and unit."""
+    decimals = _decimals(quantity.std, quantity.value)
+    deviation = f" ± {quantity.std:.{decimals}f}" if math.isfinite(quantity.std) else ""
+    return f"{quantity.value:.{decimals}f}{deviation} {quantity.unit}".removesuffix(" -")
+
+
+def measured_angle(quantity: Quantity) -> str:
+    """The same; angles within a turn in degrees as well."""
+    small = quantity.unit == "rad" and abs(quantity.value) < 2.0 * math.pi
+    return measured(quantity) + (f" ({math.degrees(quantity.value):.3g}°)" if small else "")
+
+
+def interval(quantity: Quantity) -> str:
+    """Where the true value lies with 95 % probability."""
+    if not math.isfinite(quantity.std):
+        return NONE
+    decimals, half = _decimals(quantity.std, quantity.value), 1.96 * quantity.std
+    return f"{quantity.value - half:.{decimals}f} to {quantity.value + half:.{decimals}f}"
+
+
+def worst(values: FloatArray) -> float:
+    """The largest gap of channels that were measured."""
+    return float(np.max(values, where=np.isfinite(values), initial=0.0))
+
+
+def dependence(entry: Unexplained) -> str:
+    """On what an unexplained remainder depends."""
+    return _VARIABLES.get(entry.depends_on, f"the motion of {entry.depends_on}")
+
+
+def verdict_sentence(result: GapResult) -> str:
+    """The verdict in one sentence."""
+    gap = result.gap
+    before, after = worst(gap.before), worst(gap.after)
+    fall = f"the worst channel falls from {ratio(before)} to {ratio(after)} times the noise floor"
+    named = _named(result.findings)
+    missing = "; ".join(f"at {joint}, depending on {on}" for joint, _, on in not_explained(result))
+    if result.verdict == "no gap":
+        if before <= _CLOSED * after:
+            return f"Nothing found: the model explains the measurement, up to {ratio(after)} times the noise floor."
+        return f"No effect is missing. Corrected link inertias close the gap: {fall}."
+    if result.verdict == "named":
+        return f"Found: {named}. With {'it' if len(result.findings) == 1 else 'them'}, {fall}."
+    if result.verdict == "incomplete":
+        rest = f": something is left {missing}" if missing else f": {fall}"
+        return f"Found: {named or 'no name'}, but that is not all{rest}."
+    found = f" Named besides: {named}." if named else ""
+    return f"Something is missing that no known effect explains: {missing or 'in no one joint alone'}.{found}"
+
+
+def not_explained(result: GapResult) -> list[tuple[str, float, str]]:
+    """Each joint with something unexplained, how many times the floor it is, and all that it depends on."""
+    variables: dict[str, list[str]] = {}
+    for entry in result.unexplained:
+        variables.setdefault(entry.joint, []).append(dependence(entry))
+    gaps = {entry.joint: entry.gap for entry in result.unexplained}
+    return [(joint, gaps[joint], _listed(list(dict.fromkeys(on)))) for joint, on in variables.items()]
+
+
+def _named(findings: Sequence[Finding]) -> str:
+    """The findings, each effect once with all places where it acts; of many, the surest."""
+    if len(findings) > _MOST_NAMED:
+        first = [f"{effect_name(f.effect)} {place(f.joint, f.link)}" for f in findings[:_MOST_NAMED_OF_MANY]]
+        return f"{len(findings)} effects, the surest {_listed(first)}"
+    places: dict[str, list[str]] = {}
+    for finding in findings:
+        places.setdefault(effect_name(finding.effect), []).append(place(finding.joint, finding.link))
+    return _listed([f"{effect} {_listed(where)}" for effect, where in places.items()])
+
+
+def _listed(parts: Sequence[str]) -> str:
+    return ", ".join(parts[:-1]) + (" and " if len(parts) > 1 else "") + "".join(parts[-1:])
+
+
+def to_record(result: GapResult) -> list[str]:
+    """What to record next, each with what it is for; empty when nothing is open."""
+    purposes: dict[str, list[str]] = {}
+    for finding in result.findings:
+        if finding.settled_by:
+            named = f"{effect_name(finding.effect)} {place(finding.joint, finding.link)}"
+            purposes.setdefault(finding.settled_by, []).append(named)
+    for entry in result.unexplained:
+        motion = _RECORD.get(entry.depends_on, f"the joint alone, then {entry.depends_on} alone, then both")
+        purposes.setdefault(motion, []).append(f"what is missing at {entry.joint}")
+    return [f"{motion} (for {_listed(list(dict.fromkeys(purpose)))})" for motion, purpose in purposes.items()]

@@ -1,0 +1,278 @@
+"""The robot's bodies before and after, and the table of its links."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TypeAlias
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import LinearSegmentedColormap, Normalize
+from matplotlib.figure import Figure
+from matplotlib.image import AxesImage
+from matplotlib.patches import Circle, Rectangle
+from matplotlib.ticker import PercentFormatter
+from matplotlib.transforms import Affine2D
+
+from geomid_ros.report.ellipsoids import (
+    ABSENT,
+    MARKS,
+    BodyDrawing,
+    Drawn,
+    View,
+    bounds,
+    floor_below,
+    half_widths,
+    made_visible,
+    solids_of,
+    stick_ends,
+    view_of,
+)
+from geomid_ros.report.sheet import FAINT, INK, NONE, URDF, Place, add_area, add_axes, add_text, number, shortened
+from geomid_ros.types import FloatArray
+
+Color: TypeAlias = tuple[float, float, float]
+
+MOST_ROWS = 30  # of the table of links
+
+_PLACE = (0.25, 0.95, 9.25, 8.35)  # of the robot with its table
+_TABLE_WIDTH, _ROW = 3.9, 0.28  # [inch]
+_BADGE = 0.1  # radius of a link's number in the picture [inch]
+# For the colour-blind: a scale that darkens steadily.
+_SHARES = LinearSegmentedColormap.from_list("share", ["#dcdcd8", "#9ad3c4", "#41b0c4", "#1d70b2", "#1f2a80"])
+
+
+def draw_bodies(figure: Figure, bodies: Sequence[BodyDrawing]) -> None:
+    """Draw the robot, its table and their key into their place."""
+    drawn = made_visible(bodies)
+    visible, solids = [d.body for d in drawn], solids_of(drawn)
+    points = np.vstack([stick_ends(visible), *(solid.centre for solid in solids)])
+    view = view_of(points)
+    floor, step = floor_below(points, solids)
+    low, high = bounds(view, np.vstack([points, floor.reshape(-1, 3)]), solids)
+    robot, table, key = _layout(high - low, drawn)
+    axes, inch = _robot_axes(figure, robot, low, high)
+    _draw_floor(axes, view, floor)
+    _draw_compass(axes, view, inch, f"floor grid {step:g} m")
+    _draw_sticks(axes, view, visible)
+    for d in drawn:
+        if d.identified_marks != ABSENT:
+            _draw_identified(axes, view, d)
+        if d.prior_marks != ABSENT:
+            _draw_prior(axes, view, d)
+    _draw_badges(axes, view, drawn, inch)
+    _draw_table(add_area(figure, table), drawn)
+    _draw_key(figure, key, drawn)
+
+
+def _layout(extent: FloatArray, drawn: Sequence[Drawn]) -> tuple[Place, Place, Place]:
+    """Places of the robot, of the table and of the key: table beside or below, whichever lets the robot be larger.
+
+    ``extent (2,)``: of the robot on the picture [m].
+    """
+    left, top, width, height = _PLACE
+    key_height = 1.15 + 0.21 * len(_marks_present(drawn))
+    table_height = 0.32 + _ROW * (min(len(drawn), MOST_ROWS) + (len(drawn) > MOST_ROWS))
+    beside = (left, top, width - _TABLE_WIDTH - 0.1, height)
+    below = (left, top, width, height - max(table_height, key_height) - 0.35)
+    if _scale(below, extent) > _scale(beside, extent):
+        bottom = top + height
+        table = (left + 0.3, bottom - max(table_height, key_height), _TABLE_WIDTH, table_height)
+        return below, table, (left + width - _TABLE_WIDTH, table[1], _TABLE_WIDTH, key_height)
+    column = left + width - _TABLE_WIDTH
+    table_height = min(table_height, height - key_height - 0.3)
+    key = (column, top + table_height + 0.3, _TABLE_WIDTH, key_height)
+    return beside, (column, top, _TABLE_WIDTH, table_height), key
+
+
+def _scale(place: Place, extent: FloatArray) -> float:
+    """Inches for a metre when ``extent (2,)`` [m] fills the place but for a margin; negative without room."""
+    return float(np.min((np.array(place[2:]) - 0.4) / np.maximum(extent, 1e-3)))
+
+
+def _robot_axes(figure: Figure, place: Place, low: FloatArray, high: FloatArray) -> tuple[Axes, float]:
+    """Axes in metres, as long upwards as sideways, around corners ``(2,)`` [m]; and the metres to an inch."""
+    axes = add_axes(figure, place)
+    axes.set_axis_off()
+    inch = 1.0 / _scale(place, high - low)
+    middle, half = (low + high) / 2.0, np.array(place[2:]) * inch / 2.0
+    axes.set_xlim(middle[0] - half[0], middle[0] + half[0])
+    axes.set_ylim(middle[1] - half[1], middle[1] + half[1])
+    return axes, inch
+
+
+def _draw_floor(axes: Axes, view: View, floor: FloatArray) -> None:
+    flat = view.flat(floor)
+    for line in (*flat, *flat.transpose(1, 0, 2)):
+        axes.plot(*line.T, color="#e4e6e8", lw=0.8, zorder=0.0)
+
+
+def _draw_compass(axes: Axes, view: View, inch: float, label: str) -> None:
+    """The world's axes in the lower left corner, and a label beside them."""
+    start = np.array([axes.get_xlim()[0], axes.get_ylim()[0]]) + 0.2 * inch
+    for axis, name in zip(view.rotation[:2].T, "xyz", strict=True):
+        axes.plot(*np.transpose([start, start + 0.33 * inch * axis]), color=FAINT, lw=1.3, zorder=0.1)
+        end = start + 0.45 * inch * axis
+        add_text(axes, end[0], end[1], name, 8.5, FAINT, ha="center")
+    add_text(axes, start[0] + 0.6 * inch, start[1] - 0.05 * inch, label, 8.5, FAINT)
+
+
+def _draw_sticks(axes: Axes, view: View, bodies: Sequence[BodyDrawing]) -> None:
+    for body in bodies:
+        if body.parent_origin is not None:
+            stick = view.flat(np.array([body.parent_origin, body.origin]))
+            axes.plot(*stick.T, color="#3c4043", lw=3.0, solid_capstyle="round", zorder=2.0)
+    axes.plot(*view.flat(stick_ends(bodies)).T, "o", ms=5.5, mfc="white", mec="#3c4043", mew=1.3, zorder=2.1)
+
+
+def _draw_identified(axes: Axes, view: View, d: Drawn) -> None:
+    """A shaded, translucent ellipsoid in the colour of its share from data.
+
+    With the view's part of the sphere map ``U S V^T``, the unit disk under ``U S`` is the outline.
+    """
+    solid, color = d.body.identified, _SHARES(_share(d.body.from_data))[:3]
+    sphere_map = view.sphere_map(solid)
+    turn, stretch, back = np.linalg.svd(sphere_map[:2])
+    outline = np.vstack([np.column_stack([turn * stretch, view.flat(solid.centre)]), (0.0, 0.0, 1.0)])
+    to_sheet = Affine2D(outline) + axes.transData
+    order = 1.0 + 0.5 * np.arctan(view.depth(solid.centre)) / np.pi  # nearer ones over those farther away
+    image = AxesImage(axes, extent=(-1.0, 1.0, -1.0, 1.0), origin="lower", interpolation="bilinear", zorder=order)
+    image.set_data(_shaded_disk(sphere_map, back, color))
+    image.set_transform(to_sheet)
+    image.set_clip_path(Circle((0.0, 0.0), 1.0, transform=to_sheet))
+    axes.add_artist(image)
+    width, style = (1.3, "--") if d.identified_marks else (0.9, "-")
+    edge = tuple(0.6 * np.array(color))
+    axes.add_artist(Circle((0.0, 0.0), 1.0, transform=to_sheet, fill=False, ec=edge, lw=width, ls=style, zorder=order))
+
+
+def _shaded_disk(sphere_map: FloatArray, back: FloatArray, color: Color) -> FloatArray:
+    """Colours ``(128, 128, 4)`` of the ellipsoid's near side over its unit disk, lit from the upper left.
+
+    ``back (3, 3)``: rows are the disk's two directions and the line of sight on the unit sphere.
+    """
+    u, v = np.meshgrid(*2 * [np.linspace(-1.0, 1.0, 128)])
+    w = np.sqrt(np.clip(1.0 - u**2 - v**2, 0.0, 1.0))
+    inverse = np.linalg.inv(sphere_map)
+    sight = back[2] * np.sign(back[2] @ inverse[:, 2])
+    sphere = u[..., None] * back[0] + v[..., None] * back[1] + w[..., None] * sight
+    normals = sphere @ inverse
+    normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
+    light = np.array([-0.45, 0.65, 0.61])
+    bright = 0.74 + 0.38 * np.clip(normals @ light, -0.6, 1.0)[..., None]
+    alpha = 0.55 + 0.3 * (1.0 - w[..., None]) ** 2
+    return np.concatenate([np.clip(np.array(color) * bright, 0.0, 1.0), alpha], axis=-1)
+
+
+def _draw_prior(axes: Axes, view: View, d: Drawn) -> None:
+    """Outline and principal sections of the URDF's ellipsoid."""
+    solid = d.body.prior
+    sphere_map = view.sphere_map(solid)
+    angle = np.linspace(0.0, 2.0 * np.pi, 97)
+    circle = np.array([np.cos(angle), np.sin(angle)])
+    turn, stretch, _ = np.linalg.svd(sphere_map[:2])
+    centre = view.flat(solid.centre)[:, None]
+    style = (0, (4, 2)) if d.prior_marks else "-"
+    axes.plot(*(centre + (turn * stretch) @ circle), color=URDF, lw=1.1, ls=style, zorder=1.6)
+    for k in range(3):
+        section = np.delete(sphere_map[:2], k, axis=1) @ circle
+        axes.plot(*(centre + section), color=URDF, lw=0.55, alpha=0.9, zorder=1.6)
+
+
+def _draw_badges(axes: Axes, view: View, drawn: Sequence[Drawn], inch: float) -> None:
+    """Each body's number at its centre, or beside it where it would hide the body or another number."""
+    shown = [d.identified_marks != ABSENT for d in drawn]
+    anchors = [d.body.identified.centre if s else d.body.origin for d, s in zip(drawn, shown, strict=True)]
+    at = view.flat(np.array(anchors)) / inch
+    small = [s and max(half_widths(view, d.body.identified)) < _BADGE * inch for d, s in zip(drawn, shown, strict=True)]
+    places = _spread(at + np.outer(small, (2.5 * _BADGE, _BADGE)), 2.3 * _BADGE)
+    for d, anchor, place in zip(drawn, at * inch, places * inch, strict=True):
+        if np.linalg.norm(place - anchor) > 0.5 * _BADGE * inch:
+            axes.plot(*np.transpose([anchor, place]), color=INK, lw=0.7, zorder=3.0)
+            axes.plot(*anchor, "o", ms=2.5, color=INK, zorder=3.0)
+        _draw_badge(axes, place[0], place[1], d, inch)
+
+
+def _draw_badge(axes: Axes, x: float, y: float, d: Drawn, inch: float) -> None:
+    """A link's number on its colour; ``inch`` in the axes' coordinates."""
+    color = _SHARES(_share(d.body.from_data))[:3]
+    axes.add_artist(Circle((x, y), _BADGE * inch, fc=color, ec="white", lw=1.0, zorder=4.0))
+    add_text(axes, x, y, str(d.number), 7.5, _ink_on(color), "bold", ha="center", va="center_baseline")
+
+
+def _spread(points: FloatArray, distance: float) -> FloatArray:
+    """``points (K, 2)`` pushed apart until none are closer than ``distance``, as far as some rounds get."""
+    turns = 2.4 * np.arange(len(points))
+    places = points + 1e-6 * distance * np.stack([np.cos(turns), np.sin(turns)], axis=1)
+    for _ in range(300):
+        apart = places[:, None] - places
+        lengths = np.linalg.norm(apart, axis=-1) + np.eye(len(places)) * 1e9
+        push = np.clip(distance - lengths, 0.0, None) / 2.0
+        if not np.any(push > 1e-3 * distance):
+            break
+        places = places + 0.5 * np.sum(apart / lengths[..., None] * push[..., None], axis=1)
+    return places
+
+
+def _draw_table(area: Axes, drawn: Sequence[Drawn]) -> None:
+    shown = _listed(drawn)
+    hidden = len(drawn) - len(shown)
+    for x, text, ha in ((0.0, "link", "left"), (2.74, "mass [kg]", "right"), (_TABLE_WIDTH, "from data", "right")):
+        add_text(area, x, 0.06, text, 9.5, FAINT, ha=ha)
+    area.plot([0.0, _TABLE_WIDTH], [0.22, 0.22], color="#c8cbce", lw=0.8)
+    row = (area.get_ylim()[0] - 0.32) / (len(shown) + (hidden > 0))
+    for k, d in enumerate(shown):
+        _draw_row(area, 0.32 + (k + 0.5) * row, d)
+    if hidden:
+        add_text(area, 0.32, 0.32 + (len(shown) + 0.5) * row, f"and {hidden} with less from data", 9.0, FAINT)
+
+
+def _listed(drawn: Sequence[Drawn]) -> list[Drawn]:
+    most = sorted(drawn, key=lambda d: -_share(d.body.from_data))[:MOST_ROWS]
+    return sorted(most, key=lambda d: d.number)
+
+
+def _draw_row(area: Axes, y: float, d: Drawn) -> None:
+    share = _share(d.body.from_data)
+    color = _SHARES(share)[:3]
+    name = f"{shortened(d.body.name, 1.3 - 0.16 * len(d.marks), 9.0)} {d.marks}"
+    _draw_badge(area, _BADGE, y, d, 1.0)
+    add_text(area, 0.28, y, name, 9.0)
+    add_text(area, 2.05, y, number(d.body.prior.mass), 9.5, FAINT, ha="right")
+    add_text(area, 2.17, y, "→", 9.5, FAINT, ha="center")
+    add_text(area, 2.74, y, number(d.body.identified.mass), 9.5, weight="bold", ha="right")
+    area.add_artist(Rectangle((2.92, y - 0.055), 0.5, 0.11, fc="#eceeef", lw=0.0))
+    area.add_artist(Rectangle((2.92, y - 0.055), 0.5 * share, 0.11, fc=color, lw=0.0))
+    percent = f"{100.0 * d.body.from_data:.0f} %" if np.isfinite(d.body.from_data) else NONE
+    add_text(area, _TABLE_WIDTH, y, percent, 9.5, ha="right")
+
+
+def _draw_key(figure: Figure, place: Place, drawn: Sequence[Drawn]) -> None:
+    """What the ellipsoids mean, the colour bar, and the marks that occur."""
+    area = add_area(figure, place)
+    add_text(area, 0.0, 0.06, "Ellipsoids: uniform bodies of the same mass and inertia", 9.0, FAINT)
+    area.add_artist(Circle((0.1, 0.35), 0.09, fill=False, ec=URDF, lw=1.1))
+    area.add_artist(Circle((0.95, 0.35), 0.09, fc=_SHARES(0.6), ec="none"))
+    add_text(area, 0.26, 0.35, "URDF", 9.0)
+    add_text(area, 1.11, 0.35, "identified, coloured by its share from data:", 9.0)
+    bar = add_axes(figure, (place[0] + 0.1, place[1] + 0.58, place[2] - 0.3, 0.14))
+    scale = ScalarMappable(Normalize(0.0, 1.0), _SHARES)
+    colorbar = figure.colorbar(scale, cax=bar, orientation="horizontal", format=PercentFormatter(1.0, symbol=" %"))
+    colorbar.outline.set_visible(False)
+    bar.tick_params(labelsize=8.5, color=FAINT, length=2.5)
+    for k, mark in enumerate(_marks_present(drawn)):
+        add_text(area, 0.0, 1.2 + 0.21 * k, f"{mark} {MARKS[mark]}", 8.5, FAINT)
+
+
+def _marks_present(drawn: Sequence[Drawn]) -> list[str]:
+    return [mark for mark in MARKS if any(mark in d.marks for d in drawn)]
+
+
+def _share(from_data: float) -> float:
+    return float(np.clip(from_data, 0.0, 1.0)) if np.isfinite(from_data) else 0.0
+
+
+def _ink_on(color: Color) -> str:
+    """What can be read on ``color``: black or white."""
+    return INK if float(np.dot(color, (0.299, 0.587, 0.114))) > 0.55 else "white"

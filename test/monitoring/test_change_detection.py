@@ -1,0 +1,264 @@
+"""The watch: silent while the robot stays what it is, whatever it does; not for long when it has changed."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+from scipy.signal import firwin, lfilter
+
+from geomid_ros.model.measurement import Channel, Rows
+from geomid_ros.monitoring.change_detection import BLOCK, ChannelGap, GapWatch
+from geomid_ros.types import FloatArray
+
+COLUMNS = 12
+BLOCKS = 80
+HALF = BLOCK * BLOCKS // 2
+PERIOD = 20_000_000  # [ns]
+RISE = 3.0  # what the change adds, in standard deviations of the noise
+DELAY, LONGER = 10, 20  # blocks
+_LOW_PASS = firwin(33, 0.25)
+
+
+def filtered(white: FloatArray) -> FloatArray:
+    """As the pipeline's low-pass leaves it, with the standard deviation 1."""
+    values: FloatArray = lfilter(_LOW_PASS, 1.0, white, axis=0)[len(_LOW_PASS) :]
+    return values / np.linalg.norm(_LOW_PASS)
+
+
+def noise(kind: str, rng: np.random.Generator, blocks: int) -> FloatArray:
+    count = BLOCK * blocks
+    white = rng.standard_normal(count + len(_LOW_PASS))
+    if kind == "independent":
+        return white[:count]
+    if kind == "coloured":
+        white = lfilter([1.0], [1.0, -0.9], white)
+    values = filtered(white)
+    values /= np.std(values)
+    if kind == "uneven":  # rougher in one part of the motion than in the other
+        values *= 1.0 + 0.6 * np.sin(2.0 * np.pi * np.arange(count) / 300.0)
+    return values
+
+
+class Robot:
+    """One channel: ``targets = coefficients . parameters + noise``."""
+
+    def __init__(self, seed: int, kind: str = "white", blocks: int = BLOCKS) -> None:
+        rng = np.random.default_rng(seed)
+        self.coefficients = filtered(rng.standard_normal((BLOCK * blocks + len(_LOW_PASS), COLUMNS)))
+        self.targets = self.coefficients @ rng.normal(0.0, 10.0, COLUMNS) + noise(kind, rng, blocks)
+
+    def change(self, begin: int = HALF, end: int | None = None) -> None:
+        """From one row to another the first parameter is another."""
+        self.targets[begin:end] += RISE * self.coefficients[begin:end, 0]
+
+    def judged(self, watch: GapWatch) -> Iterator[tuple[ChannelGap, ...]]:
+        """The gaps after every block."""
+        for begin in range(0, len(self.targets), BLOCK):
+            rows = slice(begin, begin + BLOCK)
+            stamps = PERIOD * np.arange(begin + 1, begin + BLOCK + 1)
+            watch.add(begin, stamps, Rows(self.coefficients[rows, None], self.targets[rows, None]))
+            assert watch.judge()
+            assert not watch.judge()
+            yield watch.gaps
+
+
+def new_watch(forgetting_time: float = np.inf) -> GapWatch:
+    return GapWatch([Channel("joint", "N m", np.arange(COLUMNS))], forgetting_time)
+
+
+def open_blocks(robot: Robot, forgetting_time: float = np.inf) -> list[int]:
+    """After which blocks there is a gap."""
+    judged = robot.judged(new_watch(forgetting_time))
+    return [block for block, gaps in enumerate(judged) if any(gap.since is not None for gap in gaps)]
+
+
+@pytest.mark.parametrize("kind", ["white", "independent", "coloured", "uneven"])
+def test_no_false_alarm(kind: str) -> None:
+    """In 8000 blocks, two hours of motion: 1e-7 of them may."""
+    watched = 0
+    for seed in range(40):
+        for gaps in Robot(seed, kind, 200).judged(new_watch()):
+            watched += len(gaps)
+            assert all(gap.since is None for gap in gaps), seed
+    assert watched > 0.8 * 40 * 200
+
+
+@pytest.mark.parametrize("kind", ["white", "independent", "coloured", "uneven"])
+def test_a_change_opens_a_gap(kind: str) -> None:
+    """And it stays open; noise that differs from one part of the motion to the other costs time."""
+    delays = []
+    for seed in range(20):
+        robot = Robot(seed, kind)
+        robot.change()
+        opened = open_blocks(robot)
+        assert opened == list(range(opened[0], BLOCKS))
+        delays.append(opened[0] - BLOCKS // 2)
+    assert min(delays) >= 0
+    assert np.median(delays) < (LONGER if kind == "uneven" else DELAY)
+
+
+def test_the_gap_says_how_wide_it_is_and_since_when() -> None:
+    widths, begins = [], []
+    for seed in range(20):
+        robot = Robot(seed)
+        robot.change()
+        *_, (gap,) = robot.judged(new_watch())
+        assert gap.since is not None
+        begins.append(gap.since / PERIOD)
+        widths.append(gap.times_floor)
+    assert abs(np.median(begins) - HALF) <= BLOCK
+    assert np.median(widths) == pytest.approx(np.hypot(1.0, RISE), rel=0.1)
+
+
+def test_what_is_normal_is_reported_as_one() -> None:
+    last = [list(Robot(seed).judged(new_watch()))[-1][0].times_floor for seed in range(20)]
+    assert np.median(last) == pytest.approx(1.0, abs=0.1)
+
+
+def test_a_motion_that_shows_new_parameters_opens_none() -> None:
+    """However wrong they were taken to be: here they are ten times the noise, each."""
+    for seed in range(10):
+        rng = np.random.default_rng(seed)
+        robot = Robot(seed)
+        robot.coefficients[:HALF, COLUMNS // 2 :] *= 1e-4  # hardly excited at first
+        robot.targets = robot.coefficients @ rng.normal(0.0, 10.0, COLUMNS) + noise("white", rng, BLOCKS)
+        assert open_blocks(robot) == []
+
+
+def test_nothing_is_said_before_it_is_known_what_is_normal() -> None:
+    """A change in the first seconds is not seen, rather than guessed at."""
+    robot = Robot(0)
+    robot.change(BLOCK)
+    judged = list(robot.judged(new_watch()))
+    assert judged[:12] == 12 * [()]
+    assert all(gap.since is None for gaps in judged for gap in gaps)
+
+
+def test_what_was_undone_closes_the_gap() -> None:
+    robot = Robot(1)
+    end = HALF + 15 * BLOCK
+    robot.change(HALF, end)
+    opened = open_blocks(robot)
+    assert opened == list(range(opened[0], opened[-1] + 1))
+    assert end // BLOCK <= opened[-1] < end // BLOCK + 2 * DELAY
+
+
+def test_a_bump_is_no_gap() -> None:
+    for seed in range(10):
+        robot = Robot(seed)
+        robot.targets[HALF : HALF + BLOCK] += 1e3 * np.sin(np.arange(BLOCK))
+        assert open_blocks(robot) == []
+
+
+def test_who_forgets_gets_used_to_it() -> None:
+    """The estimate follows what has changed, and so does what is normal."""
+    robot = Robot(2, blocks=200)
+    robot.change()
+    opened = open_blocks(robot, 10.0)
+    assert BLOCKS // 2 <= opened[0] < BLOCKS // 2 + DELAY
+    assert opened[-1] < 150
+    assert open_blocks(robot)[-1] == 199, "who does not forget, does not"
+
+
+def test_units_do_not_matter() -> None:
+    robot, larger = Robot(3), Robot(3)
+    robot.change()
+    larger.change()
+    larger.targets *= 1e3
+    (one,), (other,) = list(robot.judged(new_watch()))[-1], list(larger.judged(new_watch()))[-1]
+    assert one.since == other.since
+    assert one.times_floor == pytest.approx(other.times_floor, rel=1e-6)
+
+
+def test_rounding_is_no_gap() -> None:
+    """A simulation that the model explains to the last digit."""
+    robot = Robot(4)
+    robot.targets = robot.coefficients @ np.arange(COLUMNS)
+    robot.targets[HALF:] *= 1.0 + 1e-7
+    assert open_blocks(robot) == []
+
+
+def test_channels_are_judged_by_themselves() -> None:
+    """What one does not measure, or measures as zero, costs the other nothing."""
+    robot = Robot(5)
+    robot.change()
+    channels = [Channel(name, "N m", np.arange(COLUMNS)) for name in ("silent", "zero", "joint")]
+    watch = GapWatch(channels)
+    for begin in range(0, len(robot.targets), BLOCK):
+        rows = slice(begin, begin + BLOCK)
+        count = len(robot.targets[rows])
+        targets = np.column_stack([np.full(count, np.nan), np.zeros(count), robot.targets[rows]])
+        coefficients = np.repeat(robot.coefficients[rows, None], 3, axis=1)
+        watch.add(begin, PERIOD * np.arange(begin + 1, begin + count + 1), Rows(coefficients, targets))
+        watch.judge()
+    gaps = {gap.channel: gap for gap in watch.gaps}
+    assert gaps.keys() == {"zero", "joint"}
+    assert gaps["zero"].since is None
+    assert gaps["joint"].since is not None
+
+
+LONGEST = 21  # blocks: a suspicion, and the one before it
+
+
+class TestNormal:
+    """What is kept for good."""
+
+    @staticmethod
+    def followed(robot: Robot) -> Iterator[tuple[int, int, ChannelGap | None]]:
+        """After every block how many instants were judged, how many are normal, and the gap if it is open."""
+        watch = new_watch()
+        for gaps in robot.judged(watch):
+            opened = [gap for gap in gaps if gap.since is not None]
+            yield watch.judged, watch.normal([0]), opened[0] if opened else None
+
+    @pytest.mark.parametrize("kind", ["white", "independent", "coloured", "uneven"])
+    def test_nothing_of_a_gap_is_kept_before_it_opens(self, kind: str) -> None:
+        """Nor of the block before it; unless it has been suspect for longer than a suspicion lasts."""
+        for seed in range(20):
+            robot = Robot(seed, kind)
+            robot.change(HALF - 10)  # in the last rows of a block
+            kept = 0
+            for judged, normal, gap in self.followed(robot):
+                if gap is not None:
+                    assert kept <= max(gap.first - BLOCK, judged - LONGEST * BLOCK)
+                    break
+                kept = normal
+            else:
+                pytest.fail("no gap")
+            if kind != "uneven":  # where the first of what is bad may be taken for rough
+                assert kept <= gap.first - BLOCK <= HALF - 10, seed
+
+    def test_what_is_as_it_was_is_kept_soon(self) -> None:
+        """All but one or two blocks, mostly."""
+        behind = [judged - normal for judged, normal, _ in self.followed(Robot(0, "coloured", 300))]
+        assert np.median(behind) == BLOCK
+        assert np.mean(np.array(behind) <= 2 * BLOCK) > 0.8
+
+    def test_a_gap_that_stays_open_does_not_hold_up_everything(self) -> None:
+        robot = Robot(1)
+        robot.change()
+        *_, (judged, normal, gap) = self.followed(robot)
+        assert gap is not None
+        assert judged - normal == (LONGEST - 1) * BLOCK
+
+    def test_of_no_channel_all_but_the_last_block_is_kept(self) -> None:
+        robot, watch = Robot(2), new_watch()
+        robot.change()
+        for _ in robot.judged(watch):
+            assert watch.normal([]) == watch.judged - BLOCK
+
+    def test_instants_are_counted_by_whoever_adds_them(self) -> None:
+        """There may be some between that nobody has seen."""
+        robot, watch = Robot(3), new_watch()
+        robot.change()
+        stamps = PERIOD * np.arange(1, len(robot.targets) + 1)
+        for begin in range(0, len(stamps), BLOCK):
+            rows = slice(begin, begin + BLOCK)
+            watch.add(1000 + 2 * begin, stamps[rows], Rows(robot.coefficients[rows, None], robot.targets[rows, None]))
+            while watch.judge():
+                pass
+        (gap,) = watch.gaps
+        assert watch.judged == 1000 + 2 * (len(stamps) - BLOCK) + BLOCK
+        assert gap.since == stamps[(gap.first - 1000) // 2]

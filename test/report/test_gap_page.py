@@ -1,0 +1,228 @@
+"""``report.html``: whole, self-contained, readable by programs for the blind, and proof against names from outside."""
+
+from __future__ import annotations
+
+import base64
+import re
+from collections.abc import Callable
+from dataclasses import replace
+from html.parser import HTMLParser
+from pathlib import Path
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+from files.gaps import gap_page
+
+from geomid_ros.files.models.loaded_model import known_effect
+from geomid_ros.report.gap_figures import elapsed
+from geomid_ros.report.gap_page import GapPage, write_gap_page
+from geomid_ros.report.gap_words import measured, ratio, verdict_sentence
+
+ARM = tuple(f"joint{k}" for k in range(1, 8))
+EVIL = ("<script>alert(1)</script>", '"><img src=http://x.example/y onerror=alert(1)>', "{{ 7 * 7 }} $\\frac$ & 関節")
+VOID = {"meta", "img", "br", "link", "input"}
+FORBIDDEN = {"script", "iframe", "object", "embed", "form", "base", "audio", "video"}
+
+
+class Page(HTMLParser):
+    """A page as a browser's parser sees it: elements must be closed in order."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.open: list[str] = []
+        self.elements: list[tuple[str, dict[str, str | None]]] = []
+        self.words: list[str] = []
+        self.feed(text)
+        self.close()
+        assert self.open == []
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.elements.append((tag, dict(attrs)))
+        if tag not in VOID:
+            self.open.append(tag)
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self.open.pop() == tag
+
+    def handle_data(self, data: str) -> None:
+        if "style" not in self.open:
+            self.words.append(data)
+
+    @property
+    def text(self) -> str:
+        return " ".join(" ".join(self.words).split())
+
+    @property
+    def pictures(self) -> list[ElementTree.Element]:
+        prefix = "data:image/svg+xml;base64,"
+        sources = [attributes["src"] or "" for tag, attributes in self.elements if tag == "img"]
+        assert all(source.startswith(prefix) for source in sources)
+        return [ElementTree.fromstring(base64.b64decode(source.removeprefix(prefix))) for source in sources]
+
+    def headings(self) -> list[str]:
+        return [tag for tag, _ in self.elements if re.fullmatch("h[1-6]", tag)]
+
+
+@pytest.fixture(scope="module")
+def drawn(tmp_path_factory: pytest.TempPathFactory) -> Callable[[GapPage], Page]:
+    folder = tmp_path_factory.mktemp("pages")
+    seen: dict[GapPage, Page] = {}
+
+    def draw(page: GapPage) -> Page:
+        if page not in seen:
+            shares: list[float] = []
+            write_gap_page(folder / "report.html", page, shares.append)
+            assert shares == sorted(shares)
+            assert not shares or shares[-1] == 1.0
+            seen[page] = Page((folder / "report.html").read_text(encoding="utf-8"))
+        return seen[page]
+
+    return draw
+
+
+NAMED = gap_page("named", ARM, wrench=True, simulated=True)
+PAGES = {
+    "named": NAMED,
+    "no gap": gap_page("no gap", ARM),
+    "inertias": gap_page("inertias", ARM[:3]),
+    "ambiguous": gap_page("ambiguous", ARM[:3]),
+    "incomplete": gap_page("incomplete", ARM[:3]),
+    "unexplained": gap_page("unexplained", ARM[:3]),
+    "names from outside": replace(gap_page("incomplete", EVIL, wrench=True, simulated=True), robot=EVIL[0]),
+    "thirty joints": gap_page("named", [f"left_arm_with_a_name_that_goes_on_joint_{k}" for k in range(30)]),
+}
+Draw = Callable[[GapPage], Page]
+
+
+@pytest.mark.parametrize("case", PAGES)
+def test_the_page_needs_nothing_from_elsewhere(case: str, drawn: Draw) -> None:
+    page = drawn(PAGES[case])
+    assert not FORBIDDEN & {tag for tag, _ in page.elements}
+    for tag, attributes in page.elements:
+        assert not any(name.startswith("on") for name in attributes), (tag, attributes)
+        assert "href" not in attributes
+        assert (attributes.get("src") or "data:").startswith("data:")
+        assert "url(" not in (attributes.get("style") or "")
+    policies = [a["content"] or "" for _, a in page.elements if a.get("http-equiv") == "Content-Security-Policy"]
+    assert policies[0].startswith("default-src 'none'")
+
+
+@pytest.mark.parametrize("case", PAGES)
+def test_the_page_can_be_read_without_seeing_it(case: str, drawn: Draw) -> None:
+    page = drawn(PAGES[case])
+    assert next(attributes["lang"] for tag, attributes in page.elements if tag == "html") == "en"
+    assert all(attributes.get("alt") for tag, attributes in page.elements if tag == "img")
+    assert page.headings()[0] == "h1"
+    assert page.headings().count("h1") == 1
+    assert all(attributes.get("scope") for tag, attributes in page.elements if tag == "th")
+
+
+@pytest.mark.parametrize("case", PAGES)
+def test_the_verdict_and_every_channel_are_on_it(case: str, drawn: Draw) -> None:
+    made, page = PAGES[case], drawn(PAGES[case])
+    result = made.result
+    assert verdict_sentence(result) in page.text
+    for channel, before in zip(result.channels, result.gap.before, strict=True):
+        assert channel in page.text
+        assert ratio(before) in page.text
+    for finding in result.findings:
+        assert finding.sentence in page.text
+        assert all(measured(quantity) in page.text for quantity in finding.parameters.values())
+
+
+@pytest.mark.parametrize("case", PAGES)
+def test_pictures_have_titles_and_units(case: str, drawn: Draw) -> None:
+    """Text stays text in them."""
+    for picture in drawn(PAGES[case]).pictures:
+        text = "".join(picture.itertext())
+        assert picture.tag == "{http://www.w3.org/2000/svg}svg"
+        assert len(re.findall(r"\[(?:N m|N|rad|rad/s|s)\]", text)) >= 2, text
+
+
+def test_what_was_named_is_drawn_against_everything(drawn: Draw) -> None:
+    titles = [attributes["alt"] or "" for tag, attributes in drawn(NAMED).elements if tag == "img"]
+    for variable in ("position", "velocity", "load", "time"):
+        assert any(f"of joint4 against {variable}" in title for title in titles)
+    assert sum("against" in title for title in titles) == 4
+
+
+def test_what_depends_on_another_joint_is_drawn_against_that_joint(drawn: Draw) -> None:
+    titles = [attributes["alt"] or "" for tag, attributes in drawn(PAGES["unexplained"]).elements if tag == "img"]
+    assert any("joint2 against velocity of joint1" in title for title in titles)
+
+
+def test_bars_are_as_long_as_the_logarithm_of_the_gap(drawn: Draw) -> None:
+    result = NAMED.result
+    lengths = {kind: [] for kind in ("before", "inertias_only", "after")}  # type: dict[str, list[float]]
+    for tag, attributes in drawn(NAMED).elements:
+        if tag == "b" and attributes.get("class") in lengths:
+            width = re.fullmatch(r"width: ([\d.]+)%", attributes["style"] or "")
+            assert width
+            lengths[attributes["class"]].append(float(width[1]))  # type: ignore[index]
+    count = len(result.channels)
+    shown = np.array([lengths[kind][:count] for kind in lengths]).ravel()
+    gaps = np.concatenate([result.gap.before, result.gap.inertias_only, result.gap.after])
+    scale = shown.max() / np.log(gaps.max())
+    assert 80.0 < shown.max() <= 100.0
+    np.testing.assert_allclose(shown, scale * np.log(np.maximum(gaps, 1.0)), atol=0.02)
+
+
+def test_only_links_that_changed_are_in_the_table_of_changes(drawn: Draw) -> None:
+    text = drawn(NAMED).text
+    assert "Unchanged: link joint1, link joint3, link joint5, link joint7." in text
+    assert "link joint2 3.500 3.850" in text
+    assert text.count("0.19") == 3, "sqrt(4) log(1.1) of each"
+
+
+def test_what_the_model_said_before_is_in_the_table_of_changes(drawn: Draw) -> None:
+    known = (known_effect("coulomb_friction", "joint2", 0.25, "N m"),)
+    page = drawn(replace(PAGES["ambiguous"], known=known))
+    assert "already in the model Coulomb friction at joint2" in page.text
+    assert "level 0.2500 N m 0.4012 ± 0.0049 N m" in page.text
+    assert "level none 0.4012 ± 0.0049 N m" in drawn(PAGES["ambiguous"]).text
+
+
+def test_nothing_found_is_a_plain_page(drawn: Draw) -> None:
+    page = drawn(PAGES["no gap"])
+    assert "Nothing found" in page.text
+    for absent in ("What was found", "What is not explained", "What to record next", "Candidates", "against"):
+        assert absent not in page.text
+
+
+def test_an_ambiguity_names_rivals_and_what_would_settle_it(drawn: Draw) -> None:
+    text = drawn(PAGES["ambiguous"]).text
+    assert "Load friction at joint2 (worse by 1.2), Viscous friction at joint2 (worse by 3.8)" in text.replace(
+        " ,", ","
+    )
+    assert "To settle it: move joint2 at three constant speeds" in text
+    assert "To settle it" not in drawn(NAMED).text
+
+
+def test_simulated_again(drawn: Draw) -> None:
+    text = drawn(NAMED).text
+    assert "Simulated again In closed loop Under its commands." in text
+    assert "before 10.9" in text
+    assert "Not simulated" not in text
+    assert "Not simulated again: MuJoCo has the day off." in drawn(PAGES["ambiguous"]).text
+
+
+def test_thirty_joints_make_no_endless_page(drawn: Draw) -> None:
+    assert len(drawn(PAGES["thirty joints"]).pictures) <= 20
+
+
+def test_time_goes_on_without_pauses() -> None:
+    """Of two recordings an hour apart, and of a later one that was given first."""
+    steps = np.arange(5, dtype=np.int64) * 100_000_000
+    later = 3_600_000_000_000 + steps
+    expected = np.arange(10) * 0.1
+    np.testing.assert_allclose(elapsed(np.concatenate([steps, later])), expected, atol=1e-9)
+    np.testing.assert_allclose(elapsed(np.concatenate([later, steps])), expected, atol=1e-9)
+
+
+def test_the_page_is_whole_or_not_there(tmp_path: Path) -> None:
+    page = gap_page("named", ARM[:2])
+    broken = replace(page, rigid=page.rigid[:3])
+    with pytest.raises(ValueError, match="broadcast"):
+        write_gap_page(tmp_path / "report.html", broken, lambda _: None)
+    assert list(tmp_path.iterdir()) == []

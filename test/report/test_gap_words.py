@@ -1,0 +1,130 @@
+"""The words that terminal and page share."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from files.gaps import gap_result
+
+from geomid_ros.gap.result import Quantity
+from geomid_ros.report.gap_words import (
+    headline,
+    interval,
+    measured,
+    measured_angle,
+    place,
+    ratio,
+    to_record,
+    verdict_sentence,
+    worst,
+)
+
+JOINTS = ("hip", "knee", "ankle")
+
+
+@pytest.mark.parametrize(
+    ("quantity", "text", "range_"),
+    [
+        (Quantity(1.23456, 0.0123, "N m"), "1.235 ± 0.012 N m", "1.210 to 1.259"),
+        (Quantity(-0.5, 0.2, "-"), "-0.50 ± 0.20", "-0.89 to -0.11"),
+        (Quantity(1234.56, 98.7, "N m/rad"), "1235 ± 99 N m/rad", "1041 to 1428"),
+        (Quantity(0.0123456, math.nan, "s"), "0.01235 s", "n/a"),
+        (Quantity(-1.5902, 0.0047, "rad"), "-1.5902 ± 0.0047 rad", "-1.5994 to -1.5810"),
+        (Quantity(2.0, 0.0, "kg"), "2.000 ± 0.000 kg", "2.000 to 2.000"),
+        (Quantity(0.0, math.nan, "kg"), "0 kg", "n/a"),
+    ],
+)
+def test_values_are_as_exact_as_they_are_known(quantity: Quantity, text: str, range_: str) -> None:
+    assert measured(quantity) == text
+    assert interval(quantity) == range_
+
+
+def test_the_interval_holds_95_percent() -> None:
+    """Of a normal distribution."""
+    low, high = map(float, interval(Quantity(0.0, 1.0, "m")).split(" to "))
+    draws = np.random.default_rng(0).normal(size=200_000)
+    assert np.mean((draws > low) & (draws < high)) == pytest.approx(0.95, abs=0.005)
+
+
+def test_angles_are_in_degrees_too() -> None:
+    assert measured_angle(Quantity(-1.5902, 0.0047, "rad")) == "-1.5902 ± 0.0047 rad (-91.1°)"
+    assert measured_angle(Quantity(20.0, 1.0, "rad")) == "20.0 ± 1.0 rad"
+    assert measured_angle(Quantity(1.0, 0.1, "m")) == "1.00 ± 0.10 m"
+
+
+def test_of_many_findings_the_surest_are_named() -> None:
+    result = gap_result("named", JOINTS)
+    finding = result.findings[0]
+    two = replace(result, findings=(finding, replace(finding, joint="hip")))
+    assert verdict_sentence(two).startswith("Found: Coulomb friction at knee and at hip. With them, ")
+    many = replace(result, findings=(finding, *(replace(finding, joint=f"toe{k}") for k in range(5))))
+    named = "Found: 6 effects, the surest Coulomb friction at knee and Coulomb friction at toe0. With them, "
+    assert verdict_sentence(many).startswith(named)
+
+
+@pytest.mark.parametrize(("value", "text"), [(1.049, "1.05"), (9.996, "10.0"), (123.4, "123"), (math.nan, "n/a")])
+def test_gaps_have_three_digits(value: float, text: str) -> None:
+    assert ratio(value) == text
+
+
+def test_names_are_those_of_the_field() -> None:
+    assert [headline(name) for name in ("coulomb_friction", "stribeck_friction", "rotor_inertia")] == [
+        "Coulomb friction",
+        "Stribeck friction",
+        "Rotor inertia",
+    ]
+    assert [place("knee"), place("knee", "tool"), place("")] == ["at knee", "on tool", "of the whole robot"]
+
+
+def test_channels_that_were_not_measured_are_not_the_worst() -> None:
+    assert worst(np.array([np.nan, 1.5, 0.9])) == 1.5
+
+
+def test_nothing_found_is_said_plainly() -> None:
+    assert verdict_sentence(gap_result("no gap", JOINTS)).startswith("Nothing found: the model explains")
+
+
+def test_inertias_that_were_all_that_was_wrong() -> None:
+    sentence = verdict_sentence(gap_result("inertias", JOINTS))
+    assert sentence.startswith("No effect is missing. Corrected link inertias close the gap")
+
+
+def test_the_verdict_names_effect_place_and_success() -> None:
+    result = gap_result("named", JOINTS)
+    before, after = ratio(float(result.gap.before.max())), ratio(float(result.gap.after.max()))
+    success = f"With it, the worst channel falls from {before} to {after} times the noise floor."
+    assert verdict_sentence(result) == f"Found: Coulomb friction at knee. {success}"
+
+
+def test_what_is_left_is_part_of_the_verdict() -> None:
+    assert "that is not all: something is left at knee, depending on its position" in verdict_sentence(
+        gap_result("incomplete", JOINTS)
+    )
+    unexplained = verdict_sentence(gap_result("unexplained", JOINTS))
+    assert "no known effect explains: at knee, depending on the motion of hip" in unexplained
+    assert "Found" not in unexplained
+
+
+def test_what_to_record_next() -> None:
+    assert to_record(gap_result("named", JOINTS)) == []
+    assert to_record(gap_result("ambiguous", JOINTS)) == [
+        "move knee at three constant speeds (for Coulomb friction at knee)"
+    ]
+    (slow,) = to_record(gap_result("incomplete", JOINTS))
+    assert slow.startswith("a slow motion of the joint at one constant speed, ")
+    assert slow.endswith("(for what is missing at knee)")
+    assert to_record(gap_result("unexplained", JOINTS)) == [
+        "the joint alone, then hip alone, then both (for what is missing at knee)"
+    ]
+
+
+def test_one_recording_for_several_purposes_is_said_once() -> None:
+    result = gap_result("ambiguous", JOINTS)
+    finding = result.findings[0]
+    both = replace(result, findings=(finding, replace(finding, joint="hip")))
+    assert to_record(both) == [
+        "move knee at three constant speeds (for Coulomb friction at knee and Coulomb friction at hip)"
+    ]

@@ -1,0 +1,244 @@
+"""The picture of an identification: a whole PNG or none, whatever the bodies and channels."""
+
+from __future__ import annotations
+
+import os
+import struct
+import subprocess
+import sys
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+from geomid_ros.errors import GeomidError
+from geomid_ros.report import ellipsoids, picture, robot_drawing, series_drawing, sheet
+from geomid_ros.report.ellipsoids import BodyDrawing, Ellipsoid
+from geomid_ros.report.picture import identification_picture
+from geomid_ros.report.series_drawing import Series
+
+POINT = Ellipsoid(np.zeros(3), np.zeros(3), np.eye(3), 0.0)
+NOWHERE = Ellipsoid(np.full(3, np.nan), np.full(3, np.nan), np.eye(3), np.nan)
+
+
+def chain(length: int) -> list[BodyDrawing]:
+    """Links of 0.3 m, one above the other."""
+    bodies = []
+    for k in range(length):
+        origin = np.array([0.02 * k, 0.0, 0.3 * k])
+        prior = Ellipsoid(origin + np.array([0.0, 0.0, 0.15]), np.array([0.05, 0.06, 0.16]), np.eye(3), 2.0)
+        identified = replace(prior, centre=prior.centre + 0.01, mass=2.2)
+        parent = bodies[-1].origin if bodies else None
+        bodies.append(BodyDrawing(f"link{k}", origin, parent, prior, identified, k / length))
+    return bodies
+
+
+def channel(name: str, error: float = 0.1, samples: int = 300) -> Series:
+    """A sine of amplitude 1; the URDF is off by 1, the identified model by ``error``."""
+    times = 1.7e9 + 0.01 * np.arange(samples)
+    truth = np.sin(0.05 * np.arange(samples))
+    return Series(name, "N m", times, truth, truth + 1.0, truth + error)
+
+
+def channels(count: int) -> list[Series]:
+    return [channel(f"joint{k}", 0.1 + 0.01 * k) for k in range(count)]
+
+
+def is_whole_picture(path: Path) -> bool:
+    data = path.read_bytes()
+    size = tuple(round(inches * sheet.DPI) for inches in sheet.SIZE)
+    return data[:8] == b"\x89PNG\r\n\x1a\n" and struct.unpack(">II", data[16:24]) == size and b"IEND" in data[-12:]
+
+
+def drawn(monkeypatch: pytest.MonkeyPatch, path: Path, bodies: list[BodyDrawing], series: list[Series]) -> Figure:
+    """The figure behind the picture."""
+    figures: list[Figure] = []
+    monkeypatch.setattr(picture, "FigureCanvasAgg", lambda figure: figures.append(figure) or FigureCanvasAgg(figure))
+    identification_picture(path, "title", bodies, series, "note")
+    return figures[0]
+
+
+def texts(figure: Figure) -> list[str]:
+    return [t.get_text() for t in figure.texts] + [t.get_text() for axes in figure.axes for t in axes.texts]
+
+
+def panels(figure: Figure) -> dict[str, str]:
+    """Title of each channel's panel, and what it says about the RMS."""
+    return {a.get_title("left"): a.get_title("right") for a in figure.axes if a.get_title("left")}
+
+
+AWKWARD = {
+    "many": (chain(30), channels(36)),
+    "more than the table has": (chain(40), channels(3)),
+    "one body": (chain(1), channels(3)),
+    "nothing": ([], []),
+    "a point": ([BodyDrawing("p", np.zeros(3), None, POINT, POINT, 0.0)], channels(1)),
+    "no numbers": ([BodyDrawing("p", np.zeros(3), None, NOWHERE, NOWHERE, np.nan)], [channel("short", samples=1)]),
+    "no measurement": (chain(2), [replace(channel("x"), measured=np.full(300, np.nan))]),
+    "no times": (chain(2), [replace(channel("x"), times=np.full(300, np.nan))]),
+    "constant": (chain(2), [Series("x", "N", np.arange(5.0), *(3 * [np.zeros(5)]))]),
+    "names like formulas": ([replace(chain(1)[0], name="$a_{b$ $" + 40 * "x")], [channel("$x_{$")]),
+}
+
+
+@pytest.mark.parametrize("name", AWKWARD)
+@pytest.mark.filterwarnings("error")
+def test_every_input_gives_a_whole_picture(name: str, tmp_path: Path) -> None:
+    bodies, series = AWKWARD[name]
+    identification_picture(tmp_path / "p.png", "title $", bodies, series, "note $ " * 200)
+    assert is_whole_picture(tmp_path / "p.png")
+    assert [file.name for file in tmp_path.iterdir()] == ["p.png"]
+
+
+def test_same_input_gives_same_bytes(tmp_path: Path) -> None:
+    for name in ("a.png", "b.png"):
+        identification_picture(tmp_path / name, "title", chain(5), channels(4), "note")
+    assert (tmp_path / "a.png").read_bytes() == (tmp_path / "b.png").read_bytes()
+
+
+def test_nothing_is_left_when_the_place_is_taken(tmp_path: Path) -> None:
+    (tmp_path / "p.png").mkdir()
+    with pytest.raises(GeomidError, match=r"p\.png"):
+        identification_picture(tmp_path / "p.png", "title", chain(1), channels(1), "note")
+    assert [file.name for file in tmp_path.iterdir()] == ["p.png"]
+
+
+def test_failing_write_leaves_the_old_picture(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "p.png").write_text("old")
+
+    def full(descriptor: int) -> None:
+        raise OSError(28, "no space left on device", descriptor)
+
+    monkeypatch.setattr(os, "fsync", full)
+    with pytest.raises(GeomidError, match="no space"):
+        identification_picture(tmp_path / "p.png", "title", chain(1), channels(1), "note")
+    assert [(file.name, file.read_text()) for file in tmp_path.iterdir()] == [("p.png", "old")]
+
+
+def test_pyplot_is_not_imported(tmp_path: Path) -> None:
+    code = (
+        "import sys, pathlib\n"
+        "from test_picture import chain, channels, identification_picture\n"
+        f"identification_picture(pathlib.Path({str(tmp_path / 'p.png')!r}), 't', chain(2), channels(2), 'n')\n"
+        "sys.exit('matplotlib.pyplot' in sys.modules)"
+    )
+    folders = os.pathsep.join([str(Path(__file__).parent), str(Path(__file__).parents[2])])
+    subprocess.run([sys.executable, "-c", code], check=True, env=os.environ | {"PYTHONPATH": folders})
+
+
+def test_the_most_improved_channels_are_shown_in_their_order(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    series = [channel(f"joint{k}", error) for k, error in enumerate(np.linspace(1.5, 0.1, 20))]
+    figure = drawn(monkeypatch, tmp_path / "p.png", chain(1), series)
+    assert list(panels(figure)) == [f"joint{k} [N m]" for k in range(8, 20)]
+    assert panels(figure)["joint19 [N m]"] == "RMS 1.00 → 0.100"
+    assert any("fell in 13 of 20 channels, rose in 7; the 12 with" in text for text in texts(figure))
+
+
+def test_table_has_name_masses_and_share(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    said = [text.strip() for text in texts(drawn(monkeypatch, tmp_path / "p.png", chain(4), channels(1)))]
+    for expected in ("link3", "2.00", "2.20", "75 %"):
+        assert expected in said
+
+
+def extents(bodies: list[BodyDrawing]) -> Iterator[float]:
+    for d in ellipsoids.made_visible(bodies):
+        yield float(np.max(d.body.identified.semi_axes))
+
+
+def test_huge_tiny_and_far_bodies_are_marked_and_do_not_ruin_the_view() -> None:
+    bodies = chain(6)
+    for index, (size, far, mark) in enumerate(((3.0, 0.0, "▲"), (1e-5, 0.0, "▼"), (0.1, 50.0, "◆"))):
+        body = bodies[index].identified
+        changed = replace(body, semi_axes=np.full(3, size), centre=body.centre + far, mass=1000.0)
+        bodies[index] = replace(bodies[index], identified=changed)
+        assert ellipsoids.made_visible(bodies)[index].marks == mark
+    points = np.array([d.body.identified.centre for d in ellipsoids.made_visible(bodies)])
+    assert np.max(np.abs(points)) < 2.5
+    assert 0.005 < min(extents(bodies)) < max(extents(bodies)) < 1.0
+    assert [d.marks for d in ellipsoids.made_visible(chain(6))] == 6 * [""]
+
+
+def test_outline_is_that_of_the_ellipsoid() -> None:
+    rng = np.random.default_rng(0)
+    axes = np.linalg.qr(rng.normal(size=(3, 3)))[0]
+    solid = Ellipsoid(rng.normal(size=3), np.array([0.3, 0.1, 0.05]), axes, 1.0)
+    view = ellipsoids.view_of(rng.normal(size=(5, 3)))
+    sphere = rng.normal(size=(100_000, 3))
+    sphere /= np.linalg.norm(sphere, axis=1, keepdims=True)
+    flat = view.flat(sphere @ (axes * solid.semi_axes).T)
+    np.testing.assert_allclose(flat.max(axis=0), ellipsoids.half_widths(view, solid), rtol=1e-3)
+    turn, stretch, _ = np.linalg.svd(view.sphere_map(solid)[:2])
+    radii = np.linalg.norm(flat @ turn / stretch, axis=1)
+    assert radii.max() == pytest.approx(1.0, abs=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("across", "towards"), [([0.0, 1.0, 0.0], [1.0, 0.0, 0.0]), ([1.0, 0.0, 0.0], [0.0, -1.0, 0.0])]
+)
+def test_a_person_is_seen_from_the_front_and_an_arm_from_its_side(across: list[float], towards: list[float]) -> None:
+    points = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 1.0], across])
+    rotation = ellipsoids.view_of(points).rotation
+    assert rotation[2] @ towards > 0.8
+    assert rotation[0] @ across > 0.8
+    np.testing.assert_allclose(rotation @ rotation.T, np.eye(3), atol=1e-12)
+
+
+def test_every_peak_of_a_long_line_survives() -> None:
+    times = 1e-3 * np.arange(100_001)
+    values = 1e-3 * np.sin(times)
+    values[[0, 777, 50_000, 100_000]] = [5.0, -7.0, 9.0, -3.0]
+    clock = series_drawing._Clock.of([Series("x", "N", times, values, values, values)])
+    seconds, kept = series_drawing._thinned(times, values, clock)
+    assert len(kept) <= 2 * series_drawing._BINS + 2
+    np.testing.assert_array_equal(np.interp(times[[0, 777, 50_000, 100_000]], seconds, kept), [5.0, -7.0, 9.0, -3.0])
+
+
+def test_pauses_are_shortened_and_break_the_line() -> None:
+    times = np.concatenate([3600.0 + np.arange(0.0, 5.0, 0.01), np.arange(0.0, 5.0, 0.01)])
+    clock = series_drawing._Clock.of([Series("x", "N", times, times, times, times)])
+    seconds, values = series_drawing._thinned(times, times, clock)
+    assert np.count_nonzero(np.isnan(values)) == 1
+    assert (np.nanmin(seconds), clock.label) == (0.0, "time [s], pauses shortened")
+    assert 10.0 < np.nanmax(seconds) < 11.0
+
+
+def test_samples_of_a_slower_channel_are_joined() -> None:
+    series = channel("x")
+    values = np.where(np.arange(300) % 3 == 0, series.measured, np.nan)
+    assert not np.any(np.isnan(series_drawing._thinned(series.times, values, series_drawing._Clock.of([series]))[1]))
+
+
+def test_limits_show_peaks_but_no_outliers() -> None:
+    series = channel("x")
+    series.measured[100], series.predicted[200] = 2.0, 1e6
+    low, high = series_drawing._limits(series)
+    assert -2.0 < low < -1.0
+    assert 2.0 < high < 5.0
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [
+        (0.0, "0"),
+        (1.0, "1.00"),
+        (0.0123, "0.0123"),
+        (123.4, "123"),
+        (-45.61, "-45.6"),
+        (1000.0, "1000"),
+        (1.3e6, "1.3e6"),
+        (4e-7, "4.0e-7"),
+        (np.nan, "—"),
+    ],
+)
+def test_numbers_are_short(value: float, text: str) -> None:
+    assert sheet.number(value) == text
+
+
+def test_badges_do_not_overlap() -> None:
+    places = robot_drawing._spread(np.zeros((30, 2)), 0.2)
+    distances = np.linalg.norm(places[:, None] - places, axis=-1) + np.eye(30)
+    assert distances.min() > 0.19

@@ -1,0 +1,265 @@
+"""The table of parameters and the files that are read by it: what is valid is understood, the rest is named."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+
+from geomid_ros.errors import InputError
+from geomid_ros.model.effects import DEFAULT_EFFECTS
+from geomid_ros.model.sensors import WrenchSensor
+from geomid_ros.session.configuration import PARAMETERS, Configuration, find_parameter
+
+FILE = Path(__file__).parents[2] / "config/geomid.yaml"
+KEY = re.compile(r"^( *)(# )?( *)([a-z_0-9.]+):( \S.*)?$")
+
+
+def written(folder: Path, parameters: str) -> Path:
+    """A parameter file with these lines for the node."""
+    path = folder / "robot.yaml"
+    lines = "".join(f"    {line}\n" for line in parameters.splitlines())
+    path.write_text(f"/**:\n  ros__parameters:\n{lines}", encoding="utf-8")
+    return path
+
+
+def read(folder: Path, parameters: str) -> Configuration:
+    return Configuration.read(written(folder, parameters))
+
+
+def uncommented() -> str:
+    """The shipped file with everything in force that it only shows."""
+    lines = []
+    for line in FILE.read_text(encoding="utf-8").splitlines():
+        match = KEY.match(line)
+        lines.append("".join(part or "" for part in match.group(1, 3, 4)) + ":" + (match[5] or "") if match else line)
+    return "\n".join(lines)
+
+
+class TestShippedFile:
+    """config/geomid.yaml"""
+
+    def test_it_gives_every_parameter_its_default(self) -> None:
+        given = Configuration.read(FILE).given
+        single = [parameter for parameter in PARAMETERS if "*" not in parameter.name]
+        assert given.keys() == {parameter.name for parameter in single}
+        for parameter in single:
+            assert Configuration({})[parameter.name] == given[parameter.name], parameter.name
+
+    def test_its_defaults_are_written_as_the_type_that_ros_needs(self) -> None:
+        """The node is strict where the command line is not: an integer for a real number, a list without type."""
+        sections = yaml.safe_load(FILE.read_text(encoding="utf-8"))["/**"]["ros__parameters"]
+        for parameter in PARAMETERS:
+            if "*" not in parameter.name:
+                value = sections
+                for key in parameter.name.split("."):
+                    value = value[key]
+                assert value == parameter.default
+                assert type(value) is type(parameter.default)
+
+    def test_every_parameter_is_described_as_in_the_table(self) -> None:
+        text = FILE.read_text(encoding="utf-8")
+        for parameter in PARAMETERS:
+            last = parameter.name.rpartition(".")[2].replace("*", r"[a-z_.]+")
+            assert re.search(rf"# {re.escape(parameter.description)}.*\n *(# *)?{last}:", text), parameter.name
+
+    def test_its_examples_are_valid(self, tmp_path: Path) -> None:
+        path = tmp_path / "all.yaml"
+        path.write_text(uncommented().replace('wrenches: [""]', 'wrenches: ["wrist"]'), encoding="utf-8")
+        configuration = Configuration.read(path)
+        assert configuration.sensors == [WrenchSensor("/wrench", "tool0", "mounted")]
+        assert configuration.signals(["shoulder_pan_joint"]).effort_gain == {"shoulder_pan_joint": 13.6}
+        channels = ["shoulder_pan_joint", "wrench/fx"]
+        assert configuration.estimator(channels).sigma == {"shoulder_pan_joint": 0.5, "wrench/fx": 0.2}
+        shown = {find_parameter(name).name for name in configuration.given}
+        assert shown == {parameter.name for parameter in PARAMETERS}
+
+
+def test_the_table_is_sound() -> None:
+    assert len({parameter.name for parameter in PARAMETERS}) == len(PARAMETERS)
+    for parameter in PARAMETERS:
+        assert parameter.description
+        if isinstance(parameter.default, float):
+            assert parameter.minimum is not None
+            assert parameter.maximum is not None
+            assert parameter.minimum <= parameter.default <= parameter.maximum
+
+
+def test_defaults() -> None:
+    configuration = Configuration()
+    assert [effect.name for effect in configuration.effects] == list(DEFAULT_EFFECTS)
+    assert configuration.links is None
+    assert configuration.sensors == []
+    np.testing.assert_array_equal(configuration.gravity, [0.0, 0.0, -9.81])
+    assert configuration.estimator([]).gamma is None
+    assert configuration.given == {}
+
+
+class TestValues:
+    """What may be written in a file."""
+
+    def test_integers_are_numbers(self, tmp_path: Path) -> None:
+        configuration = read(tmp_path, "gamma: 1\ngravity: [0, 0, -10]\nfilter:\n  cutoff: 3")
+        assert configuration["gamma"] == 1.0
+        assert configuration.gravity.tolist() == [0.0, 0.0, -10.0]
+        assert configuration.signals([]).cutoff == 3.0
+
+    @pytest.mark.parametrize("text", ["1e-3", "1.0e-3", "+1E-3", "0.001", "10.e-4"])
+    def test_numbers_are_written_as_for_ros(self, text: str, tmp_path: Path) -> None:
+        """YAML 1.1 takes 1e-3 for a text, the node's parser does not."""
+        assert read(tmp_path, f"gamma: {text}")["gamma"] == 1e-3
+
+    def test_texts_that_look_like_numbers_stay_texts(self, tmp_path: Path) -> None:
+        assert read(tmp_path, "links: ['1e3', 3e]")["links"] == ["1e3", "3e"]
+
+    def test_an_empty_list_is_one_empty_text(self, tmp_path: Path) -> None:
+        for text in ('[""]', "[]"):
+            configuration = read(tmp_path, f"effects: {text}\nlinks: {text}\nwrenches: {text}")
+            assert configuration.effects == []
+            assert configuration.links is None
+            assert configuration.sensors == []
+
+    def test_effects_named_twice_count_once(self) -> None:
+        names = ["rotor_inertia", "effort_offset", "rotor_inertia"]
+        assert [effect.name for effect in Configuration({"effects": names}).effects] == names[:2]
+
+    def test_gains_by_joint_stand_beside_the_common_one(self, tmp_path: Path) -> None:
+        configuration = read(tmp_path, "effort_gain: 2\njoint:\n  left.elbow:\n    effort_gain: -13.6")
+        gains = configuration.signals(["left.elbow", "wrist"]).effort_gain
+        assert gains == {"left.elbow": -13.6, "wrist": 2.0}
+
+    @pytest.mark.parametrize("key", ["left.wrist.ft.fx", "left/wrist.ft/fx"])
+    def test_channels_may_be_named_with_dots(self, key: str, tmp_path: Path) -> None:
+        channels = ["left/wrist.ft/fx", "a.joint"]
+        sigma = read(tmp_path, f"sigma:\n  {key}: 3\n  a.joint: 2").estimator(channels).sigma
+        assert sigma == {"left/wrist.ft/fx": 3.0, "a.joint": 2.0}
+
+    def test_wrench_sensors(self, tmp_path: Path) -> None:
+        text = """
+            wrenches: [wrist, plate]
+            wrench:
+              wrist: {frame: tool0, role: mounted, sign: -1}
+              plate: {frame: odom, topic: /left/plate, role: external, axes: [fz, tx]}
+        """
+        assert read(tmp_path, "\n".join(line[12:] for line in text.splitlines())).sensors == [
+            WrenchSensor("wrist", "tool0", "mounted", sign=-1.0),
+            WrenchSensor("/left/plate", "odom", "external", ("fz", "tx")),
+        ]
+
+    def test_sensors_given_otherwise_replace_those_of_the_file(self, tmp_path: Path) -> None:
+        configuration = read(tmp_path, "wrenches: [a]\nwrench:\n  a:\n    frame: tool0\ngamma: 0.5")
+        sensors = [WrenchSensor("/ft", "flange", "external", ("fx",), -1.0)]
+        assert configuration.with_sensors(sensors).sensors == sensors
+        assert configuration.with_sensors(sensors)["gamma"] == 0.5
+
+    def test_parameters_of_ros_itself_are_passed_over(self, tmp_path: Path) -> None:
+        text = "use_sim_time: true\nqos_overrides:\n  /joint_states:\n    subscription:\n      depth: 3\ngamma: 0.5"
+        assert read(tmp_path, text).given == {"gamma": 0.5}
+
+
+MISTAKES: dict[str, tuple[str, str]] = {
+    "unknown": ("gama: 0.5", r"unknown parameter 'gama'. Did you mean 'gamma'\? Valid: active, .*wrenches"),
+    "unknown below": ("filter:\n  cutof: 3", r"unknown parameter 'filter.cutof'. Did you mean 'filter.cutoff'\?"),
+    "unknown of a joint": ("joint:\n  a:\n    gain: 3", r"unknown parameter 'joint.a.gain'.*joint.\*.effort_gain"),
+    "unknown of a wrench": ("wrench:\n  ft:\n    frames: a", r"unknown parameter 'wrench.ft.frames'.*wrench.\*.frame"),
+    "joint without name": ("joint:\n  effort_gain: 3", r"unknown parameter 'joint.effort_gain'"),
+    "key that is a number": ("3: 4", "unknown parameter '3'"),
+    "text for number": ("gamma: much", "gamma is 'much', expected a number"),
+    "true for number": ("gamma: true", "gamma is True, expected a number"),
+    "list for number": ("gamma: [1]", r"gamma is \[1\], expected a number"),
+    "nothing for number": ("gamma:", "gamma is None, expected a number"),
+    "date for number": ("gamma: 2020-01-01", "gamma is .*2020.*, expected a number"),
+    "number for text": ("output_folder: 3", "output_folder is 3, expected a text"),
+    "number for truth": ("active: 1", "active is 1, expected true or false"),
+    "text for truth": ("active: 'yes'", "active is 'yes', expected true or false"),
+    "numbers for texts": ("links: [1, 2]", r"links is \[1, 2\], expected a list of texts"),
+    "texts for numbers": ("gravity: [a, b, c]", "gravity is .*, expected a list of finite numbers"),
+    "truths for numbers": ("gravity: [true, 0, 0]", "gravity is .*, expected a list of finite numbers"),
+    "not a number": ("gamma: .nan", "gamma is nan, expected a number from 0 to"),
+    "infinite": ("gamma: .inf", "gamma is inf, expected a number from 0 to"),
+    "not a number in a list": ("gravity: [0, 0, .nan]", "gravity is .*, expected a list of finite numbers"),
+    "huge integer": ("gamma: 1" + "0" * 400, "gamma is .*expected a number"),
+    "too small": ("gamma: -1", "gamma is -1, expected a number from 0 to"),
+    "too large": ("forgetting_time: 2.0e+6", r"forgetting_time is 2e\+06, expected a number from 0 to 1e\+06"),
+    "gravity in the plane": ("gravity: [0, -9.81]", "gravity has 2 entries, expected 3"),
+    "effect": ("effects: [friction]", r"effects: unknown effect 'friction'.*coulomb_friction"),
+    "objective": ("objective: residuals", r"unknown objective 'residuals'. Did you mean 'residual'\?"),
+    "solver": ("solver: newton", "unknown solver 'newton'.*cyclic"),
+    "channel": ("sigma:\n  elbo: 1", r"sigma: unknown channel 'elbo'. Did you mean 'elbow'\?"),
+    "sigma of nothing": ("sigma:\n  elbow: 0", "sigma.elbow is 0, expected a number from 1e-09"),
+    "gain of nothing": ("effort_gain: 0", "effort gain 0.0: expected finite numbers other than zero"),
+    "period too short": ("filter:\n  period: 1.0e-9", "signal setting period is 1e-09, expected 0 or at least"),
+    "wrench without frame": ("wrenches: [ft]", "wrench.ft.frame is not given"),
+    "wrench not listed": ("wrench:\n  ft:\n    frame: a", "wrench.ft is described but 'wrenches' does not list 'ft'"),
+    "wrench role": (
+        "wrenches: [ft]\nwrench:\n  ft: {frame: a, role: mountd}",
+        r"wrench.ft: unknown wrench role 'mountd'. Did you mean 'mounted'\?",
+    ),
+    "wrench axis": ("wrenches: [ft]\nwrench:\n  ft: {frame: a, axes: [mz]}", "wrench.ft: unknown wrench axis 'mz'"),
+    "wrench without axes": ("wrenches: [ft]\nwrench:\n  ft: {frame: a, axes: []}", "wrench.ft: .*at least one axis"),
+    "wrench sign": ("wrenches: [ft]\nwrench:\n  ft: {frame: a, sign: 0.5}", "wrench.ft: .*a sign of 1 or -1"),
+}
+
+
+@pytest.mark.parametrize("case", MISTAKES)
+def test_a_mistake_is_named_with_its_file(case: str, tmp_path: Path) -> None:
+    text, message = MISTAKES[case]
+    with pytest.raises(InputError, match=rf"robot.yaml: {message}"):
+        read_all(written(tmp_path, text))
+
+
+def read_all(path: Path) -> None:
+    """Read a file and make the settings of it that depend on the robot."""
+    configuration = Configuration.read(path)
+    _ = configuration.signals(["elbow"]), configuration.estimator(["elbow"])
+
+
+BOMB = "a: &a [x, x]\n" + "\n".join(f"{b}: &{b} [*{a}, *{a}]" for a, b in zip("abcdefgh", "bcdefghi", strict=True))
+UNREADABLE = {
+    "empty": ("", "expected one node.*found 0"),
+    "a list": ("- a\n- b", "expected one node.*found 0"),
+    "a text": ("just words", "expected one node.*found 0"),
+    "no parameters": ("geomid:\n  gamma: 1", "expected one node.*found 0"),
+    "two nodes": ("a: {ros__parameters: {}}\nb: {ros__parameters: {}}", "expected one node.*found 2"),
+    "parameters in a list": ("a: {ros__parameters: [1]}", "expected one node"),
+    "not YAML": ("a: [1", r"cannot be read \(.*line 1"),
+    "tabs": ("a:\n\tb: 1", "cannot be read.*line 2"),
+    "alias": ("a: &x {gamma: 1}\nb:\n  ros__parameters: *x", r"cannot be read \(aliases are not allowed, line 3\)"),
+    "bomb": (f"/**:\n  ros__parameters:\n    gamma: 1\n{BOMB}", "aliases are not allowed"),
+    "itself": ("a: &a\n  ros__parameters: *a", "aliases are not allowed"),
+    "python": ("a: !!python/object/apply:os.system ['true']", "cannot be read.*python/object/apply:os.system"),
+    "a tag of its own": ("a: !ruby {b: 1}", "cannot be read.*!ruby"),
+    "deep": ("[" * 3000, "cannot be read.*recursion"),
+    "a key that is a list": ("? [a]\n: 1", "cannot be read"),
+    "two documents": ("a: 1\n---\nb: 1", "cannot be read"),
+    "no text": ("a: \x00", "cannot be read"),
+}
+
+
+@pytest.mark.parametrize("case", UNREADABLE)
+def test_what_is_no_parameter_file_is_refused(case: str, tmp_path: Path) -> None:
+    text, message = UNREADABLE[case]
+    path = tmp_path / "robot.yaml"
+    path.write_text(text)
+    with pytest.raises(InputError, match=rf"robot.yaml: .*{message}") as caught:
+        Configuration.read(path)
+    assert "\n" not in str(caught.value)
+
+
+def test_files_that_cannot_be_opened_are_named(tmp_path: Path) -> None:
+    (tmp_path / "latin.yaml").write_bytes(b"a: \xff")
+    for path in (tmp_path / "none.yaml", tmp_path, tmp_path / "latin.yaml"):
+        with pytest.raises(InputError, match=rf"{path}: the parameter file cannot be read"):
+            Configuration.read(path)
+
+
+def test_values_given_later_win_and_are_checked() -> None:
+    configuration = Configuration({"gamma": 0.5, "links": ["a"]}, "node")
+    changed: Any = configuration.with_values({"gamma": 0.25})
+    assert (changed["gamma"], changed["links"]) == (0.25, ["a"])
+    with pytest.raises(InputError, match="node: gamma is 'x'"):
+        configuration.with_values({"gamma": "x"})
