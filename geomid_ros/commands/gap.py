@@ -15,11 +15,11 @@ from geomid_ros.commands.gap_tables import print_gap
 from geomid_ros.commands.options import URDF, configured, held_out_share, recording_options
 from geomid_ros.commands.progress import staged, tracked
 from geomid_ros.errors import InputError
-from geomid_ros.files.models.effect_forms import ModelEffect
 from geomid_ros.files.models.gap_model import model_files, write_model
 from geomid_ros.files.models.gap_results import gap_document, write_gap
 from geomid_ros.files.models.urdf import read_urdf
 from geomid_ros.gap.result import GapResult
+from geomid_ros.model.effects import ModelEffect
 from geomid_ros.model.samples import Samples
 from geomid_ros.report.gap_page import GapPage, SimulatedAgain, write_gap_page
 from geomid_ros.session.gap import find, gap_session
@@ -82,7 +82,7 @@ def gap(
     commands = reader.sharp(chosen, command) if command else []
     with staged() as progress:
         result = _find(session, recordings, bags, progress)
-        known = session.loaded.refitted(session.model, result.coefficients)
+        known = session.loaded.refitted(session.model, result.coefficients, result.beside)
         files = _write(out, session, result.inertias, [*known.beside_inertias, *result.findings])
         progress("simulating again", 0.0)
         again, why_not = _simulate_again(session, result, sharp, commands, recordings.cutoff)
@@ -131,7 +131,7 @@ def _simulate_again(
 ) -> tuple[list[SimulatedAgain], str]:
     """What was known of the sensors before is corrected in the samples, and so not in these model files."""
     known = session.loaded
-    fitted = known.refitted(session.model, result.coefficients)
+    fitted = known.refitted(session.model, result.coefficients, result.beside)
     with TemporaryDirectory() as folder:
         before, after = Path(folder) / "before", Path(folder) / "after"
         _write(before, session, _nominal_inertias(session), known.in_samples)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from geomid_ros.files.models.effect_forms import KnownEffect
-from geomid_ros.gap.result import Quantity
+from geomid_ros.model.effects import Quantity
 from geomid_ros.model.effects import PARAMETERS, PHYSICAL_EFFECTS
 
 

@@ -13,7 +13,7 @@ import yaml
 from geomid_ros.errors import InputError
 from geomid_ros.files.models.effect_forms import KnownEffect, combined, values
 from geomid_ros.files.models.sidecar import read_sidecar, write_sidecar
-from geomid_ros.gap.result import Quantity
+from geomid_ros.model.effects import Quantity
 from geomid_ros.model.effects import PARAMETERS, PHYSICAL_EFFECTS
 
 from .effects import PAYLOAD, effect
