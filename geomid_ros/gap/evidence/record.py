@@ -138,12 +138,13 @@ class TotalModel:
 
     @property
     def absorbed(self) -> list[tuple[SituationEffect, Place, FloatArray]]:
-        """The effects that are built into the model instead of being columns."""
-        return [
+        """The effects that are built into the model instead of being columns: of gravity, of time, of scale."""
+        found = [
             (effect, place, coefficients)
             for effect, place, coefficients in self.effects
             if isinstance(effect, SituationEffect) and effect.absorbed and np.any(coefficients)
         ]
+        return sorted(found, key=lambda own: (own[0].scales_measurement, not own[0].acts_on_wrenches, joints_of(own[1])))
 
     def scales(self, channels: int) -> FloatArray:
         """Factors ``(channels,)`` from what is true to what is measured."""
