@@ -9,8 +9,8 @@ from typing import Literal
 import numpy as np
 
 from geomid_ros.gap.result import Finding, Gap, GapResult, Located, Ranked, Rival, Trace, Unexplained, Verdict
-from geomid_ros.model.effects import Quantity
 from geomid_ros.geometry import pseudo_inertia
+from geomid_ros.model.effects import Quantity
 from geomid_ros.report.gap_page import GapPage, SimulatedAgain
 from geomid_ros.types import FloatArray
 
