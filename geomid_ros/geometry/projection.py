@@ -56,7 +56,6 @@ _RELATIVE_TOLERANCE = 1e-14
 _BRANCH_GAP = 1e-9  # 1 + W is not taken smaller: at the branch point slopes are infinite
 _CLOSE = -0.3659  # below it W is next to the branch point, under -0.9
 _ROOT_HALF = math.sqrt(0.5)
-_ROOT_TWO = math.sqrt(2.0)
 
 # Links are worked on in blocks of LANES, each in a buffer of its own. Entry by entry the links lie side by side, so
 # that the compiler turns each operation into one on all of them. After the decomposition follow the basis of symmetric

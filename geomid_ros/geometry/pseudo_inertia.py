@@ -57,12 +57,8 @@ def to_parameters(pseudo: FloatArray) -> FloatArray:
 _PARAMETERS_TO_COORDINATES = symmetric.to_vector(from_parameters(np.eye(SIZE)))
 _COEFFICIENTS_TO_COORDINATES = np.asarray(np.linalg.inv(_PARAMETERS_TO_COORDINATES).T, dtype=np.float64)
 COEFFICIENT_BASIS = symmetric.to_matrix(_COEFFICIENTS_TO_COORDINATES)
-
-
-def coefficient_matrix(coefficients: FloatArray) -> FloatArray:
-    """Symmetric ``X (..., 4, 4)`` with ``tr(X P) = coefficients . parameters`` for every body (constraint (20))."""
-    matrix: FloatArray = np.einsum("...k,kij->...ij", coefficients, COEFFICIENT_BASIS)
-    return matrix
+"""Matrices ``(10, 4, 4)`` with ``tr((sum_k a_k X_k) P) = a . parameters`` for every body and row ``a`` (constraint (20)).
+"""
 
 
 def change_of_frame(
