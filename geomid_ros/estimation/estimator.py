@@ -32,7 +32,6 @@ from geomid_ros.estimation.uncertainty import (
     Kind,
     Uncertainty,
     physical_sensitivity,
-    physical_values,
     uncertainty,
 )
 from geomid_ros.geometry import pseudo_inertia, spd
@@ -212,7 +211,7 @@ def _links(
     model: MeasurementModel, manifold: ParameterManifold, prior: Point, point: Point, sure: Uncertainty
 ) -> tuple[LinkEstimate, ...]:
     parameters = pseudo_inertia.to_parameters(point.pseudo_inertias)
-    values = physical_values(point)
+    values = pseudo_inertia.quantities_of(parameters)
     central = pseudo_inertia.central_inertia(parameters)
     sensitivity = physical_sensitivity(manifold, point)
     distances = spd.distance(prior.pseudo_inertias, point.pseudo_inertias)
@@ -233,7 +232,7 @@ def _links(
                 frozen(central[index]),
                 float(std[0]),
                 frozen(std[1:4]),
-                frozen(_symmetric3(std[4:])),
+                frozen(pseudo_inertia.inertia_matrix(std[4:])),
                 frozen(parameters[index]),
                 float(distances[index]),
                 sure.from_data(block),
@@ -242,13 +241,6 @@ def _links(
             )
         )
     return tuple(links)
-
-
-def _symmetric3(entries: FloatArray) -> FloatArray:
-    matrix = np.empty((3, 3))
-    rows, columns = pseudo_inertia.INERTIA_ENTRIES
-    matrix[rows, columns] = matrix[columns, rows] = entries
-    return matrix
 
 
 def _effects(

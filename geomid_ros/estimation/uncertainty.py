@@ -197,16 +197,7 @@ def physical_sensitivity(manifold: ParameterManifold, point: Point) -> FloatArra
     for k in range(10):
         tangent = np.zeros(manifold.dimension)
         tangent[k : manifold.inertial.stop : 10] = _STEP
-        ahead, behind = (physical_values(manifold.exp(point, sign * tangent)) for sign in (1.0, -1.0))
+        ends = np.array([manifold.exp(point, sign * tangent).pseudo_inertias for sign in (1.0, -1.0)])
+        ahead, behind = pseudo_inertia.quantities_of(pseudo_inertia.to_parameters(ends))
         derivative[:, :, k] = (ahead - behind) / (2.0 * _STEP)
     return derivative
-
-
-def physical_values(point: Point) -> FloatArray:
-    """Mass, centre of mass and central inertia (xx xy yy xz yz zz) of each link, ``(links, 10)``."""
-    parameters = pseudo_inertia.to_parameters(point.pseudo_inertias)
-    central = pseudo_inertia.central_inertia(parameters)
-    rows, columns = pseudo_inertia.INERTIA_ENTRIES
-    return np.concatenate(
-        [parameters[:, :1], pseudo_inertia.centre_of_mass(parameters), central[:, rows, columns]], axis=1
-    )

@@ -14,18 +14,31 @@ from geomid_ros.geometry import symmetric
 from geomid_ros.types import FloatArray
 
 SIZE = symmetric.SIZE
+INERTIA_NAMES = ("ixx", "ixy", "iyy", "ixz", "iyz", "izz")
+"""Names of the six entries of an inertia, in the order of the parameters."""
 INERTIA_ENTRIES = (np.array([0, 0, 1, 0, 1, 2]), np.array([0, 1, 1, 2, 2, 2]))
-_INERTIA_ROWS, _INERTIA_COLUMNS = INERTIA_ENTRIES
+"""Rows and columns of these entries in the matrix."""
 # A body flatter than this is taken for one without thickness, from which no distance can be measured.
 _FLATTEST = 1e-10
 
 
+def inertia_matrix(entries: FloatArray) -> FloatArray:
+    """Symmetric matrices ``(..., 3, 3)`` with the six entries ``(..., 6)``, named by :data:`INERTIA_NAMES`."""
+    rows, columns = INERTIA_ENTRIES
+    matrix = np.empty((*entries.shape[:-1], 3, 3))
+    matrix[..., rows, columns] = matrix[..., columns, rows] = entries
+    return matrix
+
+
+def inertia_entries(matrix: FloatArray) -> FloatArray:
+    """The six entries ``(..., 6)`` of symmetric matrices ``(..., 3, 3)``: the inverse of :func:`inertia_matrix`."""
+    entries: FloatArray = matrix[(..., *INERTIA_ENTRIES)]
+    return entries
+
+
 def rotational_inertia(parameters: FloatArray) -> FloatArray:
     """Inertia matrices ``(..., 3, 3)`` about the frame's origin, of parameters ``(..., 10)``."""
-    inertia = np.empty((*parameters.shape[:-1], 3, 3))
-    inertia[..., _INERTIA_ROWS, _INERTIA_COLUMNS] = parameters[..., 4:]
-    inertia[..., _INERTIA_COLUMNS, _INERTIA_ROWS] = parameters[..., 4:]
-    return inertia
+    return inertia_matrix(parameters[..., 4:])
 
 
 def _trace_complement(matrix: FloatArray, share: float) -> FloatArray:
@@ -49,7 +62,7 @@ def to_parameters(pseudo: FloatArray) -> FloatArray:
     parameters = np.empty((*pseudo.shape[:-2], SIZE))
     parameters[..., 0] = pseudo[..., 3, 3]
     parameters[..., 1:4] = pseudo[..., :3, 3]
-    parameters[..., 4:] = inertia[..., _INERTIA_ROWS, _INERTIA_COLUMNS]
+    parameters[..., 4:] = inertia_entries(inertia)
     return parameters
 
 
@@ -57,8 +70,7 @@ def to_parameters(pseudo: FloatArray) -> FloatArray:
 _PARAMETERS_TO_COORDINATES = symmetric.to_vector(from_parameters(np.eye(SIZE)))
 _COEFFICIENTS_TO_COORDINATES = np.asarray(np.linalg.inv(_PARAMETERS_TO_COORDINATES).T, dtype=np.float64)
 COEFFICIENT_BASIS = symmetric.to_matrix(_COEFFICIENTS_TO_COORDINATES)
-"""Matrices ``(10, 4, 4)`` with ``tr((sum_k a_k X_k) P) = a . parameters`` for every body and row ``a`` (constraint (20)).
-"""
+"""Matrices ``X_k (10, 4, 4)`` with ``tr((sum a_k X_k) P) = a . parameters`` for every body and row a: (18) and (20)."""
 
 
 def change_of_frame(
@@ -106,8 +118,19 @@ def assemble(mass: FloatArray, centre: FloatArray, central: FloatArray) -> Float
     mass = np.asarray(mass, dtype=np.float64)[..., None]
     outer = centre[..., :, None] * centre[..., None, :]
     inertia = central + mass[..., None] * _trace_complement(outer, 1.0)
-    entries = inertia[..., _INERTIA_ROWS, _INERTIA_COLUMNS]
-    return np.concatenate([mass, mass * centre, entries], axis=-1)
+    return np.concatenate([mass, mass * centre, inertia_entries(inertia)], axis=-1)
+
+
+def quantities_of(parameters: FloatArray) -> FloatArray:
+    """Physical quantities ``(..., 10)`` of parameters ``(..., 10)``: mass [kg], centre of mass (x, y, z) [m], and the
+    entries of the inertia about the centre of mass [kg m^2], named by :data:`INERTIA_NAMES`, in the link's axes."""
+    central = inertia_entries(central_inertia(parameters))
+    return np.concatenate([parameters[..., :1], centre_of_mass(parameters), central], axis=-1)
+
+
+def parameters_of(quantities: FloatArray) -> FloatArray:
+    """Parameters ``(..., 10)`` of physical quantities ``(..., 10)``: the inverse of :func:`quantities_of`."""
+    return assemble(quantities[..., 0], quantities[..., 1:4], inertia_matrix(quantities[..., 4:]))
 
 
 def equivalent_ellipsoid(parameters: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import takewhile
 
 import numpy as np
 
@@ -110,10 +111,8 @@ def _carrier(robot: Robot, link: str) -> str | None:
     for body in robot.bodies:
         if link in body.merged:
             return body.name
-    parents = {joint.child: joint.parent for joint in robot.tree.joints if joint.type == "fixed"}
-    while link in parents and link not in robot.body_names:
-        link = parents[link]
-    return link if link in robot.body_names else None
+    fixed = takewhile(lambda joint: joint.type == "fixed", robot.tree.joints_above(link))
+    return next((joint.parent for joint in fixed if joint.parent in robot.body_names), None)
 
 
 def _known_mass(model: MeasurementModel, given: WeighedMass, bodies: Sequence[int]) -> float:

@@ -187,10 +187,7 @@ class Robot:
 
     def subtree(self, frame: str) -> list[int]:
         """Indices of the bodies at or after the link ``frame``."""
-        links = [frame]
-        for link in links:
-            links += [joint.child for joint in self.tree.children(link)]
-        carried = set(links)
+        carried = set(self.tree.subtree(frame))
         return [index for index, body in enumerate(self.bodies) if body.name in carried]
 
     def configuration(self, samples: Samples) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -253,12 +250,8 @@ class Robot:
 
     def parent_body(self, link: str) -> str | None:
         """The next body above ``link`` in the chain, the root link if there is none, None for the root itself."""
-        parents = {joint.child: joint.parent for joint in self.tree.joints}
-        while link in parents:
-            link = parents[link]
-            if link in self.body_names or link not in parents:
-                return link
-        return None
+        above = [joint.parent for joint in self.tree.joints_above(link)]
+        return next((parent for parent in above if parent in self.body_names), above[-1] if above else None)
 
     def frame_jacobian(self, q: FloatArray, frame: str) -> FloatArray:
         """Jacobian ``(6, joints)`` of a link's frame, in its own axes (linear, angular)."""

@@ -56,12 +56,31 @@ class UrdfTree:
         """The joints that leave ``link``."""
         return self._children.get(link, [])
 
+    def subtree(self, link: str) -> list[str]:
+        """``link`` and all links after it, each behind its parent."""
+        links = [link]
+        for member in links:
+            links += [joint.child for joint in self.children(member)]
+        return links
+
+    def joints_above(self, link: str) -> list[UrdfJoint]:
+        """The joints between ``link`` and the root, nearest first."""
+        joints = []
+        while link in self._joint_of:
+            joints.append(self._joint_of[link])
+            link = joints[-1].parent
+        return joints
+
     @cached_property
     def _children(self) -> dict[str, list[UrdfJoint]]:
         children: dict[str, list[UrdfJoint]] = {}
         for joint in self.joints:
             children.setdefault(joint.parent, []).append(joint)
         return children
+
+    @cached_property
+    def _joint_of(self) -> dict[str, UrdfJoint]:
+        return {joint.child: joint for joint in self.joints}
 
 
 def parse(text: str, source: str) -> UrdfTree:
@@ -201,14 +220,13 @@ def inertial_parameters(link: Element, source: str) -> FloatArray | None:
     if len(link.findall("inertial")) > 1:
         raise InputError(f"{where} has more than one <inertial>")
     (mass,) = read_numbers(inertial, "mass", ("value",), None, where)
-    entries = read_numbers(inertial, "inertia", ("ixx", "ixy", "ixz", "iyy", "iyz", "izz"), None, where)
+    entries = read_numbers(inertial, "inertia", pseudo_inertia.INERTIA_NAMES, None, where)
     centre = read_numbers(inertial, "origin", ("xyz",), [0.0, 0.0, 0.0], where)
     angles = read_numbers(inertial, "origin", ("rpy",), [0.0, 0.0, 0.0], where)
     if mass == 0.0:
         return None
-    xx, xy, xz, yy, yz, zz = entries
     axes = Rotation.from_euler("xyz", angles).as_matrix()
-    central = axes @ np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]) @ axes.T
+    central = axes @ pseudo_inertia.inertia_matrix(np.array(entries)) @ axes.T
     return pseudo_inertia.assemble(np.array(mass), np.array(centre), central)
 
 

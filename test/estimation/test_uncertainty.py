@@ -20,7 +20,6 @@ from geomid_ros.estimation.uncertainty import (
     error_covariance,
     inflations,
     physical_sensitivity,
-    physical_values,
     prior_spreads,
     uncertainty,
 )
@@ -182,22 +181,12 @@ def test_sensitivities_are_the_derivatives_of_mass_centre_and_central_inertia(ma
     found = physical_sensitivity(manifold, point)
     for _ in range(5):
         tangent, step = rng.normal(size=manifold.dimension), 1e-6
-        ahead, behind = (physical_values(manifold.exp(point, sign * step * tangent)) for sign in (1.0, -1.0))
+        ends = [manifold.exp(point, sign * step * tangent).pseudo_inertias for sign in (1.0, -1.0)]
+        ahead, behind = (pseudo_inertia.quantities_of(pseudo_inertia.to_parameters(end)) for end in ends)
         for link in range(manifold.links):
             expected = (ahead - behind)[link] / (2.0 * step)
             along = found[link] @ tangent[manifold.link(link)]
             np.testing.assert_allclose(along, expected, rtol=0, atol=1e-6 * np.abs(expected).max())
-
-
-def test_physical_values_are_those_of_a_cloud() -> None:
-    rng = np.random.default_rng(4)
-    clouds = [bodies.cloud(rng) for _ in range(2)]
-    point = LINKS.point(np.concatenate([bodies.parameters_of_cloud(*cloud) for cloud in clouds]))
-    for found, (masses, places) in zip(physical_values(point), clouds, strict=True):
-        centre = masses @ places / masses.sum()
-        central = bodies.parameters_of_cloud(masses, places - centre)[4:]
-        np.testing.assert_allclose(found[:4], [masses.sum(), *centre], rtol=1e-9)
-        np.testing.assert_allclose(found[4:], central, rtol=1e-7, atol=1e-9 * np.abs(central).max())
 
 
 # --- what it says of an arm -----------------------------------------------------------------------------------------
@@ -280,10 +269,9 @@ def coverage(name: str, correlation: float) -> dict[str, float]:
             if effect.from_data > 0.75:
                 inside[effect.name].append(abs(effect.value - true) < 1.96 * effect.std)
         for link, true in zip(found.links, planted[:first].reshape(-1, 10), strict=True):
-            central = pseudo_inertia.central_inertia(true)[pseudo_inertia.INERTIA_ENTRIES]
-            expected = [true[0], *(true[1:4] / true[0]), *central]
-            values = [link.mass, *link.com, *link.inertia[pseudo_inertia.INERTIA_ENTRIES]]
-            stds = [link.std_mass, *link.std_com, *link.std_inertia[pseudo_inertia.INERTIA_ENTRIES]]
+            expected = pseudo_inertia.quantities_of(true)
+            values = [link.mass, *link.com, *pseudo_inertia.inertia_entries(link.inertia)]
+            stds = [link.std_mass, *link.std_com, *pseudo_inertia.inertia_entries(link.std_inertia)]
             for quantity, value, std, target in zip(QUANTITIES, values, stds, expected, strict=True):
                 told = "untold" if quantity in link.cannot_tell else "told"
                 inside[told].append(abs(value - target) < 1.96 * std)

@@ -189,3 +189,16 @@ def test_equivalent_ellipsoid_reproduces_the_inertia_of_any_body(seed: int) -> N
     for k in range(4):
         size = np.max(np.abs(parameters[k, 4:]))
         np.testing.assert_allclose(parameters[k, 0] * inertia[k], central[k], rtol=0, atol=ROUNDING * size)
+
+
+@SEEDS
+def test_quantities_are_those_of_a_cloud_and_give_its_parameters_again(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    masses, places = bodies.cloud(rng)
+    parameters, centre = bodies.parameters_of_cloud(masses, places), masses @ places / masses.sum()
+    central = bodies.parameters_of_cloud(masses, places - centre)[4:]
+    found = pseudo_inertia.quantities_of(parameters)
+    np.testing.assert_allclose(found[:4], [masses.sum(), *centre], rtol=1e-9)
+    np.testing.assert_allclose(found[4:], central, rtol=1e-7, atol=1e-9 * np.abs(central).max())
+    again = pseudo_inertia.parameters_of(np.array([found, found]))
+    np.testing.assert_allclose(again, [parameters, parameters], rtol=1e-9, atol=1e-12 * np.abs(parameters).max())
