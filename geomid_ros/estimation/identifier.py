@@ -13,7 +13,7 @@ import numpy as np
 from geomid_ros.errors import InputError
 from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.estimation.estimator import EstimatorSettings, WarmStart, estimate
-from geomid_ros.estimation.probation import Instant, Probation
+from geomid_ros.estimation.revocable_buffer import Instant, RevocableBuffer
 from geomid_ros.estimation.summary import RowSummary, SummaryState, usable
 from geomid_ros.model.known import known_rows
 from geomid_ros.model.measurement import MeasurementModel, Rows
@@ -112,7 +112,7 @@ class Identifier:
 
     def _begin_anew(self) -> None:
         self._summary = self._empty_summary()
-        self._probation = Probation()
+        self._recent = RevocableBuffer()
         self._made = 0
         self._rejected: Counter[str] = Counter()
         self._last_pose: FloatArray | None = None
@@ -142,17 +142,17 @@ class Identifier:
                 else:
                     moving[index] = True
                     targets = np.where(measured, rows.targets[index], np.nan)
-                    self._probation.append(Instant(self._instants, rows.coefficients[index], targets, elapsed))
+                    self._recent.append(Instant(self._instants, rows.coefficients[index], targets, elapsed))
                     self._instants += 1
                     self._settle_before(self._instants - self._held)
         return samples.stamps[moving], Rows(rows.coefficients[moving], rows.targets[moving])
 
     def _settle_before(self, number: int) -> None:
-        while self._probation.first < number:
+        while self._recent.first < number:
             self._settle_first()
 
     def _settle_first(self) -> None:
-        instant, rejected = self._probation.pop()
+        instant, rejected = self._recent.pop()
         self._rejected += rejected
         self._summary.add(instant.coefficients, instant.targets, instant.elapsed)
 
@@ -166,7 +166,7 @@ class Identifier:
         """Keep the rows of instants ``before`` this number for good. Who adds meanwhile hardly waits."""
         while True:
             with self._lock:
-                if self._probation.first >= before:
+                if self._recent.first >= before:
                     break
                 self._settle_first()
 
@@ -177,13 +177,13 @@ class Identifier:
         They are rejected for this ``reason``. False if they were before.
         """
         with self._lock:
-            return self._probation.leave_out(reason, channels, begin)
+            return self._recent.leave_out(reason, channels, begin)
 
     def take_again(self, reason: str, begin: int) -> bool:
         """Take the rows that are left out for this reason from the instant of number ``begin`` on, as far as that is
         not settled. False if none are."""
         with self._lock:
-            return self._probation.take_again(reason, begin)
+            return self._recent.take_again(reason, begin)
 
     def _elapsed(self, stamp: int) -> float:
         """Seconds since the sample before; for another recording, or after a pause, not more than a little."""
@@ -210,7 +210,7 @@ class Identifier:
 
     @property
     def _taken(self) -> int:
-        return self._summary.rows + self._probation.rows
+        return self._summary.rows + self._recent.rows
 
     @property
     def instants(self) -> int:
@@ -221,7 +221,7 @@ class Identifier:
     def counts(self) -> RowCounts:
         """What became of all rows so far."""
         with self._lock:
-            return RowCounts(self._made, self._taken, self._rejected + self._probation.rejected)
+            return RowCounts(self._made, self._taken, self._rejected + self._recent.rejected)
 
     @property
     def rows_rejected(self) -> Counter[str]:
@@ -232,13 +232,13 @@ class Identifier:
         """Whether what was chosen when there were ``rows`` rows should be chosen anew: a third of what is remembered
         came later."""
         with self._lock:
-            return self._taken - rows > _RENEWED * (self._summary.weight + self._probation.rows)
+            return self._taken - rows > _RENEWED * (self._summary.weight + self._recent.rows)
 
     def snapshot(self) -> RowSummary:
         """A copy of all that was added so far and is not left out."""
         self._absorb()
         with self._lock:
-            settled, held = self._summary.snapshot(), self._probation.instants
+            settled, held = self._summary.snapshot(), self._recent.instants
         return _with(settled, held)
 
     def _absorb(self) -> None:
@@ -253,8 +253,8 @@ class Identifier:
         """A copy of all that :meth:`restore` goes on from."""
         self._absorb()
         with self._lock:
-            settled, held = self._summary.snapshot(), self._probation.instants
-            rejected, pose, stamp = self._rejected + self._probation.rejected, self._last_pose, self._last_stamp
+            settled, held = self._summary.snapshot(), self._recent.instants
+            rejected, pose, stamp = self._rejected + self._recent.rejected, self._last_pose, self._last_stamp
         return Memory(_with(settled, held).state(), rejected, pose, stamp)
 
     def restore(self, memory: Memory) -> None:

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from scipy.optimize import nnls
 
 from geomid_ros.errors import InputError
-from geomid_ros.estimation.summary import RowSummary, joined
+from geomid_ros.estimation.summary import ChannelSummary, RowSummary, joined
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.geometry.manifold import ParameterManifold
 from geomid_ros.model.measurement import MeasurementModel
@@ -75,11 +77,15 @@ def usual_spreads(manifold: ParameterManifold) -> FloatArray:
 
 
 def prior_parameters(model: MeasurementModel, summary: RowSummary, known: FloatArray | None) -> FloatArray:
-    """The prior's parameters ``(D,)``: ``known`` where it is given and not NaN; else the URDF's inertias and, for the
-    effects, the non-negative least-squares fit of each joint's effects alone on what the inertias leave unexplained.
+    """The prior's parameters ``(D,)``.
 
-    No CAD file knows a joint's friction. The metric on positive coefficients is relative, so that their prior must have
-    the right order of magnitude; the data have it.
+    These are the ``known`` ones ``(D,)`` where they are given and not NaN; else the URDF's inertias and, for the
+    effects, the non-negative least-squares fit of each joint's effects alone to what the inertias leave unexplained: no
+    CAD file knows a joint's friction, and the metric on positive coefficients is relative, so that their prior must
+    have the right order of magnitude.
+
+    Raises:
+        InputError: ``known`` is no point of the model's manifold.
     """
     parameters = np.concatenate([model.nominal_inertias, np.zeros(len(model.coefficients))])
     first = len(model.nominal_inertias)
@@ -88,13 +94,10 @@ def prior_parameters(model: MeasurementModel, summary: RowSummary, known: FloatA
         inertial = known[:first]
         parameters[:first] = np.where(np.isfinite(inertial), inertial, parameters[:first])
     sizes = channel_sizes(summary, model.dimension)
-    for index, parts in enumerate(summary.parts()):
-        columns = model.channels[index].columns
-        chosen = columns[columns >= first]
+    for channel, parts, size in zip(model.channels, summary.parts(), sizes, strict=True):
+        chosen = channel.columns[channel.columns >= first]
         if len(chosen):
-            factor = joined(parts)
-            count = sum(part.count for part in parts)
-            parameters[chosen] = _fitted_effects(factor, count, columns, parameters, chosen, sizes[index], model)
+            parameters[chosen] = _fitted_effects(model, parts, channel.columns, parameters, size)
     if known is not None:
         parameters = np.where(np.isfinite(known), known, parameters)
     return parameters
@@ -115,18 +118,15 @@ def _check_possible(known: FloatArray, model: MeasurementModel) -> None:
 
 
 def _fitted_effects(
-    factor: FloatArray,
-    count: float,
-    columns: IntArray,
-    parameters: FloatArray,
-    chosen: IntArray,
-    size: float,
-    model: MeasurementModel,
+    model: MeasurementModel, parts: Sequence[ChannelSummary], columns: IntArray, parameters: FloatArray, size: float
 ) -> FloatArray:
+    """Coefficients of the effects among the ``columns`` of a channel, whose measured values have this ``size``."""
+    factor, count = joined(parts), sum(part.count for part in parts)
+    inertial = columns < len(model.nominal_inertias)
+    chosen = columns[~inertial]
     positive = chosen < len(model.nominal_inertias) + model.positives
     if not len(factor):
         return np.where(positive, 1.0, 0.0)
-    inertial = columns < chosen[0]
     remainder = factor[:, -1] - factor[:, :-1][:, inertial] @ parameters[columns[inertial]]
     regressor = factor[:, :-1][:, ~inertial]
     split = np.hstack([regressor, -regressor[:, ~positive]])

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from geomid_ros.errors import InputError, unknown_name
-from geomid_ros.estimation.estimator import QUANTITIES
+from geomid_ros.estimation.estimate import QUANTITIES
 from geomid_ros.exports.inertial import Inertial
 from geomid_ros.files.models.joint_frames import joint_frames
 from geomid_ros.files.models.loaded_model import LoadedModel

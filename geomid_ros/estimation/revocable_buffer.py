@@ -1,4 +1,4 @@
-"""The rows of the last instants, while it may still turn out that those of some channels are bad."""
+"""A buffer of the last instants, from which the rows of channels that turn out bad can be revoked."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class _LeftOut:
         return self.begin <= instant.number < self.end
 
 
-class Probation:
+class RevocableBuffer:
     """A queue of instants. Which of their rows are left out can change until they leave it."""
 
     def __init__(self) -> None:
