@@ -159,7 +159,7 @@ def _root(
     ``lambert`` and ``moved`` receive what :func:`_constraint` makes of the values there.
     """
     low, high = ends = _interval(values)
-    total, slope, bend, size = _constraint(0.0, values, ends, flat, offset, lambert, moved)
+    total, slope, bend, size = _constraint(0.0, values, ends, flat, offset, lambert=lambert, moved=moved)
     if slope == 0.0:
         return 0.0, ROOT if total == 0.0 else (NO_ROOT_LOW if total < 0.0 else NO_ROOT_HIGH), total
     # With one sign of eigenvalues only and no flat direction C falls to -b's own value at infinity.
@@ -181,13 +181,13 @@ def _root(
             break
         if not (low < candidate < high):
             if not tried and math.isfinite(end):
-                excess, _, _, _ = _constraint(end, values, ends, flat, offset, lambert, moved)
+                excess, _, _, _ = _constraint(end, values, ends, flat, offset, lambert=lambert, moved=moved)
                 if excess != 0.0 and (excess > 0.0) == rising:
                     return end, NO_ROOT_HIGH if rising else NO_ROOT_LOW, excess
                 tried = True
             candidate = 0.5 * (low + high)  # finite: towards an infinite end C is convex and Newton stays inside
         multiplier = candidate
-        total, slope, bend, size = _constraint(multiplier, values, ends, flat, offset, lambert, moved)
+        total, slope, bend, size = _constraint(multiplier, values, ends, flat, offset, lambert=lambert, moved=moved)
         if total > 0.0:
             low = multiplier
         else:
@@ -485,11 +485,11 @@ def project(
         np.ones(rows) if weights is None else np.ascontiguousarray(weights),
         manifold.links,
         manifold.positives,
-        half,
-        tangent,
-        direction,
-        curvature,
-        status,
+        half_squared=half,
+        tangent=tangent,
+        direction=direction,
+        curvature=curvature,
+        status=status,
     )
     curvature += np.triu(curvature, 1).T
     return Projection(half, tangent, direction, curvature, status)

@@ -22,7 +22,7 @@ _SEPARATIONS = (0.03, 0.05, 0.08)  # [s] at which the noise of filtered samples 
 _EXPLAINED = 0.9  # share of an effort's variance that a controller has to explain
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class LoopTrace:
     """One stretch in closed loop: ``times (N,)`` [s]; joints' positions and efforts ``(N, J)`` that were measured, and
     those that come before and after the findings."""
@@ -174,13 +174,13 @@ def _simulated(part: _Commanded, controller: Controller, before: WrittenRobot, a
         _run(part, controller, robot) for robot in (before, after)
     )
     return LoopTrace(
-        part.stretch.times,
-        samples.position,
-        position_before,
-        position_after,
-        samples.effort,
-        effort_before,
-        effort_after,
+        times=part.stretch.times,
+        position=samples.position,
+        position_before=position_before,
+        position_after=position_after,
+        effort=samples.effort,
+        effort_before=effort_before,
+        effort_after=effort_after,
     )
 
 
