@@ -35,8 +35,8 @@ _MEANINGS = {
         "receipt to row p99 [ms]": "99 of 100 were",
         "receipt to row max [ms]": "all were, of the last 10,000 instants",
         "solves": "estimates so far",
-        "rows": "instants whose rows are in the estimate",
-        "rows made": "instants for which there were rows",
+        "rows": "rows that are in the estimate, one of each channel that is measured at an instant",
+        "rows made": "rows of all channels at all instants: those taken and those rejected",
         "rows rejected: REASON": "those that were not taken: `standing still`, `not measured`, "
         "`wrench doubtful: TOPIC` or `wrench changed: TOPIC`, which may take rows back",
         "TOPIC received": "messages that have come to their end: accepted + rejected + dropped",

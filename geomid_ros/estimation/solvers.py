@@ -1,4 +1,4 @@
-"""Two solvers of one objective, (19)."""
+"""Two solvers: a trust region on the manifold, and the alternation of the paper."""
 
 from __future__ import annotations
 

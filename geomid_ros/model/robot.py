@@ -1,4 +1,4 @@
-"""A robot from its URDF: bodies to identify, joints to read. The only place that imports pinocchio."""
+"""A robot from its URDF: bodies to identify, joints to read, and their rigid-body dynamics by pinocchio."""
 
 from __future__ import annotations
 

@@ -5,14 +5,16 @@ This is the prior of the paper (its Sec. V-B), for robots whose URDF has no iner
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
+from copy import deepcopy
 from dataclasses import dataclass
+from xml.etree.ElementTree import Element
 
 import numpy as np
 
 from geomid_ros.errors import InputError
 from geomid_ros.geometry import pseudo_inertia
-from geomid_ros.model import shapes
+from geomid_ros.model import shapes, urdf_tree
 from geomid_ros.model.urdf_tree import UrdfTree
 from geomid_ros.types import FloatArray, IntArray
 
@@ -153,3 +155,49 @@ def _mass(tree: UrdfTree, masses: Mapping[str, float], link: str, *, through_joi
     """Mass [kg] of a link and of what is fixed to it, or of all that comes after it."""
     after = [joint.child for joint in tree.children(link) if through_joints or joint.type == "fixed"]
     return masses[link] + sum(_mass(tree, masses, child, through_joints=through_joints) for child in after)
+
+
+class ShapedUrdf:
+    """A URDF whose inertials need not be usable.
+
+    Attributes:
+        links: The ``<link>`` elements by name.
+        inertials: What their inertials say, by name.
+        tree: The tree without inertials.
+    """
+
+    def __init__(self, text: str, source: str) -> None:
+        """Raises InputError naming ``source`` where anything but an inertial is not usable."""
+        robot = urdf_tree.read_xml(text, source)
+        self.source = source
+        self.tree = _tree_without_inertials(robot, source)
+        self.links = {link.get("name", ""): link for link in robot.findall("link")}
+        self.inertials = {name: _inertial(link, source) for name, link in self.links.items()}
+
+    def check_staying(self, shaped: Collection[str]) -> None:
+        """Raise InputError for an inertial that no body may have and that no shape replaces."""
+        for name in self.inertials.keys() - set(shaped):
+            parameters = urdf_tree.inertial_parameters(self.links[name], self.source)
+            if parameters is not None and parameters[0] < 0.0:
+                raise InputError(
+                    f"{self.source}: link '{name}' has a mass of {parameters[0]:g} kg, which would stay, as it is "
+                    "kept or has no shape; correct or remove its <inertial>"
+                )
+
+
+def _tree_without_inertials(robot: Element, source: str) -> UrdfTree:
+    stripped = deepcopy(robot)
+    for link in stripped.findall("link"):
+        for inertial in link.findall("inertial"):
+            link.remove(inertial)
+    return urdf_tree.tree(stripped, source)
+
+
+def _inertial(link: Element, source: str) -> Inertial:
+    try:
+        parameters = urdf_tree.inertial_parameters(link, source)
+    except InputError:
+        return Inertial(None, UNREADABLE)
+    if parameters is None:
+        return Inertial(None, MISSING if link.find("inertial") is None else ZERO)
+    return Inertial(parameters, "" if pseudo_inertia.is_body(parameters) else IMPOSSIBLE)

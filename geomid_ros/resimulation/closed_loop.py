@@ -77,6 +77,7 @@ def closed_loop(
     after: ModelFiles,
     recordings: Sequence[Samples],
     commands: Sequence[Samples],
+    *,
     noise: Noise,
     cutoff: float,
 ) -> ClosedLoop:

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from geomid_ros.files.atomic import write_text
+from geomid_ros.files.disk import write_text
 from geomid_ros.files.models.effect_forms import ModelEffect, combined
 from geomid_ros.files.models.gap_results import effect_entry
 from geomid_ros.files.models.mjcf import mjcf
