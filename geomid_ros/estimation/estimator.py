@@ -125,7 +125,7 @@ def estimate(
     if gamma is None and settings.objective == "geodesic":
         gamma = PAPER
     if gamma is None:
-        gamma = choose_gamma(manifold, summary, sigmas, prior_point, known).gamma
+        gamma = choose_gamma(manifold, summary, sigmas, prior_point, known)
     measured = summary.compressed(sigmas, manifold.dimension)
     objective = residual_objective(manifold, measured, known, prior_point, gamma)
     # The prior bounds the curvature from below: a gradient of so little of the prior's weight is so little off.

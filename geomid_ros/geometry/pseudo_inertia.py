@@ -87,6 +87,14 @@ def change_of_frame(
     return float(np.sqrt(mass_unit)) * factor
 
 
+def parameter_transform(rotation: FloatArray, translation: FloatArray) -> FloatArray:
+    """The matrix ``(10, 10)`` that takes parameters from frame b, placed in frame a by ``rotation (3, 3)`` and
+    ``translation (3,)``, to frame a."""
+    factor = change_of_frame(rotation, translation)
+    transform: FloatArray = to_parameters(factor @ from_parameters(np.eye(SIZE)) @ factor.T).T
+    return transform
+
+
 def centre_of_mass(parameters: FloatArray) -> FloatArray:
     """Centre of mass ``(..., 3)`` in the link frame [m], of parameters ``(..., 10)``."""
     centre: FloatArray = parameters[..., 1:4] / parameters[..., :1]

@@ -43,7 +43,6 @@ class Joint:
     v: int
     continuous: bool
     unit: str
-    effort_limit: float
 
 
 class Robot:
@@ -108,7 +107,6 @@ class Robot:
                     model.idx_v,
                     model.nq == 2,
                     "N" if types[name] == "prismatic" else "N m",
-                    float(self._model.effortLimit[model.idx_v]),
                 )
             )
         return tuple(joints)
@@ -142,15 +140,14 @@ class Robot:
         parameters = np.zeros(10)
         for link in massive:
             placed = self._model.frames[self._model.getFrameId(link, pin.BODY)].placement
-            transform = _parameter_transform(frame.placement.actInv(placed))
-            parameters += transform @ self.tree.inertials[link]
+            parameters += _transform(frame.placement.actInv(placed)) @ self.tree.inertials[link]
         self._check_possible(head, massive, parameters)
         return Body(
             head,
             tuple(link for link in massive if link != head),
             frame.parentJoint,
             frozen(parameters),
-            frozen(_parameter_transform(frame.placement)),
+            frozen(_transform(frame.placement)),
         )
 
     def _check_possible(self, head: str, massive: list[str], parameters: FloatArray) -> None:
@@ -300,10 +297,6 @@ class Robot:
             total = data.f[at.parentJoint]
         return np.array(at.placement.actInv(total).vector)
 
-    def inverse_dynamics(self, q: FloatArray, v: FloatArray, a: FloatArray) -> FloatArray:
-        """Efforts ``(nv,)`` of the URDF's own inertias, by the recursive Newton-Euler algorithm."""
-        return np.array(pin.rnea(self._model, self._data, q, v, a))
-
 
 def _build(urdf: str, floating_base: bool, source: str) -> pin.Model:
     try:
@@ -314,10 +307,5 @@ def _build(urdf: str, floating_base: bool, source: str) -> pin.Model:
         raise InputError(f"{source}: pinocchio cannot build a robot from this URDF ({error})") from error
 
 
-def _parameter_transform(placement: pin.SE3) -> FloatArray:
-    """The matrix that takes parameters from a frame placed at ``placement`` to the frame in which that is given."""
-    factor = pseudo_inertia.change_of_frame(placement.rotation, placement.translation)
-    units = pseudo_inertia.from_parameters(np.eye(10))
-    moved = pseudo_inertia.to_parameters(factor @ units @ factor.T)
-    result: FloatArray = moved.T
-    return result
+def _transform(placement: pin.SE3) -> FloatArray:
+    return pseudo_inertia.parameter_transform(placement.rotation, placement.translation)

@@ -45,7 +45,7 @@ def test_a_right_model_needs_the_measured_efforts(tmp_path: Path) -> None:
     assert found.after == found.before
     assert {**found.after} == pytest.approx(dict.fromkeys(JOINTS, 1.0), rel=SCATTER)
     (trace,) = found.traces
-    np.testing.assert_allclose(trace.position_after, trace.position, atol=2e-3)
+    np.testing.assert_array_equal(trace.effort_after, trace.effort_before)
 
 
 def test_a_wrong_one_needs_others_in_proportion(tmp_path: Path) -> None:
