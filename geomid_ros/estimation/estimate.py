@@ -1,4 +1,4 @@
-"""The result of a solve: links, effects, how sure each is, and how the solver ended."""
+"""The result of a solve: links and effects with their uncertainty, and how the solver ended."""
 
 from __future__ import annotations
 

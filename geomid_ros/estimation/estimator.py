@@ -128,7 +128,7 @@ def estimate(
         gamma = choose_gamma(manifold, summary, sigmas, prior_point, known)
     measured = summary.compressed(sigmas, manifold.dimension)
     objective = residual_objective(manifold, measured, known, prior_point, gamma)
-    # The prior bounds the curvature from below: a gradient of so little of the prior's weight is so little off.
+    # The prior bounds the curvature from below: a gradient of ``tolerance`` times its weight is at most that far off.
     tolerance = max(settings.tolerance * min(objective.gamma, 1.0), _LEAST_GRADIENT)
     point = manifold.point(warm.parameters) if warm else prior_point
     solution = trust_region(objective, point, tolerance, settings.max_steps)

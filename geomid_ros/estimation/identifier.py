@@ -28,10 +28,15 @@ _RENEWED = 1.0 / 3.0
 
 @dataclass(frozen=True)
 class BufferSettings:
-    """``still_speed`` [rad/s or m/s] and ``still_distance`` [rad or m]: an instant at which nothing moves faster, and
-    that lies nearer to the last one taken, says nothing new. ``forgetting_time`` [s]: time constant with which the
-    weight of earlier rows falls while rows are taken (infinite: nothing is forgotten). ``folds``, ``block``: see
-    :class:`RowSummary`."""
+    """Which rows are taken, and how long they count. Raises InputError for values that cannot be.
+
+    Attributes:
+        still_speed, still_distance: An instant at which nothing moves faster [rad/s or m/s], and that lies nearer to
+            the last one taken [rad or m], carries no new information and is not taken.
+        forgetting_time: Time constant [s] with which the weight of earlier rows falls while rows are taken; infinite
+            to forget nothing.
+        folds, block: See :class:`RowSummary`.
+    """
 
     still_speed: float = 1e-3
     still_distance: float = 1e-2
@@ -48,7 +53,7 @@ class BufferSettings:
 
 @dataclass(frozen=True, eq=False)
 class Memory:
-    """All that an :class:`Identifier` remembers: rows, why others were not taken, and the last pose and stamp [ns]."""
+    """The state of an :class:`Identifier`: rows, why others were not taken, the last pose and its stamp [ns]."""
 
     summary: SummaryState
     rows_rejected: Counter[str]
@@ -58,7 +63,7 @@ class Memory:
 
 @dataclass(frozen=True, eq=False)
 class RowCounts:
-    """``made = taken + sum(rejected by reason)``, since the last reset."""
+    """Numbers of rows since the last reset: ``made = taken + sum(rejected by reason)``."""
 
     made: int
     taken: int
@@ -67,7 +72,7 @@ class RowCounts:
 
 @dataclass(frozen=True, eq=False)
 class EstimationTask:
-    """What is to be estimated of rows: see :func:`estimate`."""
+    """An estimation problem except for its rows: the arguments of :func:`estimate`."""
 
     model: MeasurementModel
     settings: EstimatorSettings
@@ -84,9 +89,9 @@ Solve: TypeAlias = Callable[[EstimationTask, RowSummary, WarmStart | None], Esti
 class Identifier:
     """Accumulates samples' rows and solves for the parameters. One thread may add while another solves.
 
-    Instants with new rows are counted (:attr:`instants`), so that it can be said since when rows of some channels are
-    bad. Those of the last instants can be taken back as if they had never been, as far as they are held
-    (:meth:`hold`) and not yet settled; estimates are of all that are not left out.
+    Instants with new rows are counted (:attr:`instants`). Rows of some channels can be left out from an instant on, as
+    if they had never been taken, as far back as instants are held (:meth:`hold`) and not yet settled. Estimates are of
+    all rows that are not left out.
     """
 
     def __init__(
@@ -157,13 +162,13 @@ class Identifier:
         self._summary.add(instant.coefficients, instant.targets, instant.elapsed)
 
     def hold(self, instants: int) -> None:
-        """From now on let the rows of so many last instants, none at first, be taken back; more are settled."""
+        """Hold so many last instants (none at first), whose rows can still be left out; settle earlier ones."""
         with self._lock:
             self._held = instants
             self._settle_before(self._instants - instants)
 
     def settle(self, before: int) -> None:
-        """Keep the rows of instants ``before`` this number for good. Who adds meanwhile hardly waits."""
+        """Keep the rows of instants ``before`` this number for good; a thread that adds meanwhile hardly waits."""
         while True:
             with self._lock:
                 if self._recent.first >= before:
@@ -171,10 +176,9 @@ class Identifier:
                 self._settle_first()
 
     def leave_out(self, reason: str, channels: Sequence[int], begin: int) -> bool:
-        """Take back the rows of ``channels`` from the instant of number ``begin`` on, as far as they are not settled,
-        and take no more of them.
+        """Leave out the rows of ``channels`` from the instant of number ``begin`` on, as far as they are not settled.
 
-        They are rejected for this ``reason``. False if they were before.
+        They count as rejected for this ``reason``. False if they were left out before.
         """
         with self._lock:
             return self._recent.leave_out(reason, channels, begin)
@@ -229,8 +233,7 @@ class Identifier:
         return self.counts.rejected
 
     def outgrown(self, rows: int) -> bool:
-        """Whether what was chosen when there were ``rows`` rows should be chosen anew: a third of what is remembered
-        came later."""
+        """Whether a choice made at ``rows`` rows should be made again: a third of what is remembered came later."""
         with self._lock:
             return self._taken - rows > _RENEWED * (self._summary.weight + self._recent.rows)
 
@@ -242,8 +245,7 @@ class Identifier:
         return _with(settled, held)
 
     def _absorb(self) -> None:
-        """Absorb what waits, and give the lock away between one channel and the next: who adds meanwhile hardly
-        waits."""
+        """Absorb what waits, releasing the lock between channels: a thread that adds meanwhile hardly waits."""
         for _ in range(self._summary.folds * len(self.model.channels)):
             with self._lock:
                 if not self._summary.absorb_one():
@@ -280,7 +282,7 @@ class Identifier:
         return self._solve(self._task, self.snapshot(), warm)
 
     def solve_with(self, solve: Solve) -> None:
-        """Let ``solve`` do what :meth:`EstimationTask.solve` does, elsewhere maybe."""
+        """Solve by ``solve`` instead of :meth:`EstimationTask.solve`, in another process for example."""
         self._solve = solve
 
 

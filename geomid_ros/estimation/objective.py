@@ -16,8 +16,8 @@ from geomid_ros.geometry.manifold import ParameterManifold, Point
 from geomid_ros.model.known import KnownRows
 from geomid_ros.types import BoolArray, FloatArray, IntArray, frozen
 
-# The kernels run without the GIL, so chunks share the cores; results do not depend on how many there are, because
-# the chunks are fixed and are summed in order.
+# The kernels run without the GIL, so chunks share the cores; results do not depend on the number of cores, because the
+# chunks are fixed and are summed in order.
 _CHUNK = 512
 _THREADS = 2
 _pool = ThreadPoolExecutor(_THREADS, thread_name_prefix="geomid-projection")
@@ -154,7 +154,7 @@ class ResidualObjective:
 
     Near the prior, and where residuals are small against the measured values, it agrees with (19) to first order. It
     differs in two ways that matter far from there: it has no rows to set aside, and it does not reward what makes
-    distances short, large masses above all (let everything grow alike: a row's residual grows in proportion, the
+    distances short, large masses above all (scale all parameters: a row's residual grows in proportion, the
     distance to its hyperplane does not). It depends on the rows only through their least-squares content, so that
     compressed rows lose nothing. Attributes are those of :class:`GeodesicObjective`.
     """

@@ -1,4 +1,4 @@
-"""What is known before the solve: the prior point, the scales of real coefficients, and first standard deviations."""
+"""The start of a solve: prior point, scales of the real coefficients, first standard deviations of the channels."""
 
 from __future__ import annotations
 
@@ -16,19 +16,19 @@ from geomid_ros.types import FloatArray, IntArray
 
 # A positive coefficient without evidence starts where its effect is this share of the channel's size.
 _LEAST_SHARE = 1e-2
-# In rad/s, rad/s^2 (m/s, m/s^2): what a joint at rest seems to move, which must not pass for evidence, and the least
-# motion for which a coefficient is made large enough to show.
+# In rad/s, rad/s^2 (m/s, m/s^2): the apparent motion of a joint at rest, which must not pass for evidence, and the
+# least motion at which a coefficient is made large enough to show.
 _NOISE_MOTION = 1e-2
 _LEAST_MOTION = 0.1
 # No model predicts a channel better than this share of its size.
 _LEAST_SIGMA_SHARE = 1e-3
 _ROUNDING = 1e-9
 _ROUNDING_COLUMN = 1e-12
-# How far priors usually are off, per direction of the tangent space: inertias from CAD by a fifth, positive
-# coefficients by a factor of e, for they are a first fit in which they stand in for what the inertias cannot explain,
-# and real ones by a fifth of what their channel measures.
+# Usual error of priors, per direction of the tangent space: inertias from CAD a fifth; positive coefficients a factor
+# of e, for they are a first fit that absorbs what the inertias cannot explain; real ones a fifth of what their channel
+# measures.
 USUAL_SPREAD_OF_LINKS = 0.2
-# A prior is never surer than this.
+# No prior is more certain than this.
 LEAST_PRIOR_SPREAD = 0.1
 _USUAL_SPREAD_OF_POSITIVES = 1.0
 _USUAL_SPREAD_OF_REALS = 0.2
@@ -41,7 +41,7 @@ def channel_sizes(summary: RowSummary, dimension: int) -> FloatArray:
 
 
 def first_sigmas(summary: RowSummary, dimension: int) -> FloatArray:
-    """Standard deviations ``(channels,)`` of what no parameters at all can explain of each channel by itself."""
+    """Standard deviations ``(channels,)`` of the part of each channel that no parameters can explain, by itself."""
     sizes = channel_sizes(summary, dimension)
     sigmas = sizes.copy()
     for index, parts in enumerate(summary.parts()):
@@ -69,7 +69,7 @@ def scales_of_reals(model: MeasurementModel, sizes: FloatArray) -> FloatArray:
 
 
 def usual_spreads(manifold: ParameterManifold) -> FloatArray:
-    """Standard deviations ``(D,)`` of the errors that priors usually have, in tangent coordinates."""
+    """Usual standard deviations ``(D,)`` of a prior's error, in tangent coordinates."""
     spreads = np.full(manifold.dimension, USUAL_SPREAD_OF_LINKS)
     spreads[manifold.positive] = _USUAL_SPREAD_OF_POSITIVES
     spreads[manifold.real] = _USUAL_SPREAD_OF_REALS

@@ -1,4 +1,4 @@
-"""How sure an estimate is: the covariance of its error in the tangent space, and what the data contribute to it."""
+"""Uncertainty of an estimate: the covariance of its error in the tangent space, and what the data contribute to it."""
 
 from __future__ import annotations
 

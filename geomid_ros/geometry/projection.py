@@ -73,9 +73,12 @@ _VALUES = 4 * LANES
 class Projection:
     """Projections of one point on N hyperplanes, to second order.
 
-    ``half_squared (N,)`` is half the squared distance. ``tangent (N, D)`` is minus its gradient, which where
-    ``status (N,)`` is :data:`ROOT` is the logarithm of the projected point. Its Hessian is the outer product of
-    ``direction (N, D)`` with itself plus curvature, whose weighted sum over the rows is ``curvature (D, D)``.
+    Attributes:
+        half_squared: Half the squared distances ``(N,)``.
+        tangent: Minus their gradients ``(N, D)``: the logarithms of the projected points, where these exist.
+        direction: ``(N, D)``; the Hessian of a row is the outer product of its direction with itself plus curvature.
+        curvature: Sum ``(D, D)`` of the rows' curvature with their weights.
+        status: ``(N,)``: :data:`ROOT`, :data:`NO_ROOT_LOW` or :data:`NO_ROOT_HIGH`.
     """
 
     half_squared: FloatArray
@@ -469,10 +472,13 @@ def project(
     targets: FloatArray,
     weights: FloatArray | None = None,
 ) -> Projection:
-    """Project ``point`` on the hyperplanes with tangent coordinates ``normals (N, D)`` and targets b ``(N,)``.
+    """Project ``point`` on hyperplanes.
 
-    ``normals`` are the rows whitened at ``point`` (:meth:`ParameterManifold.whiten`); ``weights (N,)``, ones unless
-    given, are those with which the rows' curvature is summed.
+    Args:
+        manifold, point: What is projected.
+        normals: The rows ``(N, D)`` whitened at ``point`` (:meth:`ParameterManifold.whiten`).
+        targets: b ``(N,)``.
+        weights: With which the rows' curvature is summed, ``(N,)``; ones unless given.
     """
     rows, dimension = normals.shape
     offsets = _offsets(manifold, point, normals, targets)

@@ -18,7 +18,7 @@ INERTIA_NAMES = ("ixx", "ixy", "iyy", "ixz", "iyz", "izz")
 """Names of the six entries of an inertia, in the order of the parameters."""
 INERTIA_ENTRIES = (np.array([0, 0, 1, 0, 1, 2]), np.array([0, 1, 1, 2, 2, 2]))
 """Rows and columns of these entries in the matrix."""
-# A body flatter than this is taken for one without thickness, from which no distance can be measured.
+# Least ratio of a body's central second moments; from a flat body no distance can be measured.
 _FLATTEST = 1e-10
 
 
@@ -76,10 +76,12 @@ COEFFICIENT_BASIS = symmetric.to_matrix(_COEFFICIENTS_TO_COORDINATES)
 def change_of_frame(
     rotation: FloatArray, translation: FloatArray, length_unit: float = 1.0, mass_unit: float = 1.0
 ) -> FloatArray:
-    """The matrix G of (13), with which ``P_a = G P_b G^T``.
+    """The matrix G ``(4, 4)`` of (13), with which ``P_a = G P_b G^T``.
 
-    ``rotation (3, 3)`` and ``translation (3,)`` place frame b in frame a (``r_a = R r_b + t``, in b's unit of
-    length); ``length_unit`` and ``mass_unit`` are the factors from b's units to a's.
+    Args:
+        rotation, translation: ``(3, 3)`` and ``(3,)`` place frame b in frame a: ``r_a = R r_b + t`` in b's unit of
+            length.
+        length_unit, mass_unit: Factors from b's units to a's.
     """
     factor = np.eye(4)
     factor[:3, :3] = length_unit * rotation
@@ -110,10 +112,10 @@ def central_inertia(parameters: FloatArray) -> FloatArray:
 
 
 def is_body(parameters: FloatArray) -> bool:
-    """Whether parameters ``(10,)`` are those of a body that can exist and has some thickness in every direction.
+    """Whether parameters ``(10,)`` belong to a body that can exist and is not flat.
 
-    Judged by its central second moments: unlike the eigenvalues of the pseudo-inertia, their ratio depends neither on
-    units nor on where the frame is.
+    Its central second moments decide: unlike the eigenvalues of the pseudo-inertia, their ratio depends neither on
+    units nor on the frame.
     """
     if parameters[0] <= 0.0:
         return False
@@ -142,8 +144,8 @@ def parameters_of(quantities: FloatArray) -> FloatArray:
 
 
 def equivalent_ellipsoid(parameters: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Semi-axes ``(..., 3)`` [m] and axes ``(..., 3, 3)`` (columns, link frame) of the uniform solid ellipsoid
-    with the same mass and inertia.
+    """The uniform solid ellipsoid with the same mass and inertia: semi-axes ``(..., 3)`` [m] and axes ``(..., 3, 3)``,
+    as columns in the link's frame.
 
     A uniform ellipsoid with semi-axes s has central second moment ``m diag(s^2)/5``.
     """

@@ -22,9 +22,12 @@ _ROOT_JOINT = "floating base of geomid_ros"  # must not be the name of a joint o
 class Body:
     """A rigid body to identify: a moving link with what is fixed to it.
 
-    ``name`` is the URDF link in whose frame ``parameters (10,)`` are given; ``merged`` names the massive links that are
-    fixed to it and counted in. ``joint`` is pinocchio's index of the joint that moves it (0: none, it stands in the
-    world on a mounted sensor), ``to_joint (10, 10)`` takes parameters from the link's frame to that joint's.
+    Attributes:
+        name: The URDF link in whose frame the parameters are given.
+        merged: Massive links that are fixed to it and counted in.
+        joint: Pinocchio's index of the joint that moves it; 0 for none: it is fixed to the world by a mounted sensor.
+        parameters: ``(10,)`` in pinocchio's order.
+        to_joint: Takes parameters from the link's frame to that of the joint, ``(10, 10)``.
     """
 
     name: str
@@ -60,9 +63,17 @@ class Robot:
     ) -> None:
         """Build from URDF text.
 
-        ``cuts`` are links at which a group of fixed links is divided (where a mounted sensor sits): the part from there
-        on is a body of its own. ``locked_joints`` are taken as fixed at zero. ``gravity (3,)`` in the base (world)
-        frame [m/s^2]. Raises InputError naming ``source`` and the link or joint.
+        Args:
+            urdf: The text.
+            floating_base: Whether the root link moves freely.
+            cuts: Links at which a group of fixed links is divided (where a mounted sensor sits): the part from there
+                on is a body of its own.
+            locked_joints: Joints that count as fixed at zero.
+            gravity: ``(3,)`` in the base (world) frame [m/s^2].
+            source: Names the URDF in messages.
+
+        Raises:
+            InputError: Naming ``source`` and the link or joint.
         """
         self.source = source
         self.urdf = urdf
@@ -179,7 +190,7 @@ class Robot:
         return frame in self.tree.links
 
     def is_divided_at(self, link: str) -> bool:
-        """Whether no body reaches across the link ``link``: it moves on its parent, or it is one of the cuts."""
+        """Whether the body of ``link`` begins there: it moves relative to its parent, or it is one of the cuts."""
         return link in self._heads
 
     def subtree(self, frame: str) -> list[int]:
@@ -212,7 +223,7 @@ class Robot:
         return rows
 
     def update_motion(self, q: FloatArray, v: FloatArray, a: FloatArray) -> None:
-        """Compute placements, velocities and accelerations, for the frame queries that follow."""
+        """Compute placements, velocities and accelerations for :meth:`placement` and :meth:`wrench_rows`."""
         pin.forwardKinematics(self._model, self._data, q, v, a)
 
     def wrench_rows(self, bodies: Iterable[int], frame: str) -> FloatArray:
@@ -246,7 +257,7 @@ class Robot:
         return {link: (np.array(m.rotation), np.array(m.translation)) for link, m in placements.items()}
 
     def parent_body(self, link: str) -> str | None:
-        """The next body above ``link`` in the chain, the root link if there is none, None for the root itself."""
+        """The nearest body above ``link``; the root link if there is none, None for the root itself."""
         above = [joint.parent for joint in self.tree.joints_above(link)]
         return next((parent for parent in above if parent in self.body_names), above[-1] if above else None)
 
@@ -268,7 +279,7 @@ class Robot:
         )
 
     def with_inertias(self, inertias: FloatArray, bodies: Iterable[int]) -> pin.Model:
-        """A copy of pinocchio's model: the listed bodies have ``inertias (all bodies, 10)``, all else nothing."""
+        """A copy of pinocchio's model with ``inertias (all bodies, 10)`` of the listed bodies; all else is massless."""
         model = self._model.copy()
         joints = np.zeros((model.njoints, 10))
         for index in bodies:
@@ -282,8 +293,8 @@ class Robot:
     def carried_wrench(
         self, model: pin.Model, data: pin.Data, frame: str, q: FloatArray, v: FloatArray, a: FloatArray
     ) -> FloatArray:
-        """Wrench ``(6,)`` that moves all massive bodies of ``model``, which all come at or after the link ``frame``, in
-        that link's frame."""
+        """Wrench ``(6,)`` that moves all massive bodies of ``model``, in the frame of the link ``frame``, at or after
+        which they all are."""
         pin.rnea(model, data, q, v, a)
         at = model.frames[model.getFrameId(frame, pin.BODY)]
         if at.parentJoint == 0:

@@ -20,7 +20,7 @@ from geomid_ros.types import FloatArray, IntArray
 
 MISSING, ZERO, UNREADABLE, IMPOSSIBLE = "missing", "zero mass", "unreadable", "impossible"
 OUTSIDE, POINT, DENSE, LIGHT = "mass beyond its shape", "nearly a point mass", "far too dense", "far too light"
-# Links differ in what they are made of, and shapes are not exact: nonsense is what is off by so much.
+# Links differ in material, and shapes are not exact: an inertial is implausible only if it is off by so much.
 _REACH = 2.0  # of the mass, in sizes of the shape
 _POINT = 0.1  # radius of gyration, as a share of the shape's
 _DENSITY = 10.0  # ratio to the robot's
@@ -28,8 +28,13 @@ _DENSITY = 10.0  # ratio to the robot's
 
 @dataclass(frozen=True, eq=False)
 class Solid:
-    """What fills a link, in its frame: ``moments (4, 4)`` as in :mod:`shapes`, and a surface of ``triangles (T, 3)``
-    with corners ``vertices (V, 3)``; ``shape`` says in words where that comes from."""
+    """The solid of a link, in its frame.
+
+    Attributes:
+        moments: ``(4, 4)`` as in :mod:`shapes`.
+        vertices, triangles: Its surface: corners ``(V, 3)`` [m] and their indices ``(T, 3)``.
+        shape: Where it comes from, in words.
+    """
 
     moments: FloatArray
     vertices: FloatArray
@@ -39,8 +44,8 @@ class Solid:
 
 @dataclass(frozen=True, eq=False)
 class Inertial:
-    """A link's inertial as the URDF has it: ``parameters (10,)`` where it says a mass, and the ``problem`` with it, if
-    it belongs to no body that can exist."""
+    """A link's inertial in the URDF: its ``parameters (10,)`` if it has a mass, and the ``problem`` with it, empty if
+    there is none."""
 
     parameters: FloatArray | None
     problem: str
@@ -53,8 +58,13 @@ class Inertial:
 
 @dataclass(frozen=True, eq=False)
 class LinkPrior:
-    """A link before and after. ``parameters (10,)``: from its shape; None where its inertial stays. ``verdict``: what
-    is wrong with the inertial that it had, empty if nothing."""
+    """A link before and after.
+
+    Attributes:
+        name, solid, before: The link, its solid and the inertial it had.
+        parameters: ``(10,)`` from its shape; None where its inertial stays.
+        verdict: What is wrong with the inertial it had, empty if nothing.
+    """
 
     name: str
     solid: Solid | None
@@ -113,10 +123,10 @@ def shape_prior(
 
 
 def verdict(before: Inertial, solid: Solid | None, density: float) -> str:
-    """What is wrong with an inertial: that no body has it, or none of this shape; empty if nothing is.
+    """What is wrong with an inertial: no body has it, or none of this shape; empty if nothing is wrong.
 
-    Nothing of a body that lies between a and b along an axis varies more than ``(b - c)(c - a)`` about its centre c
-    (Bhatia and Davis): what does has mass elsewhere.
+    The variance along an axis of a body between a and b is at most ``(b - c)(c - a)`` about its centre c (Bhatia and
+    Davis 2000): an inertial with a larger one has mass elsewhere.
     """
     if before.parameters is None or before.problem or solid is None:
         return before.problem
@@ -143,8 +153,8 @@ def _centre_and_variances(pseudo: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 
 def massless_links(tree: UrdfTree, masses: Mapping[str, float]) -> tuple[list[str], list[str]]:
-    """Moving links without any mass, their fixed links included: those that carry mass further on, and those that do
-    not. The former are right between the axes of one joint; the latter leave their joint nothing to move."""
+    """Moving links that have no mass, nor have the links fixed to them: those that carry mass further on, and those
+    that do not. The former are right between the axes of one joint; the latter leave their joint nothing to move."""
     moving = [joint.child for joint in tree.joints if joint.type != "fixed"]
     massless = [link for link in moving if not _mass(tree, masses, link, through_joints=False)]
     between = [link for link in massless if _mass(tree, masses, link, through_joints=True)]

@@ -44,8 +44,13 @@ class UrdfJoint:
 
 @dataclass(frozen=True)
 class UrdfTree:
-    """Link names and joints in the file's order, the root link, and the inertial parameters ``(10,)`` of the links that
-    have a mass, in pinocchio's order about the link frame's origin."""
+    """The tree of links and joints.
+
+    Attributes:
+        links, joints: In the file's order.
+        root: The root link.
+        inertials: Parameters ``(10,)`` of the links with a mass, in pinocchio's order about the link frame's origin.
+    """
 
     links: tuple[str, ...]
     joints: tuple[UrdfJoint, ...]
@@ -144,7 +149,7 @@ class _Builder(TreeBuilder):
 
 
 def without_shapes(text: str, source: str) -> str:
-    """The URDF with what rigid bodies need and nothing else: whoever gets it opens no mesh, and fails at no colour."""
+    """The URDF reduced to what rigid bodies need: its reader opens no mesh and fails at no colour."""
     robot = read_xml(text, source)
     pruned = Element("robot", name=robot.get("name", ""))
     for child in robot:
