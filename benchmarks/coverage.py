@@ -15,11 +15,9 @@ from scipy.stats import norm
 
 from benchmarks.report import Report
 from benchmarks.simulated_arm import FRESH, MOTIONS, Arm, Run, arm, identified, noise, truth
-from geomid_ros.estimation.estimate import Estimate
-from geomid_ros.estimation.estimator import QUANTITIES
+from geomid_ros.estimation.estimate import QUANTITIES, Estimate
 from geomid_ros.estimation.gamma import PAPER
-from geomid_ros.estimation.uncertainty import physical_values
-from geomid_ros.geometry.pseudo_inertia import INERTIA_ENTRIES
+from geomid_ros.geometry.pseudo_inertia import inertia_entries, quantities_of
 from geomid_ros.types import FloatArray
 
 FIRST_SEED = 1000
@@ -77,9 +75,8 @@ def _recorded(run: Run) -> tuple[Arm, FloatArray, FloatArray]:
 
 def intervals_of(where: Arm, found: Estimate, true: FloatArray, run: Run) -> list[Interval]:
     """An estimate's intervals against the true parameters ``(D,)``."""
-    model = where.model
-    first, manifold = len(model.nominal_inertias), model.manifold(np.ones(len(model.coefficients) - model.positives))
-    expected = physical_values(manifold.point(true))
+    first = len(where.model.nominal_inertias)
+    expected = quantities_of(true[:first].reshape(-1, 10))
     intervals = []
     for link, values in zip(found.links, expected, strict=True):
         errors = (_of_link(link.mass, link.com, link.inertia) - values) / _of_link(
@@ -96,7 +93,7 @@ def intervals_of(where: Arm, found: Estimate, true: FloatArray, run: Run) -> lis
 
 
 def _of_link(mass: float, com: FloatArray, inertia: FloatArray) -> FloatArray:
-    return np.concatenate([[mass], com, inertia[INERTIA_ENTRIES]])
+    return np.concatenate([[mass], com, inertia_entries(inertia)])
 
 
 def coverage(intervals: Iterable[Interval], level: float = LEVEL) -> tuple[float, float, int]:

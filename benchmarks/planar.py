@@ -61,8 +61,9 @@ def _geodesic() -> list[FloatArray]:
     turn = np.column_stack([_direction(60.0), _direction(150.0)])
     first = _density(np.zeros(2), _COVARIANCE)
     last = _density(np.array([4.0, 1.5]), turn @ _COVARIANCE @ turn.T)
-    velocity = spd.log_map(first, last)
-    return [spd.geodesic(first, velocity, float(t)) for t in np.linspace(0.0, 1.0, _STEPS)]
+    root, inverse_root = spd.spd_sqrt(first), spd.spd_inv_sqrt(first)
+    velocity = spd.spd_log(spd.congruence(inverse_root, last))
+    return [spd.congruence(root, spd.sym_exp(t * velocity)) for t in np.linspace(0.0, 1.0, _STEPS)]
 
 
 def _centre(pseudo: FloatArray) -> FloatArray:

@@ -35,8 +35,8 @@ _MEANINGS = {
         "receipt to row p99 [ms]": "99 of 100 were",
         "receipt to row max [ms]": "all were, of the last 10,000 instants",
         "solves": "estimates so far",
-        "rows": "instants whose rows are in the estimate",
-        "rows made": "instants for which there were rows",
+        "rows": "rows that are in the estimate, one of each channel that is measured at an instant",
+        "rows made": "rows of all channels at all instants: those taken and those rejected",
         "rows rejected: REASON": "those that were not taken: `standing still`, `not measured`, "
         "`wrench doubtful: TOPIC` or `wrench changed: TOPIC`, which may take rows back",
         "TOPIC received": "messages that have come to their end: accepted + rejected + dropped",
@@ -110,9 +110,38 @@ def _everything() -> Status:
 
 def _estimate() -> Estimate:
     zeros, one = np.zeros(3), np.ones(1)
-    link = LinkEstimate("LINK", (), 1.0, zeros, np.eye(3), 0.0, zeros, np.eye(3), np.ones(10), 0.0, 0.0, 1.0, ())
-    known = LinksInformation(np.eye(10), np.zeros(10))
-    return Estimate(True, "", 0.0, 1, 0.0, 1, 0, (link,), (), np.ones(10), ("CHANNEL",), one, one, one, known)
+    link = LinkEstimate(
+        name="LINK",
+        merged=(),
+        mass=1.0,
+        com=zeros,
+        inertia=np.eye(3),
+        std_mass=0.0,
+        std_com=zeros,
+        std_inertia=np.eye(3),
+        parameters=np.ones(10),
+        distance_from_prior=0.0,
+        from_data=0.0,
+        min_eigenvalue_ratio=1.0,
+        cannot_tell=(),
+    )
+    return Estimate(
+        converged=True,
+        reason="",
+        seconds=0.0,
+        steps=1,
+        gamma=0.0,
+        rows_accepted=1,
+        rows_set_aside=0,
+        links=(link,),
+        effects=(),
+        parameters=np.ones(10),
+        channels=("CHANNEL",),
+        sigmas=one,
+        rms_nominal=one,
+        rms=one,
+        information=LinksInformation(np.eye(10), np.zeros(10)),
+    )
 
 
 def _search_result() -> GapResult:

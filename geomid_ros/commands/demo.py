@@ -18,7 +18,7 @@ from geomid_ros.files.models.results import read_estimate
 from geomid_ros.files.models.urdf import read_urdf
 from geomid_ros.files.shared_files import shared_file
 from geomid_ros.model.samples import Samples
-from geomid_ros.report.drawing import draw_identification
+from geomid_ros.report.picture import draw_identification
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.recordings import Topics, read_samples
 from geomid_ros.session.session import Session

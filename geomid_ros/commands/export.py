@@ -7,13 +7,10 @@ from pathlib import Path
 import click
 
 from geomid_ros.errors import InputError
-from geomid_ros.exports import blocks, franka, ur
+from geomid_ros.exports.formats import CONTROLLERS, DESCRIPTIONS
 from geomid_ros.exports.inertial import Export
 from geomid_ros.exports.model import Model, read_model
 from geomid_ros.exports.payload import attached, chosen, difference, each_link
-
-_CONTROLLERS = {"ur": ur, "franka": franka}
-_DESCRIPTIONS = {"moveit": blocks.urdf, "gazebo": blocks.sdf, "mujoco": blocks.mjcf}
 
 
 @click.command()
@@ -22,7 +19,7 @@ _DESCRIPTIONS = {"moveit": blocks.urdf, "gazebo": blocks.sdf, "mujoco": blocks.m
     "--for",
     "tool",
     required=True,
-    type=click.Choice([*_CONTROLLERS, *_DESCRIPTIONS]),
+    type=click.Choice([*CONTROLLERS, *DESCRIPTIONS]),
     help="Who is to read it.",
 )
 @click.option(
@@ -46,12 +43,12 @@ def export(model: Path, tool: str, frame: str | None, links: str | None, without
     did not show is not exported as a payload.
     """
     read = read_model(model)
-    if tool in _CONTROLLERS:
-        controller = _CONTROLLERS[tool]
-        payload = _payload(read, frame or _flange(read, controller.FLANGE), links, without)
+    if tool in CONTROLLERS:
+        controller = CONTROLLERS[tool]
+        payload = _payload(read, frame or _flange(read, controller.flange), links, without)
         click.echo(controller.commands(payload), nl=False)
     else:
-        click.echo(_DESCRIPTIONS[tool](_inertials(read, frame, links, without)), nl=False)
+        click.echo(DESCRIPTIONS[tool](_inertials(read, frame, links, without)), nl=False)
 
 
 def _inertials(model: Model, frame: str | None, links: str | None, without: Path | None) -> list[Export]:

@@ -152,16 +152,16 @@ def _page(
     why_not: str,
 ) -> GapPage:
     return GapPage(
-        session.robot.name,
-        [path.name for path in bags],
-        session.robot.joint_names,
-        position_units(session.model),
-        result,
-        _nominal_inertias(session),
-        _without_findings(session, result, recordings.held_out),
-        session.loaded.effects,
-        again,
-        why_not,
+        robot=session.robot.name,
+        recordings=[path.name for path in bags],
+        joints=session.robot.joint_names,
+        units=position_units(session.model),
+        result=result,
+        nominal=_nominal_inertias(session),
+        rigid=_without_findings(session, result, recordings.held_out),
+        known=session.loaded.effects,
+        simulated=again,
+        not_simulated=why_not,
     )
 
 

@@ -41,7 +41,7 @@ def simulate_again(
     if not windows.skipped:
         simulations.append(_of_windows(model, windows))
     if commands:
-        loop = closed_loop(model, before, after, recordings, commands, noise, cutoff)
+        loop = closed_loop(model, before, after, recordings, commands, noise=noise, cutoff=cutoff)
         reasons.append(loop.skipped and f"in closed loop, {loop.skipped}")
         if not loop.skipped:
             simulations.append(_of_loop(model, loop))
@@ -53,17 +53,17 @@ def _of_windows(model: MeasurementModel, found: Resimulated) -> SimulatedAgain:
         return np.concatenate([_broken(getattr(trace, kind)) for trace in found.traces])
 
     return SimulatedAgain(
-        "windows",
-        f"Velocities in MuJoCo, from the written MJCF: every {HORIZON:g} s from the measured state anew, under the "
-        "measured efforts.",
-        {"before": found.before, "after": found.after},
-        model.robot.joint_names,
-        [f"{unit}/s" for unit in position_units(model)],
-        _in_a_row([_ends_repeated(trace.times) for trace in found.traces]),
-        lines("measured"),
-        lines("before"),
-        lines("after"),
-        _SECONDS_OF_WINDOWS,
+        kind="windows",
+        sentence=f"Velocities in MuJoCo, from the written MJCF: every {HORIZON:g} s from the measured state anew, "
+        "under the measured efforts.",
+        errors={"before": found.before, "after": found.after},
+        joints=model.robot.joint_names,
+        units=[f"{unit}/s" for unit in position_units(model)],
+        times=_in_a_row([_ends_repeated(trace.times) for trace in found.traces]),
+        measured=lines("measured"),
+        before=lines("before"),
+        after=lines("after"),
+        seconds=_SECONDS_OF_WINDOWS,
     )
 
 
@@ -72,16 +72,16 @@ def _of_loop(model: MeasurementModel, found: ClosedLoop) -> SimulatedAgain:
         return np.concatenate([_broken(getattr(trace, kind)[None]) for trace in found.traces])
 
     return SimulatedAgain(
-        "closed_loop",
-        "Efforts in MuJoCo, from the written MJCF: the whole motion under the recorded commands, with the controller "
-        "that explains the measured efforts best.",
-        {"before": found.before, "after": found.after},
-        model.robot.joint_names,
-        [joint.unit for joint in model.robot.joints],
-        _in_a_row([_ends_repeated(trace.times[None]) for trace in found.traces]),
-        lines("effort"),
-        lines("effort_before"),
-        lines("effort_after"),
+        kind="closed_loop",
+        sentence="Efforts in MuJoCo, from the written MJCF: the whole motion under the recorded commands, with the "
+        "controller that explains the measured efforts best.",
+        errors={"before": found.before, "after": found.after},
+        joints=model.robot.joint_names,
+        units=[joint.unit for joint in model.robot.joints],
+        times=_in_a_row([_ends_repeated(trace.times[None]) for trace in found.traces]),
+        measured=lines("effort"),
+        before=lines("effort_before"),
+        after=lines("effort_after"),
     )
 
 

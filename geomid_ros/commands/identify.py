@@ -15,7 +15,7 @@ from geomid_ros.errors import InputError
 from geomid_ros.files.bags.bag import Bag
 from geomid_ros.files.models.urdf import read_urdf
 from geomid_ros.model.samples import Samples
-from geomid_ros.report.drawing import draw_identification
+from geomid_ros.report.picture import draw_identification
 from geomid_ros.session.recordings import Topics, check_efforts, read_samples
 from geomid_ros.session.session import Session
 

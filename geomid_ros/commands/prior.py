@@ -11,15 +11,14 @@ import numpy as np
 from geomid_ros.commands.progress import tracked, working
 from geomid_ros.commands.tables import print_prior
 from geomid_ros.errors import InputError, unknown_name
-from geomid_ros.files.atomic import write_text
+from geomid_ros.files.disk import write_text
 from geomid_ros.files.models.urdf import Inertia, read_urdf, with_inertials
 from geomid_ros.files.shapes.meshes import MeshFinder
-from geomid_ros.files.shapes.shaped_urdf import ShapedUrdf
 from geomid_ros.files.shapes.shapes import ShapeReader
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.model.robot import Robot
 from geomid_ros.model.samples import Samples
-from geomid_ros.model.shape_prior import IMPOSSIBLE, ShapePrior, massless_links, shape_prior
+from geomid_ros.model.shape_prior import IMPOSSIBLE, ShapedUrdf, ShapePrior, massless_links, shape_prior
 from geomid_ros.model.urdf_tree import UrdfTree
 from geomid_ros.report.prior_picture import PlacedLink, prior_picture
 

@@ -10,8 +10,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from geomid_ros.estimation.estimate import Estimate, LinkEstimate
-from geomid_ros.estimation.estimator import QUANTITIES
+from geomid_ros.estimation.estimate import QUANTITIES, Estimate, LinkEstimate
 from geomid_ros.model import shapes
 from geomid_ros.model.shape_prior import LinkPrior, ShapePrior
 from geomid_ros.session.session import Session

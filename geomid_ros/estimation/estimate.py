@@ -1,4 +1,4 @@
-"""The result: what was found for each link and effect, how sure it is, and how it was found."""
+"""The result of a solve: links and effects with their uncertainty, and how the solver ended."""
 
 from __future__ import annotations
 
@@ -8,16 +8,28 @@ from dataclasses import dataclass
 from geomid_ros.model.effects import Quantity
 from geomid_ros.types import FloatArray
 
+QUANTITIES = ("mass", "com x", "com y", "com z", "Ixx", "Ixy", "Iyy", "Ixz", "Iyz", "Izz")
+"""Names of a link's ten quantities, in the order of :func:`geomid_ros.geometry.pseudo_inertia.quantities_of`."""
+FINEST = 1e7
+"""Inverse of the smallest relative error of an inertia that data are believed to resolve."""
 
-@dataclass(frozen=True, eq=False)
+
+@dataclass(frozen=True, eq=False, kw_only=True)
 class LinkEstimate:
-    """A body under its moving link's name (``merged``: fixed links that are counted in).
+    """The body of a moving link.
 
-    ``mass`` [kg], ``com (3,)`` [m] in the link's frame, ``inertia (3, 3)`` [kg m^2] about the centre of mass in the
-    link's axes, each with its standard deviation; ``parameters (10,)`` the same about the link's origin.
-    ``distance_from_prior``: geodesic. ``from_data``: share that came from the data rather than the prior, 0 to 1.
-    ``min_eigenvalue_ratio``: smallest eigenvalue of ``P0^-1/2 P P0^-1/2``. ``cannot_tell``: quantities that the motion
-    said little about.
+    Attributes:
+        name: The moving link.
+        merged: Links that are fixed to it and counted in.
+        mass: [kg].
+        com: Centre of mass ``(3,)`` in the link's frame [m].
+        inertia: ``(3, 3)`` about the centre of mass in the link's axes [kg m^2].
+        std_mass, std_com, std_inertia: Standard deviations of these.
+        parameters: ``(10,)`` in pinocchio's order, about the link's origin.
+        distance_from_prior: Geodesic distance.
+        from_data: Share of the prior's variance that the data removed, 0 to 1.
+        min_eigenvalue_ratio: Smallest eigenvalue of ``P0^-1/2 P P0^-1/2``.
+        cannot_tell: Those of :data:`QUANTITIES` that the motion does not identify.
     """
 
     name: str
@@ -35,11 +47,18 @@ class LinkEstimate:
     cannot_tell: tuple[str, ...]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class EffectEstimate:
-    """An effect's coefficient at a joint, or at another place of that name.
+    """The coefficient of an effect at a joint, or at another place of that name.
 
-    ``parameters``: the one that it is, which of an effect with several is named in ``parameter``, and the constants."""
+    Attributes:
+        name: The effect's.
+        joint: The name of its place.
+        value, unit, std: Of the coefficient, with its standard deviation.
+        from_data: Share of the prior's variance that the data removed, 0 to 1.
+        parameter: Which parameter the coefficient is, of an effect with several; else empty.
+        parameters: That parameter, and the effect's constants.
+    """
 
     name: str
     joint: str
@@ -51,10 +70,9 @@ class EffectEstimate:
     parameters: Mapping[str, Quantity]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class KnownEstimate:
-    """A weighed mass [kg]: what ``name`` was said to weigh, and what it weighs by the estimate, each with its standard
-    deviation."""
+    """A weighed mass [kg]: the ``given`` one and the estimated ``mass``, each with its standard deviation."""
 
     name: str
     given: float
@@ -63,30 +81,38 @@ class KnownEstimate:
     std: float
 
 
-FINEST = 1e7
-"""The inverse of the smallest relative error of an inertia that data are believed to tell."""
-
-
 @dataclass(frozen=True, eq=False)
 class LinksInformation:
-    """What the data said of the inertias of all links together.
+    """What the data say of the inertias of all links together, whatever the effects are.
 
     ``|residuals + rows (x - parameters)|^2`` is minus twice the logarithm of the likelihood of link parameters x, up to
-    a constant, with the effects that suit x best: ``residuals (10 links,)``, and ``rows (10 links, 10 links)``, upper
-    triangular.
+    a constant, maximised over the effects.
+
+    Attributes:
+        rows: ``(10 links, 10 links)``, upper triangular.
+        residuals: ``(10 links,)``.
     """
 
     rows: FloatArray
     residuals: FloatArray
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class Estimate:
     """All that a solve found.
 
-    ``parameters (D,)`` of the measurement model; ``gamma`` the prior's share; ``sigmas`` and ``rms_*`` by channel in
-    the channel's unit, NaN where nothing was measured. ``rows_set_aside``: of the compressed rows, those without a
-    projection from the prior (only (19) sets rows aside).
+    Attributes:
+        converged, reason: Whether the solver converged, and why it stopped.
+        seconds, steps: Duration [s] and number of steps.
+        gamma: Weight of the prior as a share of the rows'.
+        rows_accepted: Rows that were measured and used.
+        rows_set_aside: Compressed rows without a projection from the prior; only (19) sets rows aside.
+        links, effects, known: The results.
+        parameters: ``(D,)`` of the measurement model.
+        channels: Names of the measured channels.
+        sigmas, rms_nominal, rms: ``(channels,)`` in the channels' units: standard deviations, and RMS residuals of the
+            nominal and of the identified model; NaN where nothing was measured.
+        information: What the data say of all links together.
     """
 
     converged: bool

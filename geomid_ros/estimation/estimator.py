@@ -4,19 +4,14 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass
+from itertools import compress
 
 import numpy as np
 from scipy.fft import dct
 
 from geomid_ros.errors import InputError, unknown_name
-from geomid_ros.estimation.estimate import (
-    EffectEstimate,
-    Estimate,
-    KnownEstimate,
-    LinkEstimate,
-)
+from geomid_ros.estimation.estimate import QUANTITIES, EffectEstimate, Estimate, KnownEstimate, LinkEstimate
 from geomid_ros.estimation.gamma import PAPER, choose_gamma
-from geomid_ros.estimation.links_information import links_information
 from geomid_ros.estimation.objective import GeodesicObjective, ResidualObjective, residual_objective, trust_in_known
 from geomid_ros.estimation.solvers import SOLVERS, trust_region
 from geomid_ros.estimation.starting_point import (
@@ -29,11 +24,11 @@ from geomid_ros.estimation.starting_point import (
 from geomid_ros.estimation.summary import RowSummary
 from geomid_ros.estimation.uncertainty import (
     Fold,
-    Kind,
+    ParameterGroup,
     Uncertainty,
+    estimate_uncertainty,
+    links_information,
     physical_sensitivity,
-    physical_values,
-    uncertainty,
 )
 from geomid_ros.geometry import pseudo_inertia, spd
 from geomid_ros.geometry.manifold import ParameterManifold, Point
@@ -42,21 +37,27 @@ from geomid_ros.model.known import KnownRows, WeighedMass, known_rows
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.types import FloatArray, frozen
 
-QUANTITIES = ("mass", "com x", "com y", "com z", "Ixx", "Ixy", "Iyy", "Ixz", "Iyz", "Izz")
 OBJECTIVES = ("residual", "geodesic")
 _ROUNDING = 1e-9
 _LEAST_GRADIENT = 1e-14  # relative to the sum of the weights; rounding allows no less
-# A quantity is called told when the data at least halved the standard deviation that the prior alone leaves.
-_TOLD = 0.5
+# A quantity is called identifiable when the data at least halved the standard deviation that the prior alone leaves.
+_IDENTIFIABLE = 0.5
 
 
 @dataclass(frozen=True)
 class EstimatorSettings:
-    """``gamma``: weight of the prior as a share of the rows' (the paper's is 0.01), or None to find it on held-out
-    blocks of time. ``sigma``: standard deviations by channel name where they are known; others are estimated from the
-    residuals. ``objective``: ``residual`` (Remark 3) or ``geodesic`` ((19), and then ``solver``: ``trust_region`` or
-    ``cyclic``). ``tolerance``: how far from the minimum the result may lie, as a geodesic distance; ``max_steps`` of
-    the solver. ``known``: masses that were weighed."""
+    """How to solve. Raises InputError for values that cannot be.
+
+    Attributes:
+        gamma: Weight of the prior as a share of the rows' (the paper's is 0.01); None to find it on held-out blocks of
+            time.
+        sigma: Standard deviations by channel name where they are known; others are estimated from the residuals.
+        objective: ``residual`` (Remark 3) or ``geodesic`` (19).
+        solver: Of the geodesic objective: ``trust_region`` or ``cyclic``.
+        tolerance: Largest geodesic distance of the result from the minimum.
+        max_steps: Of the solver.
+        known: Weighed masses.
+    """
 
     gamma: float | None = None
     sigma: dict[str, float] | None = None
@@ -81,8 +82,8 @@ class EstimatorSettings:
 
 @dataclass(frozen=True, eq=False)
 class WarmStart:
-    """Where the last solve ended: the next one begins there and keeps the prior's weight, found when there were so many
-    ``rows``."""
+    """Where the last solve ended: the next one begins at these ``parameters (D,)`` and keeps the prior's weight
+    ``gamma``, which was found for so many ``rows``."""
 
     parameters: FloatArray
     gamma: float
@@ -98,11 +99,19 @@ def estimate(
 ) -> Estimate:
     """Solve for all parameters from the summarised rows.
 
-    Without ``warm`` the result depends on the rows alone. ``prior (D,)`` replaces the URDF's inertias and the fitted
-    start of the effects; NaN in it stands for not known. Minimises :class:`ResidualObjective` on the compressed rows,
-    at most D of them, and from there, if that is asked for, (19). The channels' standard deviations are those of what
-    no parameters can explain: by the residuals of a fit that the prior holds back, the channel that happens to fit best
-    would gain weight until the others no longer count. Raises InputError when nothing was measured.
+    Minimises :class:`ResidualObjective` on the compressed rows, at most D of them, and from there, if that is asked
+    for, (19). The channels' standard deviations are those of what no parameters can explain: by the residuals of a fit
+    that the prior holds back, the channel that happens to fit best would gain weight until the others no longer count.
+
+    Args:
+        model: What the rows mean.
+        summary: The rows.
+        settings: How to solve.
+        prior: ``(D,)``, instead of the URDF's inertias and the fitted start of the effects; NaN for not known.
+        warm: Where to start; without it the result depends on nothing but the rows.
+
+    Raises:
+        InputError: Nothing was measured, or settings or prior do not fit the model.
     """
     begin = time.perf_counter()
     if summary.rows == 0:
@@ -117,10 +126,10 @@ def estimate(
     if gamma is None and settings.objective == "geodesic":
         gamma = PAPER
     if gamma is None:
-        gamma = choose_gamma(manifold, summary, sigmas, prior_point, known).gamma
+        gamma = choose_gamma(manifold, summary, sigmas, prior_point, known)
     measured = summary.compressed(sigmas, manifold.dimension)
     objective = residual_objective(manifold, measured, known, prior_point, gamma)
-    # The prior bounds the curvature from below: a gradient of so little of the prior's weight is so little off.
+    # The prior bounds the curvature from below: a gradient of ``tolerance`` times its weight is at most that far off.
     tolerance = max(settings.tolerance * min(objective.gamma, 1.0), _LEAST_GRADIENT)
     point = manifold.point(warm.parameters) if warm else prior_point
     solution = trust_region(objective, point, tolerance, settings.max_steps)
@@ -132,36 +141,36 @@ def estimate(
         prior_weights = geodesic.prior_weights
         solution = SOLVERS[settings.solver](geodesic, solution.point, tolerance, settings.max_steps)
     folds = _folds(summary, sigmas, manifold, solution.point)
-    sure = uncertainty(
+    found = estimate_uncertainty(
         folds,
         _rows_at(manifold, solution.point, known.rows, known.targets),
         trust_in_known(objective.prior_weight),
         prior_weights,
         manifold.log(solution.point, prior_point),
-        _kinds(model, manifold),
+        _parameter_groups(model, manifold),
     )
     return Estimate(
-        solution.converged,
-        solution.reason,
-        time.perf_counter() - begin,
-        solution.steps,
-        gamma,
-        summary.rows,
-        set_aside,
-        _links(model, manifold, prior_point, solution.point, sure),
-        _effects(model, manifold, solution.point, sure),
-        solution.point.parameters,
-        tuple(channel.name for channel in model.channels),
-        frozen(sigmas),
-        frozen(summary.rms(nominal_parameters(model))),
-        frozen(summary.rms(solution.point.parameters)),
-        links_information(manifold, prior_point, solution.point, measured, known, sure),
-        _known(known, manifold, solution.point, sure),
+        converged=solution.converged,
+        reason=solution.reason,
+        seconds=time.perf_counter() - begin,
+        steps=solution.steps,
+        gamma=gamma,
+        rows_accepted=summary.rows,
+        rows_set_aside=set_aside,
+        links=_links(model, manifold, prior_point, solution.point, found),
+        effects=_effects(model, manifold, solution.point, found),
+        parameters=solution.point.parameters,
+        channels=tuple(channel.name for channel in model.channels),
+        sigmas=frozen(sigmas),
+        rms_nominal=frozen(summary.rms(nominal_parameters(model))),
+        rms=frozen(summary.rms(solution.point.parameters)),
+        information=links_information(manifold, prior_point, solution.point, measured, known, found),
+        known=_known(known, manifold, solution.point, found),
     )
 
 
 def nominal_parameters(model: MeasurementModel) -> FloatArray:
-    """The model as the URDF has it: its inertias and no effects, ``(D,)``."""
+    """The nominal model ``(D,)``: the URDF's inertias and no effects."""
     return np.concatenate([model.nominal_inertias, np.zeros(len(model.coefficients))])
 
 
@@ -187,7 +196,9 @@ def _geodesic_objective(objective: ResidualObjective) -> GeodesicObjective:
     signs = np.where(residuals < 0.0, -1.0, 1.0) * np.random.default_rng(0).choice((-1.0, 1.0), len(left))
     mixing = dct(signs[:, None] * left, axis=0, norm="ortho")
     rows, targets = mixing @ objective.rows, mixing @ objective.targets
-    return GeodesicObjective(manifold, rows, targets, np.ones(len(rows)), prior, objective.gamma, objective.confidence)
+    return GeodesicObjective(
+        manifold, rows, targets, np.ones(len(rows)), prior, objective.gamma, confidence=objective.confidence
+    )
 
 
 def _folds(summary: RowSummary, sigmas: FloatArray, manifold: ParameterManifold, point: Point) -> list[Fold]:
@@ -201,19 +212,19 @@ def _rows_at(manifold: ParameterManifold, point: Point, rows: FloatArray, target
     return Fold((rows @ point.parameters - targets) @ normals, normals.T @ normals)
 
 
-def _kinds(model: MeasurementModel, manifold: ParameterManifold) -> list[Kind]:
+def _parameter_groups(model: MeasurementModel, manifold: ParameterManifold) -> list[ParameterGroup]:
     """The links' coordinates, and each effect's at all joints."""
     first, usual = manifold.inertial.stop, usual_spreads(manifold)
     names = np.array([coefficient.effect.name for coefficient in model.coefficients])
     effects = [first + np.flatnonzero(names == name) for name in dict.fromkeys(names)]
-    return [Kind(columns, float(usual[columns[0]])) for columns in (np.arange(first), *effects)]
+    return [ParameterGroup(columns, float(usual[columns[0]])) for columns in (np.arange(first), *effects)]
 
 
 def _links(
-    model: MeasurementModel, manifold: ParameterManifold, prior: Point, point: Point, sure: Uncertainty
+    model: MeasurementModel, manifold: ParameterManifold, prior: Point, point: Point, found: Uncertainty
 ) -> tuple[LinkEstimate, ...]:
     parameters = pseudo_inertia.to_parameters(point.pseudo_inertias)
-    values = physical_values(point)
+    values = pseudo_inertia.quantities_of(parameters)
     central = pseudo_inertia.central_inertia(parameters)
     sensitivity = physical_sensitivity(manifold, point)
     distances = spd.distance(prior.pseudo_inertias, point.pseudo_inertias)
@@ -222,43 +233,37 @@ def _links(
     for index, name in enumerate(model.body_names):
         block = manifold.link(index)
         derivative = sensitivity[index]
-        variances = np.einsum("ij,jk,ik->i", derivative, sure.covariance[block, block], derivative)
+        variances = np.einsum("ij,jk,ik->i", derivative, found.covariance[block, block], derivative)
         std = np.sqrt(np.maximum(variances, 0.0))
-        untold = np.linalg.norm(derivative * sure.prior_spreads[block], axis=1)
+        of_prior = np.linalg.norm(derivative * found.prior_spreads[block], axis=1)
+        unidentified = std > _IDENTIFIABLE * of_prior
         links.append(
             LinkEstimate(
-                name,
-                model.robot.bodies[model.identified[index]].merged,
-                float(values[index, 0]),
-                frozen(values[index, 1:4]),
-                frozen(central[index]),
-                float(std[0]),
-                frozen(std[1:4]),
-                frozen(_symmetric3(std[4:])),
-                frozen(parameters[index]),
-                float(distances[index]),
-                sure.from_data(block),
-                float(ratios[index]),
-                tuple(q for q, s, u in zip(QUANTITIES, std, untold, strict=True) if s > _TOLD * u),
+                name=name,
+                merged=model.robot.bodies[model.identified[index]].merged,
+                mass=float(values[index, 0]),
+                com=frozen(values[index, 1:4]),
+                inertia=frozen(central[index]),
+                std_mass=float(std[0]),
+                std_com=frozen(std[1:4]),
+                std_inertia=frozen(pseudo_inertia.inertia_matrix(std[4:])),
+                parameters=frozen(parameters[index]),
+                distance_from_prior=float(distances[index]),
+                from_data=found.from_data(block),
+                min_eigenvalue_ratio=float(ratios[index]),
+                cannot_tell=tuple(compress(QUANTITIES, unidentified)),
             )
         )
     return tuple(links)
 
 
-def _symmetric3(entries: FloatArray) -> FloatArray:
-    matrix = np.empty((3, 3))
-    rows, columns = pseudo_inertia.INERTIA_ENTRIES
-    matrix[rows, columns] = matrix[columns, rows] = entries
-    return matrix
-
-
 def _effects(
-    model: MeasurementModel, manifold: ParameterManifold, point: Point, sure: Uncertainty
+    model: MeasurementModel, manifold: ParameterManifold, point: Point, found: Uncertainty
 ) -> tuple[EffectEstimate, ...]:
     first = manifold.inertial.stop
     _, diagonal = manifold.jacobian(point)
-    std = diagonal * np.sqrt(np.diag(sure.covariance)[first:])
-    shares = [sure.from_data(slice(column, column + 1)) for column in range(first, manifold.dimension)]
+    std = diagonal * np.sqrt(np.diag(found.covariance)[first:])
+    shares = [found.from_data(slice(column, column + 1)) for column in range(first, manifold.dimension)]
     return tuple(
         EffectEstimate(
             name=c.effect.name,
@@ -274,12 +279,20 @@ def _effects(
     )
 
 
-def _known(known: KnownRows, manifold: ParameterManifold, point: Point, sure: Uncertainty) -> tuple[KnownEstimate, ...]:
+def _known(
+    known: KnownRows, manifold: ParameterManifold, point: Point, found: Uncertainty
+) -> tuple[KnownEstimate, ...]:
     normals = manifold.whiten(point, known.rows)
-    stds = np.sqrt(np.einsum("ki,ij,kj->k", normals, sure.covariance, normals))
+    stds = np.sqrt(np.einsum("ki,ij,kj->k", normals, found.covariance, normals))
     # In units of the given standard deviation, and without what is not identified of it.
     errors = known.rows @ point.parameters - known.targets
     return tuple(
-        KnownEstimate(given.name, given.mass, given.std, given.mass + float(error) * given.std, float(std) * given.std)
+        KnownEstimate(
+            name=given.name,
+            given=given.mass,
+            given_std=given.std,
+            mass=given.mass + float(error) * given.std,
+            std=float(std) * given.std,
+        )
         for given, error, std in zip(known.weighed, errors, stds, strict=True)
     )

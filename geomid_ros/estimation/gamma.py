@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from geomid_ros.estimation.objective import residual_objective
@@ -20,27 +18,28 @@ _TOLERANCE = 1e-3
 _STEPS = 100
 
 
-@dataclass(frozen=True)
-class GammaChoice:
-    """The chosen weight, as a share of the sum of the rows' weights, and the held-out loss of each one tried."""
-
-    gamma: float
-    losses: dict[float, float]
-
-
 def choose_gamma(
     manifold: ParameterManifold, summary: RowSummary, sigmas: FloatArray, prior: Point, known: KnownRows
-) -> GammaChoice:
-    """The prior's weight that predicts folds which were not fitted best.
+) -> float:
+    """The candidate with the least of :func:`held_out_losses`; the paper's where nothing can be held out."""
+    losses = held_out_losses(manifold, summary, sigmas, prior, known)
+    return min(losses, key=lambda gamma: losses[gamma]) if losses else PAPER
 
-    Each fold is judged by the fit to the others, with ``sigmas (channels,)``, and to what is ``known``. The loss is the
-    logarithm of the mean squared error, averaged over channels and folds: the likelihood when no error is taken to be
-    of a known size, so that a violent passage or a badly modelled channel has one voice like the others. Fits go from
-    strong to weak priors, each from where the last one ended. All are tried: the loss may rise before it falls.
+
+def held_out_losses(
+    manifold: ParameterManifold, summary: RowSummary, sigmas: FloatArray, prior: Point, known: KnownRows
+) -> dict[float, float]:
+    """Loss on held-out folds by weight of the prior, a share of the sum of the rows' weights; empty without two folds.
+
+    Each fold is judged by the fit to the others and to the ``known`` rows, with the channels' standard deviations
+    ``sigmas (channels,)``. The loss is the logarithm of the mean squared error, averaged over channels and folds: the
+    likelihood when no error is taken to be of a known size, so that a violent passage or a badly modelled channel has
+    one voice like the others. Fits go from strong to weak priors, each from where the last one ended. All are tried:
+    the loss may rise before it falls.
     """
     folds = [fold for fold in range(summary.folds) if np.any(np.isfinite(summary.rms(prior.parameters, [fold])))]
     if len(folds) < 2:
-        return GammaChoice(PAPER, {})
+        return {}
     training = [summary.compressed(sigmas, manifold.dimension, [f for f in folds if f != fold]) for fold in folds]
     points = [prior] * len(folds)
     losses: dict[float, float] = {}
@@ -52,4 +51,4 @@ def choose_gamma(
             error = summary.rms(points[place].parameters, [fold])
             loss.append(2.0 * np.log(np.maximum(error, np.finfo(float).tiny)))
         losses[gamma] = float(np.nanmean(loss))
-    return GammaChoice(min(losses, key=lambda gamma: losses[gamma]), losses)
+    return losses

@@ -13,7 +13,7 @@ import numpy as np
 from geomid_ros.errors import InputError
 from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.estimation.estimator import EstimatorSettings, WarmStart, estimate
-from geomid_ros.estimation.probation import Instant, Probation
+from geomid_ros.estimation.revocable_buffer import Instant, RevocableBuffer
 from geomid_ros.estimation.summary import RowSummary, SummaryState, usable
 from geomid_ros.model.known import known_rows
 from geomid_ros.model.measurement import MeasurementModel, Rows
@@ -28,10 +28,15 @@ _RENEWED = 1.0 / 3.0
 
 @dataclass(frozen=True)
 class BufferSettings:
-    """``still_speed`` [rad/s or m/s] and ``still_distance`` [rad or m]: an instant at which nothing moves faster, and
-    that lies nearer to the last one taken, says nothing new. ``forgetting_time`` [s]: time constant with which the
-    weight of earlier rows falls while rows are taken (infinite: nothing is forgotten). ``folds``, ``block``: see
-    :class:`RowSummary`."""
+    """Which rows are taken, and how long they count. Raises InputError for values that cannot be.
+
+    Attributes:
+        still_speed, still_distance: An instant at which nothing moves faster [rad/s or m/s], and that lies nearer to
+            the last one taken [rad or m], carries no new information and is not taken.
+        forgetting_time: Time constant [s] with which the weight of earlier rows falls while rows are taken; infinite
+            to forget nothing.
+        folds, block: See :class:`RowSummary`.
+    """
 
     still_speed: float = 1e-3
     still_distance: float = 1e-2
@@ -48,7 +53,7 @@ class BufferSettings:
 
 @dataclass(frozen=True, eq=False)
 class Memory:
-    """All that an :class:`Identifier` remembers: rows, why others were not taken, and the last pose and stamp [ns]."""
+    """The state of an :class:`Identifier`: rows, why others were not taken, the last pose and its stamp [ns]."""
 
     summary: SummaryState
     rows_rejected: Counter[str]
@@ -58,7 +63,7 @@ class Memory:
 
 @dataclass(frozen=True, eq=False)
 class RowCounts:
-    """``made = taken + sum(rejected by reason)``, since the last reset."""
+    """Numbers of rows since the last reset: ``made = taken + sum(rejected by reason)``."""
 
     made: int
     taken: int
@@ -67,7 +72,7 @@ class RowCounts:
 
 @dataclass(frozen=True, eq=False)
 class EstimationTask:
-    """What is to be estimated of rows: see :func:`estimate`."""
+    """An estimation problem except for its rows: the arguments of :func:`estimate`."""
 
     model: MeasurementModel
     settings: EstimatorSettings
@@ -84,9 +89,9 @@ Solve: TypeAlias = Callable[[EstimationTask, RowSummary, WarmStart | None], Esti
 class Identifier:
     """Accumulates samples' rows and solves for the parameters. One thread may add while another solves.
 
-    Instants with new rows are counted (:attr:`instants`), so that it can be said since when rows of some channels are
-    bad. Those of the last instants can be taken back as if they had never been, as far as they are held
-    (:meth:`hold`) and not yet settled; estimates are of all that are not left out.
+    Instants with new rows are counted (:attr:`instants`). Rows of some channels can be left out from an instant on, as
+    if they had never been taken, as far back as instants are held (:meth:`hold`) and not yet settled. Estimates are of
+    all rows that are not left out.
     """
 
     def __init__(
@@ -112,7 +117,7 @@ class Identifier:
 
     def _begin_anew(self) -> None:
         self._summary = self._empty_summary()
-        self._probation = Probation()
+        self._recent = RevocableBuffer()
         self._made = 0
         self._rejected: Counter[str] = Counter()
         self._last_pose: FloatArray | None = None
@@ -142,48 +147,47 @@ class Identifier:
                 else:
                     moving[index] = True
                     targets = np.where(measured, rows.targets[index], np.nan)
-                    self._probation.append(Instant(self._instants, rows.coefficients[index], targets, elapsed))
+                    self._recent.append(Instant(self._instants, rows.coefficients[index], targets, elapsed))
                     self._instants += 1
                     self._settle_before(self._instants - self._held)
         return samples.stamps[moving], Rows(rows.coefficients[moving], rows.targets[moving])
 
     def _settle_before(self, number: int) -> None:
-        while self._probation.first < number:
+        while self._recent.first < number:
             self._settle_first()
 
     def _settle_first(self) -> None:
-        instant, rejected = self._probation.pop()
+        instant, rejected = self._recent.pop()
         self._rejected += rejected
         self._summary.add(instant.coefficients, instant.targets, instant.elapsed)
 
     def hold(self, instants: int) -> None:
-        """From now on let the rows of so many last instants, none at first, be taken back; more are settled."""
+        """Hold so many last instants (none at first), whose rows can still be left out; settle earlier ones."""
         with self._lock:
             self._held = instants
             self._settle_before(self._instants - instants)
 
     def settle(self, before: int) -> None:
-        """Keep the rows of instants ``before`` this number for good. Who adds meanwhile hardly waits."""
+        """Keep the rows of instants ``before`` this number for good; a thread that adds meanwhile hardly waits."""
         while True:
             with self._lock:
-                if self._probation.first >= before:
+                if self._recent.first >= before:
                     break
                 self._settle_first()
 
     def leave_out(self, reason: str, channels: Sequence[int], begin: int) -> bool:
-        """Take back the rows of ``channels`` from the instant of number ``begin`` on, as far as they are not settled,
-        and take no more of them.
+        """Leave out the rows of ``channels`` from the instant of number ``begin`` on, as far as they are not settled.
 
-        They are rejected for this ``reason``. False if they were before.
+        They count as rejected for this ``reason``. False if they were left out before.
         """
         with self._lock:
-            return self._probation.leave_out(reason, channels, begin)
+            return self._recent.leave_out(reason, channels, begin)
 
     def take_again(self, reason: str, begin: int) -> bool:
         """Take the rows that are left out for this reason from the instant of number ``begin`` on, as far as that is
         not settled. False if none are."""
         with self._lock:
-            return self._probation.take_again(reason, begin)
+            return self._recent.take_again(reason, begin)
 
     def _elapsed(self, stamp: int) -> float:
         """Seconds since the sample before; for another recording, or after a pause, not more than a little."""
@@ -210,7 +214,7 @@ class Identifier:
 
     @property
     def _taken(self) -> int:
-        return self._summary.rows + self._probation.rows
+        return self._summary.rows + self._recent.rows
 
     @property
     def instants(self) -> int:
@@ -221,7 +225,7 @@ class Identifier:
     def counts(self) -> RowCounts:
         """What became of all rows so far."""
         with self._lock:
-            return RowCounts(self._made, self._taken, self._rejected + self._probation.rejected)
+            return RowCounts(self._made, self._taken, self._rejected + self._recent.rejected)
 
     @property
     def rows_rejected(self) -> Counter[str]:
@@ -229,21 +233,19 @@ class Identifier:
         return self.counts.rejected
 
     def outgrown(self, rows: int) -> bool:
-        """Whether what was chosen when there were ``rows`` rows should be chosen anew: a third of what is remembered
-        came later."""
+        """Whether a choice made at ``rows`` rows should be made again: a third of what is remembered came later."""
         with self._lock:
-            return self._taken - rows > _RENEWED * (self._summary.weight + self._probation.rows)
+            return self._taken - rows > _RENEWED * (self._summary.weight + self._recent.rows)
 
     def snapshot(self) -> RowSummary:
         """A copy of all that was added so far and is not left out."""
         self._absorb()
         with self._lock:
-            settled, held = self._summary.snapshot(), self._probation.instants
+            settled, held = self._summary.snapshot(), self._recent.instants
         return _with(settled, held)
 
     def _absorb(self) -> None:
-        """Absorb what waits, and give the lock away between one channel and the next: who adds meanwhile hardly
-        waits."""
+        """Absorb what waits, releasing the lock between channels: a thread that adds meanwhile hardly waits."""
         for _ in range(self._summary.folds * len(self.model.channels)):
             with self._lock:
                 if not self._summary.absorb_one():
@@ -253,8 +255,8 @@ class Identifier:
         """A copy of all that :meth:`restore` goes on from."""
         self._absorb()
         with self._lock:
-            settled, held = self._summary.snapshot(), self._probation.instants
-            rejected, pose, stamp = self._rejected + self._probation.rejected, self._last_pose, self._last_stamp
+            settled, held = self._summary.snapshot(), self._recent.instants
+            rejected, pose, stamp = self._rejected + self._recent.rejected, self._last_pose, self._last_stamp
         return Memory(_with(settled, held).state(), rejected, pose, stamp)
 
     def restore(self, memory: Memory) -> None:
@@ -280,7 +282,7 @@ class Identifier:
         return self._solve(self._task, self.snapshot(), warm)
 
     def solve_with(self, solve: Solve) -> None:
-        """Let ``solve`` do what :meth:`EstimationTask.solve` does, elsewhere maybe."""
+        """Solve by ``solve`` instead of :meth:`EstimationTask.solve`, in another process for example."""
         self._solve = solve
 
 

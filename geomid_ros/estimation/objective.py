@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Protocol
 
@@ -16,8 +16,8 @@ from geomid_ros.geometry.manifold import ParameterManifold, Point
 from geomid_ros.model.known import KnownRows
 from geomid_ros.types import BoolArray, FloatArray, IntArray, frozen
 
-# The kernels run without the GIL, so chunks share the cores; results do not depend on how many there are, because
-# the chunks are fixed and are summed in order.
+# The kernels run without the GIL, so chunks share the cores; results do not depend on the number of cores, because the
+# chunks are fixed and are summed in order.
 _CHUNK = 512
 _THREADS = 2
 _pool = ThreadPoolExecutor(_THREADS, thread_name_prefix="geomid-projection")
@@ -58,11 +58,16 @@ class Objective(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class GeodesicObjective:
-    """(19) for rows ``(N, D)``, targets ``(N,)`` and standard deviations ``(N,)`` of ``rows . parameters = targets``.
+    """(19) for the rows of ``rows . parameters = targets``.
 
-    ``gamma`` is the prior's weight as a share of the sum of the rows' weights, ``confidence`` multiplies it: one
-    number, or one per coordinate, equal within a block. A row whose hyperplane has no projection from the prior is set
-    aside.
+    A row whose hyperplane has no projection from the prior is set aside.
+
+    Attributes:
+        manifold: Where the parameters live.
+        rows, targets, sigmas: ``(N, D)``, ``(N,)`` and standard deviations ``(N,)``.
+        prior: The point that distances are measured from.
+        gamma: Weight of the prior as a share of the sum of the rows' weights.
+        confidence: Multiplies gamma: one number, or one per coordinate ``(D,)``, equal within a block.
     """
 
     manifold: ParameterManifold
@@ -71,7 +76,7 @@ class GeodesicObjective:
     sigmas: FloatArray
     prior: Point
     gamma: float
-    confidence: FloatArray | float = 1.0
+    confidence: FloatArray | float = field(default=1.0, kw_only=True)
 
     @cached_property
     def weights(self) -> FloatArray:
@@ -149,9 +154,9 @@ class ResidualObjective:
 
     Near the prior, and where residuals are small against the measured values, it agrees with (19) to first order. It
     differs in two ways that matter far from there: it has no rows to set aside, and it does not reward what makes
-    distances short, large masses above all (let everything grow alike: a row's residual grows in proportion, the
+    distances short, large masses above all (scale all parameters: a row's residual grows in proportion, the
     distance to its hyperplane does not). It depends on the rows only through their least-squares content, so that
-    compressed rows lose nothing. ``confidence`` as in :class:`GeodesicObjective`.
+    compressed rows lose nothing. Attributes are those of :class:`GeodesicObjective`.
     """
 
     manifold: ParameterManifold
@@ -160,7 +165,7 @@ class ResidualObjective:
     sigmas: FloatArray
     prior: Point
     gamma: float
-    confidence: FloatArray | float = 1.0
+    confidence: FloatArray | float = field(default=1.0, kw_only=True)
 
     @cached_property
     def scale(self) -> float:
@@ -185,18 +190,25 @@ class ResidualObjective:
         normals = self.manifold.whiten(point, self.rows) / self.sigmas[:, None]
         slope = residuals @ normals
         information = normals.T @ normals
-        hessian += information + bend(self.manifold, slope)
+        hessian += information + linear_hessian(self.manifold, slope)
         return Evaluation(value + 0.5 * float(residuals @ residuals), gradient + slope, information, hessian)
 
 
 def residual_objective(
     manifold: ParameterManifold, measured: tuple[FloatArray, FloatArray], known: KnownRows, prior: Point, gamma: float
 ) -> ResidualObjective:
-    """The objective of ``measured`` rows ``(N, D)`` and targets ``(N,)`` of standard deviation 1 and of what is known.
+    """The objective of measured rows and known masses.
 
     The prior's weight is the share ``gamma`` of the measured rows' alone: to weigh a link more precisely must not make
-    the prior heavier. Blocks have it in proportion to how sure their priors usually are, links as it stands. What is
-    known is weighted by :func:`trust_in_known`.
+    the prior heavier. It is that of the links; other blocks have more or less, as their priors usually are surer or
+    less sure. The known rows are weighted by :func:`trust_in_known`.
+
+    Args:
+        manifold: Where the parameters live.
+        measured: Rows ``(N, D)`` and targets ``(N,)`` of standard deviation 1.
+        known: Rows of weighed masses.
+        prior: The prior.
+        gamma: Its weight as a share of the sum of the measured rows' weights.
     """
     measured_weight = float(np.sum(row_weights(manifold, prior, measured[0], np.ones(len(measured[0])))))
     factor = np.sqrt(trust_in_known(gamma * measured_weight))
@@ -205,14 +217,16 @@ def residual_objective(
     ones = np.ones(len(rows))
     weight = float(np.sum(row_weights(manifold, prior, rows, ones)))
     confidence = (USUAL_SPREAD_OF_LINKS / usual_spreads(manifold)) ** 2
-    return ResidualObjective(manifold, rows, targets, ones, prior, gamma * measured_weight / weight, confidence)
+    return ResidualObjective(
+        manifold, rows, targets, ones, prior, gamma * measured_weight / weight, confidence=confidence
+    )
 
 
 def trust_in_known(prior_weight: float) -> float:
-    """Factor of the weight of what is known, which has no part in why the prior is heavy.
+    """Factor of the weight of known rows under a prior of this weight.
 
     A heavy prior says that the measured rows are worth less than their standard deviations promise, not that the prior
-    is surer than :data:`LEAST_PRIOR_SPREAD`: against that spread a scale's word counts as it stands.
+    is surer than :data:`LEAST_PRIOR_SPREAD`: against that spread what a scale says counts as it stands.
     """
     return max(1.0, prior_weight * LEAST_PRIOR_SPREAD**2)
 
@@ -243,8 +257,8 @@ _UNITS = symmetric.to_matrix(np.eye(symmetric.SIZE))
 _PRODUCTS = np.einsum("kim,lmj->klij", _UNITS, _UNITS)
 
 
-def bend(manifold: ParameterManifold, slope: FloatArray) -> FloatArray:
-    """Second derivative along geodesics of the linear function whose first derivative is ``slope``.
+def linear_hessian(manifold: ParameterManifold, slope: FloatArray) -> FloatArray:
+    """Hessian ``(D, D)`` along geodesics of the linear function of the parameters whose gradient is ``slope (D,)``.
 
     Per link ``tr(X exp(tQ))`` has the second derivative ``tr(X Q^2)``; a positive coefficient's is the first again.
     """

@@ -21,7 +21,13 @@ _LEAST_GRADIENT = 1e-14  # relative to the sum of the weights; rounding allows n
 
 @dataclass(frozen=True, eq=False)
 class RowsSolution:
-    """``parameters (links, 10)``; the rows ``(N,)`` that were set aside; and the solve itself."""
+    """What :func:`solve_rows` found.
+
+    Attributes:
+        parameters: ``(links, 10)``.
+        set_aside: Which rows ``(N,)`` have no projection from the prior and take no part.
+        solution: The solve itself.
+    """
 
     parameters: FloatArray
     set_aside: BoolArray
@@ -38,14 +44,24 @@ def solve_rows(
     max_steps: int = 20000,
     tolerance: float = 1e-8,
 ) -> RowsSolution:
-    """Minimise (19) for rows ``(N, 10 links)``, targets and standard deviations ``(N,)`` (one number serves all).
+    """Minimise (19) for ``rows . parameters = targets``.
 
-    ``prior (links, 10)`` and the columns of ``rows`` are in pinocchio's order (m, hx, hy, hz, Ixx, Ixy, Iyy, Ixz, Iyz,
-    Izz) about each link frame's origin, SI units. ``gamma``: weight of the prior as a share of the sum of the rows'
-    weights. ``solver``: ``trust_region``, which starts from the minimiser of Remark 3 where that is lower, or
-    ``cyclic``, the paper's alternation. ``tolerance``: how far from the minimum the result may lie, as a geodesic
-    distance. Raises InputError for shapes that do not fit, numbers that are not finite, and
-    a prior that is no body.
+    Parameters are in pinocchio's order (m, hx, hy, hz, Ixx, Ixy, Iyy, Ixz, Iyz, Izz) about each link frame's origin, in
+    SI units.
+
+    Args:
+        rows: ``(N, 10 links)``.
+        targets: ``(N,)``.
+        sigmas: Standard deviations of the targets, ``(N,)`` or one number for all.
+        prior: Parameters ``(links, 10)`` of bodies that can exist.
+        gamma: Weight of the prior as a share of the sum of the rows' weights.
+        solver: ``trust_region``, which starts from the minimiser of Remark 3 where that is lower, or ``cyclic``, the
+            paper's alternation.
+        max_steps: Of the solver.
+        tolerance: Largest geodesic distance of the result from the minimum.
+
+    Raises:
+        InputError: Shapes do not fit, numbers are not finite, or the prior belongs to no body.
 
     >>> found = solve_rows(np.eye(1, 10), np.array([2.5]), 0.1, [[2, 0, 0, 0, 1, 0, 1, 0, 0, 1]])
     >>> 2.4 < found.parameters[0, 0] < 2.5  # a mass of 2 kg was expected, 2.5 kg measured
@@ -63,7 +79,7 @@ def solve_rows(
     manifold = ParameterManifold(len(prior), 0, np.zeros(0))
     start = manifold.point(prior.ravel())
     objective = GeodesicObjective(manifold, rows, targets, sigmas, start, gamma)
-    # The prior bounds the curvature from below: a gradient of so little of the prior's weight is so little off.
+    # The prior bounds the curvature from below: a gradient of ``tolerance`` times its weight is at most that far off.
     gradient = max(tolerance * min(gamma, 1.0), _LEAST_GRADIENT)
     solve = _from_remark_3 if solver == "trust_region" else SOLVERS[solver]
     solution = solve(objective, start, gradient, max_steps)

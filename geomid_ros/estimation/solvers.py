@@ -1,4 +1,4 @@
-"""Two solvers of one objective, (19)."""
+"""Two solvers: a trust region on the manifold, and the alternation of the paper."""
 
 from __future__ import annotations
 
@@ -21,7 +21,14 @@ _ROUNDING = 1e-13  # relative to the value
 
 @dataclass(frozen=True, eq=False)
 class Solution:
-    """The end of a solve: where, whether it converged and why it stopped, and how the objective fell."""
+    """The end of a solve.
+
+    Attributes:
+        point, evaluation: Where it ended, and the objective there.
+        converged, reason: Whether it converged, and why it stopped.
+        steps: Number of steps.
+        values: The objective at the start and after each step.
+    """
 
     point: Point
     evaluation: Evaluation
@@ -39,12 +46,19 @@ def trust_region(
     radius: float = 1.0,
     evaluation: Evaluation | None = None,
 ) -> Solution:
-    """Newton steps on the manifold inside a trust region (geodesic radius); every accepted step descends. Where
-    rounding hides the descent the gradient shows it.
+    """Minimise by Newton steps on the manifold inside a trust region.
 
     The subproblem is solved exactly, in the eigenbasis of the Hessian where the Newton step does not fit (More &
     Sorensen 1983); the radius follows the ratio of actual to predicted decrease (Nocedal & Wright, "Numerical
-    Optimization", algorithm 4.1). ``evaluation``: the objective at ``start``, where it is known already.
+    Optimization", algorithm 4.1). Every accepted step descends; where rounding hides the descent, the gradient shrinks.
+
+    Args:
+        objective: What to minimise.
+        start: Where to start.
+        tolerance: Of the gradient's norm, as a share of the objective's scale.
+        max_steps: Largest number of steps.
+        radius: First radius, a geodesic distance.
+        evaluation: The objective at ``start``, if it is known already.
     """
     scale = objective.scale
     evaluation = evaluation or objective.evaluate(start)
@@ -123,7 +137,7 @@ class _QuadraticModel:
 
 
 def cyclic(objective: Objective, start: Point, tolerance: float = 1e-8, max_steps: int = 20000) -> Solution:
-    """The paper's alternation: project on every hyperplane, then move to the Karcher mean of the projections.
+    """Minimise (19) by the paper's alternation: project on every hyperplane, then move to the Karcher mean.
 
     All projections of a cycle share the base point, so their mean's first Karcher step needs no further decomposition:
     it is the weighted mean of the tangent vectors Q_i, and the whole mean has the same fixed points. A step that does

@@ -1,4 +1,4 @@
-"""What is known before the solve: the prior point, the scales of real coefficients, and first standard deviations."""
+"""The start of a solve: prior point, scales of the real coefficients, first standard deviations of the channels."""
 
 from __future__ import annotations
 
@@ -14,19 +14,19 @@ from geomid_ros.types import FloatArray, IntArray
 
 # A positive coefficient without evidence starts where its effect is this share of the channel's size.
 _LEAST_SHARE = 1e-2
-# In rad/s, rad/s^2 (m/s, m/s^2): what a joint at rest seems to move, which must not pass for evidence, and the least
-# motion for which a coefficient is made large enough to show.
+# In rad/s, rad/s^2 (m/s, m/s^2): the apparent motion of a joint at rest, which must not pass for evidence, and the
+# least motion at which a coefficient is made large enough to show.
 _NOISE_MOTION = 1e-2
 _LEAST_MOTION = 0.1
 # No model predicts a channel better than this share of its size.
 _LEAST_SIGMA_SHARE = 1e-3
 _ROUNDING = 1e-9
 _ROUNDING_COLUMN = 1e-12
-# How far priors usually are off, per direction of the tangent space: inertias from CAD by a fifth, positive
-# coefficients by a factor of e, for they are a first fit in which they stand in for what the inertias cannot explain,
-# and real ones by a fifth of what their channel measures.
+# Usual error of priors, per direction of the tangent space: inertias from CAD a fifth; positive coefficients a factor
+# of e, for they are a first fit that absorbs what the inertias cannot explain; real ones a fifth of what their channel
+# measures.
 USUAL_SPREAD_OF_LINKS = 0.2
-# A prior is never surer than this.
+# No prior is more certain than this.
 LEAST_PRIOR_SPREAD = 0.1
 _USUAL_SPREAD_OF_POSITIVES = 1.0
 _USUAL_SPREAD_OF_REALS = 0.2
@@ -39,7 +39,7 @@ def channel_sizes(summary: RowSummary, dimension: int) -> FloatArray:
 
 
 def first_sigmas(summary: RowSummary, dimension: int) -> FloatArray:
-    """Standard deviations ``(channels,)`` of what no parameters at all can explain of each channel by itself."""
+    """Standard deviations ``(channels,)`` of the part of each channel that no parameters can explain, by itself."""
     sizes = channel_sizes(summary, dimension)
     sigmas = sizes.copy()
     for index, parts in enumerate(summary.parts()):
@@ -71,7 +71,7 @@ def scales_of_reals(model: MeasurementModel, sizes: FloatArray) -> FloatArray:
 
 
 def usual_spreads(manifold: ParameterManifold) -> FloatArray:
-    """Standard deviations ``(D,)`` of the errors that priors usually have, in tangent coordinates."""
+    """Usual standard deviations ``(D,)`` of a prior's error, in tangent coordinates."""
     spreads = np.full(manifold.dimension, USUAL_SPREAD_OF_LINKS)
     spreads[manifold.positive] = _USUAL_SPREAD_OF_POSITIVES
     spreads[manifold.real] = _USUAL_SPREAD_OF_REALS
@@ -79,11 +79,15 @@ def usual_spreads(manifold: ParameterManifold) -> FloatArray:
 
 
 def prior_parameters(model: MeasurementModel, summary: RowSummary, known: FloatArray | None) -> FloatArray:
-    """The prior's parameters ``(D,)``: ``known`` where it is given and not NaN; else the URDF's inertias and, for the
-    effects, the non-negative least-squares fit of each joint's effects alone on what the inertias leave unexplained.
+    """The prior's parameters ``(D,)``.
 
-    No CAD file knows a joint's friction. The metric on positive coefficients is relative, so that their prior must have
-    the right order of magnitude; the data have it.
+    These are the ``known`` ones ``(D,)`` where they are given and not NaN; else the URDF's inertias and, for the
+    effects, the non-negative least-squares fit of each joint's effects alone to what the inertias leave unexplained: no
+    CAD file knows a joint's friction, and the metric on positive coefficients is relative, so that their prior must
+    have the right order of magnitude.
+
+    Raises:
+        InputError: ``known`` is no point of the model's manifold.
     """
     parameters = np.concatenate([model.nominal_inertias, np.zeros(len(model.coefficients))])
     first = len(model.nominal_inertias)
@@ -94,14 +98,12 @@ def prior_parameters(model: MeasurementModel, summary: RowSummary, known: FloatA
     sizes = channel_sizes(summary, model.dimension)
     parts = summary.parts()
     for group in _sharing_effects(model):
-        columns, factor = _together(
-            [model.channels[index].columns for index in group], [joined(parts[i]) for i in group], sizes[group]
-        )
+        own = [model.channels[index].columns for index in group]
+        columns, factor = _together(own, [joined(parts[index]) for index in group], sizes[group])
         chosen = columns[columns >= first]
         count = sum(part.count for index in group for part in parts[index])
-        parameters[chosen] = _fitted_effects(
-            factor, count, columns, parameters, chosen, float(np.mean(sizes[group])), model
-        )
+        size = float(np.mean(sizes[group]))
+        parameters[chosen] = _fitted_effects(model, factor, count, columns, parameters, size)
     if known is not None:
         parameters = np.where(np.isfinite(known), known, parameters)
     return parameters
@@ -149,18 +151,20 @@ def _check_possible(known: FloatArray, model: MeasurementModel) -> None:
 
 
 def _fitted_effects(
+    model: MeasurementModel,
     factor: FloatArray,
     count: float,
     columns: IntArray,
     parameters: FloatArray,
-    chosen: IntArray,
     size: float,
-    model: MeasurementModel,
 ) -> FloatArray:
+    """Coefficients of the effects among the ``columns`` of channels with the ``factor (rows, k + 1)`` of ``count``
+    rows, whose measured values have this ``size``."""
+    inertial = columns < len(model.nominal_inertias)
+    chosen = columns[~inertial]
     positive = chosen < len(model.nominal_inertias) + model.positives
     if not len(factor):
         return np.where(positive, 1.0, 0.0)
-    inertial = columns < chosen[0]
     remainder = factor[:, -1] - factor[:, :-1][:, inertial] @ parameters[columns[inertial]]
     regressor = factor[:, :-1][:, ~inertial]
     split = np.hstack([regressor, -regressor[:, ~positive]])

@@ -48,10 +48,14 @@ class ChannelSummary:
 
 @dataclass(frozen=True, eq=False)
 class SummaryState:
-    """All that a :class:`RowSummary` remembers, to be written down.
+    """The state of a :class:`RowSummary`.
 
-    ``factors``: by fold and channel, upper triangular; ``counts (folds, channels)``: the sums of their rows' weights;
-    ``instants`` and ``rows`` added so far, ``time`` [s] that passed, ``weight`` of all rows.
+    Attributes:
+        instants, rows: Numbers added so far.
+        time: Time that passed [s].
+        weight: Sum of all rows' weights.
+        counts: Sums of weights ``(folds, channels)``.
+        factors: By fold and channel, upper triangular.
     """
 
     instants: int
@@ -155,16 +159,16 @@ class RowSummary:
         return [list(fold) for fold in zip(*self.parts(), strict=True)]
 
     def state(self) -> SummaryState:
-        """What :meth:`restore` goes on from, everything added so far included."""
+        """The state, everything added so far included."""
         folds = self._parts_by_fold()
         counts = np.array([[part.count for part in fold] for fold in folds])
         factors = tuple(tuple(part.factor for part in fold) for fold in folds)
         return SummaryState(self._instants, self._time, self.rows, self.weight, counts, factors)
 
     def restore(self, state: SummaryState) -> None:
-        """Go on from what another summary of the same channels and folds was.
+        """Take the state of another summary of the same channels and folds.
 
-        Raises InputError, and changes nothing, for what no such summary can have been.
+        Raises InputError, and changes nothing, for a state that no such summary can have.
         """
         numbers = np.array([state.instants, state.time, state.rows, state.weight])
         if state.counts.shape != (self.folds, len(self.channels)) or len(state.factors) != self.folds:
@@ -196,10 +200,15 @@ class RowSummary:
     def compressed(
         self, sigmas: FloatArray, dimension: int, folds: Sequence[int] | None = None
     ) -> tuple[FloatArray, FloatArray]:
-        """Rows ``(<= D + 1, D)`` and targets with standard deviation 1 and the least-squares content of the folds.
+        """Rows ``(<= D, D)`` and targets of standard deviation 1 with the least-squares content of the chosen folds.
 
-        ``sigmas (channels,)`` divide the channels' rows. The last row of the factor, in which no parameter appears, is
-        left out: it is the part of the residual that no parameter can change.
+        The last row of the factor, in which no parameter appears, is left out: it is the part of the residual that no
+        parameter can change.
+
+        Args:
+            sigmas: Standard deviations ``(channels,)``.
+            dimension: D.
+            folds: All unless given.
         """
         stacked = [np.zeros((0, dimension + 1))]
         for channel, sigma, parts in zip(self.channels, sigmas, self.parts(folds), strict=True):

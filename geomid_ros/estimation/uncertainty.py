@@ -1,4 +1,4 @@
-"""How sure an estimate is: the covariance of its error in the tangent space, and what of it the data made surer."""
+"""Uncertainty of an estimate: the covariance of its error in the tangent space, and what the data contribute to it."""
 
 from __future__ import annotations
 
@@ -7,17 +7,20 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from geomid_ros.estimation.estimate import FINEST, LinksInformation
+from geomid_ros.estimation.summary import triangular
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.geometry.manifold import ParameterManifold, Point
-from geomid_ros.types import FloatArray, IntArray
+from geomid_ros.model.known import KnownRows
+from geomid_ros.types import FloatArray, IntArray, frozen
 
-# What is usual counts as much for a spread as one direction of the tangent space that the data determine.
+# The usual spread counts as much as one direction of the tangent space that the data determine.
 _CERTAINTY_OF_USUAL = 1.0
 _ROUNDS = 30  # of the fixed point; a fixed number, so that rounding cannot change how many there are
 _LARGEST_SPREAD = 100.0  # times the usual
 _ROUNDING = float(np.finfo(float).eps)  # of the largest information: what rounding may make of none
 _STEP = 1e-5
-# Directions of so little variance are not told apart: a share of all of the variance there is.
+# Directions of less variance are not distinguished: a share of all of the variance there is.
 _FLOOR = 1e-4
 
 
@@ -31,8 +34,8 @@ class Fold:
 
 
 @dataclass(frozen=True, eq=False)
-class Kind:
-    """Tangent coordinates ``columns`` whose priors are equally sure, and the ``usual_spread`` of the priors' errors."""
+class ParameterGroup:
+    """Tangent coordinates ``columns`` with priors of equal spread, which usually is ``usual_spread``."""
 
     columns: IntArray
     usual_spread: float
@@ -40,16 +43,20 @@ class Kind:
 
 @dataclass(frozen=True, eq=False)
 class Uncertainty:
-    """At an estimate: ``covariance (D, D)`` of its error in tangent coordinates, and the standard deviations
-    ``prior_spreads (D,)`` of the prior's. ``share``: what correlations leave of the measured rows' information, 0 to
-    1."""
+    """Uncertainty at an estimate, in tangent coordinates.
+
+    Attributes:
+        covariance: ``(D, D)`` of the estimate's error.
+        prior_spreads: Standard deviations ``(D,)`` of the prior's error.
+        share: Share of the measured rows' information that correlations leave, 0 to 1.
+    """
 
     covariance: FloatArray
     prior_spreads: FloatArray
     share: float
 
     def from_data(self, columns: slice) -> float:
-        """The share of the prior's variance in these coordinates that the data took away, 0 to 1.
+        """The share of the prior's variance in these coordinates that the data removed, 0 to 1.
 
         Per principal direction, and on average. Where the prior has the weight that its spread deserves, this is the
         trace of the resolution matrix over its size.
@@ -59,29 +66,33 @@ class Uncertainty:
         return float(np.mean(np.clip(1.0 - left, 0.0, 1.0)))
 
 
-def uncertainty(
+def estimate_uncertainty(
     folds: Sequence[Fold],
     known: Fold,
     trust: float,
     prior_weights: FloatArray,
     from_prior: FloatArray,
-    kinds: Sequence[Kind],
+    groups: Sequence[ParameterGroup],
 ) -> Uncertainty:
     """Uncertainty of a regularised estimate.
 
-    ``folds`` are the measured rows by blocks of time. ``known`` are rows whose errors are independent and of the known
-    size, which the objective weighted by ``trust``. ``prior_weights (D,)`` are the factors of the squared distance to
-    the prior, ``from_prior (D,)`` the tangent coordinates of the prior at the estimate. ``kinds`` share out all
-    coordinates. Per kind two numbers are read off the data: the factor by which residuals that are correlated make
-    errors larger than independent ones would (:func:`inflations`), and the size of the prior's errors
-    (:func:`prior_spreads`).
+    Per group two numbers are estimated from the data: the factor by which correlated residuals make errors larger than
+    independent ones would (:func:`variance_inflation`), and the spread of the prior's errors (:func:`prior_spreads`).
+
+    Args:
+        folds: The measured rows by blocks of time.
+        known: Rows whose errors are independent and of known size.
+        trust: Weight of the known rows in the objective.
+        prior_weights: Factors ``(D,)`` of the squared distance to the prior.
+        from_prior: Tangent coordinates ``(D,)`` of the prior at the estimate.
+        groups: A partition of all coordinates.
     """
     weights = np.maximum(prior_weights, np.finfo(float).tiny)
     measured = _sum(folds, len(weights))
-    factors = inflations(folds, trust * known.information, weights, kinds)
+    factors = variance_inflation(folds, trust * known.information, weights, groups)
     share = 1.0 / float(np.mean(factors))
     independent = Fold(share * measured.gradient + known.gradient, share * measured.information + known.information)
-    spreads = prior_spreads(independent, from_prior, kinds)
+    spreads = prior_spreads(independent, from_prior, groups)
     return Uncertainty(
         error_covariance(measured.information, known.information, trust, weights, factors, spreads), spreads, share
     )
@@ -105,10 +116,15 @@ def error_covariance(
 ) -> FloatArray:
     """Covariance ``(D, D)`` of the estimate's error ``H^-1 (noise + W error of the prior)``.
 
-    H is the sum of the ``measured`` information, of the ``known`` times ``trust``, and of the prior's ``weights`` W.
-    Measured rows' noise has the covariance ``measured``, enlarged by ``factors``; the prior's error has standard
-    deviations ``spreads``. With ``W = 1 / spreads^2``, and all factors and trust 1, this is ``H^-1``, the Bayesian
-    posterior.
+    With ``W = 1 / spreads^2``, and all factors and trust 1, this is ``H^-1``, the Bayesian posterior.
+
+    Args:
+        measured, known: Information ``(D, D)`` of the rows; H is ``measured + trust known + W``. The noise of the
+            measured rows has the covariance ``measured``, enlarged by ``factors``.
+        trust: Weight of the known rows.
+        weights: The prior's weights ``(D,)``, the diagonal of W.
+        factors: Variance inflation ``(D,)``.
+        spreads: Standard deviations ``(D,)`` of the prior's error.
     """
     inverse = _inverse(measured + trust * known, weights)
     parts = (
@@ -121,7 +137,7 @@ def error_covariance(
 
 
 def _root(information: FloatArray) -> FloatArray:
-    """A matrix whose square, it times its transpose, this is; what rounding made negative is zero."""
+    """A matrix that times its transpose is ``information``; eigenvalues that rounding made negative are zero."""
     values, vectors = np.linalg.eigh(information)
     result: FloatArray = vectors * np.sqrt(np.maximum(values, 0.0))
     return result
@@ -136,13 +152,15 @@ def _inverse(information: FloatArray, weights: FloatArray) -> FloatArray:
     return result
 
 
-def inflations(folds: Sequence[Fold], known: FloatArray, weights: FloatArray, kinds: Sequence[Kind]) -> FloatArray:
-    """By how much ``(D,)`` the noise makes errors' variances larger than independent residuals would, at least 1.
+def variance_inflation(
+    folds: Sequence[Fold], known: FloatArray, weights: FloatArray, groups: Sequence[ParameterGroup]
+) -> FloatArray:
+    """Factors ``(D,)``, at least 1, by which errors vary more than under independent residuals.
 
-    The variance that is there is the jackknife's: each fold in turn is left out, and how far the estimate moves shows
-    what the correlations inside of a fold do (Efron 1982). There are only a few folds, so that the ratio to the
-    variance of independent residuals is averaged over all directions of a kind. Kinds differ: noise that changes slowly
-    is taken for an offset, and hardly for friction.
+    The variance is the jackknife's: each fold in turn is left out, and how far the estimate moves shows the effect of
+    correlations inside of a fold (Efron 1982). There are only a few folds, so that the ratio to the variance under
+    independent residuals is averaged over all directions of a group. Groups differ: noise that changes slowly is taken
+    for an offset, and hardly for friction.
     """
     result = np.ones(len(weights))
     if len(folds) < 2:
@@ -153,18 +171,18 @@ def inflations(folds: Sequence[Fold], known: FloatArray, weights: FloatArray, ki
     moves = np.sqrt(1.0 - 1.0 / len(folds)) * (moves - np.mean(moves, axis=0))
     inverse = _inverse(total, weights)
     independent = inverse @ measured @ inverse
-    for kind in kinds:
-        block = independent[np.ix_(kind.columns, kind.columns)]
+    for group in groups:
+        block = independent[np.ix_(group.columns, group.columns)]
         floor = _FLOOR * np.trace(block)
         if floor > 0.0:
             damped = np.linalg.inv(block + floor * np.eye(len(block)))
-            seen = moves[:, kind.columns]
-            result[kind.columns] = max(1.0, float(np.sum((seen @ damped) * seen) / np.sum(damped * block)))
+            seen = moves[:, group.columns]
+            result[group.columns] = max(1.0, float(np.sum((seen @ damped) * seen) / np.sum(damped * block)))
     return result
 
 
-def prior_spreads(rows: Fold, from_prior: FloatArray, kinds: Sequence[Kind]) -> FloatArray:
-    """Standard deviations ``(D,)`` of the prior's errors, one per kind, of the greatest marginal likelihood.
+def prior_spreads(rows: Fold, from_prior: FloatArray, groups: Sequence[ParameterGroup]) -> FloatArray:
+    """Standard deviations ``(D,)`` of the prior's errors, one per group, that maximise the marginal likelihood.
 
     The likelihood is that of ``rows`` with independent errors of standard deviation 1; the prior lies at ``from_prior
     (D,)``. Fixed point of MacKay ("Bayesian interpolation", 1992): the squared distance of the posterior's mean from
@@ -172,8 +190,8 @@ def prior_spreads(rows: Fold, from_prior: FloatArray, kinds: Sequence[Kind]) -> 
     stands.
     """
     spreads = np.empty(len(from_prior))
-    for kind in kinds:
-        spreads[kind.columns] = kind.usual_spread
+    for group in groups:
+        spreads[group.columns] = group.usual_spread
     pull = rows.information @ from_prior + rows.gradient
     for _ in range(_ROUNDS):
         # In units of the spreads, in which the prior's part is the identity.
@@ -182,31 +200,58 @@ def prior_spreads(rows: Fold, from_prior: FloatArray, kinds: Sequence[Kind]) -> 
         left = np.linalg.inv(scaled + least * np.eye(len(spreads)))
         moved = spreads * (left @ (spreads * pull))
         determined = np.clip(1.0 - np.diag(left), 0.0, 1.0)
-        for kind in kinds:
-            squares = float(np.sum(moved[kind.columns] ** 2)) + _CERTAINTY_OF_USUAL * kind.usual_spread**2
-            count = float(np.sum(determined[kind.columns])) + _CERTAINTY_OF_USUAL
-            most = _LARGEST_SPREAD * kind.usual_spread  # few rows of many parameters can be fitted at any distance
-            spreads[kind.columns] = min(float(np.sqrt(squares / count)), most)
+        for group in groups:
+            squares = float(np.sum(moved[group.columns] ** 2)) + _CERTAINTY_OF_USUAL * group.usual_spread**2
+            count = float(np.sum(determined[group.columns])) + _CERTAINTY_OF_USUAL
+            most = _LARGEST_SPREAD * group.usual_spread  # few rows of many parameters can be fitted at any distance
+            spreads[group.columns] = min(float(np.sqrt(squares / count)), most)
     return spreads
 
 
 def physical_sensitivity(manifold: ParameterManifold, point: Point) -> FloatArray:
-    """Derivative ``(links, 10, 10)`` of each link's mass, centre of mass and central inertia (xx xy yy xz yz zz) by its
-    ten tangent coordinates, by central differences along geodesics."""
+    """Derivative ``(links, 10, 10)`` of each link's quantities (:func:`pseudo_inertia.quantities_of`) by its ten
+    tangent coordinates, by central differences along geodesics."""
     derivative = np.empty((manifold.links, 10, 10))
     for k in range(10):
         tangent = np.zeros(manifold.dimension)
         tangent[k : manifold.inertial.stop : 10] = _STEP
-        ahead, behind = (physical_values(manifold.exp(point, sign * tangent)) for sign in (1.0, -1.0))
+        ends = np.array([manifold.exp(point, sign * tangent).pseudo_inertias for sign in (1.0, -1.0)])
+        ahead, behind = pseudo_inertia.quantities_of(pseudo_inertia.to_parameters(ends))
         derivative[:, :, k] = (ahead - behind) / (2.0 * _STEP)
     return derivative
 
 
-def physical_values(point: Point) -> FloatArray:
-    """Mass, centre of mass and central inertia (xx xy yy xz yz zz) of each link, ``(links, 10)``."""
-    parameters = pseudo_inertia.to_parameters(point.pseudo_inertias)
-    central = pseudo_inertia.central_inertia(parameters)
-    rows, columns = pseudo_inertia.INERTIA_ENTRIES
-    return np.concatenate(
-        [parameters[:, :1], pseudo_inertia.centre_of_mass(parameters), central[:, rows, columns]], axis=1
-    )
+def links_information(
+    manifold: ParameterManifold,
+    prior: Point,
+    point: Point,
+    measured: tuple[FloatArray, FloatArray],
+    known: KnownRows,
+    found: Uncertainty,
+) -> LinksInformation:
+    """What the rows of an estimate say of the inertias of all links together.
+
+    The effects are eliminated, within their prior, by a QR decomposition in which their columns come first. Data
+    without any noise count as if they had a little.
+
+    Args:
+        manifold, prior, point: The problem, its prior and the estimate.
+        measured: Rows ``(N, D)`` and targets ``(N,)`` of standard deviation 1.
+        known: Rows of weighed masses.
+        found: The uncertainty at the estimate.
+    """
+    size, first = manifold.dimension, manifold.inertial.stop
+    _, diagonal = manifold.jacobian(point)
+    of_effects = np.zeros((size - first, size + 1))
+    of_effects[:, first:size] = np.diag(1.0 / (diagonal * found.prior_spreads[first:]))
+    of_effects[:, size] = -manifold.log(point, prior)[first:] / found.prior_spreads[first:]
+    of_data = [
+        factor * np.column_stack([rows, rows @ point.parameters - targets])
+        for factor, rows, targets in ((np.sqrt(found.share), *measured), (1.0, known.rows, known.targets))
+    ]
+    stacked = np.concatenate([*of_data, of_effects, np.zeros((first, size + 1))])
+    order = [*range(first, size), *range(first), size]
+    left = triangular(stacked[:, order])[size - first : size, size - first :]
+    whitened = manifold.whiten(point, np.column_stack([left[:, :-1], np.zeros((first, size - first))]))
+    left = left / max(1.0, float(np.max(np.abs(whitened), initial=0.0)) / FINEST)
+    return LinksInformation(frozen(left[:, :-1]), frozen(left[:, -1]))

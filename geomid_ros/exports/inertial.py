@@ -14,11 +14,8 @@ from geomid_ros.types import FloatArray
 
 @dataclass(frozen=True, eq=False)
 class Inertial:
-    """``quantities (10,)`` of a body and their standard deviations ``std (10,)``, NaN where these are not known.
-
-    In the order mass [kg], centre of mass x, y, z [m], and Ixx, Ixy, Iyy, Ixz, Iyz, Izz [kg m^2] about the centre of
-    mass in the frame's axes.
-    """
+    """``quantities (10,)`` of a body (:func:`~geomid_ros.geometry.pseudo_inertia.quantities_of`) in a frame, and their
+    standard deviations ``std (10,)``, NaN where these are not known."""
 
     quantities: FloatArray
     std: FloatArray
@@ -65,18 +62,6 @@ class Export:
     notes: tuple[str, ...] = ()
 
 
-def quantities_of(parameters: FloatArray) -> FloatArray:
-    """Quantities ``(..., 10)`` as in :class:`Inertial`, of parameters ``(..., 10)`` in pinocchio's order."""
-    central = pseudo_inertia.central_inertia(parameters)[(..., *pseudo_inertia.INERTIA_ENTRIES)]
-    return np.concatenate([parameters[..., :1], pseudo_inertia.centre_of_mass(parameters), central], axis=-1)
-
-
-def _parameters_of(quantities: FloatArray) -> FloatArray:
-    """The inverse of :func:`quantities_of`."""
-    central = pseudo_inertia.rotational_inertia(quantities)
-    return pseudo_inertia.assemble(quantities[..., 0], quantities[..., 1:4], central)
-
-
 def total(terms: Sequence[Term], what: str) -> Inertial:
     """The sum of bodies as one. Raises InputError that begins with ``what`` if no body can be so.
 
@@ -93,15 +78,15 @@ def total(terms: Sequence[Term], what: str) -> Inertial:
     for index in np.argwhere(np.isfinite(deviations)):
         step = np.zeros(given.shape)
         step[*index] = deviations[*index]
-        above, below = (quantities_of(_sum(terms, given + sign * step)) for sign in (1.0, -1.0))
+        above, below = (pseudo_inertia.quantities_of(_sum(terms, given + sign * step)) for sign in (1.0, -1.0))
         variance += (0.5 * (above - below)) ** 2
-    return Inertial(quantities_of(parameters), np.sqrt(variance))
+    return Inertial(pseudo_inertia.quantities_of(parameters), np.sqrt(variance))
 
 
 def _sum(terms: Sequence[Term], quantities: FloatArray) -> FloatArray:
     """Parameters ``(10,)`` of the sum, the bodies having ``quantities (bodies, 10)``."""
     pseudo = np.zeros((4, 4))
-    for term, own in zip(terms, pseudo_inertia.from_parameters(_parameters_of(quantities)), strict=True):
+    for term, own in zip(terms, pseudo_inertia.from_parameters(pseudo_inertia.parameters_of(quantities)), strict=True):
         pseudo += term.sign * term.placement @ own @ term.placement.T
     return pseudo_inertia.to_parameters(pseudo)
 

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 
 from geomid_ros.errors import InputError, unknown_name
-from geomid_ros.estimation.estimator import QUANTITIES
-from geomid_ros.exports.inertial import Inertial, quantities_of
+from geomid_ros.estimation.estimate import QUANTITIES
+from geomid_ros.exports.inertial import Inertial
 from geomid_ros.files.models.effect_forms import is_body
 from geomid_ros.files.models.joint_frames import joint_frames
 from geomid_ros.files.models.loaded_model import LoadedModel
@@ -19,12 +19,12 @@ from geomid_ros.files.models.results import known_inertias, read_estimate
 from geomid_ros.files.models.urdf import read_urdf
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.model.effects.parameters import COM_ENTRIES
-from geomid_ros.model.urdf_tree import UrdfJoint, UrdfTree, parse
+from geomid_ros.model.urdf_tree import UrdfTree, parse
 from geomid_ros.types import FloatArray
 
 _URDF = "identified.urdf"
 # A payload's parameters in the order of the quantities.
-_PAYLOAD = ("mass", *COM_ENTRIES, "ixx", "ixy", "iyy", "ixz", "iyz", "izz")
+_PAYLOAD = ("mass", *COM_ENTRIES, *pseudo_inertia.INERTIA_NAMES)
 _SAME_MASS = 1e-6  # relative; the URDF has nine digits
 
 
@@ -63,22 +63,6 @@ class Model:
         if link not in self.tree.links:
             raise InputError(f"{self.source}: {unknown_name(kind, link, self.tree.links)}")
 
-    def subtree(self, link: str) -> list[str]:
-        """A link and all that come after it."""
-        links = [link]
-        for member in links:
-            links += [joint.child for joint in self.tree.children(member)]
-        return links
-
-    def joints_above(self, link: str) -> list[UrdfJoint]:
-        """The joints between a link and the root, the next one first."""
-        parents = {joint.child: joint for joint in self.tree.joints}
-        joints = []
-        while link in parents:
-            joints.append(parents[link])
-            link = parents[link].parent
-        return joints
-
 
 def read_model(path: Path) -> Model:
     """Read an ``estimate.json`` or a URDF. Raises InputError naming the file."""
@@ -99,19 +83,15 @@ def read_model(path: Path) -> Model:
 def _placements(urdf: str, tree: UrdfTree, source: str) -> dict[str, FloatArray]:
     joints = {joint.child: joint for joint in joint_frames(urdf, source)}
     placements = {tree.root: np.eye(4)}
-    links = [tree.root]
-    for link in links:
-        for child in (joint.child for joint in tree.children(link)):
-            joint = joints[child]
-            placed = pseudo_inertia.change_of_frame(joint.rotation.as_matrix(), joint.position)
-            placements[child] = placements[link] @ placed
-            links.append(child)
+    for link in tree.subtree(tree.root)[1:]:
+        placed = pseudo_inertia.change_of_frame(joints[link].rotation.as_matrix(), joints[link].position)
+        placements[link] = placements[joints[link].parent] @ placed
     return placements
 
 
 def _urdf_bodies(tree: UrdfTree) -> dict[str, Body]:
     unknown = np.full(10, np.nan)
-    return {name: Body(Inertial(quantities_of(own), unknown)) for name, own in tree.inertials.items()}
+    return {name: Body(Inertial(pseudo_inertia.quantities_of(own), unknown)) for name, own in tree.inertials.items()}
 
 
 def _estimated_bodies(document: Mapping[str, Any], tree: UrdfTree, source: str) -> dict[str, Body]:
@@ -141,7 +121,9 @@ def _estimated_body(link: Mapping[str, Any], parameters: FloatArray, source: str
     try:
         untold = link.get("cannot_tell")
         return Body(
-            Inertial(quantities_of(parameters), _std(link["std"]) if "std" in link else np.full(10, np.nan)),
+            Inertial(
+                pseudo_inertia.quantities_of(parameters), _std(link["std"]) if "std" in link else np.full(10, np.nan)
+            ),
             tuple(map(str, link["merged"])),
             None if untold is None else tuple(map(str, untold)),
             float(link.get("from_data", np.nan)),
@@ -164,5 +146,5 @@ def _found_payloads(bodies: Mapping[str, Body], source: str) -> dict[str, Body]:
 
 
 def _std(std: Mapping[str, Any]) -> FloatArray:
-    inertia = np.array(std["inertia"], dtype=float).reshape(3, 3)[pseudo_inertia.INERTIA_ENTRIES]
+    inertia = pseudo_inertia.inertia_entries(np.array(std["inertia"], dtype=float).reshape(3, 3))
     return np.concatenate([[float(std["mass"])], np.array(std["com"], dtype=float).reshape(3), inertia])

@@ -25,7 +25,7 @@ def attached(model: Model, frame: str) -> Export:
     show them.
     """
     model.check_link(frame, "frame")
-    return _sum_of(model, model.subtree(frame), frame)
+    return _sum_of(model, model.tree.subtree(frame), frame)
 
 
 def chosen(model: Model, links: Sequence[str], frame: str) -> Export:
@@ -116,13 +116,13 @@ def _massive(model: Model, links: Sequence[str]) -> list[str]:
 
 def _carrier(model: Model, frame: str) -> str:
     """The moving link (or the root) that the link ``frame`` is fixed to."""
-    return next((joint.child for joint in model.joints_above(frame) if joint.type != "fixed"), model.tree.root)
+    return next((joint.child for joint in model.tree.joints_above(frame) if joint.type != "fixed"), model.tree.root)
 
 
 def _moving_with(model: Model, frame: str) -> list[str]:
     """The links with a mass that move with the link that carries a frame, which is checked."""
     model.check_link(frame, "frame")
-    links = model.subtree(_carrier(model, frame))
+    links = model.tree.subtree(_carrier(model, frame))
     _check_whole(model, links)
     return _massive(model, links)
 
@@ -162,8 +162,8 @@ def _weight_untold(body: Body) -> list[str]:
 
 def _joints_at_zero(model: Model, links: Sequence[str], frame: str) -> list[str]:
     """The joints between a frame and links, whose positions change where these are."""
-    above_frame = set(model.joints_above(frame))
-    between = [joint for link in links for joint in model.joints_above(link) if joint not in above_frame]
+    above_frame = set(model.tree.joints_above(frame))
+    between = [joint for link in links for joint in model.tree.joints_above(link) if joint not in above_frame]
     moving = dict.fromkeys(joint.name for joint in between if joint.type != "fixed")
     return [f"with these joints at zero: {', '.join(moving)}"] if moving else []
 
@@ -176,7 +176,7 @@ def _exact(model: Model, links: Sequence[str], inertial: Inertial) -> list[str]:
 
 def _other_differences(model: Model, reference: Model, frame: str) -> list[str]:
     """Links elsewhere that differ: part of the payload may be in them."""
-    carried = model.subtree(_carrier(model, frame))
+    carried = model.tree.subtree(_carrier(model, frame))
     common = [link for link in _massive(model, model.tree.links) if link in reference.bodies and link not in carried]
     differing = [link for link in common if not _same(model.bodies[link].inertial, reference.bodies[link].inertial)]
     if not differing:

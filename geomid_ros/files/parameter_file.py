@@ -10,7 +10,7 @@ from typing import Any
 import yaml
 
 from geomid_ros.errors import InputError
-from geomid_ros.files.bounded import read_text
+from geomid_ros.files.disk import read_text
 
 _MOST_BYTES = 2_000_000  # a robot description may be among the parameters
 _MOST_NODES = 40_000

@@ -61,12 +61,12 @@ def _sweep(b: FloatArray) -> None:
         v1 = (b[11 * LANES + i], b[15 * LANES + i], b[19 * LANES + i], b[23 * LANES + i])
         v2 = (b[12 * LANES + i], b[16 * LANES + i], b[20 * LANES + i], b[24 * LANES + i])
         v3 = (b[13 * LANES + i], b[17 * LANES + i], b[21 * LANES + i], b[25 * LANES + i])
-        a00, a11, a02, a12, a03, a13, v0, v1 = _rotate(a00, a11, a01, a02, a12, a03, a13, v0, v1)
-        a22, a33, a02, a03, a12, a13, v2, v3 = _rotate(a22, a33, a23, a02, a03, a12, a13, v2, v3)
-        a00, a22, a01, a12, a03, a23, v0, v2 = _rotate(a00, a22, a02, 0.0, a12, a03, 0.0, v0, v2)
-        a11, a33, a01, a03, a12, a23, v1, v3 = _rotate(a11, a33, a13, a01, a03, a12, a23, v1, v3)
-        a00, a33, a01, a13, a02, a23, v0, v3 = _rotate(a00, a33, a03, a01, 0.0, 0.0, a23, v0, v3)
-        a11, a22, a01, a02, a13, a23, v1, v2 = _rotate(a11, a22, a12, a01, a02, a13, a23, v1, v2)
+        a00, a11, a02, a12, a03, a13, v0, v1 = _rotate((a00, a11, a01), (a02, a12), (a03, a13), v0, v1)
+        a22, a33, a02, a03, a12, a13, v2, v3 = _rotate((a22, a33, a23), (a02, a03), (a12, a13), v2, v3)
+        a00, a22, a01, a12, a03, a23, v0, v2 = _rotate((a00, a22, a02), (0.0, a12), (a03, 0.0), v0, v2)
+        a11, a33, a01, a03, a12, a23, v1, v3 = _rotate((a11, a33, a13), (a01, a03), (a12, a23), v1, v3)
+        a00, a33, a01, a13, a02, a23, v0, v3 = _rotate((a00, a33, a03), (a01, 0.0), (0.0, a23), v0, v3)
+        a11, a22, a01, a02, a13, a23, v1, v2 = _rotate((a11, a22, a12), (a01, a02), (a13, a23), v1, v2)
         b[i], b[LANES + i], b[2 * LANES + i], b[3 * LANES + i] = a00, a11, a22, a33
         b[4 * LANES + i], b[5 * LANES + i], b[6 * LANES + i] = a01, a02, 0.0
         b[7 * LANES + i], b[8 * LANES + i], b[9 * LANES + i] = 0.0, a13, a23
@@ -78,9 +78,13 @@ def _sweep(b: FloatArray) -> None:
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def _rotate(
-    app: float, aqq: float, apq: float, akp: float, akq: float, amp: float, amq: float, vp: Vector, vq: Vector
+    plane: tuple[float, float, float], k: tuple[float, float], m: tuple[float, float], vp: Vector, vq: Vector
 ) -> tuple[float, float, float, float, float, float, Vector, Vector]:
-    """The rotation in the plane of p and q that makes ``apq`` zero; k and m are the two other indices."""
+    """The rotation in the plane of p and q that makes the entry pq zero.
+
+    ``plane`` has the entries pp, qq and pq, ``k`` and ``m`` the entries of the two other rows in columns p and q.
+    """
+    (app, aqq, apq), (akp, akq), (amp, amq) = plane, k, m
     half = 0.5 * (aqq - app)
     size = abs(half) + math.sqrt(half * half + apq * apq)
     tangent = apq / size if size > 0.0 else 0.0

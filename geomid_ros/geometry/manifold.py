@@ -25,9 +25,12 @@ from geomid_ros.types import FloatArray, frozen
 
 @dataclass(frozen=True, eq=False)
 class Point:
-    """A point of a :class:`ParameterManifold`.
+    """A point of a :class:`ParameterManifold`; its arrays are read-only.
 
-    ``pseudo_inertias (links, 4, 4)`` SPD, ``positives (m,)`` greater than zero, ``reals (k,)``. Read-only.
+    Attributes:
+        pseudo_inertias: ``(links, 4, 4)``, SPD.
+        positives: ``(m,)``, greater than zero.
+        reals: ``(k,)``.
     """
 
     pseudo_inertias: FloatArray
@@ -73,25 +76,25 @@ class ParameterManifold:
 
     @property
     def inertial(self) -> slice:
-        """Where the links' entries stand in a vector of D."""
+        """The links' entries in a vector of D."""
         return slice(0, symmetric.SIZE * self.links)
 
     @property
     def positive(self) -> slice:
-        """Where the positive coefficients stand in a vector of D."""
+        """The positive coefficients in a vector of D."""
         return slice(self.inertial.stop, self.inertial.stop + self.positives)
 
     @property
     def real(self) -> slice:
-        """Where the real coefficients stand in a vector of D."""
+        """The real coefficients in a vector of D."""
         return slice(self.positive.stop, self.dimension)
 
     def link(self, index: int) -> slice:
-        """Where the entries of one link stand in a vector of D."""
+        """The entries of one link in a vector of D."""
         return slice(symmetric.SIZE * index, symmetric.SIZE * (index + 1))
 
     def point(self, parameters: FloatArray) -> Point:
-        """The point with these linear parameters ``(D,)``; the caller answers for their being possible."""
+        """The point with these linear parameters ``(D,)``, which must belong to bodies that can exist (unchecked)."""
         inertial = parameters[self.inertial].reshape(self.links, symmetric.SIZE)
         return Point(pseudo_inertia.from_parameters(inertial), parameters[self.positive], parameters[self.real])
 
@@ -134,8 +137,10 @@ class ParameterManifold:
     def jacobian(self, base: Point) -> tuple[FloatArray, FloatArray]:
         """Derivative of the parameters by the tangent coordinates at ``base``, by blocks.
 
-        Returns the links' blocks ``(links, 10, 10)`` and the diagonal of the rest ``(positives + reals,)``. A row
-        ``a`` has the coordinates ``a J``: the coordinates of ``X-bar = P^1/2 X P^1/2`` of Proposition 2.
+        A row ``a`` has the coordinates ``a J``: those of ``X-bar = P^1/2 X P^1/2`` of Proposition 2.
+
+        Returns:
+            The links' blocks ``(links, 10, 10)`` and the diagonal of the rest ``(positives + reals,)``.
         """
         basis = pseudo_inertia.COEFFICIENT_BASIS[None]
         blocks = symmetric.to_vector(spd.congruence(base.root[:, None], basis))

@@ -56,7 +56,6 @@ _RELATIVE_TOLERANCE = 1e-14
 _BRANCH_GAP = 1e-9  # 1 + W is not taken smaller: at the branch point slopes are infinite
 _CLOSE = -0.3659  # below it W is next to the branch point, under -0.9
 _ROOT_HALF = math.sqrt(0.5)
-_ROOT_TWO = math.sqrt(2.0)
 
 # Links are worked on in blocks of LANES, each in a buffer of its own. Entry by entry the links lie side by side, so
 # that the compiler turns each operation into one on all of them. After the decomposition follow the basis of symmetric
@@ -74,9 +73,12 @@ _VALUES = 4 * LANES
 class Projection:
     """Projections of one point on N hyperplanes, to second order.
 
-    ``half_squared (N,)`` is half the squared distance. ``tangent (N, D)`` is minus its gradient, which where
-    ``status (N,)`` is :data:`ROOT` is the logarithm of the projected point. Its Hessian is the outer product of
-    ``direction (N, D)`` with itself plus curvature, whose weighted sum over the rows is ``curvature (D, D)``.
+    Attributes:
+        half_squared: Half the squared distances ``(N,)``.
+        tangent: Minus their gradients ``(N, D)``: the logarithms of the projected points, where these exist.
+        direction: ``(N, D)``; the Hessian of a row is the outer product of its direction with itself plus curvature.
+        curvature: Sum ``(D, D)`` of the rows' curvature with their weights.
+        status: ``(N,)``: :data:`ROOT`, :data:`NO_ROOT_LOW` or :data:`NO_ROOT_HIGH`.
     """
 
     half_squared: FloatArray
@@ -160,7 +162,7 @@ def _root(
     ``lambert`` and ``moved`` receive what :func:`_constraint` makes of the values there.
     """
     low, high = ends = _interval(values)
-    total, slope, bend, size = _constraint(0.0, values, ends, flat, offset, lambert, moved)
+    total, slope, bend, size = _constraint(0.0, values, ends, flat, offset, lambert=lambert, moved=moved)
     if slope == 0.0:
         return 0.0, ROOT if total == 0.0 else (NO_ROOT_LOW if total < 0.0 else NO_ROOT_HIGH), total
     # With one sign of eigenvalues only and no flat direction C falls to -b's own value at infinity.
@@ -182,13 +184,13 @@ def _root(
             break
         if not (low < candidate < high):
             if not tried and math.isfinite(end):
-                excess, _, _, _ = _constraint(end, values, ends, flat, offset, lambert, moved)
+                excess, _, _, _ = _constraint(end, values, ends, flat, offset, lambert=lambert, moved=moved)
                 if excess != 0.0 and (excess > 0.0) == rising:
                     return end, NO_ROOT_HIGH if rising else NO_ROOT_LOW, excess
                 tried = True
             candidate = 0.5 * (low + high)  # finite: towards an infinite end C is convex and Newton stays inside
         multiplier = candidate
-        total, slope, bend, size = _constraint(multiplier, values, ends, flat, offset, lambert, moved)
+        total, slope, bend, size = _constraint(multiplier, values, ends, flat, offset, lambert=lambert, moved=moved)
         if total > 0.0:
             low = multiplier
         else:
@@ -470,10 +472,13 @@ def project(
     targets: FloatArray,
     weights: FloatArray | None = None,
 ) -> Projection:
-    """Project ``point`` on the hyperplanes with tangent coordinates ``normals (N, D)`` and targets b ``(N,)``.
+    """Project ``point`` on hyperplanes.
 
-    ``normals`` are the rows whitened at ``point`` (:meth:`ParameterManifold.whiten`); ``weights (N,)``, ones unless
-    given, are those with which the rows' curvature is summed.
+    Args:
+        manifold, point: What is projected.
+        normals: The rows ``(N, D)`` whitened at ``point`` (:meth:`ParameterManifold.whiten`).
+        targets: b ``(N,)``.
+        weights: With which the rows' curvature is summed, ``(N,)``; ones unless given.
     """
     rows, dimension = normals.shape
     offsets = _offsets(manifold, point, normals, targets)
@@ -486,11 +491,11 @@ def project(
         np.ones(rows) if weights is None else np.ascontiguousarray(weights),
         manifold.links,
         manifold.positives,
-        half,
-        tangent,
-        direction,
-        curvature,
-        status,
+        half_squared=half,
+        tangent=tangent,
+        direction=direction,
+        curvature=curvature,
+        status=status,
     )
     curvature += np.triu(curvature, 1).T
     return Projection(half, tangent, direction, curvature, status)

@@ -14,18 +14,31 @@ from geomid_ros.geometry import symmetric
 from geomid_ros.types import FloatArray
 
 SIZE = symmetric.SIZE
+INERTIA_NAMES = ("ixx", "ixy", "iyy", "ixz", "iyz", "izz")
+"""Names of the six entries of an inertia, in the order of the parameters."""
 INERTIA_ENTRIES = (np.array([0, 0, 1, 0, 1, 2]), np.array([0, 1, 1, 2, 2, 2]))
-_INERTIA_ROWS, _INERTIA_COLUMNS = INERTIA_ENTRIES
-# A body flatter than this is taken for one without thickness, from which no distance can be measured.
+"""Rows and columns of these entries in the matrix."""
+# Least ratio of a body's central second moments; from a flat body no distance can be measured.
 _FLATTEST = 1e-10
+
+
+def inertia_matrix(entries: FloatArray) -> FloatArray:
+    """Symmetric matrices ``(..., 3, 3)`` with the six entries ``(..., 6)``, named by :data:`INERTIA_NAMES`."""
+    rows, columns = INERTIA_ENTRIES
+    matrix = np.empty((*entries.shape[:-1], 3, 3))
+    matrix[..., rows, columns] = matrix[..., columns, rows] = entries
+    return matrix
+
+
+def inertia_entries(matrix: FloatArray) -> FloatArray:
+    """The six entries ``(..., 6)`` of symmetric matrices ``(..., 3, 3)``: the inverse of :func:`inertia_matrix`."""
+    entries: FloatArray = matrix[(..., *INERTIA_ENTRIES)]
+    return entries
 
 
 def rotational_inertia(parameters: FloatArray) -> FloatArray:
     """Inertia matrices ``(..., 3, 3)`` about the frame's origin, of parameters ``(..., 10)``."""
-    inertia = np.empty((*parameters.shape[:-1], 3, 3))
-    inertia[..., _INERTIA_ROWS, _INERTIA_COLUMNS] = parameters[..., 4:]
-    inertia[..., _INERTIA_COLUMNS, _INERTIA_ROWS] = parameters[..., 4:]
-    return inertia
+    return inertia_matrix(parameters[..., 4:])
 
 
 def _trace_complement(matrix: FloatArray, share: float) -> FloatArray:
@@ -49,7 +62,7 @@ def to_parameters(pseudo: FloatArray) -> FloatArray:
     parameters = np.empty((*pseudo.shape[:-2], SIZE))
     parameters[..., 0] = pseudo[..., 3, 3]
     parameters[..., 1:4] = pseudo[..., :3, 3]
-    parameters[..., 4:] = inertia[..., _INERTIA_ROWS, _INERTIA_COLUMNS]
+    parameters[..., 4:] = inertia_entries(inertia)
     return parameters
 
 
@@ -57,26 +70,31 @@ def to_parameters(pseudo: FloatArray) -> FloatArray:
 _PARAMETERS_TO_COORDINATES = symmetric.to_vector(from_parameters(np.eye(SIZE)))
 _COEFFICIENTS_TO_COORDINATES = np.asarray(np.linalg.inv(_PARAMETERS_TO_COORDINATES).T, dtype=np.float64)
 COEFFICIENT_BASIS = symmetric.to_matrix(_COEFFICIENTS_TO_COORDINATES)
-
-
-def coefficient_matrix(coefficients: FloatArray) -> FloatArray:
-    """Symmetric ``X (..., 4, 4)`` with ``tr(X P) = coefficients . parameters`` for every body (constraint (20))."""
-    matrix: FloatArray = np.einsum("...k,kij->...ij", coefficients, COEFFICIENT_BASIS)
-    return matrix
+"""Matrices ``X_k (10, 4, 4)`` with ``tr((sum a_k X_k) P) = a . parameters`` for every body and row a: (18) and (20)."""
 
 
 def change_of_frame(
     rotation: FloatArray, translation: FloatArray, length_unit: float = 1.0, mass_unit: float = 1.0
 ) -> FloatArray:
-    """The matrix G of (13), with which ``P_a = G P_b G^T``.
+    """The matrix G ``(4, 4)`` of (13), with which ``P_a = G P_b G^T``.
 
-    ``rotation (3, 3)`` and ``translation (3,)`` place frame b in frame a (``r_a = R r_b + t``, in b's unit of
-    length); ``length_unit`` and ``mass_unit`` are the factors from b's units to a's.
+    Args:
+        rotation, translation: ``(3, 3)`` and ``(3,)`` place frame b in frame a: ``r_a = R r_b + t`` in b's unit of
+            length.
+        length_unit, mass_unit: Factors from b's units to a's.
     """
     factor = np.eye(4)
     factor[:3, :3] = length_unit * rotation
     factor[:3, 3] = length_unit * translation
     return float(np.sqrt(mass_unit)) * factor
+
+
+def parameter_transform(rotation: FloatArray, translation: FloatArray) -> FloatArray:
+    """The matrix ``(10, 10)`` that takes parameters from frame b, placed in frame a by ``rotation (3, 3)`` and
+    ``translation (3,)``, to frame a."""
+    factor = change_of_frame(rotation, translation)
+    transform: FloatArray = to_parameters(factor @ from_parameters(np.eye(SIZE)) @ factor.T).T
+    return transform
 
 
 def centre_of_mass(parameters: FloatArray) -> FloatArray:
@@ -94,10 +112,10 @@ def central_inertia(parameters: FloatArray) -> FloatArray:
 
 
 def is_body(parameters: FloatArray) -> bool:
-    """Whether parameters ``(10,)`` are those of a body that can exist and has some thickness in every direction.
+    """Whether parameters ``(10,)`` belong to a body that can exist and is not flat.
 
-    Judged by its central second moments: unlike the eigenvalues of the pseudo-inertia, their ratio depends neither on
-    units nor on where the frame is.
+    Its central second moments decide: unlike the eigenvalues of the pseudo-inertia, their ratio depends neither on
+    units nor on the frame.
     """
     if parameters[0] <= 0.0:
         return False
@@ -110,13 +128,24 @@ def assemble(mass: FloatArray, centre: FloatArray, central: FloatArray) -> Float
     mass = np.asarray(mass, dtype=np.float64)[..., None]
     outer = centre[..., :, None] * centre[..., None, :]
     inertia = central + mass[..., None] * _trace_complement(outer, 1.0)
-    entries = inertia[..., _INERTIA_ROWS, _INERTIA_COLUMNS]
-    return np.concatenate([mass, mass * centre, entries], axis=-1)
+    return np.concatenate([mass, mass * centre, inertia_entries(inertia)], axis=-1)
+
+
+def quantities_of(parameters: FloatArray) -> FloatArray:
+    """Physical quantities ``(..., 10)`` of parameters ``(..., 10)``: mass [kg], centre of mass (x, y, z) [m], and the
+    entries of the inertia about the centre of mass [kg m^2], named by :data:`INERTIA_NAMES`, in the link's axes."""
+    central = inertia_entries(central_inertia(parameters))
+    return np.concatenate([parameters[..., :1], centre_of_mass(parameters), central], axis=-1)
+
+
+def parameters_of(quantities: FloatArray) -> FloatArray:
+    """Parameters ``(..., 10)`` of physical quantities ``(..., 10)``: the inverse of :func:`quantities_of`."""
+    return assemble(quantities[..., 0], quantities[..., 1:4], inertia_matrix(quantities[..., 4:]))
 
 
 def equivalent_ellipsoid(parameters: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Semi-axes ``(..., 3)`` [m] and axes ``(..., 3, 3)`` (columns, link frame) of the uniform solid ellipsoid
-    with the same mass and inertia.
+    """The uniform solid ellipsoid with the same mass and inertia: semi-axes ``(..., 3)`` [m] and axes ``(..., 3, 3)``,
+    as columns in the link's frame.
 
     A uniform ellipsoid with semi-axes s has central second moment ``m diag(s^2)/5``.
     """

@@ -2,9 +2,9 @@
 
 Every function works on stacks: ``(..., n, n)``.
 
-The paper prints the metric (5) with a factor 1/2 and the distance (9) without it, so that the norm of
-``log_map`` would be the distance over sqrt(2). Here the metric is ``tr(P^-1 X P^-1 Y)``, without the factor:
-the distance is the one printed, and it is the norm of the logarithm. Minimisers do not depend on this choice.
+The paper prints the metric (5) with a factor 1/2 and the distance (9) without it, so that the norm of the
+logarithm (8) would be the distance over sqrt(2). Here the metric is ``tr(P^-1 X P^-1 Y)``, without the factor: the
+distance is the one printed, and it is the norm of the logarithm. Minimisers do not depend on this choice.
 """
 
 from __future__ import annotations
@@ -47,29 +47,6 @@ def congruence(factor: FloatArray, matrix: FloatArray) -> FloatArray:
     """The group action ``G * P = G P G^T`` of GL(n), for stacks."""
     result: FloatArray = factor @ matrix @ np.swapaxes(factor, -1, -2)
     return result
-
-
-def inner(base: FloatArray, x: FloatArray, y: FloatArray) -> FloatArray:
-    """Inner product (5) of tangent vectors at ``base``, shape ``(...)``; see the module for the factor."""
-    product: FloatArray = np.einsum("...ij,...ji->...", np.linalg.solve(base, x), np.linalg.solve(base, y))
-    return product
-
-
-def exp_map(base: FloatArray, tangent: FloatArray) -> FloatArray:
-    """Exponential map (7): the end of the unit-time geodesic leaving ``base`` with velocity ``tangent``."""
-    return geodesic(base, tangent, 1.0)
-
-
-def geodesic(base: FloatArray, tangent: FloatArray, t: float) -> FloatArray:
-    """The point at time ``t`` of the geodesic (6) that leaves ``base`` with velocity ``tangent``."""
-    root, inverse = spd_sqrt(base), spd_inv_sqrt(base)
-    return congruence(root, sym_exp(t * congruence(inverse, tangent)))
-
-
-def log_map(base: FloatArray, point: FloatArray) -> FloatArray:
-    """Logarithm map (8): the initial velocity of the geodesic from ``base`` to ``point``."""
-    root, inverse = spd_sqrt(base), spd_inv_sqrt(base)
-    return congruence(root, spd_log(congruence(inverse, point)))
 
 
 def relative_eigenvalues(base: FloatArray, point: FloatArray) -> FloatArray:

@@ -1,9 +1,10 @@
-"""Masses that were weighed: rows of the least-squares problem like those that are measured, with a known error."""
+"""Weighed masses: rows of the least-squares problem like the measured ones, with a known error."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import takewhile
 
 import numpy as np
 
@@ -13,7 +14,7 @@ from geomid_ros.model.robot import Robot
 from geomid_ros.types import FloatArray
 
 TOTAL = "total"  # the whole robot, what does not move included
-# No scale is better, and valleys that are narrower take solvers too many steps.
+# No scale is more precise, and narrower valleys take solvers too many steps.
 _MOST_PRECISE = 1e-5
 
 
@@ -50,7 +51,7 @@ class WeighedMass:
 
 @dataclass(frozen=True, eq=False)
 class KnownRows:
-    """``rows (K, D) . parameters = targets (K,)`` with a standard deviation of 1; ``weighed`` is what they say."""
+    """``rows (K, D) . parameters = targets (K,)`` with standard deviation 1, from the masses ``weighed``."""
 
     rows: FloatArray
     targets: FloatArray
@@ -88,7 +89,7 @@ def _weighed_bodies(robot: Robot, given: WeighedMass) -> list[int]:
 
 
 def _body(robot: Robot, link: str) -> int:
-    """The body of a link. A link that is fixed to another cannot be told from it."""
+    """The body of a link; a link that is fixed to another is no body of its own."""
     names = robot.body_names
     if link in names:
         return names.index(link)
@@ -110,10 +111,8 @@ def _carrier(robot: Robot, link: str) -> str | None:
     for body in robot.bodies:
         if link in body.merged:
             return body.name
-    parents = {joint.child: joint.parent for joint in robot.tree.joints if joint.type == "fixed"}
-    while link in parents and link not in robot.body_names:
-        link = parents[link]
-    return link if link in robot.body_names else None
+    fixed = takewhile(lambda joint: joint.type == "fixed", robot.tree.joints_above(link))
+    return next((joint.parent for joint in fixed if joint.parent in robot.body_names), None)
 
 
 def _known_mass(model: MeasurementModel, given: WeighedMass, bodies: Sequence[int]) -> float:

@@ -172,7 +172,7 @@ class MeasurementModel:
             case "joints" if isinstance(effect, PairEffect):
                 return [AtJoints(*pair) for pair in effect.pairs(self._chain)] if self.efforts_usable else []
             case "robot":
-                felt = self.effort_channels or effect.acts_on_wrenches
+                felt = self.effort_channels or effect.turns_gravity
                 return [OnRobot()] if felt and not self.robot.floating_base else []
             case "link":
                 return [OnLink(place, self._mover(place)) for place in range(len(self.identified))]

@@ -1,4 +1,4 @@
-"""A robot from its URDF: bodies to identify, joints to read. The only place that imports pinocchio."""
+"""A robot from its URDF: bodies to identify, joints to read, and their rigid-body dynamics by pinocchio."""
 
 from __future__ import annotations
 
@@ -22,9 +22,12 @@ _ROOT_JOINT = "floating base of geomid_ros"  # must not be the name of a joint o
 class Body:
     """A rigid body to identify: a moving link with what is fixed to it.
 
-    ``name`` is the URDF link in whose frame ``parameters (10,)`` are given; ``merged`` names the massive links that are
-    fixed to it and counted in. ``joint`` is pinocchio's index of the joint that moves it (0: none, it stands in the
-    world on a mounted sensor), ``to_joint (10, 10)`` takes parameters from the link's frame to that joint's.
+    Attributes:
+        name: The URDF link in whose frame the parameters are given.
+        merged: Massive links that are fixed to it and counted in.
+        joint: Pinocchio's index of the joint that moves it; 0 for none: it is fixed to the world by a mounted sensor.
+        parameters: ``(10,)`` in pinocchio's order.
+        to_joint: Takes parameters from the link's frame to that of the joint, ``(10, 10)``.
     """
 
     name: str
@@ -43,7 +46,6 @@ class Joint:
     v: int
     continuous: bool
     unit: str
-    effort_limit: float
 
 
 class Robot:
@@ -61,9 +63,17 @@ class Robot:
     ) -> None:
         """Build from URDF text.
 
-        ``cuts`` are links at which a group of fixed links is divided (where a mounted sensor sits): the part from there
-        on is a body of its own. ``locked_joints`` are taken as fixed at zero. ``gravity (3,)`` in the base (world)
-        frame [m/s^2]. Raises InputError naming ``source`` and the link or joint.
+        Args:
+            urdf: The text.
+            floating_base: Whether the root link moves freely.
+            cuts: Links at which a group of fixed links is divided (where a mounted sensor sits): the part from there
+                on is a body of its own.
+            locked_joints: Joints that count as fixed at zero.
+            gravity: ``(3,)`` in the base (world) frame [m/s^2].
+            source: Names the URDF in messages.
+
+        Raises:
+            InputError: Naming ``source`` and the link or joint.
         """
         self.source = source
         self.urdf = urdf
@@ -108,7 +118,6 @@ class Robot:
                     model.idx_v,
                     model.nq == 2,
                     "N" if types[name] == "prismatic" else "N m",
-                    float(self._model.effortLimit[model.idx_v]),
                 )
             )
         return tuple(joints)
@@ -142,15 +151,14 @@ class Robot:
         parameters = np.zeros(10)
         for link in massive:
             placed = self._model.frames[self._model.getFrameId(link, pin.BODY)].placement
-            transform = _parameter_transform(frame.placement.actInv(placed))
-            parameters += transform @ self.tree.inertials[link]
+            parameters += _transform(frame.placement.actInv(placed)) @ self.tree.inertials[link]
         self._check_possible(head, massive, parameters)
         return Body(
             head,
             tuple(link for link in massive if link != head),
             frame.parentJoint,
             frozen(parameters),
-            frozen(_parameter_transform(frame.placement)),
+            frozen(_transform(frame.placement)),
         )
 
     def _check_possible(self, head: str, massive: list[str], parameters: FloatArray) -> None:
@@ -182,15 +190,12 @@ class Robot:
         return frame in self.tree.links
 
     def is_divided_at(self, link: str) -> bool:
-        """Whether no body reaches across the link ``link``: it moves on its parent, or it is one of the cuts."""
+        """Whether the body of ``link`` begins there: it moves relative to its parent, or it is one of the cuts."""
         return link in self._heads
 
     def subtree(self, frame: str) -> list[int]:
         """Indices of the bodies at or after the link ``frame``."""
-        links = [frame]
-        for link in links:
-            links += [joint.child for joint in self.tree.children(link)]
-        carried = set(links)
+        carried = set(self.tree.subtree(frame))
         return [index for index, body in enumerate(self.bodies) if body.name in carried]
 
     def configuration(self, samples: Samples) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -218,7 +223,7 @@ class Robot:
         return rows
 
     def update_motion(self, q: FloatArray, v: FloatArray, a: FloatArray) -> None:
-        """Compute placements, velocities and accelerations, for the frame queries that follow."""
+        """Compute placements, velocities and accelerations for :meth:`placement` and :meth:`wrench_rows`."""
         pin.forwardKinematics(self._model, self._data, q, v, a)
 
     def wrench_rows(self, bodies: Iterable[int], frame: str) -> FloatArray:
@@ -252,13 +257,9 @@ class Robot:
         return {link: (np.array(m.rotation), np.array(m.translation)) for link, m in placements.items()}
 
     def parent_body(self, link: str) -> str | None:
-        """The next body above ``link`` in the chain, the root link if there is none, None for the root itself."""
-        parents = {joint.child: joint.parent for joint in self.tree.joints}
-        while link in parents:
-            link = parents[link]
-            if link in self.body_names or link not in parents:
-                return link
-        return None
+        """The nearest body above ``link``; the root link if there is none, None for the root itself."""
+        above = [joint.parent for joint in self.tree.joints_above(link)]
+        return next((parent for parent in above if parent in self.body_names), above[-1] if above else None)
 
     def frame_jacobian(self, q: FloatArray, frame: str) -> FloatArray:
         """Jacobian ``(6, joints)`` of a link's frame, in its own axes (linear, angular)."""
@@ -278,7 +279,7 @@ class Robot:
         )
 
     def with_inertias(self, inertias: FloatArray, bodies: Iterable[int]) -> pin.Model:
-        """A copy of pinocchio's model: the listed bodies have ``inertias (all bodies, 10)``, all else nothing."""
+        """A copy of pinocchio's model with ``inertias (all bodies, 10)`` of the listed bodies; all else is massless."""
         model = self._model.copy()
         joints = np.zeros((model.njoints, 10))
         for index in bodies:
@@ -292,8 +293,8 @@ class Robot:
     def carried_wrench(
         self, model: pin.Model, data: pin.Data, frame: str, q: FloatArray, v: FloatArray, a: FloatArray
     ) -> FloatArray:
-        """Wrench ``(6,)`` that moves all massive bodies of ``model``, which all come at or after the link ``frame``, in
-        that link's frame."""
+        """Wrench ``(6,)`` that moves all massive bodies of ``model``, in the frame of the link ``frame``, at or after
+        which they all are."""
         pin.rnea(model, data, q, v, a)
         at = model.frames[model.getFrameId(frame, pin.BODY)]
         if at.parentJoint == 0:
@@ -307,10 +308,6 @@ class Robot:
             total = data.f[at.parentJoint]
         return np.array(at.placement.actInv(total).vector)
 
-    def inverse_dynamics(self, q: FloatArray, v: FloatArray, a: FloatArray) -> FloatArray:
-        """Efforts ``(nv,)`` of the URDF's own inertias, by the recursive Newton-Euler algorithm."""
-        return np.array(pin.rnea(self._model, self._data, q, v, a))
-
 
 def _build(urdf: str, floating_base: bool, source: str) -> pin.Model:
     try:
@@ -321,10 +318,5 @@ def _build(urdf: str, floating_base: bool, source: str) -> pin.Model:
         raise InputError(f"{source}: pinocchio cannot build a robot from this URDF ({error})") from error
 
 
-def _parameter_transform(placement: pin.SE3) -> FloatArray:
-    """The matrix that takes parameters from a frame placed at ``placement`` to the frame in which that is given."""
-    factor = pseudo_inertia.change_of_frame(placement.rotation, placement.translation)
-    units = pseudo_inertia.from_parameters(np.eye(10))
-    moved = pseudo_inertia.to_parameters(factor @ units @ factor.T)
-    result: FloatArray = moved.T
-    return result
+def _transform(placement: pin.SE3) -> FloatArray:
+    return pseudo_inertia.parameter_transform(placement.rotation, placement.translation)

@@ -16,13 +16,18 @@ WORLD_FRAMES = ("world", "map", "odom")  # names of the frame in which the poses
 
 @dataclass(frozen=True)
 class WrenchSensor:
-    """A wrench topic with a declared meaning.
+    """A wrench topic with a declared meaning. Raises InputError for values that cannot be.
 
-    ``frame``: the URDF link in whose frame the wrench is expressed, about whose origin; for a force plate (a fixed
-    sensor under a floating base) one of ``WORLD_FRAMES``. ``axes``: those of ``AXES`` that are measured. ``sign``: -1
-    if the sensor reports the opposite (reaction) wrench. ``offset``: what is known of its constant error, force and
-    torque in the frame: sign times the reported wrench is the true one plus this. ``frame_id``: what the messages call
-    the frame, where it is not the link's name.
+    Attributes:
+        topic: Where it is published.
+        frame: The URDF link in whose frame, and about whose origin, the wrench is expressed; for a force plate (a
+            fixed sensor under a floating base) one of :data:`WORLD_FRAMES`.
+        role: One of :data:`ROLES`.
+        axes: Those of :data:`AXES` that are measured.
+        sign: -1 if the sensor reports the opposite (reaction) wrench.
+        offset: Known constant error, force [N] and torque [N m] in the frame: sign times the reported wrench is the
+            true one plus this.
+        frame_id: The frame's name in messages, if it is not the link's.
     """
 
     topic: str

@@ -5,20 +5,22 @@ This is the prior of the paper (its Sec. V-B), for robots whose URDF has no iner
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
+from copy import deepcopy
 from dataclasses import dataclass
+from xml.etree.ElementTree import Element
 
 import numpy as np
 
 from geomid_ros.errors import InputError
 from geomid_ros.geometry import pseudo_inertia
-from geomid_ros.model import shapes
+from geomid_ros.model import shapes, urdf_tree
 from geomid_ros.model.urdf_tree import UrdfTree
 from geomid_ros.types import FloatArray, IntArray
 
 MISSING, ZERO, UNREADABLE, IMPOSSIBLE = "missing", "zero mass", "unreadable", "impossible"
 OUTSIDE, POINT, DENSE, LIGHT = "mass beyond its shape", "nearly a point mass", "far too dense", "far too light"
-# Links differ in what they are made of, and shapes are not exact: nonsense is what is off by so much.
+# Links differ in material, and shapes are not exact: an inertial is implausible only if it is off by so much.
 _REACH = 2.0  # of the mass, in sizes of the shape
 _POINT = 0.1  # radius of gyration, as a share of the shape's
 _DENSITY = 10.0  # ratio to the robot's
@@ -26,8 +28,13 @@ _DENSITY = 10.0  # ratio to the robot's
 
 @dataclass(frozen=True, eq=False)
 class Solid:
-    """What fills a link, in its frame: ``moments (4, 4)`` as in :mod:`shapes`, and a surface of ``triangles (T, 3)``
-    with corners ``vertices (V, 3)``; ``shape`` says in words where that comes from."""
+    """The solid of a link, in its frame.
+
+    Attributes:
+        moments: ``(4, 4)`` as in :mod:`shapes`.
+        vertices, triangles: Its surface: corners ``(V, 3)`` [m] and their indices ``(T, 3)``.
+        shape: Where it comes from, in words.
+    """
 
     moments: FloatArray
     vertices: FloatArray
@@ -37,8 +44,8 @@ class Solid:
 
 @dataclass(frozen=True, eq=False)
 class Inertial:
-    """A link's inertial as the URDF has it: ``parameters (10,)`` where it says a mass, and the ``problem`` with it, if
-    it belongs to no body that can exist."""
+    """A link's inertial in the URDF: its ``parameters (10,)`` if it has a mass, and the ``problem`` with it, empty if
+    there is none."""
 
     parameters: FloatArray | None
     problem: str
@@ -51,8 +58,13 @@ class Inertial:
 
 @dataclass(frozen=True, eq=False)
 class LinkPrior:
-    """A link before and after. ``parameters (10,)``: from its shape; None where its inertial stays. ``verdict``: what
-    is wrong with the inertial that it had, empty if nothing."""
+    """A link before and after.
+
+    Attributes:
+        name, solid, before: The link, its solid and the inertial it had.
+        parameters: ``(10,)`` from its shape; None where its inertial stays.
+        verdict: What is wrong with the inertial it had, empty if nothing.
+    """
 
     name: str
     solid: Solid | None
@@ -111,10 +123,10 @@ def shape_prior(
 
 
 def verdict(before: Inertial, solid: Solid | None, density: float) -> str:
-    """What is wrong with an inertial: that no body has it, or none of this shape; empty if nothing is.
+    """What is wrong with an inertial: no body has it, or none of this shape; empty if nothing is wrong.
 
-    Nothing of a body that lies between a and b along an axis varies more than ``(b - c)(c - a)`` about its centre c
-    (Bhatia and Davis): what does has mass elsewhere.
+    The variance along an axis of a body between a and b is at most ``(b - c)(c - a)`` about its centre c (Bhatia and
+    Davis 2000): an inertial with a larger one has mass elsewhere.
     """
     if before.parameters is None or before.problem or solid is None:
         return before.problem
@@ -141,8 +153,8 @@ def _centre_and_variances(pseudo: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 
 def massless_links(tree: UrdfTree, masses: Mapping[str, float]) -> tuple[list[str], list[str]]:
-    """Moving links without any mass, their fixed links included: those that carry mass further on, and those that do
-    not. The former are right between the axes of one joint; the latter leave their joint nothing to move."""
+    """Moving links that have no mass, nor have the links fixed to them: those that carry mass further on, and those
+    that do not. The former are right between the axes of one joint; the latter leave their joint nothing to move."""
     moving = [joint.child for joint in tree.joints if joint.type != "fixed"]
     massless = [link for link in moving if not _mass(tree, masses, link, through_joints=False)]
     between = [link for link in massless if _mass(tree, masses, link, through_joints=True)]
@@ -153,3 +165,49 @@ def _mass(tree: UrdfTree, masses: Mapping[str, float], link: str, *, through_joi
     """Mass [kg] of a link and of what is fixed to it, or of all that comes after it."""
     after = [joint.child for joint in tree.children(link) if through_joints or joint.type == "fixed"]
     return masses[link] + sum(_mass(tree, masses, child, through_joints=through_joints) for child in after)
+
+
+class ShapedUrdf:
+    """A URDF whose inertials need not be usable.
+
+    Attributes:
+        links: The ``<link>`` elements by name.
+        inertials: What their inertials say, by name.
+        tree: The tree without inertials.
+    """
+
+    def __init__(self, text: str, source: str) -> None:
+        """Raises InputError naming ``source`` where anything but an inertial is not usable."""
+        robot = urdf_tree.read_xml(text, source)
+        self.source = source
+        self.tree = _tree_without_inertials(robot, source)
+        self.links = {link.get("name", ""): link for link in robot.findall("link")}
+        self.inertials = {name: _inertial(link, source) for name, link in self.links.items()}
+
+    def check_staying(self, shaped: Collection[str]) -> None:
+        """Raise InputError for an inertial that no body may have and that no shape replaces."""
+        for name in self.inertials.keys() - set(shaped):
+            parameters = urdf_tree.inertial_parameters(self.links[name], self.source)
+            if parameters is not None and parameters[0] < 0.0:
+                raise InputError(
+                    f"{self.source}: link '{name}' has a mass of {parameters[0]:g} kg, which would stay, as it is "
+                    "kept or has no shape; correct or remove its <inertial>"
+                )
+
+
+def _tree_without_inertials(robot: Element, source: str) -> UrdfTree:
+    stripped = deepcopy(robot)
+    for link in stripped.findall("link"):
+        for inertial in link.findall("inertial"):
+            link.remove(inertial)
+    return urdf_tree.tree(stripped, source)
+
+
+def _inertial(link: Element, source: str) -> Inertial:
+    try:
+        parameters = urdf_tree.inertial_parameters(link, source)
+    except InputError:
+        return Inertial(None, UNREADABLE)
+    if parameters is None:
+        return Inertial(None, MISSING if link.find("inertial") is None else ZERO)
+    return Inertial(parameters, "" if pseudo_inertia.is_body(parameters) else IMPOSSIBLE)

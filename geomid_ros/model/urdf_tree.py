@@ -44,8 +44,13 @@ class UrdfJoint:
 
 @dataclass(frozen=True)
 class UrdfTree:
-    """Link names and joints in the file's order, the root link, and the inertial parameters ``(10,)`` of the links that
-    have a mass, in pinocchio's order about the link frame's origin."""
+    """The tree of links and joints.
+
+    Attributes:
+        links, joints: In the file's order.
+        root: The root link.
+        inertials: Parameters ``(10,)`` of the links with a mass, in pinocchio's order about the link frame's origin.
+    """
 
     links: tuple[str, ...]
     joints: tuple[UrdfJoint, ...]
@@ -56,12 +61,31 @@ class UrdfTree:
         """The joints that leave ``link``."""
         return self._children.get(link, [])
 
+    def subtree(self, link: str) -> list[str]:
+        """``link`` and all links after it, each behind its parent."""
+        links = [link]
+        for member in links:
+            links += [joint.child for joint in self.children(member)]
+        return links
+
+    def joints_above(self, link: str) -> list[UrdfJoint]:
+        """The joints between ``link`` and the root, nearest first."""
+        joints = []
+        while link in self._joint_of:
+            joints.append(self._joint_of[link])
+            link = joints[-1].parent
+        return joints
+
     @cached_property
     def _children(self) -> dict[str, list[UrdfJoint]]:
         children: dict[str, list[UrdfJoint]] = {}
         for joint in self.joints:
             children.setdefault(joint.parent, []).append(joint)
         return children
+
+    @cached_property
+    def _joint_of(self) -> dict[str, UrdfJoint]:
+        return {joint.child: joint for joint in self.joints}
 
 
 def parse(text: str, source: str) -> UrdfTree:
@@ -125,7 +149,7 @@ class _Builder(TreeBuilder):
 
 
 def without_shapes(text: str, source: str) -> str:
-    """The URDF with what rigid bodies need and nothing else: whoever gets it opens no mesh, and fails at no colour."""
+    """The URDF reduced to what rigid bodies need: its reader opens no mesh and fails at no colour."""
     robot = read_xml(text, source)
     pruned = Element("robot", name=robot.get("name", ""))
     for child in robot:
@@ -201,14 +225,13 @@ def inertial_parameters(link: Element, source: str) -> FloatArray | None:
     if len(link.findall("inertial")) > 1:
         raise InputError(f"{where} has more than one <inertial>")
     (mass,) = read_numbers(inertial, "mass", ("value",), None, where)
-    entries = read_numbers(inertial, "inertia", ("ixx", "ixy", "ixz", "iyy", "iyz", "izz"), None, where)
+    entries = read_numbers(inertial, "inertia", pseudo_inertia.INERTIA_NAMES, None, where)
     centre = read_numbers(inertial, "origin", ("xyz",), [0.0, 0.0, 0.0], where)
     angles = read_numbers(inertial, "origin", ("rpy",), [0.0, 0.0, 0.0], where)
     if mass == 0.0:
         return None
-    xx, xy, xz, yy, yz, zz = entries
     axes = Rotation.from_euler("xyz", angles).as_matrix()
-    central = axes @ np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]) @ axes.T
+    central = axes @ pseudo_inertia.inertia_matrix(np.array(entries)) @ axes.T
     return pseudo_inertia.assemble(np.array(mass), np.array(centre), central)
 
 

@@ -12,7 +12,7 @@ from typing import Any, Literal
 import numpy as np
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
-from geomid_ros.files.atomic import write_text
+from geomid_ros.files.disk import write_text
 from geomid_ros.gap.result import Finding, GapResult, Located
 from geomid_ros.geometry import pseudo_inertia, spd
 from geomid_ros.model.effects import ModelEffect
@@ -43,13 +43,18 @@ _TITLES = {"windows": "Forward in short windows", "closed_loop": "In closed loop
 _KINDS = {"before": "nominal", "inertias_only": "inertias only", "after": "with effect"}
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class SimulatedAgain:
     """The robot's simulation before and after, beside what was measured.
 
-    ``sentence`` says how it was simulated; ``errors`` {before, after} by channel in units of the floor. Of ``joints``,
-    in ``units``: ``measured``, ``before``, ``after (N, joints)`` over ``times (N,)`` [s], NaN where a new simulation
-    begins; at most ``seconds`` are shown.
+    Attributes:
+        kind: How it was simulated.
+        sentence: The same in words.
+        errors: {before, after} by channel, in units of the noise floor.
+        joints, units: The columns.
+        times: ``(N,)`` [s].
+        measured, before, after: ``(N, joints)``, NaN where a new simulation begins.
+        seconds: How much is shown at most.
     """
 
     kind: Literal["windows", "closed_loop"]
@@ -64,14 +69,19 @@ class SimulatedAgain:
     seconds: float = 10.0
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class GapPage:
-    """What the page is made of.
+    """The content of the page.
 
-    ``joints`` with ``units`` (rad or m) of their positions name the columns of the trace's motion. ``nominal
-    (bodies, 10)`` are the model file's inertias of the result's bodies. ``rigid (N, channels)`` is what the final
-    model predicts on the trace without any named effect. ``known`` are effects that the model had before.
-    ``simulated`` are simulations; if there are none, ``not_simulated`` says why.
+    Attributes:
+        robot, recordings: Names.
+        joints, units: The columns of the trace's motion, with the units of their positions, rad or m.
+        result: What the workflow found.
+        nominal: Inertias ``(bodies, 10)`` of the result's bodies in the model file.
+        rigid: ``(N, channels)``, what the final model predicts on the trace without any named effect.
+        known: Effects that the model had before.
+        simulated: Simulations.
+        not_simulated: Why there are none, if there are none.
     """
 
     robot: str

@@ -1,4 +1,4 @@
-"""One picture of an identification: the robot's bodies before and after, and what was measured against the models."""
+"""The picture of an identification: the robot's bodies before and after, and what was measured against the models."""
 
 from __future__ import annotations
 
@@ -7,17 +7,38 @@ import textwrap
 from collections.abc import Sequence
 from pathlib import Path
 
+import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from geomid_ros.files.atomic import write_bytes
-from geomid_ros.report.ellipsoids import BodyDrawing
+from geomid_ros.estimation.estimate import Estimate
+from geomid_ros.files.disk import write_bytes
+from geomid_ros.geometry import pseudo_inertia
+from geomid_ros.model.samples import Samples
+from geomid_ros.report.ellipsoids import BodyDrawing, Ellipsoid
 from geomid_ros.report.robot_drawing import draw_bodies
 from geomid_ros.report.series_drawing import Series, draw_series
 from geomid_ros.report.sheet import DPI, FAINT, SIZE, add_text, shortened
+from geomid_ros.session.session import Session
+from geomid_ros.types import FloatArray
 
 _LEFT, _TITLE_WIDTH = 0.25, 9.7  # [inch]
 _NOTE_TOP = 9.48
+
+
+def draw_identification(path: Path, session: Session, estimate: Estimate, samples: Samples, of_what: str) -> None:
+    """Draw bodies, before and after, in a pose of ``samples``, and the channels over the samples' time.
+
+    ``of_what`` says which data the samples are.
+    """
+    middle = samples.select(slice(len(samples) // 2, len(samples) // 2 + 1))
+    identification_picture(
+        path,
+        f"{session.robot.name}: identified link inertias",
+        _bodies(session, estimate, middle),
+        _series(session, estimate, samples),
+        f"Measured against predicted on {of_what}; {estimate.rows_accepted} rows identified from.",
+    )
 
 
 def identification_picture(
@@ -36,3 +57,41 @@ def identification_picture(
     buffer = io.BytesIO()
     figure.savefig(buffer, format="png", metadata={"Software": None})
     write_bytes(path, buffer.getvalue())
+
+
+def _bodies(session: Session, estimate: Estimate, pose: Samples) -> list[BodyDrawing]:
+    robot = session.robot
+    frames = robot.link_frames(pose)
+    nominal = session.model.nominal_inertias.reshape(-1, 10)
+    drawings = []
+    for index, link in enumerate(estimate.links):
+        rotation, origin = frames[link.name]
+        parent = robot.parent_body(link.name)
+        drawings.append(
+            BodyDrawing(
+                link.name,
+                origin,
+                frames[parent][1] if parent else None,
+                _ellipsoid(nominal[index], rotation, origin),
+                _ellipsoid(link.parameters, rotation, origin),
+                link.from_data,
+            )
+        )
+    return drawings
+
+
+def _ellipsoid(parameters: FloatArray, rotation: FloatArray, origin: FloatArray) -> Ellipsoid:
+    semi_axes, axes = pseudo_inertia.equivalent_ellipsoid(parameters)
+    centre = origin + rotation @ pseudo_inertia.centre_of_mass(parameters)
+    return Ellipsoid(centre, semi_axes, rotation @ axes, float(parameters[0]))
+
+
+def _series(session: Session, estimate: Estimate, samples: Samples) -> Sequence[Series]:
+    times = (samples.stamps - samples.stamps[0]) * 1e-9
+    measured, nominal = session.model.predict(samples, session.nominal_parameters)
+    _, predicted = session.model.predict(samples, estimate.parameters)
+    return [
+        Series(channel.name, channel.unit, times, measured[:, index], nominal[:, index], predicted[:, index])
+        for index, channel in enumerate(session.model.channels)
+        if np.any(np.isfinite(measured[:, index]))
+    ]

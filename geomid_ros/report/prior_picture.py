@@ -14,7 +14,7 @@ from matplotlib.collections import PolyCollection
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from geomid_ros.files.atomic import write_bytes
+from geomid_ros.files.disk import write_bytes
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.model.shape_prior import LinkPrior
 from geomid_ros.types import FloatArray, IntArray

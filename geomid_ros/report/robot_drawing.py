@@ -198,7 +198,7 @@ def _draw_badge(axes: Axes, x: float, y: float, d: Drawn, inch: float) -> None:
     """A link's number on its colour; ``inch`` in the axes' coordinates."""
     color = _SHARES(_share(d.body.from_data))[:3]
     axes.add_artist(Circle((x, y), _BADGE * inch, fc=color, ec="white", lw=1.0, zorder=4.0))
-    add_text(axes, x, y, str(d.number), 7.5, _ink_on(color), "bold", ha="center", va="center_baseline")
+    add_text(axes, x, y, str(d.number), 7.5, _ink_on(color), weight="bold", ha="center", va="center_baseline")
 
 
 def _spread(points: FloatArray, distance: float) -> FloatArray:

@@ -22,15 +22,12 @@ _SEPARATIONS = (0.03, 0.05, 0.08)  # [s] at which the noise of filtered samples 
 _EXPLAINED = 0.9  # share of an effort's variance that a controller has to explain
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class LoopTrace:
-    """One stretch in closed loop: ``times (N,)`` [s]; joints' positions and efforts ``(N, J)`` that were measured, and
-    those that come before and after the findings."""
+    """One stretch in closed loop: ``times (N,)`` [s], and the joints' efforts ``(N, J)``, measured and simulated with
+    the models before and after the findings."""
 
     times: FloatArray
-    position: FloatArray
-    position_before: FloatArray
-    position_after: FloatArray
     effort: FloatArray
     effort_before: FloatArray
     effort_after: FloatArray
@@ -77,6 +74,7 @@ def closed_loop(
     after: ModelFiles,
     recordings: Sequence[Samples],
     commands: Sequence[Samples],
+    *,
     noise: Noise,
     cutoff: float,
 ) -> ClosedLoop:
@@ -169,23 +167,16 @@ def _true_time(stretch: Stretch, robot: WrittenRobot) -> FloatArray:
 
 
 def _simulated(part: _Commanded, controller: Controller, before: WrittenRobot, after: WrittenRobot) -> LoopTrace:
-    samples = part.stretch.samples
-    (position_before, effort_before), (position_after, effort_after) = (
-        _run(part, controller, robot) for robot in (before, after)
-    )
     return LoopTrace(
-        part.stretch.times,
-        samples.position,
-        position_before,
-        position_after,
-        samples.effort,
-        effort_before,
-        effort_after,
+        times=part.stretch.times,
+        effort=part.stretch.samples.effort,
+        effort_before=_simulated_effort(part, controller, before),
+        effort_after=_simulated_effort(part, controller, after),
     )
 
 
-def _run(part: _Commanded, controller: Controller, robot: WrittenRobot) -> tuple[FloatArray, FloatArray]:
-    """Positions and efforts ``(N, J)``, the latter as the sensors would show them."""
+def _simulated_effort(part: _Commanded, controller: Controller, robot: WrittenRobot) -> FloatArray:
+    """Efforts ``(N, J)`` as the sensors would show them."""
     samples, times = part.stretch.samples, part.stretch.times
     simulation = WindowSimulation(robot, Windows.whole(part.stretch))
     driving = _driving(part, controller, robot, simulation)
@@ -194,7 +185,7 @@ def _run(part: _Commanded, controller: Controller, robot: WrittenRobot) -> tuple
     position = np.vstack([samples.position[:1], simulated.position[0]])
     velocity = np.vstack([samples.velocity[:1], simulated.velocity[0]])
     true = _effort(part, controller, position, velocity)
-    return position, robot.measured_effort(interpolated(times, true, np.maximum(times - robot.delay, 0.0)))
+    return robot.measured_effort(interpolated(times, true, np.maximum(times - robot.delay, 0.0)))
 
 
 def _effort(part: _Commanded, controller: Controller, position: FloatArray, velocity: FloatArray) -> FloatArray:

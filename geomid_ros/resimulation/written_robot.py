@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import os
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -19,7 +20,6 @@ from geomid_ros.model.effects import Effect, Motion, Place, SensorEffect, Values
 from geomid_ros.model.effects.places import place_named
 from geomid_ros.model.samples import Samples
 from geomid_ros.model.sensors import WrenchSensor
-from geomid_ros.resimulation.mujoco_module import load_mujoco, load_rollout
 from geomid_ros.types import BoolArray, FloatArray, IntArray
 
 _STILL_SPEED = 0.02  # [rad/s, m/s] within which the sign of a velocity is smoothed
@@ -227,7 +227,7 @@ class WrittenRobot:
         applied[:, :, self.dofs] = efforts
         written, model.opt.timestep = model.opt.timestep, step
         try:
-            states, sensed = load_rollout().rollout(
+            states, sensed = importlib.import_module("mujoco.rollout").rollout(
                 model,
                 [mujoco.MjData(model) for _ in range(os.cpu_count() or 1)],
                 np.hstack([np.zeros((len(position), 1)), position, velocity]),
@@ -238,3 +238,18 @@ class WrittenRobot:
         finally:
             model.opt.timestep = written
         return Rollout(states[:, :, 1 + self.dofs], states[:, :, 1 + model.nq + self.dofs], sensed)
+
+
+def load_mujoco() -> Any:
+    """The module, imported when it is first needed. Raises InputError when it does not import."""
+    try:
+        mujoco = importlib.import_module("mujoco")
+    except ImportError as error:
+        raise InputError(f"simulating needs MuJoCo, which does not import ({error}): pip install mujoco") from error
+    # By itself it prints them and leaves a MUJOCO_LOG.TXT where the user happens to be; the figures say it better.
+    mujoco.set_mju_user_warning(_pass_over)
+    return mujoco
+
+
+def _pass_over(_: str) -> None:
+    """Warnings are of runs that diverge, whose figures show that."""

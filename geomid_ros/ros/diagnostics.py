@@ -9,8 +9,7 @@ from datetime import UTC, datetime
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 
-from geomid_ros.estimation.estimate import Estimate, LinkEstimate
-from geomid_ros.estimation.estimator import QUANTITIES
+from geomid_ros.estimation.estimate import QUANTITIES, Estimate, LinkEstimate
 from geomid_ros.estimation.identifier import STANDING_STILL
 from geomid_ros.live.checkpointing import CheckpointStatus
 from geomid_ros.live.gap_search import SearchStatus

@@ -1,4 +1,4 @@
-"""The one table of parameters: the node declares it, the command line reads the same YAML file, README prints it."""
+"""The one table of parameters: the node declares them, the command line reads the same YAML file."""
 
 from __future__ import annotations
 

@@ -13,8 +13,8 @@ from geomid_ros.errors import InputError
 from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.estimation.estimator import WarmStart, nominal_parameters
 from geomid_ros.estimation.identifier import Identifier
-from geomid_ros.files.atomic import write_text
 from geomid_ros.files.checkpoints.checkpoint import Checkpoint
+from geomid_ros.files.disk import write_text
 from geomid_ros.files.models.loaded_model import LoadedModel
 from geomid_ros.files.models.results import estimate_document, write_estimate
 from geomid_ros.files.models.urdf import with_identified_inertias

@@ -1,7 +1,13 @@
-"""Recording: a rosbag2 in mcap, with the topics of a real robot."""
+"""Recording: a rosbag2 in mcap, with the topics of a real robot.
+
+Checksums are written here: rosbags leaves them out, and a flipped bit would change a value unseen.
+"""
 
 from __future__ import annotations
 
+import struct
+import sys
+from binascii import crc32
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -11,11 +17,15 @@ from rosbags.interfaces import Qos, QosDurability, QosHistory, QosLiveliness, Qo
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
-from geomid_ros.simulation.checksums import add_checksums
 from geomid_ros.simulation.effects.choice import WRENCH_TOPIC
 from geomid_ros.simulation.options import SimulationOptions
 from geomid_ros.simulation.trace import Trace
 from geomid_ros.types import FloatArray
+
+if sys.version_info >= (3, 14):
+    from compression import zstd
+else:
+    from backports import zstd
 
 START = 1_700_000_000
 """Stamp of the first message [s]."""
@@ -23,6 +33,12 @@ START = 1_700_000_000
 _NANO = 1_000_000_000
 _UNSET = QosTime(0, 0)
 _TYPES = get_typestore(Stores.ROS2_JAZZY)
+
+# Of the mcap format.
+_MAGIC_LENGTH = 8
+_FOOTER, _CHUNK, _DATA_END = 0x02, 0x06, 0x0F
+_RECORD = struct.Struct("<BQ")  # kind, length
+_CHUNK_HEAD = struct.Struct("<QQQII4sQ")  # first and last time, size, checksum, "zstd", packed size
 
 
 def write_bag(path: Path, trace: Trace, names: Sequence[str], urdf: str, options: SimulationOptions) -> None:
@@ -48,7 +64,7 @@ def write_bag(path: Path, trace: Trace, names: Sequence[str], urdf: str, options
                 commands.write(stamp, _joint_state(stamp, names, *wanted))
             if wrenches is not None:
                 wrenches.write(wrench_stamp, _wrench(trace.wrench[row], wrench_stamp, frame))
-    add_checksums(path / f"{path.name}.mcap")
+    _add_checksums(path / f"{path.name}.mcap")
 
 
 class _Topic:
@@ -117,3 +133,22 @@ def _wrench(wrench: FloatArray, stamp: int, frame: str | None) -> Any:
         header=_header(stamp, frame or ""),
         wrench=_message("geometry_msgs/msg/Wrench", force=force, torque=torque),
     )
+
+
+def _add_checksums(path: Path) -> None:
+    """Write the checksums of chunks, data section and summary into a file with zstd chunks."""
+    data = bytearray(path.read_bytes())
+    begin, data_end, kind = _MAGIC_LENGTH, 0, 0
+    while kind != _FOOTER:
+        kind, length = _RECORD.unpack_from(data, begin)
+        content = begin + _RECORD.size
+        if kind == _CHUNK:
+            packed = content + _CHUNK_HEAD.size
+            struct.pack_into("<I", data, content + 24, crc32(zstd.decompress(data[packed : content + length])))
+        elif kind == _DATA_END:
+            struct.pack_into("<I", data, content, crc32(data[:begin]))
+            data_end = content + length
+        elif kind == _FOOTER:
+            struct.pack_into("<I", data, content + 16, crc32(data[data_end : content + 16]))
+        begin = content + length
+    path.write_bytes(data)

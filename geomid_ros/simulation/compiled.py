@@ -9,7 +9,7 @@ from geomid_ros.errors import InputError, unknown_name
 from geomid_ros.simulation.description import Description, LinkInertia
 from geomid_ros.simulation.effects.effect import Effect
 from geomid_ros.simulation.effects.structure import STRUCTURE
-from geomid_ros.simulation.inertial import set_inertia
+from geomid_ros.simulation.inertias import set_inertia
 
 GRAVITY = 9.81
 """Downwards along the world's z [m/s^2]."""

@@ -20,6 +20,8 @@ from geomid_ros.types import FloatArray, frozen
 _LARGEST = 5_000_000
 _MOVING = {"revolute", "continuous", "prismatic"}
 _KINEMATIC = {"link": (), "joint": ("origin", "parent", "child", "axis", "limit")}
+INERTIA_NAMES = (("ixx", "ixy", "ixz"), ("ixy", "iyy", "iyz"), ("ixz", "iyz", "izz"))
+"""The entries of an inertia, row by row, as a URDF names them."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,7 +67,7 @@ class Edge:
     moves: bool
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Description:
     """A robot as its URDF says: ``text`` as given, ``kinematics`` the URDF with nothing but its tree of joints.
 
@@ -105,7 +107,15 @@ def read_description(text: str) -> Description:
     roots = [link for link in links if link not in edges]
     if len(roots) != 1:
         raise InputError(f"the URDF's links form {len(roots)} trees, with the roots {roots}; connect them to one.")
-    return Description(text, _kinematics(robot), links, roots[0], inertias, joints, edges)
+    return Description(
+        text=text,
+        kinematics=_kinematics(robot),
+        links=links,
+        root=roots[0],
+        inertias=inertias,
+        joints=joints,
+        edges=edges,
+    )
 
 
 def _edge(joint: Element) -> tuple[str, Edge]:
@@ -135,10 +145,8 @@ def _inertias(links: Iterable[Element]) -> Iterable[LinkInertia]:
 def _inertia(name: str, inertial: Element) -> LinkInertia:
     origin = inertial.find("origin")
     com, rotation = (np.zeros(3), np.eye(3)) if origin is None else _placement(origin)
-    xx, xy, xz, yy, yz, zz = (
-        _number(_child(inertial, "inertia"), key) for key in ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
-    )
-    inertia = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+    element = _child(inertial, "inertia")
+    inertia = np.array([[_number(element, name) for name in row] for row in INERTIA_NAMES])
     return LinkInertia(
         name, _number(_child(inertial, "mass"), "value"), frozen(com), frozen(rotation @ inertia @ rotation.T)
     )

@@ -1,6 +1,8 @@
-"""True inertias: the URDF's, moved at random within the bodies that can exist."""
+"""True inertias: the URDF's, moved at random within the bodies that can exist, and as MuJoCo takes them."""
 
 from __future__ import annotations
+
+from typing import Any
 
 import numpy as np
 
@@ -44,3 +46,16 @@ def _swap_moments(matrix: FloatArray, share: float) -> FloatArray:
     """Second moment from rotational inertia (``share`` 1/2) and back (``share`` 1)."""
     swapped: FloatArray = share * np.trace(matrix) * np.eye(3) - matrix
     return swapped
+
+
+def set_inertia(mujoco: Any, element: Any, body: LinkInertia) -> None:
+    """Give a body of an MjSpec the inertia of ``body``, in the frame of that body."""
+    moments, axes = np.linalg.eigh(body.inertia)
+    axes[:, 2] *= np.linalg.det(axes)
+    quaternion = np.empty(4)
+    mujoco.mju_mat2Quat(quaternion, axes.ravel())
+    element.mass = body.mass
+    element.ipos = body.com
+    element.iquat = quaternion
+    element.inertia = moments
+    element.explicitinertial = True

@@ -11,7 +11,6 @@ import numpy as np
 
 from geomid_ros.errors import InputError
 from geomid_ros.simulation.bag import write_bag
-from geomid_ros.simulation.controller_file import controller_path, write_gains
 from geomid_ros.simulation.effects.effect import Effect
 from geomid_ros.simulation.motion import exciting_motion
 from geomid_ros.simulation.options import SimulationOptions
@@ -21,7 +20,7 @@ from geomid_ros.simulation.robot import Builder, Robot, build_robot
 from geomid_ros.simulation.seeds import Stream, generator
 from geomid_ros.simulation.sensors import measured
 from geomid_ros.simulation.trace import Trace
-from geomid_ros.simulation.truth import contributions, truth_path, write_truth
+from geomid_ros.simulation.truth import contributions, controller_path, truth_path, write_gains, write_truth
 
 Progress = Callable[[float], None]
 

@@ -1,14 +1,15 @@
-"""The planted truth, as a file beside the bag; nothing of it is in the bag."""
+"""What is written beside a bag: the planted truth, of which nothing is in the bag, and the controller's gains."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import yaml
 
 from geomid_ros.simulation.compiled import GRAVITY
 from geomid_ros.simulation.description import LinkInertia
@@ -16,6 +17,7 @@ from geomid_ros.simulation.effects.effect import Effect
 from geomid_ros.simulation.effects.measurement import sensed
 from geomid_ros.simulation.options import SimulationOptions
 from geomid_ros.simulation.plant import Plant
+from geomid_ros.simulation.recorder import Controller
 from geomid_ros.simulation.robot import Robot
 from geomid_ros.simulation.sensors import noise_levels
 from geomid_ros.simulation.trace import Trace
@@ -85,3 +87,21 @@ def _link(body: LinkInertia, moves: bool) -> dict[str, Any]:
         "inertia": body.inertia.tolist(),
         "moves": moves,
     }
+
+
+def controller_path(bag: Path) -> Path:
+    """Where the gains lie: ``arm7.controller.yaml`` beside ``arm7``."""
+    return bag.with_name(bag.name + ".controller.yaml")
+
+
+def write_gains(path: Path, joints: Sequence[str], controller: Controller) -> None:
+    """Write ``p`` [N m/rad] and ``d`` [N m s/rad] of every joint, as a joint_trajectory_controller's parameters.
+
+    The commanded effort is the recorded feed-forward plus ``p`` times the error of position plus ``d`` times that of
+    velocity, of the motors; set-points between two messages are to be interpolated.
+    """
+    rows = zip(joints, controller.stiffness.tolist(), controller.damping.tolist(), strict=True)
+    gains = {joint: {"p": stiffness, "i": 0.0, "d": damping} for joint, stiffness, damping in rows}
+    parameters = {"joints": list(joints), "gains": gains}
+    document = {"joint_trajectory_controller": {"ros__parameters": parameters}}
+    path.write_text(yaml.safe_dump(document, sort_keys=False), encoding="utf-8")

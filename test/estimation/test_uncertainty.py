@@ -10,19 +10,18 @@ import pytest
 from geometry import bodies
 from scipy.signal import lfilter
 
-from geomid_ros.estimation.estimate import Estimate
-from geomid_ros.estimation.estimator import QUANTITIES, EstimatorSettings, estimate
+from geomid_ros.estimation.estimate import QUANTITIES, Estimate
+from geomid_ros.estimation.estimator import EstimatorSettings, estimate
 from geomid_ros.estimation.summary import RowSummary
 from geomid_ros.estimation.uncertainty import (
     Fold,
-    Kind,
+    ParameterGroup,
     Uncertainty,
     error_covariance,
-    inflations,
+    estimate_uncertainty,
     physical_sensitivity,
-    physical_values,
     prior_spreads,
-    uncertainty,
+    variance_inflation,
 )
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.types import FloatArray
@@ -43,8 +42,8 @@ def information(rng: np.random.Generator, size: int, rank: int) -> FloatArray:
     return rows.T @ rows
 
 
-def one_kind(size: int, usual: float = 0.2) -> list[Kind]:
-    return [Kind(np.arange(size), usual)]
+def one_group(size: int, usual: float = 0.2) -> list[ParameterGroup]:
+    return [ParameterGroup(np.arange(size), usual)]
 
 
 def nothing(size: int) -> Fold:
@@ -84,7 +83,7 @@ def test_the_covariance_is_that_of_the_errors_whatever_the_weights(trust: float)
 
 
 def test_without_data_the_usual_spread_is_all_there_is() -> None:
-    found = uncertainty([], nothing(6), 1.0, np.full(6, 2.0), np.zeros(6), one_kind(6))
+    found = estimate_uncertainty([], nothing(6), 1.0, np.full(6, 2.0), np.zeros(6), one_group(6))
     np.testing.assert_allclose(found.prior_spreads, 0.2, rtol=1e-9)
     np.testing.assert_allclose(found.covariance, 0.04 * np.eye(6), rtol=1e-9, atol=1e-15)
     assert found.from_data(slice(0, 6)) == pytest.approx(0.0, abs=1e-9)
@@ -113,7 +112,9 @@ def test_a_direction_in_no_row_is_not_from_data_and_others_become_so_with_more_o
     for count in (80, 800, 8000, 80000):
         rows = np.column_stack([0.3 * rng.normal(size=(count, 3)), np.zeros(count)])
         folds = recorded(rows, rng.normal(size=count))
-        found = uncertainty(folds, nothing(4), 1.0, np.full(4, 25.0), np.array([0.2, -0.3, 0.1, 0.0]), one_kind(4))
+        found = estimate_uncertainty(
+            folds, nothing(4), 1.0, np.full(4, 25.0), np.array([0.2, -0.3, 0.1, 0.0]), one_group(4)
+        )
         assert found.from_data(slice(3, 4)) == pytest.approx(0.0, abs=1e-9)
         shares.append(found.from_data(slice(0, 3)))
     assert np.all(np.diff(shares) > 0.0)
@@ -129,13 +130,13 @@ def test_rows_written_down_several_times_do_not_shrink_the_interval(copies: int)
         rows, residuals = rng.normal(size=(1600, size)), rng.normal(size=1600)
         weights = np.full(size, 1e-6)
         once, often = (
-            uncertainty(
+            estimate_uncertainty(
                 recorded(np.repeat(rows, count, axis=0), np.repeat(residuals, count)),
                 nothing(size),
                 1.0,
                 weights,
                 np.zeros(size),
-                one_kind(size),
+                one_group(size),
             ).covariance
             for count in (1, copies)
         )
@@ -151,8 +152,8 @@ def test_inflation_is_that_of_its_own_kind() -> None:
     rows[np.arange(count), channel] = 1.0
     rows[np.arange(count), 10 + channel] = np.where(np.arange(count) // 10 % 2, 1.0, -1.0)
     slow = lfilter([1.0], [1.0, -0.9], rng.normal(size=(count // 10, 10)), axis=0) * np.sqrt(1.0 - 0.9**2)
-    kinds = [Kind(np.arange(10), 0.2), Kind(np.arange(10, 20), 0.2)]
-    found = inflations(recorded(rows, slow.ravel()), np.zeros((20, 20)), np.full(20, 1e-6), kinds)
+    groups = [ParameterGroup(np.arange(10), 0.2), ParameterGroup(np.arange(10, 20), 0.2)]
+    found = variance_inflation(recorded(rows, slow.ravel()), np.zeros((20, 20)), np.full(20, 1e-6), groups)
     assert 9.0 < found[0] < 29.0  # (1 + 0.9) / (1 - 0.9) in blocks without end
     assert found[10] == 1.0
 
@@ -162,7 +163,7 @@ def test_the_spread_is_found_of_what_the_data_show_in_part(spread: float) -> Non
     """Half of the directions are seen, and these under noise as large as the spread: dividing by the number of all
     directions, or forgetting the pull that is left, would show."""
     rng, size = np.random.default_rng(5), 80
-    kinds = one_kind(size, 2.0 * spread)
+    groups = one_group(size, 2.0 * spread)
     found = []
     for _ in range(20):
         fisher = np.diag(np.where(np.arange(size) < size // 2, spread**-2.0, 0.0))
@@ -170,7 +171,7 @@ def test_the_spread_is_found_of_what_the_data_show_in_part(spread: float) -> Non
         measured_error = spread * rng.normal(size=size)
         # At the estimate, half way from the measured point to the prior where there is one, else at the prior.
         from_prior = np.where(np.diag(fisher) > 0.0, 0.5 * (prior_error - measured_error), 0.0)
-        found.append(prior_spreads(Fold(fisher @ from_prior, fisher), from_prior, kinds)[0])
+        found.append(prior_spreads(Fold(fisher @ from_prior, fisher), from_prior, groups)[0])
     assert np.sqrt(np.mean(np.square(found))) == pytest.approx(spread, rel=0.15)
 
 
@@ -182,22 +183,12 @@ def test_sensitivities_are_the_derivatives_of_mass_centre_and_central_inertia(ma
     found = physical_sensitivity(manifold, point)
     for _ in range(5):
         tangent, step = rng.normal(size=manifold.dimension), 1e-6
-        ahead, behind = (physical_values(manifold.exp(point, sign * step * tangent)) for sign in (1.0, -1.0))
+        ends = [manifold.exp(point, sign * step * tangent).pseudo_inertias for sign in (1.0, -1.0)]
+        ahead, behind = (pseudo_inertia.quantities_of(pseudo_inertia.to_parameters(end)) for end in ends)
         for link in range(manifold.links):
             expected = (ahead - behind)[link] / (2.0 * step)
             along = found[link] @ tangent[manifold.link(link)]
             np.testing.assert_allclose(along, expected, rtol=0, atol=1e-6 * np.abs(expected).max())
-
-
-def test_physical_values_are_those_of_a_cloud() -> None:
-    rng = np.random.default_rng(4)
-    clouds = [bodies.cloud(rng) for _ in range(2)]
-    point = LINKS.point(np.concatenate([bodies.parameters_of_cloud(*cloud) for cloud in clouds]))
-    for found, (masses, places) in zip(physical_values(point), clouds, strict=True):
-        centre = masses @ places / masses.sum()
-        central = bodies.parameters_of_cloud(masses, places - centre)[4:]
-        np.testing.assert_allclose(found[:4], [masses.sum(), *centre], rtol=1e-9)
-        np.testing.assert_allclose(found[4:], central, rtol=1e-7, atol=1e-9 * np.abs(central).max())
 
 
 # --- what it says of an arm -----------------------------------------------------------------------------------------
@@ -280,10 +271,9 @@ def coverage(name: str, correlation: float) -> dict[str, float]:
             if effect.from_data > 0.75:
                 inside[effect.name].append(abs(effect.value - true) < 1.96 * effect.std)
         for link, true in zip(found.links, planted[:first].reshape(-1, 10), strict=True):
-            central = pseudo_inertia.central_inertia(true)[pseudo_inertia.INERTIA_ENTRIES]
-            expected = [true[0], *(true[1:4] / true[0]), *central]
-            values = [link.mass, *link.com, *link.inertia[pseudo_inertia.INERTIA_ENTRIES]]
-            stds = [link.std_mass, *link.std_com, *link.std_inertia[pseudo_inertia.INERTIA_ENTRIES]]
+            expected = pseudo_inertia.quantities_of(true)
+            values = [link.mass, *link.com, *pseudo_inertia.inertia_entries(link.inertia)]
+            stds = [link.std_mass, *link.std_com, *pseudo_inertia.inertia_entries(link.std_inertia)]
             for quantity, value, std, target in zip(QUANTITIES, values, stds, expected, strict=True):
                 told = "untold" if quantity in link.cannot_tell else "told"
                 inside[told].append(abs(value - target) < 1.96 * std)
@@ -316,8 +306,8 @@ def test_few_rows_without_noise_do_not_make_the_prior_boundless(size: float) -> 
     rng = np.random.default_rng(7)
     rows = size * rng.standard_normal((3, 40))
     information = rows.T @ rows
-    kinds = [Kind(np.arange(30), 0.2), Kind(np.arange(30, 40), 1.0)]
-    spreads = prior_spreads(Fold(np.zeros(40), information), 1e6 * rng.standard_normal(40), kinds)
+    groups = [ParameterGroup(np.arange(30), 0.2), ParameterGroup(np.arange(30, 40), 1.0)]
+    spreads = prior_spreads(Fold(np.zeros(40), information), 1e6 * rng.standard_normal(40), groups)
     assert np.all(np.isfinite(spreads))
     assert np.all(spreads > 0.0)
     assert np.all(spreads <= 100.0 * np.repeat([0.2, 1.0], [30, 10]))

@@ -15,11 +15,11 @@ import yaml
 from geometry_msgs.msg import Inertia, Vector3
 
 from geomid_ros.errors import InputError
-from geomid_ros.exports import blocks, franka, ur
+from geomid_ros.exports import formats
+from geomid_ros.exports.formats import number
 from geomid_ros.exports.inertial import Export
 from geomid_ros.exports.model import read_model
 from geomid_ros.exports.payload import attached, each_link
-from geomid_ros.exports.text import number
 
 from .points import Chain, Link, Points, points
 
@@ -63,7 +63,7 @@ def test_numbers_have_a_point_and_no_exponent(value: float) -> None:
 
 def test_urscript(payload: Export) -> None:
     """Arguments in the order of the Script Manual."""
-    text = ur.commands(payload)
+    text = formats.ur_commands(payload)
     called = line(text, "set_target_payload(")
     mass, com, inertia = ast.literal_eval(called.removeprefix("set_target_payload"))
     assert mass == pytest.approx(TRUTH.mass, rel=1e-8)
@@ -77,7 +77,7 @@ def test_urscript(payload: Export) -> None:
 
 def test_calls_of_the_ur_driver(payload: Export) -> None:
     """The three generations of ur_msgs/srv/SetPayload; the third has a geometry_msgs/Inertia."""
-    with_inertia, without, message = requests(ur.commands(payload))
+    with_inertia, without, message = requests(formats.ur_commands(payload))
     fields = ["mass", "center_of_gravity", "ixx", "iyy", "izz", "ixy", "ixz", "iyz"]
     assert list(with_inertia) == fields
     assert list(without) == fields[:2]
@@ -96,11 +96,11 @@ def test_a_ur_takes_no_larger_inertia(payload: Export) -> None:
     quantities[[4, 6, 9]] = 134.0
     heavy = Export("ship", "tool0", type(payload.inertial)(quantities, payload.inertial.std))
     with pytest.raises(InputError, match="ship: its inertia is beyond the 133 kg m"):
-        ur.commands(heavy)
+        formats.ur_commands(heavy)
 
 
 def test_libfranka_and_its_service(payload: Export) -> None:
-    text = franka.commands(payload)
+    text = formats.franka_commands(payload)
     call = re.fullmatch(r"robot\.setLoad\((.*), \{\{(.*)\}\}, \{\{(.*)\}\}\);", line(text, "robot.setLoad"))
     assert call
     mass, com, inertia = (np.array([float(part) for part in group.split(",")]) for group in call.groups())
@@ -117,7 +117,7 @@ def test_libfranka_and_its_service(payload: Export) -> None:
 def test_pinocchio_reads_the_urdf_block(payload: Export) -> None:
     """By urdfdom, which MoveIt and kdl_parser read with."""
     text = (
-        f'<robot name="r"><link name="base"/><link name="flange">{blocks.urdf([payload])}</link>'
+        f'<robot name="r"><link name="base"/><link name="flange">{formats.urdf([payload])}</link>'
         '<joint name="j" type="continuous"><parent link="base"/><child link="flange"/><axis xyz="0 0 1"/></joint>'
         "</robot>"
     )
@@ -129,7 +129,7 @@ def test_pinocchio_reads_the_urdf_block(payload: Export) -> None:
 
 def test_mujoco_reads_the_mjcf_block(payload: Export) -> None:
     mujoco = pytest.importorskip("mujoco")
-    body = f'<body name="flange">{blocks.mjcf([payload])}<freejoint/><geom size="1"/></body>'
+    body = f'<body name="flange">{formats.mjcf([payload])}<freejoint/><geom size="1"/></body>'
     text = f"<mujoco><worldbody>{body}</worldbody></mujoco>"
     model = mujoco.MjModel.from_xml_string(text)
     axes = np.zeros(9)
@@ -145,7 +145,7 @@ SDF = '<sdf version="1.10"><model name="m"><link name="flange">{}</link></model>
 
 def test_the_sdf_block_by_the_specification(payload: Export) -> None:
     """Products of inertia are the sums of -m x y, in the axes of a pose that does not turn."""
-    inertial = ET.fromstring(SDF.format(blocks.sdf([payload]))).find("model/link/inertial")
+    inertial = ET.fromstring(SDF.format(formats.sdf([payload]))).find("model/link/inertial")
     assert inertial is not None
     assert [own.tag for own in inertial] == ["pose", "mass", "inertia"]
     values = {own.tag: [float(part) for part in (own.text or "").split()] for own in inertial.iter()}
@@ -162,7 +162,7 @@ def test_libsdformat_reads_the_sdf_block(payload: Export) -> None:
     parsing = pytest.importorskip("pydrake.multibody.parsing", reason=missing)
     plants = pytest.importorskip("pydrake.multibody.plant", reason=missing)
     plant = plants.MultibodyPlant(time_step=0.0)
-    parsing.Parser(plant).AddModelsFromString(SDF.format(blocks.sdf([payload])), "sdf")
+    parsing.Parser(plant).AddModelsFromString(SDF.format(formats.sdf([payload])), "sdf")
     plant.Finalize()
     read = plant.GetBodyByName("flange").default_spatial_inertia()
     assert read.get_mass() == pytest.approx(TRUTH.mass, rel=1e-8)
@@ -176,11 +176,11 @@ def test_every_link_in_its_own_frame(tmp_path: Path) -> None:
     bodies: list[Points] = [points(31), points(32)]
     chain = Chain((Link("a---b", "", bodies[0]), Link("c", "a---b", bodies[1], "continuous", (1, 2, 3), (1, 2, 3))))
     exports = each_link(read_model(chain.write(tmp_path)))
-    for element, write in {"mass": blocks.sdf, "inertial": blocks.mjcf}.items():
+    for element, write in {"mass": formats.sdf, "inertial": formats.mjcf}.items():
         root = ET.fromstring(f"<all>{write(exports)}</all>")
         masses = [float(own.get("mass") or own.text or "nan") for own in root.iter(element)]
         assert masses == pytest.approx([body.mass for body in bodies], rel=1e-8)
-    links = ET.fromstring(f"<all>{blocks.urdf(exports)}</all>").findall("inertial/origin")
+    links = ET.fromstring(f"<all>{formats.urdf(exports)}</all>").findall("inertial/origin")
     for origin, body in zip(links, bodies, strict=True):
         np.testing.assert_allclose([float(own) for own in (origin.get("xyz") or "").split()], body.com, **EXACT)
 
@@ -191,7 +191,7 @@ def test_a_name_cannot_leave_its_comment(tmp_path: Path) -> None:
     (tmp_path / "r.urdf").write_text(chain.urdf())
     model = read_model(tmp_path / "r.urdf")
     named = attached(model, "base\nreboot")
-    for text in (ur.commands(named), franka.commands(named), blocks.urdf([named])):
+    for text in (formats.ur_commands(named), formats.franka_commands(named), formats.urdf([named])):
         assert "base reboot" in text
         assert "base\nreboot" not in text
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from geomid_ros.errors import InputError
-from geomid_ros.exports.inertial import Export, Inertial, Term, quantities_of, total
+from geomid_ros.exports.inertial import Export, Inertial, Term, total
 from geomid_ros.exports.model import read_model
 from geomid_ros.exports.payload import attached, chosen, difference, each_link
 from geomid_ros.files.models.gap_model import write_model
@@ -141,7 +141,7 @@ def random_term(seed: int) -> Term:
     placement[:3, :3] = np.linalg.qr(random.normal(size=(3, 3)))[0]
     placement[:3, 3] = random.normal(scale=0.1, size=3)
     std = np.array([2e-3, *[1e-4] * 3, *[2e-6] * 6]) * random.uniform(0.5, 2.0, 10)
-    return Term(Inertial(quantities_of(own), std), placement)
+    return Term(Inertial(pseudo_inertia.quantities_of(own), std), placement)
 
 
 def part_taken_away(term: Term) -> Term:

@@ -18,9 +18,20 @@ def link_estimate(name: str, merged: tuple[str, ...] = (), seed: int = 0) -> Lin
         "n,ni,nj->ij", masses, offsets, offsets
     )
     parameters = pseudo_inertia.assemble(np.array(mass), com, inertia)
-    deviation = np.full((3, 3), 1e-3)
     return LinkEstimate(
-        name, merged, mass, com, inertia, 0.01, np.full(3, 0.002), deviation, parameters, 0.3, 0.5, 0.8, ("Ixx",)
+        name=name,
+        merged=merged,
+        mass=mass,
+        com=com,
+        inertia=inertia,
+        std_mass=0.01,
+        std_com=np.full(3, 0.002),
+        std_inertia=np.full((3, 3), 1e-3),
+        parameters=parameters,
+        distance_from_prior=0.3,
+        from_data=0.5,
+        min_eigenvalue_ratio=0.8,
+        cannot_tell=("Ixx",),
     )
 
 
@@ -30,19 +41,19 @@ def estimate_of(*links: LinkEstimate, effects: tuple[EffectEstimate, ...] = ()) 
     of_channels = np.array([0.5, np.nan])
     information = np.triu(np.random.default_rng(1).normal(size=(10 * len(links), 10 * len(links))))
     return Estimate(
-        True,
-        "gradient",
-        0.25,
-        7,
-        1e-3,
-        120,
-        3,
-        links,
-        effects,
-        parameters,
-        ("joint1", "joint2"),
-        of_channels,
-        2.0 * of_channels,
-        of_channels,
-        LinksInformation(information, np.diag(information)),
+        converged=True,
+        reason="gradient",
+        seconds=0.25,
+        steps=7,
+        gamma=1e-3,
+        rows_accepted=120,
+        rows_set_aside=3,
+        links=links,
+        effects=effects,
+        parameters=parameters,
+        channels=("joint1", "joint2"),
+        sigmas=of_channels,
+        rms_nominal=2.0 * of_channels,
+        rms=of_channels,
+        information=LinksInformation(information, np.diag(information)),
     )

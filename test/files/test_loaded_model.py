@@ -132,7 +132,7 @@ def estimated(session: Session) -> list[EffectEstimate]:
     assert session.prior is not None
     values = session.prior[len(session.prior) - len(session.model.coefficients) :]
     return [
-        EffectEstimate(c.effect.name, c.joint_name, float(value), c.unit, 0.01, 1.0)
+        EffectEstimate(name=c.effect.name, joint=c.joint_name, value=float(value), unit=c.unit, std=0.01, from_data=1.0)
         for c, value in zip(session.model.coefficients, np.nan_to_num(values, nan=1e-3), strict=True)
     ]
 

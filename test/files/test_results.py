@@ -28,7 +28,7 @@ from .estimates import estimate_of, link_estimate
 from .recordings import BAGS
 
 ROUNDING = 1e-12  # relative: parameters go through the centre of mass and back
-EFFECT = EffectEstimate("coulomb_friction", "joint1", 0.5, "N m", 0.05, 0.9)
+EFFECT = EffectEstimate(name="coulomb_friction", joint="joint1", value=0.5, unit="N m", std=0.05, from_data=0.9)
 ESTIMATE = estimate_of(link_estimate("link3", ("tool",), 1), link_estimate("link1", (), 2), effects=(EFFECT,))
 
 

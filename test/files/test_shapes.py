@@ -12,7 +12,6 @@ import trimesh
 from scipy.spatial.transform import Rotation
 
 from geomid_ros.errors import InputError
-from geomid_ros.files.shapes import shapes as shapes_of_files
 from geomid_ros.files.shapes.meshes import MeshFinder
 from geomid_ros.files.shapes.shapes import ShapeReader
 from geomid_ros.model import shapes
@@ -149,7 +148,7 @@ class TestUnion:
         def missing(*_arguments: object, **_options: object) -> None:
             raise ImportError
 
-        monkeypatch.setattr(shapes_of_files.trimesh.boolean, "union", missing)
+        monkeypatch.setattr(trimesh.boolean, "union", missing)
         solid, warnings = read(2 * element(BOX))
         assert solid is not None
         np.testing.assert_array_equal(solid.moments, 2.0 * shapes.box(SIZE))

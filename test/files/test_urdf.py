@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from geomid_ros.errors import InputError
 from geomid_ros.estimation.estimate import LinkEstimate
-from geomid_ros.files.atomic import write_text
+from geomid_ros.files.disk import write_text
 from geomid_ros.files.models.urdf import read_urdf, with_identified_inertias
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.model.robot import Robot

@@ -5,6 +5,7 @@ from __future__ import annotations
 from itertools import combinations_with_replacement
 
 import numpy as np
+from scipy.linalg import logm
 
 from geomid_ros.geometry.manifold import ParameterManifold, Point
 from geomid_ros.types import FloatArray
@@ -60,6 +61,16 @@ def symmetric(rng: np.random.Generator, *shape: int) -> FloatArray:
     """Random symmetric matrices ``(*shape, 4, 4)``."""
     matrices = rng.normal(size=(*shape, 4, 4))
     return 0.5 * (matrices + np.swapaxes(matrices, -1, -2))
+
+
+def inner(base: FloatArray, x: FloatArray, y: FloatArray) -> FloatArray:
+    """The metric ``tr(P^-1 X P^-1 Y)`` at ``base`` of tangent vectors, stacks of matrices, ``(...)``."""
+    return np.einsum("...ij,...ji->...", np.linalg.solve(base, x), np.linalg.solve(base, y))
+
+
+def logarithm(base: FloatArray, point: FloatArray) -> FloatArray:
+    """The logarithm (8) of matrices ``(N, n, n)`` as ``P log(P^-1 Q)``, by the logarithm of general matrices."""
+    return np.array([p @ logm(np.linalg.solve(p, q)) for p, q in zip(base, point, strict=True)])
 
 
 def point(rng: np.random.Generator, manifold: ParameterManifold) -> Point:

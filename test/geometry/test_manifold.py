@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from geomid_ros.geometry import spd
+from geomid_ros.geometry import spd, symmetric
 from geomid_ros.geometry.manifold import ParameterManifold, Point
 from geomid_ros.types import FloatArray
 
@@ -26,6 +26,7 @@ SHAPES = pytest.mark.parametrize(
     ids=["all", "link", "coefficients", "real", "links and real"],
 )
 ALL = ParameterManifold(3, 2, np.array([0.1, 20.0]))
+LINK = ParameterManifold(1, 0, np.zeros(0))
 
 
 def finite_difference_jacobian(manifold: ParameterManifold, base: Point) -> FloatArray:
@@ -68,6 +69,32 @@ def test_exp_after_log_is_the_point(manifold: ParameterManifold, seed: int) -> N
     base, other = bodies.point(rng, manifold), bodies.point(rng, manifold)
     again = manifold.exp(base, manifold.log(base, other))
     assert manifold.distance(again, other) <= 100 * ROUNDING
+
+
+@SEEDS
+def test_exp_log_and_geodesics_of_a_link_are_pyriemanns(seed: int) -> None:
+    """Tangent coordinates are those of ``P^-1/2 V P^-1/2``."""
+    tangent_space = pytest.importorskip("pyriemann.utils.tangentspace")
+    geodesic = pytest.importorskip("pyriemann.utils.geodesic")
+    a, b = bodies.spd(np.random.default_rng(seed), 2)
+    base, other = Point(a[None], np.zeros(0), np.zeros(0)), Point(b[None], np.zeros(0), np.zeros(0))
+    tangent = LINK.log(base, other)
+    velocity = spd.congruence(base.root[0], symmetric.to_matrix(tangent))
+    size = np.max(np.abs(b))
+    np.testing.assert_allclose(velocity, tangent_space.log_map_riemann(b, a, C12=True), rtol=0, atol=ROUNDING * size)
+    for share in (0.3, 1.0):
+        reached = LINK.exp(base, share * tangent).pseudo_inertias[0]
+        np.testing.assert_allclose(reached, geodesic.geodesic_riemann(a, b, alpha=share), rtol=0, atol=ROUNDING * size)
+
+
+@SEEDS
+def test_gl4_carries_logarithms_to_logarithms(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    a, b, g = *bodies.spd(rng, 2), rng.normal(size=(4, 4))
+    moved = [Point((g @ matrix @ g.T)[None], np.zeros(0), np.zeros(0)) for matrix in (a, b)]
+    found = spd.congruence(moved[0].root[0], symmetric.to_matrix(LINK.log(*moved)))
+    expected = g @ bodies.logarithm(a[None], b[None])[0] @ g.T
+    np.testing.assert_allclose(found, expected, rtol=0, atol=1e-7 * np.max(np.abs(expected)))
 
 
 @SEEDS
@@ -147,7 +174,7 @@ def test_the_norm_of_a_whitened_row_is_its_dual_norm(seed: int) -> None:
     units = [ALL.point(unit) for unit in np.eye(ALL.dimension)]
     for i, x in enumerate(units):
         for j, y in enumerate(units):
-            gram[i, j] = np.sum(spd.inner(base.pseudo_inertias, x.pseudo_inertias, y.pseudo_inertias))
+            gram[i, j] = np.sum(bodies.inner(base.pseudo_inertias, x.pseudo_inertias, y.pseudo_inertias))
             gram[i, j] += np.sum(x.positives * y.positives / base.positives**2)
             gram[i, j] += np.sum(x.reals * y.reals / ALL.scales**2)
     scale = 1.0 / np.sqrt(np.diag(gram))

@@ -14,14 +14,9 @@ from geomid_ros.types import FloatArray
 from . import bodies
 
 ROUNDING = 1e-10  # relative; the matrices' condition numbers reach 1e4
-FINITE_DIFFERENCE = 1e-6
 SEEDS = pytest.mark.parametrize("seed", range(8))
 theorem = settings(max_examples=40, deadline=None, derandomize=True, database=None)
 generators = st.integers(0, 2**32 - 1).map(np.random.default_rng)
-
-
-def norm(base: FloatArray, tangent: FloatArray) -> FloatArray:
-    return np.sqrt(spd.inner(base, tangent, tangent))
 
 
 def general_linear(rng: np.random.Generator) -> FloatArray:
@@ -41,41 +36,10 @@ def test_matrix_functions_are_scipys(seed: int) -> None:
 
 @theorem
 @given(generators)
-def test_inner_product_is_the_invariant_trace(rng: np.random.Generator) -> None:
-    """``tr(P^-1 X P^-1 Y)``, symmetric, and unchanged when GL(4) moves point and vectors together."""
-    base, (x, y), g = bodies.spd(rng), bodies.symmetric(rng, 2), general_linear(rng)
-    inverse = np.linalg.inv(base)
-    scale = norm(base, x) * norm(base, y)
-    assert abs(spd.inner(base, x, y) - np.trace(inverse @ x @ inverse @ y)) <= ROUNDING * scale
-    assert abs(spd.inner(base, x, y) - spd.inner(base, y, x)) <= ROUNDING * scale
-    moved = spd.inner(spd.congruence(g, base), spd.congruence(g, x), spd.congruence(g, y))
-    assert abs(spd.inner(base, x, y) - moved) <= 1e4 * ROUNDING * scale
-
-
-@theorem
-@given(generators)
-def test_exp_after_log_is_the_point(rng: np.random.Generator) -> None:
-    base, other = bodies.spd(rng, 2)
-    np.testing.assert_allclose(spd.exp_map(base, spd.log_map(base, other)), other, rtol=0, atol=10 * ROUNDING)
-
-
-@theorem
-@given(generators)
-def test_log_after_exp_is_the_tangent(rng: np.random.Generator) -> None:
-    base, direction = bodies.spd(rng), bodies.symmetric(rng)
-    tangent = direction * 3.0 / norm(base, direction)
-    np.testing.assert_allclose(spd.log_map(base, spd.exp_map(base, tangent)), tangent, rtol=0, atol=100 * ROUNDING)
-
-
-@theorem
-@given(generators)
-def test_gl4_carries_logarithms_to_logarithms_and_keeps_distances(rng: np.random.Generator) -> None:
+def test_gl4_keeps_distances(rng: np.random.Generator) -> None:
     (base, other), g = bodies.spd(rng, 2), general_linear(rng)
-    moved = spd.log_map(spd.congruence(g, base), spd.congruence(g, other))
-    expected = spd.congruence(g, spd.log_map(base, other))
-    np.testing.assert_allclose(moved, expected, rtol=0, atol=1e-7 * np.max(np.abs(expected)))
-    moved_distance = spd.distance(spd.congruence(g, base), spd.congruence(g, other))
-    assert moved_distance == pytest.approx(float(spd.distance(base, other)), rel=1e-7)
+    moved = spd.distance(spd.congruence(g, base), spd.congruence(g, other))
+    assert moved == pytest.approx(float(spd.distance(base, other)), rel=1e-7)
 
 
 @SEEDS
@@ -106,13 +70,6 @@ def test_distance_is_a_metric(rng: np.random.Generator) -> None:
 
 @theorem
 @given(generators)
-def test_distance_is_the_norm_of_the_logarithm(rng: np.random.Generator) -> None:
-    a, b = bodies.spd(rng, 2)
-    assert spd.distance(a, b) == pytest.approx(norm(a, spd.log_map(a, b)), rel=10 * ROUNDING)
-
-
-@theorem
-@given(generators)
 def test_distance_by_generalised_eigenvalues(rng: np.random.Generator) -> None:
     a, b = bodies.spd(rng, 2)
     values = scipy.linalg.eigvalsh(b, a)
@@ -123,35 +80,8 @@ def test_distance_by_generalised_eigenvalues(rng: np.random.Generator) -> None:
 @SEEDS
 def test_it_agrees_with_pyriemann(seed: int) -> None:
     distance = pytest.importorskip("pyriemann.utils.distance")
-    tangent_space = pytest.importorskip("pyriemann.utils.tangentspace")
-    geodesic = pytest.importorskip("pyriemann.utils.geodesic")
     a, b = bodies.spd(np.random.default_rng(seed), 2)
-    log = spd.log_map(a, b)
     assert spd.distance(a, b) == pytest.approx(distance.distance_riemann(a, b), rel=ROUNDING)
-    np.testing.assert_allclose(log, tangent_space.log_map_riemann(b, a, C12=True), rtol=0, atol=10 * ROUNDING)
-    np.testing.assert_allclose(
-        spd.exp_map(a, log), tangent_space.exp_map_riemann(log, a, Cm12=True), atol=10 * ROUNDING
-    )
-    expected = geodesic.geodesic_riemann(a, b, alpha=0.3)
-    np.testing.assert_allclose(spd.geodesic(a, log, 0.3), expected, rtol=0, atol=10 * ROUNDING)
-
-
-@SEEDS
-def test_geodesics_have_constant_speed(seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    base, tangent = bodies.spd(rng), bodies.symmetric(rng)
-    for s, t in ((0.0, 1.0), (0.2, 0.7), (-0.5, 0.4)):
-        between = spd.distance(spd.geodesic(base, tangent, s), spd.geodesic(base, tangent, t))
-        assert between == pytest.approx(abs(t - s) * norm(base, tangent), rel=100 * ROUNDING)
-
-
-@SEEDS
-def test_geodesics_leave_with_the_given_velocity(seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    base, tangent = bodies.spd(rng), bodies.symmetric(rng)
-    h = 1e-5
-    velocity = (spd.geodesic(base, tangent, h) - spd.geodesic(base, tangent, -h)) / (2.0 * h)
-    np.testing.assert_allclose(velocity, tangent, rtol=0, atol=FINITE_DIFFERENCE)
 
 
 @SEEDS
@@ -160,9 +90,6 @@ def test_stacks_are_treated_one_by_one(seed: int) -> None:
     a, b, x = bodies.spd(rng, 3, 2), bodies.spd(rng, 3, 2), bodies.symmetric(rng, 3, 2)
     for function, arguments in (
         (spd.distance, (a, b)),
-        (spd.log_map, (a, b)),
-        (spd.exp_map, (a, x)),
-        (spd.inner, (a, x, x)),
         (spd.relative_eigenvalues, (a, b)),
         (spd.half_squared_distance_hessian, (x,)),
     ):
@@ -229,7 +156,7 @@ def test_line_element_in_mass_centre_and_covariance(seed: int) -> None:
     relative = np.linalg.solve(covariance, d_covariance)
     printed = 2.0 * (d_mass / mass) ** 2 + d_mass / mass * np.trace(relative)
     printed += d_centre @ np.linalg.solve(covariance, d_centre) + 0.5 * np.trace(relative @ relative)
-    assert spd.inner(mass * unit, tangent, tangent) == pytest.approx(2.0 * printed, rel=1e-8)
+    assert bodies.inner(mass * unit, tangent, tangent) == pytest.approx(2.0 * printed, rel=1e-8)
 
 
 def test_a_centre_of_mass_moves_farther_across_a_bar_than_along_it() -> None:

@@ -187,7 +187,6 @@ def test_joints() -> None:
     kinova, panda = Robot(urdf("kinova.urdf")), Robot(urdf("panda.urdf"))
     assert [joint.continuous for joint in kinova.joints] == [True, False, False, True, False, True]
     assert [joint.unit for joint in panda.joints] == ["N m"] * 7 + ["N"] * 2
-    assert [joint.effort_limit for joint in panda.joints[:7]] == [87.0] * 4 + [12.0] * 3
     assert [joint.q for joint in kinova.joints] == [0, 2, 3, 4, 6, 7]
     assert [joint.v for joint in kinova.joints] == list(range(6))
 

@@ -311,7 +311,7 @@ def test_what_can_be_taken_back_is_bounded(working: Working, monkeypatch: pytest
     items = messages(8.0)
     working.take(items)
     working.final()
-    assert len(working.session.identifier._probation.instants) == 100
+    assert len(working.session.identifier._recent.instants) == 100
     assert_same(working.final(), samples(items))
 
 

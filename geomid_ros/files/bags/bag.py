@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Collection, Iterator
 from contextlib import ExitStack
-from pathlib import Path
+from dataclasses import dataclass
+from pathlib import Path, PurePath
 from tempfile import TemporaryDirectory
 from types import TracebackType
 from typing import Any, Self
@@ -14,13 +15,14 @@ from rosbags.typesys import Stores, get_typestore
 
 from geomid_ros.errors import InputError
 from geomid_ros.files.bags.database import Database
-from geomid_ros.files.bags.folder import bag_files
 from geomid_ros.files.bags.mcap import McapFile
 from geomid_ros.files.bags.storage import RawMessage, Storage
-from geomid_ros.files.bags.unpacking import unpacked_message
+from geomid_ros.files.bags.unpacking import unpack_file, unpacked_message
+from geomid_ros.files.parameter_file import read_yaml
 
 _typestore = get_typestore(Stores.ROS2_JAZZY)
 _FORMATS: dict[str, Callable[[Path], Storage]] = {".mcap": McapFile, ".db3": Database}
+_SUFFIXES = {"mcap": ".mcap", "sqlite3": ".db3"}  # by rosbag2's name of the format
 _MOST_BYTES = 8_000_000  # of a message whose fields are read; a robot description has up to 5 MB
 
 
@@ -37,7 +39,7 @@ class Bag:
         self._stack = ExitStack()
         with ExitStack() as stack:
             try:
-                files = bag_files(path, lambda: Path(stack.enter_context(TemporaryDirectory(prefix="geomid_bag_"))))
+                files = _bag_files(path, lambda: Path(stack.enter_context(TemporaryDirectory(prefix="geomid_bag_"))))
                 for file in files.paths:
                     self._storages.append(_FORMATS[files.suffix](file))
                     stack.callback(self._storages[-1].close)
@@ -126,3 +128,69 @@ class Bag:
 
 def _first_line(error: BaseException) -> str:
     return (str(error).splitlines() or [type(error).__name__])[0]
+
+
+@dataclass(frozen=True)
+class _BagFiles:
+    """The files of a recording in their order, their ``suffix``, and whether each message is compressed by itself."""
+
+    paths: tuple[Path, ...]
+    suffix: str
+    packed: bool = False
+
+
+def _bag_files(path: Path, scratch: Callable[[], Path]) -> _BagFiles:
+    """The files of a folder or of a single file. What is compressed as a whole is unpacked into the folder that
+    ``scratch`` makes.
+
+    Raises InputError naming the file.
+    """
+    if not path.exists():
+        raise InputError(f"{path}: no such bag")
+    if path.is_dir():
+        return _in_folder(path, scratch)
+    if path.suffix not in _SUFFIXES.values():
+        expected = f"expected a bag's folder, or a file that ends in {' or '.join(_SUFFIXES.values())}"
+        raise InputError(f"{path}: cannot be read as a rosbag2 recording, it is of the wrong type; {expected}")
+    return _BagFiles((_checked(path),), path.suffix)
+
+
+def _in_folder(path: Path, scratch: Callable[[], Path]) -> _BagFiles:
+    metadata = path / "metadata.yaml"
+    if not metadata.is_file():
+        inside = sorted(p.name for p in path.iterdir() if p.suffix in _SUFFIXES.values())
+        hint = f"name the file itself ({path / inside[0]}) or" if inside else "record it again, or"
+        raise InputError(f"{path}: a folder without metadata.yaml is no rosbag; {hint} run 'ros2 bag reindex' on it")
+    try:
+        told = read_yaml(metadata, "bag's description")["rosbag2_bagfile_information"]
+        paths = [_checked(path / PurePath(name).name) for name in told["relative_file_paths"]]
+        suffix = _SUFFIXES[told["storage_identifier"]]
+        mode, method = (told.get("compression_mode") or "none").lower(), told.get("compression_format")
+    except (KeyError, TypeError, AttributeError) as error:
+        what = f"no valid {error}" if isinstance(error, KeyError) else str(error)
+        raise InputError(f"{metadata}: cannot be read, {what}; 'ros2 bag reindex' writes it anew") from error
+    if mode == "none":
+        return _BagFiles(tuple(paths), suffix)
+    if mode not in ("file", "message") or method != "zstd":
+        raise InputError(
+            f"{metadata}: cannot be read, compression of a {mode} by {method}; expected file or message, zstd"
+        )
+    if mode == "message":
+        return _BagFiles(tuple(paths), suffix, packed=True)
+    folder = scratch()
+    return _BagFiles(tuple(_unpacked_file(file, folder / f"{n}-{file.stem}") for n, file in enumerate(paths)), suffix)
+
+
+def _checked(path: Path) -> Path:
+    """A path, if it is that of a file: to open a pipe would be to wait for ever."""
+    if not path.is_file():
+        raise InputError(f"{path}: cannot be read as a part of a rosbag2 recording, the file is missing")
+    return path
+
+
+def _unpacked_file(path: Path, target: Path) -> Path:
+    try:
+        unpack_file(path, target)
+    except (OSError, ValueError) as error:
+        raise InputError(f"{path}: cannot be read as a rosbag2 recording: {error}") from error
+    return target

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from geomid_ros.files.atomic import write_text
+from geomid_ros.files.disk import write_text
 from geomid_ros.files.models.effect_forms import coefficient_entry, combined, effect_entry, is_coefficient
 from geomid_ros.files.models.mjcf import mjcf
 from geomid_ros.files.models.results import FORMAT, write_estimate

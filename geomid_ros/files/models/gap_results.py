@@ -32,7 +32,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeAlias
 
-from geomid_ros.files.atomic import write_text
+from geomid_ros.files.disk import write_text
 from geomid_ros.files.models.effect_forms import effect_entry, finite
 from geomid_ros.gap.result import Finding, GapResult
 from geomid_ros.types import FloatArray

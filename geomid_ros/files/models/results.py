@@ -14,8 +14,7 @@ import numpy as np
 
 from geomid_ros.errors import InputError
 from geomid_ros.estimation.estimate import FINEST, EffectEstimate, Estimate, LinksInformation
-from geomid_ros.files.atomic import write_text
-from geomid_ros.files.bounded import read_text
+from geomid_ros.files.disk import read_text, write_text
 from geomid_ros.files.models.effect_forms import (
     coefficient_entry,
     combined,

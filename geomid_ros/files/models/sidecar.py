@@ -28,7 +28,7 @@ from typing import Any
 import yaml
 
 from geomid_ros.errors import InputError, unknown_name
-from geomid_ros.files.atomic import write_text
+from geomid_ros.files.disk import write_text
 from geomid_ros.files.parameter_file import read_yaml
 from geomid_ros.model.effects import (
     EFFECTS,

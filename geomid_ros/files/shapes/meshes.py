@@ -14,7 +14,7 @@ from scipy.spatial import QhullError
 from trimesh.units import unit_conversion
 
 from geomid_ros.errors import InputError
-from geomid_ros.files.bounded import read_bytes
+from geomid_ros.files.disk import read_bytes
 
 SUFFIXES = (".stl", ".dae", ".obj")
 _MOST_BYTES = 100_000_000

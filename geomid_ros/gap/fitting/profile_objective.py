@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from geomid_ros.estimation.objective import Evaluation, bend
+from geomid_ros.estimation.objective import Evaluation, linear_hessian
 from geomid_ros.geometry import spd, symmetric
 from geomid_ros.geometry.manifold import ParameterManifold, Point
 from geomid_ros.types import FloatArray
@@ -78,5 +78,5 @@ class ProfileObjective:
         curvature = root[:, None] * self.manifold.half_squared_distance_hessian(point, self.prior) * root
         value = 0.5 * float(self.counts @ np.log(squares) + self.weights @ to_prior**2 + off @ off)
         # Along a straight line the data have no curvature but their information; the prior has that of the line.
-        hessian = information + curvature + bend(self.manifold, self.weights * to_prior)
+        hessian = information + curvature + linear_hessian(self.manifold, self.weights * to_prior)
         return Evaluation(value, slope - self.weights * to_prior, information, hessian)

@@ -74,8 +74,8 @@ class Effect(ABC):
     """Whether its columns are known to first order only, so that smaller effects may be what is left of it."""
     far: ClassVar[tuple[float, ...]] = ()
     """Changes of its coefficients after which the columns of all effects are others; empty if none does that."""
-    acts_on_wrenches: ClassVar[bool] = False
-    """Whether wrench sensors feel it, of effects of the whole robot."""
+    turns_gravity: ClassVar[bool] = False
+    """Whether it turns gravity, which wrench sensors feel, too."""
     adds_up: ClassVar[bool] = True
     """Whether two at one place are one with the sums of their parameters."""
 

@@ -28,7 +28,7 @@ class GravityTilt(SituationEffect):
     count = 2
     like_a_payload = True
     far = (0.03, 0.03)
-    acts_on_wrenches = True
+    turns_gravity = True
     absorbed = True
 
     def columns(self, situation: Situation, place: Place) -> FloatArray:

@@ -8,14 +8,11 @@ from typing import Any
 
 import numpy as np
 
-from geomid_ros.simulation.description import LinkInertia
+from geomid_ros.simulation.description import INERTIA_NAMES, LinkInertia
 from geomid_ros.simulation.effects.effect import Effect
-from geomid_ros.simulation.inertial import set_inertia
+from geomid_ros.simulation.inertias import set_inertia
 
 _COM = ("com_x", "com_y", "com_z")
-_INERTIA = (("ixx", "ixy", "ixz"), ("ixy", "iyy", "iyz"), ("ixz", "iyz", "izz"))
-
-
 GEARS = ("joint_elasticity", "backlash")
 """Effects that put another hinge behind a joint's motor."""
 
@@ -38,7 +35,7 @@ def _payload(mujoco: Any, spec: Any, effect: Effect) -> None:
 def payload_inertia(effect: Effect) -> LinkInertia:
     """A payload as a body in the frame of its link."""
     values = effect.parameters
-    com, inertia = np.array([values[name] for name in _COM]), [[values[name] for name in row] for row in _INERTIA]
+    com, inertia = np.array([values[name] for name in _COM]), [[values[name] for name in row] for row in INERTIA_NAMES]
     return LinkInertia(effect.link, values["mass"], com, np.array(inertia))
 
 

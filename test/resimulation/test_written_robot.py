@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from geomid_ros.resimulation.mujoco_module import load_mujoco
+from geomid_ros.resimulation.written_robot import load_mujoco
 
 SPINNING = "<mujoco><worldbody><body><joint/><geom size='.1'/></body></worldbody></mujoco>"
 

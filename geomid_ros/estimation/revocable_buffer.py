@@ -1,4 +1,4 @@
-"""The rows of the last instants, while it may still turn out that those of some channels are bad."""
+"""A buffer of the last instants, from which the rows of channels that turn out bad can be revoked."""
 
 from __future__ import annotations
 
@@ -13,9 +13,13 @@ from geomid_ros.types import FloatArray
 
 @dataclass(frozen=True, eq=False)
 class Instant:
-    """Rows of one instant: ``coefficients (channels, D)``, ``targets (channels,)``, NaN where there is no row.
+    """Rows of one instant.
 
-    ``number``: instants are counted. ``elapsed``: time [s] since the sample before."""
+    Attributes:
+        number: Its place in the sequence of all instants.
+        coefficients, targets: ``(channels, D)`` and ``(channels,)``; a target is NaN where there is no row.
+        elapsed: Time since the previous sample [s].
+    """
 
     number: int
     coefficients: FloatArray
@@ -36,14 +40,14 @@ class _LeftOut:
         return self.begin <= instant.number < self.end
 
 
-class Probation:
+class RevocableBuffer:
     """A queue of instants. Which of their rows are left out can change until they leave it."""
 
     def __init__(self) -> None:
         self.rows = 0
-        """Those that are not left out."""
+        """Number of rows that are not left out."""
         self.rejected: Counter[str] = Counter()
-        """Those that are, by reason."""
+        """Number of rows that are left out, by reason."""
         self._instants: deque[Instant] = deque()
         self._left_out: tuple[_LeftOut, ...] = ()
 
@@ -58,12 +62,12 @@ class Probation:
         return [self._judged(instant)[0] for instant in self._instants]
 
     def append(self, instant: Instant) -> None:
-        """Take the next instant."""
+        """Add the next instant."""
         self._instants.append(instant)
         self._count(*self._judged(instant))
 
     def pop(self) -> tuple[Instant, Counter[str]]:
-        """Let the first instant go, with the targets that are used now; and how many are not, by reason."""
+        """Remove the first instant, with the targets that are used now, and how many are not, by reason."""
         instant, rejected = self._judged(self._instants.popleft())
         self.rows -= _rows(instant)
         self.rejected -= rejected

@@ -1,4 +1,4 @@
-"""Files that are either whole or not there, and nobody's but their owner's."""
+"""Reading files of bounded size, and writing files that are either whole or not there, for their owner alone."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import os
 import tempfile
 from pathlib import Path
 
-from geomid_ros.errors import GeomidError
+from geomid_ros.errors import GeomidError, InputError
 
 _MODE, _FOLDER_MODE = 0o600, 0o700
 
@@ -63,3 +63,32 @@ def _sync_folder(folder: Path) -> None:
             raise
     finally:
         os.close(descriptor)
+
+
+def read_bytes(path: Path, what: str, most_bytes: int) -> bytes:
+    """The content of a regular file; ``what`` it is for messages. Raises InputError naming it.
+
+    A pipe or a device, which may never end, is not opened.
+    """
+    try:
+        if not path.is_file():
+            raise InputError(f"{path}: no regular file, as a {what} is")
+        with path.open("rb") as file:
+            data = file.read(most_bytes + 1)
+    except OSError as error:
+        raise InputError(f"{path}: the {what} cannot be read ({error})") from error
+    if len(data) > most_bytes:
+        raise InputError(f"{path}: larger than {most_bytes / 1e6:g} MB, not a {what}")
+    return data
+
+
+def read_text(path: Path, what: str, most_bytes: int) -> str:
+    """The text of a UTF-8 file, with the line ends it has; ``what`` it is for messages. Raises InputError naming it."""
+    try:
+        with path.open("rb") as file:
+            data = file.read(most_bytes + 1)
+        if len(data) > most_bytes:
+            raise InputError(f"{path}: larger than {most_bytes / 1e6:g} MB, not a {what}")
+        return data.decode()
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f"{path}: the {what} cannot be read ({error})") from error

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from geomid_ros.errors import GeomidError
-from geomid_ros.files.atomic import write_bytes, write_text
+from geomid_ros.files.disk import write_bytes, write_text
 
 BEFORE = "what was there before"
 

@@ -1,0 +1,196 @@
+"""Exports as text to paste: commands for the controllers of arms, and ``<inertial>`` elements of robot descriptions.
+
+=======  ===============================================================================================================
+ur       ``set_target_payload(m, cog, inertia)`` takes kg, the centre of gravity's offset from the tool mount in m, and
+         Ixx, Iyy, Izz, Ixy, Ixz, Iyz in kg m^2 about that centre in the axes of the tool flange, none of them beyond
+         133; it replaces ``set_payload(m, cog)`` (Script Manual of SW 10.6, ``set_target_payload``). The flange's axes
+         are those of ``tool0`` in the URDF, the controller's tool frame of all zeros (ur_description,
+         ``ur_macro.xacro``). The ROS 2 driver hands the service ``set_payload`` of its io_and_status_controller to
+         these (ur_controllers, ``gpio_controller.cpp``). Its type ur_msgs/srv/SetPayload had mass and centre alone,
+         then got the inertia's entries (ur_msgs, pull request 43), and has a geometry_msgs/Inertia from version 3 on
+         (pull request 42).
+franka   ``franka::Robot::setLoad`` takes kg, the translation from the flange to the load's centre of mass in m, and the
+         inertia in kg m^2, column-major (libfranka, ``robot.h``), about the load's centre of mass (``robot_state.h``,
+         ``I_load``). The controller adds it to the end effector that is configured in Desk, which setLoad does not
+         change (``m_total``). The flange is ``link8`` of Franka's URDF. franka_msgs/srv/SetLoad has the same three
+         fields; franka_ros2 offers it as ``/service_server/set_load``.
+URDF     inertia about the centre of mass, in the axes of ``<origin>``, here those of the link (ROS wiki, urdf/XML/link)
+SDF      the same with ``<pose>``; products of inertia are entries of the matrix, -m x y (SDFormat 1.10, inertial.sdf)
+MJCF     ``fullinertia`` about ``pos`` in the body's axes: Ixx Iyy Izz Ixy Ixz Iyz (MuJoCo's XML reference,
+         body/inertial)
+=======  ===============================================================================================================
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterable, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from geomid_ros.errors import InputError
+from geomid_ros.exports.inertial import Export
+from geomid_ros.geometry.pseudo_inertia import INERTIA_NAMES
+from geomid_ros.types import FloatArray
+
+_DIGITS = 9
+_DIAGONAL_FIRST = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
+
+_UR_LARGEST = 133.0  # [kg m^2]
+_UR_CALL = "ros2 service call /io_and_status_controller/set_payload ur_msgs/srv/SetPayload"
+_FRANKA_CALL = "ros2 service call /service_server/set_load franka_msgs/srv/SetLoad"
+_FRANKA_NOTE = (
+    "  The controller adds it to the end effector that is set in Desk (Settings, End Effector): set there what stays",
+    "  mounted, and export only what comes beyond it.",
+)
+_MOVEIT_NOTE = (
+    "What reads it: MoveIt plans by limits alone; its DynamicsSolver, and ros2_control's controllers that compute",
+    "torques, read <inertial> of robot_description, many by kdl_parser, which takes none at the root link.",
+    "All links at once: identified.urdf. The same element stands in a xacro file.",
+)
+_GAZEBO_NOTE = (
+    "All links at once: gz sdf -p identified.urdf, which lumps links together that are fixed to one another.",
+)
+_MUJOCO_NOTE = ('<compiler inertiafromgeom="true"/> would override it; the default, "auto", does not.',)
+
+
+class Controller(NamedTuple):
+    """An arm's controller: how the name of its ``flange`` ends in the manufacturer's URDF, and the ``commands`` that
+    tell it a payload there."""
+
+    flange: str
+    commands: Callable[[Export], str]
+
+
+def ur_commands(export: Export) -> str:
+    """URScript and service calls. Raises InputError for an inertia that the controller refuses."""
+    entries = _inertia_entries(export)
+    if np.max(np.abs(list(entries.values()))) > _UR_LARGEST:
+        raise InputError(
+            f"{export.title}: its inertia is beyond the {_UR_LARGEST:g} kg m^2 that a UR's controller takes"
+        )
+    mass, com = number(export.inertial.mass), _numbers(export.inertial.com)
+    inertia = _numbers(entries[key] for key in _DIAGONAL_FIRST)
+    centre = "{" + ", ".join(f"{axis}: {number(c)}" for axis, c in zip("xyz", export.inertial.com, strict=True)) + "}"
+    named = ", ".join(f"{key}: {number(entries[key])}" for key in _DIAGONAL_FIRST)
+    weight = f"mass: {mass}, center_of_gravity: {centre}"
+    return (
+        _commented([*_comments(export), "  A UR wants all that its flange carries: the tool and what it holds."], "#")
+        + f"\n# URScript\nset_target_payload({mass}, [{com}], [{inertia}])\n"
+        + f"# URScript of older software, without the inertia\nset_payload({mass}, [{com}])\n"
+        + f"\n# ROS 2, ur_msgs 2 with inertia\n{_UR_CALL} '{{{weight}, {named}}}'\n"
+        + f"# ROS 2, ur_msgs 2 without inertia\n{_UR_CALL} '{{{weight}}}'\n"
+        + f"# ROS 2, ur_msgs 3\n{_UR_CALL} '{{payload: {{m: {mass}, com: {centre}, {named}}}}}'\n"
+    )
+
+
+def franka_commands(export: Export) -> str:
+    """C++ and a service call."""
+    mass, com = number(export.inertial.mass), _numbers(export.inertial.com)
+    columns = _numbers(export.inertial.inertia.ravel(order="F"))
+    request = f"{{mass: {mass}, center_of_mass: [{com}], load_inertia: [{columns}]}}"
+    return (
+        _commented([*_comments(export), *_FRANKA_NOTE], "//")
+        + f"\n// libfranka\nrobot.setLoad({mass}, {{{{{com}}}}}, {{{{{columns}}}}});\n"
+        + f"\n# ROS 2\n{_FRANKA_CALL} '{request}'\n"
+    )
+
+
+def urdf(exports: Sequence[Export]) -> str:
+    """For MoveIt, ros2_control and all else that reads a URDF."""
+    return _described(exports, _MOVEIT_NOTE, _urdf_inertial)
+
+
+def sdf(exports: Sequence[Export]) -> str:
+    """For Gazebo."""
+    return _described(exports, _GAZEBO_NOTE, _sdf_inertial)
+
+
+def mjcf(exports: Sequence[Export]) -> str:
+    """For MuJoCo."""
+    return _described(exports, _MUJOCO_NOTE, _mjcf_inertial)
+
+
+CONTROLLERS = {"ur": Controller("tool0", ur_commands), "franka": Controller("link8", franka_commands)}
+"""Controllers that take a payload, by the name of who is to read it."""
+DESCRIPTIONS = {"moveit": urdf, "gazebo": sdf, "mujoco": mjcf}
+"""Descriptions that take the inertials of links, likewise."""
+
+
+def _described(exports: Sequence[Export], note: Sequence[str], inertial: Callable[[Export], str]) -> str:
+    blocks = (
+        "\n" + _xml_comment([*_comments(export), f"  in the frame of link '{export.frame}'"]) + inertial(export)
+        for export in exports
+    )
+    return _xml_comment(note) + "".join(blocks)
+
+
+def _urdf_inertial(export: Export) -> str:
+    entries = " ".join(f'{key}="{number(value)}"' for key, value in _inertia_entries(export).items())
+    return (
+        f'<inertial>\n  <origin xyz="{_numbers(export.inertial.com, " ")}" rpy="0 0 0"/>\n'
+        f'  <mass value="{number(export.inertial.mass)}"/>\n  <inertia {entries}/>\n</inertial>\n'
+    )
+
+
+def _sdf_inertial(export: Export) -> str:
+    entries = "".join(f"<{key}>{number(value)}</{key}>" for key, value in _inertia_entries(export).items())
+    return (
+        f"<inertial>\n  <pose>{_numbers(export.inertial.com, ' ')} 0 0 0</pose>\n"
+        f"  <mass>{number(export.inertial.mass)}</mass>\n  <inertia>{entries}</inertia>\n</inertial>\n"
+    )
+
+
+def _mjcf_inertial(export: Export) -> str:
+    entries = _inertia_entries(export)
+    full = _numbers((entries[key] for key in _DIAGONAL_FIRST), " ")
+    position, mass = _numbers(export.inertial.com, " "), number(export.inertial.mass)
+    return f'<inertial pos="{position}" mass="{mass}" fullinertia="{full}"/>\n'
+
+
+def number(value: float) -> str:
+    """A number without an exponent: YAML 1.1 takes ``1e-05`` for text, and URScript does not document exponents."""
+    return str(np.format_float_positional(value, precision=_DIGITS, fractional=False, trim="0"))
+
+
+def _numbers(values: Iterable[float], between: str = ", ") -> str:
+    return between.join(number(value) for value in values)
+
+
+def _inertia_entries(export: Export) -> dict[str, float]:
+    return dict(zip(INERTIA_NAMES, map(float, export.inertial.quantities[4:]), strict=True))
+
+
+def _comments(export: Export) -> list[str]:
+    """The title, each number with its standard deviation, and the notes, a line each."""
+    quantities, std = export.inertial.quantities, export.inertial.std
+    return [
+        export.title,
+        f"  mass [kg]              {_with_std(quantities[:1], std[:1])}",
+        f"  centre of mass [m]     {_with_std(quantities[1:4], std[1:4])}",
+        f"  Ixx Iyy Izz [kg m^2]   {_with_std(quantities[[4, 6, 9]], std[[4, 6, 9]])}",
+        f"  Ixy Ixz Iyz [kg m^2]   {_with_std(quantities[[5, 7, 8]], std[[5, 7, 8]])}",
+        *(["  how sure these numbers are is not known"] if not export.inertial.has_std else []),
+        *(f"  {note}" for note in export.notes),
+    ]
+
+
+def _with_std(values: FloatArray, std: FloatArray) -> str:
+    pairs = zip(values, std, strict=True)
+    return ", ".join(f"{value:.5g} ± {own:.2g}" if np.isfinite(own) else f"{value:.5g}" for value, own in pairs)
+
+
+def _commented(lines: Sequence[str], mark: str) -> str:
+    """Lines as comments that begin with ``mark``."""
+    return "".join(f"{mark} {_printable(line)}\n" for line in lines)
+
+
+def _xml_comment(lines: Sequence[str]) -> str:
+    """Lines as one comment of XML, in which two hyphens cannot stand side by side."""
+    return "<!-- " + "\n     ".join(re.sub("-(?=-)", "- ", _printable(line)) for line in lines) + " -->\n"
+
+
+def _printable(line: str) -> str:
+    """A line that stays one: a name from a file must not end the comment that it stands in."""
+    return "".join(character if character.isprintable() else " " for character in line)
