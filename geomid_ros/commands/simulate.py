@@ -101,9 +101,8 @@ def simulate(
         motion=motion,
         motion_period=period,
     )
-    with progress_bar() as bar:
-        task = bar.add_task(f"simulating {duration:g} s", total=1.0)
-        result = record(out, options, lambda share: bar.update(task, completed=share))
+    with progress_bar() as progress:
+        result = record(out, options, lambda share: progress(f"simulating {duration:g} s", share))
     click.echo(_written(result, bool(hide)))
 
 

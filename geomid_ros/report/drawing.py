@@ -3,28 +3,27 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from pathlib import Path
 
 import numpy as np
+from matplotlib.figure import Figure
 
 from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.model.samples import Samples
 from geomid_ros.report.ellipsoids import BodyDrawing, Ellipsoid
-from geomid_ros.report.picture import identification_picture
+from geomid_ros.report.picture import identification_figure
 from geomid_ros.report.series_drawing import Series
 from geomid_ros.session.session import Session
 from geomid_ros.types import FloatArray
 
 
-def draw_identification(path: Path, session: Session, estimate: Estimate, samples: Samples, of_what: str) -> None:
+def draw_identification(session: Session, estimate: Estimate, samples: Samples, of_what: str) -> Figure:
     """Draw bodies, before and after, in a pose of ``samples``, and the channels over the samples' time.
 
     ``of_what`` says which data the samples are.
     """
     middle = samples.select(slice(len(samples) // 2, len(samples) // 2 + 1))
-    identification_picture(
-        path,
+    return identification_figure(
         f"{session.robot.name}: identified link inertias",
         _bodies(session, estimate, middle),
         _series(session, estimate, samples),

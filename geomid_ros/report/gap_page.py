@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
@@ -30,6 +30,7 @@ from geomid_ros.report.gap_figures import (
     overlay_picture,
     remainder_picture,
 )
+from geomid_ros.report.simulated_again import SimulatedAgain
 from geomid_ros.types import FloatArray
 
 _MOST_CHANNELS = 6  # whose remainder is drawn
@@ -43,28 +44,7 @@ _TITLES = {"windows": "Forward in short windows", "closed_loop": "In closed loop
 _KINDS = {"before": "nominal", "inertias_only": "inertias only", "after": "with effect"}
 
 
-@dataclass(frozen=True, eq=False)
-class SimulatedAgain:
-    """The robot's simulation before and after, beside what was measured.
-
-    ``sentence`` says how it was simulated; ``errors`` {before, after} by channel in units of the floor. Of ``joints``,
-    in ``units``: ``measured``, ``before``, ``after (N, joints)`` over ``times (N,)`` [s], NaN where a new simulation
-    begins; at most ``seconds`` are shown.
-    """
-
-    kind: Literal["windows", "closed_loop"]
-    sentence: str
-    errors: Mapping[str, Mapping[str, float]]
-    joints: Sequence[str]
-    units: Sequence[str]
-    times: FloatArray
-    measured: FloatArray
-    before: FloatArray
-    after: FloatArray
-    seconds: float = 10.0
-
-
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, kw_only=True, eq=False)
 class GapPage:
     """What the page is made of.
 

@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-import io
 import textwrap
 from collections.abc import Sequence
-from pathlib import Path
 
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from geomid_ros.files.atomic import write_bytes
 from geomid_ros.report.ellipsoids import BodyDrawing
 from geomid_ros.report.robot_drawing import draw_bodies
 from geomid_ros.report.series_drawing import Series, draw_series
@@ -20,10 +17,8 @@ _LEFT, _TITLE_WIDTH = 0.25, 9.7  # [inch]
 _NOTE_TOP = 9.48
 
 
-def identification_picture(
-    path: Path, title: str, bodies: Sequence[BodyDrawing], series: Sequence[Series], note: str
-) -> None:
-    """Draw bodies and channels into the PNG ``path``, which appears whole or not at all."""
+def identification_figure(title: str, bodies: Sequence[BodyDrawing], series: Sequence[Series], note: str) -> Figure:
+    """Draw bodies and channels."""
     figure = Figure(figsize=SIZE, dpi=DPI, facecolor="white")
     FigureCanvasAgg(figure)
     heading = shortened(title, _TITLE_WIDTH, 17.0, "bold")
@@ -33,6 +28,4 @@ def identification_picture(
     if bodies:
         draw_bodies(figure, bodies)
     draw_series(figure, series)
-    buffer = io.BytesIO()
-    figure.savefig(buffer, format="png", metadata={"Software": None})
-    write_bytes(path, buffer.getvalue())
+    return figure

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
@@ -145,10 +145,23 @@ class Session:
         text = f"{settings} {prior.tolist() if prior is not None else None}"
         return hashlib.sha256(text.encode(errors="replace")).hexdigest()
 
-    def save(self, folder: Path, estimate: Estimate, held_out: FloatArray | None = None) -> Mapping[str, Any]:
-        """Write ``estimate.json`` and ``identified.urdf`` into ``folder``; returns the former's document."""
+    def document(self, estimate: Estimate, held_out: FloatArray | None = None) -> dict[str, Any]:
+        """The document of ``estimate.json``.
+
+        Args:
+            estimate: what was found.
+            held_out: RMS residual of each channel on held-out data ``(channels,)``, if there are any.
+        """
         document = estimate_document(estimate, dict(self.identifier.rows_rejected), held_out)
-        document |= continued(document["effects"], self.loaded.effects)
-        write_text(folder / "identified.urdf", with_identified_inertias(self.urdf, estimate.links))
-        write_estimate(folder / "estimate.json", document)
-        return document
+        return document | continued(document["effects"], self.loaded.effects)
+
+    def identified_urdf(self, estimate: Estimate) -> str:
+        """The robot description with the estimated inertias; every other character of it is kept."""
+        return with_identified_inertias(self.urdf, estimate.links)
+
+    def save(self, folder: Path, estimate: Estimate, held_out: FloatArray | None = None) -> list[Path]:
+        """Write ``estimate.json`` and ``identified.urdf`` into ``folder``; returns their paths."""
+        document, description = folder / "estimate.json", folder / "identified.urdf"
+        write_text(description, self.identified_urdf(estimate))
+        write_estimate(document, self.document(estimate, held_out))
+        return [document, description]

@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 import pytest
 from files.recordings import BAGS
+from matplotlib.figure import Figure
 
-from geomid_ros.commands import identify as command
+from geomid_ros.api import identify as front_door
 from geomid_ros.files.models.urdf import read_urdf
 from geomid_ros.model.effects import DEFAULT_EFFECTS
 from geomid_ros.model.robot import Robot
@@ -83,7 +84,7 @@ def test_the_urdf_holds_the_estimate(run: tuple[str, Path, str]) -> None:
 @pytest.fixture(autouse=True)
 def without_picture(monkeypatch: pytest.MonkeyPatch) -> None:
     """Drawing takes longer than all the rest; the fixtures of the module draw nevertheless."""
-    monkeypatch.setattr(command, "draw_identification", lambda *_: None)
+    monkeypatch.setattr(front_door, "draw_identification", lambda *_: Figure())
 
 
 @pytest.fixture(scope="module")

@@ -21,7 +21,8 @@ from geomid_ros.gap.result import (
     Verdict,
 )
 from geomid_ros.geometry import pseudo_inertia
-from geomid_ros.report.gap_page import GapPage, SimulatedAgain
+from geomid_ros.report.gap_page import GapPage
+from geomid_ros.report.simulated_again import SimulatedAgain
 from geomid_ros.types import FloatArray
 
 FLOOR = 0.05  # [N m]
@@ -37,8 +38,17 @@ def gap_page(case: Case, joints: Sequence[str], *, wrench: bool = False, simulat
     rigid = result.trace.after - _effect(case, result.trace, len(joints) // 2, len(result.channels))
     again = (_simulated_again(joints, result.trace),) if simulated else ()
     units = ["rad"] * len(joints)
-    why = "" if simulated else "MuJoCo has the day off"
-    return GapPage("an arm", ("monday", "tuesday"), joints, units, result, nominal, rigid, (), again, why)
+    return GapPage(
+        robot="an arm",
+        recordings=("monday", "tuesday"),
+        joints=joints,
+        units=units,
+        result=result,
+        nominal=nominal,
+        rigid=rigid,
+        simulated=again,
+        not_simulated="" if simulated else "MuJoCo has the day off",
+    )
 
 
 def gap_result(case: Case, joints: Sequence[str], *, wrench: bool = False) -> GapResult:
@@ -151,5 +161,14 @@ def _simulated_again(joints: Sequence[str], trace: Trace) -> SimulatedAgain:
     errors = {kind: dict.fromkeys(joints, value) for kind, value in (("before", 10.9), ("after", 1.02))}
     drift = 0.2 * np.linspace(0.0, 1.0, len(trace.stamps))[:, None]
     times = (trace.stamps - trace.stamps[0]) * 1e-9
-    motions = (trace.position, trace.position + drift, trace.position + 1e-3)
-    return SimulatedAgain("closed_loop", "Under its commands.", errors, joints, ["rad"] * len(joints), times, *motions)
+    return SimulatedAgain(
+        kind="closed_loop",
+        sentence="Under its commands.",
+        errors=errors,
+        joints=joints,
+        units=["rad"] * len(joints),
+        times=times,
+        measured=trace.position,
+        before=trace.position + drift,
+        after=trace.position + 1e-3,
+    )
