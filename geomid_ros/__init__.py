@@ -25,8 +25,7 @@ if TYPE_CHECKING:
     from geomid_ros.api.identify import Identification, identify
     from geomid_ros.errors import GeomidError, InputError
     from geomid_ros.estimation.rows import RowsSolution, solve_rows
-    from geomid_ros.model.effects.effect import Effect, JointMotion
-    from geomid_ros.model.effects.parameters import ParameterForm
+    from geomid_ros.model.effects import Effect, JointMotion, ParameterForm
 
 __version__ = "0.1.0"
 
@@ -44,19 +43,14 @@ __all__ = [
     "solve_rows",
 ]
 
-_HOMES = {
-    "Effect": "geomid_ros.model.effects.effect",
-    "Gap": "geomid_ros.api.gap",
-    "GeomidError": "geomid_ros.errors",
-    "Identification": "geomid_ros.api.identify",
-    "InputError": "geomid_ros.errors",
-    "JointMotion": "geomid_ros.model.effects.effect",
-    "ParameterForm": "geomid_ros.model.effects.parameters",
-    "RowsSolution": "geomid_ros.estimation.rows",
-    "find_gap": "geomid_ros.api.gap",
-    "identify": "geomid_ros.api.identify",
-    "solve_rows": "geomid_ros.estimation.rows",
+_NAMES = {
+    "geomid_ros.api.gap": ("Gap", "find_gap"),
+    "geomid_ros.api.identify": ("Identification", "identify"),
+    "geomid_ros.errors": ("GeomidError", "InputError"),
+    "geomid_ros.estimation.rows": ("RowsSolution", "solve_rows"),
+    "geomid_ros.model.effects": ("Effect", "JointMotion", "ParameterForm"),
 }
+_HOMES = {name: module for module, names in _NAMES.items() for name in names}
 
 
 def __getattr__(name: str) -> Any:

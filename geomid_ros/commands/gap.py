@@ -18,18 +18,7 @@ from geomid_ros.commands.options import URDF, recording_options
 from geomid_ros.commands.progress import progress_bar
 from geomid_ros.commands.tables import number_columns, plain_table, results_console
 from geomid_ros.gap.result import GapResult
-from geomid_ros.report.gap_words import (
-    headline,
-    measured,
-    not_explained,
-    percent,
-    place,
-    ratio,
-    title,
-    to_record,
-    verdict_sentence,
-    worst,
-)
+from geomid_ros.report import gap_words
 from geomid_ros.report.simulated_again import SimulatedAgain
 
 _MOST_CANDIDATES = 8
@@ -83,7 +72,7 @@ def _print(found: geomid_ros.Gap) -> None:
     """Print the verdict, what was found, the gap of every channel, candidates, and what to record next."""
     console = results_console()
     result = found.result
-    _say(console, f"[bold]{result.verdict.upper()}[/bold]  {escape(verdict_sentence(result))}")
+    _say(console, f"[bold]{result.verdict.upper()}[/bold]  {escape(gap_words.verdict_sentence(result))}")
     if result.findings:
         console.print(_findings_table(result))
     for sentence in _sentences(result):
@@ -95,10 +84,10 @@ def _print(found: geomid_ros.Gap) -> None:
         _say(console, f"[bold]Not simulated again[/bold]  {escape(found.not_simulated)}")
     if result.ranking and result.verdict != "no gap":
         console.print(_candidates_table(result))
-    for joint, times, variables in not_explained(result):
-        left = f"{joint}: {ratio(times)} times the floor remain, depending on {variables}"
+    for joint, times, variables in gap_words.not_explained(result):
+        left = f"{joint}: {gap_words.ratio(times)} times the floor remain, depending on {variables}"
         _say(console, f"[bold]Not explained[/bold]  {escape(left)}")
-    record = to_record(result)
+    record = gap_words.to_record(result)
     if record:
         _say(console, "\n".join(["[bold]To record next[/bold]", *(f"- {escape(what)}" for what in record)]))
 
@@ -117,10 +106,10 @@ def _findings_table(result: GapResult) -> Table:
     number_columns(table, ["closes", "separable"])
     for finding in result.findings:
         names = "\n".join(name.replace("_", " ") for name in finding.parameters)
-        values = "\n".join(measured(quantity) for quantity in finding.parameters.values())
-        where = escape(place(finding.joint, finding.link))
-        shares = (percent(finding.share), percent(finding.separability))
-        table.add_row(headline(finding.effect), where, names, values, finding.confidence, *shares)
+        values = "\n".join(gap_words.measured(quantity) for quantity in finding.parameters.values())
+        where = escape(gap_words.place(finding.joint, finding.link))
+        shares = (gap_words.percent(finding.share), gap_words.percent(finding.separability))
+        table.add_row(gap_words.headline(finding.effect), where, names, values, finding.confidence, *shares)
     return table
 
 
@@ -128,7 +117,7 @@ def _sentences(result: GapResult) -> Iterator[str]:
     """One of each finding, with its rivals where there are any to choose from; of many findings only of these."""
     few = len(result.findings) <= _MOST_SENTENCES
     for finding in result.findings:
-        rivals = [f"{title(rival)} (worse by {rival.loss:.1f})" for rival in finding.rivals[:_MOST_RIVALS]]
+        rivals = [f"{gap_words.title(rival)} (worse by {rival.loss:.1f})" for rival in finding.rivals[:_MOST_RIVALS]]
         ambiguous = finding.confidence == "ambiguous" and rivals
         if few or ambiguous:
             yield f"{finding.sentence}{' Rivals: ' + ', '.join(rivals) + '.' if ambiguous else ''}"
@@ -142,11 +131,11 @@ def _channels_table(result: GapResult) -> Table:
         f"how far above the floor, logarithmic\n{_AFTER} after {_INERTIAS} inertias only {_BEFORE} nominal"
     )
     gaps = (result.gap.before, result.gap.inertias_only, result.gap.after)
-    end = max(2.0, *(worst(values) for values in gaps))
+    end = max(2.0, *(gap_words.worst(values) for values in gaps))
     for k, (name, unit, floor) in enumerate(zip(result.channels, result.units, result.floor, strict=True)):
         before, inertias, after, expected = (float(values[k]) for values in (*gaps, result.gap.expected))
         if math.isfinite(before):
-            numbers = (ratio(value) for value in (before, inertias, after, expected))
+            numbers = (gap_words.ratio(value) for value in (before, inertias, after, expected))
             table.add_row(escape(name), f"{floor:.2g} {unit}", *numbers, _bar(before, inertias, after, end))
     return table
 
@@ -176,7 +165,7 @@ def _simulated_table(simulation: SimulatedAgain) -> Table:
     table.add_column("channel", overflow="fold")
     number_columns(table, ["before", "after"])
     for name, before in simulation.errors["before"].items():
-        table.add_row(escape(name), ratio(before), ratio(simulation.errors["after"][name]))
+        table.add_row(escape(name), gap_words.ratio(before), gap_words.ratio(simulation.errors["after"][name]))
     return table
 
 
@@ -186,5 +175,7 @@ def _candidates_table(result: GapResult) -> Table:
     number_columns(table, ["improves by", "separable", "chosen"])
     for entry in result.ranking[:_MOST_CANDIDATES]:
         chosen = "yes" if entry.chosen else ""
-        table.add_row(escape(title(entry)), f"{entry.gain:.1f}", percent(entry.separability), chosen)
+        table.add_row(
+            escape(gap_words.title(entry)), f"{entry.gain:.1f}", gap_words.percent(entry.separability), chosen
+        )
     return table

@@ -1,20 +1,26 @@
-"""From an estimate to its picture."""
+"""The picture of an identification: bodies before and after, and what was measured against the models."""
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Sequence
 
 import numpy as np
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.model.samples import Samples
 from geomid_ros.report.ellipsoids import BodyDrawing, Ellipsoid
-from geomid_ros.report.picture import identification_figure
-from geomid_ros.report.series_drawing import Series
+from geomid_ros.report.robot_drawing import draw_bodies
+from geomid_ros.report.series_drawing import Series, draw_series
+from geomid_ros.report.sheet import DPI, FAINT, SIZE, add_text, shortened
 from geomid_ros.session.session import Session
 from geomid_ros.types import FloatArray
+
+_LEFT, _TITLE_WIDTH = 0.25, 9.7  # [inch]
+_NOTE_TOP = 9.48
 
 
 def draw_identification(session: Session, estimate: Estimate, samples: Samples, of_what: str) -> Figure:
@@ -29,6 +35,20 @@ def draw_identification(session: Session, estimate: Estimate, samples: Samples, 
         _series(session, estimate, samples),
         f"Measured against predicted on {of_what}; {estimate.rows_accepted} rows identified from.",
     )
+
+
+def identification_figure(title: str, bodies: Sequence[BodyDrawing], series: Sequence[Series], note: str) -> Figure:
+    """Draw bodies and channels."""
+    figure = Figure(figsize=SIZE, dpi=DPI, facecolor="white")
+    FigureCanvasAgg(figure)
+    heading = shortened(title, _TITLE_WIDTH, 17.0, "bold")
+    add_text(figure, _LEFT, 0.42, heading, 17.0, weight="bold")
+    wrapped = textwrap.fill(note, 190, max_lines=3, placeholder=" …")
+    add_text(figure, _LEFT, _NOTE_TOP, wrapped, color=FAINT, va="top")
+    if bodies:
+        draw_bodies(figure, bodies)
+    draw_series(figure, series)
+    return figure
 
 
 def _bodies(session: Session, estimate: Estimate, pose: Samples) -> list[BodyDrawing]:

@@ -202,6 +202,21 @@ def test_an_estimate_is_started_from(tmp_path: Path) -> None:
     assert link(again, "wrist_ft")["mass"] != pytest.approx(0.5, rel=0.05), "the URDF's"
 
 
+def test_an_effect_that_only_some_joints_have(tmp_path: Path) -> None:
+    """The model knows it at one joint, and it is not identified everywhere: the others' cells are empty."""
+    small(tmp_path / "a", "--effects", "viscous_friction")
+    document = read(tmp_path / "a")
+    document["effects"] = [entry for entry in document["effects"] if entry["joint"] == "joint2"]
+    (tmp_path / "a/estimate.json").write_text(json.dumps(document))
+    options = ("--model", tmp_path / "a/estimate.json", "--effects", "coulomb_friction")
+    text = done(*identify("arm3", *options, "--out", tmp_path / "b"))
+    found = {(entry["name"], entry["joint"]) for entry in read(tmp_path / "b")["effects"]}
+    assert found == {("viscous_friction", "joint2"), *(("coulomb_friction", f"joint{k}") for k in (1, 2, 3))}
+    lines = map(str.strip, text.partition("Joint effects")[2].partition("RMS of what remains")[0].splitlines())
+    cells = {line.split()[0]: line.count("±") for line in lines if "±" in line}
+    assert cells == {"joint1": 1, "joint2": 2, "joint3": 1}
+
+
 def test_a_single_file_of_a_bag_gives_the_same(plain: dict[str, Any], tmp_path: Path) -> None:
     arguments = ("--urdf", BAGS / "arm3.urdf", "--json", "--out", tmp_path)
     document = json.loads(done("identify", BAGS / "arm3/arm3.mcap", *arguments))

@@ -16,8 +16,8 @@ from matplotlib.figure import Figure
 
 from geomid_ros.errors import GeomidError
 from geomid_ros.report import ellipsoids, robot_drawing, series_drawing, sheet
+from geomid_ros.report.drawing import identification_figure
 from geomid_ros.report.ellipsoids import BodyDrawing, Ellipsoid
-from geomid_ros.report.picture import identification_figure
 from geomid_ros.report.series_drawing import Series
 from geomid_ros.report.sheet import write_picture
 
