@@ -17,11 +17,11 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from benchmarks.report import Report
-from geomid_ros.commands.identify import Topics, read_samples
 from geomid_ros.estimation.estimator import WarmStart
 from geomid_ros.files.bags.bag import Bag
 from geomid_ros.model.samples import Samples
 from geomid_ros.session.configuration import Configuration
+from geomid_ros.session.recordings import Topics, read_samples
 from geomid_ros.session.session import Session
 from geomid_ros.simulation.hidden import Hidden
 from geomid_ros.simulation.options import SimulationOptions

@@ -1,3 +1,65 @@
-"""Geometric identification of link inertias, online and from rosbags."""
+"""Geometric identification of link inertias, online and from rosbags.
+
+What a notebook or a script needs is here; everything else may change::
+
+    import geomid_ros
+
+    found = geomid_ros.identify("my_bag", "robot.urdf")
+    found.links, found.effects, found.rms
+    found.save("geomid_out")
+
+    gap = geomid_ros.find_gap("my_bag", "robot.urdf")
+    gap.verdict, gap.findings
+    gap.report("report.html")
+
+A name is loaded when it is first used, with all that it needs: the import itself costs nothing.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from geomid_ros.api.gap import Gap, find_gap
+    from geomid_ros.api.identify import Identification, identify
+    from geomid_ros.errors import GeomidError, InputError
+    from geomid_ros.estimation.rows import RowsSolution, solve_rows
+    from geomid_ros.model.effects import Effect, JointMotion, ParameterForm
 
 __version__ = "0.1.0"
+
+__all__ = [
+    "Effect",
+    "Gap",
+    "GeomidError",
+    "Identification",
+    "InputError",
+    "JointMotion",
+    "ParameterForm",
+    "RowsSolution",
+    "find_gap",
+    "identify",
+    "solve_rows",
+]
+
+_NAMES = {
+    "geomid_ros.api.gap": ("Gap", "find_gap"),
+    "geomid_ros.api.identify": ("Identification", "identify"),
+    "geomid_ros.errors": ("GeomidError", "InputError"),
+    "geomid_ros.estimation.rows": ("RowsSolution", "solve_rows"),
+    "geomid_ros.model.effects": ("Effect", "JointMotion", "ParameterForm"),
+}
+_HOMES = {name: module for module, names in _NAMES.items() for name in names}
+
+
+def __getattr__(name: str) -> Any:
+    """Load a public name from its module."""
+    if name not in _HOMES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    value = globals()[name] = getattr(import_module(_HOMES[name]), name)
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

@@ -9,7 +9,7 @@ import pytest
 
 ROOT = Path(__file__).parents[1]
 DOCUMENTS = ("README.md", "CONTRIBUTING.md", "SECURITY.md", "docs/reference.md")
-FOLDERS = "geomid_ros|test|config|launch|security|bags|docs|benchmarks"
+FOLDERS = "geomid_ros|test|config|launch|security|bags|docs|benchmarks|examples"
 HIDDEN = {"robots"}  # a room's folder of data
 # What the recipe in CONTRIBUTING.md makes.
 PLANNED = {"geomid_ros/model/effects/quadratic_drag.py"}

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import os
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -11,16 +13,13 @@ from rich.console import Console
 from rich.live import Live
 from rich.table import Table
 
-from geomid_ros.commands.progress import tracked
+import geomid_ros
+from geomid_ros.commands.progress import progress_bar
 from geomid_ros.errors import InputError
-from geomid_ros.files.bags.bag import Bag
 from geomid_ros.files.models.results import read_estimate
 from geomid_ros.files.models.urdf import read_urdf
-from geomid_ros.files.shared_files import shared_file
-from geomid_ros.model.samples import Samples
-from geomid_ros.report.picture import draw_identification
+from geomid_ros.report.sheet import write_picture
 from geomid_ros.session.configuration import Configuration
-from geomid_ros.session.recordings import Topics, read_samples
 from geomid_ros.session.session import Session
 
 _WRENCH = {
@@ -64,8 +63,23 @@ def demo(out: Path, rate: float) -> None:
         for masses in run.watch():
             live.update(_table(session, masses, truth, run.diagnostics.get("rows")))
     document = read_estimate(out / "estimate.json")
-    difference = _compare_with_offline(session, bag, document, out / "identification.png")
+    with progress_bar() as progress:
+        offline = geomid_ros.identify(bag, urdf, config=configuration, hold_out=0.0, progress=progress)
+        progress("drawing", 0.0)
+        write_picture(out / "identification.png", offline.plot())
+    masses = {link["name"]: link["mass"] for link in document["links"]}
+    difference = max(abs(link.mass / float(masses[link.name]) - 1.0) for link in offline.links)
     _conclude(console, session, document, truth, difference, out)
+
+
+def shared_file(relative: str) -> Path:
+    """A file or folder that the package ships, such as ``bags/arm7``."""
+    prefixes = [*filter(None, os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)), sys.prefix]
+    folders = [Path(geomid_ros.__file__).parents[1], *(Path(prefix) / "share/geomid_ros" for prefix in prefixes)]
+    for folder in folders:
+        if (folder / relative).exists():
+            return folder / relative
+    raise InputError(f"{relative} is not installed; looked in {', '.join(map(str, folders))}")
 
 
 def _true_masses(path: Path) -> dict[str, float]:
@@ -87,18 +101,6 @@ def _table(session: Session, masses: dict[str, float], truth: dict[str, float], 
         now = f"{masses[name]:.3f}" if name in masses else "..."
         table.add_row(name, f"{urdf_mass:.3f}", now, f"{_true_mass(session, name, truth):.3f}")
     return table
-
-
-def _compare_with_offline(session: Session, bag: Path, live: dict[str, Any], picture: Path) -> float:
-    """Identify from the bag itself and draw it; the largest relative difference in mass to the live estimate."""
-    with Bag(bag) as recording:
-        batches = list(read_samples(recording, session, session.pipeline, Topics("joint_states", "odom"), tracked))
-    for samples in batches:
-        session.identifier.add(samples)
-    estimate = session.identifier.solve()
-    draw_identification(picture, session, estimate, Samples.concatenate(batches), "the recording")
-    masses = {link["name"]: link["mass"] for link in live["links"]}
-    return max(abs(link.mass / float(masses[link.name]) - 1.0) for link in estimate.links)
 
 
 def _conclude(

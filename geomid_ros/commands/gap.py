@@ -3,32 +3,29 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Sequence
+import math
+from collections.abc import Iterator
 from pathlib import Path
-from tempfile import TemporaryDirectory
+from typing import Any
 
 import click
-import numpy as np
+from rich.console import Console
+from rich.markup import escape
+from rich.table import Table
 
-from geomid_ros.commands.gap_simulation import position_units, simulate_again
-from geomid_ros.commands.gap_tables import print_gap
-from geomid_ros.commands.options import URDF, configured, held_out_share, recording_options
-from geomid_ros.commands.progress import staged, tracked
-from geomid_ros.errors import InputError
-from geomid_ros.files.models.gap_model import model_files, write_model
-from geomid_ros.files.models.gap_results import gap_document, write_gap
-from geomid_ros.files.models.urdf import read_urdf
+import geomid_ros
+from geomid_ros.commands.options import URDF, recording_options
+from geomid_ros.commands.progress import progress_bar
+from geomid_ros.commands.tables import number_columns, plain_table, results_console
 from geomid_ros.gap.result import GapResult
-from geomid_ros.model.effects import ModelEffect
-from geomid_ros.model.samples import Samples
-from geomid_ros.report.gap_page import GapPage, SimulatedAgain, write_gap_page
-from geomid_ros.session.gap import find, gap_session
-from geomid_ros.session.gap_recordings import Bags, Reader, Recordings
-from geomid_ros.session.recordings import Topics
-from geomid_ros.session.session import Session
-from geomid_ros.types import FloatArray
+from geomid_ros.report import gap_words
+from geomid_ros.report.simulated_again import SimulatedAgain
 
-Progress = Callable[[str, float], None]
+_MOST_CANDIDATES = 8
+_MOST_RIVALS = 3
+_MOST_SENTENCES = 4
+_BAR = 24  # characters
+_AFTER, _INERTIAS, _BEFORE = "█", "▓", "░"
 
 
 @click.command()
@@ -51,20 +48,7 @@ Progress = Callable[[str, float], None]
 )
 @click.option("--json", "as_json", is_flag=True, help="Print gap.json instead of tables.")
 def gap(
-    bags: tuple[Path, ...],
-    urdf: Path | None,
-    config: Path | None,
-    model: Path | None,
-    floating_base: bool,
-    wrench: tuple[str, ...],
-    joint_topic: str,
-    odom_topic: str,
-    hold_out: float | None,
-    validate: tuple[Path, ...],
-    simulated: tuple[Path, ...],
-    command: str | None,
-    out: Path,
-    as_json: bool,
+    bags: tuple[Path, ...], urdf: Path | None, model: Path | None, out: Path, as_json: bool, **options: Any
 ) -> None:
     """Find what a simulation lacks.
 
@@ -72,103 +56,126 @@ def gap(
     it to the model and shows how much of the gap that closes on data that were held out. Writes gap.json, report.html,
     and the model: estimate.json, identified.urdf, identified.xml (MJCF) and effects.yaml.
     """
-    urdf = urdf or _urdf_beside(model)
-    configuration = configured(config, model, floating_base, wrench)
-    session = gap_session(read_urdf(urdf), configuration, str(urdf))
-    reader = Reader(session, Topics(joint_topic, odom_topic), tracked)
-    chosen = Bags(bags, held_out_share(hold_out, validate), validate, simulated)
-    recordings = reader.read(chosen)
-    sharp = reader.sharp(chosen)
-    commands = reader.sharp(chosen, command) if command else []
-    with staged() as progress:
-        result = _find(session, recordings, bags, progress)
-        known = session.loaded.refitted(session.model, result.coefficients, result.beside)
-        files = _write(out, session, result.inertias, [*known.beside_inertias, *result.findings])
-        progress("simulating again", 0.0)
-        again, why_not = _simulate_again(session, result, sharp, commands, recordings.cutoff)
-        document = gap_document(result, {simulation.kind: simulation.errors for simulation in again})
-        write_gap(out / "gap.json", document)
-        page = _page(session, result, recordings, [*bags, *validate], again, why_not)
-        write_gap_page(out / "report.html", page, lambda share: progress("drawing", share))
-    if as_json:
-        click.echo(json.dumps(document, indent=2))
-    else:
-        print_gap(result, again, why_not)
-        click.echo(f"\nWritten: {', '.join(map(str, [out / 'report.html', out / 'gap.json', *files]))}")
-
-
-def _urdf_beside(model: Path | None) -> Path:
-    if model is None:
+    if urdf is None and model is None:
         raise click.UsageError("Missing option '--urdf', or '--model' with identified.urdf beside it.")
-    beside = model.parent / "identified.urdf"
-    if not beside.is_file():
-        raise InputError(f"{model}: there is no identified.urdf beside it; give the robot's description with --urdf")
-    return beside
+    with progress_bar() as progress:
+        found = geomid_ros.find_gap(bags, urdf, model=model, progress=progress, **options)
+        files = found.save(out, progress=progress)
+    if as_json:
+        click.echo(json.dumps(found.document, indent=2))
+    else:
+        _print(found)
+        click.echo(f"\nWritten: {', '.join(map(str, files))}")
 
 
-def _find(session: Session, recordings: Recordings, bags: Sequence[Path], progress: Progress) -> GapResult:
-    try:
-        return find(session, recordings.train, recordings.held_out, recordings.cutoff, progress, recordings.simulated)
-    except InputError as error:
-        raise InputError(f"{', '.join(map(str, bags))}: {error}") from error
+def _print(found: geomid_ros.Gap) -> None:
+    """Print the verdict, what was found, the gap of every channel, candidates, and what to record next."""
+    console = results_console()
+    result = found.result
+    _say(console, f"[bold]{result.verdict.upper()}[/bold]  {escape(gap_words.verdict_sentence(result))}")
+    if result.findings:
+        console.print(_findings_table(result))
+    for sentence in _sentences(result):
+        _say(console, escape(sentence))
+    console.print(_channels_table(result))
+    for simulation in found.simulated:
+        console.print(_simulated_table(simulation))
+    if found.not_simulated:
+        _say(console, f"[bold]Not simulated again[/bold]  {escape(found.not_simulated)}")
+    if result.ranking and result.verdict != "no gap":
+        console.print(_candidates_table(result))
+    for joint, times, variables in gap_words.not_explained(result):
+        left = f"{joint}: {gap_words.ratio(times)} times the floor remain, depending on {variables}"
+        _say(console, f"[bold]Not explained[/bold]  {escape(left)}")
+    record = gap_words.to_record(result)
+    if record:
+        _say(console, "\n".join(["[bold]To record next[/bold]", *(f"- {escape(what)}" for what in record)]))
 
 
-def _nominal_inertias(session: Session) -> FloatArray:
-    """Of the identified bodies ``(bodies, 10)``: those of the earlier estimate, or of the URDF where it has none."""
-    nominal = session.model.nominal_inertias
-    known = nominal if session.prior is None else session.prior[: len(nominal)]
-    return np.where(np.isfinite(known), known, nominal).reshape(-1, 10)
+def _say(console: Console, text: str) -> None:
+    console.print(text, highlight=False)
 
 
-def _write(folder: Path, session: Session, inertias: FloatArray, effects: Sequence[ModelEffect]) -> list[Path]:
-    by_name = dict(zip(session.model.body_names, inertias, strict=True))
-    gravity = session.configuration.gravity
-    return write_model(folder, session.model, session.urdf, by_name, effects, gravity)
+def _findings_table(result: GapResult) -> Table:
+    table = plain_table("What was found")
+    table.add_column("effect", no_wrap=True)
+    table.add_column("where", overflow="fold", min_width=16)
+    table.add_column("parameter")
+    number_columns(table, ["value"])
+    table.add_column("confidence")
+    number_columns(table, ["closes", "separable"])
+    for finding in result.findings:
+        names = "\n".join(name.replace("_", " ") for name in finding.parameters)
+        values = "\n".join(gap_words.measured(quantity) for quantity in finding.parameters.values())
+        where = escape(gap_words.place(finding.joint, finding.link))
+        shares = (gap_words.percent(finding.share), gap_words.percent(finding.separability))
+        table.add_row(gap_words.headline(finding.effect), where, names, values, finding.confidence, *shares)
+    return table
 
 
-def _simulate_again(
-    session: Session, result: GapResult, sharp: Sequence[Samples], commands: Sequence[Samples], cutoff: float
-) -> tuple[list[SimulatedAgain], str]:
-    """What was known of the sensors before is corrected in the samples, and so not in these model files."""
-    known = session.loaded
-    fitted = known.refitted(session.model, result.coefficients, result.beside)
-    with TemporaryDirectory() as folder:
-        before, after = Path(folder) / "before", Path(folder) / "after"
-        _write(before, session, _nominal_inertias(session), known.in_samples)
-        _write(after, session, result.inertias, [*fitted.in_samples, *result.findings])
-        files = model_files(before), model_files(after)
-        try:
-            return simulate_again(session.model, result, *files, sharp, commands, cutoff)
-        except InputError as error:  # what was found is worth more than its simulation
-            return [], str(error)
+def _sentences(result: GapResult) -> Iterator[str]:
+    """One of each finding, with its rivals where there are any to choose from; of many findings only of these."""
+    few = len(result.findings) <= _MOST_SENTENCES
+    for finding in result.findings:
+        rivals = [f"{gap_words.title(rival)} (worse by {rival.loss:.1f})" for rival in finding.rivals[:_MOST_RIVALS]]
+        ambiguous = finding.confidence == "ambiguous" and rivals
+        if few or ambiguous:
+            yield f"{finding.sentence}{' Rivals: ' + ', '.join(rivals) + '.' if ambiguous else ''}"
 
 
-def _page(
-    session: Session,
-    result: GapResult,
-    recordings: Recordings,
-    bags: Sequence[Path],
-    again: Sequence[SimulatedAgain],
-    why_not: str,
-) -> GapPage:
-    return GapPage(
-        robot=session.robot.name,
-        recordings=[path.name for path in bags],
-        joints=session.robot.joint_names,
-        units=position_units(session.model),
-        result=result,
-        nominal=_nominal_inertias(session),
-        rigid=_without_findings(session, result, recordings.held_out),
-        known=session.loaded.effects,
-        simulated=again,
-        not_simulated=why_not,
+def _channels_table(result: GapResult) -> Table:
+    table = plain_table("Gap on held-out data, in units of the noise floor (1 is as good as any model can be)")
+    table.add_column("\nchannel", overflow="fold")
+    number_columns(table, ["\nfloor", "\nnominal", "inertias\nonly", "with\neffect", "\nexpected"])
+    table.add_column(
+        f"how far above the floor, logarithmic\n{_AFTER} after {_INERTIAS} inertias only {_BEFORE} nominal"
+    )
+    gaps = (result.gap.before, result.gap.inertias_only, result.gap.after)
+    end = max(2.0, *(gap_words.worst(values) for values in gaps))
+    for k, (name, unit, floor) in enumerate(zip(result.channels, result.units, result.floor, strict=True)):
+        before, inertias, after, expected = (float(values[k]) for values in (*gaps, result.gap.expected))
+        if math.isfinite(before):
+            numbers = (gap_words.ratio(value) for value in (before, inertias, after, expected))
+            table.add_row(escape(name), f"{floor:.2g} {unit}", *numbers, _bar(before, inertias, after, end))
+    return table
+
+
+def _bar(before: float, inertias: float, after: float, end: float) -> str:
+    """Three bars in one line, the shortest in front."""
+    lengths = sorted(
+        (_length(value, end), mark) for value, mark in ((after, _AFTER), (inertias, _INERTIAS), (before, _BEFORE))
+    )
+    return "".join(
+        mark * (length - shorter) for (length, mark), shorter in zip(lengths, _shorter(lengths), strict=True)
     )
 
 
-def _without_findings(session: Session, result: GapResult, held_out: Sequence[Samples]) -> FloatArray:
-    """What the model predicts at the trace's instants without any finding, ``(N, channels)``."""
-    samples = Samples.concatenate(list(held_out))
-    order = np.argsort(samples.stamps, kind="stable")
-    chosen = samples.select(order[np.searchsorted(samples.stamps, result.trace.stamps, sorter=order)])
-    parameters = np.concatenate([result.inertias.ravel(), np.nan_to_num(result.coefficients)])
-    return session.model.predict(chosen, parameters)[1]
+def _shorter(lengths: list[tuple[int, str]]) -> Iterator[int]:
+    yield 0
+    yield from (length for length, _ in lengths[:-1])
+
+
+def _length(value: float, end: float) -> int:
+    return round(_BAR * math.log(max(value, 1.0)) / math.log(end)) if math.isfinite(value) else 0
+
+
+def _simulated_table(simulation: SimulatedAgain) -> Table:
+    how = {"windows": "in short windows", "closed_loop": "in closed loop"}[simulation.kind]
+    table = plain_table(f"Simulated again {how}\n(times the noise)")
+    table.add_column("channel", overflow="fold")
+    number_columns(table, ["before", "after"])
+    for name, before in simulation.errors["before"].items():
+        table.add_row(escape(name), gap_words.ratio(before), gap_words.ratio(simulation.errors["after"][name]))
+    return table
+
+
+def _candidates_table(result: GapResult) -> Table:
+    table = plain_table("Candidates, the best first")
+    table.add_column("candidate", overflow="fold")
+    number_columns(table, ["improves by", "separable", "chosen"])
+    for entry in result.ranking[:_MOST_CANDIDATES]:
+        chosen = "yes" if entry.chosen else ""
+        table.add_row(
+            escape(gap_words.title(entry)), f"{entry.gain:.1f}", gap_words.percent(entry.separability), chosen
+        )
+    return table

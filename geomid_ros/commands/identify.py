@@ -4,20 +4,17 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
 import click
 import numpy as np
+from rich.table import Table
 
-from geomid_ros.commands.options import URDF, configured, held_out_share, recording_options
-from geomid_ros.commands.progress import tracked, working
-from geomid_ros.commands.tables import print_estimate
-from geomid_ros.errors import InputError
-from geomid_ros.files.bags.bag import Bag
-from geomid_ros.files.models.urdf import read_urdf
-from geomid_ros.model.samples import Samples
-from geomid_ros.report.picture import draw_identification
-from geomid_ros.session.recordings import Topics, check_efforts, read_samples
-from geomid_ros.session.session import Session
+import geomid_ros
+from geomid_ros.commands.options import URDF, recording_options
+from geomid_ros.commands.progress import progress_bar
+from geomid_ros.commands.tables import number_columns, plain_table, results_console
+from geomid_ros.estimation.estimate import QUANTITIES, Estimate, LinkEstimate
 
 
 @click.command()
@@ -43,80 +40,120 @@ from geomid_ros.session.session import Session
 def identify(
     bags: tuple[Path, ...],
     urdf: Path,
-    config: Path | None,
-    model: Path | None,
     effects: str | None,
     links: str | None,
-    floating_base: bool,
-    wrench: tuple[str, ...],
-    known: tuple[str, ...],
-    joint_topic: str,
-    odom_topic: str,
-    hold_out: float | None,
-    validate: tuple[Path, ...],
     out: Path,
     as_json: bool,
+    **options: Any,
 ) -> None:
     """Identify link inertias from rosbags.
 
     Reads BAGS (folders, or .mcap and .db3 files) and writes estimate.json, identified.urdf and identification.png. How
     well the result predicts is judged on data that were held out: the end of each bag, or the bags of --validate.
     """
-    chosen = _chosen(effects, links, known)
-    configuration = configured(config, model, floating_base, wrench, **chosen)
-    session = Session(read_urdf(urdf), configuration, str(urdf))
-    topics = Topics(joint_topic, odom_topic)
-    share = held_out_share(hold_out, validate)
-    held_out: list[Samples] = []
-    train: list[Samples] = []
-    for path in bags:
-        _read_bag(path, session, topics, share, train, held_out)
-    for path in validate:
-        _read_bag(path, session, topics, 1.0, train, held_out)
-    if not train:
-        raise InputError(f"{', '.join(map(str, bags))}: too short, nothing is left to identify from")
-    check_efforts(session, train, bags)
-    for samples in train:
-        session.identifier.add(samples)
-    with working("solving"):
-        estimate = session.identifier.solve()
-    held_out_rms = session.rms(held_out, estimate.parameters) if held_out else None
-    document = session.save(out, estimate, held_out_rms)
-    shown = Samples.concatenate(held_out or train)
-    picture = out / "identification.png"
-    with working("drawing"):
-        draw_identification(picture, session, estimate, shown, "held-out data" if held_out else "training data")
+    chosen_effects = [] if effects == "none" else _names(effects)
+    with progress_bar() as progress:
+        found = geomid_ros.identify(
+            bags, urdf, effects=chosen_effects, links=_names(links or None), progress=progress, **options
+        )
+        files = found.save(out, progress=progress)
     if as_json:
-        click.echo(json.dumps(document, indent=2))
+        click.echo(json.dumps(found.document, indent=2))
     else:
-        nominal = session.rms(held_out, session.nominal_parameters) if held_out else estimate.rms_nominal
-        print_estimate(session, estimate, nominal, held_out_rms)
-        if session.loaded.not_predicted:
-            click.echo(f"\n{session.loaded.not_predicted}")
-        click.echo(f"\nWritten: {out / 'estimate.json'}, {out / 'identified.urdf'}, {picture}")
+        _print(found)
+        if found.session.loaded.not_predicted:
+            click.echo(f"\n{found.session.loaded.not_predicted}")
+        click.echo(f"\nWritten: {', '.join(map(str, files))}")
 
 
-def _chosen(effects: str | None, links: str | None, known: tuple[str, ...]) -> dict[str, list[str]]:
-    """Parameters that the options say what to identify with."""
-    values = {}
-    if effects is not None:
-        values["effects"] = [] if effects == "none" else [name.strip() for name in effects.split(",")]
-    if links:
-        values["links"] = [name.strip() for name in links.split(",")]
-    if known:
-        values["known"] = list(known)
-    return values
+def _names(text: str | None) -> list[str] | None:
+    """Names that are separated by commas, if there are any."""
+    return None if text is None else [name.strip() for name in text.split(",")]
 
 
-def _read_bag(
-    path: Path, session: Session, topics: Topics, held_out_share: float, train: list[Samples], held_out: list[Samples]
-) -> None:
-    """Append a bag's samples to ``train``, those of the last share of its time to ``held_out``."""
-    with Bag(path) as bag:
-        batches = list(read_samples(bag, session, session.new_pipeline(), topics, tracked))
-    first, last = int(batches[0].stamps[0]), int(batches[-1].stamps[-1])
-    boundary = last + 1 - round(held_out_share * (last + 1 - first))
-    for samples in batches:
-        for target, chosen in ((train, samples.stamps < boundary), (held_out, samples.stamps >= boundary)):
-            if np.any(chosen):
-                target.append(samples.select(chosen))
+def _print(found: geomid_ros.Identification) -> None:
+    """Print links, effects and how well each channel is predicted, on held-out data where there are any."""
+    console = results_console()
+    estimate = found.estimate
+    state = "converged" if estimate.converged else f"NOT converged ({estimate.reason})"
+    console.print(
+        f"{estimate.rows_accepted} rows, {state} in {estimate.seconds:.1f} s, prior's weight {estimate.gamma:.1e}",
+        highlight=False,
+    )
+    console.print(_links_table(found))
+    if estimate.known:
+        console.print(_known_table(estimate))
+    if estimate.effects:
+        console.print(_effects_table(estimate))
+    console.print(_channels_table(found))
+
+
+def _links_table(found: geomid_ros.Identification) -> Table:
+    """Mass, centre of mass, their standard deviations and where they came from."""
+    model = found.session.model
+    nominal = dict(zip(model.body_names, model.nominal_inertias.reshape(-1, 10)[:, 0], strict=True))
+    table = plain_table("Links")
+    table.add_column("\nlink", overflow="fold", min_width=14)
+    headings = ("mass [kg]\nURDF", "\nidentified", "centre of\nmass [m]", "from\ndata", "dist. to\nprior")
+    number_columns(table, headings)
+    table.add_column("cannot be\ntold alone", min_width=10)
+    for link in found.links:
+        names = "\n".join([link.name, *(f"+ {name}" for name in link.merged)])
+        masses = f"{nominal[link.name]:.3f}", f"{link.mass:.3f} ± {link.std_mass:.3f}"
+        com = "\n".join(f"{c:+.3f} ± {s:.3f}" for c, s in zip(link.com, link.std_com, strict=True))
+        shares = f"{100 * link.from_data:.0f} %", f"{link.distance_from_prior:.2f}"
+        table.add_row(names, *masses, com, *shares, _cannot_tell(link))
+    return table
+
+
+def _cannot_tell(link: LinkEstimate) -> str:
+    if len(link.cannot_tell) == len(QUANTITIES):
+        return "anything"
+    parts = ["mass"] if "mass" in link.cannot_tell else []
+    for letter, name in (("c", "centre of mass"), ("I", "inertia")):
+        group = [quantity for quantity in QUANTITIES if quantity.startswith(letter)]
+        untold = [quantity for quantity in group if quantity in link.cannot_tell]
+        parts += [name] if len(untold) == len(group) else untold
+    return ", ".join(parts)
+
+
+def _known_table(estimate: Estimate) -> Table:
+    table = plain_table("Weighed masses")
+    table.add_column("what", overflow="fold")
+    number_columns(table, ["weighed [kg]", "identified [kg]", "difference [std weighed]"])
+    for known in estimate.known:
+        table.add_row(
+            known.name,
+            f"{known.given:.3f} ± {known.given_std:.3f}",
+            f"{known.mass:.3f} ± {known.std:.3f}",
+            f"{(known.mass - known.given) / known.given_std:+.1f}",
+        )
+    return table
+
+
+def _effects_table(estimate: Estimate) -> Table:
+    """An empty cell where a joint does not have an effect that others have."""
+    names = list(dict.fromkeys(effect.name for effect in estimate.effects))
+    joints = list(dict.fromkeys(effect.joint for effect in estimate.effects))
+    cells = {(effect.name, effect.joint): f"{effect.value:.3g} ± {effect.std:.1g}" for effect in estimate.effects}
+    table = plain_table("Joint effects")
+    table.add_column("joint", overflow="fold")
+    for name in names:
+        units = {effect.unit for effect in estimate.effects if effect.name == name}
+        first, _, second = name.partition("_")
+        number_columns(table, [f"{first}\n{second}\n[{', '.join(sorted(units))}]"])
+    for joint in joints:
+        table.add_row(joint, *(cells.get((name, joint), "") for name in names))
+    return table
+
+
+def _channels_table(found: geomid_ros.Identification) -> Table:
+    table = plain_table("RMS of what remains, on " + ("held-out data" if found.held_out else "the same data"))
+    table.add_column("channel", overflow="fold")
+    number_columns(table, ["unit", "URDF", "identified", "explained"])
+    for channel in found.session.model.channels:
+        before, now = found.rms_nominal[channel.name], found.rms[channel.name]
+        if np.isfinite(now):
+            share = f"{100.0 * (1.0 - now / before):.0f} %" if before > 0 else ""
+            table.add_row(channel.name, channel.unit, f"{before:.3g}", f"{now:.3g}", share)
+    return table

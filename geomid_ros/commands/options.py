@@ -1,4 +1,4 @@
-"""Options that commands which read bags share, and the configuration that they make."""
+"""Options that commands which read bags share."""
 
 from __future__ import annotations
 
@@ -6,9 +6,6 @@ from pathlib import Path
 from typing import Any
 
 import click
-
-from geomid_ros.model.sensors import WrenchSensor
-from geomid_ros.session.configuration import Configuration
 
 URDF: dict[str, Any] = {"type": click.Path(path_type=Path), "help": "The robot's description."}
 
@@ -38,22 +35,3 @@ def recording_options(command: Any) -> Any:
     ):
         command = option(command)
     return command
-
-
-def held_out_share(hold_out: float | None, validate: tuple[Path, ...]) -> float:
-    """The share of each bag that is tested on."""
-    return hold_out if hold_out is not None else (0.0 if validate else 0.3)
-
-
-def configured(
-    config: Path | None, model: Path | None, floating_base: bool, wrench: tuple[str, ...], **values: Any
-) -> Configuration:
-    """The configuration of a parameter file and of options, which win; ``values`` are further parameters."""
-    configuration = Configuration.read(config) if config else Configuration(source="options")
-    if model:
-        values["model"] = str(model)
-    if floating_base:
-        values["floating_base"] = True
-    if wrench:
-        configuration = configuration.with_sensors([WrenchSensor.parse(text) for text in wrench])
-    return configuration.with_values(Configuration(values, "options").given)

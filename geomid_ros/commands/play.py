@@ -35,8 +35,8 @@ def play(bag: Path, rate: float, wait: float, topic: tuple[str, ...], config: Pa
     sensors = Configuration.read(config).sensors if config else []
     named = [*topic, *(sensor.topic for sensor in sensors)]
     count = 0
-    with progress_bar() as bar:
-        task = bar.add_task(f"playing {bag.name}", total=None)
+    with progress_bar() as progress:
+        progress(f"playing {bag.name}", 0.0)
         for count, total in published(bag, rate, wait, named, lambda said: click.echo(printable(said), err=True)):
-            bar.update(task, completed=count, total=total)
+            progress(f"playing {bag.name}", count / total)
     click.echo(f"Published {count} messages of {bag}")

@@ -2,23 +2,33 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
+from xml.etree.ElementTree import Element
 
 import click
 import numpy as np
 
-from geomid_ros.commands.progress import tracked, working
-from geomid_ros.commands.tables import print_prior
+from geomid_ros.commands.progress import progress_bar
+from geomid_ros.commands.tables import number_columns, plain_table, results_console
 from geomid_ros.errors import InputError, unknown_name
 from geomid_ros.files.disk import write_text
 from geomid_ros.files.models.urdf import Inertia, read_urdf, with_inertials
 from geomid_ros.files.shapes.meshes import MeshFinder
 from geomid_ros.files.shapes.shapes import ShapeReader
 from geomid_ros.geometry import pseudo_inertia
+from geomid_ros.model import shapes
 from geomid_ros.model.robot import Robot
 from geomid_ros.model.samples import Samples
-from geomid_ros.model.shape_prior import IMPOSSIBLE, ShapedUrdf, ShapePrior, massless_links, shape_prior
+from geomid_ros.model.shape_prior import (
+    IMPOSSIBLE,
+    LinkPrior,
+    ShapedUrdf,
+    ShapePrior,
+    Solid,
+    massless_links,
+    shape_prior,
+)
 from geomid_ros.model.urdf_tree import UrdfTree
 from geomid_ros.report.prior_picture import PlacedLink, prior_picture
 
@@ -71,15 +81,13 @@ def prior(urdf: Path, mass: float, keep: str | None, package_path: dict[str, Pat
         if name not in robot.links:
             raise unknown_name("link to keep", name, robot.links)
     reader = ShapeReader(MeshFinder(urdf, package_path), str(urdf))
-    replaced = [link for name, link in robot.links.items() if name not in kept]
-    read = {link.get("name", ""): reader.solid(link) for link in tracked(replaced, len(replaced), "reading shapes")}
-    solids = {name: solid for name, solid in read.items() if solid}
+    solids = _solids(reader, {name: link for name, link in robot.links.items() if name not in kept})
     robot.check_staying(solids)
     result = shape_prior(robot.inertials, solids, mass, str(urdf))
     inertias = _inertias(result)
     written = with_inertials(text, inertias)
     write_text(out, written)
-    print_prior(result, kept)
+    _print(result, kept)
     warnings = [*reader.warnings, *_warnings(result, robot.tree)]
     files = [out]
     try:
@@ -88,11 +96,23 @@ def prior(urdf: Path, mass: float, keep: str | None, package_path: dict[str, Pat
         warnings.append(f"geomid identify will refuse this URDF: {error}")
     else:
         files.append(out.with_suffix(".png"))
-        with working("drawing"):
+        with progress_bar() as progress:
+            progress("drawing", 0.0)
             _draw(files[-1], placed, result)
     for warning in warnings:
         click.echo(f"Warning: {warning}", err=True)
     click.echo(f"\nWritten: {', '.join(map(str, files))}")
+
+
+def _solids(reader: ShapeReader, links: dict[str, Element]) -> dict[str, Solid]:
+    """The shapes of these links, of those that have any."""
+    solids = {}
+    with progress_bar() as progress:
+        for index, (name, link) in enumerate(links.items()):
+            progress("reading shapes", index / len(links))
+            if solid := reader.solid(link):
+                solids[name] = solid
+    return solids
 
 
 def _inertias(result: ShapePrior) -> dict[str, Inertia]:
@@ -131,7 +151,40 @@ def _warnings(result: ShapePrior, tree: UrdfTree) -> Iterator[str]:
 def _draw(path: Path, robot: Robot, result: ShapePrior) -> None:
     """The links in the robot's zero pose."""
     none, zero = np.zeros((1, 0)), np.zeros((1, len(robot.joints)))
-    pose = Samples(np.zeros(1, dtype=np.int64), zero, zero, zero, zero, none, none, none, np.zeros((1, 0, 6)))
+    pose = Samples(
+        stamps=np.zeros(1, dtype=np.int64),
+        position=zero,
+        velocity=zero,
+        acceleration=zero,
+        effort=zero,
+        base_pose=none,
+        base_velocity=none,
+        base_acceleration=none,
+        wrenches=np.zeros((1, 0, 6)),
+    )
     frames = robot.link_frames(pose)
     title = f"{robot.name}: {result.mass:.4g} kg in shapes of {result.density:.4g} kg/m³"
     prior_picture(path, title, [PlacedLink(link, *frames[link.name]) for link in result.links])
+
+
+def _print(prior: ShapePrior, kept: Sequence[str]) -> None:
+    """Print the links of a prior that was made from shapes, before and after."""
+    table = plain_table(f"Links filled with {prior.density:.4g} kg/m³")
+    for heading in ("\nlink", "\nshape"):
+        table.add_column(heading, overflow="fold")
+    number_columns(table, ["volume\n[litre]", "mass [kg]\nURDF", "\nprior"])
+    table.add_column("the URDF's\ninertial")
+    for link in prior.links:
+        before = "" if link.before.parameters is None else f"{link.before.mass:.3f}"
+        after = f"{link.mass:.3f}" if link.mass else ""
+        volume = f"{1000.0 * shapes.volume(link.solid.moments):.3f}" if link.solid else ""
+        table.add_row(link.name, _shape(link, kept), volume, before, after, link.verdict or "plausible")
+    table.add_section()
+    table.add_row("together", "", "", f"{prior.mass_before:.3f}", f"{prior.mass:.3f}", "")
+    results_console().print(table)
+
+
+def _shape(link: LinkPrior, kept: Sequence[str]) -> str:
+    if link.name in kept:
+        return "kept as it is"
+    return link.solid.shape if link.solid else "none, stays as it is"

@@ -1,51 +1,31 @@
-"""Progress bars with the time left, on standard error."""
+"""Progress on standard error."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import TypeVar
+from typing import TYPE_CHECKING
 
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
-T = TypeVar("T")
-
-console = Console(stderr=True)
-
-
-def progress_bar(*extra: TextColumn | MofNCompleteColumn) -> Progress:
-    """A bar that vanishes when done; silent where standard error is no terminal."""
-    return Progress(
-        TextColumn("{task.description}"),
-        BarColumn(),
-        *extra,
-        TimeRemainingColumn(),
-        console=console,
-        transient=True,
-        disable=not console.is_terminal,
-    )
-
-
-def tracked(items: Iterable[T], total: int, description: str) -> Iterator[T]:
-    """Pass ``items`` on while a bar shows how many of ``total`` are done."""
-    with progress_bar(MofNCompleteColumn()) as bar:
-        task = bar.add_task(description, total=total)
-        for item in items:
-            yield item
-            bar.advance(task)
+if TYPE_CHECKING:
+    from geomid_ros.session import recordings
 
 
 @contextmanager
-def working(description: str) -> Iterator[None]:
-    """A spinner while something of unknown length goes on."""
-    with console.status(description):
-        yield
+def progress_bar() -> Iterator[recordings.Progress]:
+    """A bar with the time left, which vanishes when done; nothing where standard error is no terminal.
 
+    It yields a function to call with what is being done and the share of it, 0 to 1, that is done. As long as the share
+    is zero the bar only shows that something is going on.
+    """
+    console = Console(stderr=True)
+    columns = TextColumn("{task.description}"), BarColumn(), TimeRemainingColumn()
+    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
+        task = bar.add_task("", total=None)
 
-@contextmanager
-def staged() -> Iterator[Callable[[str, float], None]]:
-    """A bar for work that says what it is doing, and which share of it, 0 to 1, is done."""
-    with progress_bar() as bar:
-        task = bar.add_task("", total=1.0)
-        yield lambda stage, share: bar.update(task, description=stage, completed=share)
+        def show(stage: str, share: float) -> None:
+            bar.update(task, description=stage, completed=share, total=1.0 if share > 0.0 else None)
+
+        yield show

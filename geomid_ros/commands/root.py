@@ -2,19 +2,24 @@
 
 from __future__ import annotations
 
+from importlib import import_module
 from typing import Any
 
 import click
 
 import geomid_ros
-from geomid_ros.commands.demo import demo
-from geomid_ros.commands.export import export
-from geomid_ros.commands.gap import gap
-from geomid_ros.commands.identify import identify
-from geomid_ros.commands.play import play
-from geomid_ros.commands.prior import prior
-from geomid_ros.commands.simulate import simulate
 from geomid_ros.errors import GeomidError
+
+COMMANDS = {
+    "demo": "Watch a robot's inertias being identified live.",
+    "export": "Print an estimate in the terms of other software.",
+    "gap": "Find what a simulation lacks.",
+    "identify": "Identify link inertias from rosbags.",
+    "play": "Publish topics of BAG live.",
+    "prior": "Give a URDF inertials from its shapes.",
+    "simulate": "Record a simulated robot into a new rosbag.",
+}
+"""The first sentence of each command's help, by its name, which is that of its module."""
 
 
 class _Failure(click.ClickException):
@@ -24,6 +29,21 @@ class _Failure(click.ClickException):
 
 
 class _Group(click.Group):
+    """Loads a command only when it is asked for, as that loads all that it needs."""
+
+    def list_commands(self, ctx: click.Context) -> list[str]:  # noqa: ARG002
+        return list(COMMANDS)
+
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:  # noqa: ARG002
+        if cmd_name not in COMMANDS:
+            return None
+        command: click.Command = getattr(import_module(f"geomid_ros.commands.{cmd_name}"), cmd_name)
+        return command
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:  # noqa: ARG002
+        with formatter.section("Commands"):
+            formatter.write_dl(list(COMMANDS.items()))
+
     def invoke(self, ctx: click.Context) -> Any:
         try:
             return super().invoke(ctx)
@@ -35,7 +55,3 @@ class _Group(click.Group):
 @click.version_option(geomid_ros.__version__, prog_name="geomid")
 def root() -> None:
     """Find a robot's true link inertias, from rosbags or while it runs."""
-
-
-for command in (identify, gap, prior, export, play, simulate, demo):
-    root.add_command(command)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import click
 
@@ -60,23 +61,7 @@ Hide a physical effect, alone or with others (repeat the option):
 @click.option("--position-step", default=_DEFAULT.position_step, help="Resolution of positions, in rad or m.")
 @click.option("--effort-step", default=_DEFAULT.effort_step, help="Resolution of efforts, as a share of the limit.")
 def simulate(
-    out: Path,
-    robot: str,
-    hide: tuple[str, ...],
-    duration: float,
-    rate: float,
-    seed: int,
-    motion_seed: int | None,
-    motion: str,
-    period: float,
-    inertia_error: float,
-    wrench: bool,
-    wrench_frame: str | None,
-    wrench_lag: float,
-    commands: bool,
-    noise_time: float,
-    position_step: float,
-    effort_step: float,
+    out: Path, hide: tuple[str, ...], wrench: bool, wrench_frame: str | None, period: float, **options: Any
 ) -> None:
     """Record a simulated robot into a new rosbag.
 
@@ -84,26 +69,10 @@ def simulate(
     that moves has other inertias, and friction, rotor inertia and offsets at every joint, or with --hide nothing but
     what that says. Needs MuJoCo (pip install mujoco).
     """
-    options = SimulationOptions(
-        robot=robot,
-        seed=seed,
-        motion_seed=motion_seed,
-        duration=duration,
-        rate=rate,
-        inertia_error=inertia_error,
-        hide=_requests(hide),
-        wrench_frame=wrench_frame or (WRIST_FRAME if wrench else None),
-        wrench_lag=wrench_lag,
-        commands=commands,
-        noise_time=noise_time,
-        position_step=position_step,
-        effort_step=effort_step,
-        motion=motion,
-        motion_period=period,
-    )
-    with progress_bar() as bar:
-        task = bar.add_task(f"simulating {duration:g} s", total=1.0)
-        result = record(out, options, lambda share: bar.update(task, completed=share))
+    frame = wrench_frame or (WRIST_FRAME if wrench else None)
+    chosen = SimulationOptions(hide=_requests(hide), wrench_frame=frame, motion_period=period, **options)
+    with progress_bar() as progress:
+        result = record(out, chosen, lambda share: progress(f"simulating {chosen.duration:g} s", share))
     click.echo(_written(result, bool(hide)))
 
 

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
@@ -30,6 +30,7 @@ from geomid_ros.report.gap_figures import (
     overlay_picture,
     remainder_picture,
 )
+from geomid_ros.report.simulated_again import SimulatedAgain
 from geomid_ros.types import FloatArray
 
 _MOST_CHANNELS = 6  # whose remainder is drawn
@@ -43,45 +44,14 @@ _TITLES = {"windows": "Forward in short windows", "closed_loop": "In closed loop
 _KINDS = {"before": "nominal", "inertias_only": "inertias only", "after": "with effect"}
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
-class SimulatedAgain:
-    """The robot's simulation before and after, beside what was measured.
-
-    Attributes:
-        kind: How it was simulated.
-        sentence: The same in words.
-        errors: {before, after} by channel, in units of the noise floor.
-        joints, units: The columns.
-        times: ``(N,)`` [s].
-        measured, before, after: ``(N, joints)``, NaN where a new simulation begins.
-        seconds: How much is shown at most.
-    """
-
-    kind: Literal["windows", "closed_loop"]
-    sentence: str
-    errors: Mapping[str, Mapping[str, float]]
-    joints: Sequence[str]
-    units: Sequence[str]
-    times: FloatArray
-    measured: FloatArray
-    before: FloatArray
-    after: FloatArray
-    seconds: float = 10.0
-
-
-@dataclass(frozen=True, eq=False, kw_only=True)
+@dataclass(frozen=True, kw_only=True, eq=False)
 class GapPage:
-    """The content of the page.
+    """What the page is made of.
 
-    Attributes:
-        robot, recordings: Names.
-        joints, units: The columns of the trace's motion, with the units of their positions, rad or m.
-        result: What the workflow found.
-        nominal: Inertias ``(bodies, 10)`` of the result's bodies in the model file.
-        rigid: ``(N, channels)``, what the final model predicts on the trace without any named effect.
-        known: Effects that the model had before.
-        simulated: Simulations.
-        not_simulated: Why there are none, if there are none.
+    ``joints`` with ``units`` (rad or m) of their positions name the columns of the trace's motion. ``nominal
+    (bodies, 10)`` are the model file's inertias of the result's bodies. ``rigid (N, channels)`` is what the final
+    model predicts on the trace without any named effect. ``known`` are effects that the model had before.
+    ``simulated`` are simulations; if there are none, ``not_simulated`` says why.
     """
 
     robot: str

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,9 +13,9 @@ from matplotlib.collections import PolyCollection
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from geomid_ros.files.disk import write_bytes
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.model.shape_prior import LinkPrior
+from geomid_ros.report.sheet import write_picture
 from geomid_ros.types import FloatArray, IntArray
 
 _SIZE, _DPI = (12.0, 8.0), 130
@@ -65,9 +64,7 @@ def prior_picture(path: Path, title: str, links: Sequence[PlacedLink]) -> None:
         Line2D([], [], color=_URDF, ls="--", label="the same, of the URDF's inertial"),
     ]
     figure.legend(handles=handles, loc="outside lower center", ncols=3, frameon=False)
-    buffer = io.BytesIO()
-    figure.savefig(buffer, format="png", metadata={"Software": None})
-    write_bytes(path, buffer.getvalue())
+    write_picture(path, figure)
 
 
 def _draw(axes: Axes, links: Sequence[PlacedLink], view: FloatArray) -> None:

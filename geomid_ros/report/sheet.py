@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import io
+from pathlib import Path
 from typing import TypeAlias
 
 import numpy as np
@@ -9,6 +11,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.font_manager import FontProperties
 from matplotlib.textpath import text_to_path
+
+from geomid_ros.files.disk import write_bytes
 
 Place: TypeAlias = tuple[float, float, float, float]
 """Left, top, width, height [inch]."""
@@ -20,6 +24,13 @@ SIZE = (17.0, 10.0)  # [inch]
 # vermilion.
 INK, FAINT, URDF, IDENTIFIED = "#1a1a1a", "#6b7075", "#9a9fa5", "#d55e00"
 NONE = "—"
+
+
+def write_picture(path: Path, figure: Figure) -> None:
+    """Write a figure as the PNG ``path``, which appears whole or not at all."""
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format="png", metadata={"Software": None})
+    write_bytes(path, buffer.getvalue())
 
 
 def add_axes(figure: Figure, place: Place, share: Axes | None = None) -> Axes:

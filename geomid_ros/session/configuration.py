@@ -1,4 +1,7 @@
-"""The one table of parameters: the node declares them, the command line reads the same YAML file."""
+"""The one table of parameters.
+
+The node declares it, the command line reads the same YAML file, and ``make docs`` writes it into docs/reference.md.
+"""
 
 from __future__ import annotations
 
@@ -26,10 +29,13 @@ T = TypeVar("T")
 
 @dataclass(frozen=True)
 class Parameter:
-    """A parameter: name, default (its type is the parameter's), description, and for numbers the closed range.
+    """A parameter of the node.
 
-    In names ``*`` stands for the name of a joint, a channel or a wrench sensor; such parameters exist as often as they
-    are set.
+    Attributes:
+        name: full name; ``*`` in it stands for the name of a joint, a channel or a wrench sensor.
+        default: its type is the parameter's.
+        description: what it does, with its unit.
+        minimum, maximum: the closed range of a number.
     """
 
     name: str
@@ -91,7 +97,7 @@ _BY_NAME = {parameter.name: parameter for parameter in PARAMETERS}
 
 
 def find_parameter(name: str) -> Parameter:
-    """The parameter that a full name belongs to; an unknown one is answered with the valid ones."""
+    """The parameter that a full name belongs to. Raises InputError with the valid names for an unknown one."""
     if name in _BY_NAME:
         return _BY_NAME[name]
     first, _, rest = name.partition(".")
@@ -111,9 +117,14 @@ class Configuration:
     """Checked parameters, and the settings of the lower floors that they make."""
 
     def __init__(self, values: Mapping[str, Any] | None = None, source: str = "parameters") -> None:
-        """``values`` by full name; what is not given has its default. Parameters of ROS itself are passed over.
+        """Check the values that do not depend on the robot.
 
-        Raises InputError naming ``source`` and the key, for all that is wrong whatever the robot.
+        Args:
+            values: parameters by full name; what is not given has its default. Those of ROS itself are ignored.
+            source: where they are from, for messages.
+
+        Raises:
+            InputError: a parameter is unknown or has a wrong value; ``source`` and the key are named.
         """
         self.source = source
         own = {name: value for name, value in (values or {}).items() if not name.startswith(_OF_ROS)}
@@ -122,7 +133,7 @@ class Configuration:
 
     @staticmethod
     def read(path: Path) -> Configuration:
-        """Read a ROS parameter file."""
+        """Read a ROS parameter file (YAML). Raises InputError naming the file and the key."""
         return Configuration(read_parameter_file(path), str(path))
 
     def with_values(self, values: Mapping[str, Any]) -> Configuration:

@@ -1,9 +1,9 @@
-"""What the node and ``geomid gap`` share: from a session to samples for the gap workflow, and to what it finds."""
+"""The gap workflow for a session: from recordings, or from what the node remembers, to what is found."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import replace
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -16,26 +16,51 @@ from geomid_ros.gap.settings import CUTOFF, GapSettings
 from geomid_ros.gap.workflow import find_gap
 from geomid_ros.model.samples import Samples
 from geomid_ros.session.configuration import Configuration
+from geomid_ros.session.recordings import HELD_OUT, Progress, divided
 from geomid_ros.session.session import Session
 from geomid_ros.signals.pipeline import JOINT_STATES, Accepted, SignalPipeline
 
-HELD_OUT = 0.3
-"""Share of a recording's time, at the end, that is judged on."""
 CUTOFF_PER_RATE = 0.4
 """The highest cutoff, as a share of the messages' rate."""
 MESSAGES_FOR_RATE = 64
-"""So many at the beginning tell the rate."""
+"""The rate is that of so many messages at the beginning."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Recordings:
+    """Samples for the gap workflow, one element per recording.
+
+    Attributes:
+        cutoff: low-pass of the samples [Hz].
+        train: what is fitted.
+        held_out: what is judged on.
+        simulated: what the user's simulator did, if it was recorded.
+    """
+
+    cutoff: float
+    train: Sequence[Samples]
+    held_out: Sequence[Samples]
+    simulated: Sequence[Samples] = ()
 
 
 def effects_of(model: Path | None) -> list[str]:
-    """The effects that a model has already; of the others it is to be found out whether they are missing."""
+    """Names of the effects that a model has already: the workflow looks for the others."""
     if model is None:
         return []
     return list(dict.fromkeys(str(entry["name"]) for entry in read_estimate(model)["effects"]))
 
 
 def gap_session(urdf: str, configuration: Configuration, source: str) -> Session:
-    """A session whose model has the effects of the configured ``model`` and no others."""
+    """A session whose model has the effects of the configured ``model`` and no others.
+
+    Args:
+        urdf: text of the robot description.
+        configuration: parameters; ``effects`` of it are replaced.
+        source: where the description is from, for messages.
+
+    Raises:
+        InputError: these do not fit together.
+    """
     model = configuration["model"]
     return Session(urdf, configuration.with_values({"effects": effects_of(Path(model) if model else None)}), source)
 
@@ -47,7 +72,7 @@ def rate(stamps: Sequence[int]) -> float:
 
 
 def gap_cutoff(session: Session, rate: float) -> float:
-    """The low-pass [Hz] of recordings with ``rate`` joint messages per second: the configured one, or what that
+    """The low-pass [Hz] of recordings with ``rate`` joint messages per second: the configured one, or what the rate
     allows."""
     if "filter.cutoff" in session.configuration.given:
         return float(session.configuration["filter.cutoff"])
@@ -55,48 +80,36 @@ def gap_cutoff(session: Session, rate: float) -> float:
 
 
 def gap_pipeline(session: Session, cutoff: float) -> SignalPipeline:
-    """A pipeline that makes samples for the gap workflow."""
+    """A pipeline with a low-pass of ``cutoff`` [Hz] that makes samples for the gap workflow."""
     settings = replace(session.configuration.signals(session.robot.joint_names), cutoff=cutoff)
     return session.new_pipeline(settings, library_columns(session.model))
 
 
-def divided(samples: Samples, share: float) -> tuple[Samples, Samples]:
-    """The samples before the last ``share`` of their time, and those in it."""
-    end = int(samples.stamps[-1]) + 1
-    early = samples.stamps < end - round(share * (end - int(samples.stamps[0])))
-    return samples.select(early), samples.select(~early)
+def find(session: Session, recordings: Recordings, progress: Progress) -> GapResult:
+    """Run :func:`~geomid_ros.gap.workflow.find_gap` with the session's model and what is known of it.
 
-
-def find(
-    session: Session,
-    train: Sequence[Samples],
-    held_out: Sequence[Samples],
-    cutoff: float,
-    progress: Callable[[str, float], None],
-    simulated: Sequence[Samples] = (),
-) -> GapResult:
-    """What :func:`~geomid_ros.gap.workflow.find_gap` finds with the session's model."""
-    settings = GapSettings(cutoff=cutoff)
+    Raises:
+        InputError: the recordings are too short, without motion or without anything measured.
+    """
     return find_gap(
         session.model,
-        train,
-        held_out,
-        settings,
+        recordings.train,
+        recordings.held_out,
+        GapSettings(cutoff=recordings.cutoff),
         nominal=session.prior,
         deviations=session.loaded.deviations(session.model),
         known=session.loaded.information(session.model),
         beside=session.loaded.beside_coefficients,
-        simulated=simulated,
+        simulated=recordings.simulated,
         progress=progress,
     )
 
 
-def find_in_messages(
-    session: Session, messages: Sequence[Accepted], progress: Callable[[str, float], None]
-) -> GapResult:
-    """The same in what another pipeline has accepted, the last part of which is judged on.
+def find_in_messages(session: Session, messages: Sequence[Accepted], progress: Progress) -> GapResult:
+    """Run the workflow on messages that another pipeline has accepted; the last part of them is judged on.
 
-    Raises InputError when too little was measured.
+    Raises:
+        InputError: too little was measured.
     """
     first = [stamp for topic, stamp, _ in messages if topic == JOINT_STATES][:MESSAGES_FOR_RATE]
     cutoff = gap_cutoff(session, rate(first))
@@ -110,5 +123,5 @@ def find_in_messages(
             f"too short: no usable samples in {len(messages)} messages, which are fewer than the filter's window takes "
             "or their topics do not overlap; half a minute of motion is needed"
         )
-    train, held_out = divided(samples, HELD_OUT)
-    return find(session, [train], [held_out], cutoff, progress)
+    ((train, held_out),) = divided([samples], HELD_OUT)
+    return find(session, Recordings(cutoff=cutoff, train=[train], held_out=[held_out]), progress)

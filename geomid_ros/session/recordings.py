@@ -1,11 +1,11 @@
-"""Samples from bags."""
+"""Samples from bags: what is fitted, and what is held out to judge on."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import TypeAlias
 
 import numpy as np
 
@@ -16,13 +16,17 @@ from geomid_ros.session.session import Session
 from geomid_ros.signals.messages import MESSAGE_TYPES, feed_joint_state, feed_odometry, feed_wrench
 from geomid_ros.signals.pipeline import SignalPipeline
 
-Tracked: TypeAlias = Callable[[Iterable[Any], int, str], Iterable[Any]]
-"""Passes items on and shows how many of a total are done, under a description."""
+HELD_OUT = 0.3
+"""Share of a recording's time, at the end, that is judged on unless the user says otherwise."""
+
+_MOST_HELD_OUT = 0.9
+
+Progress: TypeAlias = Callable[[str, float], None]
+"""Called with what is being done and the share of it, 0 to 1, that is done."""
 
 
-def untracked(items: Iterable[Any], total: int, description: str) -> Iterable[Any]:  # noqa: ARG001
-    """Shows nothing."""
-    return items
+def silent(stage: str, share: float) -> None:
+    """Show no progress."""
 
 
 @dataclass(frozen=True)
@@ -34,14 +38,89 @@ class Topics:
     joint_option: str = "--joint-topic"
 
 
+@dataclass(frozen=True, kw_only=True)
+class Bags:
+    """Which bags to read, and how.
+
+    Args:
+        fitted: bags to fit.
+        validate: bags to judge on.
+        hold_out: share of each fitted bag's time, at the end, to judge on as well, 0 to 0.9; None for
+            :data:`HELD_OUT`, or for nothing if there are bags to validate on.
+        topics: topics of the joint states and of the base's pose.
+
+    Raises:
+        InputError: there is no bag, or ``hold_out`` is out of range.
+    """
+
+    fitted: Sequence[Path]
+    validate: Sequence[Path] = ()
+    hold_out: float | None = None
+    topics: Topics = Topics("joint_states", "odom")
+
+    def __post_init__(self) -> None:
+        if not self.fitted:
+            raise InputError("no bag is given")
+        if not 0.0 <= self.share <= _MOST_HELD_OUT:
+            raise InputError(f"the share to hold out is {self.share:g}, expected a number from 0 to {_MOST_HELD_OUT:g}")
+
+    @property
+    def share(self) -> float:
+        """Share of each fitted bag's time that is held out."""
+        return self.hold_out if self.hold_out is not None else (0.0 if self.validate else HELD_OUT)
+
+    @property
+    def shares(self) -> list[tuple[Path, float]]:
+        """Every bag with the share of it that is held out."""
+        return [*((path, self.share) for path in self.fitted), *((path, 1.0) for path in self.validate)]
+
+
+def divided(batches: Sequence[Samples], share: float) -> list[tuple[Samples, Samples]]:
+    """Divide one recording into what is fitted and what is held out.
+
+    Args:
+        batches: its samples in the order of time, in one piece or in several.
+        share: how much of its time, at the end, is held out, 0 to 1.
+
+    Returns:
+        Of each piece the samples before and after the boundary; either may be empty.
+    """
+    end = int(batches[-1].stamps[-1]) + 1
+    boundary = end - round(share * (end - int(batches[0].stamps[0])))
+    early = [samples.stamps < boundary for samples in batches]
+    return [(samples.select(first), samples.select(~first)) for samples, first in zip(batches, early, strict=True)]
+
+
+def read_bags(session: Session, bags: Bags, progress: Progress = silent) -> tuple[list[Samples], list[Samples]]:
+    """Read all bags with the session's settings.
+
+    Returns:
+        The samples to fit and those to judge on, in batches as they became ready.
+
+    Raises:
+        InputError: a bag cannot be used, or nothing is left to fit.
+    """
+    train: list[Samples] = []
+    held_out: list[Samples] = []
+    for path, share in bags.shares:
+        with Bag(path) as bag:
+            batches = list(read_samples(bag, session, session.new_pipeline(), bags.topics, progress))
+        for early, late in divided(batches, share):
+            train += [early] if len(early) else []
+            held_out += [late] if len(late) else []
+    check_measured(session, train, bags.fitted)
+    return train, held_out
+
+
 def read_samples(
-    bag: Bag, session: Session, pipeline: SignalPipeline, topics: Topics, tracked: Tracked = untracked
+    bag: Bag, session: Session, pipeline: SignalPipeline, topics: Topics, progress: Progress = silent
 ) -> Iterator[Samples]:
     """The samples of a recording, as they become ready. Raises InputError when there are none."""
     names = _resolved_topics(bag, session, topics)
-    messages = bag.messages(list(names))
+    total = bag.count(list(names))
     ready = 0
-    for topic, _, message in tracked(messages, bag.count(list(names)), f"reading {bag.path.name}"):
+    for index, (topic, _, message) in enumerate(bag.messages(list(names))):
+        progress(f"reading {bag.path.name}", index / max(total, 1))
         kind, name = names[topic]
         if kind == "joint_states":
             feed_joint_state(pipeline, message)
@@ -81,8 +160,14 @@ def _why_no_samples(bag: Bag, session: Session, pipeline: SignalPipeline) -> str
     return f"{bag.path}: no usable samples. " + "; ".join(reasons) + f". The URDF's moving joints: {joints}"
 
 
-def check_efforts(session: Session, train: Sequence[Samples], bags: Sequence[Path]) -> None:
-    """Refuse data in which nothing that the model predicts was measured."""
+def check_measured(session: Session, train: Sequence[Samples], bags: Sequence[Path]) -> None:
+    """Refuse data that are none, or in which nothing that the model predicts was measured.
+
+    Raises:
+        InputError: it names the ``bags`` that the data are from.
+    """
+    if not any(map(len, train)):
+        raise InputError(f"{', '.join(map(str, bags))}: too short, nothing is left to identify from")
     if all(np.all(np.isnan(session.model.rows(samples).targets)) for samples in train):
         channels = ", ".join(channel.name for channel in session.model.channels)
         raise InputError(

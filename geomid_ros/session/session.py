@@ -1,9 +1,9 @@
-"""What the node and the command line share: from a robot description and a configuration to an identifier and back."""
+"""A robot under identification: from its description and a configuration to an identifier, and back to files."""
 
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
@@ -30,11 +30,23 @@ from geomid_ros.types import FloatArray
 
 
 class Session:
-    """A robot under identification: its model, its signal pipeline and its identifier."""
+    """A robot under identification: its model, its signal pipeline and its identifier.
+
+    The node, the command line and notebooks all identify by means of it.
+    """
 
     def __init__(self, urdf: str, configuration: Configuration, source: str, ledger: Ledger | None = None) -> None:
-        """``source`` names the description in messages, ``ledger`` is told what becomes of every message. Raises
-        InputError for what does not fit together."""
+        """Build the model that description and configuration ask for.
+
+        Args:
+            urdf: text of the robot description.
+            configuration: parameters.
+            source: where the description is from, for messages.
+            ledger: told what becomes of every message.
+
+        Raises:
+            InputError: these do not fit together.
+        """
         self.urdf = urdf
         self.configuration = configuration
         self.loaded = LoadedModel.read(configuration["model"])
@@ -74,7 +86,7 @@ class Session:
 
     @property
     def meaning(self) -> dict[str, Any]:
-        """What the rows mean, by name, as JSON has it: rows of two sessions that agree in it may be added up."""
+        """What the rows depend on, by name, as JSON: rows of two sessions may be added up if they agree in it."""
         loaded, joints = self.loaded, self.robot.joint_names
         signals = loaded.signals(SignalSettings(), joints)
         corrections = {
@@ -99,8 +111,14 @@ class Session:
         on_accepted: Callable[[str, int, FloatArray], None] = ignore,
         ledger: Ledger | None = None,
     ) -> SignalPipeline:
-        """A pipeline without a past, for another recording of the same robot; with the configuration's settings and the
-        columns of the model's effects unless others are given."""
+        """A fresh pipeline, for another recording of the same robot.
+
+        Args:
+            settings: the configuration's, unless given.
+            effect_columns: the columns to compute; those of the model's effects, unless given.
+            on_accepted: called with every message that is accepted.
+            ledger: told what becomes of every message.
+        """
         joints = self.robot.joint_names
         return SignalPipeline(
             joints,
@@ -124,12 +142,16 @@ class Session:
         return np.sqrt(np.divide(squares, counts, out=np.full_like(squares, np.nan), where=counts > 0))
 
     def checkpoint(self) -> Checkpoint:
-        """All that is known so far, to be written down."""
+        """All that is known so far, to be written to disk."""
         return Checkpoint(self.meaning, self.identifier.memory(), self.pipeline.ledger.topics, self.warm, self._solving)
 
     def restore(self, checkpoint: Checkpoint) -> None:
-        """Go on from the rows of a checkpoint of the same meaning, and from its estimate, if that was made as it would
-        be made here. Raises InputError, and changes nothing, if they do not fit."""
+        """Continue from the rows of a checkpoint of the same meaning, and from its estimate if it was solved for in the
+        same way.
+
+        Raises:
+            InputError: they do not fit; nothing is changed then.
+        """
         warm = checkpoint.warm
         if warm is not None and warm.parameters.shape != (self.model.dimension,):
             raise InputError(f"an estimate of {warm.parameters.size} parameters, expected {self.model.dimension}")
@@ -138,16 +160,28 @@ class Session:
 
     @property
     def _solving(self) -> str:
-        """What a solve depends on beside the rows, as a checksum."""
+        """A checksum of what a solve depends on beside the rows."""
         settings = self.configuration.estimator([channel.name for channel in self.model.channels])
         prior = self.prior
         text = f"{settings} {prior.tolist() if prior is not None else None}"
         return hashlib.sha256(text.encode(errors="replace")).hexdigest()
 
-    def save(self, folder: Path, estimate: Estimate, held_out: FloatArray | None = None) -> Mapping[str, Any]:
-        """Write ``estimate.json`` and ``identified.urdf`` into ``folder``; returns the former's document."""
-        rejected = dict(self.identifier.rows_rejected)
-        document = estimate_document(estimate, rejected, held_out, self.loaded.effects)
-        write_text(folder / "identified.urdf", with_identified_inertias(self.urdf, estimate.links))
-        write_estimate(folder / "estimate.json", document)
-        return document
+    def document(self, estimate: Estimate, held_out: FloatArray | None = None) -> dict[str, Any]:
+        """The document of ``estimate.json``.
+
+        Args:
+            estimate: what was found.
+            held_out: RMS residual of each channel on held-out data ``(channels,)``, if there are any.
+        """
+        return estimate_document(estimate, dict(self.identifier.rows_rejected), held_out, self.loaded.effects)
+
+    def identified_urdf(self, estimate: Estimate) -> str:
+        """The robot description with the estimated inertias; every other character of it is kept."""
+        return with_identified_inertias(self.urdf, estimate.links)
+
+    def save(self, folder: Path, estimate: Estimate, held_out: FloatArray | None = None) -> list[Path]:
+        """Write ``estimate.json`` and ``identified.urdf`` into ``folder``; returns their paths."""
+        document, description = folder / "estimate.json", folder / "identified.urdf"
+        write_text(description, self.identified_urdf(estimate))
+        write_estimate(document, self.document(estimate, held_out))
+        return [document, description]

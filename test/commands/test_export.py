@@ -12,8 +12,9 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from files.recordings import BAGS
+from matplotlib.figure import Figure
 
-from geomid_ros.commands import identify as command
+from geomid_ros.api import identify as front_door
 
 from .running import WRIST, done, geomid, identify, refused
 
@@ -27,7 +28,7 @@ def estimates(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     """The small arm, with and without the sensor at its wrist."""
     found = {}
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(command, "draw_identification", lambda *_: None)
+        patch.setattr(front_door, "draw_identification", lambda *_: Figure())
         for name, sensor in {"wrist": WRIST, "torques": ()}.items():
             folder = tmp_path_factory.mktemp(name)
             done(*identify("arm3", *sensor, "--out", folder))
@@ -77,7 +78,7 @@ def test_descriptions_show_every_link_with_how_sure_it_is(estimates: dict[str, P
 def test_what_was_picked_up_is_found_by_the_torques(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The arm alone, then the last link alone from there on: their difference is what was hidden at the flange."""
     pytest.importorskip("mujoco")
-    monkeypatch.setattr(command, "draw_identification", lambda *_: None)
+    monkeypatch.setattr(front_door, "draw_identification", lambda *_: Figure())
     recording = ("--robot", "arm7", "--duration", "15", "--seed", "5")
     done("simulate", tmp_path / "bare", *recording, "--hide", "nothing")
     done("simulate", tmp_path / "held", *recording, "--hide", "payload:flange")

@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 import pytest
 from files.recordings import BAGS
+from matplotlib.figure import Figure
 
-from geomid_ros.commands import identify as command
+from geomid_ros.api import identify as front_door
 from geomid_ros.files.models.urdf import read_urdf
 from geomid_ros.model.effects import DEFAULT_EFFECTS
 from geomid_ros.model.robot import Robot
@@ -83,7 +84,7 @@ def test_the_urdf_holds_the_estimate(run: tuple[str, Path, str]) -> None:
 @pytest.fixture(autouse=True)
 def without_picture(monkeypatch: pytest.MonkeyPatch) -> None:
     """Drawing takes longer than all the rest; the fixtures of the module draw nevertheless."""
-    monkeypatch.setattr(command, "draw_identification", lambda *_: None)
+    monkeypatch.setattr(front_door, "draw_identification", lambda *_: Figure())
 
 
 @pytest.fixture(scope="module")
@@ -199,6 +200,21 @@ def test_an_estimate_is_started_from(tmp_path: Path) -> None:
         assert after["mass"] == pytest.approx(before["mass"], rel=1e-3)
         assert after["distance_from_prior"] < 1e-3
     assert link(again, "wrist_ft")["mass"] != pytest.approx(0.5, rel=0.05), "the URDF's"
+
+
+def test_an_effect_that_only_some_joints_have(tmp_path: Path) -> None:
+    """The model knows it at one joint, and it is not identified everywhere: the others' cells are empty."""
+    small(tmp_path / "a", "--effects", "viscous_friction")
+    document = read(tmp_path / "a")
+    document["effects"] = [entry for entry in document["effects"] if entry["joint"] == "joint2"]
+    (tmp_path / "a/estimate.json").write_text(json.dumps(document))
+    options = ("--model", tmp_path / "a/estimate.json", "--effects", "coulomb_friction")
+    text = done(*identify("arm3", *options, "--out", tmp_path / "b"))
+    found = {(entry["name"], entry["joint"]) for entry in read(tmp_path / "b")["effects"]}
+    assert found == {("viscous_friction", "joint2"), *(("coulomb_friction", f"joint{k}") for k in (1, 2, 3))}
+    lines = map(str.strip, text.partition("Joint effects")[2].partition("RMS of what remains")[0].splitlines())
+    cells = {line.split()[0]: line.count("±") for line in lines if "±" in line}
+    assert cells == {"joint1": 1, "joint2": 2, "joint3": 1}
 
 
 def test_a_single_file_of_a_bag_gives_the_same(plain: dict[str, Any], tmp_path: Path) -> None:

@@ -8,10 +8,21 @@ from typing import Literal
 
 import numpy as np
 
-from geomid_ros.gap.result import Finding, Gap, GapResult, Located, Ranked, Rival, Trace, Unexplained, Verdict
+from geomid_ros.gap.result import (
+    Finding,
+    Gap,
+    GapResult,
+    Located,
+    Quantity,
+    Ranked,
+    Rival,
+    Trace,
+    Unexplained,
+    Verdict,
+)
 from geomid_ros.geometry import pseudo_inertia
-from geomid_ros.model.effects import Quantity
-from geomid_ros.report.gap_page import GapPage, SimulatedAgain
+from geomid_ros.report.gap_page import GapPage
+from geomid_ros.report.simulated_again import SimulatedAgain
 from geomid_ros.types import FloatArray
 
 FLOOR = 0.05  # [N m]
@@ -27,7 +38,6 @@ def gap_page(case: Case, joints: Sequence[str], *, wrench: bool = False, simulat
     rigid = result.trace.after - _effect(case, result.trace, len(joints) // 2, len(result.channels))
     again = (_simulated_again(joints, result.trace),) if simulated else ()
     units = ["rad"] * len(joints)
-    why = "" if simulated else "MuJoCo has the day off"
     return GapPage(
         robot="an arm",
         recordings=("monday", "tuesday"),
@@ -37,7 +47,7 @@ def gap_page(case: Case, joints: Sequence[str], *, wrench: bool = False, simulat
         nominal=nominal,
         rigid=rigid,
         simulated=again,
-        not_simulated=why,
+        not_simulated="" if simulated else "MuJoCo has the day off",
     )
 
 

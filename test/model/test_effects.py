@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 from geomid_ros.model import effects
-from geomid_ros.model.effects import DEFAULT_EFFECTS, EFFECTS, PHYSICAL_EFFECTS, Effect, JointMotion
+from geomid_ros.model.effects import DEFAULT_EFFECTS, EFFECTS, Effect, JointMotion
 from geomid_ros.model.effects.effect import PhysicalEffect
 
-FUNCTIONS_OF_MOTION = {name: cls for name, cls in PHYSICAL_EFFECTS.items() if issubclass(cls, Effect)}
+FUNCTIONS_OF_MOTION = {name: cls for name, cls in EFFECTS.items() if issubclass(cls, Effect)}
 # What files/urdf.py and files/mjcf.py write: attributes of a joint by themselves, elements by code of their own.
 WRITTEN = {
     "urdf": r"|dynamics/(damping|friction)|link/inertial",
@@ -25,11 +25,11 @@ WRITTEN = {
 def test_every_file_is_known() -> None:
     contracts = {"__init__", "effect", "parameters", "situation"}
     files = {path.stem for path in Path(effects.__file__).parent.glob("*.py")} - contracts
-    assert {cls.__module__.rpartition(".")[2] for cls in PHYSICAL_EFFECTS.values()} == files
-    assert files == set(PHYSICAL_EFFECTS)
+    assert {cls.__module__.rpartition(".")[2] for cls in EFFECTS.values()} == files
+    assert files == set(EFFECTS)
 
 
-@pytest.mark.parametrize("effect", PHYSICAL_EFFECTS.values(), ids=PHYSICAL_EFFECTS)
+@pytest.mark.parametrize("effect", EFFECTS.values(), ids=EFFECTS)
 def test_an_effect_describes_itself(effect: type[PhysicalEffect]) -> None:
     for text in (effect.label, effect.meaning, effect.settled_by):
         assert re.fullmatch(r"\S.*[^\s.]", text), f"{text!r} stands within a sentence"

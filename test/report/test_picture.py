@@ -12,14 +12,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from geomid_ros.errors import GeomidError
-from geomid_ros.report import ellipsoids, picture, robot_drawing, series_drawing, sheet
+from geomid_ros.report import ellipsoids, robot_drawing, series_drawing, sheet
+from geomid_ros.report.drawing import identification_figure
 from geomid_ros.report.ellipsoids import BodyDrawing, Ellipsoid
-from geomid_ros.report.picture import identification_picture
 from geomid_ros.report.series_drawing import Series
+from geomid_ros.report.sheet import write_picture
 
 POINT = Ellipsoid(np.zeros(3), np.zeros(3), np.eye(3), 0.0)
 NOWHERE = Ellipsoid(np.full(3, np.nan), np.full(3, np.nan), np.eye(3), np.nan)
@@ -54,12 +54,13 @@ def is_whole_picture(path: Path) -> bool:
     return data[:8] == b"\x89PNG\r\n\x1a\n" and struct.unpack(">II", data[16:24]) == size and b"IEND" in data[-12:]
 
 
-def drawn(monkeypatch: pytest.MonkeyPatch, path: Path, bodies: list[BodyDrawing], series: list[Series]) -> Figure:
+def identification_picture(path: Path, title: str, bodies: list[BodyDrawing], series: list[Series], note: str) -> None:
+    write_picture(path, identification_figure(title, bodies, series, note))
+
+
+def drawn(bodies: list[BodyDrawing], series: list[Series]) -> Figure:
     """The figure behind the picture."""
-    figures: list[Figure] = []
-    monkeypatch.setattr(picture, "FigureCanvasAgg", lambda figure: figures.append(figure) or FigureCanvasAgg(figure))
-    identification_picture(path, "title", bodies, series, "note")
-    return figures[0]
+    return identification_figure("title", bodies, series, "note")
 
 
 def texts(figure: Figure) -> list[str]:
@@ -130,16 +131,16 @@ def test_pyplot_is_not_imported(tmp_path: Path) -> None:
     subprocess.run([sys.executable, "-c", code], check=True, env=os.environ | {"PYTHONPATH": folders})
 
 
-def test_the_most_improved_channels_are_shown_in_their_order(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_most_improved_channels_are_shown_in_their_order() -> None:
     series = [channel(f"joint{k}", error) for k, error in enumerate(np.linspace(1.5, 0.1, 20))]
-    figure = drawn(monkeypatch, tmp_path / "p.png", chain(1), series)
+    figure = drawn(chain(1), series)
     assert list(panels(figure)) == [f"joint{k} [N m]" for k in range(8, 20)]
     assert panels(figure)["joint19 [N m]"] == "RMS 1.00 → 0.100"
     assert any("fell in 13 of 20 channels, rose in 7; the 12 with" in text for text in texts(figure))
 
 
-def test_table_has_name_masses_and_share(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    said = [text.strip() for text in texts(drawn(monkeypatch, tmp_path / "p.png", chain(4), channels(1)))]
+def test_table_has_name_masses_and_share() -> None:
+    said = [text.strip() for text in texts(drawn(chain(4), channels(1)))]
     for expected in ("link3", "2.00", "2.20", "75 %"):
         assert expected in said
 

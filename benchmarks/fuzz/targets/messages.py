@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 
 from benchmarks.fuzz.target import require
+from geomid_ros.commands.demo import shared_file
 from geomid_ros.errors import GeomidError
-from geomid_ros.files.shared_files import shared_file
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.session import Session
 from geomid_ros.signals.messages import feed_joint_state, feed_odometry, feed_wrench

@@ -12,9 +12,9 @@ import numpy as np
 
 from benchmarks.fuzz.mutations import NUMBERS, changed_text
 from benchmarks.fuzz.target import require
+from geomid_ros.commands.demo import shared_file
 from geomid_ros.files.models.loaded_model import known_effect
 from geomid_ros.files.models.urdf import with_effects, with_inertials
-from geomid_ros.files.shared_files import shared_file
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.session import Session

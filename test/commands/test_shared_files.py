@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 
 import geomid_ros
+from geomid_ros.commands.demo import shared_file
 from geomid_ros.errors import InputError
-from geomid_ros.files.shared_files import shared_file
 
 ROOT = Path(__file__).parents[2]
 

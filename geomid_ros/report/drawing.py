@@ -1,18 +1,15 @@
-"""The picture of an identification: the robot's bodies before and after, and what was measured against the models."""
+"""The picture of an identification: bodies before and after, and what was measured against the models."""
 
 from __future__ import annotations
 
-import io
 import textwrap
 from collections.abc import Sequence
-from pathlib import Path
 
 import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from geomid_ros.estimation.estimate import Estimate
-from geomid_ros.files.disk import write_bytes
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.model.samples import Samples
 from geomid_ros.report.ellipsoids import BodyDrawing, Ellipsoid
@@ -26,14 +23,13 @@ _LEFT, _TITLE_WIDTH = 0.25, 9.7  # [inch]
 _NOTE_TOP = 9.48
 
 
-def draw_identification(path: Path, session: Session, estimate: Estimate, samples: Samples, of_what: str) -> None:
+def draw_identification(session: Session, estimate: Estimate, samples: Samples, of_what: str) -> Figure:
     """Draw bodies, before and after, in a pose of ``samples``, and the channels over the samples' time.
 
     ``of_what`` says which data the samples are.
     """
     middle = samples.select(slice(len(samples) // 2, len(samples) // 2 + 1))
-    identification_picture(
-        path,
+    return identification_figure(
         f"{session.robot.name}: identified link inertias",
         _bodies(session, estimate, middle),
         _series(session, estimate, samples),
@@ -41,10 +37,8 @@ def draw_identification(path: Path, session: Session, estimate: Estimate, sample
     )
 
 
-def identification_picture(
-    path: Path, title: str, bodies: Sequence[BodyDrawing], series: Sequence[Series], note: str
-) -> None:
-    """Draw bodies and channels into the PNG ``path``, which appears whole or not at all."""
+def identification_figure(title: str, bodies: Sequence[BodyDrawing], series: Sequence[Series], note: str) -> Figure:
+    """Draw bodies and channels."""
     figure = Figure(figsize=SIZE, dpi=DPI, facecolor="white")
     FigureCanvasAgg(figure)
     heading = shortened(title, _TITLE_WIDTH, 17.0, "bold")
@@ -54,9 +48,7 @@ def identification_picture(
     if bodies:
         draw_bodies(figure, bodies)
     draw_series(figure, series)
-    buffer = io.BytesIO()
-    figure.savefig(buffer, format="png", metadata={"Software": None})
-    write_bytes(path, buffer.getvalue())
+    return figure
 
 
 def _bodies(session: Session, estimate: Estimate, pose: Samples) -> list[BodyDrawing]:

@@ -1,51 +1,52 @@
-"""Simulations of held-out data from the model files before and after, for the gap's report."""
+"""Simulations of held-out data before and after, as the gap's page shows them."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from importlib.util import find_spec
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 
-from geomid_ros.files.models.gap_model import ModelFiles
-from geomid_ros.gap.result import GapResult
 from geomid_ros.model.measurement import MeasurementModel
-from geomid_ros.model.samples import Samples
-from geomid_ros.report.gap_page import SimulatedAgain
-from geomid_ros.resimulation.closed_loop import ClosedLoop, closed_loop
-from geomid_ros.resimulation.noise import Noise
-from geomid_ros.resimulation.resimulate import Resimulated, resimulate
+from geomid_ros.resimulation.closed_loop import ClosedLoop
+from geomid_ros.resimulation.resimulate import Resimulated
 from geomid_ros.resimulation.windows import HORIZON
+from geomid_ros.session.gap_simulation import Simulations
 from geomid_ros.types import FloatArray
 
-NO_MUJOCO = "MuJoCo is not installed (pip install mujoco)"
 _SECONDS_OF_WINDOWS = 2.0
 
 
-def simulate_again(
-    model: MeasurementModel,
-    result: GapResult,
-    before: ModelFiles,
-    after: ModelFiles,
-    recordings: Sequence[Samples],
-    commands: Sequence[Samples],
-    cutoff: float,
-) -> tuple[list[SimulatedAgain], str]:
-    """Held-out ``recordings`` simulated in short windows, and under their ``commands`` if there are any; and why not,
-    if not. ``cutoff`` [Hz] is that of the result."""
-    if find_spec("mujoco") is None:
-        return [], NO_MUJOCO
-    noise = Noise.of(result)
-    windows = resimulate(model, before, after, recordings, noise)
-    simulations, reasons = [], [windows.skipped]
-    if not windows.skipped:
-        simulations.append(_of_windows(model, windows))
-    if commands:
-        loop = closed_loop(model, before, after, recordings, commands, noise=noise, cutoff=cutoff)
-        reasons.append(loop.skipped and f"in closed loop, {loop.skipped}")
-        if not loop.skipped:
-            simulations.append(_of_loop(model, loop))
-    return simulations, "; ".join(filter(None, reasons))
+@dataclass(frozen=True, kw_only=True, eq=False)
+class SimulatedAgain:
+    """The robot's simulation before and after, beside what was measured.
+
+    Attributes:
+        kind: how it was simulated; ``sentence`` says it in words.
+        errors: {before, after}, each by channel in units of the floor.
+        joints: names of the columns; their ``units``.
+        times: ``(N,)`` [s].
+        measured, before, after: ``(N, joints)``, NaN where a new simulation begins.
+        seconds: at most so many are shown.
+    """
+
+    kind: Literal["windows", "closed_loop"]
+    sentence: str
+    errors: Mapping[str, Mapping[str, float]]
+    joints: Sequence[str]
+    units: Sequence[str]
+    times: FloatArray
+    measured: FloatArray
+    before: FloatArray
+    after: FloatArray
+    seconds: float = 10.0
+
+
+def simulated_again(model: MeasurementModel, simulations: Simulations) -> list[SimulatedAgain]:
+    """The simulations that there are, in short windows first."""
+    windows, loop = simulations.windows, simulations.closed_loop
+    return [*([_of_windows(model, windows)] if windows else []), *([_of_loop(model, loop)] if loop else [])]
 
 
 def _of_windows(model: MeasurementModel, found: Resimulated) -> SimulatedAgain:

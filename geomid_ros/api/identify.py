@@ -1,0 +1,169 @@
+"""From rosbags to the inertias of a robot's links."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from geomid_ros.api.arguments import Config, PathLike, Paths, Texts, configuration, description, paths, texts
+from geomid_ros.estimation.estimate import EffectEstimate, Estimate, LinkEstimate
+from geomid_ros.model.samples import Samples
+from geomid_ros.report.drawing import draw_identification
+from geomid_ros.report.sheet import write_picture
+from geomid_ros.session.recordings import Bags, Progress, Topics, read_bags, silent
+from geomid_ros.session.session import Session
+from geomid_ros.types import FloatArray
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Identification:
+    """What was identified.
+
+    Attributes:
+        session: the robot, its model and its configuration.
+        estimate: all that the solver found.
+        train: the samples that were fitted, in batches.
+        held_out: the samples that were not; empty if nothing was held out.
+    """
+
+    session: Session
+    estimate: Estimate
+    train: Sequence[Samples]
+    held_out: Sequence[Samples]
+
+    @property
+    def links(self) -> tuple[LinkEstimate, ...]:
+        """The links with mass, centre of mass, inertia and their standard deviations."""
+        return self.estimate.links
+
+    @property
+    def effects(self) -> tuple[EffectEstimate, ...]:
+        """The effects' coefficients with their standard deviations."""
+        return self.estimate.effects
+
+    @property
+    def rms(self) -> dict[str, float]:
+        """RMS of what the estimate leaves unexplained, by channel [N m, N]: on held-out data, or on the fitted data if
+        nothing was held out. NaN where nothing was measured."""
+        return self._by_channel(self.estimate.rms if self.held_out_rms is None else self.held_out_rms)
+
+    @cached_property
+    def rms_nominal(self) -> dict[str, float]:
+        """The same of the URDF: its inertias and no effects."""
+        if not self.held_out:
+            return self._by_channel(self.estimate.rms_nominal)
+        return self._by_channel(self.session.rms(self.held_out, self.session.nominal_parameters))
+
+    @cached_property
+    def held_out_rms(self) -> FloatArray | None:
+        """RMS of the residuals on held-out data ``(channels,)``; None if nothing was held out."""
+        return self.session.rms(self.held_out, self.estimate.parameters) if self.held_out else None
+
+    def _by_channel(self, values: FloatArray) -> dict[str, float]:
+        return dict(zip(self.estimate.channels, values.tolist(), strict=True))
+
+    @property
+    def document(self) -> dict[str, Any]:
+        """All numbers, as ``estimate.json`` has them."""
+        return self.session.document(self.estimate, self.held_out_rms)
+
+    def urdf(self) -> str:
+        """The robot description with the identified inertias; every other character of it is kept."""
+        return self.session.identified_urdf(self.estimate)
+
+    def plot(self) -> Figure:
+        """Draw the bodies, before and after, and the channels, measured and predicted."""
+        shown = Samples.concatenate([*(self.held_out or self.train)])
+        of_what = "held-out data" if self.held_out else "training data"
+        return draw_identification(self.session, self.estimate, shown, of_what)
+
+    def save(self, folder: PathLike, *, progress: Progress = silent) -> list[Path]:
+        """Write estimate.json, identified.urdf and identification.png.
+
+        Args:
+            folder: made if it does not exist.
+            progress: called with what is being done.
+
+        Returns:
+            The files.
+
+        Raises:
+            InputError: a file cannot be written.
+        """
+        files = self.session.save(Path(folder), self.estimate, self.held_out_rms)
+        progress("drawing", 0.0)
+        picture = Path(folder) / "identification.png"
+        write_picture(picture, self.plot())
+        return [*files, picture]
+
+    def __repr__(self) -> str:
+        """A line for each link."""
+        state = "converged" if self.estimate.converged else f"NOT converged ({self.estimate.reason})"
+        lines = [
+            f"  {link.name}: {link.mass:.3f} ± {link.std_mass:.3f} kg, {100 * link.from_data:.0f} % from data"
+            for link in self.links
+        ]
+        heading = f"Identification of {self.session.robot.name}: {self.estimate.rows_accepted} rows, {state}"
+        return "\n".join([heading, *lines])
+
+
+def identify(
+    bags: Paths,
+    urdf: PathLike,
+    *,
+    config: Config | None = None,
+    model: PathLike | None = None,
+    effects: Texts | None = None,
+    links: Texts | None = None,
+    known: Texts = (),
+    floating_base: bool = False,
+    wrench: Texts = (),
+    joint_topic: str = "joint_states",
+    odom_topic: str = "odom",
+    hold_out: float | None = None,
+    validate: Paths = (),
+    progress: Progress = silent,
+) -> Identification:
+    """Identify link inertias and joint effects from rosbags.
+
+    How well the result predicts is judged on data that were held out: the end of each bag, or the bags of ``validate``.
+    ``geomid identify`` calls this; its options have the same names.
+
+    Args:
+        bags: rosbag folders, or .mcap and .db3 files.
+        urdf: path or text of the robot description.
+        config: the node's parameter file (YAML), or parameters by their full names.
+        model: an estimate.json to start from.
+        effects: names of the effects to identify at every joint, ``[]`` for none; None for the configured ones.
+        links: names of the only links to identify; None for the configured ones.
+        known: masses that were weighed, as ``LINK=MASS:STD``, ``LINK+LINK=MASS:STD`` or ``total=MASS:STD`` [kg].
+        floating_base: whether the base moves; its pose is read from ``odom_topic``.
+        wrench: wrench sensors, as ``TOPIC:FRAME:ROLE[:AXES]``; ``ROLE`` is mounted or external.
+        joint_topic: topic of the joint states.
+        odom_topic: topic of the base's pose.
+        hold_out: share of each bag's time, at the end, to judge on; None for 0.3, with ``validate`` 0.
+        validate: bags to judge on.
+        progress: called with what is being done and the share of it, 0 to 1, that is done.
+
+    Raises:
+        InputError: a file, an argument or the data cannot be used; the message names it and says what to do.
+    """
+    chosen: dict[str, Any] = {"known": texts(known)} if known else {}
+    chosen |= {name: texts(given) for name, given in (("effects", effects), ("links", links)) if given is not None}
+    parameters = configuration(config, model=model, floating_base=floating_base, wrench=wrench, **chosen)
+    text, source = description(urdf)
+    session = Session(text, parameters, source)
+    topics = Topics(joint_topic, odom_topic)
+    recorded = Bags(fitted=paths(bags), validate=paths(validate), hold_out=hold_out, topics=topics)
+    train, held_out = read_bags(session, recorded, progress)
+    progress("solving", 0.0)
+    for samples in train:
+        session.identifier.add(samples)
+    estimate = session.identifier.solve()
+    return Identification(session=session, estimate=estimate, train=train, held_out=held_out)

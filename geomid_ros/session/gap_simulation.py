@@ -1,0 +1,119 @@
+"""The model with what the gap workflow found, written to files and simulated again."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from importlib.util import find_spec
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+
+from geomid_ros.errors import InputError
+from geomid_ros.files.models.gap_model import ModelFiles, model_files, write_model
+from geomid_ros.gap.result import GapResult
+from geomid_ros.model.effects import ModelEffect
+from geomid_ros.model.samples import Samples
+from geomid_ros.resimulation.closed_loop import ClosedLoop, closed_loop
+from geomid_ros.resimulation.noise import Noise
+from geomid_ros.resimulation.resimulate import Resimulated, resimulate
+from geomid_ros.session.session import Session
+from geomid_ros.types import FloatArray
+
+_NO_MUJOCO = "MuJoCo is not installed (pip install mujoco)"
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Simulations:
+    """Held-out recordings simulated again from the models before and after.
+
+    Attributes:
+        windows: in short windows; None where that could not be done.
+        closed_loop: under the recorded commands; None where that was not asked for or could not be done.
+        skipped: why there is none, or not both.
+    """
+
+    windows: Resimulated | None = None
+    closed_loop: ClosedLoop | None = None
+    skipped: str = ""
+
+
+def write_found(folder: Path, session: Session, result: GapResult) -> list[Path]:
+    """Write the session's model with what was found into ``folder``.
+
+    Returns:
+        The files: estimate.json, identified.urdf, identified.xml (MJCF) and effects.yaml.
+    """
+    known = session.loaded.refitted(session.model, result.coefficients, result.beside)
+    return _write(folder, session, result.inertias, [*known.beside_inertias, *result.findings])
+
+
+def nominal_inertias(session: Session) -> FloatArray:
+    """Inertias of the identified bodies before ``(bodies, 10)``: the earlier estimate's, or the URDF's where it has
+    none."""
+    nominal = session.model.nominal_inertias
+    known = nominal if session.prior is None else session.prior[: len(nominal)]
+    return np.where(np.isfinite(known), known, nominal).reshape(-1, 10)
+
+
+def without_findings(session: Session, result: GapResult, held_out: Sequence[Samples]) -> FloatArray:
+    """What the final model predicts at the instants of the result's trace without any finding, ``(N, channels)``."""
+    samples = Samples.concatenate(list(held_out))
+    order = np.argsort(samples.stamps, kind="stable")
+    chosen = samples.select(order[np.searchsorted(samples.stamps, result.trace.stamps, sorter=order)])
+    parameters = np.concatenate([result.inertias.ravel(), np.nan_to_num(result.coefficients)])
+    return session.model.predict(chosen, parameters)[1]
+
+
+def simulate_again(
+    session: Session, result: GapResult, sharp: Sequence[Samples], commands: Sequence[Samples], cutoff: float
+) -> Simulations:
+    """Simulate held-out recordings from the written models, before and after the findings.
+
+    What was known of the sensors before is corrected in the samples, and so it is not in these models.
+
+    Args:
+        session: the model before.
+        result: what was found.
+        sharp: held-out samples with a high cutoff, one element per recording.
+        commands: the joints' set-points in them, to simulate in closed loop as well; or nothing.
+        cutoff: low-pass [Hz] of the samples that the result is from.
+    """
+    if find_spec("mujoco") is None:
+        return Simulations(skipped=_NO_MUJOCO)
+    known = session.loaded
+    fitted = known.refitted(session.model, result.coefficients, result.beside)
+    with TemporaryDirectory() as folder:
+        before, after = Path(folder) / "before", Path(folder) / "after"
+        _write(before, session, nominal_inertias(session), known.in_samples)
+        _write(after, session, result.inertias, [*fitted.in_samples, *result.findings])
+        files = model_files(before), model_files(after)
+        try:
+            return _simulated(session, Noise.of(result), files, sharp, commands, cutoff)
+        except InputError as error:  # what was found is worth more than its simulation
+            return Simulations(skipped=str(error))
+
+
+def _simulated(
+    session: Session,
+    noise: Noise,
+    files: tuple[ModelFiles, ModelFiles],
+    sharp: Sequence[Samples],
+    commands: Sequence[Samples],
+    cutoff: float,
+) -> Simulations:
+    windows = resimulate(session.model, *files, sharp, noise)
+    loop = closed_loop(session.model, *files, sharp, commands, noise=noise, cutoff=cutoff) if commands else None
+    reasons = [windows.skipped, f"in closed loop, {loop.skipped}" if loop and loop.skipped else ""]
+    return Simulations(
+        windows=None if windows.skipped else windows,
+        closed_loop=None if loop is None or loop.skipped else loop,
+        skipped="; ".join(filter(None, reasons)),
+    )
+
+
+def _write(folder: Path, session: Session, inertias: FloatArray, effects: Sequence[ModelEffect]) -> list[Path]:
+    by_name = dict(zip(session.model.body_names, inertias, strict=True))
+    gravity = session.configuration.gravity
+    return write_model(folder, session.model, session.urdf, by_name, effects, gravity)

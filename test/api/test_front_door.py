@@ -1,0 +1,106 @@
+"""``import geomid_ros``: what it offers, that it loads nothing, and that README's lines do what they say."""
+
+from __future__ import annotations
+
+import ast
+import re
+import subprocess
+import sys
+from contextlib import chdir
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+import pytest
+from files.recordings import BAGS
+from matplotlib.figure import Figure
+
+import geomid_ros
+from geomid_ros.simulation import SimulationOptions, simulate
+from geomid_ros.simulation.hidden import Hidden
+
+ROOT = Path(__file__).parents[2]
+LEVEL = 1.0  # of the friction that is hidden at joint2 [N m]
+
+
+def test_the_import_loads_nothing_else() -> None:
+    script = "import sys; import geomid_ros; print(*(name for name in sys.modules if '.' not in name))"
+    loaded = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True).stdout.split()
+    assert "geomid_ros" in loaded
+    assert set(loaded) <= {"geomid_ros", "__main__"} | set(sys.stdlib_module_names) | set(before()), loaded
+
+
+def before() -> list[str]:
+    """What an interpreter has loaded before it runs anything: files of site-packages may."""
+    script = "import sys; print(*(name for name in sys.modules if '.' not in name))"
+    return subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True).stdout.split()
+
+
+def typed() -> dict[str, str]:
+    """The names that a type checker sees, and the modules that it takes them from."""
+    tree = ast.parse(Path(geomid_ros.__file__).read_text(encoding="utf-8"))
+    (block,) = (node for node in tree.body if isinstance(node, ast.If))
+    return {alias.name: str(node.module) for node in block.body for alias in getattr(node, "names", ())}
+
+
+@pytest.mark.parametrize("name", geomid_ros.__all__)
+def test_every_name_is_what_a_type_checker_takes_it_for(name: str) -> None:
+    value = getattr(geomid_ros, name)
+    assert value is getattr(import_module(typed()[name]), name)
+    assert value.__doc__
+
+
+def test_there_are_no_other_names() -> None:
+    assert typed().keys() == set(geomid_ros.__all__)
+    assert set(geomid_ros.__all__) <= set(dir(geomid_ros))
+    with pytest.raises(AttributeError, match="'geomid_ros' has no attribute 'indentify'"):
+        _ = geomid_ros.indentify
+
+
+@pytest.fixture(scope="module")
+def shown(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
+    """What README's lines leave behind, for a small arm with friction at one joint."""
+    pytest.importorskip("mujoco")
+    folder = tmp_path_factory.mktemp("readme")
+    (folder / "robot.urdf").write_text((BAGS / "arm3.urdf").read_text())
+    hidden = (Hidden("coulomb_friction", "joint2", LEVEL),)
+    simulate(folder / "my_bag", SimulationOptions(robot="arm3", seed=5, duration=15.0, hide=hidden))
+    section = (ROOT / "README.md").read_text(encoding="utf-8").partition("**From Python**")[2]
+    (lines,) = re.findall(r"```python\n(.*?)```", section, re.DOTALL)
+    names: dict[str, Any] = {"folder": folder}
+    with chdir(folder):
+        exec(lines, names)
+    return names
+
+
+def test_the_friction_is_identified(shown: dict[str, Any]) -> None:
+    found = shown["found"]
+    levels = {effect.joint: effect for effect in found.effects if effect.name == "coulomb_friction"}
+    assert levels["joint2"].value == pytest.approx(LEVEL, rel=0.05)
+    assert levels["joint1"].value < 0.05 * LEVEL
+    assert found.rms.keys() == found.rms_nominal.keys() == {"joint1", "joint2", "joint3"}
+    assert found.rms["joint2"] < 0.1 * found.rms_nominal["joint2"]
+
+
+def test_the_friction_is_named(shown: dict[str, Any]) -> None:
+    gap = shown["gap"]
+    assert gap.verdict == "named"
+    assert (gap.findings[0].effect, gap.findings[0].joint) == ("coulomb_friction", "joint2")
+    assert gap.findings[0].parameters["level"].value == pytest.approx(LEVEL, rel=0.05)
+    assert gap.findings[0].sentence in repr(gap)
+
+
+def test_what_is_written(shown: dict[str, Any]) -> None:
+    folder = shown["folder"]
+    names = {path.name for path in (folder / "geomid_out").iterdir()}
+    assert names == {"estimate.json", "identified.urdf", "identification.png"}
+    assert (folder / "geomid_out/identified.urdf").read_text() == shown["found"].urdf()
+    assert "Coulomb friction" in (folder / "report.html").read_text()
+
+
+def test_a_figure_and_a_line_for_each_link(shown: dict[str, Any]) -> None:
+    found = shown["found"]
+    assert isinstance(found.plot(), Figure)
+    heading, *lines = repr(found).splitlines()
+    assert heading == f"Identification of arm3: {found.estimate.rows_accepted} rows, converged"
+    assert [line.split(":")[0].strip() for line in lines] == [link.name for link in found.links]

@@ -1,0 +1,114 @@
+"""``geomid_ros.identify``: what it accepts, and that it says the same as the command."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+from commands.running import WRIST, done, identify
+from files.recordings import BAGS
+from matplotlib.figure import Figure
+
+import geomid_ros
+from geomid_ros.api import identify as module
+from geomid_ros.session.configuration import Configuration
+
+BAG, URDF = BAGS / "arm3", BAGS / "arm3.urdf"
+
+
+def document(*arguments: Any, **options: Any) -> dict[str, Any]:
+    """What is found, as JSON has it, without how long it took."""
+    found = json.loads(json.dumps(geomid_ros.identify(*arguments, **options).document))
+    return {key: value for key, value in found.items() if key != "seconds"}
+
+
+@pytest.fixture(scope="module")
+def plain() -> dict[str, Any]:
+    return document(BAG, URDF)
+
+
+def test_it_says_the_same_as_the_command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(module, "draw_identification", lambda *_: Figure())
+    options = ("--hold-out", "0.2", "--effects", "effort_offset", "--links", "link3,wrist_ft", "--known", "link3=1:0.1")
+    printed = json.loads(done(*identify("arm3", *WRIST, *options, "--json", "--out", tmp_path)))
+    own = document(
+        [BAG],
+        URDF,
+        wrench=WRIST[1],
+        hold_out=0.2,
+        effects="effort_offset",
+        links=["link3", "wrist_ft"],
+        known="link3=1:0.1",
+    )
+    assert own == {key: value for key, value in printed.items() if key != "seconds"}
+
+
+@pytest.mark.parametrize("urdf", [str(URDF), URDF.read_text()], ids=["a path as text", "the text of the URDF"])
+def test_descriptions(urdf: str, plain: dict[str, Any]) -> None:
+    assert document(str(BAG), urdf) == plain
+
+
+@pytest.fixture
+def configurations(tmp_path: Path) -> dict[str, Any]:
+    """One and the same configuration, in every way to give it."""
+    values = {"effects": ["effort_offset"], "filter.cutoff": 4.0}
+    (tmp_path / "node.yaml").write_text(json.dumps({"/**": {"ros__parameters": values}}))
+    path = tmp_path / "node.yaml"
+    return {"path": path, "text": str(path), "names": values, "object": Configuration(values)}
+
+
+def test_configurations(configurations: dict[str, Any], plain: dict[str, Any]) -> None:
+    first, *others = (document(BAG, URDF, config=config) for config in configurations.values())
+    assert all(other == first for other in others)
+    assert first["effects"] != plain["effects"]
+    wins = document(BAG, URDF, config=configurations["names"], effects=[])
+    assert wins["effects"] == []
+
+
+def test_bags_to_validate_on(plain: dict[str, Any]) -> None:
+    """With them nothing of the other is held out."""
+    whole = geomid_ros.identify(BAG, URDF, validate=[BAG])
+    assert whole.estimate.rows_accepted > 1.3 * plain["rows"]["accepted"]
+    assert sum(map(len, whole.held_out)) == sum(map(len, whole.train))
+
+
+def test_without_held_out_data_the_fitted_ones_are_judged() -> None:
+    found = geomid_ros.identify(BAG, URDF, hold_out=0.0)
+    assert list(found.held_out) == []
+    assert found.document["rms"]["held_out"] is None
+    assert list(found.rms.values()) == found.estimate.rms.tolist()
+    assert list(found.rms_nominal.values()) == found.estimate.rms_nominal.tolist()
+
+
+def test_progress_is_told() -> None:
+    told: list[tuple[str, float]] = []
+    geomid_ros.identify(BAG, URDF, progress=lambda stage, share: told.append((stage, share)))
+    assert list(dict.fromkeys(stage for stage, _ in told)) == ["reading arm3", "solving"]
+    shares = [share for stage, share in told if stage == "reading arm3"]
+    assert shares == sorted(shares)
+    assert 0.0 == shares[0] < 0.9 < shares[-1] <= 1.0
+
+
+REFUSED: dict[str, tuple[Callable[[], object], str]] = {
+    "no bag": (lambda: geomid_ros.identify([], URDF), "no bag is given"),
+    "a share": (lambda: geomid_ros.identify(BAG, URDF, hold_out=1.5), r"hold out is 1.5, expected .* 0 to 0.9"),
+    "an effect": (lambda: geomid_ros.identify(BAG, URDF, effects="friction"), "options: effects: unknown effect"),
+    "a parameter": (lambda: geomid_ros.identify(BAG, URDF, config={"filter.cutof": 3.0}), "config: unknown parameter"),
+    "a description": (lambda: geomid_ros.identify(BAG, "<sdf/>"), "robot description: not a URDF"),
+    "no model": (lambda: geomid_ros.find_gap(BAG), "a robot description is missing: give urdf, or model"),
+    "no simulation": (
+        lambda: geomid_ros.find_gap(BAG, URDF, simulated=[BAG, BAG]),
+        "2 recordings of a simulator for 1 bags",
+    ),
+    "too short": (lambda: geomid_ros.find_gap(BAG, URDF), r"arm3: too short: \d+ independent instants"),
+}
+
+
+@pytest.mark.parametrize("case", REFUSED)
+def test_what_cannot_be_used_is_refused(case: str) -> None:
+    act, message = REFUSED[case]
+    with pytest.raises(geomid_ros.InputError, match=message):
+        act()
