@@ -13,7 +13,7 @@ from geomid_ros.gap.result import GapResult
 from geomid_ros.report.gap_words import verdict_sentence
 from geomid_ros.session.gap import find_in_messages
 from geomid_ros.session.session import Session
-from geomid_ros.signals.pipeline import Accepted
+from geomid_ros.signals.messages import Accepted
 
 _PATIENCE = 0.2  # [s] for a search to notice that it is to end
 

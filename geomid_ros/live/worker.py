@@ -8,8 +8,7 @@ import time
 from collections import Counter, deque
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
-from typing import Any, TypeAlias
+from typing import TypeAlias
 
 import numpy as np
 
@@ -23,8 +22,7 @@ from geomid_ros.monitoring.changed_sensors import sensor_channels
 from geomid_ros.monitoring.wrench_check import WrenchCheck
 from geomid_ros.session.session import Session
 from geomid_ros.signals.ledger import count_reason
-from geomid_ros.signals.messages import feed_joint_state, feed_odometry, feed_wrench
-from geomid_ros.signals.pipeline import JOINT_STATES, ODOM, Accepted
+from geomid_ros.signals.messages import Accepted, Message
 from geomid_ros.types import FloatArray
 
 _LONGEST_WAIT = 0.75  # [s] while a message has waited for so long, those that come are dropped, and counted
@@ -39,12 +37,26 @@ OnEstimate: TypeAlias = Callable[[Session, Estimate], None]
 
 
 @dataclass(frozen=True)
-class _Message:
+class _Received:
     """A message that waits, and when [s] it came."""
 
-    topic: str
-    feed: Callable[[], None]
-    received: float
+    message: Message
+    time: float
+
+
+@dataclass(frozen=True)
+class _Reset:
+    """All rows are to be forgotten."""
+
+
+@dataclass(frozen=True)
+class _FinalEstimate:
+    """Somebody waits for an estimate from all messages so far."""
+
+    done: Done
+
+
+_Task: TypeAlias = _Received | _Reset | _FinalEstimate
 
 
 class Worker:
@@ -68,7 +80,7 @@ class Worker:
         self._sensors = sensor_channels(session.model)
         self._begin_check()
         self._last_taken = time.perf_counter()  # when what the intake took last was received, or later
-        self._inbox: queue.SimpleQueue[_Message | Callable[[], None] | None] = queue.SimpleQueue()
+        self._inbox: queue.SimpleQueue[_Task | None] = queue.SimpleQueue()
         # A daemon: the process may end while it computes.
         self._intake = threading.Thread(target=self._take_messages, name="geomid-intake", daemon=True)
         self._intake.start()
@@ -89,29 +101,27 @@ class Worker:
                 task = self._inbox.get_nowait()
             except queue.Empty:
                 break
-            if isinstance(task, _Message):
-                self.ledger.drop(task.topic, "the node ends, or begins anew")
+            if isinstance(task, _Received):
+                self.ledger.drop(task.message.topic, "the node ends, or begins anew")
         self._inbox.put(None)
 
-    def joint_state(self, message: Any) -> None:
-        """Take a joint message."""
-        self._put(JOINT_STATES, partial(feed_joint_state, self.session.pipeline, message))
-
-    def odometry(self, message: Any) -> None:
-        """Take the base's pose."""
-        self._put(ODOM, partial(feed_odometry, self.session.pipeline, message))
-
-    def wrench(self, topic: str, message: Any) -> None:
-        """Take a wrench of the sensor declared with ``topic``."""
-        self._put(topic, partial(feed_wrench, self.session.pipeline, topic, message))
+    def take(self, message: Message) -> None:
+        """Put a message into the queue, or drop it while others have waited there for too long."""
+        now = time.perf_counter()
+        if self._inbox.empty():
+            self._last_taken = now
+        elif now - self._last_taken > _LONGEST_WAIT:
+            self.ledger.drop(message.topic, "queue full")
+            return
+        self._inbox.put(_Received(message, now))
 
     def reset(self) -> None:
         """Forget all rows and the estimate, after the messages that wait."""
-        self._put_task(self._forget)
+        self._put(_Reset())
 
     def final_estimate(self, done: Done) -> None:
         """Solve from scratch for all messages received so far; ``done`` gets the result in the solver's thread."""
-        self._put_task(lambda: self.solver.ask(done))
+        self._put(_FinalEstimate(done))
 
     def recent_messages(self) -> list[Accepted]:
         """What the session remembers of the last messages; where a gap has opened, since then.
@@ -119,7 +129,7 @@ class Worker:
         Before and after it were two robots, and no one effect explains both.
         """
         begin = max((gap.since + _TRANSITION for gap in self.solver.gaps if gap.since is not None), default=0)
-        return [entry for entry in self.session.recent.entries() if entry[1] >= begin]
+        return [message for message in self.session.recent.entries() if message.stamp >= begin]
 
     @property
     def estimate(self) -> Estimate | None:
@@ -170,19 +180,10 @@ class Worker:
         limit = self._longest_solve if what == SOLVING else _LONG
         return f"{what} takes {seconds:.0f} s so far, more than {limit:g} s" if seconds > limit else ""
 
-    def _put_task(self, task: Callable[[], None]) -> None:
+    def _put(self, task: _Reset | _FinalEstimate) -> None:
         if self._inbox.empty():
             self._last_taken = time.perf_counter()
         self._inbox.put(task)
-
-    def _put(self, topic: str, feed: Callable[[], None]) -> None:
-        now = time.perf_counter()
-        if self._inbox.empty():
-            self._last_taken = now
-        elif now - self._last_taken > _LONGEST_WAIT:
-            self.ledger.drop(topic, "queue full")
-            return
-        self._inbox.put(_Message(topic, feed, now))
 
     def _take_messages(self) -> None:
         while (task := self._inbox.get()) is not None:
@@ -191,24 +192,26 @@ class Worker:
             except Exception as error:  # noqa: BLE001 the thread must outlive anything; what happened is reported
                 self._fail("the intake failed", error)
 
-    def _do(self, task: _Message | Callable[[], None]) -> None:
-        if isinstance(task, _Message):
-            self._last_taken = task.received
-            with self.duty.on(task.topic):
-                self._take(task)
+    def _do(self, task: _Task) -> None:
+        if isinstance(task, _Reset):
+            self._forget()
+        elif isinstance(task, _FinalEstimate):
+            self.solver.ask(task.done)
         else:
-            task()
+            self._last_taken = task.time
+            with self.duty.on(task.message.topic):
+                self._take(task.message, task.time)
 
-    def _take(self, message: _Message) -> None:
+    def _take(self, message: Message, received: float) -> None:
         """Let a message end in the ledger, and the rows that it completes in the identifier."""
         try:
-            message.feed()
+            self.session.pipeline.push(message)
         except Exception as error:  # noqa: BLE001 the thread must outlive any message; what happened is reported
             self.ledger.drop(message.topic, f"{type(error).__name__} while taking a message")
             self._fail(f"a message on {message.topic} could not be taken", error)
         samples = self.session.pipeline.collect()
         if samples is not None:
-            self._add(samples, message.received)
+            self._add(samples, received)
 
     def _add(self, samples: Samples, received: float) -> None:
         estimate, identifier = self.solver.estimate, self.session.identifier

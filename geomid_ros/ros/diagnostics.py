@@ -18,7 +18,7 @@ from geomid_ros.live.status import Status
 from geomid_ros.monitoring.change_detection import ChannelGap
 from geomid_ros.report.gap_words import not_explained
 from geomid_ros.signals.joint_messages import DRIVER_ERROR
-from geomid_ros.signals.pipeline import JOINT_STATES
+from geomid_ros.signals.messages import JOINT_STATES
 
 NO_DESCRIPTION = "no robot description yet"
 STOPPED = "stopped"

@@ -24,6 +24,7 @@ from rosbags.typesys import Stores, get_typestore
 
 from geomid_ros.errors import InputError
 from geomid_ros.signals.ledger import Ledger
+from geomid_ros.signals.messages import Message, message_type, parse
 
 _typestore = get_typestore(Stores.ROS2_JAZZY)
 _MOST_AT_ONCE = 1000  # messages of a topic, before others have their turn
@@ -50,15 +51,23 @@ class Inputs:
         self._numbers: dict[str, int] = {}  # that the publishers gave their last messages
         self._policies: dict[str, str] = {}  # that publishers were last incompatible in
 
-    def listen(self, kind: type, name: str, take: Callable[[Any], str], several: bool = False) -> None:
-        """Subscribe to data. ``take(message)`` gives the reason why it does not take a message, or nothing.
+    def listen(self, kind: type, name: str, take: Callable[[Message], str], several: bool = False) -> None:
+        """Subscribe to data, and parse every message as it comes.
 
-        The messages are those of rosbags, with the attributes of ``kind``: rclpy takes thrice as long to make a wrench.
-        While there is more than one publisher, unless ``several`` is as it should be, nobody knows which one to
-        believe: nothing is taken. Raises InputError for a name that is none.
+        The bytes are read by rosbags: rclpy takes thrice as long to make a wrench. While there is more than one
+        publisher, nobody knows which one to believe: nothing is taken.
+
+        Args:
+            kind: class of the messages.
+            name: of the topic.
+            take: takes a message, and gives the reason if it does not, else nothing.
+            several: more than one publisher is as it should be.
+
+        Raises:
+            InputError: the name is none that a topic can have.
         """
 
-        type_name = f"{kind.__module__.partition('.')[0]}/msg/{kind.__name__}"
+        type_name = message_type(name)
 
         def take_or_drop(data: bytes, info: dict[str, Any]) -> None:
             ambiguous = self._ambiguous(entry)
@@ -67,7 +76,7 @@ class Inputs:
                 self._ledger.drop(name, "several publishers")
                 return
             try:
-                message = _typestore.deserialize_cdr(data, type_name)
+                message = parse(name, _typestore.deserialize_cdr(data, type_name))
             except Exception:  # noqa: BLE001 whatever bytes of another form make the code for this type raise
                 self._ledger.reject(name, f"not a valid {type_name}")
                 return

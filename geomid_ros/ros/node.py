@@ -6,7 +6,6 @@ from collections import Counter
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
-from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import WrenchStamped
@@ -36,13 +35,9 @@ from geomid_ros.ros.starting import starting_ros
 from geomid_ros.session.gap import gap_session
 from geomid_ros.session.session import Session
 from geomid_ros.signals.ledger import Ledger, count_reason
-from geomid_ros.signals.pipeline import JOINT_STATES, ODOM
+from geomid_ros.signals.messages import JOINT_STATES, ODOM, Message
 
 _CHANGED = "the robot description has changed; it is used after ~/reset"
-
-
-def _take_wrench(topic: str, worker: Worker, message: WrenchStamped) -> None:
-    worker.wrench(topic, message)
 
 
 class GeomidNode(Node):
@@ -77,11 +72,11 @@ class GeomidNode(Node):
         self._serve("find_gap", self._find_gap)
         # In a group of its own: others of the same group would wait as long as the disk, messages too.
         self.create_service(Trigger, "~/save", self._save, callback_group=MutuallyExclusiveCallbackGroup())
-        self._listen(JointState, JOINT_STATES, Worker.joint_state, several=self._configuration["merge_joint_states"])
+        self._inputs.listen(JointState, JOINT_STATES, self._take, several=self._configuration["merge_joint_states"])
         if self._configuration["floating_base"]:
-            self._listen(Odometry, ODOM, Worker.odometry)
+            self._inputs.listen(Odometry, ODOM, self._take)
         for sensor in self._configuration.sensors:
-            self._listen(WrenchStamped, sensor.topic, partial(_take_wrench, sensor.topic))
+            self._inputs.listen(WrenchStamped, sensor.topic, self._take)
         # On the steady clock: simulated time may stand still, and that is when one wants to hear why.
         self.create_timer(1.0, self._publish_diagnostics, clock=Clock(clock_type=ClockType.STEADY_TIME))
         # Last, as it starts threads: from here on nothing fails that would leave them behind.
@@ -94,16 +89,14 @@ class GeomidNode(Node):
     def _worker(self) -> Worker | None:
         return self._identification.worker
 
-    def _listen(self, kind: type, topic: str, take: Callable[[Worker, Any], None], several: bool = False) -> None:
-        def take_or_tell_why_not(message: Any) -> str:
-            if self._worker is None:
-                return NO_DESCRIPTION
-            if not self._active:
-                return STOPPED
-            take(self._worker, message)
-            return ""
-
-        self._inputs.listen(kind, topic, take_or_tell_why_not, several)
+    def _take(self, message: Message) -> str:
+        """Take a message, or say why not."""
+        if self._worker is None:
+            return NO_DESCRIPTION
+        if not self._active:
+            return STOPPED
+        self._worker.take(message)
+        return ""
 
     def _serve(self, name: str, act: Callable[[], tuple[bool, str]]) -> None:
         """Offer a service; whoever calls has an answer, even when it fails."""

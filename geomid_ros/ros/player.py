@@ -21,7 +21,7 @@ from rclpy.utilities import try_shutdown
 from geomid_ros.errors import InputError, unknown_name
 from geomid_ros.files.bags.bag import Bag
 from geomid_ros.ros.starting import starting_ros
-from geomid_ros.signals.pipeline import JOINT_STATES, ODOM
+from geomid_ros.signals.messages import JOINT_STATES, ODOM
 
 _READ = (JOINT_STATES, ODOM, "robot_description", "/clock")  # by geomid, whatever is configured
 _LATCHED = ("robot_description", "tf_static")

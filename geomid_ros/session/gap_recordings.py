@@ -15,7 +15,7 @@ from geomid_ros.session.gap import CUTOFF_PER_RATE, MESSAGES_FOR_RATE, divided, 
 from geomid_ros.session.gap_twin import check_twin
 from geomid_ros.session.recordings import Topics, Tracked, check_efforts, read_samples, untracked
 from geomid_ros.session.session import Session
-from geomid_ros.signals.messages import MESSAGE_TYPES, stamp_of
+from geomid_ros.signals.messages import JOINT_STATES, message_type, parse
 
 
 @dataclass(frozen=True)
@@ -93,5 +93,5 @@ class Reader:
 
     def _first_stamps(self, path: Path) -> list[int]:
         with Bag(path) as bag:
-            topic = bag.find_topic(self.topics.joint_states, MESSAGE_TYPES["joint_states"], "--joint-topic")
-            return [stamp_of(m.header) for _, _, m in islice(bag.messages([topic]), MESSAGES_FOR_RATE)]
+            topic = bag.find_topic(self.topics.joint_states, message_type(JOINT_STATES), "--joint-topic")
+            return [parse(JOINT_STATES, m).stamp for _, _, m in islice(bag.messages([topic]), MESSAGES_FOR_RATE)]

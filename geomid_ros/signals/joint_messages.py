@@ -1,11 +1,14 @@
-"""What joint messages say, checked: numbers in the robot's order of joints, and whether efforts can be believed."""
+"""What joint messages say: numbers in the robot's order of joints, and whether efforts can be believed."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections import deque
+from collections.abc import Callable, Iterator, Sequence
+from typing import TypeAlias
 
 import numpy as np
 
+from geomid_ros.signals.messages import JointMessage
 from geomid_ros.types import BoolArray, FloatArray, IntArray
 
 DRIVER_ERROR = "driver error: "
@@ -16,13 +19,17 @@ _SATURATED, _FEWEST = 50_000_000, 6  # [ns], messages: as long as a saturated ef
 _FAR, _FLATTER = 9, 3  # steps of its sensor below the largest; how much longer than from there it takes to be so long
 _MOSTLY = 0.75  # the share of its messages in which an effort that is cut off is the largest, at most
 _NEVER = -(2**60)  # the number of a message
+_MOST_WAITING = 10_000  # messages of a part, while another is silent
+
+Part: TypeAlias = tuple[str, ...]
+"""The robot's joints that come together, in the robot's order."""
 
 
 class RejectedError(Exception):
     """A message that cannot be used; its text is the reason that is counted."""
 
 
-def usable(values: FloatArray) -> BoolArray:
+def plausible(values: FloatArray) -> BoolArray:
     """False for NaN, infinity and numbers that no robot measures."""
     result: BoolArray = np.abs(values) < _LARGEST_NUMBER
     return result
@@ -45,7 +52,7 @@ class JointReader:
         self._max_gap = max_gap
         self._note = note
         self._noted: set[str] = set()
-        self._names: list[str] = []
+        self._names: tuple[str, ...] = ()
         self._order = np.zeros(len(joints), dtype=np.int64)
         self._largest = np.full(len(joints), np.finfo(np.float64).tiny)  # efforts that are zero are none
         self._step = np.full(len(joints), np.inf)  # smallest change of an effort, its sensor's resolution at most
@@ -74,33 +81,31 @@ class JointReader:
         lost = (self._effort_stamps == 0) | (self._stamp - self._effort_stamps > self._max_gap)
         return tuple(joint for joint, gone in zip(self._joints, lost, strict=True) if gone)
 
-    def read(
-        self,
-        stamp: int,
-        names: Sequence[str],
-        position: Sequence[float],
-        velocity: Sequence[float],
-        effort: Sequence[float],
-    ) -> FloatArray:
-        """Positions, velocities and efforts ``(3 joints,)``, NaN where an effort or a velocity is not measured.
+    def read(self, message: JointMessage) -> FloatArray:
+        """What a message says, in the robot's order of joints.
 
-        Raises RejectedError for a message that cannot be used.
+        Returns:
+            Positions, velocities and efforts ``(3 joints,)``, NaN where an effort or a velocity is not measured.
+
+        Raises:
+            RejectedError: the message cannot be used.
         """
+        stamp, names, rows = message.stamp, message.names, (message.position, message.velocity, message.effort)
         order = self._order_of(names)
-        for kind, values in (("position", position), ("velocity", velocity), ("effort", effort)):
+        for kind, values in zip(("position", "velocity", "effort"), rows, strict=True):
             if len(values) not in ((len(names),) if kind == "position" else (0, len(names))):
                 raise RejectedError(f"{DRIVER_ERROR}{kind} has {len(values)} entries for {len(names)} names")
-        if not len(velocity):
+        if not len(message.velocity):
             self._note_once("no velocities: positions are differentiated")
         vector = np.full((3, len(order)), np.nan)
-        for row, values in enumerate((position, velocity, effort)):
+        for row, values in enumerate(rows):
             if len(values):
-                vector[row] = np.asarray(values, dtype=np.float64)[order]
-        wild = np.flatnonzero(~usable(vector[0]))
+                vector[row] = values[order]
+        wild = np.flatnonzero(~plausible(vector[0]))
         if len(wild):
             raise RejectedError(f"position of '{self._joints[int(wild[0])]}' not finite")
         vector[2] *= self._gains
-        vector[1:][~usable(vector[1:])] = np.nan
+        vector[1:][~plausible(vector[1:])] = np.nan
         self._unwind(vector[0])
         if self._frozen(stamp, vector):
             raise RejectedError("frozen: all numbers are those of the message before, though the robot moves")
@@ -108,11 +113,11 @@ class JointReader:
         self._stamp, self._last = stamp, vector
         return vector.ravel()
 
-    def _order_of(self, names: Sequence[str]) -> IntArray:
+    def _order_of(self, names: tuple[str, ...]) -> IntArray:
         """Where the robot's joints are among a message's names, most often as in the message before."""
         if not names:
             raise RejectedError(DRIVER_ERROR + "no joint names")
-        if self._names != list(names):
+        if self._names != names:
             index = {name: place for place, name in enumerate(names)}
             if len(index) != len(names):
                 twice = next(name for place, name in enumerate(names) if index[name] != place)
@@ -123,7 +128,7 @@ class JointReader:
             extra = next((name for name in names if name not in self._joints), None)
             if extra is not None:
                 self._note_once(f"joint '{extra}' is not one of the robot's: passed over")
-            self._names = list(names)
+            self._names = names
             self._order = np.array([index[joint] for joint in self._joints], dtype=np.int64)
         return self._order
 
@@ -221,3 +226,75 @@ class JointReader:
             self._moved[grown] = False
             self._far = self._largest - _FAR * self._step
             self._last_far[np.abs(last) < self._far] = self._messages - 1
+
+
+class JointParts:
+    """Messages of the parts become messages of the whole, at the stamps that all have reached.
+
+    Where the parts' stamps differ, the line between two messages is taken, if they are no further apart than
+    ``max_gap`` [ns].
+    """
+
+    def __init__(self, joints: Sequence[str], max_gap: int, make_reader: Callable[[Part], JointReader]) -> None:
+        self._joints = tuple(joints)
+        self._max_gap = max_gap
+        self._make_reader = make_reader
+        self.readers: dict[Part, JointReader] = {}
+        self.restart()
+
+    def restart(self) -> None:
+        """Another time begins."""
+        for reader in self.readers.values():
+            reader.restart()
+        self._waiting: dict[Part, deque[tuple[int, FloatArray]]] = {part: deque() for part in self.readers}
+        self._last = 0
+
+    def part(self, names: Sequence[str]) -> Part:
+        """The part that a message with these names is of. Raises RejectedError if it is of several, or of none."""
+        part = tuple(joint for joint in self._joints if joint in set(names))
+        if part in self.readers:
+            return part
+        if not part:
+            raise RejectedError("none of the robot's joints" if names else DRIVER_ERROR + "no joint names")
+        known = next((joint for other in self.readers for joint in other if joint in part), None)
+        if known is not None:
+            raise RejectedError(f"{DRIVER_ERROR}joint '{known}' comes with others than before")
+        self.readers = {**self.readers, part: self._make_reader(part)}
+        self._waiting[part] = deque()
+        return part
+
+    def add(self, part: Part, stamp: int, values: FloatArray) -> Iterator[tuple[int, FloatArray]]:
+        """Take a message's numbers ``(3 joints of the part,)``; stamps and numbers ``(3 joints,)`` of the whole."""
+        waiting = self._waiting[part]
+        waiting.append((stamp, values.reshape(3, -1)))
+        if len(waiting) > _MOST_WAITING:
+            waiting.popleft()
+        if sum(map(len, self._waiting)) < len(self._joints) or not all(self._waiting.values()):
+            return
+        common = min(entries[-1][0] for entries in self._waiting.values())
+        begin = max(entries[0][0] for entries in self._waiting.values())
+        if common <= self._last or common < begin:
+            return
+        self._last = common
+        for entries in self._waiting.values():
+            while len(entries) > 1 and entries[1][0] <= common:
+                entries.popleft()
+        if all(self._is_between(entries, common) for entries in self._waiting.values()):
+            yield common, self._at(common)
+
+    def _is_between(self, entries: deque[tuple[int, FloatArray]], stamp: int) -> bool:
+        return entries[0][0] == stamp or entries[1][0] - entries[0][0] <= self._max_gap
+
+    def _at(self, stamp: int) -> FloatArray:
+        whole = np.empty((3, len(self._joints)))
+        for part, entries in self._waiting.items():
+            whole[:, [self._joints.index(joint) for joint in part]] = _between(entries, stamp)
+        return whole.ravel()
+
+
+def _between(entries: deque[tuple[int, FloatArray]], stamp: int) -> FloatArray:
+    first, before = entries[0]
+    if first == stamp:
+        return before
+    second, after = entries[1]
+    return before + (stamp - first) / (second - first) * (after - before)

@@ -24,7 +24,6 @@ from geomid_ros.model.samples import Samples
 from geomid_ros.ros.diagnostics import Diagnostics
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.session import Session
-from geomid_ros.signals.messages import feed_joint_state, feed_wrench
 
 from .in_motion import SECOND, START, InMotion, in_time, noisy
 from .spoiling import later
@@ -111,10 +110,7 @@ class Working:
         for number, item in enumerate(items):
             while not self.worker._inbox.empty():  # on a busy machine what waits for long is dropped
                 time.sleep(1e-4)
-            if item.topic == "/joint_states":
-                self.worker.joint_state(item.message)
-            else:
-                self.worker.wrench(item.topic, item.message)
+            self.worker.take(item.parsed)
             if number % 20 == 0:
                 self.status()
 
@@ -143,10 +139,7 @@ def samples(items: list[Recorded]) -> Samples:
     pipeline = session().pipeline
     found = []
     for item in items:
-        if item.topic == "/joint_states":
-            feed_joint_state(pipeline, item.message)
-        else:
-            feed_wrench(pipeline, item.topic, item.message)
+        pipeline.push(item.parsed)
         found.append(pipeline.collect())
     return Samples.concatenate([part for part in found if part is not None])
 

@@ -34,7 +34,7 @@ from geomid_ros.model.effects.spring import Spring
 from geomid_ros.model.effects.stribeck_friction import StribeckFriction
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.sensors import AXES, WrenchSensor
-from geomid_ros.signals.pipeline import SignalSettings
+from geomid_ros.signals.settings import SignalSettings
 from geomid_ros.types import FloatArray
 
 NOT_PREDICTED = ("load_friction", "joint_elasticity", "backlash")
