@@ -1,16 +1,16 @@
-"""What the worker tells the diagnostics."""
+"""What a live session tells the diagnostics."""
 
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.monitoring.change_detection import ChannelGap
 from geomid_ros.signals.ledger import Account
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Status:
     """A snapshot for diagnostics; ``topics`` are those that data are expected on, none without a robot description.
 
@@ -40,3 +40,17 @@ class Status:
     gaps: tuple[ChannelGap, ...] = ()
     estimate: Estimate | None = None
     changed_sensors: tuple[str, ...] = ()
+
+    def account(self, topic: str) -> Account:
+        """What became of a topic's messages."""
+        return self.accounts.get(topic, Account())
+
+    def since(self, before: Status) -> Status:
+        """The same, but with what was counted after ``before``: messages, rows and failures."""
+        return replace(
+            self,
+            accounts={topic: account.since(before.account(topic)) for topic, account in self.accounts.items()},
+            rows=self.rows - before.rows,
+            rows_rejected=self.rows_rejected - before.rows_rejected,
+            failures=self.failures - before.failures,
+        )

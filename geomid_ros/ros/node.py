@@ -150,7 +150,7 @@ class GeomidNode(Node):
         self._diagnostic_arrays.publish(array)
 
     def _status(self) -> Status:
-        status = self._worker.status(self._active) if self._worker is not None else Status(self._active)
+        status = self._worker.status(self._active) if self._worker is not None else Status(active=self._active)
         problems = (*self._inputs.problems, self._problem, *self._saving.problems, self._identification.problem)
         problems += status.problems
         return replace(

@@ -30,6 +30,16 @@ class Account:
         """All messages that have come to their end: accepted, rejected or dropped."""
         return self.accepted + self.rejected.total() + self.dropped.total()
 
+    def since(self, before: Account) -> Account:
+        """What was counted since this account looked like ``before``."""
+        return Account(
+            accepted=self.accepted - before.accepted,
+            rejected=self.rejected - before.rejected,
+            dropped=self.dropped - before.dropped,
+            noted=self.noted - before.noted,
+            lost=self.lost - before.lost,
+        )
+
 
 class Ledger:
     """The accounts of all topics. Every message ends in one call of :meth:`accept`, :meth:`reject` or :meth:`drop`.
