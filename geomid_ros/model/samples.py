@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
+from itertools import pairwise
 
 import numpy as np
 
 from geomid_ros.types import AnyArray, FloatArray, IntArray
+
+_PAUSE = 1.5  # sampling periods
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,6 +50,12 @@ class Samples:
     def select(self, index: AnyArray | slice) -> Samples:
         """The samples chosen by a mask, index array or slice."""
         return Samples(*(getattr(self, field.name)[index] for field in fields(self)))
+
+    def stretches(self) -> list[Samples]:
+        """The parts without a pause between them: a step longer than 1.5 times the median one."""
+        steps = np.diff(self.stamps)
+        ends = np.flatnonzero(steps > _PAUSE * np.median(steps)) + 1 if len(steps) else steps
+        return [self.select(slice(begin, end)) for begin, end in pairwise([0, *ends.tolist(), len(self)])]
 
     @staticmethod
     def concatenate(parts: list[Samples]) -> Samples:

@@ -44,6 +44,25 @@ def derivative_kernels(cutoff: float, period: float) -> FloatArray:
     return np.array([value, first, second])
 
 
+def filtered(values: FloatArray, cutoff: float, period: float) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """A whole recording through the zero-phase low-pass; at its ends the first and the last value go on.
+
+    Args:
+        values: ``(N, K)``, one row every ``period``.
+        cutoff: of the low-pass [Hz]; the highest that the period allows where it is higher.
+        period: [s].
+
+    Returns:
+        The filtered values and their first and second derivative by time, each ``(N, K)``.
+    """
+    kernels = derivative_kernels(min(cutoff, 1.0 / (LOWEST_RATE_PER_CUTOFF * period)), period)
+    half = kernels.shape[1] // 2
+    padded = np.pad(values, ((half, half), (0, 0)), mode="edge")
+    windows = np.lib.stride_tricks.sliding_window_view(padded, 2 * half + 1, axis=0)
+    value, first, second = np.einsum("kl,njl->knj", kernels, windows, optimize=True)
+    return value, first, second
+
+
 def _low_pass(cutoff: float, half: int) -> FloatArray:
     """An ideal low-pass of ``cutoff`` (a share of the rate) under a Kaiser window, ``(2 half + 1,)``, of sum 1.
 

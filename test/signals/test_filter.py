@@ -7,6 +7,7 @@ import pytest
 from scipy.signal import firwin
 
 from geomid_ros.errors import InputError
+from geomid_ros.signals import kernels
 from geomid_ros.signals.kernels import cubic_weights, cubic_weights_at, derivative_kernels
 from geomid_ros.signals.messages import JointMessage
 from geomid_ros.signals.pipeline import SignalPipeline
@@ -201,3 +202,22 @@ def test_settings_without_a_meaning_are_refused(wrong: dict[str, float]) -> None
     (name,) = wrong
     with pytest.raises(InputError, match=name.replace("_", ".")):
         SignalSettings(**wrong)
+
+
+def test_a_whole_recording_is_filtered_as_a_stream_is() -> None:
+    """A sine below the cutoff is left as it is and differentiated; noise above it goes; the ends go on as they are."""
+    times = 0.01 * np.arange(600)
+    phase = 2.0 * np.pi * times[:, None] + np.array([0.3, 1.1])
+    value = kernels.filtered(np.sin(phase) + 0.5 * np.sin(40.0 * phase), 5.0, 0.01)[0]
+    _, first, second = kernels.filtered(np.sin(phase), 5.0, 0.01)
+    middle, rate = slice(100, -100), 2.0 * np.pi
+    for found, expected in ((value, np.sin), (first / rate, np.cos), (second / rate**2, lambda x: -np.sin(x))):
+        np.testing.assert_allclose(found[middle], expected(phase[middle]), rtol=0, atol=3e-3)
+    for part, expected in zip(kernels.filtered(np.full((50, 1), 7.0), 5.0, 0.01), (7.0, 0.0, 0.0), strict=True):
+        np.testing.assert_allclose(part, expected, rtol=0, atol=1e-8)
+
+
+def test_a_recording_too_slow_for_the_cutoff_is_filtered_as_far_as_it_can_be() -> None:
+    values = np.random.default_rng(4).standard_normal((80, 2))
+    for ours, theirs in zip(kernels.filtered(values, 50.0, 0.1), kernels.filtered(values, 4.0, 0.1), strict=True):
+        np.testing.assert_array_equal(ours, theirs)
