@@ -9,7 +9,7 @@ from typing import TypeAlias
 
 from geomid_ros.errors import GeomidError
 from geomid_ros.estimation.estimate import Estimate
-from geomid_ros.live.duty import Duty
+from geomid_ros.live.activity import Activity
 from geomid_ros.session.session import Session
 
 _LONG = 1.0  # [s]
@@ -23,14 +23,14 @@ class Saving:
     def __init__(self, folder: str) -> None:
         """``folder``: empty for the working directory."""
         self._folder = Path(folder or ".").resolve()
-        self._duty = Duty()
+        self._activity = Activity()
         self._problem = ""
         self._one_at_a_time = threading.Lock()
 
     @property
     def problems(self) -> tuple[str, ...]:
         """What is wrong with the last attempt, and with the one that is going on."""
-        _, seconds = self._duty.current
+        _, seconds = self._activity.current
         slow = f"saving takes {seconds:.0f} s so far: {self._folder} is slow" if seconds > _LONG else ""
         return tuple(filter(None, (self._problem, slow)))
 
@@ -53,7 +53,7 @@ class Saving:
     def _save(self, session: Session, result: Estimate | GeomidError) -> Answer:
         if isinstance(result, GeomidError):
             return False, str(result)
-        with self._one_at_a_time, self._duty.on("saving"):
+        with self._one_at_a_time, self._activity.doing("saving"):
             try:
                 session.save(self._folder, result)
             except Exception as error:  # noqa: BLE001 whoever called must have an answer

@@ -14,9 +14,9 @@ import numpy as np
 from geomid_ros.errors import GeomidError
 from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.estimation.estimator import WarmStart
-from geomid_ros.live.duty import Duty
+from geomid_ros.live.activity import Activity
 from geomid_ros.monitoring.change_detection import ChannelGap, GapWatch
-from geomid_ros.monitoring.changed_sensors import changed_sensors, sensor_channels
+from geomid_ros.monitoring.wrench_sensors import changed_sensors, sensor_channels
 from geomid_ros.session.session import Session
 from geomid_ros.signals.ledger import count_reason
 
@@ -51,11 +51,11 @@ class Solver:
         self._start()
 
     def _start(self) -> None:
-        self.duty = Duty()
+        self.activity = Activity()
         self._requests: queue.SimpleQueue[Done | None] = queue.SimpleQueue()
         # A daemon: the process may end while it computes.
         self._thread = threading.Thread(
-            target=self._solve_repeatedly, args=(self.duty, self._requests), name="geomid-solver", daemon=True
+            target=self._solve_repeatedly, args=(self.activity, self._requests), name="geomid-solver", daemon=True
         )
         self._thread.start()
 
@@ -140,18 +140,18 @@ class Solver:
     def _new_watch(self) -> GapWatch:
         return GapWatch(self._session.model.channels, self._session.configuration.buffer.forgetting_time)
 
-    def _solve_repeatedly(self, duty: Duty, requests: queue.SimpleQueue[Done | None]) -> None:
+    def _solve_repeatedly(self, activity: Activity, requests: queue.SimpleQueue[Done | None]) -> None:
         next_solve = time.monotonic()
         while True:
             try:
                 done = requests.get(timeout=max(0.0, next_solve - time.monotonic()))
             except queue.Empty:
                 next_solve = time.monotonic() + self._period
-                self._solve_for_new_rows(duty)
+                self._solve_for_new_rows(activity)
                 continue
             if done is None:
                 return
-            with duty.on(SOLVING):
+            with activity.doing(SOLVING):
                 self._judge()
                 result = self._solve_once(None)
             with self._lock:
@@ -160,8 +160,8 @@ class Solver:
                 self._asking.remove(done)
             done(result)
 
-    def _solve_for_new_rows(self, duty: Duty) -> None:
-        with duty.on(SOLVING):
+    def _solve_for_new_rows(self, activity: Activity) -> None:
+        with activity.doing(SOLVING):
             self._judge()
             if self._session.identifier.rows != self._solved_rows:
                 self._solve_once(self._warm_start())

@@ -13,13 +13,12 @@ from typing import TypeAlias
 import numpy as np
 
 from geomid_ros.estimation.estimate import Estimate
-from geomid_ros.live.duty import Duty
+from geomid_ros.live.activity import Activity
 from geomid_ros.live.solver import SOLVING, Done, Solver
 from geomid_ros.live.status import Status
 from geomid_ros.model.measurement import Rows
 from geomid_ros.model.samples import Samples
-from geomid_ros.monitoring.changed_sensors import sensor_channels
-from geomid_ros.monitoring.wrench_check import WrenchCheck
+from geomid_ros.monitoring.wrench_sensors import WrenchCheck, sensor_channels
 from geomid_ros.session.session import Session
 from geomid_ros.signals.ledger import count_reason
 from geomid_ros.signals.messages import Accepted, Message
@@ -70,7 +69,7 @@ class Worker:
         self.session = session
         self.ledger = session.pipeline.ledger
         self.solver = Solver(session, solve_period, on_estimate)
-        self.duty = Duty()  # of the intake
+        self.activity = Activity()  # of the intake
         self._on_samples = on_samples
         self._longest_solve = max(_LONG, solve_period)
         self._lock = threading.Lock()  # held, never long, for what follows here
@@ -171,12 +170,12 @@ class Worker:
 
     @property
     def _intake_is_late(self) -> str:
-        what, seconds = self.duty.current
+        what, seconds = self.activity.current
         return f"a message on {what} is being taken since {seconds:.0f} s" if seconds > _LONG else ""
 
     @property
     def _solver_is_late(self) -> str:
-        what, seconds = self.solver.duty.current
+        what, seconds = self.solver.activity.current
         limit = self._longest_solve if what == SOLVING else _LONG
         return f"{what} takes {seconds:.0f} s so far, more than {limit:g} s" if seconds > limit else ""
 
@@ -199,7 +198,7 @@ class Worker:
             self.solver.ask(task.done)
         else:
             self._last_taken = task.time
-            with self.duty.on(task.message.topic):
+            with self.activity.doing(task.message.topic):
                 self._take(task.message, task.time)
 
     def _take(self, message: Message, received: float) -> None:
@@ -268,8 +267,7 @@ class Worker:
             count_reason(self._failures, f"{what}: {type(error).__name__}: {error}")
 
     def _begin_check(self) -> None:
-        model = self.session.model
-        self._wrenches = WrenchCheck(model.channels, model.sensors, self.session.nominal_parameters)
+        self._wrenches = WrenchCheck(self.session.model, self.session.nominal_parameters)
         self._hold()
 
     def _forget(self) -> None:

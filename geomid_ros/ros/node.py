@@ -6,10 +6,12 @@ from collections import Counter
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
+from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import WrenchStamped
 from nav_msgs.msg import Odometry
+from rcl_interfaces.msg import FloatingPointRange, ParameterDescriptor
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
@@ -25,13 +27,13 @@ from geomid_ros.live.gap_search import GapSearch
 from geomid_ros.live.saving import Saving
 from geomid_ros.live.solving_process import SolvingProcess
 from geomid_ros.live.status import Status
+from geomid_ros.live.supervisor import Supervisor
 from geomid_ros.live.worker import Worker
 from geomid_ros.ros.diagnostics import NO_DESCRIPTION, STOPPED, Diagnostics
-from geomid_ros.ros.identification import Identification
 from geomid_ros.ros.inputs import Inputs
 from geomid_ros.ros.outputs import Outputs, latched
-from geomid_ros.ros.parameters import read_parameters
 from geomid_ros.ros.starting import starting_ros
+from geomid_ros.session.configuration import PARAMETERS, Configuration, Parameter, find_parameter
 from geomid_ros.session.gap import gap_session
 from geomid_ros.session.session import Session
 from geomid_ros.signals.ledger import Ledger, count_reason
@@ -51,7 +53,7 @@ class GeomidNode(Node):
                 super().__init__("geomid", automatically_declare_parameters_from_overrides=True)
         except ValueError as error:
             raise InputError(f'a parameter has no value; an empty list is written as [""] ({error})') from error
-        self._configuration = read_parameters(self)
+        self._configuration = _read_parameters(self)
         self._active: bool = self._configuration["active"]
         self._outputs = Outputs(self)
         self._search = GapSearch(self._outputs.finding)
@@ -60,8 +62,13 @@ class GeomidNode(Node):
         self._problem = ""  # with the robot description
         self._failures: Counter[str] = Counter()
         self._ledger = Ledger()
-        self._identification = Identification(
-            self._configuration, self._ledger, self._outputs, self.get_logger(), solving
+        self._supervisor = Supervisor(
+            self._configuration,
+            self._ledger,
+            self.get_logger(),
+            on_samples=self._outputs.prediction,
+            on_estimate=self._outputs.estimate,
+            solving=solving,
         )
         self._inputs = Inputs(self, self._ledger, self.fail)
         self._diagnostics = Diagnostics(self.get_fully_qualified_name().lstrip("/"))
@@ -87,7 +94,7 @@ class GeomidNode(Node):
 
     @property
     def _worker(self) -> Worker | None:
-        return self._identification.worker
+        return self._supervisor.worker
 
     def _take(self, message: Message) -> str:
         """Take a message, or say why not."""
@@ -123,7 +130,7 @@ class GeomidNode(Node):
             self._report(str(error))
 
     def _build(self, urdf: str, source: str) -> None:
-        self._identification.build(urdf, source)
+        self._supervisor.build(urdf, source)
         self._urdf = urdf
         self._report("")
 
@@ -140,18 +147,18 @@ class GeomidNode(Node):
         self.get_logger().error(sentence)
 
     def _publish_diagnostics(self) -> None:
-        self._identification.look_after()
+        self._supervisor.restart_what_hangs()
         array = self._diagnostics.array(
             self._status(),
             self._search.status,
-            self._identification.checkpoints,
+            self._supervisor.checkpoints,
         )
         array.header.stamp = self.get_clock().now().to_msg()
         self._diagnostic_arrays.publish(array)
 
     def _status(self) -> Status:
         status = self._worker.status(self._active) if self._worker is not None else Status(active=self._active)
-        problems = (*self._inputs.problems, self._problem, *self._saving.problems, self._identification.problem)
+        problems = (*self._inputs.problems, self._problem, *self._saving.problems, self._supervisor.problem)
         problems += status.problems
         return replace(
             status,
@@ -180,7 +187,7 @@ class GeomidNode(Node):
                 self._build(self._urdf, "topic robot_description")
             except GeomidError as error:
                 return False, str(error)
-        self._identification.reset()
+        self._supervisor.reset()
         return True, "all rows forgotten"
 
     def _find_gap(self) -> tuple[bool, str]:
@@ -215,8 +222,35 @@ class GeomidNode(Node):
     def close(self) -> None:
         """End the threads, within two seconds; with an output folder, the last estimate is saved there."""
         self._search.close()
-        self._identification.close(self._save_last)
+        self._supervisor.close(self._save_last)
 
     def _save_last(self, session: Session, estimate: Estimate, patience: float) -> None:
         if self._configuration["output_folder"]:
             self.get_logger().info(self._saving.save_last(session, estimate, patience))
+
+
+def _read_parameters(node: Node) -> Configuration:
+    """The configuration of a node that declares what its overrides name.
+
+    Declares every other parameter of the table with its default, and gives all their description and range. Raises
+    InputError for unknown names and values out of range.
+    """
+    given: dict[str, Any] = {name: node.get_parameter(name).value for name in node.get_parameters_by_prefix("")}
+    configuration = Configuration(given, "parameters")
+    for name in configuration.given:
+        node.set_descriptor(name, _descriptor(find_parameter(name)))
+    for parameter in PARAMETERS:
+        if parameter.name not in given and "*" not in parameter.name:
+            node.declare_parameter(parameter.name, parameter.default, _descriptor(parameter))
+    return configuration
+
+
+def _descriptor(parameter: Parameter) -> ParameterDescriptor:
+    descriptor = ParameterDescriptor(
+        description=parameter.description,
+        read_only=True,
+        dynamic_typing=True,  # an integer is accepted where a real number is meant; the table checks types
+    )
+    if parameter.minimum is not None and parameter.maximum is not None:
+        descriptor.floating_point_range = [FloatingPointRange(from_value=parameter.minimum, to_value=parameter.maximum)]
+    return descriptor

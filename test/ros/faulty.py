@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from geomid_ros.estimation.identifier import Identifier
-from geomid_ros.live import watchdog as supervision
+from geomid_ros.live import supervisor
 from geomid_ros.live.worker import Worker
 from geomid_ros.ros import main
 from geomid_ros.session.session import Session
@@ -119,7 +119,7 @@ def run() -> None:
     plant(Worker, "recent_messages", {"service fails": fail})
     plant(os, "fsync", {"disk full": full, "disk read-only": read_only, "disk slow": slowly, "everything hangs": hang})
     plant(Session, "save", {"saving fails": fail})
-    supervision.HANGING = 4.0
+    supervisor.HANGING = 4.0
     main.main()
 
 

@@ -10,7 +10,7 @@ from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.robot import Robot
 from geomid_ros.model.sensors import WrenchSensor
 from geomid_ros.monitoring.change_detection import BLOCK, ChannelGap
-from geomid_ros.monitoring.changed_sensors import changed_sensors, sensor_channels
+from geomid_ros.monitoring.wrench_sensors import changed_sensors, sensor_channels
 
 
 @pytest.fixture(scope="module")
