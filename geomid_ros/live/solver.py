@@ -15,7 +15,7 @@ from geomid_ros.errors import GeomidError
 from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.estimation.estimator import WarmStart
 from geomid_ros.live.activity import Activity
-from geomid_ros.monitoring.change_detection import ChannelGap, GapWatch
+from geomid_ros.monitoring.change_detection import ChangeDetector, ChannelGap
 from geomid_ros.monitoring.wrench_sensors import changed_sensors, sensor_channels
 from geomid_ros.session.session import Session
 from geomid_ros.signals.ledger import count_reason
@@ -47,7 +47,7 @@ class Solver:
         self._solved_rows = 0
         self._changed: tuple[str, ...] = ()
         self._asking: list[Done] = []
-        self.watch = self._new_watch()
+        self.detector = self._new_detector()
         self._start()
 
     def _start(self) -> None:
@@ -94,7 +94,7 @@ class Solver:
             self._begin_anew()
 
     def _begin_anew(self) -> None:
-        self.watch = self._new_watch()
+        self.detector = self._new_detector()
         self._changed = ()
         self._estimate = None
         self._problem = ""
@@ -130,15 +130,15 @@ class Solver:
     @property
     def gaps(self) -> tuple[ChannelGap, ...]:
         """Of the channels that are watched."""
-        return self.watch.gaps
+        return self.detector.gaps
 
     @property
     def changed_sensors(self) -> tuple[str, ...]:
         """Topics of the wrench sensors that are no longer what they were, so that their rows are left out."""
         return self._changed
 
-    def _new_watch(self) -> GapWatch:
-        return GapWatch(self._session.model.channels, self._session.configuration.buffer.forgetting_time)
+    def _new_detector(self) -> ChangeDetector:
+        return ChangeDetector(self._session.model.channels, self._session.configuration.buffer.forgetting_time)
 
     def _solve_repeatedly(self, activity: Activity, requests: queue.SimpleQueue[Done | None]) -> None:
         next_solve = time.monotonic()
@@ -152,7 +152,7 @@ class Solver:
             if done is None:
                 return
             with activity.doing(SOLVING):
-                self._judge()
+                self._detect_changes()
                 result = self._solve_once(None)
             with self._lock:
                 if done not in self._asking:  # it was told that it took too long
@@ -162,25 +162,25 @@ class Solver:
 
     def _solve_for_new_rows(self, activity: Activity) -> None:
         with activity.doing(SOLVING):
-            self._judge()
+            self._detect_changes()
             if self._session.identifier.rows != self._solved_rows:
                 self._solve_once(self._warm_start())
 
-    def _judge(self) -> None:
-        watch = self.watch
+    def _detect_changes(self) -> None:
+        detector = self.detector
         try:
-            while watch.judge():
-                self._heed(watch)
+            while detector.judge():
+                self._leave_out_changed_sensors(detector)
         except Exception as error:  # noqa: BLE001 the thread must outlive it; what happened is reported
             self._fail(error)
 
-    def _heed(self, watch: GapWatch) -> None:
+    def _leave_out_changed_sensors(self, detector: ChangeDetector) -> None:
         """Leave out the rows of the sensors that have changed, and keep for good what is as it was."""
         if self._forgets or not self._sensors:
             return
-        changed = changed_sensors(watch.gaps, self._session.model)
+        changed = changed_sensors(detector.gaps, self._session.model)
         with self._lock:
-            if watch is not self.watch:  # all was forgotten meanwhile
+            if detector is not self.detector:  # all was forgotten meanwhile
                 return
             self._changed = tuple(changed or ())
             for topic, channels in self._sensors.items():
@@ -188,11 +188,11 @@ class Solver:
                 if changed is None:  # nothing is the matter with the sensor
                     self._session.identifier.take_again(reason, 0)
                 elif topic not in changed:
-                    self._session.identifier.take_again(reason, watch.judged)
+                    self._session.identifier.take_again(reason, detector.judged)
                 elif self._session.identifier.leave_out(reason, channels, changed[topic]):
                     self._solve_afresh()
         doubted = [] if changed is None else [place for places in self._sensors.values() for place in places]
-        self._session.identifier.settle(watch.normal(doubted))
+        self._session.identifier.settle(detector.normal(doubted))
 
     def _warm_start(self) -> WarmStart | None:
         """Where to start from; None chooses the prior's weight anew, when it was chosen for other data."""

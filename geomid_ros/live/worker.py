@@ -225,7 +225,7 @@ class Worker:
         with self._lock:
             self._receipt_to_row.append(time.perf_counter() - received)
         self._check_wrenches(new)
-        self.solver.watch.add(identifier.instants - len(stamps), stamps, self._without_doubtful(new))
+        self.solver.detector.add(identifier.instants - len(stamps), stamps, self._without_doubtful(new))
         if estimate is not None:
             self._tell(samples, estimate)
 

@@ -317,7 +317,7 @@ def test_what_comes_behind_a_task_after_a_pause_is_taken(quiet: Watched, now: li
 def test_the_intake_outlives_whatever_fails_behind_a_message(quiet: Watched, monkeypatch: pytest.MonkeyPatch) -> None:
     """The messages were taken, and so are those to come."""
     with monkeypatch.context() as patch:
-        patch.setattr(quiet.worker.solver.watch, "add", lambda *_: 1 / 0)
+        patch.setattr(quiet.worker.solver.detector, "add", lambda *_: 1 / 0)
         quiet.feed(0, 200)
         quiet.final()
     quiet.feed(200, 400)

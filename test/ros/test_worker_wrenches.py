@@ -102,7 +102,7 @@ class Working:
         """Take messages; the status once all that can be judged is."""
         self.take(items)
         self.final()
-        assert self.session.identifier.instants - self.worker.solver.watch.judged < BLOCK
+        assert self.session.identifier.instants - self.worker.solver.detector.judged < BLOCK
         return self.status()
 
     def take(self, items: list[Recorded]) -> None:
@@ -281,7 +281,7 @@ def test_what_was_solved_for_before_a_change_was_noticed_chooses_nothing(working
     working.feed(before)
     assert working.session.warm is not None
     working.take(after)
-    working.worker.solver._judge()
+    working.worker.solver._detect_changes()
     assert working.worker.solver.changed_sensors == ("/wrist",)
     assert working.worker.solver._warm_start() is None
     assert working.worker.estimate is not None, "there is none better yet"
@@ -300,7 +300,7 @@ def test_what_can_be_taken_back_is_bounded(working: Working, monkeypatch: pytest
     """Of what waits to be judged, too."""
     monkeypatch.setattr(module, "_MOST_HELD", 100 * 8 * CHANNELS * (working.session.model.dimension + 1))
     working.worker.reset()
-    monkeypatch.setattr(working.worker.solver, "_judge", lambda: None)
+    monkeypatch.setattr(working.worker.solver, "_detect_changes", lambda: None)
     items = messages(8.0)
     working.take(items)
     working.final()
