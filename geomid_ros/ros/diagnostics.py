@@ -23,12 +23,12 @@ from geomid_ros.signals.messages import JOINT_STATES
 
 NO_DESCRIPTION = "no robot description yet"
 STOPPED = "stopped"
-_SIMULATED = 1_000_000_000_000_000_000  # [ns] no clock that is set to the time of day shows less
+_SIMULATED = 1_000_000_000_000_000_000  # [ns] earlier stamps are of a simulation
 _QUANTILES = {"p50": 0.5, "p99": 0.99, "max": 1.0}
 
 
 class Diagnostics:
-    """Makes a node's diagnostic messages, one after the other: what is wrong is what went wrong since the last one."""
+    """Makes a node's diagnostic messages. What counts as wrong is what went wrong since the message before."""
 
     def __init__(self, node: str) -> None:
         self._node = node
@@ -37,8 +37,13 @@ class Diagnostics:
     def array(
         self, status: Status, search: SearchStatus | None = None, checkpoints: CheckpointStatus | None = None
     ) -> DiagnosticArray:
-        """The state of the stream, of the search for a gap if there was one, of the checkpoints if there are to be any,
-        and of every link."""
+        """The state of the stream and of every link.
+
+        Args:
+            status: of the session.
+            search: of the search for a gap, if there was one.
+            checkpoints: of the checkpoints, if any are kept.
+        """
         level, message = _judgement(status, status.since(self._before))
         self._before = status
         array = DiagnosticArray(status=[_status(f"{self._node}: stream", level, message, _stream(status))])
@@ -78,7 +83,7 @@ def _link(node: str, link: LinkEstimate) -> DiagnosticStatus:
 
 
 _MOST_REASONS = 5  # in a sentence
-_MANY = 10  # messages, of which none was accepted, are no accident
+_MANY = 10  # messages of which none was accepted: no accident
 
 
 def _stream(status: Status) -> dict[str, object]:
@@ -146,7 +151,7 @@ def _gap_sentence(gaps: Sequence[ChannelGap]) -> str:
 
 
 def _time(stamp: int) -> str:
-    """A stamp [ns] as people read it: those of a simulation count from its beginning."""
+    """A stamp [ns] as text: seconds in a simulation, else date and time."""
     if stamp < _SIMULATED:
         return f"{stamp * 1e-9:.1f} s"
     return datetime.fromtimestamp(stamp * 1e-9, UTC).strftime("%Y-%m-%d %H:%M:%S UTC")
@@ -197,7 +202,7 @@ def _errors(status: Status, new: Status) -> list[str]:
         )
     gaps = [gap for gap in _open(status) if _is_wrench(gap, status)]
     if gaps:
-        sentences.append(f"{_gap_sentence(gaps)}: {_what_of_a_wrench(status.changed_sensors)}")
+        sentences.append(f"{_gap_sentence(gaps)}: {_wrench_question(status.changed_sensors)}")
     for topic in status.topics:
         account = new.account(topic)
         nothing = account.received >= _MANY and account.accepted <= 0
@@ -243,7 +248,7 @@ def _is_wrench(gap: ChannelGap, status: Status) -> bool:
     return any(gap.channel.startswith(f"{topic.strip('/')}/") for topic in status.topics)
 
 
-def _what_of_a_wrench(changed: Sequence[str]) -> str:
+def _wrench_question(changed: Sequence[str]) -> str:
     question = "was the sensor tared, does it drift, or has the load changed?"
     if not changed:
         return f"{question} Its rows are taken"
@@ -255,7 +260,7 @@ def _most_frequent(refusals: Mapping[str, int]) -> list[str]:
 
 
 def _standing_still(estimate: Estimate | None) -> list[str]:
-    """Nothing to complain of, unless something is not known yet."""
+    """A complaint only if something is not known yet."""
     if estimate is None:
         return [f"{STANDING_STILL}: nothing can be told of any link"]
     unknown = [link.name for link in estimate.links if len(link.cannot_tell) == len(QUANTITIES)]

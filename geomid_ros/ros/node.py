@@ -1,4 +1,4 @@
-"""The identification node: topics in, estimates out; the work is done by :class:`Worker`."""
+"""The identification node: topics in, estimates out. A :class:`Worker` does the work."""
 
 from __future__ import annotations
 
@@ -46,8 +46,13 @@ class GeomidNode(Node):
     """Subscribes to ``joint_states``, wrench topics, ``odom`` and ``robot_description``; publishes what it finds."""
 
     def __init__(self, solving: SolvingProcess | None = None) -> None:
-        """``solving``: a process that solves, which else is done in this one. Raises InputError for parameters that do
-        not fit."""
+        """
+        Args:
+            solving: the process that solves; None for this one.
+
+        Raises:
+            InputError: the parameters do not fit.
+        """
         try:
             with starting_ros():
                 super().__init__("geomid", automatically_declare_parameters_from_overrides=True)
@@ -58,7 +63,7 @@ class GeomidNode(Node):
         self._outputs = Outputs(self)
         self._search = GapSearch(self._outputs.finding)
         self._saving = Saving(self._configuration["output_folder"])
-        self._urdf = ""  # the latest, not necessarily the worker's
+        self._urdf = ""  # the latest description, not necessarily the worker's
         self._problem = ""  # with the robot description
         self._failures: Counter[str] = Counter()
         self._ledger = Ledger()
@@ -77,16 +82,16 @@ class GeomidNode(Node):
         self._serve("stop", partial(self._set_active, active=False))
         self._serve("reset", self._reset)
         self._serve("find_gap", self._find_gap)
-        # In a group of its own: others of the same group would wait as long as the disk, messages too.
+        # In a group of its own: other callbacks of its group, of messages too, would wait for the disk.
         self.create_service(Trigger, "~/save", self._save, callback_group=MutuallyExclusiveCallbackGroup())
         self._inputs.listen(JointState, JOINT_STATES, self._take, several=self._configuration["merge_joint_states"])
         if self._configuration["floating_base"]:
             self._inputs.listen(Odometry, ODOM, self._take)
         for sensor in self._configuration.sensors:
             self._inputs.listen(WrenchStamped, sensor.topic, self._take)
-        # On the steady clock: simulated time may stand still, and that is when one wants to hear why.
+        # On the steady clock: when simulated time stands still the diagnostics must say why.
         self.create_timer(1.0, self._publish_diagnostics, clock=Clock(clock_type=ClockType.STEADY_TIME))
-        # Last, as it starts threads: from here on nothing fails that would leave them behind.
+        # Last, as it starts threads, which a failure after it would leave behind.
         if self._configuration["robot_description"]:
             self._build(self._configuration["robot_description"], "parameter robot_description")
         else:
@@ -106,7 +111,7 @@ class GeomidNode(Node):
         return ""
 
     def _serve(self, name: str, act: Callable[[], tuple[bool, str]]) -> None:
-        """Offer a service; whoever calls has an answer, even when it fails."""
+        """Offer a service that answers even when it fails."""
 
         def callback(_: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
             try:
@@ -135,13 +140,13 @@ class GeomidNode(Node):
         self._report("")
 
     def _report(self, problem: str) -> None:
-        """Let the log and the diagnostics tell of a problem with the robot description, or of none."""
+        """Let the log and the diagnostics name a problem with the robot description, or none."""
         if problem and problem != self._problem:
             self.get_logger().error(problem)
         self._problem = problem
 
     def fail(self, what: str, error: Exception) -> None:
-        """Let the log and the next diagnostics tell of an exception."""
+        """Let the log and the next diagnostics name an exception."""
         sentence = f"{what}: {type(error).__name__}: {error}"
         count_reason(self._failures, sentence)
         self.get_logger().error(sentence)
@@ -191,11 +196,11 @@ class GeomidNode(Node):
         return True, "all rows forgotten"
 
     def _find_gap(self) -> tuple[bool, str]:
-        refusal = self._why_not_look()
+        refusal = self._start_search()
         return not refusal, refusal or "looking; the finding comes on ~/gap"
 
-    def _why_not_look(self) -> str:
-        """Begin to look for a gap; what is in the way of it, or nothing."""
+    def _start_search(self) -> str:
+        """Begin to look for a gap. Returns what is in the way, if anything."""
         if self._worker is None:
             return NO_DESCRIPTION
         if self._search.running:
@@ -220,7 +225,7 @@ class GeomidNode(Node):
         return response
 
     def close(self) -> None:
-        """End the threads, within two seconds; with an output folder, the last estimate is saved there."""
+        """End the threads within two seconds, and save the last estimate in the output folder, if there is one."""
         self._search.close()
         self._supervisor.close(self._save_last)
 
@@ -230,10 +235,12 @@ class GeomidNode(Node):
 
 
 def _read_parameters(node: Node) -> Configuration:
-    """The configuration of a node that declares what its overrides name.
+    """The configuration by a node's parameters, of which it has declared only those that were set.
 
-    Declares every other parameter of the table with its default, and gives all their description and range. Raises
-    InputError for unknown names and values out of range.
+    Declares every other parameter of the table with its default, and gives all their description and range.
+
+    Raises:
+        InputError: a name is unknown or a value out of range.
     """
     given: dict[str, Any] = {name: node.get_parameter(name).value for name in node.get_parameters_by_prefix("")}
     configuration = Configuration(given, "parameters")

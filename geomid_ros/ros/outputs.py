@@ -1,4 +1,4 @@
-"""The node's publishers of results, and how estimates are as ROS messages."""
+"""The node's publishers of results, and estimates as ROS messages."""
 
 from __future__ import annotations
 
@@ -24,11 +24,11 @@ from geomid_ros.model.samples import Samples
 from geomid_ros.session.session import Session
 from geomid_ros.types import FloatArray
 
-_LARGEST_MARKER = 2.0  # [m] a link that cannot be told may have any size; RViz need not show it
+_LARGEST_MARKER = 2.0  # [m] a link that is not identifiable may have any size; RViz need not show it
 
 
 def latched(depth: int = 1) -> QoSProfile:
-    """The last messages are kept for those who come late."""
+    """Keeps the last messages for late subscribers."""
     return QoSProfile(depth=depth, durability=DurabilityPolicy.TRANSIENT_LOCAL, reliability=ReliabilityPolicy.RELIABLE)
 
 
@@ -44,7 +44,7 @@ class Outputs:
         self._findings = node.create_publisher(String, "~/gap", latched())
 
     def prediction(self, session: Session, samples: Samples, parameters: FloatArray) -> None:
-        """Publish the efforts that parameters predict for samples, if anybody listens."""
+        """Publish the efforts that ``parameters (D,)`` predict for samples, if anybody subscribes."""
         if self._predictions.get_subscription_count() == 0:
             return
         efforts = session.model.predicted_efforts(samples, parameters)
@@ -60,7 +60,7 @@ class Outputs:
         self._ellipsoids.publish(_markers(estimate.links, stamp))
 
     def finding(self, status: SearchStatus) -> None:
-        """Publish how a search for a gap ended."""
+        """Publish the result of a search for a gap."""
         self._findings.publish(String(data=json.dumps(status.document, indent=2)))
         self._node.get_logger().info(status.sentence)
 
