@@ -29,7 +29,7 @@ _BYTES_BESIDE_NUMBERS = 250  # of a message that is remembered
 
 
 def ignore(*_: object) -> None:
-    """Nobody wants to know."""
+    """Do nothing."""
 
 
 def no_effects(position: FloatArray, *_: FloatArray) -> FloatArray:
@@ -100,12 +100,12 @@ class SignalPipeline:
 
     @property
     def held(self) -> int:
-        """Messages whose fate the next ones will tell."""
+        """Number of messages that later ones will decide on."""
         return self._validator.held
 
     @property
     def unmeasured(self) -> tuple[str, ...]:
-        """The joints whose efforts are left out, as they are not measured."""
+        """The joints whose efforts are left out, as they have not been measured for long."""
         return self._validator.unmeasured
 
     def push(self, message: Message) -> None:
@@ -126,7 +126,7 @@ class SignalPipeline:
         self.ledger.accept(accepted.topic)
 
     def release(self) -> None:
-        """Reject what is held: nothing more will come."""
+        """Reject the messages that are held: no more will come."""
         self._validator.release()
 
     def collect(self) -> Samples | None:

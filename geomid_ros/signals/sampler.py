@@ -18,8 +18,8 @@ from geomid_ros.types import BoolArray, FloatArray
 
 _MESSAGES_TO_INFER_PERIOD = 32
 _MOST_WAITING = 10_000  # messages kept until the period is known
-_HORIZON = 60_000_000_000  # [ns] a topic that falls behind the others by more is not waited for
-_EFFORTS = "joint_states.effort"  # their stream, where they come late; no topic has that name
+_HORIZON = 60_000_000_000  # [ns] a topic this far behind the others is not waited for
+_EFFORTS = "joint_states.effort"  # stream of efforts with a delay; no topic has that name
 
 
 class Sampler:
@@ -42,7 +42,7 @@ class Sampler:
             wrenches: the topics of the wrench sensors.
             floating_base: whether the base's pose is among the numbers.
             effect_columns: computes the columns of effects that samples carry.
-            ledger: is told of messages that were accepted in vain.
+            ledger: is told of accepted messages that are given up.
         """
         self._settings = settings
         self._continuous = continuous
@@ -68,15 +68,15 @@ class Sampler:
         return self._grid.lag * self._grid.period * 1e-9 if self._grid is not None else 0.0
 
     def add(self, accepted: Accepted) -> None:
-        """Take numbers, later than those of the same topic before. Raises InputError for a rate that the cutoff does
-        not allow."""
+        """Take numbers, later than the last ones of their topic. Raises InputError if the cutoff is too high for the
+        rate."""
         if self._grid is None:
             self._wait(accepted)
         else:
             self._take(self._grid, accepted)
 
     def restart(self) -> None:
-        """Another time begins."""
+        """Begin anew, as a clock was set back."""
         self._waiting.clear()
         self._first_stamps.clear()
         self._next_instant = 0
@@ -136,7 +136,7 @@ class Sampler:
         return samples
 
     def _make_samples(self, grid: Grid) -> None:
-        """Make the samples for which every topic has the numbers; go on where one of them has paused."""
+        """Make the samples for which every topic has numbers, and go on after pauses."""
         streams = self._streams.values()
         while True:
             ranges = [stream.segment.ready() for stream in streams]
@@ -180,10 +180,10 @@ class Sampler:
 
 
 class VelocityChoice:
-    """Per joint: the message's velocity while it agrees with the position's derivative, else that derivative.
+    """Chooses for each joint the message's velocity while it agrees with the position's derivative, else the latter.
 
-    They agree while the root mean square of their difference over the recent past is below 5 % of the derivative's,
-    both with a memory of about 100 samples, and not before that many were seen.
+    They agree while the root mean square of their difference is below 5 % of the derivative's, both with a memory of
+    about 100 samples, and not before that many were seen.
     """
 
     _MEMORY = 100
@@ -197,18 +197,27 @@ class VelocityChoice:
     def choose(
         self, given: FloatArray, given_rate: FloatArray, derived: FloatArray, derived_rate: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
-        """Velocities and accelerations ``(N, joints)`` from the filtered message velocity and its derivative, and from
-        the filtered position's first and second derivative."""
+        """Choose for N samples.
+
+        Args:
+            given: ``(N, joints)`` the messages' velocity, filtered; NaN where there is none.
+            given_rate: its derivative.
+            derived: ``(N, joints)`` the filtered position's first derivative.
+            derived_rate: its second.
+
+        Returns:
+            Velocities and accelerations ``(N, joints)``.
+        """
         velocity, acceleration = derived.copy(), derived_rate.copy()
         for row in range(len(derived)):
-            usable = np.isfinite(given[row])
-            error = np.where(usable, given[row] - derived[row], 0.0)
-            self._seen = np.where(usable, self._seen + 1, 0.0)
+            known = np.isfinite(given[row])
+            error = np.where(known, given[row] - derived[row], 0.0)
+            self._seen = np.where(known, self._seen + 1, 0.0)
             share = 1.0 / np.minimum(np.maximum(self._seen, 1.0), self._MEMORY)
             self._difference += share * (error**2 - self._difference)
             self._energy += share * (derived[row] ** 2 - self._energy)
             agrees = self._difference <= self._RELATIVE_DISAGREEMENT**2 * self._energy
-            use = usable & agrees & (self._seen >= self._MEMORY)
+            use = known & agrees & (self._seen >= self._MEMORY)
             velocity[row, use] = given[row, use]
             acceleration[row, use] = given_rate[row, use]
         return velocity, acceleration

@@ -1,4 +1,4 @@
-"""Which messages are used: those that continue their topic's time and say what they should."""
+"""Which messages are used: those whose stamps continue their topic's time and whose numbers are plausible."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ from geomid_ros.signals.messages import JOINT_STATES, Accepted, JointMessage, Me
 from geomid_ros.signals.settings import SignalSettings
 from geomid_ros.types import BoolArray, FloatArray
 
-_TO_CONFIRM_SLOWNESS = 3  # messages, each a pause after the one before
-_TO_CONFIRM_A_RESET = 10  # messages; a few late ones are no clock that was set back
+_TO_CONFIRM_SLOWNESS = 3  # messages, each after a pause
+_TO_CONFIRM_A_RESET = 10  # messages; a few late ones do not mean that a clock was set back
 
 _Source: TypeAlias = tuple[str, Part]
-"""A topic, and where joint messages are merged, the joints that a publisher has."""
+"""A topic, and if joint messages are merged, the joints of a publisher."""
 
 
 class Turn(Enum):
@@ -36,7 +36,7 @@ class Turn(Enum):
 
 @dataclass
 class Judged:
-    """The messages whose fate is known now: those to use, in order, and for each of the others the reason."""
+    """The messages that are decided on: those to use, in order, and for each of the others the reason why not."""
 
     use: list[Message] = field(default_factory=list)
     refused: list[str] = field(default_factory=list)
@@ -44,11 +44,11 @@ class Judged:
 
 
 class Timeline:
-    """The stamps of one topic.
+    """Judges the stamps of one topic.
 
-    A message that is ahead or behind by more than ``max_gap`` [ns] is held until the next ones tell what it was: when
-    they go on from there, a pause (one is enough) or a clock that was set back; when they do not, a wrong stamp. Of a
-    topic that is slower than ``max_gap``, no message goes on from the one before: that it pauses, two more tell.
+    A message that is ahead or behind by more than ``max_gap`` [ns] is held until the next ones show what it was. If
+    they go on from there it was a pause (one message shows it) or a clock that was set back; if they do not, a wrong
+    stamp. On a topic slower than ``max_gap`` no message goes on from the one before: two more show the pause.
     """
 
     def __init__(self, max_gap: int) -> None:
@@ -58,11 +58,11 @@ class Timeline:
 
     @property
     def held(self) -> int:
-        """Messages whose fate is open."""
+        """Number of messages that are held."""
         return len(self._held)
 
     def judge(self, message: Message) -> Judged:
-        """Take a message; what is known now of it and of those that were held."""
+        """Take a message, and decide on it and on those that are held, as far as possible."""
         stamp = message.stamp
         if stamp <= 0:
             return Judged(refused=["stamp is zero" if stamp == 0 else "stamp is not valid"])
@@ -98,11 +98,11 @@ class Timeline:
         return len(stamps) >= _TO_CONFIRM_SLOWNESS or (len(stamps) > 1 and stamps[1] - stamps[0] <= self._max_gap)
 
     def advance(self, stamp: int) -> None:
-        """A message with this stamp is used."""
+        """Note that a message with this stamp is used."""
         self._last = stamp
 
     def release(self) -> list[str]:
-        """Let what is held go; the reason for each message."""
+        """Refuse the messages that are held. Returns the reason for each."""
         reasons = [self._reason(message) for message in self._held]
         self._held.clear()
         return reasons
@@ -111,7 +111,7 @@ class Timeline:
         return "stamp from the future" if message.stamp > self._last else "stamp too old"
 
     def forget(self) -> list[Message]:
-        """Begin anew, with what is held to begin with."""
+        """Begin anew. Returns the messages that were held, to begin with."""
         held, self._held, self._last = self._held, [], 0
         return held
 
@@ -159,12 +159,12 @@ class Validator:
 
     @property
     def held(self) -> int:
-        """Messages whose fate the next ones will tell."""
+        """Number of messages that later ones will decide on."""
         return sum(timeline.held for timeline in list(self._timelines.values()))
 
     @property
     def unmeasured(self) -> tuple[str, ...]:
-        """The joints whose efforts are left out, as they are not measured."""
+        """The joints whose efforts are left out, as they have not been measured for long."""
         readers = self._parts.readers.values() if self._parts else (self._reader,)
         return tuple(joint for reader in readers for joint in reader.unmeasured)
 
@@ -196,7 +196,7 @@ class Validator:
         try:
             while todo:
                 self._use(source, todo.popleft())
-        except Exception as error:  # whoever called counts the message that caused it
+        except Exception as error:  # the caller counts the message that caused it
             for _ in todo:
                 self._ledger.drop(source[0], f"{type(error).__name__} while another message was taken")
             raise
@@ -217,7 +217,7 @@ class Validator:
         self._ledger.accept(topic)
 
     def _numbers(self, part: Part, message: Message) -> FloatArray:
-        """What a message says, checked. Raises RejectedError for what cannot be used."""
+        """The checked numbers of a message. Raises RejectedError if they cannot be used."""
         if isinstance(message, JointMessage):
             return (self._parts.readers[part] if self._parts else self._reader).read(message)
         if isinstance(message, PoseMessage):
@@ -225,13 +225,13 @@ class Validator:
         return _wrench(message, self._sensors[message.topic])
 
     def release(self) -> None:
-        """Reject what is held: nothing more will come."""
+        """Reject the messages that are held: no more will come."""
         for (topic, _), timeline in self._timelines.items():
             for reason in timeline.release():
                 self._ledger.reject(topic, reason)
 
     def _restart(self, source: _Source) -> None:
-        """Another time has begun, at ``source`` and therefore everywhere."""
+        """Begin anew everywhere, as the clock of ``source`` was set back."""
         self._reader.restart()
         if self._parts:
             self._parts.restart()
