@@ -96,11 +96,11 @@ class JointReader:
         for row, values in enumerate(rows):
             if len(values):
                 vector[row] = values[order]
-        wild = np.flatnonzero(~plausible(vector[0]))
-        if len(wild):
-            raise RejectedError(f"position of '{self._joints[int(wild[0])]}' not finite")
         vector[2] *= self._gains
-        vector[1:][~plausible(vector[1:])] = np.nan
+        wild = ~plausible(vector)
+        if wild[0].any():
+            raise RejectedError(f"position of '{self._joints[int(np.argmax(wild[0]))]}' not finite")
+        vector[wild] = np.nan
         self._unwind(vector[0])
         if self._frozen(stamp, vector):
             raise RejectedError("frozen: all numbers are those of the message before, though the robot moves")
@@ -134,20 +134,23 @@ class JointReader:
 
     def _unwind(self, position: FloatArray) -> None:
         """Add whole turns to the positions of continuous joints, so that they do not jump."""
-        if np.any(self._continuous) and self._last is not None:
+        if self._last is not None and self._continuous.any():
             turns = np.where(self._continuous, np.round((self._last[0] - position) / (2.0 * np.pi)), 0.0)
             position += 2.0 * np.pi * turns
 
     def _frozen(self, stamp: int, vector: FloatArray) -> bool:
         """Whether no number has changed, though by velocities, or else by the positions before, the robot moves."""
-        if self._last is None or not np.array_equal(vector, self._last, equal_nan=True):
+        last = self._last
+        # Positions first, which are numbers: to compare what may be NaN takes many times as long.
+        if last is None or not (vector[0] == last[0]).all() or not np.array_equal(vector, last, equal_nan=True):
             self._speed = self._speed_at(stamp, vector)
             return False
         return self._speed > STANDING
 
     def _speed_at(self, stamp: int, vector: FloatArray) -> float:
-        if np.any(np.isfinite(vector[1])):
-            return float(np.nanmax(np.abs(vector[1])))
+        speed = float(np.fmax.reduce(np.abs(vector[1]), initial=np.nan))
+        if np.isfinite(speed):
+            return speed
         if self._last is None:
             return 0.0
         return float(np.max(np.abs(vector[0] - self._last[0]), initial=0.0)) / (1e-9 * (stamp - self._stamp))
