@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 import yaml
 
-from geomid_ros.signals.pipeline import JOINT_STATES, ODOM
+from geomid_ros.signals.messages import JOINT_STATES, ODOM
 
 ROOT = Path(__file__).parents[1]
 LAUNCH_FILES = sorted((ROOT / "launch").glob("*.launch.py"))

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -14,19 +13,17 @@ from geomid_ros.errors import InputError
 from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.session import Session
-from geomid_ros.signals.messages import feed_joint_state
 from geomid_ros.types import FloatArray
 
 ARM3 = (BAGS / "arm3.urdf").read_text(encoding="utf-8")
-HONEST = [item.message for item in recorded(BAGS / "arm3") if item.topic == "/joint_states"]
+HONEST = [item.parsed for item in recorded(BAGS / "arm3") if item.topic == "/joint_states"]
 
 
 def found(lie: Callable[[FloatArray], FloatArray]) -> Estimate:
     """What is identified from efforts that somebody has changed."""
     session = Session(ARM3, Configuration(), "arm3.urdf")
     for message in HONEST:
-        changed: Any = replace(message, effort=lie(np.asarray(message.effort)))
-        feed_joint_state(session.pipeline, changed)
+        session.pipeline.push(replace(message, effort=lie(message.effort)))
         samples = session.pipeline.collect()
         if samples is not None:
             session.identifier.add(samples)

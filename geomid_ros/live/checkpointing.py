@@ -1,4 +1,4 @@
-"""Checkpoints of a live session: one is gone on from in the beginning, others are written beside everything else."""
+"""Checkpoints of a live session: the last one is restored at the start, a thread writes new ones."""
 
 from __future__ import annotations
 
@@ -14,13 +14,12 @@ from geomid_ros.files.checkpoints.checkpoint_folder import CheckpointFolder, Res
 from geomid_ros.session.session import Session
 
 _PATIENCE = 0.4  # [s] for the last checkpoint
-_SHORTEST_PAUSE = 0.1  # of the period, between checkpoints that take long
+_SHORTEST_PAUSE = 0.1  # share of the period, between checkpoints that take long
 
 
 @dataclass(frozen=True)
 class CheckpointStatus:
-    """What is to be said of checkpoints: what is wrong, if anything, as an ``error`` or a ``warning``; and ``values``
-    for diagnostics."""
+    """How the checkpoints are: an ``error`` or a ``warning`` if anything is wrong, and ``values`` for diagnostics."""
 
     error: str = ""
     warning: str = ""
@@ -28,23 +27,29 @@ class CheckpointStatus:
 
 
 class Checkpoints:
-    """Writes what a session knows, every ``period`` seconds in which rows came, into a folder.
+    """Writes what a session knows into a folder.
 
     Nothing that is wrong with the folder or the disk is raised: :attr:`status` tells it, and the session goes on.
     """
 
     def __init__(self, session: Session, folder: Path, period: float) -> None:
-        """Let ``session``, which nobody uses yet, go on from the checkpoint in ``folder``, if there is one; then begin.
+        """Restore the checkpoint in the folder, if there is one, and begin to write new ones.
 
-        The accounts of that checkpoint (:attr:`restored`) are for whoever keeps the ledger."""
+        The accounts of that checkpoint (:attr:`restored`) are left to the caller, who has the ledger.
+
+        Args:
+            session: not in use yet.
+            folder: of this session alone.
+            period: [s] between checkpoints; none is written while no rows come.
+        """
         self._session = session
         self._period = period
         self._problem = ""
         self._restored = Restored()
-        self._rows = 0  # that are safe
+        self._rows = 0  # in the last checkpoint
         self._written = 0
-        self._seconds = 0.0  # that the last one took
-        self._begin: float | None = None  # when the one that is being written was begun
+        self._seconds = 0.0  # that the last checkpoint took
+        self._begin: float | None = None  # of the checkpoint that is being written
         self._ending = threading.Event()
         self._thread: threading.Thread | None = None
         try:
@@ -62,18 +67,18 @@ class Checkpoints:
 
     @property
     def restored(self) -> Checkpoint | None:
-        """The checkpoint that the session goes on from."""
+        """The checkpoint from which the session goes on, None if there was none."""
         return self._restored.checkpoint
 
     def close(self) -> None:
-        """Write a last one, unless it takes long, and end."""
+        """Write a last checkpoint, unless it takes long, and end."""
         self._ending.set()
         if self._thread is not None:
             self._thread.join(_PATIENCE)
 
     @property
     def beginning(self) -> str:
-        """How the session began, in a sentence; empty if there was nothing."""
+        """How the session began, in a sentence; empty if the folder was empty."""
         found = self._restored
         if found.checkpoint is None:
             return "; ".join(["begins without rows", *found.problems]) if found.problems else ""
@@ -82,7 +87,7 @@ class Checkpoints:
 
     @property
     def status(self) -> CheckpointStatus:
-        """What is to be said now. What was wrong in the beginning is an error or warning until one is written."""
+        """The present state. A problem at the start is an error or a warning until a checkpoint is written."""
         values: dict[str, object] = {
             "beginning": self.beginning,
             "written": self._written,
@@ -122,7 +127,7 @@ class Checkpoints:
         try:
             checkpoint = self._session.checkpoint()
             folder.write(checkpoint)
-        except Exception as error:  # noqa: BLE001 the thread must outlive any disk; what happened is reported
+        except Exception as error:  # noqa: BLE001 the thread must outlive a broken disk; the status reports it
             self._problem = str(error)
         else:
             self._problem = ""

@@ -1,4 +1,4 @@
-"""The gap workflow in a thread of its own: one search at a time, which the end of the node does not wait for."""
+"""Runs the gap workflow in a thread: one search at a time; the end of the node does not wait for it."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ from geomid_ros.gap.result import GapResult
 from geomid_ros.report.gap_words import verdict_sentence
 from geomid_ros.session.gap import find_in_messages
 from geomid_ros.session.session import Session
-from geomid_ros.signals.pipeline import Accepted
+from geomid_ros.signals.messages import Accepted
 
 _PATIENCE = 0.2  # [s] for a search to notice that it is to end
 
 
 @dataclass(frozen=True)
 class SearchStatus:
-    """What is to be said of a search: a ``sentence``; the ``stage`` while it goes on, then the ``result``, or neither
-    when it failed."""
+    """The state of a search in a ``sentence``; its ``stage`` while it runs, then its ``result``, or neither when it has
+    failed."""
 
     sentence: str
     stage: str = ""
@@ -29,36 +29,42 @@ class SearchStatus:
 
     @property
     def document(self) -> dict[str, Any]:
-        """As ``gap.json``; with nothing but the sentence, as ``error``, when it failed."""
+        """The document of ``gap.json``; only the sentence, as ``error``, when the search failed."""
         return gap_document(self.result, {}) if self.result else {"format": FORMAT, "error": self.sentence}
 
 
 class _EndedError(Exception):
-    """Nobody wants to know any more."""
+    """The search was closed."""
 
 
 class GapSearch:
-    """Looks for a gap. ``on_end(status)`` is called in its thread, unless it was closed before."""
+    """Looks for a gap."""
 
     def __init__(self, on_end: Callable[[SearchStatus], None]) -> None:
+        """``on_end(status)`` is called in the search's thread when a search ends, unless it was closed before."""
         self._on_end = on_end
         self._status: SearchStatus | None = None
         self._thread: threading.Thread | None = None
-        self._lock = threading.Lock()  # held while it is said how a search ended
+        self._lock = threading.Lock()  # held while on_end is called
         self._closed = False
 
     @property
     def status(self) -> SearchStatus | None:
-        """How the search stands, or how the last one ended; None before the first."""
+        """The state of the present or the last search; None before the first."""
         return self._status
 
     @property
     def running(self) -> bool:
-        """Whether it looks."""
+        """Whether a search is going on."""
         return self._status is not None and self._status.stage != ""
 
     def start(self, make_session: Callable[[], Session], messages: Sequence[Accepted]) -> None:
-        """Begin to look at what a pipeline has accepted, with the model of a session of its own."""
+        """Begin a search.
+
+        Args:
+            make_session: makes the session whose model is used, in the search's thread.
+            messages: what the pipeline of another session has accepted.
+        """
         self._progress("beginning", 0.0)
         # A daemon: the process may end while it computes.
         self._thread = threading.Thread(
@@ -67,7 +73,7 @@ class GapSearch:
         self._thread.start()
 
     def close(self) -> None:
-        """End, and say nothing any more."""
+        """End, without calling ``on_end``."""
         with self._lock:
             self._closed = True
         if self._thread is not None:
@@ -81,7 +87,7 @@ class GapSearch:
             return
         except InputError as error:
             status = SearchStatus(f"no finding: {error}")
-        except Exception as error:  # noqa: BLE001 whoever asked must have an answer
+        except Exception as error:  # noqa: BLE001 the caller must have an answer
             status = SearchStatus(f"no finding: {type(error).__name__}: {error}")
         with self._lock:
             if not self._closed:

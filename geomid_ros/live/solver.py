@@ -14,9 +14,9 @@ import numpy as np
 from geomid_ros.errors import GeomidError
 from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.estimation.estimator import WarmStart
-from geomid_ros.live.duty import Duty
-from geomid_ros.monitoring.change_detection import ChannelGap, GapWatch
-from geomid_ros.monitoring.changed_sensors import changed_sensors, sensor_channels
+from geomid_ros.live.activity import Activity
+from geomid_ros.monitoring.change_detection import ChangeDetector, ChannelGap
+from geomid_ros.monitoring.wrench_sensors import changed_sensors, sensor_channels
 from geomid_ros.session.session import Session
 from geomid_ros.signals.ledger import count_reason
 
@@ -26,41 +26,47 @@ Done: TypeAlias = Callable[[Estimate | GeomidError], None]
 
 
 class Solver:
-    """Solves every ``period`` [s] in which rows came, and when asked. ``on_estimate(session, estimate)`` is called, in
-    its thread, for each new estimate; one that is worse than none is not kept.
+    """Solves periodically and when asked, in a thread.
 
-    While a mounted wrench sensor is no longer what it was, its rows are left out; but not if all are forgotten in time.
+    An estimate that is worse than none is not kept. The rows of a mounted wrench sensor are left out while it is not
+    what it was, unless old rows are forgotten anyway.
     """
 
     def __init__(self, session: Session, period: float, on_estimate: Callable[[Session, Estimate], None]) -> None:
+        """
+        Args:
+            session: has the rows.
+            period: [s] between solves; nothing is solved while no rows come.
+            on_estimate: ``on_estimate(session, estimate)`` is called in the thread for each new estimate.
+        """
         self._session = session
         self._period = period
         self._forgets = bool(np.isfinite(session.configuration.buffer.forgetting_time))
         self._sensors = sensor_channels(session.model)
         self._on_estimate = on_estimate
-        self._lock = threading.Lock()  # held, never long, for all that follows
+        self._lock = threading.Lock()  # held, briefly, for all that follows
         self._estimate: Estimate | None = None
         self._problem = ""
         self._failures: Counter[str] = Counter()
-        self._epoch = 0  # of what is solved for in an earlier one, nobody wants to know
+        self._epoch = 0  # a result of an earlier one is thrown away
         self._solves = 0
         self._solved_rows = 0
         self._changed: tuple[str, ...] = ()
         self._asking: list[Done] = []
-        self.watch = self._new_watch()
+        self.detector = self._new_detector()
         self._start()
 
     def _start(self) -> None:
-        self.duty = Duty()
+        self.activity = Activity()
         self._requests: queue.SimpleQueue[Done | None] = queue.SimpleQueue()
         # A daemon: the process may end while it computes.
         self._thread = threading.Thread(
-            target=self._solve_repeatedly, args=(self.duty, self._requests), name="geomid-solver", daemon=True
+            target=self._solve_repeatedly, args=(self.activity, self._requests), name="geomid-solver", daemon=True
         )
         self._thread.start()
 
     def restart(self) -> None:
-        """Give up what the thread is at, and begin another. Who waits for it has an answer."""
+        """Give up what the thread is doing, and begin another thread. Those who wait for it get an error."""
         with self._lock:
             self._epoch += 1
             asking, self._asking = self._asking, []
@@ -70,14 +76,14 @@ class Solver:
             done(GeomidError("the solver did not end in time and was restarted"))
 
     def close(self, patience: float) -> None:
-        """End; what is being solved is finished first, unless it takes longer than ``patience`` [s]."""
+        """End. A solve is finished first, unless it takes longer than ``patience`` [s]."""
         self._requests.put(None)
         self._thread.join(patience)
         with self._lock:
             self._epoch += 1
 
     def ask(self, done: Done) -> None:
-        """Solve from scratch; ``done`` gets the result in the solver's thread."""
+        """Solve from scratch. ``done`` is called with the result, in the solver's thread."""
         with self._lock:
             self._asking.append(done)
         self._requests.put(done)
@@ -89,19 +95,19 @@ class Solver:
             self._begin_anew()
 
     def begin_anew(self) -> None:
-        """Forget what was learned, and is being solved, from rows some of which are taken back."""
+        """Forget what was learned, or is being solved, from rows some of which were taken back."""
         with self._lock:
             self._begin_anew()
 
     def _begin_anew(self) -> None:
-        self.watch = self._new_watch()
+        self.detector = self._new_detector()
         self._changed = ()
         self._estimate = None
         self._problem = ""
         self._solve_afresh()
 
     def _solve_afresh(self) -> None:
-        """Let nothing that was solved for, or is now, choose where the next solve begins, nor the prior's weight."""
+        """Let the next solve choose its starting point and the prior's weight anew, whatever was solved before."""
         self._epoch += 1
         self._session.warm = None
         self._solved_rows = 0
@@ -129,30 +135,30 @@ class Solver:
 
     @property
     def gaps(self) -> tuple[ChannelGap, ...]:
-        """Of the channels that are watched."""
-        return self.watch.gaps
+        """Of the monitored channels."""
+        return self.detector.gaps
 
     @property
     def changed_sensors(self) -> tuple[str, ...]:
-        """Topics of the wrench sensors that are no longer what they were, so that their rows are left out."""
+        """Topics of the wrench sensors whose rows are left out, as they are no longer what they were."""
         return self._changed
 
-    def _new_watch(self) -> GapWatch:
-        return GapWatch(self._session.model.channels, self._session.configuration.buffer.forgetting_time)
+    def _new_detector(self) -> ChangeDetector:
+        return ChangeDetector(self._session.model.channels, self._session.configuration.buffer.forgetting_time)
 
-    def _solve_repeatedly(self, duty: Duty, requests: queue.SimpleQueue[Done | None]) -> None:
+    def _solve_repeatedly(self, activity: Activity, requests: queue.SimpleQueue[Done | None]) -> None:
         next_solve = time.monotonic()
         while True:
             try:
                 done = requests.get(timeout=max(0.0, next_solve - time.monotonic()))
             except queue.Empty:
                 next_solve = time.monotonic() + self._period
-                self._solve_for_new_rows(duty)
+                self._solve_for_new_rows(activity)
                 continue
             if done is None:
                 return
-            with duty.on(SOLVING):
-                self._judge()
+            with activity.doing(SOLVING):
+                self._detect_changes()
                 result = self._solve_once(None)
             with self._lock:
                 if done not in self._asking:  # it was told that it took too long
@@ -160,42 +166,42 @@ class Solver:
                 self._asking.remove(done)
             done(result)
 
-    def _solve_for_new_rows(self, duty: Duty) -> None:
-        with duty.on(SOLVING):
-            self._judge()
+    def _solve_for_new_rows(self, activity: Activity) -> None:
+        with activity.doing(SOLVING):
+            self._detect_changes()
             if self._session.identifier.rows != self._solved_rows:
                 self._solve_once(self._warm_start())
 
-    def _judge(self) -> None:
-        watch = self.watch
+    def _detect_changes(self) -> None:
+        detector = self.detector
         try:
-            while watch.judge():
-                self._heed(watch)
-        except Exception as error:  # noqa: BLE001 the thread must outlive it; what happened is reported
+            while detector.judge():
+                self._leave_out_changed_sensors(detector)
+        except Exception as error:  # noqa: BLE001 the thread must outlive it; the diagnostics report it
             self._fail(error)
 
-    def _heed(self, watch: GapWatch) -> None:
-        """Leave out the rows of the sensors that have changed, and keep for good what is as it was."""
+    def _leave_out_changed_sensors(self, detector: ChangeDetector) -> None:
+        """Leave out the rows of sensors that have changed; accept for good those that are known to be sound."""
         if self._forgets or not self._sensors:
             return
-        changed = changed_sensors(watch.gaps, self._session.model)
+        changed = changed_sensors(detector.gaps, self._session.model)
         with self._lock:
-            if watch is not self.watch:  # all was forgotten meanwhile
+            if detector is not self.detector:  # all was forgotten meanwhile
                 return
             self._changed = tuple(changed or ())
             for topic, channels in self._sensors.items():
                 reason = f"wrench changed: {topic}"
-                if changed is None:  # nothing is the matter with the sensor
+                if changed is None:  # nothing is wrong with the sensor
                     self._session.identifier.take_again(reason, 0)
                 elif topic not in changed:
-                    self._session.identifier.take_again(reason, watch.judged)
+                    self._session.identifier.take_again(reason, detector.judged)
                 elif self._session.identifier.leave_out(reason, channels, changed[topic]):
                     self._solve_afresh()
         doubted = [] if changed is None else [place for places in self._sensors.values() for place in places]
-        self._session.identifier.settle(watch.normal(doubted))
+        self._session.identifier.settle(detector.normal(doubted))
 
     def _warm_start(self) -> WarmStart | None:
-        """Where to start from; None chooses the prior's weight anew, when it was chosen for other data."""
+        """Where to start; None, which chooses the prior's weight anew, when that was chosen for other data."""
         with self._lock:
             warm = self._session.warm
             if warm is None or self._problem or self._session.identifier.outgrown(warm.rows):
@@ -209,7 +215,7 @@ class Solver:
             estimate = self._finite(self._session.identifier.solve(warm))
             if self._keep(estimate, rows, epoch, warm):
                 self._on_estimate(self._session, estimate)
-        except Exception as error:  # noqa: BLE001 the last estimate stays; what happened is reported
+        except Exception as error:  # noqa: BLE001 the last estimate stays; the diagnostics report it
             if not isinstance(error, GeomidError):
                 self._fail(error)
             with self._lock:
@@ -224,7 +230,7 @@ class Solver:
         raise GeomidError("the solver's result is not finite")
 
     def _keep(self, estimate: Estimate, rows: int, epoch: int, warm: WarmStart | None) -> bool:
-        """Keep an estimate, unless it is of rows that were to be forgotten, or not as good as the one before."""
+        """Keep an estimate, unless its rows were forgotten meanwhile or it is worse than the one before."""
         with self._lock:
             if epoch != self._epoch:
                 return False

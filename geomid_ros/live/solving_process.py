@@ -1,4 +1,4 @@
-"""Solving in a process of its own: Python runs one thread of a process at a time, and no message shall wait for it."""
+"""Solves in a process of its own: Python runs one thread of a process at a time, and messages must not wait."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ from geomid_ros.estimation.estimator import WarmStart
 from geomid_ros.estimation.identifier import EstimationTask
 from geomid_ros.estimation.summary import RowSummary
 
-_NICE = 5  # who takes messages comes first
-_PATIENCE = 60.0  # [s] for a solve that its caller has given up
+_NICE = 5  # the process that takes messages comes first
+_PATIENCE = 60.0  # [s] for a solve whose caller has given up
 _PR_SET_PDEATHSIG = 1  # of prctl(2)
 _PROTOCOL = 5  # of pickle; it leaves read-only arrays read-only
 
@@ -27,12 +27,11 @@ _PROTOCOL = 5  # of pickle; it leaves read-only arrays read-only
 class SolvingProcess:
     """Solves one task after the other.
 
-    When it has ended, or does not come to the end of a solve that its caller has given up, whoever asks solves in his
-    own process.
+    When the process has ended, or hangs in a solve whose caller has given up, the caller's own process solves.
     """
 
     def __init__(self) -> None:
-        """Fork, so that nothing has to be imported again: no thread may have been started before."""
+        """Fork, so that nothing has to be imported again. No thread may have been started before."""
         context = get_context("fork")
         self._connection, theirs = context.Pipe()
         self._process = context.Process(target=_serve, args=(theirs, self._connection), daemon=True)
@@ -44,15 +43,19 @@ class SolvingProcess:
 
     @property
     def problem(self) -> str:
-        """That the process has ended."""
+        """That the process has ended; empty if it has not."""
         if self._process.is_alive():
             return ""
         return "the solving process has ended; until the node is started anew, messages wait for solves"
 
     def solve(self, task: EstimationTask, summary: RowSummary, warm: WarmStart | None) -> Estimate:
-        """As :meth:`EstimationTask.solve`. Raises GeomidError, too, when :meth:`close` ends the process meanwhile."""
+        """Like :meth:`EstimationTask.solve`.
+
+        Raises:
+            GeomidError: the solve failed, or :meth:`close` ended the process meanwhile.
+        """
         if not self._solving.acquire(timeout=_PATIENCE):
-            self.close()  # whoever waits for it has been given up
+            self.close()  # it hangs
             return task.solve(summary, warm)
         try:
             return self._solved(task, summary, warm)
@@ -80,14 +83,14 @@ class SolvingProcess:
         return answer
 
     def close(self) -> None:
-        """End the process, whatever it is at."""
+        """End the process, whatever it does."""
         self._closed = True
         self._process.kill()
         self._process.join()
 
 
 def _serve(connection: Connection[Any, Any], parents: Connection[Any, Any]) -> None:
-    """Solve what is asked for until nobody is left to ask."""
+    """Solve what is asked for until the parent is gone."""
     parents.close()
     _end_with_parent()
     os.nice(_NICE)
@@ -100,13 +103,13 @@ def _serve(connection: Connection[Any, Any], parents: Connection[Any, Any]) -> N
         task = new or task
         try:
             answer: Estimate | Exception = task.solve(summary, warm)
-        except Exception as error:  # noqa: BLE001 whoever asked raises it
+        except Exception as error:  # noqa: BLE001 the parent raises it
             answer = error
         connection.send_bytes(pickle.dumps(answer, _PROTOCOL))
 
 
 def _end_with_parent() -> None:
-    """And not before: signals that reach the whole group are the parent's to answer."""
+    """End when the parent does, not before: signals to the whole group are the parent's to answer."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, signal.SIG_IGN)
     if sys.platform == "linux":

@@ -1,25 +1,28 @@
-"""What the worker tells the diagnostics."""
+"""What a live session tells the diagnostics."""
 
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.monitoring.change_detection import ChannelGap
 from geomid_ros.signals.ledger import Account
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Status:
-    """A snapshot for diagnostics; ``topics`` are those that data are expected on, none without a robot description.
+    """A snapshot for diagnostics.
 
-    ``problems`` are errors that last, ``warnings`` are less; ``failures`` counts exceptions. ``rows_made``, by their
-    samples, are those taken (``rows``) and those rejected. ``queue``: messages that wait for their fate.
-    ``receipt_to_row`` [s]: for the last instants whose rows were added, the time since the message that completed them
-    came to its callback. The fixed lag of the filter is not in it. ``unmeasured``: joints without efforts. ``gaps``: of
-    the channels that are watched. ``changed_sensors``: topics of the wrench sensors that are no longer what they were,
-    and whose rows are left out.
+    - ``topics``: where data are expected, empty without a robot description; ``accounts``: of their messages.
+    - ``problems``: errors that last; ``warnings``: less than that; ``failures``: exceptions, by what they said.
+    - ``rows``: taken; ``rows_rejected``: by reason; ``rows_made``: both together.
+    - ``queue``: messages that wait to be judged or used; ``lag`` [s]: of the filter.
+    - ``receipt_to_row`` [s]: for each of the last instants, the time from the callback of the message that completed it
+      until its rows were added. The lag of the filter is not part of it.
+    - ``joints``: their number; ``unmeasured``: those without efforts.
+    - ``gaps``: of the monitored channels; ``changed_sensors``: topics of wrench sensors whose rows are left out, as
+      they are no longer what they were.
     """
 
     active: bool
@@ -40,3 +43,17 @@ class Status:
     gaps: tuple[ChannelGap, ...] = ()
     estimate: Estimate | None = None
     changed_sensors: tuple[str, ...] = ()
+
+    def account(self, topic: str) -> Account:
+        """What became of a topic's messages."""
+        return self.accounts.get(topic, Account())
+
+    def since(self, before: Status) -> Status:
+        """The same, but with what was counted after ``before``: messages, rows and failures."""
+        return replace(
+            self,
+            accounts={topic: account.since(before.account(topic)) for topic, account in self.accounts.items()},
+            rows=self.rows - before.rows,
+            rows_rejected=self.rows_rejected - before.rows_rejected,
+            failures=self.failures - before.failures,
+        )

@@ -1,4 +1,4 @@
-"""Two threads behind the node: one turns messages into rows, one (:class:`Solver`) turns rows into estimates."""
+"""The two threads behind the node: the intake turns messages into rows, the solver turns rows into estimates."""
 
 from __future__ import annotations
 
@@ -8,74 +8,89 @@ import time
 from collections import Counter, deque
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
-from typing import Any, TypeAlias
+from typing import TypeAlias
 
 import numpy as np
 
 from geomid_ros.estimation.estimate import Estimate
-from geomid_ros.live.duty import Duty
+from geomid_ros.live.activity import Activity
 from geomid_ros.live.solver import SOLVING, Done, Solver
 from geomid_ros.live.status import Status
 from geomid_ros.model.measurement import Rows
 from geomid_ros.model.samples import Samples
-from geomid_ros.monitoring.changed_sensors import sensor_channels
-from geomid_ros.monitoring.wrench_check import WrenchCheck
+from geomid_ros.monitoring.wrench_sensors import WrenchCheck, sensor_channels
 from geomid_ros.session.session import Session
 from geomid_ros.signals.ledger import count_reason
-from geomid_ros.signals.messages import feed_joint_state, feed_odometry, feed_wrench
-from geomid_ros.signals.pipeline import JOINT_STATES, ODOM, Accepted
+from geomid_ros.signals.messages import Accepted, Message
 from geomid_ros.types import FloatArray
 
-_LONGEST_WAIT = 0.75  # [s] while a message has waited for so long, those that come are dropped, and counted
-_PATIENCE = 0.8  # [s] for both threads to finish what they do when they are told to end
-_TRANSITION = 2_000_000_000  # [ns] a gap opens some time in so long, and is not at once what it will be
-_LATENCIES = 10_000  # of so many last instants it is known how long their rows took
+_LONGEST_WAIT = 0.75  # [s] while a message has waited for so long, new ones are dropped, and counted
+_PATIENCE = 0.8  # [s] for both threads to end
+_TRANSITION = 2_000_000_000  # [ns] from the beginning of a gap until all rows show it
+_LATENCIES = 10_000  # last instants of which the latency is known
 _MOST_HELD = 100_000_000  # bytes of rows that can be taken back
-_LONG = 1.0  # [s] nothing that a thread does takes longer, but solving may, if ``solve_period`` is longer
+_LONG = 1.0  # [s] nothing that a thread does takes longer, except solving if ``solve_period`` is longer
 
 OnSamples: TypeAlias = Callable[[Session, Samples, FloatArray], None]
 OnEstimate: TypeAlias = Callable[[Session, Estimate], None]
 
 
 @dataclass(frozen=True)
-class _Message:
+class _Received:
     """A message that waits, and when [s] it came."""
 
-    topic: str
-    feed: Callable[[], None]
-    received: float
+    message: Message
+    time: float
+
+
+@dataclass(frozen=True)
+class _Reset:
+    """All rows are to be forgotten."""
+
+
+@dataclass(frozen=True)
+class _FinalEstimate:
+    """``done`` waits for an estimate from all messages so far."""
+
+    done: Done
+
+
+_Task: TypeAlias = _Received | _Reset | _FinalEstimate
 
 
 class Worker:
-    """Owns a session while it is live.
-
-    ``on_samples(session, samples, parameters)`` is called, in the intake thread, for samples once there is an estimate;
-    ``on_estimate(session, estimate)``, in the solver's thread, for each new one.
-    """
+    """Owns a session while it is live: its inbox, its intake thread and its solver."""
 
     def __init__(self, session: Session, solve_period: float, on_samples: OnSamples, on_estimate: OnEstimate) -> None:
+        """
+        Args:
+            session: in which nothing has happened yet, or that was restored.
+            solve_period: [s] between estimates.
+            on_samples: ``on_samples(session, samples, parameters)`` is called in the intake thread for new samples,
+                once there is an estimate.
+            on_estimate: ``on_estimate(session, estimate)`` is called in the solver's thread for each new estimate.
+        """
         self.session = session
         self.ledger = session.pipeline.ledger
         self.solver = Solver(session, solve_period, on_estimate)
-        self.duty = Duty()  # of the intake
+        self.activity = Activity()  # of the intake
         self._on_samples = on_samples
         self._longest_solve = max(_LONG, solve_period)
-        self._lock = threading.Lock()  # held, never long, for what follows here
+        self._lock = threading.Lock()  # held, briefly, for the three that follow
         self._failures: Counter[str] = Counter()
         self._rows_lost: Counter[str] = Counter()  # replaced as a whole
         self._receipt_to_row: deque[float] = deque(maxlen=_LATENCIES)
         self._sensors = sensor_channels(session.model)
         self._begin_check()
-        self._last_taken = time.perf_counter()  # when what the intake took last was received, or later
-        self._inbox: queue.SimpleQueue[_Message | Callable[[], None] | None] = queue.SimpleQueue()
+        self._last_taken = time.perf_counter()  # when the message that the intake took last was received, or later
+        self._inbox: queue.SimpleQueue[_Task | None] = queue.SimpleQueue()
         # A daemon: the process may end while it computes.
         self._intake = threading.Thread(target=self._take_messages, name="geomid-intake", daemon=True)
         self._intake.start()
 
     def close(self, patience: float | None = None) -> None:
-        """Stop both threads. Messages that wait and what is being solved are finished first, unless it takes longer
-        than ``patience`` [s]. The messages that are left are dropped."""
+        """Stop both threads. Waiting messages and a solve are finished first, unless that takes longer than
+        ``patience`` [s]; messages that are left then are dropped."""
         end = time.monotonic() + (_PATIENCE if patience is None else patience)
         self._inbox.put(None)
         self._intake.join(max(0.0, end - time.monotonic()))
@@ -89,37 +104,35 @@ class Worker:
                 task = self._inbox.get_nowait()
             except queue.Empty:
                 break
-            if isinstance(task, _Message):
-                self.ledger.drop(task.topic, "the node ends, or begins anew")
+            if isinstance(task, _Received):
+                self.ledger.drop(task.message.topic, "the node ends, or begins anew")
         self._inbox.put(None)
 
-    def joint_state(self, message: Any) -> None:
-        """Take a joint message."""
-        self._put(JOINT_STATES, partial(feed_joint_state, self.session.pipeline, message))
-
-    def odometry(self, message: Any) -> None:
-        """Take the base's pose."""
-        self._put(ODOM, partial(feed_odometry, self.session.pipeline, message))
-
-    def wrench(self, topic: str, message: Any) -> None:
-        """Take a wrench of the sensor declared with ``topic``."""
-        self._put(topic, partial(feed_wrench, self.session.pipeline, topic, message))
+    def take(self, message: Message) -> None:
+        """Put a message into the queue, or drop it while others have waited there for too long."""
+        now = time.perf_counter()
+        if self._inbox.empty():
+            self._last_taken = now
+        elif now - self._last_taken > _LONGEST_WAIT:
+            self.ledger.drop(message.topic, "queue full")
+            return
+        self._inbox.put(_Received(message, now))
 
     def reset(self) -> None:
         """Forget all rows and the estimate, after the messages that wait."""
-        self._put_task(self._forget)
+        self._put(_Reset())
 
     def final_estimate(self, done: Done) -> None:
-        """Solve from scratch for all messages received so far; ``done`` gets the result in the solver's thread."""
-        self._put_task(lambda: self.solver.ask(done))
+        """Solve from scratch for all messages so far. ``done`` is called with the result, in the solver's thread."""
+        self._put(_FinalEstimate(done))
 
     def recent_messages(self) -> list[Accepted]:
-        """What the session remembers of the last messages; where a gap has opened, since then.
+        """The messages that the session remembers; after a gap has opened, only those since then.
 
-        Before and after it were two robots, and no one effect explains both.
+        Before and after it are two robots, and no one effect explains both.
         """
         begin = max((gap.since + _TRANSITION for gap in self.solver.gaps if gap.since is not None), default=0)
-        return [entry for entry in self.session.recent.entries() if entry[1] >= begin]
+        return [message for message in self.session.recent.entries() if message.stamp >= begin]
 
     @property
     def estimate(self) -> Estimate | None:
@@ -127,29 +140,29 @@ class Worker:
         return self.solver.estimate
 
     def status(self, active: bool) -> Status:
-        """What to report now."""
+        """The present state. ``active``: whether the node takes data."""
         pipeline, rows, lost = self.session.pipeline, self.session.identifier.counts, self._rows_lost
         with self._lock:
             receipt_to_row, failures = tuple(self._receipt_to_row), self._failures + self.solver.failures
         return Status(
-            active,
-            tuple(filter(None, (*self._doubts, self._intake_is_late))),
-            tuple(filter(None, (self.solver.problem, self._solver_is_late))),
-            failures,
-            self.session.topics,
-            rows.taken,
-            rows.made + lost.total(),
-            rows.rejected + lost,
-            pipeline.lag,
-            self._inbox.qsize() + pipeline.held,
-            receipt_to_row,
-            self.solver.solves,
-            self.ledger.topics,
-            len(self.session.robot.joint_names),
-            pipeline.unmeasured if self.session.model.efforts_usable else (),
-            self.solver.gaps,
-            self.solver.estimate,
-            self.solver.changed_sensors,
+            active=active,
+            problems=tuple(filter(None, (*self._doubts, self._intake_is_late))),
+            warnings=tuple(filter(None, (self.solver.problem, self._solver_is_late))),
+            failures=failures,
+            topics=self.session.topics,
+            rows=rows.taken,
+            rows_made=rows.made + lost.total(),
+            rows_rejected=rows.rejected + lost,
+            lag=pipeline.lag,
+            queue=self._inbox.qsize() + pipeline.held,
+            receipt_to_row=receipt_to_row,
+            solves=self.solver.solves,
+            accounts=self.ledger.topics,
+            joints=len(self.session.robot.joint_names),
+            unmeasured=pipeline.unmeasured if self.session.model.efforts_usable else (),
+            gaps=self.solver.gaps,
+            estimate=self.solver.estimate,
+            changed_sensors=self.solver.changed_sensors,
         )
 
     @property
@@ -161,54 +174,47 @@ class Worker:
 
     @property
     def _intake_is_late(self) -> str:
-        what, seconds = self.duty.current
+        what, seconds = self.activity.current
         return f"a message on {what} is being taken since {seconds:.0f} s" if seconds > _LONG else ""
 
     @property
     def _solver_is_late(self) -> str:
-        what, seconds = self.solver.duty.current
+        what, seconds = self.solver.activity.current
         limit = self._longest_solve if what == SOLVING else _LONG
         return f"{what} takes {seconds:.0f} s so far, more than {limit:g} s" if seconds > limit else ""
 
-    def _put_task(self, task: Callable[[], None]) -> None:
+    def _put(self, task: _Reset | _FinalEstimate) -> None:
         if self._inbox.empty():
             self._last_taken = time.perf_counter()
         self._inbox.put(task)
-
-    def _put(self, topic: str, feed: Callable[[], None]) -> None:
-        now = time.perf_counter()
-        if self._inbox.empty():
-            self._last_taken = now
-        elif now - self._last_taken > _LONGEST_WAIT:
-            self.ledger.drop(topic, "queue full")
-            return
-        self._inbox.put(_Message(topic, feed, now))
 
     def _take_messages(self) -> None:
         while (task := self._inbox.get()) is not None:
             try:
                 self._do(task)
-            except Exception as error:  # noqa: BLE001 the thread must outlive anything; what happened is reported
+            except Exception as error:  # noqa: BLE001 the thread must outlive it; the diagnostics report it
                 self._fail("the intake failed", error)
 
-    def _do(self, task: _Message | Callable[[], None]) -> None:
-        if isinstance(task, _Message):
-            self._last_taken = task.received
-            with self.duty.on(task.topic):
-                self._take(task)
+    def _do(self, task: _Task) -> None:
+        if isinstance(task, _Reset):
+            self._forget()
+        elif isinstance(task, _FinalEstimate):
+            self.solver.ask(task.done)
         else:
-            task()
+            self._last_taken = task.time
+            with self.activity.doing(task.message.topic):
+                self._take(task.message, task.time)
 
-    def _take(self, message: _Message) -> None:
-        """Let a message end in the ledger, and the rows that it completes in the identifier."""
+    def _take(self, message: Message, received: float) -> None:
+        """Push a message into the pipeline, and the rows that it completes into the identifier."""
         try:
-            message.feed()
-        except Exception as error:  # noqa: BLE001 the thread must outlive any message; what happened is reported
+            self.session.pipeline.push(message)
+        except Exception as error:  # noqa: BLE001 as above
             self.ledger.drop(message.topic, f"{type(error).__name__} while taking a message")
             self._fail(f"a message on {message.topic} could not be taken", error)
         samples = self.session.pipeline.collect()
         if samples is not None:
-            self._add(samples, message.received)
+            self._add(samples, received)
 
     def _add(self, samples: Samples, received: float) -> None:
         estimate, identifier = self.solver.estimate, self.session.identifier
@@ -223,12 +229,12 @@ class Worker:
         with self._lock:
             self._receipt_to_row.append(time.perf_counter() - received)
         self._check_wrenches(new)
-        self.solver.watch.add(identifier.instants - len(stamps), stamps, self._without_doubtful(new))
+        self.solver.detector.add(identifier.instants - len(stamps), stamps, self._without_doubtful(new))
         if estimate is not None:
-            self._tell(samples, estimate)
+            self._report_prediction(samples, estimate)
 
     def _check_wrenches(self, rows: Rows) -> None:
-        """Judge the sensors by their first rows, once, and take these back where they are wrong."""
+        """Check the sensors by their first rows, once, and take back the rows of those that are wrong."""
         if self._wrenches.ended:
             return
         self._wrenches.add(rows)
@@ -236,10 +242,10 @@ class Worker:
             self.session.identifier.leave_out(f"wrench doubtful: {topic}", self._sensors[topic], 0)
         if self._wrenches.problems:
             self.solver.begin_anew()
-        self._hold()
+        self._keep_revocable()
 
-    def _hold(self) -> None:
-        """Let rows be taken back while anything may yet find them bad."""
+    def _keep_revocable(self) -> None:
+        """Keep rows revocable while they may still be found to be bad."""
         model = self.session.model
         forgets = np.isfinite(self.session.configuration.buffer.forgetting_time)
         instant = 8 * (model.dimension + 1) * len(model.channels)
@@ -254,7 +260,7 @@ class Worker:
         targets[:, doubtful] = np.nan
         return Rows(rows.coefficients, targets)
 
-    def _tell(self, samples: Samples, estimate: Estimate) -> None:
+    def _report_prediction(self, samples: Samples, estimate: Estimate) -> None:
         try:
             self._on_samples(self.session, samples, estimate.parameters)
         except Exception as error:  # noqa: BLE001 as above
@@ -265,9 +271,8 @@ class Worker:
             count_reason(self._failures, f"{what}: {type(error).__name__}: {error}")
 
     def _begin_check(self) -> None:
-        model = self.session.model
-        self._wrenches = WrenchCheck(model.channels, model.sensors, self.session.nominal_parameters)
-        self._hold()
+        self._wrenches = WrenchCheck(self.session.model, self.session.nominal_parameters)
+        self._keep_revocable()
 
     def _forget(self) -> None:
         self.session.recent.clear()

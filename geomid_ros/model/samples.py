@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -10,6 +11,8 @@ import numpy as np
 from geomid_ros.model.columns import NO_COLUMNS, Column, Columns
 from geomid_ros.model.effects import Motion
 from geomid_ros.types import AnyArray, FloatArray, IntArray
+
+_PAUSE = 1.5  # sampling periods
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,6 +68,12 @@ class Samples:
         """The samples chosen by a mask, index array or slice."""
         arrays = {name: getattr(self, name)[index] for name in _ARRAYS}
         return Samples(**arrays, columns=self.columns)
+
+    def stretches(self) -> list[Samples]:
+        """The parts without a pause between them: a step longer than 1.5 times the median one."""
+        steps = np.diff(self.stamps)
+        ends = np.flatnonzero(steps > _PAUSE * np.median(steps)) + 1 if len(steps) else steps
+        return [self.select(slice(begin, end)) for begin, end in pairwise([0, *ends.tolist(), len(self)])]
 
     @staticmethod
     def concatenate(parts: list[Samples]) -> Samples:

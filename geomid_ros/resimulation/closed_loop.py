@@ -13,9 +13,10 @@ from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.samples import Samples
 from geomid_ros.resimulation.errors import root_mean_square
 from geomid_ros.resimulation.noise import Noise
-from geomid_ros.resimulation.stretch import Stretch, interpolated, smoothed, stretches
+from geomid_ros.resimulation.stretch import Stretch, interpolated, stretches
 from geomid_ros.resimulation.windows import Windows, WindowSimulation
 from geomid_ros.resimulation.written_robot import WrittenRobot
+from geomid_ros.signals.kernels import filtered
 from geomid_ros.types import BoolArray, FloatArray
 
 _SEPARATIONS = (0.03, 0.05, 0.08)  # [s] at which the noise of filtered samples is another, and the motion the same
@@ -103,7 +104,7 @@ def closed_loop(
 
     def ratios(kind: str) -> dict[str, float]:
         errors = [trace.effort - getattr(trace, kind) for trace in traces]
-        low = [smoothed(e, p.stretch.period, cutoff)[0] for e, p in zip(errors, parts, strict=True)]
+        low = [filtered(e, cutoff, p.stretch.period)[0] for e, p in zip(errors, parts, strict=True)]
         ratio = root_mean_square(low) / np.where(known, floor, 1.0)
         return {name: float(value) for name, value, good in zip(joints, ratio, known, strict=True) if good}
 

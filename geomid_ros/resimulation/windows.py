@@ -8,8 +8,9 @@ from functools import cached_property
 import numpy as np
 
 from geomid_ros.model.effects import Motion
-from geomid_ros.resimulation.stretch import Stretch, interpolated, smoothed
+from geomid_ros.resimulation.stretch import Stretch, interpolated
 from geomid_ros.resimulation.written_robot import Rollout, WrittenRobot
+from geomid_ros.signals.kernels import filtered
 from geomid_ros.types import FloatArray, IntArray
 
 # Long enough for the noise of efforts to average out, short enough for errors not to grow by themselves: an arm that
@@ -90,7 +91,7 @@ class WindowSimulation:
         position[:, robot.dofs], velocity[:, robot.dofs] = samples.position, samples.velocity
         if robot.gears:
             gears = list(robot.gears)
-            deflection, rate = smoothed(robot.gear_deflections(stretch.samples), stretch.period, _GEAR_CUTOFF)
+            deflection, rate, _ = filtered(robot.gear_deflections(stretch.samples), _GEAR_CUTOFF, stretch.period)
             position[:, gears], velocity[:, gears] = deflection[starts], rate[starts]
         return position, velocity
 

@@ -1,1 +1,1 @@
-"""Floor 5: the only place that imports rclpy."""
+"""The node, its messages and parameters, and the player: the only place that imports rclpy."""

@@ -17,30 +17,35 @@ from geomid_ros.live.status import Status
 from geomid_ros.monitoring.change_detection import ChannelGap
 from geomid_ros.report.gap_words import not_explained
 from geomid_ros.signals.joint_messages import DRIVER_ERROR
-from geomid_ros.signals.pipeline import JOINT_STATES
+from geomid_ros.signals.ledger import Account
+from geomid_ros.signals.messages import JOINT_STATES
 
 NO_DESCRIPTION = "no robot description yet"
 STOPPED = "stopped"
-_SIMULATED = 1_000_000_000_000_000_000  # [ns] no clock that is set to the time of day shows less
+_SIMULATED = 1_000_000_000_000_000_000  # [ns] earlier stamps are of a simulation
 _QUANTILES = {"p50": 0.5, "p99": 0.99, "max": 1.0}
 
 
 class Diagnostics:
-    """Makes a node's diagnostic messages, one after the other: what is wrong is what went wrong since the last one."""
+    """Makes a node's diagnostic messages. What counts as wrong is what went wrong since the message before."""
 
     def __init__(self, node: str) -> None:
         self._node = node
-        self._counts: Counter[str] = Counter()
+        self._before = Status(active=False)
 
     def array(
         self, status: Status, search: SearchStatus | None = None, checkpoints: CheckpointStatus | None = None
     ) -> DiagnosticArray:
-        """The state of the stream, of the search for a gap if there was one, of the checkpoints if there are to be any,
-        and of every link."""
-        counts = _counts(status)
-        level, message = _judgement(status, counts - self._counts)
-        self._counts = counts
-        array = DiagnosticArray(status=[_status(f"{self._node}: stream", level, message, _stream(status, counts))])
+        """The state of the stream and of every link.
+
+        Args:
+            status: of the session.
+            search: of the search for a gap, if there was one.
+            checkpoints: of the checkpoints, if any are kept.
+        """
+        level, message = _judgement(status, status.since(self._before))
+        self._before = status
+        array = DiagnosticArray(status=[_status(f"{self._node}: stream", level, message, _stream(status))])
         if search is not None:
             array.status.append(_search(f"{self._node}: gap finding", search))
         if checkpoints is not None:
@@ -76,41 +81,46 @@ def _link(node: str, link: LinkEstimate) -> DiagnosticStatus:
     return _status(f"{node}: {link.name}", DiagnosticStatus.OK, f"mass {link.mass:.3f} kg", values)
 
 
-_RECEIVED, _ACCEPTED, _LOST = " received", " accepted", " lost"
-_REJECTED, _DROPPED, _NOTED = " rejected: ", " dropped: ", " noted: "
-_FAILED, _ROWS_REJECTED = "failed: ", "rows rejected: "
 _MOST_REASONS = 5  # in a sentence
-_MANY = 10  # messages, of which none was accepted, are no accident
+_MANY = 10  # messages of which none was accepted: no accident
 
 
-def _counts(status: Status) -> Counter[str]:
-    """All that is counted: of messages received, accepted, rejected or dropped by reason, noted, lost; and of rows."""
-    counts: Counter[str] = Counter({"rows": status.rows, "rows made": status.rows_made})
-    for topic, account in status.accounts.items():
-        counts.update({f"{topic}{_RECEIVED}": account.received, f"{topic}{_ACCEPTED}": account.accepted})
-        counts.update({f"{topic}{_REJECTED}{reason}": count for reason, count in account.rejected.items()})
-        counts.update({f"{topic}{_DROPPED}{reason}": count for reason, count in account.dropped.items()})
-        counts.update({f"{topic}{_NOTED}{remark}": count for remark, count in account.noted.items()})
-        if account.lost:
-            counts[f"{topic}{_LOST}"] = account.lost
-    counts.update({f"{_ROWS_REJECTED}{reason}": count for reason, count in (+status.rows_rejected).items()})
-    counts.update({f"{_FAILED}{what}": count for what, count in status.failures.items()})
-    return counts
-
-
-def _stream(status: Status, counts: Mapping[str, int]) -> dict[str, object]:
+def _stream(status: Status) -> dict[str, object]:
     values: dict[str, object] = {
         "active": status.active,
         "lag": status.lag,
         "queue": status.queue,
         **_latency(status.receipt_to_row),
         "solves": status.solves,
-        **counts,
+        "rows": status.rows,
+        "rows made": status.rows_made,
+    }
+    for topic, account in status.accounts.items():
+        values |= _account(topic, account)
+    values |= {
+        **{f"rows rejected: {reason}": count for reason, count in (+status.rows_rejected).items()},
+        **{f"failed: {what}": count for what, count in status.failures.items()},
         **{f"gap {gap.channel}": gap.times_floor for gap in status.gaps},
     }
     if status.estimate is not None:
         values |= _solve(status.estimate)
     return values
+
+
+def _account(topic: str, account: Account) -> dict[str, int]:
+    return {
+        f"{topic} received": account.received,
+        f"{topic} accepted": account.accepted,
+        **_refusals(topic, account),
+        **{f"{topic} noted: {remark}": count for remark, count in account.noted.items()},
+        **({f"{topic} lost": account.lost} if account.lost else {}),
+    }
+
+
+def _refusals(topic: str, account: Account) -> dict[str, int]:
+    """How many messages were not taken for each reason."""
+    rejected = {f"{topic} rejected: {reason}": count for reason, count in account.rejected.items()}
+    return rejected | {f"{topic} dropped: {reason}": count for reason, count in account.dropped.items()}
 
 
 def _latency(seconds: Sequence[float]) -> dict[str, float]:
@@ -140,7 +150,7 @@ def _gap_sentence(gaps: Sequence[ChannelGap]) -> str:
 
 
 def _time(stamp: int) -> str:
-    """A stamp [ns] as people read it: those of a simulation count from its beginning."""
+    """A stamp [ns] as text: seconds in a simulation, else date and time."""
     if stamp < _SIMULATED:
         return f"{stamp * 1e-9:.1f} s"
     return datetime.fromtimestamp(stamp * 1e-9, UTC).strftime("%Y-%m-%d %H:%M:%S UTC")
@@ -170,8 +180,8 @@ def _checkpoints(name: str, checkpoints: CheckpointStatus) -> DiagnosticStatus:
     return _status(name, DiagnosticStatus.OK, f"{checkpoints.values['rows']} rows are safe", checkpoints.values)
 
 
-def _judgement(status: Status, new: Counter[str]) -> tuple[bytes, str]:
-    """Level and message, given what was counted since the last diagnostics: all that is wrong of the highest level."""
+def _judgement(status: Status, new: Status) -> tuple[bytes, str]:
+    """Level and message: all that is wrong of the highest level. ``new`` counts from the last diagnostics on."""
     for level, sentences in (
         (DiagnosticStatus.ERROR, _errors(status, new)),
         (DiagnosticStatus.WARN, _warnings(status, new)),
@@ -183,34 +193,40 @@ def _judgement(status: Status, new: Counter[str]) -> tuple[bytes, str]:
     return DiagnosticStatus.OK, "collecting rows" if status.estimate is None else f"{status.rows} rows"
 
 
-def _errors(status: Status, new: Counter[str]) -> list[str]:
-    sentences = [*status.problems, *(key.removeprefix(_FAILED) for key in +new if key.startswith(_FAILED))]
+def _errors(status: Status, new: Status) -> list[str]:
+    sentences = [*status.problems, *new.failures]
     if status.joints and len(status.unmeasured) == status.joints:
         sentences.append(
             f"{JOINT_STATES}: no joint's effort is measured, no joint's equation is used: {_list(status.unmeasured)}"
         )
     gaps = [gap for gap in _open(status) if _is_wrench(gap, status)]
     if gaps:
-        sentences.append(f"{_gap_sentence(gaps)}: {_what_of_a_wrench(status.changed_sensors)}")
+        sentences.append(f"{_gap_sentence(gaps)}: {_wrench_question(status.changed_sensors)}")
     for topic in status.topics:
-        nothing = new[topic + _RECEIVED] >= _MANY and new[topic + _ACCEPTED] == 0
-        bad = topic + _REJECTED if nothing else topic + _REJECTED + DRIVER_ERROR
-        sentences += _refused({key: count for key, count in new.items() if key.startswith(bad)})
+        account = new.account(topic)
+        nothing = account.received >= _MANY and account.accepted <= 0
+        bad = {
+            reason: count for reason, count in account.rejected.items() if nothing or reason.startswith(DRIVER_ERROR)
+        }
+        sentences += _most_frequent(_refusals(topic, Account(rejected=Counter(bad))))
     return sentences
 
 
-def _warnings(status: Status, new: Counter[str]) -> list[str]:
+def _warnings(status: Status, new: Status) -> list[str]:
     sentences = list(status.warnings)
     if not status.topics:
         return [*sentences, NO_DESCRIPTION]
     if not status.active:
         return sentences
-    silent = [topic for topic in status.topics if new[topic + _RECEIVED] == 0]
+    silent = [topic for topic in status.topics if new.account(topic).received == 0]
     if silent:
         sentences.append(f"no messages on {', '.join(silent)}")
-    sentences += _refused({key: count for key, count in new.items() if _REJECTED in key or _DROPPED in key})
-    sentences += [key.replace(_NOTED, ": ") for key in +new if _NOTED in key]
-    sentences += [f"{key} ({count} messages)" for key, count in (+new).items() if key.endswith(_LOST)]
+    refusals: dict[str, int] = {}
+    for topic, account in new.accounts.items():
+        refusals |= _refusals(topic, account)
+    sentences += _most_frequent(refusals)
+    sentences += [f"{topic}: {remark}" for topic, account in new.accounts.items() for remark in account.noted]
+    sentences += [f"{topic} lost ({account.lost} messages)" for topic, account in new.accounts.items() if account.lost]
     if status.unmeasured:
         sentences.append(f"{JOINT_STATES}: no effort of {_list(status.unmeasured)}: what it says is left out")
     gaps = [gap for gap in _open(status) if not _is_wrench(gap, status)]
@@ -218,7 +234,7 @@ def _warnings(status: Status, new: Counter[str]) -> list[str]:
         sentences.append(_gap_sentence(gaps))
     if status.estimate is not None and not status.estimate.converged:
         sentences.append(status.estimate.reason)
-    if new[_ROWS_REJECTED + STANDING_STILL] > 0 and new["rows"] <= 0:
+    if new.rows_rejected[STANDING_STILL] > 0 and new.rows <= 0:
         sentences += _standing_still(status.estimate)
     return sentences
 
@@ -231,20 +247,19 @@ def _is_wrench(gap: ChannelGap, status: Status) -> bool:
     return any(gap.channel.startswith(f"{topic.strip('/')}/") for topic in status.topics)
 
 
-def _what_of_a_wrench(changed: Sequence[str]) -> str:
+def _wrench_question(changed: Sequence[str]) -> str:
     question = "was the sensor tared, does it drift, or has the load changed?"
     if not changed:
         return f"{question} Its rows are taken"
     return f"{question} Rows of {', '.join(changed)} are left out until it is as before, or ~/reset"
 
 
-def _refused(counts: Mapping[str, int]) -> list[str]:
-    """The most frequent reasons for which messages were not taken."""
-    return [f"{key} ({count} messages)" for key, count in Counter(counts).most_common(_MOST_REASONS) if count > 0]
+def _most_frequent(refusals: Mapping[str, int]) -> list[str]:
+    return [f"{reason} ({count} messages)" for reason, count in Counter(refusals).most_common(_MOST_REASONS)]
 
 
 def _standing_still(estimate: Estimate | None) -> list[str]:
-    """Nothing to complain of, unless something is not known yet."""
+    """A complaint only if something is not known yet."""
     if estimate is None:
         return [f"{STANDING_STILL}: nothing can be told of any link"]
     unknown = [link.name for link in estimate.links if len(link.cannot_tell) == len(QUANTITIES)]

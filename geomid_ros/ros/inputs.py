@@ -1,4 +1,4 @@
-"""The node's subscriptions: every message is counted on its way in, and who publishes is looked at."""
+"""The node's subscriptions: parse and count every message, and check who publishes."""
 
 from __future__ import annotations
 
@@ -24,6 +24,7 @@ from rosbags.typesys import Stores, get_typestore
 
 from geomid_ros.errors import InputError
 from geomid_ros.signals.ledger import Ledger
+from geomid_ros.signals.messages import Message, message_type, parse
 
 _typestore = get_typestore(Stores.ROS2_JAZZY)
 _MOST_AT_ONCE = 1000  # messages of a topic, before others have their turn
@@ -31,7 +32,7 @@ _MOST_AT_ONCE = 1000  # messages of a topic, before others have their turn
 
 @dataclass(frozen=True)
 class _Input:
-    """A topic that is listened to; ``several``: more than one publisher is as it should be."""
+    """A subscribed topic; ``several``: it may have more than one publisher."""
 
     name: str
     subscription: Subscription
@@ -39,26 +40,39 @@ class _Input:
 
 
 class Inputs:
-    """Subscribes, counts what is not taken, and tells of publishers that do not fit."""
+    """Subscribes, counts messages that are not taken, and reports publishers that do not fit."""
 
     def __init__(self, node: Node, ledger: Ledger, on_failure: Callable[[str, Exception], None]) -> None:
-        """``on_failure`` is told of exceptions."""
+        """
+        Args:
+            node: subscribes.
+            ledger: is told of messages that are not taken.
+            on_failure: ``on_failure(what, error)`` is told of exceptions.
+        """
         self._node = node
         self._ledger = ledger
         self._on_failure = on_failure
         self._inputs: list[_Input] = []
-        self._numbers: dict[str, int] = {}  # that the publishers gave their last messages
-        self._policies: dict[str, str] = {}  # that publishers were last incompatible in
+        self._numbers: dict[str, int] = {}  # of the last messages, as the publishers count them
+        self._policies: dict[str, str] = {}  # in which publishers were last incompatible
 
-    def listen(self, kind: type, name: str, take: Callable[[Any], str], several: bool = False) -> None:
-        """Subscribe to data. ``take(message)`` gives the reason why it does not take a message, or nothing.
+    def listen(self, kind: type, name: str, take: Callable[[Message], str], several: bool = False) -> None:
+        """Subscribe to data, and parse every message as it comes.
 
-        The messages are those of rosbags, with the attributes of ``kind``: rclpy takes thrice as long to make a wrench.
-        While there is more than one publisher, unless ``several`` is as it should be, nobody knows which one to
-        believe: nothing is taken. Raises InputError for a name that is none.
+        The bytes are read by rosbags: rclpy takes thrice as long to make a wrench. While there is more than one
+        publisher, nobody knows which one to believe: nothing is taken.
+
+        Args:
+            kind: class of the messages.
+            name: of the topic.
+            take: takes a message, and gives the reason if it does not, else nothing.
+            several: the topic may have more than one publisher.
+
+        Raises:
+            InputError: the name is none that a topic can have.
         """
 
-        type_name = f"{kind.__module__.partition('.')[0]}/msg/{kind.__name__}"
+        type_name = message_type(name)
 
         def take_or_drop(data: bytes, info: dict[str, Any]) -> None:
             ambiguous = self._ambiguous(entry)
@@ -67,13 +81,13 @@ class Inputs:
                 self._ledger.drop(name, "several publishers")
                 return
             try:
-                message = _typestore.deserialize_cdr(data, type_name)
-            except Exception:  # noqa: BLE001 whatever bytes of another form make the code for this type raise
+                message = parse(name, _typestore.deserialize_cdr(data, type_name))
+            except Exception:  # noqa: BLE001 other bytes may make the generated code raise anything
                 self._ledger.reject(name, f"not a valid {type_name}")
                 return
             try:
                 reason = take(message)
-            except Exception as error:  # noqa: BLE001 the message has its end, whatever it is
+            except Exception as error:  # noqa: BLE001 the message must be counted, whatever happens
                 reason = f"{type(error).__name__} in a callback"
                 self._on_failure(f"a message on {name} could not be taken", error)
             if reason:
@@ -95,7 +109,7 @@ class Inputs:
         self._inputs.append(entry)
 
     def hear(self, kind: type, name: str, callback: Callable[[Any], None], qos: QoSProfile) -> None:
-        """Subscribe to what is no data."""
+        """Subscribe to anything but data."""
         self._inputs.append(_Input(name, self._subscribe(kind, name, callback, qos), several=True))
 
     def _subscribe(
@@ -117,9 +131,9 @@ class Inputs:
             raise InputError(f"parameters: topic '{name}': its qos_overrides cannot be used ({reason})") from error
 
     def _count_missing(self, entry: _Input, number: int | None) -> None:
-        """Count as lost what one publisher sent between its last message and the one with this ``number``.
+        """Count the messages as lost that one publisher sent between its last one and the one with this ``number``.
 
-        Of several publishers, nobody can tell whose number it is.
+        With several publishers nobody can tell whose number it is.
         """
         before = self._numbers.pop(entry.name, None)
         if number is not None and not entry.several:
@@ -128,7 +142,7 @@ class Inputs:
                 self._ledger.lose(entry.name, number - before - 1)
 
     def _on_lost(self, name: str, event: Any) -> None:
-        # Numbers tell more: what overruns the subscription's depth is no event.
+        # Numbers tell more: messages that overrun the subscription's depth make no event.
         if name not in self._numbers:
             self._ledger.lose(name, event.total_count_change)
 
@@ -136,12 +150,12 @@ class Inputs:
         self._policies[name] = qos_policy_name_from_kind(event.last_policy_kind).lower()
 
     def _ambiguous(self, entry: _Input) -> bool:
-        # Not the node's count: that one copies the graph, for every message.
+        # Not the node's count, which would copy the graph for every message.
         return not entry.several and entry.subscription.get_publisher_count() > 1
 
     @property
     def problems(self) -> tuple[str, ...]:
-        """What is wrong with those who publish now."""
+        """What is wrong with the present publishers."""
         return tuple(problem for entry in self._inputs for problem in self._problems_of(entry))
 
     def _problems_of(self, entry: _Input) -> list[str]:

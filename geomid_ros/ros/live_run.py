@@ -1,4 +1,4 @@
-"""A node and a player in processes of their own, and somebody who watches: for the demonstration."""
+"""Runs a node and a player as processes and listens to the node, for the demonstration."""
 
 from __future__ import annotations
 
@@ -85,11 +85,11 @@ class LiveRun:
 
     @property
     def node_process(self) -> int:
-        """The number of the node's process."""
+        """The id of the node's process."""
         return self._node.pid
 
     def watch(self) -> Iterator[dict[str, float]]:
-        """Link masses several times a second, until all is played and saved."""
+        """Yield the links' masses [kg] several times a second, until the bag is played and the estimate saved."""
         while self._player.poll() is None:
             self._require(self._node, "the node")
             rclpy.spin_once(self._watcher, timeout_sec=0.1)

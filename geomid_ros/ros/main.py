@@ -1,4 +1,4 @@
-"""Entry point of ``geomid_node``: start, spin, and end in an orderly way whatever the signal."""
+"""Entry point of ``geomid_node``: start, spin, and end in order on any signal."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ if TYPE_CHECKING:
     from geomid_ros.ros.node import GeomidNode
 
 _SWITCH_INTERVAL = 5e-4  # [s]
-_PAUSE = 1e-3  # [s] to wait for a message costs the executor many times what it costs to take all that have come
+_PAUSE = 1e-3  # [s] waiting for one message costs the executor many times what taking all that have come does
 
 
 def main() -> None:
     """Run the node until SIGINT or SIGTERM; exit status 0, or 2 with one message when it cannot start."""
-    # To import what is needed takes longer than anybody may wait who ends it meanwhile; there is nothing to lose yet.
+    # Imports take longer than a user who ends the node may want to wait; there is nothing to lose yet.
     _on_signal(lambda: os._exit(0))
-    # For so long, not 5 ms as is usual, the solver in the middle of Python code keeps who takes messages waiting.
+    # So long, not the usual 5 ms, a solver in the middle of Python code may keep the intake waiting.
     sys.setswitchinterval(_SWITCH_INTERVAL)
     # The matrices are small: threads of the linear algebra library would only wait for each other. numpy reads this
     # once.
@@ -83,10 +83,10 @@ def _run_node(solving: SolvingProcess) -> None:
 
 
 def _spin_once(executor: Executor, node: GeomidNode) -> None:
-    """Run what is due; an error of ours in it is reported, and the node lives on."""
+    """Run the callbacks that are due. An error in one is reported, and the node lives on."""
     try:
         executor.spin_once(timeout_sec=0.1)
-    except Exception as error:  # noqa: BLE001 whatever it is, the other callbacks go on
+    except Exception as error:  # noqa: BLE001 the other callbacks go on
         node.fail("a callback failed", error)
 
 

@@ -1,4 +1,4 @@
-"""The identification node: topics in, estimates out; the work is done by :class:`Worker`."""
+"""The identification node: topics in, estimates out. A :class:`Worker` does the work."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from typing import Any
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import WrenchStamped
 from nav_msgs.msg import Odometry
+from rcl_interfaces.msg import FloatingPointRange, ParameterDescriptor
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
@@ -26,47 +27,53 @@ from geomid_ros.live.gap_search import GapSearch
 from geomid_ros.live.saving import Saving
 from geomid_ros.live.solving_process import SolvingProcess
 from geomid_ros.live.status import Status
+from geomid_ros.live.supervisor import Supervisor
 from geomid_ros.live.worker import Worker
 from geomid_ros.ros.diagnostics import NO_DESCRIPTION, STOPPED, Diagnostics
-from geomid_ros.ros.identification import Identification
 from geomid_ros.ros.inputs import Inputs
 from geomid_ros.ros.outputs import Outputs, latched
-from geomid_ros.ros.parameters import read_parameters
 from geomid_ros.ros.starting import starting_ros
+from geomid_ros.session.configuration import PARAMETERS, Configuration, Parameter, find_parameter
 from geomid_ros.session.gap import gap_session
 from geomid_ros.session.session import Session
 from geomid_ros.signals.ledger import Ledger, count_reason
-from geomid_ros.signals.pipeline import JOINT_STATES, ODOM
+from geomid_ros.signals.messages import JOINT_STATES, ODOM, Message
 
 _CHANGED = "the robot description has changed; it is used after ~/reset"
-
-
-def _take_wrench(topic: str, worker: Worker, message: WrenchStamped) -> None:
-    worker.wrench(topic, message)
 
 
 class GeomidNode(Node):
     """Subscribes to ``joint_states``, wrench topics, ``odom`` and ``robot_description``; publishes what it finds."""
 
     def __init__(self, solving: SolvingProcess | None = None) -> None:
-        """``solving``: a process that solves, which else is done in this one. Raises InputError for parameters that do
-        not fit."""
+        """
+        Args:
+            solving: the process that solves; None for this one.
+
+        Raises:
+            InputError: the parameters do not fit.
+        """
         try:
             with starting_ros():
                 super().__init__("geomid", automatically_declare_parameters_from_overrides=True)
         except ValueError as error:
             raise InputError(f'a parameter has no value; an empty list is written as [""] ({error})') from error
-        self._configuration = read_parameters(self)
+        self._configuration = _read_parameters(self)
         self._active: bool = self._configuration["active"]
         self._outputs = Outputs(self)
         self._search = GapSearch(self._outputs.finding)
         self._saving = Saving(self._configuration["output_folder"])
-        self._urdf = ""  # the latest, not necessarily the worker's
+        self._urdf = ""  # the latest description, not necessarily the worker's
         self._problem = ""  # with the robot description
         self._failures: Counter[str] = Counter()
         self._ledger = Ledger()
-        self._identification = Identification(
-            self._configuration, self._ledger, self._outputs, self.get_logger(), solving
+        self._supervisor = Supervisor(
+            self._configuration,
+            self._ledger,
+            self.get_logger(),
+            on_samples=self._outputs.prediction,
+            on_estimate=self._outputs.estimate,
+            solving=solving,
         )
         self._inputs = Inputs(self, self._ledger, self.fail)
         self._diagnostics = Diagnostics(self.get_fully_qualified_name().lstrip("/"))
@@ -75,16 +82,16 @@ class GeomidNode(Node):
         self._serve("stop", partial(self._set_active, active=False))
         self._serve("reset", self._reset)
         self._serve("find_gap", self._find_gap)
-        # In a group of its own: others of the same group would wait as long as the disk, messages too.
+        # In a group of its own: other callbacks of its group, of messages too, would wait for the disk.
         self.create_service(Trigger, "~/save", self._save, callback_group=MutuallyExclusiveCallbackGroup())
-        self._listen(JointState, JOINT_STATES, Worker.joint_state, several=self._configuration["merge_joint_states"])
+        self._inputs.listen(JointState, JOINT_STATES, self._take, several=self._configuration["merge_joint_states"])
         if self._configuration["floating_base"]:
-            self._listen(Odometry, ODOM, Worker.odometry)
+            self._inputs.listen(Odometry, ODOM, self._take)
         for sensor in self._configuration.sensors:
-            self._listen(WrenchStamped, sensor.topic, partial(_take_wrench, sensor.topic))
-        # On the steady clock: simulated time may stand still, and that is when one wants to hear why.
+            self._inputs.listen(WrenchStamped, sensor.topic, self._take)
+        # On the steady clock: when simulated time stands still the diagnostics must say why.
         self.create_timer(1.0, self._publish_diagnostics, clock=Clock(clock_type=ClockType.STEADY_TIME))
-        # Last, as it starts threads: from here on nothing fails that would leave them behind.
+        # Last, as it starts threads, which a failure after it would leave behind.
         if self._configuration["robot_description"]:
             self._build(self._configuration["robot_description"], "parameter robot_description")
         else:
@@ -92,21 +99,19 @@ class GeomidNode(Node):
 
     @property
     def _worker(self) -> Worker | None:
-        return self._identification.worker
+        return self._supervisor.worker
 
-    def _listen(self, kind: type, topic: str, take: Callable[[Worker, Any], None], several: bool = False) -> None:
-        def take_or_tell_why_not(message: Any) -> str:
-            if self._worker is None:
-                return NO_DESCRIPTION
-            if not self._active:
-                return STOPPED
-            take(self._worker, message)
-            return ""
-
-        self._inputs.listen(kind, topic, take_or_tell_why_not, several)
+    def _take(self, message: Message) -> str:
+        """Take a message, or say why not."""
+        if self._worker is None:
+            return NO_DESCRIPTION
+        if not self._active:
+            return STOPPED
+        self._worker.take(message)
+        return ""
 
     def _serve(self, name: str, act: Callable[[], tuple[bool, str]]) -> None:
-        """Offer a service; whoever calls has an answer, even when it fails."""
+        """Offer a service that answers even when it fails."""
 
         def callback(_: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
             try:
@@ -130,35 +135,35 @@ class GeomidNode(Node):
             self._report(str(error))
 
     def _build(self, urdf: str, source: str) -> None:
-        self._identification.build(urdf, source)
+        self._supervisor.build(urdf, source)
         self._urdf = urdf
         self._report("")
 
     def _report(self, problem: str) -> None:
-        """Let the log and the diagnostics tell of a problem with the robot description, or of none."""
+        """Let the log and the diagnostics name a problem with the robot description, or none."""
         if problem and problem != self._problem:
             self.get_logger().error(problem)
         self._problem = problem
 
     def fail(self, what: str, error: Exception) -> None:
-        """Let the log and the next diagnostics tell of an exception."""
+        """Let the log and the next diagnostics name an exception."""
         sentence = f"{what}: {type(error).__name__}: {error}"
         count_reason(self._failures, sentence)
         self.get_logger().error(sentence)
 
     def _publish_diagnostics(self) -> None:
-        self._identification.look_after()
+        self._supervisor.restart_what_hangs()
         array = self._diagnostics.array(
             self._status(),
             self._search.status,
-            self._identification.checkpoints,
+            self._supervisor.checkpoints,
         )
         array.header.stamp = self.get_clock().now().to_msg()
         self._diagnostic_arrays.publish(array)
 
     def _status(self) -> Status:
-        status = self._worker.status(self._active) if self._worker is not None else Status(self._active)
-        problems = (*self._inputs.problems, self._problem, *self._saving.problems, self._identification.problem)
+        status = self._worker.status(self._active) if self._worker is not None else Status(active=self._active)
+        problems = (*self._inputs.problems, self._problem, *self._saving.problems, self._supervisor.problem)
         problems += status.problems
         return replace(
             status,
@@ -187,15 +192,15 @@ class GeomidNode(Node):
                 self._build(self._urdf, "topic robot_description")
             except GeomidError as error:
                 return False, str(error)
-        self._identification.reset()
+        self._supervisor.reset()
         return True, "all rows forgotten"
 
     def _find_gap(self) -> tuple[bool, str]:
-        refusal = self._why_not_look()
+        refusal = self._start_search()
         return not refusal, refusal or "looking; the finding comes on ~/gap"
 
-    def _why_not_look(self) -> str:
-        """Begin to look for a gap; what is in the way of it, or nothing."""
+    def _start_search(self) -> str:
+        """Begin to look for a gap. Returns what is in the way, if anything."""
         if self._worker is None:
             return NO_DESCRIPTION
         if self._search.running:
@@ -220,10 +225,39 @@ class GeomidNode(Node):
         return response
 
     def close(self) -> None:
-        """End the threads, within two seconds; with an output folder, the last estimate is saved there."""
+        """End the threads within two seconds, and save the last estimate in the output folder, if there is one."""
         self._search.close()
-        self._identification.close(self._save_last)
+        self._supervisor.close(self._save_last)
 
     def _save_last(self, session: Session, estimate: Estimate, patience: float) -> None:
         if self._configuration["output_folder"]:
             self.get_logger().info(self._saving.save_last(session, estimate, patience))
+
+
+def _read_parameters(node: Node) -> Configuration:
+    """The configuration by a node's parameters, of which it has declared only those that were set.
+
+    Declares every other parameter of the table with its default, and gives all their description and range.
+
+    Raises:
+        InputError: a name is unknown or a value out of range.
+    """
+    given: dict[str, Any] = {name: node.get_parameter(name).value for name in node.get_parameters_by_prefix("")}
+    configuration = Configuration(given, "parameters")
+    for name in configuration.given:
+        node.set_descriptor(name, _descriptor(find_parameter(name)))
+    for parameter in PARAMETERS:
+        if parameter.name not in given and "*" not in parameter.name:
+            node.declare_parameter(parameter.name, parameter.default, _descriptor(parameter))
+    return configuration
+
+
+def _descriptor(parameter: Parameter) -> ParameterDescriptor:
+    descriptor = ParameterDescriptor(
+        description=parameter.description,
+        read_only=True,
+        dynamic_typing=True,  # an integer is accepted where a real number is meant; the table checks types
+    )
+    if parameter.minimum is not None and parameter.maximum is not None:
+        descriptor.floating_point_range = [FloatingPointRange(from_value=parameter.minimum, to_value=parameter.maximum)]
+    return descriptor

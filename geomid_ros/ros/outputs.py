@@ -1,27 +1,34 @@
-"""The node's publishers of results."""
+"""The node's publishers of results, and estimates as ROS messages."""
 
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 
+import numpy as np
+from builtin_interfaces.msg import Time
 from geometry_msgs.msg import InertiaStamped
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from scipy.spatial.transform import Rotation
 from sensor_msgs.msg import JointState
-from std_msgs.msg import String
-from visualization_msgs.msg import MarkerArray
+from std_msgs.msg import ColorRGBA, String
+from visualization_msgs.msg import Marker, MarkerArray
 
-from geomid_ros.estimation.estimate import Estimate
+from geomid_ros.estimation.estimate import Estimate, LinkEstimate
 from geomid_ros.files.models.urdf import with_identified_inertias
+from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.live.gap_search import SearchStatus
+from geomid_ros.model.robot import Robot
 from geomid_ros.model.samples import Samples
-from geomid_ros.ros.messages import inertia_message, marker_message, predicted_message
 from geomid_ros.session.session import Session
 from geomid_ros.types import FloatArray
 
+_LARGEST_MARKER = 2.0  # [m] a link that is not identifiable may have any size; RViz need not show it
+
 
 def latched(depth: int = 1) -> QoSProfile:
-    """The last messages are kept for those who come late."""
+    """Keeps the last messages for late subscribers."""
     return QoSProfile(depth=depth, durability=DurabilityPolicy.TRANSIENT_LOCAL, reliability=ReliabilityPolicy.RELIABLE)
 
 
@@ -31,28 +38,80 @@ class Outputs:
     def __init__(self, node: Node) -> None:
         self._node = node
         self._inertias = node.create_publisher(InertiaStamped, "~/inertias", latched(256))
-        self._predicted = node.create_publisher(JointState, "~/predicted_joint_states", 1000)
+        self._predictions = node.create_publisher(JointState, "~/predicted_joint_states", 1000)
         self._identified = node.create_publisher(String, "~/robot_description", latched())
-        self._markers = node.create_publisher(MarkerArray, "~/markers", latched())
+        self._ellipsoids = node.create_publisher(MarkerArray, "~/markers", latched())
         self._findings = node.create_publisher(String, "~/gap", latched())
 
     def prediction(self, session: Session, samples: Samples, parameters: FloatArray) -> None:
-        """Publish the efforts that parameters predict for samples, if anybody listens."""
-        if self._predicted.get_subscription_count() == 0:
+        """Publish the efforts that ``parameters (D,)`` predict for samples, if anybody subscribes."""
+        if self._predictions.get_subscription_count() == 0:
             return
         efforts = session.model.predicted_efforts(samples, parameters)
         for index in range(len(samples)):
-            self._predicted.publish(predicted_message(session.robot, samples, index, efforts[index]))
+            self._predictions.publish(_predicted(session.robot, samples, index, efforts[index]))
 
     def estimate(self, session: Session, estimate: Estimate) -> None:
         """Publish an estimate."""
         stamp = self._node.get_clock().now().nanoseconds
         for link in estimate.links:
-            self._inertias.publish(inertia_message(link, stamp))
+            self._inertias.publish(_inertia(link, stamp))
         self._identified.publish(String(data=with_identified_inertias(session.urdf, estimate.links)))
-        self._markers.publish(marker_message(estimate.links, stamp))
+        self._ellipsoids.publish(_markers(estimate.links, stamp))
 
     def finding(self, status: SearchStatus) -> None:
-        """Publish how a search for a gap ended."""
+        """Publish the result of a search for a gap."""
         self._findings.publish(String(data=json.dumps(status.document, indent=2)))
         self._node.get_logger().info(status.sentence)
+
+
+def _time(nanoseconds: int) -> Time:
+    """A stamp from nanoseconds since the epoch."""
+    return Time(sec=nanoseconds // 1_000_000_000, nanosec=nanoseconds % 1_000_000_000)
+
+
+def _inertia(link: LinkEstimate, stamp: int) -> InertiaStamped:
+    """A link's inertia: frame_id is the link, com in its frame, inertia about the centre of mass in its axes."""
+    message = InertiaStamped()
+    message.header.frame_id = link.name
+    message.header.stamp = _time(stamp)
+    inertia = message.inertia
+    inertia.m = link.mass
+    inertia.com.x, inertia.com.y, inertia.com.z = map(float, link.com)
+    entries = {"ixx": (0, 0), "ixy": (0, 1), "ixz": (0, 2), "iyy": (1, 1), "iyz": (1, 2), "izz": (2, 2)}
+    for name, index in entries.items():
+        setattr(inertia, name, float(link.inertia[index]))
+    return message
+
+
+def _predicted(robot: Robot, samples: Samples, index: int, efforts: FloatArray) -> JointState:
+    """The filtered motion of one sample with the efforts that the estimate predicts; its stamp is the data's."""
+    message = JointState()
+    message.header.stamp = _time(int(samples.stamps[index]))
+    message.name = list(robot.joint_names)
+    message.position = samples.position[index].tolist()
+    message.velocity = samples.velocity[index].tolist()
+    message.effort = efforts.tolist()
+    return message
+
+
+def _markers(links: Sequence[LinkEstimate], stamp: int) -> MarkerArray:
+    """The links' equivalent ellipsoids in their frames, from blue (from the prior) to orange (from the data)."""
+    return MarkerArray(markers=[_marker(index, link, stamp) for index, link in enumerate(links)])
+
+
+def _marker(index: int, link: LinkEstimate, stamp: int) -> Marker:
+    semi_axes, axes = pseudo_inertia.equivalent_ellipsoid(link.parameters)
+    axes[:, 2] = np.cross(axes[:, 0], axes[:, 1])  # eigenvectors may be left-handed
+    marker = Marker(ns="identified", id=index, type=Marker.SPHERE, action=Marker.ADD, frame_locked=True)
+    marker.header.frame_id = link.name
+    marker.header.stamp = _time(stamp)
+    pose = marker.pose
+    pose.position.x, pose.position.y, pose.position.z = map(float, link.com)
+    quaternion = Rotation.from_matrix(axes).as_quat()
+    pose.orientation.x, pose.orientation.y, pose.orientation.z, pose.orientation.w = map(float, quaternion)
+    size = np.minimum(2.0 * semi_axes, _LARGEST_MARKER)
+    marker.scale.x, marker.scale.y, marker.scale.z = map(float, size)
+    share = link.from_data
+    marker.color = ColorRGBA(r=0.2 + 0.7 * share, g=0.45, b=0.9 - 0.7 * share, a=0.5)
+    return marker

@@ -21,24 +21,34 @@ from rclpy.utilities import try_shutdown
 from geomid_ros.errors import InputError, unknown_name
 from geomid_ros.files.bags.bag import Bag
 from geomid_ros.ros.starting import starting_ros
-from geomid_ros.signals.pipeline import JOINT_STATES, ODOM
+from geomid_ros.signals.messages import JOINT_STATES, ODOM
 
-_READ = (JOINT_STATES, ODOM, "robot_description", "/clock")  # by geomid, whatever is configured
+_READ = (JOINT_STATES, ODOM, "robot_description", "/clock")  # by geomid, with any configuration
 _LATCHED = ("robot_description", "tf_static")
-_SETTLING = 0.5  # [s] a subscriber that does not ask for lost messages hears a publisher a little after it is seen
-_LINGER = 1.0  # [s] what was published last must reach its subscribers before the publishers go
+_SETTLING = 0.5  # [s] a best-effort subscriber hears a publisher a little later than it is seen
+_LINGER = 1.0  # [s] the last messages must reach their subscribers before the publishers go
 
 
 def play(
     path: Path, rate: float, wait: float, named: Collection[str], skipped: Callable[[str], None]
 ) -> Iterator[tuple[int, int]]:
-    """Publish a bag at ``rate`` times its own pace, reporting (messages published, messages in all).
+    """Publish a bag live.
 
-    Only topics that geomid reads whatever is configured are published, and those that are ``named``: among others there
-    may be commands, which a robot that listens would follow. Waits up to ``wait`` [s] for a subscriber on each topic
-    that carries data, so that none misses the beginning. Topics of types that are not installed are left out;
-    ``skipped`` is told of what is not published. Raises InputError if nothing is left, or for a name that the bag does
-    not have.
+    Only the topics that geomid always reads are published, and those that are named: among the others may be commands,
+    which a listening robot would follow. Topics of types that are not installed are left out.
+
+    Args:
+        path: of the bag.
+        rate: times its own pace.
+        wait: [s] at most for a subscriber on each topic with data, so that none misses the beginning.
+        named: further topics.
+        skipped: is told, in a sentence, of topics that are not published.
+
+    Yields:
+        How many messages are published, and how many there are.
+
+    Raises:
+        InputError: the bag has nothing to publish, or no topic of a name.
     """
     with Bag(path) as bag:
         chosen = _chosen(bag, named)
@@ -85,7 +95,7 @@ def _chosen(bag: Bag, named: Collection[str]) -> list[str]:
 
 
 def _is_called(topic: str, name: str) -> bool:
-    """Whether a topic has this name; one that begins with no slash, in any namespace."""
+    """Whether a topic has this name; a name without a leading slash is of any namespace."""
     return ("/" + topic.lstrip("/")).endswith("/" + name) if name[:1] != "/" else topic == name
 
 
@@ -101,7 +111,7 @@ def _message_class(kind: str | None) -> Any:
 
 
 def _has_messages(package: str) -> bool:
-    """Whether a package has messages. A bag may name any: merely to import it would be to run what it does then."""
+    """Whether a package has messages, without importing it: a bag may name any package, and importing runs code."""
     found = PathFinder.find_spec(package)
     folders = (found and found.submodule_search_locations) or []
     return any((Path(folder) / "msg" / "__init__.py").is_file() for folder in folders)

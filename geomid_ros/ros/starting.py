@@ -1,4 +1,4 @@
-"""ROS that cannot start: one sentence that says why, as whoever starts it gave the arguments and the environment."""
+"""When ROS cannot start: one sentence that says why, as its arguments and variables are the user's."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from geomid_ros.errors import InputError
 
 @contextmanager
 def starting_ros() -> Iterator[None]:
-    """What rclpy raises inside becomes an InputError that names what is wrong or missing."""
+    """Turn an error of rclpy inside into an InputError that names what is wrong or missing."""
     try:
         yield
     except RuntimeError as error:  # rclpy's own are such
@@ -20,7 +20,7 @@ def starting_ros() -> Iterator[None]:
 
 
 def _security() -> str:
-    """What security was asked for, as rcl does not always say what it missed."""
+    """The security that was asked for, as rcl does not always say what it missed."""
     if os.environ.get("ROS_SECURITY_ENABLE") != "true":
         return ""
     keystore = os.environ.get("ROS_SECURITY_KEYSTORE")

@@ -20,7 +20,7 @@ from geomid_ros.files.parameter_file import read_parameter_file
 from geomid_ros.model.effects import DEFAULT_EFFECTS, MotionEffect, SensorEffect, identified_effect
 from geomid_ros.model.known import WeighedMass
 from geomid_ros.model.sensors import AXES, WrenchSensor
-from geomid_ros.signals.pipeline import SignalSettings
+from geomid_ros.signals.settings import SignalSettings
 from geomid_ros.types import FloatArray
 
 Value: TypeAlias = bool | int | float | str | list[str] | list[float]

@@ -18,7 +18,8 @@ from geomid_ros.model.samples import Samples
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.recordings import HELD_OUT, Progress, divided
 from geomid_ros.session.session import Session
-from geomid_ros.signals.pipeline import JOINT_STATES, Accepted, SignalPipeline
+from geomid_ros.signals.messages import JOINT_STATES, Accepted
+from geomid_ros.signals.pipeline import SignalPipeline
 
 CUTOFF_PER_RATE = 0.4
 """The highest cutoff, as a share of the messages' rate."""
@@ -111,12 +112,12 @@ def find_in_messages(session: Session, messages: Sequence[Accepted], progress: P
     Raises:
         InputError: too little was measured.
     """
-    first = [stamp for topic, stamp, _ in messages if topic == JOINT_STATES][:MESSAGES_FOR_RATE]
+    first = [message.stamp for message in messages if message.topic == JOINT_STATES][:MESSAGES_FOR_RATE]
     cutoff = gap_cutoff(session, rate(first))
     pipeline = gap_pipeline(session, cutoff)
     for index, message in enumerate(messages):
         progress("reading", index / len(messages))
-        pipeline.push_accepted(*message)
+        pipeline.push_accepted(message)
     samples = pipeline.collect()
     if samples is None:
         raise InputError(

@@ -16,7 +16,7 @@ from geomid_ros.resimulation.resimulate import CUTOFF as SHARP_CUTOFF
 from geomid_ros.session.gap import CUTOFF_PER_RATE, MESSAGES_FOR_RATE, Recordings, gap_cutoff, gap_pipeline, rate
 from geomid_ros.session.recordings import Bags, Progress, check_measured, divided, read_samples, silent
 from geomid_ros.session.session import Session
-from geomid_ros.signals.messages import MESSAGE_TYPES, stamp_of
+from geomid_ros.signals.messages import JOINT_STATES, message_type, parse
 from geomid_ros.types import FloatArray
 
 _LENGTHS = 0.1  # relative difference of two recordings of one motion
@@ -89,8 +89,8 @@ class GapReader:
 
     def _first_stamps(self, path: Path) -> list[int]:
         with Bag(path) as bag:
-            topic = bag.find_topic(self.bags.topics.joint_states, MESSAGE_TYPES["joint_states"], "--joint-topic")
-            return [stamp_of(m.header) for _, _, m in islice(bag.messages([topic]), MESSAGES_FOR_RATE)]
+            topic = bag.find_topic(self.bags.topics.joint_states, message_type(JOINT_STATES), "--joint-topic")
+            return [parse(JOINT_STATES, m).stamp for _, _, m in islice(bag.messages([topic]), MESSAGES_FOR_RATE)]
 
 
 def _check_twin(session: Session, simulated: Path, twin: Samples, recorded: Path, measured: Samples) -> None:

@@ -13,7 +13,7 @@ from geomid_ros.errors import InputError
 from geomid_ros.files.bags.bag import Bag
 from geomid_ros.model.samples import Samples
 from geomid_ros.session.session import Session
-from geomid_ros.signals.messages import MESSAGE_TYPES, feed_joint_state, feed_odometry, feed_wrench
+from geomid_ros.signals.messages import JOINT_STATES, ODOM, message_type, parse
 from geomid_ros.signals.pipeline import SignalPipeline
 
 HELD_OUT = 0.3
@@ -121,13 +121,7 @@ def read_samples(
     ready = 0
     for index, (topic, _, message) in enumerate(bag.messages(list(names))):
         progress(f"reading {bag.path.name}", index / max(total, 1))
-        kind, name = names[topic]
-        if kind == "joint_states":
-            feed_joint_state(pipeline, message)
-        elif kind == "odom":
-            feed_odometry(pipeline, message)
-        else:
-            feed_wrench(pipeline, name, message)
+        pipeline.push(parse(names[topic], message))
         samples = pipeline.collect()
         if samples is not None:
             ready += len(samples)
@@ -136,15 +130,13 @@ def read_samples(
         raise InputError(_why_no_samples(bag, session, pipeline))
 
 
-def _resolved_topics(bag: Bag, session: Session, topics: Topics) -> dict[str, tuple[str, str]]:
-    """Kind and declared name of each topic of the bag that is needed."""
-    joints = bag.find_topic(topics.joint_states, MESSAGE_TYPES["joint_states"], topics.joint_option)
-    names = {joints: ("joint_states", "")}
+def _resolved_topics(bag: Bag, session: Session, topics: Topics) -> dict[str, str]:
+    """The topics of the bag that are needed, and how the pipeline calls each."""
+    asked = {JOINT_STATES: (topics.joint_states, topics.joint_option)}
     if session.robot.floating_base:
-        names[bag.find_topic(topics.odom, MESSAGE_TYPES["odom"], "--odom-topic")] = ("odom", "")
-    for sensor in session.model.sensors:
-        names[bag.find_topic(sensor.topic, MESSAGE_TYPES["wrench"], "--wrench")] = ("wrench", sensor.topic)
-    return names
+        asked[ODOM] = (topics.odom, "--odom-topic")
+    asked |= {sensor.topic: (sensor.topic, "--wrench") for sensor in session.model.sensors}
+    return {bag.find_topic(name, message_type(own), option): own for own, (name, option) in asked.items()}
 
 
 def _why_no_samples(bag: Bag, session: Session, pipeline: SignalPipeline) -> str:

@@ -24,8 +24,9 @@ from geomid_ros.model.robot import Robot
 from geomid_ros.model.samples import Samples
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.signals.ledger import Ledger
-from geomid_ros.signals.pipeline import JOINT_STATES, ODOM, SignalPipeline, SignalSettings, ignore
-from geomid_ros.signals.recent import Recent
+from geomid_ros.signals.messages import JOINT_STATES, ODOM, Accepted
+from geomid_ros.signals.pipeline import Recent, SignalPipeline, ignore
+from geomid_ros.signals.settings import SignalSettings
 from geomid_ros.types import FloatArray
 
 
@@ -108,7 +109,7 @@ class Session:
         self,
         settings: SignalSettings | None = None,
         effect_columns: Columns | None = None,
-        on_accepted: Callable[[str, int, FloatArray], None] = ignore,
+        on_accepted: Callable[[Accepted], None] = ignore,
         ledger: Ledger | None = None,
     ) -> SignalPipeline:
         """A fresh pipeline, for another recording of the same robot.

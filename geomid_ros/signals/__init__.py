@@ -1,1 +1,1 @@
-"""Floor 1: numbers of messages to aligned, filtered, differentiated samples."""
+"""Messages to aligned, filtered, differentiated samples, and the ledger of what became of every message."""

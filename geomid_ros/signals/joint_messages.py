@@ -1,106 +1,106 @@
-"""What joint messages say, checked: numbers in the robot's order of joints, and whether efforts can be believed."""
+"""Joint messages: numbers in the robot's order of joints, and whether its efforts are plausible."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections import deque
+from collections.abc import Callable, Iterator, Sequence
+from typing import TypeAlias
 
 import numpy as np
 
+from geomid_ros.signals.messages import JointMessage
+from geomid_ros.signals.saturation import STANDING, SaturationDetector
 from geomid_ros.types import BoolArray, FloatArray, IntArray
 
 DRIVER_ERROR = "driver error: "
-"""How reasons begin that are no accident: whoever fills in the messages does it wrong."""
-_LARGEST_NUMBER = 1e9  # in SI units; no robot measures more
-_STANDING = 1e-2  # [rad/s, m/s] a slower robot may well send the same numbers twice
-_SATURATED, _FEWEST = 50_000_000, 6  # [ns], messages: as long as a saturated effort is exactly the largest, at least
-_FAR, _FLATTER = 9, 3  # steps of its sensor below the largest; how much longer than from there it takes to be so long
-_MOSTLY = 0.75  # the share of its messages in which an effort that is cut off is the largest, at most
-_NEVER = -(2**60)  # the number of a message
+"""Reasons begin with this when the driver fills in its messages wrongly."""
+_LARGEST_NUMBER = 1e9  # in SI units
+_MOST_WAITING = 10_000  # messages of a part, while another is silent
+
+Part: TypeAlias = tuple[str, ...]
+"""The robot's joints that come together, in the robot's order."""
 
 
 class RejectedError(Exception):
-    """A message that cannot be used; its text is the reason that is counted."""
+    """A message that cannot be used; the text is the reason that is counted."""
 
 
-def usable(values: FloatArray) -> BoolArray:
+def plausible(values: FloatArray) -> BoolArray:
     """False for NaN, infinity and numbers that no robot measures."""
     result: BoolArray = np.abs(values) < _LARGEST_NUMBER
     return result
 
 
 class JointReader:
-    """Reads the joint messages of a robot, in the order of their stamps.
+    """Checks joint messages, in the order of their stamps, and brings them into the robot's order of joints.
 
-    ``gains (joints,)`` multiply efforts; ``continuous (joints,)`` are those without end: their positions may jump by
-    whole turns. An effort that fails for less than ``max_gap`` [ns] costs the message, one that fails for longer its
-    joint's equation. ``note`` is told of peculiarities.
+    An effort that fails for less than ``max_gap`` costs the message, one that fails for longer its joint's equation.
     """
 
     def __init__(
         self, joints: Sequence[str], gains: FloatArray, continuous: BoolArray, max_gap: int, note: Callable[[str], None]
     ) -> None:
+        """
+        Args:
+            joints: the robot's, in its order.
+            gains: ``(joints,)`` factors of efforts.
+            continuous: ``(joints,)`` which have no end: their positions may jump by whole turns.
+            max_gap: [ns].
+            note: is told of peculiarities.
+        """
         self._joints = tuple(joints)
         self._gains = gains
         self._continuous = continuous
         self._max_gap = max_gap
         self._note = note
         self._noted: set[str] = set()
-        self._names: list[str] = []
+        self._names: tuple[str, ...] = ()
         self._order = np.zeros(len(joints), dtype=np.int64)
-        self._largest = np.full(len(joints), np.finfo(np.float64).tiny)  # efforts that are zero are none
-        self._step = np.full(len(joints), np.inf)  # smallest change of an effort, its sensor's resolution at most
-        self._far = np.full(len(joints), -np.inf)  # below this an effort is far from the largest
-        self._messages = 0
-        self._at_largest = np.zeros(len(joints), dtype=np.int64)  # of the messages so far
+        self._saturation = SaturationDetector(len(joints))
         self.restart()
 
     def restart(self) -> None:
-        """Another time begins."""
+        """Begin anew, as a clock was set back."""
         self._stamp = 0
         self._last: FloatArray | None = None  # positions, velocities and efforts of the last message that was good
         self._speed = 0.0
         self._made_up = True  # until an effort is seen that is not zero
         self._effort_stamps = np.zeros(len(self._joints), dtype=np.int64)
-        self._largest_since = np.zeros(len(self._joints), dtype=np.int64)
-        self._last_below = np.full(len(self._joints), self._messages)  # numbers of the last messages below the largest
-        self._last_far = np.full(len(self._joints), _NEVER)  # effort, and far below it
-        self._moved = np.zeros(len(self._joints), dtype=np.bool_)  # while its effort has been the largest
+        self._saturation.restart()
 
     @property
     def unmeasured(self) -> tuple[str, ...]:
-        """The joints whose efforts are missing, not finite or made up for so long that their equations are left out."""
+        """The joints whose equations are left out, as their efforts have failed for long."""
         if not self._stamp:
             return ()
         lost = (self._effort_stamps == 0) | (self._stamp - self._effort_stamps > self._max_gap)
         return tuple(joint for joint, gone in zip(self._joints, lost, strict=True) if gone)
 
-    def read(
-        self,
-        stamp: int,
-        names: Sequence[str],
-        position: Sequence[float],
-        velocity: Sequence[float],
-        effort: Sequence[float],
-    ) -> FloatArray:
-        """Positions, velocities and efforts ``(3 joints,)``, NaN where an effort or a velocity is not measured.
+    def read(self, message: JointMessage) -> FloatArray:
+        """What a message says, in the robot's order of joints.
 
-        Raises RejectedError for a message that cannot be used.
+        Returns:
+            Positions, velocities and efforts ``(3 joints,)``, NaN where an effort or a velocity is not measured.
+
+        Raises:
+            RejectedError: the message cannot be used.
         """
+        stamp, names, rows = message.stamp, message.names, (message.position, message.velocity, message.effort)
         order = self._order_of(names)
-        for kind, values in (("position", position), ("velocity", velocity), ("effort", effort)):
+        for kind, values in zip(("position", "velocity", "effort"), rows, strict=True):
             if len(values) not in ((len(names),) if kind == "position" else (0, len(names))):
                 raise RejectedError(f"{DRIVER_ERROR}{kind} has {len(values)} entries for {len(names)} names")
-        if not len(velocity):
+        if not len(message.velocity):
             self._note_once("no velocities: positions are differentiated")
         vector = np.full((3, len(order)), np.nan)
-        for row, values in enumerate((position, velocity, effort)):
+        for row, values in enumerate(rows):
             if len(values):
-                vector[row] = np.asarray(values, dtype=np.float64)[order]
-        wild = np.flatnonzero(~usable(vector[0]))
-        if len(wild):
-            raise RejectedError(f"position of '{self._joints[int(wild[0])]}' not finite")
+                vector[row] = values[order]
         vector[2] *= self._gains
-        vector[1:][~usable(vector[1:])] = np.nan
+        wild = ~plausible(vector)
+        if wild[0].any():
+            raise RejectedError(f"position of '{self._joints[int(np.argmax(wild[0]))]}' not finite")
+        vector[wild] = np.nan
         self._unwind(vector[0])
         if self._frozen(stamp, vector):
             raise RejectedError("frozen: all numbers are those of the message before, though the robot moves")
@@ -108,11 +108,11 @@ class JointReader:
         self._stamp, self._last = stamp, vector
         return vector.ravel()
 
-    def _order_of(self, names: Sequence[str]) -> IntArray:
-        """Where the robot's joints are among a message's names, most often as in the message before."""
+    def _order_of(self, names: tuple[str, ...]) -> IntArray:
+        """The places of the robot's joints among a message's names. Most messages have those of the one before."""
         if not names:
             raise RejectedError(DRIVER_ERROR + "no joint names")
-        if self._names != list(names):
+        if self._names != names:
             index = {name: place for place, name in enumerate(names)}
             if len(index) != len(names):
                 twice = next(name for place, name in enumerate(names) if index[name] != place)
@@ -123,7 +123,7 @@ class JointReader:
             extra = next((name for name in names if name not in self._joints), None)
             if extra is not None:
                 self._note_once(f"joint '{extra}' is not one of the robot's: passed over")
-            self._names = list(names)
+            self._names = names
             self._order = np.array([index[joint] for joint in self._joints], dtype=np.int64)
         return self._order
 
@@ -133,27 +133,30 @@ class JointReader:
             self._note(remark)
 
     def _unwind(self, position: FloatArray) -> None:
-        """Add whole turns to the positions of joints without end, so that they do not jump."""
-        if np.any(self._continuous) and self._last is not None:
+        """Add whole turns to the positions of continuous joints, so that they do not jump."""
+        if self._last is not None and self._continuous.any():
             turns = np.where(self._continuous, np.round((self._last[0] - position) / (2.0 * np.pi)), 0.0)
             position += 2.0 * np.pi * turns
 
     def _frozen(self, stamp: int, vector: FloatArray) -> bool:
-        """Whether nothing has changed although the velocities, or else the positions before, say that it should."""
-        if self._last is None or not np.array_equal(vector, self._last, equal_nan=True):
+        """Whether no number has changed, though by velocities, or else by the positions before, the robot moves."""
+        last = self._last
+        # Positions first, which are numbers: to compare what may be NaN takes many times as long.
+        if last is None or not (vector[0] == last[0]).all() or not np.array_equal(vector, last, equal_nan=True):
             self._speed = self._speed_at(stamp, vector)
             return False
-        return self._speed > _STANDING
+        return self._speed > STANDING
 
     def _speed_at(self, stamp: int, vector: FloatArray) -> float:
-        if np.any(np.isfinite(vector[1])):
-            return float(np.nanmax(np.abs(vector[1])))
+        speed = float(np.fmax.reduce(np.abs(vector[1]), initial=np.nan))
+        if np.isfinite(speed):
+            return speed
         if self._last is None:
             return 0.0
         return float(np.max(np.abs(vector[0] - self._last[0]), initial=0.0)) / (1e-9 * (stamp - self._stamp))
 
     def _check_effort(self, stamp: int, vector: FloatArray) -> None:
-        """Raise for efforts that fail, or leave them out where that lasts."""
+        """Leave out efforts that have failed for long. Raises RejectedError for others that fail."""
         effort = vector[2]
         reason = "effort of '{}' missing or not finite"
         if np.all(np.isnan(effort)):
@@ -161,7 +164,8 @@ class JointReader:
         if self._zeros(effort):
             effort[:] = np.nan
             reason = DRIVER_ERROR + "effort of '{}' and of all others is zero while the robot moves"
-        saturated = self._saturated(stamp, vector)
+        before = None if self._last is None else (self._stamp, self._last[2])
+        saturated = self._saturation.saturated(stamp, effort, vector[1], self._speed > STANDING, before)
         if np.any(saturated):
             effort[saturated] = np.nan
             reason = "effort of '{}' saturated: for long the same, and never larger"
@@ -172,52 +176,78 @@ class JointReader:
         self._effort_stamps[measured] = stamp
 
     def _zeros(self, effort: FloatArray) -> bool:
-        """Whether all efforts are exactly zero in motion, as from a driver without a sensor; or still since then."""
-        self._made_up = not np.any(effort) and (self._made_up or self._speed > _STANDING)
+        """Whether all efforts are exactly zero, and have been since the robot moved: the driver has no sensor."""
+        self._made_up = not np.any(effort) and (self._made_up or self._speed > STANDING)
         return self._made_up
 
-    def _saturated(self, stamp: int, vector: FloatArray) -> BoolArray:
-        """Which efforts have for some time been exactly the largest that ever was, while the joint moves.
 
-        Rounding does that to a slow curve, too: -t^2 that just reaches the top level, of depth 1, is on it for
-        2 sqrt(1), and takes sqrt(9) - 1 to it from depth 9; -t^4 for 2, from 9^(1/4) - 1. One that is cut off comes
-        fast and stays. One that is at its largest nearly always is not cut off; it has nothing else to say, as
-        friction at constant speed. What looks like a drive at its limit: a coarse or noiseless sensor that after a jump
-        shows the same during a long acceleration, larger than any other.
-        """
-        effort = vector[2]
-        size = np.abs(effort)
-        self._messages += 1
-        if self._last is not None:
-            self._learn(effort, size, self._last[2])
-        largest: BoolArray = size == self._largest
-        below = ~largest
-        self._at_largest += largest
-        self._largest_since[below] = stamp
-        self._last_below[below] = self._messages
-        self._moved[below] = False
-        self._last_far[size < self._far] = self._messages
-        if not largest.any():
-            return largest
-        self._moved |= largest & ~(np.abs(vector[1]) < _STANDING)
-        longest = _FEWEST + _FLATTER * (self._last_below - self._last_far)  # that rounding could explain
-        long: BoolArray = self._messages - self._last_below >= longest
-        if not long.any():
-            return long
-        moved = self._moved & (self._speed > _STANDING)
-        seldom = self._at_largest < _MOSTLY * self._messages
-        result: BoolArray = long & moved & seldom & (stamp - self._largest_since >= _SATURATED)
-        return result
+class JointParts:
+    """Joins messages of several publishers, each with some of the joints, at the stamps that all have reached.
 
-    def _learn(self, effort: FloatArray, size: FloatArray, last: FloatArray) -> None:
-        """How large efforts become, and in which steps."""
-        change = np.abs(effort - last)
-        finer = (change > 0.0) & (change < self._step)
-        grown = size > self._largest
-        if finer.any() or grown.any():
-            self._step[finer] = change[finer]
-            self._largest[grown] = size[grown]
-            self._largest_since[grown], self._last_below[grown] = self._stamp, self._messages - 1
-            self._moved[grown] = False
-            self._far = self._largest - _FAR * self._step
-            self._last_far[np.abs(last) < self._far] = self._messages - 1
+    Where the parts' stamps differ, two messages of a part that are no further apart than ``max_gap`` [ns] are
+    interpolated linearly.
+    """
+
+    def __init__(self, joints: Sequence[str], max_gap: int, make_reader: Callable[[Part], JointReader]) -> None:
+        self._joints = tuple(joints)
+        self._max_gap = max_gap
+        self._make_reader = make_reader
+        self.readers: dict[Part, JointReader] = {}
+        self.restart()
+
+    def restart(self) -> None:
+        """Begin anew, as a clock was set back."""
+        for reader in self.readers.values():
+            reader.restart()
+        self._waiting: dict[Part, deque[tuple[int, FloatArray]]] = {part: deque() for part in self.readers}
+        self._last = 0
+
+    def part(self, names: Sequence[str]) -> Part:
+        """The part of a message with these names. Raises RejectedError if it is of several, or of none."""
+        part = tuple(joint for joint in self._joints if joint in set(names))
+        if part in self.readers:
+            return part
+        if not part:
+            raise RejectedError("none of the robot's joints" if names else DRIVER_ERROR + "no joint names")
+        known = next((joint for other in self.readers for joint in other if joint in part), None)
+        if known is not None:
+            raise RejectedError(f"{DRIVER_ERROR}joint '{known}' comes with others than before")
+        self.readers = {**self.readers, part: self._make_reader(part)}
+        self._waiting[part] = deque()
+        return part
+
+    def add(self, part: Part, stamp: int, values: FloatArray) -> Iterator[tuple[int, FloatArray]]:
+        """Take a part's numbers ``(3 joints of it,)``. Yields stamps and numbers ``(3 joints,)`` of the whole."""
+        waiting = self._waiting[part]
+        waiting.append((stamp, values.reshape(3, -1)))
+        if len(waiting) > _MOST_WAITING:
+            waiting.popleft()
+        if sum(map(len, self._waiting)) < len(self._joints) or not all(self._waiting.values()):
+            return
+        common = min(entries[-1][0] for entries in self._waiting.values())
+        begin = max(entries[0][0] for entries in self._waiting.values())
+        if common <= self._last or common < begin:
+            return
+        self._last = common
+        for entries in self._waiting.values():
+            while len(entries) > 1 and entries[1][0] <= common:
+                entries.popleft()
+        if all(self._is_between(entries, common) for entries in self._waiting.values()):
+            yield common, self._at(common)
+
+    def _is_between(self, entries: deque[tuple[int, FloatArray]], stamp: int) -> bool:
+        return entries[0][0] == stamp or entries[1][0] - entries[0][0] <= self._max_gap
+
+    def _at(self, stamp: int) -> FloatArray:
+        whole = np.empty((3, len(self._joints)))
+        for part, entries in self._waiting.items():
+            whole[:, [self._joints.index(joint) for joint in part]] = _between(entries, stamp)
+        return whole.ravel()
+
+
+def _between(entries: deque[tuple[int, FloatArray]], stamp: int) -> FloatArray:
+    first, before = entries[0]
+    if first == stamp:
+        return before
+    second, after = entries[1]
+    return before + (stamp - first) / (second - first) * (after - before)

@@ -1,7 +1,7 @@
-"""Zero-phase low-pass and derivative kernels, and local cubic interpolation: the whole of the signal filtering.
+"""Zero-phase low-pass and derivative kernels, and local cubic interpolation: all of the signal filtering.
 
-One symmetric low-pass h serves every signal, so that filtering keeps the (linear) equations between them; a derivative
-is h followed by a central difference of order six, so that derivatives belong to the filtered signal itself.
+The same symmetric low-pass h filters every signal, which keeps the linear equations between them. A derivative is h
+followed by a central difference of order six, so it is the derivative of the filtered signal.
 """
 
 from __future__ import annotations
@@ -27,10 +27,17 @@ T = TypeVar("T", float, FloatArray)
 
 
 def derivative_kernels(cutoff: float, period: float) -> FloatArray:
-    """Correlation kernels ``(3, taps)`` for the filtered value and its first and second derivative by time.
+    """Kernels for the filtered value and its first and second derivative by time.
 
-    ``cutoff`` [Hz] is where h falls to one half, ``period`` [s] the grid's. The lag is half the taps. Raises InputError
-    when the grid is too coarse for the cutoff.
+    Args:
+        cutoff: [Hz] where h falls to one half.
+        period: [s] of the grid.
+
+    Returns:
+        ``(3, taps)``, to be correlated with the signal; the lag is half the taps.
+
+    Raises:
+        InputError: the grid is too coarse for the cutoff.
     """
     if cutoff * period * LOWEST_RATE_PER_CUTOFF > 1.0 + 1e-9:  # a cutoff at the limit is rounded
         raise InputError(
@@ -44,10 +51,29 @@ def derivative_kernels(cutoff: float, period: float) -> FloatArray:
     return np.array([value, first, second])
 
 
+def filtered(values: FloatArray, cutoff: float, period: float) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """A whole recording through the zero-phase low-pass; at its ends the first and the last value go on.
+
+    Args:
+        values: ``(N, K)``, one row every ``period``.
+        cutoff: of the low-pass [Hz]; the highest that the period allows where it is higher.
+        period: [s].
+
+    Returns:
+        The filtered values and their first and second derivative by time, each ``(N, K)``.
+    """
+    kernels = derivative_kernels(min(cutoff, 1.0 / (LOWEST_RATE_PER_CUTOFF * period)), period)
+    half = kernels.shape[1] // 2
+    padded = np.pad(values, ((half, half), (0, 0)), mode="edge")
+    windows = np.lib.stride_tricks.sliding_window_view(padded, 2 * half + 1, axis=0)
+    value, first, second = np.einsum("kl,njl->knj", kernels, windows, optimize=True)
+    return value, first, second
+
+
 def _low_pass(cutoff: float, half: int) -> FloatArray:
     """An ideal low-pass of ``cutoff`` (a share of the rate) under a Kaiser window, ``(2 half + 1,)``, of sum 1.
 
-    As scipy.signal.firwin has it, to import which takes as long as a quarter of the node's start.
+    The same as scipy.signal.firwin, whose import takes as long as a quarter of the node's start.
     """
     taps = np.sinc(2.0 * cutoff * np.arange(-half, half + 1)) * np.kaiser(2 * half + 1, _KAISER_BETA)
     result: FloatArray = taps / np.sum(taps)
@@ -55,10 +81,17 @@ def _low_pass(cutoff: float, half: int) -> FloatArray:
 
 
 def cubic_weights(nodes: FloatArray, times: FloatArray) -> FloatArray:
-    """Weights ``(N, 4)`` of four increasing ``nodes (N, 4)`` for the values at ``times (N,)`` between the middle two.
+    """Interpolation weights of Lagrange's cubic.
 
-    Lagrange's cubic; where the nodes lie so unevenly (messages in bursts) that it would amplify noise, the line between
-    the middle nodes.
+    Where the nodes lie so unevenly (messages in bursts) that the cubic would amplify noise, they are those of the line
+    between the middle nodes.
+
+    Args:
+        nodes: ``(N, 4)``, increasing.
+        times: ``(N,)``, between the middle two nodes.
+
+    Returns:
+        ``(N, 4)`` weights of the nodes' values.
     """
     weights = np.stack(_lagrange(nodes.T, times), axis=1)
     noisy = np.sum(weights**2, axis=1) > _LARGEST_NOISE_GAIN**2
@@ -68,7 +101,7 @@ def cubic_weights(nodes: FloatArray, times: FloatArray) -> FloatArray:
 
 
 def cubic_weights_at(nodes: Sequence[float], time: float) -> tuple[float, float, float, float]:
-    """:func:`cubic_weights` of one time, without the cost of arrays: live streams ask for one after the other."""
+    """:func:`cubic_weights` of one time, without the cost of arrays, for live streams."""
     weights = _lagrange(nodes, time)
     if sum(weight * weight for weight in weights) > _LARGEST_NOISE_GAIN**2:
         return _line(nodes, time)

@@ -8,16 +8,18 @@ from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-_MOST_REASONS = 50  # of a topic: whoever sends nonsense decides how many there are
+_MOST_REASONS = 50  # of a topic: the sender of nonsense decides how many there are
 _LONGEST_REASON = 200  # characters
 _OTHER = "other reasons"
 
 
 @dataclass
 class Account:
-    """What became of the messages of a topic: how many were accepted, and by reason rejected (for what they say) and
-    dropped (for what the receiver is doing). ``noted``: peculiarities, mostly of messages that were accepted; ``lost``:
-    messages that were published and never came."""
+    """What became of the messages of a topic.
+
+    ``accepted`` were used; ``rejected``, by reason, could not be for what they say; ``dropped``, by reason, were not
+    looked at. ``noted`` are peculiarities, mostly of accepted messages; ``lost`` were published and never came.
+    """
 
     accepted: int = 0
     rejected: Counter[str] = field(default_factory=Counter)
@@ -27,8 +29,18 @@ class Account:
 
     @property
     def received(self) -> int:
-        """All messages that have come to their end: accepted, rejected or dropped."""
+        """All that were accepted, rejected or dropped."""
         return self.accepted + self.rejected.total() + self.dropped.total()
+
+    def since(self, before: Account) -> Account:
+        """What was counted since the account was ``before``."""
+        return Account(
+            accepted=self.accepted - before.accepted,
+            rejected=self.rejected - before.rejected,
+            dropped=self.dropped - before.dropped,
+            noted=self.noted - before.noted,
+            lost=self.lost - before.lost,
+        )
 
 
 class Ledger:
@@ -48,7 +60,7 @@ class Ledger:
             return copy.deepcopy(self._topics)
 
     def restore(self, accounts: Mapping[str, Account]) -> None:
-        """Add what an earlier process counted; nothing, when this one has accepted or rejected anything itself."""
+        """Add what an earlier process counted, unless this one has accepted or rejected anything itself."""
         with self._lock:
             if any(account.accepted or account.rejected for account in self._topics.values()):
                 return
@@ -61,33 +73,33 @@ class Ledger:
                 account.noted.update(before.noted)
 
     def accept(self, topic: str) -> None:
-        """A message is used."""
+        """Count a message that is used."""
         with self._lock:
             self._account(topic).accepted += 1
 
     def reject(self, topic: str, reason: str) -> None:
-        """A message cannot be used for what it says."""
+        """Count a message that cannot be used for what it says."""
         with self._lock:
             count_reason(self._account(topic).rejected, reason)
 
     def drop(self, topic: str, reason: str) -> None:
-        """A message is not looked at."""
+        """Count a message that is not looked at."""
         with self._lock:
             count_reason(self._account(topic).dropped, reason)
 
     def revoke(self, topic: str, reason: str) -> None:
-        """A message that was accepted is rejected after all."""
+        """Count a message that was accepted as rejected."""
         with self._lock:
             self._account(topic).accepted -= 1
             count_reason(self._account(topic).rejected, reason)
 
     def note(self, topic: str, remark: str) -> None:
-        """Something is peculiar."""
+        """Count a peculiarity."""
         with self._lock:
             count_reason(self._account(topic).noted, remark)
 
     def lose(self, topic: str, count: int) -> None:
-        """Messages were published that never came."""
+        """Count messages that were published and never came."""
         with self._lock:
             self._account(topic).lost += count
 
@@ -96,6 +108,6 @@ class Ledger:
 
 
 def count_reason(reasons: Counter[str], reason: str) -> None:
-    """Count one more of a reason; of too many different ones, and of overlong ones, only the beginning is kept."""
+    """Count a reason once more. Long reasons are cut short; those beyond a bound count as one."""
     short = reason if len(reason) <= _LONGEST_REASON else reason[:_LONGEST_REASON] + "..."
     reasons[short if short in reasons or len(reasons) < _MOST_REASONS else _OTHER] += 1

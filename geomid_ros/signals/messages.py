@@ -1,83 +1,117 @@
-"""Reads ROS messages into a pipeline, by attribute: rclpy's message classes and those of rosbags look the same."""
+"""Messages as frozen values: parsed once at the door, whether a node or a bag brings them."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Any, Protocol
+from dataclasses import dataclass
+from typing import Any, ClassVar, TypeAlias
 
-from geomid_ros.signals.pipeline import SignalPipeline
+import numpy as np
 
-MESSAGE_TYPES = {
-    "joint_states": "sensor_msgs/msg/JointState",
-    "odom": "nav_msgs/msg/Odometry",
-    "wrench": "geometry_msgs/msg/WrenchStamped",
-}
+from geomid_ros.types import FloatArray, frozen
 
-
-class _Stamp(Protocol):
-    sec: int
-    nanosec: int
+JOINT_STATES = "joint_states"
+ODOM = "odom"
+_TYPES = {JOINT_STATES: "sensor_msgs/msg/JointState", ODOM: "nav_msgs/msg/Odometry"}
+_WRENCH_TYPE = "geometry_msgs/msg/WrenchStamped"
 
 
-class Header(Protocol):
-    """std_msgs/Header."""
+class _ReadOnly:
+    """Makes the arrays of a frozen dataclass read-only copies."""
 
-    stamp: _Stamp
-    frame_id: str
+    __slots__ = ()
+    _arrays: ClassVar[tuple[str, ...]]
 
-
-class JointState(Protocol):
-    """sensor_msgs/JointState."""
-
-    header: Header
-    name: Sequence[str]
-    position: Sequence[float]
-    velocity: Sequence[float]
-    effort: Sequence[float]
+    def __post_init__(self) -> None:
+        for name in self._arrays:
+            object.__setattr__(self, name, frozen(getattr(self, name)))
 
 
-class Odometry(Protocol):
-    """nav_msgs/Odometry."""
+@dataclass(frozen=True, eq=False, slots=True)
+class JointMessage(_ReadOnly):
+    """Positions, velocities and efforts of joints.
 
-    header: Header
-    pose: Any
+    ``stamp`` [ns] since the epoch, -1 if it is not valid. ``position``, ``velocity``, ``effort (names,)`` are what the
+    driver sent: any may be empty, and nothing is checked yet.
+    """
+
+    topic: ClassVar[str] = JOINT_STATES
+    _arrays: ClassVar[tuple[str, ...]] = ("position", "velocity", "effort")
+    stamp: int
+    names: tuple[str, ...]
+    position: FloatArray
+    velocity: FloatArray
+    effort: FloatArray
 
 
-class WrenchStamped(Protocol):
-    """geometry_msgs/WrenchStamped."""
+@dataclass(frozen=True, eq=False, slots=True)
+class PoseMessage(_ReadOnly):
+    """The base's ``pose (7,)`` in the world: position [m] and quaternion xyzw; ``stamp`` as of joints."""
 
-    header: Header
-    wrench: Any
+    topic: ClassVar[str] = ODOM
+    _arrays: ClassVar[tuple[str, ...]] = ("pose",)
+    stamp: int
+    pose: FloatArray
 
 
-def stamp_of(header: Header) -> int:
-    """A header's stamp in nanoseconds since the epoch; -1 if its parts are out of range."""
+@dataclass(frozen=True, eq=False, slots=True)
+class WrenchMessage(_ReadOnly):
+    """The ``wrench (6,)``, force [N] and torque [N m], of a sensor's ``topic``, expressed in ``frame`` (as the message
+    says, empty if it does not); ``stamp`` as of joints."""
+
+    _arrays: ClassVar[tuple[str, ...]] = ("wrench",)
+    topic: str
+    stamp: int
+    frame: str
+    wrench: FloatArray
+
+
+Message: TypeAlias = JointMessage | PoseMessage | WrenchMessage
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Accepted:
+    """A message that was accepted: its topic, stamp [ns] and checked numbers in the robot's order, read-only.
+
+    ``values`` are positions, velocities and efforts ``(3 joints,)``, a pose ``(7,)`` or a wrench ``(6,)``.
+    """
+
+    topic: str
+    stamp: int
+    values: FloatArray
+
+    def __post_init__(self) -> None:
+        self.values.setflags(write=False)
+
+
+def message_type(topic: str) -> str:
+    """The ROS type of a topic's messages; all topics but two are of wrench sensors."""
+    return _TYPES.get(topic, _WRENCH_TYPE)
+
+
+def parse(topic: str, message: Any) -> Message:
+    """The value of a ROS message, read by attribute: rclpy's messages and those of rosbags look the same.
+
+    Args:
+        topic: the name by which the pipeline knows it: JOINT_STATES, ODOM, or that of a declared wrench sensor.
+        message: of the type :func:`message_type` of this topic.
+
+    Raises:
+        AttributeError, TypeError or ValueError for what is no such message.
+    """
+    header = message.header
+    if topic == JOINT_STATES:
+        return JointMessage(_stamp(header), tuple(message.name), message.position, message.velocity, message.effort)
+    if topic == ODOM:
+        p, q = message.pose.pose.position, message.pose.pose.orientation
+        return PoseMessage(_stamp(header), np.array((p.x, p.y, p.z, q.x, q.y, q.z, q.w)))
+    force, torque = message.wrench.force, message.wrench.torque
+    wrench = np.array((force.x, force.y, force.z, torque.x, torque.y, torque.z))
+    return WrenchMessage(topic, _stamp(header), header.frame_id, wrench)
+
+
+def _stamp(header: Any) -> int:
+    """Nanoseconds since the epoch; -1 if seconds or nanoseconds are out of range."""
     seconds, nanoseconds = int(header.stamp.sec), int(header.stamp.nanosec)
     if seconds < 0 or not 0 <= nanoseconds < 1_000_000_000:
         return -1
     return seconds * 1_000_000_000 + nanoseconds
-
-
-def feed_joint_state(pipeline: SignalPipeline, message: JointState) -> None:
-    """Pass a joint message on."""
-    pipeline.push_joints(stamp_of(message.header), message.name, message.position, message.velocity, message.effort)
-
-
-def feed_odometry(pipeline: SignalPipeline, message: Odometry) -> None:
-    """Pass a base pose on."""
-    position, orientation = message.pose.pose.position, message.pose.pose.orientation
-    pipeline.push_base_pose(
-        stamp_of(message.header),
-        (position.x, position.y, position.z, orientation.x, orientation.y, orientation.z, orientation.w),
-    )
-
-
-def feed_wrench(pipeline: SignalPipeline, topic: str, message: WrenchStamped) -> None:
-    """Pass a wrench on; ``topic`` is the name by which the sensor was declared."""
-    force, torque = message.wrench.force, message.wrench.torque
-    pipeline.push_wrench(
-        topic,
-        stamp_of(message.header),
-        message.header.frame_id,
-        (force.x, force.y, force.z, torque.x, torque.y, torque.z),
-    )

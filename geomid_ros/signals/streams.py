@@ -1,7 +1,7 @@
-"""Streams of stamped numbers, brought to a common time grid and filtered there.
+"""Streams of stamped numbers, interpolated on a common time grid and filtered there.
 
-The grid's instants are the whole multiples of its period since the epoch, so they do not depend on when anybody began
-to listen: a node that joins late and a reader of the whole bag make the same samples of the same messages.
+The grid's instants are the multiples of its period since the epoch. They do not depend on when the first message came:
+a node that joins late and a reader of the whole bag make the same samples of the same messages.
 """
 
 from __future__ import annotations
@@ -19,14 +19,13 @@ from geomid_ros.model.effects import Motion
 from geomid_ros.signals.kernels import cubic_weights, cubic_weights_at, derivative_kernels
 from geomid_ros.types import FloatArray
 
-# How much higher than the filter's is the cutoff of the motion that effects are computed on; and the highest that a
-# grid allows, as a share of its rate.
-_SHARPER = 4.0
-_SHARPEST = 0.4
+_SHARPER = 4.0  # cutoff of the motion that effects are computed on, in units of the filter's
+_SHARPEST = 0.4  # the highest such cutoff, as a share of the grid's rate
 
 
 class Grid:
-    """The common time grid: ``period`` [ns], the kernels on it, and every how many instants a sample is made."""
+    """The common time grid: its ``period`` [ns], the kernels on it with ``half`` of their taps, the ``lag`` of samples
+    in instants, and the ``stride`` from one sample to the next."""
 
     def __init__(self, period: int, cutoff: float, samples_per_cutoff_period: float) -> None:
         self.period = period
@@ -38,7 +37,7 @@ class Grid:
 
 
 class Segment(ABC):
-    """Numbers of one topic without a pause. Feed with :meth:`push`; ask for filtered instants with :meth:`filtered`."""
+    """Numbers of one topic without a pause. :meth:`push` takes them, :meth:`filtered` gives filtered values."""
 
     @abstractmethod
     def push(self, stamp: int, values: FloatArray) -> None:
@@ -54,7 +53,7 @@ class Segment(ABC):
 
     @abstractmethod
     def drop_before(self, instant: int) -> None:
-        """Instants before this one will not be asked for again."""
+        """Forget what is needed only for earlier instants."""
 
 
 S = TypeVar("S", bound=Segment)
@@ -62,7 +61,7 @@ S = TypeVar("S", bound=Segment)
 
 class Stream(Generic[S]):
     """One topic's numbers. A pause longer than ``max_gap`` [ns] starts a new segment: nothing is interpolated or
-    filtered across it. The one before stays until other topics, that may come later, are past it, too."""
+    filtered across it. The segment before stays until the other topics, which may be later, have passed its end."""
 
     def __init__(self, max_gap: int, new_segment: Callable[[], S]) -> None:
         self._max_gap = max_gap
@@ -72,7 +71,7 @@ class Stream(Generic[S]):
 
     @property
     def segment(self) -> S:
-        """The oldest that may still be asked for."""
+        """The oldest that is still needed."""
         return self._segments[0]
 
     def push(self, stamp: int, values: FloatArray) -> None:
@@ -83,12 +82,12 @@ class Stream(Generic[S]):
         self._segments[-1].push(stamp, values)
 
     def drop_before(self, instant: int) -> None:
-        """Instants before this one will not be asked for again."""
+        """Forget what is needed only for earlier instants."""
         self.skip_to(instant)
         self.segment.drop_before(instant)
 
     def skip_to(self, instant: int) -> bool:
-        """Give up the segments that end before this instant. False if none does."""
+        """Drop the segments that end before this instant. Returns whether there was one."""
         count = len(self._segments)
         while len(self._segments) > 1 and self.segment.ready().stop <= instant:
             self._segments.popleft()
@@ -100,17 +99,17 @@ class _GridValues:
 
     def __init__(self) -> None:
         self.first = 0
-        self.values = np.zeros((0, 0))  # the last part of what is used of the room
+        self.values = np.zeros((0, 0))  # a view of the used part of the room
         self._room = self.values
         self._used = 0
 
     @property
     def end(self) -> int:
-        """The instant behind the last."""
+        """The instant after the last."""
         return self.first + len(self.values)
 
     def extend(self, start: int, values: FloatArray) -> None:
-        """Append ``values (N, ...)``, which begin at instant ``start``: the end, unless there are none yet."""
+        """Append ``values (N, ...)`` from instant ``start`` on, which is the end unless there are no values yet."""
         if not len(self.values):
             self.first, self.values = start, values[:0]
         count = len(self.values) + len(values)
@@ -123,8 +122,16 @@ class _GridValues:
         self.values = self._room[self._used - count : self._used]
 
     def correlated(self, instants: range, kernels: FloatArray, columns: int | None = None) -> FloatArray:
-        """Correlations ``(kernels, N, values)`` with ``kernels (kernels, 2 half + 1)`` around each instant, of the
-        first ``columns`` of the values (all unless given)."""
+        """Correlate with ``kernels (kernels, 2 half + 1)`` around each instant.
+
+        Args:
+            instants: N of them, each with ``half`` neighbours on both sides.
+            kernels: ``(kernels, 2 half + 1)``.
+            columns: how many of the values, all unless given.
+
+        Returns:
+            ``(kernels, N, values)``.
+        """
         half = kernels.shape[1] // 2
         values = self.values[instants.start - half - self.first : instants[-1] + half + 1 - self.first, :columns]
         windows = np.lib.stride_tricks.sliding_window_view(values, 2 * half + 1, axis=0)[:: instants.step]
@@ -182,8 +189,8 @@ class VectorSegment(Segment):
 class JointSegment(VectorSegment):
     """Joint messages' vectors (positions first), and with them the columns of effects.
 
-    Friction jumps when a joint reverses, and the measured effort shows the jump as the filter has smoothed it. So the
-    effects are computed on a sharper motion, at every instant of the grid, and filtered as the efforts are.
+    Friction jumps when a joint reverses, and the filtered effort shows a smoothed jump. So effects are computed on a
+    less filtered motion at every instant of the grid, and then filtered as the efforts are.
     """
 
     def __init__(self, grid: Grid, joints: int, columns: Columns) -> None:
@@ -198,7 +205,7 @@ class JointSegment(VectorSegment):
         possible = self._on_grid.inside(self._sharp_half)
         start = self._columns_on_grid.end if len(self._columns_on_grid.values) else possible.start
         half, stride = self._grid.half, self._grid.stride
-        last_sample = (possible.stop - 1 - half) // stride * stride  # what only later samples need can wait
+        last_sample = (possible.stop - 1 - half) // stride * stride  # columns for later samples can wait
         instants = range(start, last_sample + half + 1)
         if instants:
             motion = self._on_grid.correlated(instants, self._grid.sharp_kernels, self._joints)
@@ -222,10 +229,10 @@ class JointSegment(VectorSegment):
 class PoseSegment(Segment):
     """Poses ``(7,)``, filtered and differentiated on SE(3).
 
-    Around an instant the poses are taken as logarithms relative to a reference, which is moved until the filtered
-    logarithm vanishes: the filtered pose is the kernel-weighted mean on the group. There the logarithm's derivatives
-    are the body's spatial velocity and acceleration (linear, angular; base frame), as the group's structure terms are
-    multiples of the logarithm or of the velocity's bracket with itself.
+    Around an instant, poses become logarithms relative to a reference pose, which is moved until the filtered
+    logarithm vanishes: the filtered pose is the kernel-weighted mean on the group. There the derivatives of the
+    logarithm are the body's spatial velocity and acceleration (linear, angular; base frame), as all structure terms of
+    the group are multiples of the logarithm or of the velocity's bracket with itself.
     """
 
     _MEAN_STEPS = 4

@@ -12,6 +12,8 @@ from typing import Any
 from rosbags.rosbag2 import Reader, StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
+from geomid_ros.signals.messages import JOINT_STATES, Message, parse
+
 BAGS = Path(__file__).parents[2] / "bags"
 TYPES = get_typestore(Stores.ROS2_JAZZY)
 
@@ -24,6 +26,11 @@ class Recorded:
     kind: str
     time: int
     message: Any
+
+    @property
+    def parsed(self) -> Message:
+        """As a pipeline takes it."""
+        return parse(JOINT_STATES if self.topic == "/joint_states" else self.topic, self.message)
 
     def changed(self, **fields: Any) -> Recorded:
         """The same with other fields of the message."""

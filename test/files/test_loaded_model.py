@@ -26,6 +26,7 @@ from geomid_ros.model.robot import GRAVITY, Robot
 from geomid_ros.model.sensors import WrenchSensor
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.session import Session
+from geomid_ros.signals.messages import JointMessage, WrenchMessage
 from geomid_ros.types import FloatArray
 
 from .effects import PAYLOAD, effect
@@ -90,7 +91,8 @@ def pushed(session: Session, stamps: FloatArray, effort: FloatArray) -> Any:
     """Samples of joints at rest with this effort at joint1 ``(N,)``."""
     names = session.robot.joint_names
     for stamp, value in zip(stamps, effort, strict=True):
-        session.pipeline.push_joints(round(1e9 * stamp), names, [0.0] * 3, [0.0] * 3, [float(value), 0.0, 0.0])
+        effort = [float(value), 0.0, 0.0]
+        session.pipeline.push(JointMessage(round(1e9 * stamp), names, [0.0] * 3, [0.0] * 3, effort))
     samples = session.pipeline.collect()
     assert samples is not None
     return samples
@@ -118,9 +120,9 @@ def test_wrenches_are_freed_of_their_offset(tmp_path: Path) -> None:
     true = np.arange(1.0, 7.0)
     for index in range(400):
         stamp = 1_000_000_000_000 + 10_000_000 * index
-        session.pipeline.push_joints(stamp, session.robot.joint_names, [0.0] * 3, [], [])
-        session.pipeline.push_wrench("/wrench", stamp, "wrist_ft", -(true + np.array(first.offset)))
-        session.pipeline.push_wrench("/other", stamp, "tool", true)
+        session.pipeline.push(JointMessage(stamp, session.robot.joint_names, [0.0] * 3, [], []))
+        session.pipeline.push(WrenchMessage("/wrench", stamp, "wrist_ft", -(true + np.array(first.offset))))
+        session.pipeline.push(WrenchMessage("/other", stamp, "tool", true))
     samples = session.pipeline.collect()
     assert samples is not None
     np.testing.assert_allclose(-samples.wrenches[:, 0], np.tile(true, (len(samples), 1)), atol=1e-9)

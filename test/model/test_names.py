@@ -11,7 +11,9 @@ from geomid_ros.model.effects import identifiable, identified_effect
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.robot import Robot
 from geomid_ros.model.sensors import AXES, ROLES, WORLD_FRAMES, WrenchSensor
-from geomid_ros.signals.pipeline import SignalPipeline, SignalSettings
+from geomid_ros.signals.messages import WrenchMessage
+from geomid_ros.signals.pipeline import SignalPipeline
+from geomid_ros.signals.settings import SignalSettings
 
 from .robots import urdf
 
@@ -46,8 +48,8 @@ CASES: dict[str, tuple[Callable[[], object], str, list[str]]] = {
         UR5_JOINTS,
     ),
     "wrench topic": (
-        lambda: SignalPipeline(["a"], sensors=[WrenchSensor("/ft", "l", "mounted")]).push_wrench(
-            "ft", 1, "l", [0.0] * 6
+        lambda: SignalPipeline(["a"], sensors=[WrenchSensor("/ft", "l", "mounted")]).push(
+            WrenchMessage("ft", 1, "l", [0.0] * 6)
         ),
         "/ft",
         ["/ft"],

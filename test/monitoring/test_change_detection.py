@@ -1,4 +1,4 @@
-"""The watch: silent while the robot stays what it is, whatever it does; not for long when it has changed."""
+"""The change detector: silent while the robot stays what it is, whatever it does; not for long when it has changed."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import pytest
 from scipy.signal import firwin, lfilter
 
 from geomid_ros.model.measurement import Channel, Rows
-from geomid_ros.monitoring.change_detection import BLOCK, ChannelGap, GapWatch
+from geomid_ros.monitoring.change_detection import BLOCK, ChangeDetector, ChannelGap
 from geomid_ros.types import FloatArray
 
 COLUMNS = 12
@@ -53,24 +53,24 @@ class Robot:
         """From one row to another the first parameter is another."""
         self.targets[begin:end] += RISE * self.coefficients[begin:end, 0]
 
-    def judged(self, watch: GapWatch) -> Iterator[tuple[ChannelGap, ...]]:
+    def judged(self, detector: ChangeDetector) -> Iterator[tuple[ChannelGap, ...]]:
         """The gaps after every block."""
         for begin in range(0, len(self.targets), BLOCK):
             rows = slice(begin, begin + BLOCK)
             stamps = PERIOD * np.arange(begin + 1, begin + BLOCK + 1)
-            watch.add(begin, stamps, Rows(self.coefficients[rows, None], self.targets[rows, None]))
-            assert watch.judge()
-            assert not watch.judge()
-            yield watch.gaps
+            detector.add(begin, stamps, Rows(self.coefficients[rows, None], self.targets[rows, None]))
+            assert detector.judge()
+            assert not detector.judge()
+            yield detector.gaps
 
 
-def new_watch(forgetting_time: float = np.inf) -> GapWatch:
-    return GapWatch([Channel("joint", "N m", np.arange(COLUMNS))], forgetting_time)
+def new_detector(forgetting_time: float = np.inf) -> ChangeDetector:
+    return ChangeDetector([Channel("joint", "N m", np.arange(COLUMNS))], forgetting_time)
 
 
 def open_blocks(robot: Robot, forgetting_time: float = np.inf) -> list[int]:
     """After which blocks there is a gap."""
-    judged = robot.judged(new_watch(forgetting_time))
+    judged = robot.judged(new_detector(forgetting_time))
     return [block for block, gaps in enumerate(judged) if any(gap.since is not None for gap in gaps)]
 
 
@@ -79,7 +79,7 @@ def test_no_false_alarm(kind: str) -> None:
     """In 8000 blocks, two hours of motion: 1e-7 of them may."""
     watched = 0
     for seed in range(40):
-        for gaps in Robot(seed, kind, 200).judged(new_watch()):
+        for gaps in Robot(seed, kind, 200).judged(new_detector()):
             watched += len(gaps)
             assert all(gap.since is None for gap in gaps), seed
     assert watched > 0.8 * 40 * 200
@@ -104,7 +104,7 @@ def test_the_gap_says_how_wide_it_is_and_since_when() -> None:
     for seed in range(20):
         robot = Robot(seed)
         robot.change()
-        *_, (gap,) = robot.judged(new_watch())
+        *_, (gap,) = robot.judged(new_detector())
         assert gap.since is not None
         begins.append(gap.since / PERIOD)
         widths.append(gap.times_floor)
@@ -113,7 +113,7 @@ def test_the_gap_says_how_wide_it_is_and_since_when() -> None:
 
 
 def test_what_is_normal_is_reported_as_one() -> None:
-    last = [list(Robot(seed).judged(new_watch()))[-1][0].times_floor for seed in range(20)]
+    last = [list(Robot(seed).judged(new_detector()))[-1][0].times_floor for seed in range(20)]
     assert np.median(last) == pytest.approx(1.0, abs=0.1)
 
 
@@ -131,7 +131,7 @@ def test_nothing_is_said_before_it_is_known_what_is_normal() -> None:
     """A change in the first seconds is not seen, rather than guessed at."""
     robot = Robot(0)
     robot.change(BLOCK)
-    judged = list(robot.judged(new_watch()))
+    judged = list(robot.judged(new_detector()))
     assert judged[:12] == 12 * [()]
     assert all(gap.since is None for gaps in judged for gap in gaps)
 
@@ -167,7 +167,7 @@ def test_units_do_not_matter() -> None:
     robot.change()
     larger.change()
     larger.targets *= 1e3
-    (one,), (other,) = list(robot.judged(new_watch()))[-1], list(larger.judged(new_watch()))[-1]
+    (one,), (other,) = list(robot.judged(new_detector()))[-1], list(larger.judged(new_detector()))[-1]
     assert one.since == other.since
     assert one.times_floor == pytest.approx(other.times_floor, rel=1e-6)
 
@@ -185,15 +185,15 @@ def test_channels_are_judged_by_themselves() -> None:
     robot = Robot(5)
     robot.change()
     channels = [Channel(name, "N m", np.arange(COLUMNS)) for name in ("silent", "zero", "joint")]
-    watch = GapWatch(channels)
+    detector = ChangeDetector(channels)
     for begin in range(0, len(robot.targets), BLOCK):
         rows = slice(begin, begin + BLOCK)
         count = len(robot.targets[rows])
         targets = np.column_stack([np.full(count, np.nan), np.zeros(count), robot.targets[rows]])
         coefficients = np.repeat(robot.coefficients[rows, None], 3, axis=1)
-        watch.add(begin, PERIOD * np.arange(begin + 1, begin + count + 1), Rows(coefficients, targets))
-        watch.judge()
-    gaps = {gap.channel: gap for gap in watch.gaps}
+        detector.add(begin, PERIOD * np.arange(begin + 1, begin + count + 1), Rows(coefficients, targets))
+        detector.judge()
+    gaps = {gap.channel: gap for gap in detector.gaps}
     assert gaps.keys() == {"zero", "joint"}
     assert gaps["zero"].since is None
     assert gaps["joint"].since is not None
@@ -208,10 +208,10 @@ class TestNormal:
     @staticmethod
     def followed(robot: Robot) -> Iterator[tuple[int, int, ChannelGap | None]]:
         """After every block how many instants were judged, how many are normal, and the gap if it is open."""
-        watch = new_watch()
-        for gaps in robot.judged(watch):
+        detector = new_detector()
+        for gaps in robot.judged(detector):
             opened = [gap for gap in gaps if gap.since is not None]
-            yield watch.judged, watch.normal([0]), opened[0] if opened else None
+            yield detector.judged, detector.normal([0]), opened[0] if opened else None
 
     @pytest.mark.parametrize("kind", ["white", "independent", "coloured", "uneven"])
     def test_nothing_of_a_gap_is_kept_before_it_opens(self, kind: str) -> None:
@@ -244,21 +244,23 @@ class TestNormal:
         assert judged - normal == (LONGEST - 1) * BLOCK
 
     def test_of_no_channel_all_but_the_last_block_is_kept(self) -> None:
-        robot, watch = Robot(2), new_watch()
+        robot, detector = Robot(2), new_detector()
         robot.change()
-        for _ in robot.judged(watch):
-            assert watch.normal([]) == watch.judged - BLOCK
+        for _ in robot.judged(detector):
+            assert detector.normal([]) == detector.judged - BLOCK
 
     def test_instants_are_counted_by_whoever_adds_them(self) -> None:
         """There may be some between that nobody has seen."""
-        robot, watch = Robot(3), new_watch()
+        robot, detector = Robot(3), new_detector()
         robot.change()
         stamps = PERIOD * np.arange(1, len(robot.targets) + 1)
         for begin in range(0, len(stamps), BLOCK):
             rows = slice(begin, begin + BLOCK)
-            watch.add(1000 + 2 * begin, stamps[rows], Rows(robot.coefficients[rows, None], robot.targets[rows, None]))
-            while watch.judge():
+            detector.add(
+                1000 + 2 * begin, stamps[rows], Rows(robot.coefficients[rows, None], robot.targets[rows, None])
+            )
+            while detector.judge():
                 pass
-        (gap,) = watch.gaps
-        assert watch.judged == 1000 + 2 * (len(stamps) - BLOCK) + BLOCK
+        (gap,) = detector.gaps
+        assert detector.judged == 1000 + 2 * (len(stamps) - BLOCK) + BLOCK
         assert gap.since == stamps[(gap.first - 1000) // 2]

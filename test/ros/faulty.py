@@ -17,10 +17,11 @@ from typing import Any
 import numpy as np
 
 from geomid_ros.estimation.identifier import Identifier
-from geomid_ros.live import watchdog as supervision
+from geomid_ros.live import supervisor
 from geomid_ros.live.worker import Worker
 from geomid_ros.ros import main
 from geomid_ros.session.session import Session
+from geomid_ros.signals.messages import Message, WrenchMessage
 from geomid_ros.signals.pipeline import SignalPipeline
 
 VARIABLE = "GEOMID_TEST_FAULT"
@@ -92,6 +93,15 @@ def shut_down(*_: Any) -> None:
     rclpy.shutdown()
 
 
+def of_wrenches(act: Callable[..., Any]) -> Callable[..., Any]:
+    """The fault for wrenches; other messages are taken."""
+
+    def choose(healthy: Any, owner: Any, message: Message) -> Any:
+        return act(healthy, owner, message) if isinstance(message, WrenchMessage) else healthy(owner, message)
+
+    return choose
+
+
 def run() -> None:
     """Plant, and run the node."""
     plant(Identifier, "solve", {
@@ -104,12 +114,12 @@ def run() -> None:
         "everything hangs": hang,
     })  # fmt: skip
     plant(Identifier, "add", {"rows fail": fail, "intake hangs": hang})
-    plant(SignalPipeline, "push_wrench", {"messages fail": fail, "messages slow": a_little_slowly})
-    plant(Worker, "wrench", {"callback fails": fail, "callback shuts down": shut_down})
+    plant(SignalPipeline, "push", {"messages fail": of_wrenches(fail), "messages slow": of_wrenches(a_little_slowly)})
+    plant(Worker, "take", {"callback fails": of_wrenches(fail), "callback shuts down": of_wrenches(shut_down)})
     plant(Worker, "recent_messages", {"service fails": fail})
     plant(os, "fsync", {"disk full": full, "disk read-only": read_only, "disk slow": slowly, "everything hangs": hang})
     plant(Session, "save", {"saving fails": fail})
-    supervision.HANGING = 4.0
+    supervisor.HANGING = 4.0
     main.main()
 
 

@@ -21,7 +21,6 @@ from std_srvs.srv import Trigger
 from geomid_ros.model.samples import Samples
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.session import Session
-from geomid_ros.signals.messages import feed_joint_state, feed_wrench
 
 from .observer import BETWEEN_MESSAGES, MATCHING, latched, plenty
 from .processes import Process
@@ -57,10 +56,7 @@ class Twin:
 
     def feed_pipeline(self, item: Recorded) -> Samples | None:
         """Take a message; the samples that it completes."""
-        if item.topic == "/joint_states":
-            feed_joint_state(self.session.pipeline, item.message)
-        else:
-            feed_wrench(self.session.pipeline, item.topic, item.message)
+        self.session.pipeline.push(item.parsed)
         return self.session.pipeline.collect()
 
 

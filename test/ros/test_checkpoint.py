@@ -27,7 +27,6 @@ from geomid_ros.live.checkpointing import Checkpoints
 from geomid_ros.live.worker import Worker
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.session import Session
-from geomid_ros.signals.messages import feed_joint_state, feed_wrench
 
 from .observer import latched
 from .stage import KINDS, WRIST, Stage, description, messages
@@ -53,10 +52,7 @@ def fed(of: Session, begin: int, end: int) -> Session:
     """A session with this part of the bag, as a node has it that has heard nothing before."""
     pipeline = of.new_pipeline()
     for item in MESSAGES[begin:end]:
-        if item.topic == "/wrench":
-            feed_wrench(pipeline, item.topic, item.message)
-        else:
-            feed_joint_state(pipeline, item.message)
+        pipeline.push(item.parsed)
     of.identifier.add(pipeline.collect())
     return of
 

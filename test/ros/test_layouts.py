@@ -25,7 +25,7 @@ REFERENCE = (ROOT / "docs/reference.md").read_text(encoding="utf-8")
 ARM7 = ElementTree.parse(ROOT / "bags/arm7.urdf").getroot()
 JOINTS = [str(joint.get("name")) for joint in ARM7.iter("joint") if joint.get("type") != "fixed"]
 LINKS = {str(link.get("name")) for link in ARM7.iter("link")}
-STREAM = Diagnostics("geomid").array(Status(True)).status[0]
+STREAM = Diagnostics("geomid").array(Status(active=True)).status[0]
 
 
 def node_topics() -> dict[str, tuple[str, str]]:

@@ -22,7 +22,6 @@ from geomid_ros.live import solving_process as module
 from geomid_ros.live.solving_process import SolvingProcess
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.session import Session
-from geomid_ros.signals.messages import feed_joint_state
 
 from .rig import ERROR
 from .stage import KINDS, WRIST, Stage, description, messages
@@ -42,7 +41,7 @@ def session(messages: int = 400, **parameters: object) -> Session:
     result = Session(read_urdf(BAGS / "arm3.urdf"), Configuration(parameters), "arm3.urdf")
     for item in MESSAGES[: 2 * messages]:
         if item.topic == "/joint_states":
-            feed_joint_state(result.pipeline, item.message)
+            result.pipeline.push(item.parsed)
             samples = result.pipeline.collect()
             if samples is not None:
                 result.identifier.add(samples)

@@ -7,9 +7,11 @@ import threading
 import time
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
 import pytest
 from files.recordings import BAGS
 
@@ -22,11 +24,12 @@ from geomid_ros.live.worker import Worker
 from geomid_ros.ros.diagnostics import Diagnostics
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.session import Session
+from geomid_ros.signals.messages import WrenchMessage
 
 from .stage import messages
 
 PATIENCE = 30.0
-JOINTS = [item.message for item in messages() if item.topic == "/joint_states"]
+JOINTS = [item.parsed for item in messages() if item.topic == "/joint_states"]
 SOON, NEVER = 0.01, 3600.0  # [s] periods of the solver
 
 
@@ -57,7 +60,7 @@ class Watched:
 
     def feed(self, begin: int = 0, end: int = len(JOINTS)) -> None:
         for message in JOINTS[begin:end]:
-            self.worker.joint_state(message)
+            self.worker.take(message)
 
     def final(self) -> Estimate | GeomidError:
         """The answer to a request for a final estimate."""
@@ -104,13 +107,13 @@ def test_without_rows_the_answer_is_an_error(quiet: Watched) -> None:
 
 def test_an_error_in_a_message_costs_the_message(quiet: Watched) -> None:
     quiet.feed(0, 100)
-    quiet.worker.joint_state("no message")
-    quiet.worker.wrench("/undeclared", JOINTS[0])
+    quiet.worker.take(replace(JOINTS[100], stamp="no stamp"))
+    quiet.worker.take(WrenchMessage("/undeclared", JOINTS[100].stamp, "", np.zeros(6)))
     quiet.feed(100)
     assert isinstance(quiet.final(), Estimate)
     status = quiet.worker.status(active=True)
-    assert status.accounts["joint_states"].dropped == {"AttributeError while taking a message": 1}
-    assert status.accounts["/undeclared"].dropped == {"AttributeError while taking a message": 1}
+    assert status.accounts["joint_states"].dropped == {"TypeError while taking a message": 1}
+    assert status.accounts["/undeclared"].dropped == {"InputError while taking a message": 1}
     assert status.failures.total() == 2
     assert status.accounts["joint_states"].accepted == len(JOINTS)
 
@@ -261,12 +264,14 @@ def standing_still(watched: Watched) -> Iterator[None]:
     """The intake takes nothing."""
     stop, waiting = threading.Event(), threading.Event()
 
-    def stand_still() -> None:
+    def stand_still(_: Any) -> None:
         waiting.set()
         stop.wait(PATIENCE)
 
-    watched.worker._inbox.put(stand_still)
-    assert waiting.wait(PATIENCE)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(watched.worker.solver, "ask", stand_still)
+        watched.worker.final_estimate(lambda _: None)
+        assert waiting.wait(PATIENCE)
     try:
         yield
     finally:
@@ -312,7 +317,7 @@ def test_what_comes_behind_a_task_after_a_pause_is_taken(quiet: Watched, now: li
 def test_the_intake_outlives_whatever_fails_behind_a_message(quiet: Watched, monkeypatch: pytest.MonkeyPatch) -> None:
     """The messages were taken, and so are those to come."""
     with monkeypatch.context() as patch:
-        patch.setattr(quiet.worker.solver.watch, "add", lambda *_: 1 / 0)
+        patch.setattr(quiet.worker.solver.detector, "add", lambda *_: 1 / 0)
         quiet.feed(0, 200)
         quiet.final()
     quiet.feed(200, 400)
@@ -340,9 +345,8 @@ def test_the_status_can_be_asked_for_all_the_time(busy: Watched) -> None:
 
 def feed_much(watched: Watched) -> None:
     for index, message in enumerate(JOINTS):
-        watched.worker.joint_state(message)
-        bad = type(message)(message.header, [f"joint {index}"] * 2, *3 * [message.position])
-        watched.worker.joint_state(bad)
+        watched.worker.take(message)
+        watched.worker.take(replace(message, names=(f"joint {index}",) * 2))
         time.sleep(2e-4)
 
 
@@ -354,19 +358,11 @@ def test_the_time_from_receipt_to_row_counts_from_the_callback_on(quiet: Watched
     before = quiet.worker.status(active=True).receipt_to_row
     assert 0 < len(before) <= quiet.session.identifier.rows / 3
     assert 0.0 < max(before) < time.perf_counter() - begin
-    pause, waiting = threading.Event(), threading.Event()
-
-    def stand_still() -> None:
-        waiting.set()
-        pause.wait(PATIENCE)
-
-    quiet.worker._inbox.put(stand_still)
-    assert waiting.wait(PATIENCE)
-    quiet.feed(200, 250)
-    all_received = time.perf_counter()
-    while time.perf_counter() < all_received + 0.2:
-        time.sleep(0.01)
-    pause.set()
+    with standing_still(quiet):
+        quiet.feed(200, 250)
+        all_received = time.perf_counter()
+        while time.perf_counter() < all_received + 0.2:
+            time.sleep(0.01)
     quiet.final()
     later = quiet.worker.status(active=True).receipt_to_row[len(before) :]
     assert len(later) > 0

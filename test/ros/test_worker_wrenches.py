@@ -24,7 +24,6 @@ from geomid_ros.model.samples import Samples
 from geomid_ros.ros.diagnostics import Diagnostics
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.session import Session
-from geomid_ros.signals.messages import feed_joint_state, feed_wrench
 
 from .in_motion import SECOND, START, InMotion, in_time, noisy
 from .spoiling import later
@@ -103,7 +102,7 @@ class Working:
         """Take messages; the status once all that can be judged is."""
         self.take(items)
         self.final()
-        assert self.session.identifier.instants - self.worker.solver.watch.judged < BLOCK
+        assert self.session.identifier.instants - self.worker.solver.detector.judged < BLOCK
         return self.status()
 
     def take(self, items: list[Recorded]) -> None:
@@ -111,10 +110,7 @@ class Working:
         for number, item in enumerate(items):
             while not self.worker._inbox.empty():  # on a busy machine what waits for long is dropped
                 time.sleep(1e-4)
-            if item.topic == "/joint_states":
-                self.worker.joint_state(item.message)
-            else:
-                self.worker.wrench(item.topic, item.message)
+            self.worker.take(item.parsed)
             if number % 20 == 0:
                 self.status()
 
@@ -143,10 +139,7 @@ def samples(items: list[Recorded]) -> Samples:
     pipeline = session().pipeline
     found = []
     for item in items:
-        if item.topic == "/joint_states":
-            feed_joint_state(pipeline, item.message)
-        else:
-            feed_wrench(pipeline, item.topic, item.message)
+        pipeline.push(item.parsed)
         found.append(pipeline.collect())
     return Samples.concatenate([part for part in found if part is not None])
 
@@ -288,7 +281,7 @@ def test_what_was_solved_for_before_a_change_was_noticed_chooses_nothing(working
     working.feed(before)
     assert working.session.warm is not None
     working.take(after)
-    working.worker.solver._judge()
+    working.worker.solver._detect_changes()
     assert working.worker.solver.changed_sensors == ("/wrist",)
     assert working.worker.solver._warm_start() is None
     assert working.worker.estimate is not None, "there is none better yet"
@@ -307,7 +300,7 @@ def test_what_can_be_taken_back_is_bounded(working: Working, monkeypatch: pytest
     """Of what waits to be judged, too."""
     monkeypatch.setattr(module, "_MOST_HELD", 100 * 8 * CHANNELS * (working.session.model.dimension + 1))
     working.worker.reset()
-    monkeypatch.setattr(working.worker.solver, "_judge", lambda: None)
+    monkeypatch.setattr(working.worker.solver, "_detect_changes", lambda: None)
     items = messages(8.0)
     working.take(items)
     working.final()

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, fields, replace
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 
 from geomid_ros.model.samples import Samples
+from geomid_ros.signals.messages import JointMessage, Message, WrenchMessage
 from geomid_ros.signals.pipeline import SignalPipeline
 from geomid_ros.types import FloatArray, IntArray
 
@@ -31,48 +32,6 @@ def jittered(period: float, duration: float, seed: int = 0) -> IntArray:
     """Stamps off the regular ones by up to a third of the period."""
     stamps = regular(period, duration)
     return stamps + np.random.default_rng(seed).integers(-int(period / 3e-9), int(period / 3e-9), len(stamps))
-
-
-@dataclass(frozen=True)
-class Message:
-    """One message: its topic's kind and what is pushed."""
-
-    stamp: int
-
-
-@dataclass(frozen=True)
-class JointMessage(Message):
-    """A joint message; ``velocity`` may be empty."""
-
-    name: Sequence[str]
-    position: Sequence[float]
-    velocity: Sequence[float]
-    effort: Sequence[float]
-
-    def push(self, pipeline: SignalPipeline) -> None:
-        pipeline.push_joints(self.stamp, self.name, self.position, self.velocity, self.effort)
-
-
-@dataclass(frozen=True)
-class WrenchMessage(Message):
-    """A wrench message."""
-
-    wrench: Sequence[float]
-    topic: str = "/wrench"
-    frame: str = "tool"
-
-    def push(self, pipeline: SignalPipeline) -> None:
-        pipeline.push_wrench(self.topic, self.stamp, self.frame, self.wrench)
-
-
-@dataclass(frozen=True)
-class PoseMessage(Message):
-    """A pose of the base."""
-
-    pose: Sequence[float]
-
-    def push(self, pipeline: SignalPipeline) -> None:
-        pipeline.push_base_pose(self.stamp, self.pose)
 
 
 @dataclass(frozen=True)
@@ -105,7 +64,10 @@ def joint_messages(stamps: IntArray, motion: Motion | None = None, velocity: boo
 
 def wrench_messages(stamps: IntArray) -> list[WrenchMessage]:
     """Wrenches of six sines."""
-    return [WrenchMessage(int(stamp), wrench) for stamp, wrench in zip(stamps, wrenches(stamps), strict=True)]
+    return [
+        WrenchMessage("/wrench", int(stamp), "tool", wrench)
+        for stamp, wrench in zip(stamps, wrenches(stamps), strict=True)
+    ]
 
 
 def wrenches(stamps: IntArray) -> FloatArray:
@@ -121,7 +83,7 @@ def in_time(*topics: Iterable[Message]) -> list[Message]:
 def feed(pipeline: SignalPipeline, messages: Iterable[Message]) -> Samples:
     """Push all messages, then collect."""
     for message in messages:
-        message.push(pipeline)
+        pipeline.push(message)
     samples = pipeline.collect()
     assert samples is not None
     return samples
@@ -129,12 +91,12 @@ def feed(pipeline: SignalPipeline, messages: Iterable[Message]) -> Samples:
 
 def without(message: JointMessage, joint: str) -> JointMessage:
     """The message without one of its joints."""
-    kept = [place for place, name in enumerate(message.name) if name != joint]
-    arrays = {
+    kept = [place for place, name in enumerate(message.names) if name != joint]
+    arrays: dict[str, Any] = {
         key: [getattr(message, key)[place] for place in kept] if len(getattr(message, key)) else ()
-        for key in ("name", "position", "velocity", "effort")
+        for key in ("position", "velocity", "effort")
     }
-    return replace(message, **arrays)
+    return replace(message, names=tuple(message.names[place] for place in kept), **arrays)
 
 
 def assert_same(actual: Samples, expected: Samples, tolerance: float = 1e-9) -> None:

@@ -11,14 +11,15 @@ import pytest
 from geomid_ros.errors import InputError
 from geomid_ros.model.samples import Samples
 from geomid_ros.model.sensors import WrenchSensor
-from geomid_ros.signals.pipeline import SignalPipeline, SignalSettings
+from geomid_ros.signals.messages import Message
+from geomid_ros.signals.pipeline import SignalPipeline
+from geomid_ros.signals.settings import SignalSettings
 from geomid_ros.signals.streams import _GridValues
 from geomid_ros.types import IntArray
 
 from .feeding import (
     JOINTS,
     START,
-    Message,
     Motion,
     assert_same,
     balanced,
@@ -90,7 +91,7 @@ def test_collecting_often_or_once_is_the_same(period: float) -> None:
     messages = recording()
     often, parts = pipeline(period), []
     for message in messages:
-        message.push(often)
+        often.push(message)
         part = often.collect()
         if part is not None:
             parts.append(part)
@@ -137,9 +138,9 @@ def test_who_waits_for_ever_for_joints_does_not_fill_the_memory() -> None:
     alone = pipeline(0.0)
     messages = wrench_messages(regular(0.001, 11.0))
     for message in messages:
-        message.push(alone)
+        alone.push(message)
     assert alone.collect() is None
-    assert len(alone._waiting) == 10_000
+    assert len(alone._sampler._waiting) == 10_000
     assert alone.ledger.topics["/wrench"].rejected == {"no joint states to go with": 1000}
     assert balanced(alone, messages)
 
@@ -155,7 +156,7 @@ def test_who_comes_first_where_topics_pause_changes_nothing() -> None:
         assert_same(feed(pipeline(0.01), messages), expected, tolerance=1e-12)
     whole = pipeline(0.01)
     feed(whole, in_time(joints, wrench))
-    assert all(len(stream._segments) == 1 for stream in whole._streams.values()), "what is past is forgotten"
+    assert all(len(stream._segments) == 1 for stream in whole._sampler._streams.values()), "what is past is forgotten"
 
 
 def interleaved(topics: list[list[Message]], longest: int, random: np.random.Generator) -> Iterator[Message]:
@@ -174,10 +175,10 @@ def test_a_topic_that_falls_silent_does_not_fill_the_memory() -> None:
     silent = [*wrench[:100], *wrench[1900:]]
     waiting, longest = pipeline(0.05, cutoff=2.0), 0
     for message in in_time(joints, silent):
-        message.push(waiting)
-        longest = max(longest, len(waiting._streams["joint_states"].segment._on_grid.values))
+        waiting.push(message)
+        longest = max(longest, len(waiting._sampler._streams["joint_states"].segment._on_grid.values))
     assert 60.0 / 0.05 < longest < 65.0 / 0.05
-    assert len(waiting._streams["joint_states"].segment._on_grid.values) < 100
+    assert len(waiting._sampler._streams["joint_states"].segment._on_grid.values) < 100
     samples = waiting.collect()
     assert samples is not None
     assert np.max(np.diff(samples.stamps)) > 90e9
@@ -207,9 +208,9 @@ def test_a_straggler_of_the_time_before_does_not_fill_the_memory() -> None:
     feed(waiting, in_time(joints, wrench[:-1]))
     back = joint_messages(regular(0.05, 100.0) - 1000_000_000_000)
     for message in [*back[:12], wrench[-1], *back[12:]]:
-        message.push(waiting)
+        waiting.push(message)
     assert "clock set back: a new segment begins" in waiting.ledger.topics["joint_states"].noted
-    assert len(waiting._streams["joint_states"].segment._on_grid.values) < 65.0 / 0.05
+    assert len(waiting._sampler._streams["joint_states"].segment._on_grid.values) < 65.0 / 0.05
 
 
 def segments(samples: Samples) -> list[Samples]:
@@ -262,7 +263,7 @@ def test_the_order_of_joints_is_each_messages_own() -> None:
     for message in messages:
         order = rng.permutation(len(JOINTS))
         arrays = {key: np.array(getattr(message, key))[order] for key in ("position", "velocity", "effort")}
-        shuffled.append(replace(message, name=[JOINTS[place] for place in order], **arrays))
+        shuffled.append(replace(message, names=tuple(JOINTS[place] for place in order), **arrays))
     settings = SignalSettings(period=0.01)
     expected = feed(SignalPipeline(JOINTS, settings=settings), messages)
     assert_same(feed(SignalPipeline(JOINTS, settings=settings), shuffled), expected, tolerance=0.0)

@@ -8,10 +8,12 @@ import numpy as np
 import pytest
 
 from geomid_ros.model.samples import Samples
-from geomid_ros.signals.pipeline import SignalPipeline, SignalSettings
+from geomid_ros.signals.messages import JointMessage
+from geomid_ros.signals.pipeline import SignalPipeline
+from geomid_ros.signals.settings import SignalSettings
 from geomid_ros.types import FloatArray, IntArray
 
-from .feeding import JOINTS, START, JointMessage, Motion, assert_same, feed, jittered, joint_messages, regular
+from .feeding import JOINTS, START, Motion, assert_same, feed, jittered, joint_messages, regular
 
 
 def columns(position: FloatArray, velocity: FloatArray, acceleration: FloatArray) -> FloatArray:
@@ -55,7 +57,7 @@ def test_columns_do_not_depend_on_when_or_how_often_one_listens() -> None:
     assert_same(second, first.select(np.isin(first.stamps, second.stamps)), tolerance=1e-12)
     often, parts = pipeline(), []
     for message in messages:
-        message.push(often)
+        often.push(message)
         part = often.collect()
         parts += [part] if part is not None else []
     assert_same(Samples.concatenate(parts), first, tolerance=1e-12)

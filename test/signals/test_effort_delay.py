@@ -7,7 +7,9 @@ import pytest
 
 from geomid_ros.errors import InputError
 from geomid_ros.model.samples import Samples
-from geomid_ros.signals.pipeline import SignalPipeline, SignalSettings
+from geomid_ros.signals.messages import JointMessage
+from geomid_ros.signals.pipeline import SignalPipeline
+from geomid_ros.signals.settings import SignalSettings
 from geomid_ros.types import FloatArray
 
 SMOOTH = 2e-3  # of a signal of size 1 after the filter
@@ -18,13 +20,9 @@ def samples(effort_delay: float, stamps: FloatArray, late: float) -> Samples:
     """One joint at ``sin(3 t)`` whose efforts ``cos(3 t)`` are recorded ``late`` [s]."""
     pipeline = SignalPipeline(["a"], settings=SignalSettings(effort_delay=effort_delay))
     for stamp in stamps:
-        pipeline.push_joints(
-            round(1e9 * stamp),
-            ["a"],
-            [np.sin(3.0 * stamp)],
-            [3.0 * np.cos(3.0 * stamp)],
-            [np.cos(3.0 * (stamp - late))],
-        )
+        position, velocity = [np.sin(3.0 * stamp)], [3.0 * np.cos(3.0 * stamp)]
+        effort = [np.cos(3.0 * (stamp - late))]
+        pipeline.push(JointMessage(round(1e9 * stamp), ("a",), position, velocity, effort))
     found = pipeline.collect()
     assert found is not None
     return found

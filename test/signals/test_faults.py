@@ -11,23 +11,11 @@ import pytest
 
 from geomid_ros.model.samples import Samples
 from geomid_ros.model.sensors import WrenchSensor
-from geomid_ros.signals.pipeline import SignalPipeline, SignalSettings
+from geomid_ros.signals.messages import JointMessage, Message, PoseMessage, WrenchMessage
+from geomid_ros.signals.pipeline import SignalPipeline
+from geomid_ros.signals.settings import SignalSettings
 
-from .feeding import (
-    JOINTS,
-    JointMessage,
-    Message,
-    PoseMessage,
-    WrenchMessage,
-    assert_same,
-    balanced,
-    feed,
-    in_time,
-    joint_messages,
-    regular,
-    without,
-    wrench_messages,
-)
+from .feeding import JOINTS, assert_same, balanced, feed, in_time, joint_messages, regular, without, wrench_messages
 
 SENSOR = WrenchSensor("/wrench", "tool", "mounted", ("fx", "fz"))
 EVERY = 7  # each seventh message is followed by a bad one
@@ -87,13 +75,16 @@ BAD_JOINTS: dict[str, tuple[Callable[[JointMessage], JointMessage], str]] = {
     "effort of 1e308": (lambda m: entry(soon(m), "effort", 1, 1e308), "effort of 'elbow' missing or not finite"),
     "no effort": (lambda m: replace(soon(m), effort=()), "driver error: no effort of 'shoulder' or any other joint"),
     "a joint missing": (lambda m: without(soon(m), "elbow"), "joint 'elbow' is missing"),
-    "another robot's": (lambda m: replace(soon(m), name=[f"left_{n}" for n in m.name]), "joint 'shoulder' is missing"),
+    "another robot's": (
+        lambda m: replace(soon(m), names=tuple(f"left_{n}" for n in m.names)),
+        "joint 'shoulder' is missing",
+    ),
     "no names": (
-        lambda m: replace(soon(m), name=(), position=(), velocity=(), effort=()),
+        lambda m: replace(soon(m), names=(), position=(), velocity=(), effort=()),
         "driver error: no joint names",
     ),
     "a name twice": (
-        lambda m: replace(soon(m), name=("shoulder", "elbow", "elbow")),
+        lambda m: replace(soon(m), names=("shoulder", "elbow", "elbow")),
         "driver error: joint 'elbow' is named twice",
     ),
     "positions too few": (
@@ -198,8 +189,8 @@ def test_the_callers_arrays_are_not_touched() -> None:
     wrench = np.arange(6.0)
     kept = pose.copy(), wrench.copy()
     busy = pipeline(floating_base=True)
-    busy.push_base_pose(1_000, pose)
-    busy.push_wrench("/wrench", 1_000, "tool", wrench)
+    busy.push(PoseMessage(1_000, pose))
+    busy.push(WrenchMessage("/wrench", 1_000, "tool", wrench))
     np.testing.assert_array_equal(pose, kept[0])
     np.testing.assert_array_equal(wrench, kept[1])
 
@@ -211,7 +202,7 @@ def test_extra_joints_are_passed_over() -> None:
         if isinstance(message, JointMessage):
             message = replace(  # noqa: PLW2901
                 message,
-                name=("finger", *message.name, "thumb"),
+                names=("finger", *message.names, "thumb"),
                 **{key: [NAN, *getattr(message, key), 1e308] for key in ("position", "velocity", "effort")},
             )
         messages.append(message)
@@ -294,7 +285,7 @@ def test_nor_does_one_that_follows_the_first_after_a_pause() -> None:
 def test_a_topic_slower_than_the_longest_gap_is_not_from_the_future() -> None:
     slow = SignalPipeline(JOINTS, settings=SignalSettings(period=0.01))
     for message in joint_messages(regular(0.7, 7.0)):
-        message.push(slow)
+        slow.push(message)
     account = slow.ledger.topics["joint_states"]
     assert (account.accepted, account.rejected, slow.held) == (10, {}, 0)
 
@@ -314,9 +305,9 @@ def test_bad_messages_alone_make_no_samples() -> None:
     silent = pipeline()
     for message in clean():
         if isinstance(message, JointMessage):
-            entry(message, "position", 0, NAN).push(silent)
+            silent.push(entry(message, "position", 0, NAN))
         else:
-            message.push(silent)
+            silent.push(message)
     assert silent.collect() is None
     assert silent.ledger.topics["joint_states"].accepted == 0
     assert balanced(silent, clean())

@@ -7,11 +7,14 @@ import pytest
 from scipy.signal import firwin
 
 from geomid_ros.errors import InputError
+from geomid_ros.signals import kernels
 from geomid_ros.signals.kernels import cubic_weights, cubic_weights_at, derivative_kernels
-from geomid_ros.signals.pipeline import SignalPipeline, SignalSettings
+from geomid_ros.signals.messages import JointMessage
+from geomid_ros.signals.pipeline import SignalPipeline
+from geomid_ros.signals.settings import SignalSettings
 from geomid_ros.types import FloatArray, IntArray
 
-from .feeding import START, JointMessage, feed, jittered, regular, seconds
+from .feeding import START, feed, jittered, regular, seconds
 
 CUTOFF = 5.0
 RATES = pytest.mark.parametrize("rate", [50, 125, 500])
@@ -117,26 +120,26 @@ def test_samples_lie_on_whole_periods_at_eight_in_a_cutoff_period() -> None:
 
 def test_the_lag_is_half_a_kernel() -> None:
     """Samples end where the later halves of two kernels (of motion, and of effects on it) meet the last data."""
-    pipeline = SignalPipeline(["joint"], settings=SignalSettings(cutoff=CUTOFF, period=0.01))
+    pipeline = SignalPipeline(("joint",), settings=SignalSettings(cutoff=CUTOFF, period=0.01))
     stamps = regular(0.01, 4.0)
-    samples = feed(pipeline, [JointMessage(int(t), ["joint"], [0.0], [], [0.0]) for t in stamps])
+    samples = feed(pipeline, [JointMessage(int(t), ("joint",), [0.0], [], [0.0]) for t in stamps])
     trailing = (stamps[-1] - samples.stamps[-1]) * 1e-9
     assert pipeline.lag <= trailing <= pipeline.lag + 0.05
     assert pipeline.lag == pytest.approx((2.0 / CUTOFF + 0.03) + (0.5 / CUTOFF + 0.03), abs=0.011)
-    assert SignalPipeline(["joint"]).lag == 0.0
+    assert SignalPipeline(("joint",)).lag == 0.0
 
 
 def test_too_coarse_a_grid_is_refused() -> None:
     with pytest.raises(InputError, match=r"5 Hz is too high for data at 10 Hz: at most 4 Hz"):
         derivative_kernels(5.0, 0.1)
     with pytest.raises(InputError, match="too high"):
-        SignalPipeline(["joint"], settings=SignalSettings(period=0.1))
+        SignalPipeline(("joint",), settings=SignalSettings(period=0.1))
 
 
 @pytest.mark.parametrize("period", [0.02139, 0.03659, 0.0496, 0.08])
 def test_a_grid_just_fine_enough_is_accepted(period: float) -> None:
     """However the product of a rate and a cutoff at the limit is rounded."""
-    pipeline = SignalPipeline(["joint"], settings=SignalSettings(cutoff=5.0, period=period))
+    pipeline = SignalPipeline(("joint",), settings=SignalSettings(cutoff=5.0, period=period))
     assert pipeline.lag > 0.4
 
 
@@ -199,3 +202,22 @@ def test_settings_without_a_meaning_are_refused(wrong: dict[str, float]) -> None
     (name,) = wrong
     with pytest.raises(InputError, match=name.replace("_", ".")):
         SignalSettings(**wrong)
+
+
+def test_a_whole_recording_is_filtered_as_a_stream_is() -> None:
+    """A sine below the cutoff is left as it is and differentiated; noise above it goes; the ends go on as they are."""
+    times = 0.01 * np.arange(600)
+    phase = 2.0 * np.pi * times[:, None] + np.array([0.3, 1.1])
+    value = kernels.filtered(np.sin(phase) + 0.5 * np.sin(40.0 * phase), 5.0, 0.01)[0]
+    _, first, second = kernels.filtered(np.sin(phase), 5.0, 0.01)
+    middle, rate = slice(100, -100), 2.0 * np.pi
+    for found, expected in ((value, np.sin), (first / rate, np.cos), (second / rate**2, lambda x: -np.sin(x))):
+        np.testing.assert_allclose(found[middle], expected(phase[middle]), rtol=0, atol=3e-3)
+    for part, expected in zip(kernels.filtered(np.full((50, 1), 7.0), 5.0, 0.01), (7.0, 0.0, 0.0), strict=True):
+        np.testing.assert_allclose(part, expected, rtol=0, atol=1e-8)
+
+
+def test_a_recording_too_slow_for_the_cutoff_is_filtered_as_far_as_it_can_be() -> None:
+    values = np.random.default_rng(4).standard_normal((80, 2))
+    for ours, theirs in zip(kernels.filtered(values, 50.0, 0.1), kernels.filtered(values, 4.0, 0.1), strict=True):
+        np.testing.assert_array_equal(ours, theirs)

@@ -7,9 +7,11 @@ from dataclasses import replace
 import numpy as np
 
 from geomid_ros.model.samples import Samples
-from geomid_ros.signals.pipeline import SignalPipeline, SignalSettings
+from geomid_ros.signals.messages import JointMessage
+from geomid_ros.signals.pipeline import SignalPipeline
+from geomid_ros.signals.settings import SignalSettings
 
-from .feeding import JOINTS, JointMessage, assert_same, balanced, feed, in_time, joint_messages, regular
+from .feeding import JOINTS, assert_same, balanced, feed, in_time, joint_messages, regular
 
 STAMPS = regular(0.01, 4.0)
 WHOLE = joint_messages(STAMPS, velocity=True)
@@ -21,9 +23,9 @@ def merging(*, merge: bool = True) -> SignalPipeline:
 
 def only(message: JointMessage, *names: str) -> JointMessage:
     """The part of a message that has some of the joints."""
-    places = [list(message.name).index(name) for name in names]
+    places = [message.names.index(name) for name in names]
     numbers = {key: np.asarray(getattr(message, key))[places] for key in ("position", "velocity", "effort")}
-    return replace(message, name=names, **numbers)
+    return replace(message, names=names, **numbers)
 
 
 def expected() -> Samples:
@@ -61,7 +63,7 @@ def test_parts_with_stamps_of_their_own_meet_on_the_line_between() -> None:
 def test_others_messages_are_named() -> None:
     """A gripper's, and those of a publisher that has another's joint."""
     parts = [only(message, *names) for message in WHOLE for names in (("shoulder",), ("elbow", "wrist"))]
-    strangers = [replace(only(WHOLE[50], "shoulder"), name=("finger",)), only(WHOLE[50], "shoulder", "elbow")]
+    strangers = [replace(only(WHOLE[50], "shoulder"), names=("finger",)), only(WHOLE[50], "shoulder", "elbow")]
     pipeline = merging()
     assert_same(feed(pipeline, [*parts[:100], *strangers, *parts[100:]]), expected(), tolerance=0.0)
     rejected = pipeline.ledger.topics["joint_states"].rejected

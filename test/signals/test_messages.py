@@ -1,16 +1,33 @@
-"""ROS messages are read by attribute: anything shaped like them will do."""
+"""ROS messages are parsed by attribute into frozen values: anything shaped like them will do."""
 
 from __future__ import annotations
 
 from array import array
+from dataclasses import FrozenInstanceError
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 
 from geomid_ros.model.sensors import WrenchSensor
-from geomid_ros.signals import messages
-from geomid_ros.signals.pipeline import SignalPipeline, SignalSettings
+from geomid_ros.signals.messages import (
+    JOINT_STATES,
+    ODOM,
+    Accepted,
+    JointMessage,
+    PoseMessage,
+    WrenchMessage,
+    message_type,
+    parse,
+)
+from geomid_ros.signals.pipeline import SignalPipeline
+
+TYPES = {
+    JOINT_STATES: "sensor_msgs/msg/JointState",
+    ODOM: "nav_msgs/msg/Odometry",
+    "/ft": "geometry_msgs/msg/WrenchStamped",
+}
 
 
 def header(seconds: int, nanoseconds: int, frame: str = "") -> SimpleNamespace:
@@ -21,33 +38,56 @@ def quantity(**numbers: float) -> SimpleNamespace:
     return SimpleNamespace(**numbers)
 
 
-class Recorder(SignalPipeline):
-    """A pipeline that keeps what is pushed."""
-
-    def __init__(self) -> None:
-        sensors = [WrenchSensor("/ft", "tool", "mounted")]
-        super().__init__(["a", "b"], floating_base=True, sensors=sensors, settings=SignalSettings(period=0.01))
-        self.seen: list[tuple[str, int, list[float]]] = []
-
-    def _take(self, grid: object, topic: str, stamp: int, values: np.ndarray) -> None:
-        del grid
-        self.seen.append((topic, stamp, values.tolist()))
+def joint_state(seconds: int = 7, nanoseconds: int = 1, **arrays: Any) -> SimpleNamespace:
+    return SimpleNamespace(
+        header=header(seconds, nanoseconds),
+        name=["b", "a"],
+        **{"position": [1.0, 2.0], "velocity": [3.0, 4.0], "effort": [5.0, 6.0], **arrays},
+    )
 
 
-def test_a_stamp_is_nanoseconds_since_the_epoch() -> None:
-    assert messages.stamp_of(header(1_700_000_000, 123_456_789)) == 1_700_000_000_123_456_789
-    assert messages.stamp_of(header(0, 0)) == 0
-    assert messages.stamp_of(header(5, 999_999_999)) == 5_999_999_999
+def odometry() -> SimpleNamespace:
+    orientation = quantity(x=0.5, y=-0.5, z=0.5, w=-0.5)
+    pose = SimpleNamespace(position=quantity(x=1.0, y=2.0, z=3.0), orientation=orientation)
+    return SimpleNamespace(header=header(7, 1), pose=SimpleNamespace(pose=pose))
+
+
+def wrench(frame: str = "tool", nanoseconds: int = 1) -> SimpleNamespace:
+    values = SimpleNamespace(force=quantity(x=1.0, y=2.0, z=3.0), torque=quantity(x=4.0, y=5.0, z=6.0))
+    return SimpleNamespace(header=header(7, nanoseconds, frame), wrench=values)
+
+
+MESSAGES = {JOINT_STATES: joint_state(), ODOM: odometry(), "/ft": wrench()}
+
+
+def accepted(*parsed: Any) -> tuple[list[tuple[str, int, list[float]]], SignalPipeline]:
+    """What a pipeline for joints a and b accepts, and the pipeline."""
+    seen: list[Accepted] = []
+    sensors = [WrenchSensor("/ft", "tool", "mounted")]
+    pipeline = SignalPipeline(["a", "b"], floating_base=True, sensors=sensors, on_accepted=seen.append)
+    for message in parsed:
+        pipeline.push(message)
+    return [(each.topic, each.stamp, each.values.tolist()) for each in seen], pipeline
+
+
+@pytest.mark.parametrize("topic", TYPES)
+def test_every_topic_has_a_type(topic: str) -> None:
+    assert message_type(topic) == TYPES[topic]
+
+
+@pytest.mark.parametrize(
+    ("seconds", "nanoseconds", "stamp"),
+    [(1_700_000_000, 123_456_789, 1_700_000_000_123_456_789), (0, 0, 0), (5, 999_999_999, 5_999_999_999)],
+)
+def test_a_stamp_is_nanoseconds_since_the_epoch(seconds: int, nanoseconds: int, stamp: int) -> None:
+    assert parse(JOINT_STATES, joint_state(seconds, nanoseconds)).stamp == stamp
 
 
 @pytest.mark.parametrize(("seconds", "nanoseconds"), [(1, 1_000_000_000), (1, 4_294_967_295), (-1, 5), (1, -1)])
 def test_a_stamp_out_of_range_is_rejected(seconds: int, nanoseconds: int) -> None:
-    pipeline = Recorder()
-    message = SimpleNamespace(
-        header=header(seconds, nanoseconds), name=["a", "b"], position=[1.0, 2.0], velocity=[], effort=[]
-    )
-    messages.feed_joint_state(pipeline, message)
-    assert pipeline.ledger.topics["joint_states"].rejected == {"stamp is not valid": 1}
+    found, pipeline = accepted(parse(JOINT_STATES, joint_state(seconds, nanoseconds)))
+    assert not found
+    assert pipeline.ledger.topics[JOINT_STATES].rejected == {"stamp is not valid": 1}
 
 
 ARRAYS = {"list": list, "tuple": tuple, "numpy": np.array, "array": lambda numbers: array("d", numbers)}
@@ -56,27 +96,53 @@ ARRAYS = {"list": list, "tuple": tuple, "numpy": np.array, "array": lambda numbe
 @pytest.mark.parametrize("kind", ARRAYS)
 def test_a_joint_state_is_read_whatever_its_arrays_are(kind: str) -> None:
     """rosbags gives numpy arrays, rclpy arrays of its own kind."""
-    pipeline = Recorder()
     arrays = {"position": [1.0, 2.0], "velocity": [3.0, 4.0], "effort": [5.0, 6.0]}
-    made = {key: ARRAYS[kind](numbers) for key, numbers in arrays.items()}
-    message = SimpleNamespace(header=header(7, 1), name=["b", "a"], **made)
-    messages.feed_joint_state(pipeline, message)
-    assert pipeline.seen == [("joint_states", 7_000_000_001, [2.0, 1.0, 4.0, 3.0, 6.0, 5.0])]
+    parsed = parse(JOINT_STATES, joint_state(**{key: ARRAYS[kind](numbers) for key, numbers in arrays.items()}))
+    assert isinstance(parsed, JointMessage)
+    assert (parsed.names, parsed.topic) == (("b", "a"), JOINT_STATES)
+    for key, numbers in arrays.items():
+        np.testing.assert_array_equal(getattr(parsed, key), numbers)
+    assert accepted(parsed)[0] == [(JOINT_STATES, 7_000_000_001, [2.0, 1.0, 4.0, 3.0, 6.0, 5.0])]
 
 
 def test_an_odometry_is_position_then_quaternion() -> None:
-    pipeline = Recorder()
-    orientation = quantity(x=0.5, y=-0.5, z=0.5, w=-0.5)
-    pose = SimpleNamespace(position=quantity(x=1.0, y=2.0, z=3.0), orientation=orientation)
-    messages.feed_odometry(pipeline, SimpleNamespace(header=header(7, 1), pose=SimpleNamespace(pose=pose)))
-    assert pipeline.seen == [("odom", 7_000_000_001, [1.0, 2.0, 3.0, 0.5, -0.5, 0.5, -0.5])]
+    parsed = parse(ODOM, odometry())
+    assert isinstance(parsed, PoseMessage)
+    assert accepted(parsed)[0] == [(ODOM, 7_000_000_001, [1.0, 2.0, 3.0, 0.5, -0.5, 0.5, -0.5])]
 
 
 def test_a_wrench_is_force_then_torque() -> None:
-    pipeline = Recorder()
-    wrench = SimpleNamespace(force=quantity(x=1.0, y=2.0, z=3.0), torque=quantity(x=4.0, y=5.0, z=6.0))
-    for frame in ("tool", "elsewhere"):
-        message = SimpleNamespace(header=header(7, 1 if frame == "tool" else 2, frame), wrench=wrench)
-        messages.feed_wrench(pipeline, "/ft", message)
-    assert pipeline.seen == [("/ft", 7_000_000_001, [1.0, 2.0, 3.0, 4.0, 5.0, 6.0])]
+    good, bad = parse("/ft", wrench()), parse("/ft", wrench("elsewhere", 2))
+    assert isinstance(good, WrenchMessage)
+    found, pipeline = accepted(good, bad)
+    assert found == [("/ft", 7_000_000_001, [1.0, 2.0, 3.0, 4.0, 5.0, 6.0])]
     assert pipeline.ledger.topics["/ft"].rejected == {"frame 'elsewhere' is not the declared 'tool'": 1}
+
+
+@pytest.mark.parametrize("topic", MESSAGES)
+def test_a_parsed_message_does_not_change(topic: str) -> None:
+    """Neither itself nor with the arrays that it was made of."""
+    source = np.array([1.0, 2.0])
+    parsed = parse(topic, joint_state(position=source) if topic == JOINT_STATES else MESSAGES[topic])
+    field = {JOINT_STATES: "position", ODOM: "pose", "/ft": "wrench"}[topic]
+    source[0] = 9.0
+    assert getattr(parsed, field)[0] == 1.0
+    with pytest.raises(ValueError, match="read-only"):
+        getattr(parsed, field)[0] = 9.0
+    with pytest.raises(FrozenInstanceError):
+        parsed.stamp = 9  # type: ignore[misc]
+
+
+def test_what_is_accepted_does_not_change() -> None:
+    seen: list[Accepted] = []
+    SignalPipeline(["a", "b"], on_accepted=seen.append).push(parse(JOINT_STATES, joint_state()))
+    with pytest.raises(ValueError, match="read-only"):
+        seen[0].values[0] = 9.0
+
+
+@pytest.mark.parametrize("topic", MESSAGES)
+@pytest.mark.parametrize("other", MESSAGES)
+def test_what_is_no_such_message_is_refused_at_the_door(topic: str, other: str) -> None:
+    if other != topic:
+        with pytest.raises(AttributeError):
+            parse(topic, MESSAGES[other])

@@ -11,10 +11,12 @@ import pytest
 from geomid_ros.model import se3
 from geomid_ros.model.samples import Samples
 from geomid_ros.signals.kernels import derivative_kernels
-from geomid_ros.signals.pipeline import SignalPipeline, SignalSettings
+from geomid_ros.signals.messages import JointMessage, PoseMessage
+from geomid_ros.signals.pipeline import SignalPipeline
+from geomid_ros.signals.settings import SignalSettings
 from geomid_ros.types import FloatArray, IntArray
 
-from .feeding import JointMessage, PoseMessage, feed, in_time, jittered, regular, seconds
+from .feeding import feed, in_time, jittered, regular, seconds
 
 STAMPS = regular(0.01, 4.0)
 Trajectory = Callable[[float], pin.SE3]
@@ -28,7 +30,7 @@ def flown(trajectory: Trajectory, stamps: IntArray = STAMPS, *, flips: bool = Fa
         pose = pin.SE3ToXYZQUAT(trajectory(float(seconds(stamp))))
         pose[3:] *= sign
         poses.append(PoseMessage(int(stamp), pose))
-    joints = [JointMessage(int(stamp), ["joint"], [0.0], [], [0.0]) for stamp in STAMPS]
+    joints = [JointMessage(int(stamp), ("joint",), [0.0], [], [0.0]) for stamp in STAMPS]
     pipeline = SignalPipeline(["joint"], floating_base=True, settings=SignalSettings(period=0.01))
     return feed(pipeline, in_time(joints, poses))
 
@@ -123,7 +125,7 @@ def test_quaternions_may_be_rounded() -> None:
     """Lengths off by up to half a percent (single precision, careless drivers) are made good."""
     lengths = iter(np.random.default_rng(2).uniform(0.995, 1.005, len(STAMPS)))
     plain = flown(wandering)
-    joints = [JointMessage(int(stamp), ["joint"], [0.0], [], [0.0]) for stamp in STAMPS]
+    joints = [JointMessage(int(stamp), ("joint",), [0.0], [], [0.0]) for stamp in STAMPS]
     poses = []
     for stamp in STAMPS:
         pose = pin.SE3ToXYZQUAT(wandering(float(seconds(stamp))))
@@ -150,14 +152,14 @@ def test_velocity_and_acceleration_belong_to_the_pose() -> None:
 
 def test_collecting_often_or_late_is_the_same() -> None:
     poses = [PoseMessage(int(t), pin.SE3ToXYZQUAT(wandering(float(seconds(t))))) for t in STAMPS]
-    joints = [JointMessage(int(stamp), ["joint"], [0.0], [], [0.0]) for stamp in STAMPS]
+    joints = [JointMessage(int(stamp), ("joint",), [0.0], [], [0.0]) for stamp in STAMPS]
     settings = SignalSettings(period=0.01)
     messages, results = in_time(joints, poses), []
     for late in (0, 1, 150):
         pipeline = SignalPipeline(["joint"], floating_base=True, settings=settings)
         parts = []
         for message in messages[late:]:
-            message.push(pipeline)
+            pipeline.push(message)
             part = pipeline.collect() if late else None
             parts += [part] if part is not None else []
         results.append(Samples.concatenate(parts) if parts else pipeline.collect())

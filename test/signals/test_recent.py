@@ -9,9 +9,9 @@ import pytest
 
 from geomid_ros.model.samples import Samples
 from geomid_ros.model.sensors import WrenchSensor
-from geomid_ros.signals import recent as module
-from geomid_ros.signals.pipeline import JOINT_STATES, SignalPipeline
-from geomid_ros.signals.recent import Recent
+from geomid_ros.signals import pipeline as module
+from geomid_ros.signals.messages import JOINT_STATES, JointMessage, WrenchMessage
+from geomid_ros.signals.pipeline import Recent, SignalPipeline
 
 SENSOR = WrenchSensor("/wrench", "tool", "mounted", offset=(1.0, 2.0, 3.0, 0.1, 0.2, 0.3))
 NAMES = ("elbow", "shoulder")
@@ -29,10 +29,10 @@ def feed(target: SignalPipeline, begin: int, end: int, start: int = START) -> No
     for index in range(begin, end):
         stamp, time = start + PERIOD * index, 0.01 * index
         position = [np.remainder(3.0 * time, 2.0 * np.pi), np.sin(time)]
-        target.push_joints(stamp, NAMES, position, [3.0, np.cos(time)], rng.standard_normal(2))
-        target.push_joints(stamp, NAMES, position, [], [])  # the stamp is not later
-        target.push_wrench("/wrench", stamp + 1_000_000, "tool", rng.standard_normal(6))
-        target.push_wrench("/wrench", stamp + 2_000_000, "hand", rng.standard_normal(6))
+        target.push(JointMessage(stamp, NAMES, position, [3.0, np.cos(time)], rng.standard_normal(2)))
+        target.push(JointMessage(stamp, NAMES, position, [], []))  # the stamp is not later
+        target.push(WrenchMessage("/wrench", stamp + 1_000_000, "tool", rng.standard_normal(6)))
+        target.push(WrenchMessage("/wrench", stamp + 2_000_000, "hand", rng.standard_normal(6)))
 
 
 def test_the_same_samples_can_be_made_again() -> None:
@@ -40,7 +40,7 @@ def test_the_same_samples_can_be_made_again() -> None:
     first, again = pipeline(recent), pipeline()
     feed(first, 0, 600)
     for entry in recent.entries():
-        again.push_accepted(*entry)
+        again.push_accepted(entry)
     ours, theirs = again.collect(), first.collect()
     assert ours is not None
     assert theirs is not None
@@ -54,7 +54,7 @@ def test_the_same_samples_can_be_made_again() -> None:
 def test_only_the_last_seconds_are_kept() -> None:
     recent = Recent(2.0)
     feed(pipeline(recent), 0, 600)
-    stamps = np.array([stamp for topic, stamp, _ in recent.entries() if topic == JOINT_STATES])
+    stamps = np.array([entry.stamp for entry in recent.entries() if entry.topic == JOINT_STATES])
     np.testing.assert_array_equal(stamps, START + PERIOD * np.arange(400, 600))
 
 
@@ -68,8 +68,8 @@ def test_memory_is_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module, "_MOST_BYTES", 30_000)
     recent = Recent(60.0)
     feed(pipeline(recent), 0, 600)
-    assert 0 < sum(values.nbytes for _, _, values in recent.entries()) < 30_000
-    assert recent.entries()[-1][1] == START + PERIOD * 599 + 1_000_000
+    assert 0 < sum(entry.values.nbytes for entry in recent.entries()) < 30_000
+    assert recent.entries()[-1].stamp == START + PERIOD * 599 + 1_000_000
 
 
 def test_a_clock_that_is_set_back_starts_afresh() -> None:
@@ -78,7 +78,7 @@ def test_a_clock_that_is_set_back_starts_afresh() -> None:
     feed(target, 0, 300)
     earlier = START - 100 * PERIOD * 1000
     feed(target, 0, 300, earlier)
-    assert {stamp < START for _, stamp, _ in recent.entries()} == {True}
+    assert {entry.stamp < START for entry in recent.entries()} == {True}
     assert len(recent.entries()) > 500
 
 

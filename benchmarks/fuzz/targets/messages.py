@@ -17,8 +17,8 @@ from geomid_ros.commands.demo import shared_file
 from geomid_ros.errors import GeomidError
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.session import Session
-from geomid_ros.signals.messages import feed_joint_state, feed_odometry, feed_wrench
-from geomid_ros.signals.pipeline import JOINT_STATES, ODOM, SignalPipeline
+from geomid_ros.signals.messages import JOINT_STATES, ODOM, parse
+from geomid_ros.signals.pipeline import SignalPipeline
 
 _START = 1_700_000_000_000_000_000
 _WRENCH = "wrist"
@@ -73,12 +73,7 @@ class MessagesTarget:
         topic = random.choice((JOINT_STATES, JOINT_STATES, *session.topics))
         source.sent[topic] += 1
         try:
-            if topic == JOINT_STATES:
-                feed_joint_state(pipeline, _joint_state(session, source, random))
-            elif topic == ODOM:
-                feed_odometry(pipeline, _odometry(source, random))
-            else:
-                feed_wrench(pipeline, topic, _wrench(session, source, random))
+            pipeline.push(parse(topic, _message(topic, session, source, random)))
         except GeomidError:  # settings do not fit the messages' rate; the node counts the message, too
             pipeline.ledger.drop(topic, "refused")
 
@@ -105,6 +100,12 @@ def _advance(source: _Source, random: Random) -> None:
     if random.random() < 0.2 * source.faults:
         jump = random.choice((10**7, 10**8, 10**9, 10**10, 10**12, 10**17))
         source.stamp += random.choice((-1, 1)) * random.randint(0, jump)
+
+
+def _message(topic: str, session: Session, source: _Source, random: Random) -> Any:
+    if topic == JOINT_STATES:
+        return _joint_state(session, source, random)
+    return _odometry(source, random) if topic == ODOM else _wrench(session, source, random)
 
 
 def _header(source: _Source, random: Random) -> Any:

@@ -28,14 +28,14 @@ Numbers that do not exist (a channel without measurements, say) are null.
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, TypeAlias
 
 from geomid_ros.files.disk import write_text
 from geomid_ros.files.models.effect_forms import effect_entry, finite
+from geomid_ros.files.models.results import by_channel
 from geomid_ros.gap.result import Finding, GapResult
-from geomid_ros.types import FloatArray
 
 FORMAT = 1
 
@@ -54,8 +54,8 @@ def gap_document(result: GapResult, simulations: Mapping[str, Errors]) -> dict[s
             {"joint": entry.joint, "depends_on": entry.depends_on, "gap": finite(entry.gap)}
             for entry in result.unexplained
         ],
-        "gap": {kind: _by_channel(result.channels, getattr(result.gap, kind)) for kind in kinds},
-        "floor": _by_channel(result.channels, result.floor),
+        "gap": {kind: by_channel(result.channels, getattr(result.gap, kind)) for kind in kinds},
+        "floor": by_channel(result.channels, result.floor),
         "resimulated": _errors(simulations.get("windows")),
         "closed_loop": _errors(simulations.get("closed_loop")),
     }
@@ -80,9 +80,6 @@ def _finding(finding: Finding) -> dict[str, Any]:
         "settled_by": finding.settled_by,
     }
 
-
-def _by_channel(channels: Sequence[str], values: FloatArray) -> dict[str, float | None]:
-    return {name: finite(value) for name, value in zip(channels, values, strict=True)}
 
 
 

@@ -40,7 +40,7 @@ from geomid_ros.model.effects import (
 )
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.sensors import AXES, WrenchSensor
-from geomid_ros.signals.pipeline import SignalSettings
+from geomid_ros.signals.settings import SignalSettings
 from geomid_ros.types import FloatArray
 
 

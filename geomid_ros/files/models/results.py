@@ -96,9 +96,9 @@ def estimate_document(
             for k in estimate.known
         ],
         "rms": {
-            kind: None if values is None else _by_channel(estimate.channels, values) for kind, values in rms.items()
+            kind: None if values is None else by_channel(estimate.channels, values) for kind, values in rms.items()
         },
-        "sigma": _by_channel(estimate.channels, estimate.sigmas),
+        "sigma": by_channel(estimate.channels, estimate.sigmas),
         "information": _together(estimate) if len(estimate.links) <= _MOST_LINKS_TOGETHER else None,
     }
 
@@ -121,7 +121,8 @@ def _packed(numbers: FloatArray) -> str:
     return base64.b64encode(numbers.astype(_PACKED).tobytes()).decode()
 
 
-def _by_channel(channels: Sequence[str], values: FloatArray) -> dict[str, float | None]:
+def by_channel(channels: Sequence[str], values: FloatArray) -> dict[str, float | None]:
+    """Values by the names of their channels; what is no number is null."""
     return {name: float(value) if math.isfinite(value) else None for name, value in zip(channels, values, strict=True)}
 
 

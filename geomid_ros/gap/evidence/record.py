@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import pairwise
 
 import numpy as np
 from scipy.interpolate import CubicSpline
@@ -18,7 +17,7 @@ from geomid_ros.model.effects import Effect, MotionEffect, Place, Situation, Sit
 from geomid_ros.model.effects.backlash import sides
 from geomid_ros.model.measurement import MeasurementModel, Rows
 from geomid_ros.model.samples import Samples
-from geomid_ros.signals.kernels import LOWEST_RATE_PER_CUTOFF, derivative_kernels
+from geomid_ros.signals.kernels import filtered
 from geomid_ros.types import BoolArray, FloatArray, IntArray
 
 THIN = 2.67  # rows per cutoff period: the filter leaves nothing above 1.5 times the cutoff, so few are enough
@@ -28,6 +27,7 @@ _REST_SHARE = 0.3
 _SAME_WAY = 0.97
 # Between two guesses of how friction changes its sign it is unknown; what happens there lasts so long, either way [s].
 _REVERSAL = 0.03
+_FEWEST = 3  # samples of a stretch
 _SMOOTHER = 0.5  # the load, differentiated twice, is smoothed to this share of the cutoff
 
 
@@ -45,7 +45,9 @@ class Records:
         """Divide ``parts`` at pauses and choose rows."""
         dense, chosen = [], []
         for part in parts:
-            for stretch in _stretches(part):
+            for stretch in part.stretches():
+                if len(stretch) < _FEWEST:
+                    continue
                 period = _period(stretch)
                 step = max(1, round(1.0 / (THIN * cutoff * period)))
                 margin = _half(cutoff, period)
@@ -175,8 +177,8 @@ def _load_terms(
     period = _period(part)
     load = dynamics.efforts(part)
     predicted = load + total.efforts(part)
-    smooth = _filtered(load, _SMOOTHER * cutoff, period)
-    sides_by_crossing = [_filtered(each, cutoff, period) for each in np.moveaxis(sides(smooth[0], period), 2, 0)]
+    smooth = filtered(load, _SMOOTHER * cutoff, period)
+    sides_by_crossing = [filtered(each, cutoff, period) for each in np.moveaxis(sides(smooth[0], period), 2, 0)]
     side = np.stack(sides_by_crossing, axis=3)
     terms = {
         "predicted": predicted,
@@ -207,15 +209,6 @@ def _advanced(part: Samples, seconds: float) -> Samples:
     return replace(part, effort=effort)
 
 
-def _filtered(values: FloatArray, cutoff: float, period: float) -> tuple[FloatArray, FloatArray, FloatArray]:
-    kernels = derivative_kernels(min(cutoff, 1.0 / (LOWEST_RATE_PER_CUTOFF * period)), period)
-    half = kernels.shape[1] // 2
-    padded = np.pad(values, ((half, half), (0, 0)), mode="edge")
-    windows = np.lib.stride_tricks.sliding_window_view(padded, 2 * half + 1, axis=0)
-    value, first, second = np.einsum("kl,njl->knj", kernels, windows, optimize=True)
-    return value, first, second
-
-
 def _half(cutoff: float, period: float) -> int:
     """Samples at each end whose derivatives by time would reach beyond."""
     return round(0.5 / (cutoff * period)) + 1
@@ -223,12 +216,3 @@ def _half(cutoff: float, period: float) -> int:
 
 def _period(part: Samples) -> float:
     return float(np.median(np.diff(part.stamps))) * 1e-9
-
-
-def _stretches(part: Samples) -> list[Samples]:
-    if len(part) < 3:
-        return []
-    steps = np.diff(part.stamps)
-    ends = np.flatnonzero(steps > 1.5 * np.median(steps)) + 1
-    bounds = [0, *ends.tolist(), len(part)]
-    return [part.select(slice(a, b)) for a, b in pairwise(bounds) if b - a > 2]

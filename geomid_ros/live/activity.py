@@ -1,4 +1,4 @@
-"""What a thread is at, and since when: for whoever watches over it."""
+"""Tracks what a thread is doing and for how long, for the watchdog and the diagnostics."""
 
 from __future__ import annotations
 
@@ -7,15 +7,15 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 
-class Duty:
-    """One thread calls :meth:`on`, others ask for how long."""
+class Activity:
+    """One thread calls :meth:`doing`, others ask :attr:`current`."""
 
     def __init__(self) -> None:
         self._begun: tuple[str, float] | None = None
 
     @contextmanager
-    def on(self, what: str) -> Iterator[None]:
-        """The thread is at ``what`` inside."""
+    def doing(self, what: str) -> Iterator[None]:
+        """The thread does ``what`` inside."""
         self._begun = what, time.monotonic()
         try:
             yield
@@ -24,6 +24,6 @@ class Duty:
 
     @property
     def current(self) -> tuple[str, float]:
-        """What the thread is at, and the seconds since it began; nothing and 0 while it waits."""
+        """What the thread does, and the seconds since it began; nothing and 0 while it waits."""
         begun = self._begun
         return (begun[0], time.monotonic() - begun[1]) if begun else ("", 0.0)

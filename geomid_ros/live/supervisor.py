@@ -1,0 +1,165 @@
+"""The worker on the present robot: built from its description, kept in checkpoints, replaced when it hangs."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Protocol
+
+from geomid_ros.estimation.estimate import Estimate
+from geomid_ros.live.checkpointing import Checkpoints, CheckpointStatus
+from geomid_ros.live.solving_process import SolvingProcess
+from geomid_ros.live.worker import OnEstimate, OnSamples, Worker
+from geomid_ros.session.configuration import Configuration
+from geomid_ros.session.session import Session
+from geomid_ros.signals.ledger import Ledger
+
+MOST_RESTARTS = 3
+HANGING = 120.0  # [s] nothing takes so long on a busy machine, not even the first solve of a humanoid
+_PATIENCE = 0.9  # [s] for the threads to end; with the last checkpoint, and with all that takes, less than two
+
+
+class Log(Protocol):
+    """A logger of ROS, or one like it."""
+
+    def info(self, message: str, /) -> object: ...
+    def warning(self, message: str, /) -> object: ...
+    def error(self, message: str, /) -> object: ...
+
+
+class Supervisor:
+    """Has one worker at a time, none before the first description. Restarts its threads, but not for ever."""
+
+    def __init__(
+        self,
+        configuration: Configuration,
+        ledger: Ledger,
+        log: Log,
+        *,
+        on_samples: OnSamples,
+        on_estimate: OnEstimate,
+        solving: SolvingProcess | None,
+    ) -> None:
+        """
+        Args:
+            configuration: of every session.
+            ledger: is told what becomes of every message, whichever worker takes it.
+            log: is told of sessions that begin.
+            on_samples: see :class:`Worker`.
+            on_estimate: see :class:`Worker`.
+            solving: the process that solves; None for this one.
+        """
+        self._configuration = configuration
+        self._ledger = ledger
+        self._log = log
+        self._on_samples = on_samples
+        self._on_estimate = on_estimate
+        self._solving = solving
+        self._restarts = 0
+        self._hung = ""
+        self._checkpoints: Checkpoints | None = None
+        self._worker: Worker | None = None
+
+    @property
+    def worker(self) -> Worker | None:
+        """The present one."""
+        return self._worker
+
+    @property
+    def problem(self) -> str:
+        """Threads that hang or hung, or a solving process that has ended; empty if all is well."""
+        return self._hung or (self._solving.problem if self._solving else "")
+
+    @property
+    def checkpoints(self) -> CheckpointStatus | None:
+        """How the checkpoints are, None if none are kept."""
+        return self._checkpoints.status if self._checkpoints is not None else None
+
+    def build(self, urdf: str, source: str) -> None:
+        """Begin to identify the robot of a description.
+
+        Args:
+            urdf: the description.
+            source: where it comes from, for messages.
+
+        Raises:
+            InputError: the description does not fit the parameters.
+        """
+        session = Session(urdf, self._configuration, source, self._ledger)
+        if self._solving:
+            session.identifier.solve_with(self._solving.solve)
+        if self._worker is not None:
+            self._worker.close()
+        self._restore(session)
+        self._worker = Worker(session, self._configuration["solve_period"], self._on_samples, self._on_estimate)
+        self._log.info(f"identifying {len(session.model.body_names)} links from {len(session.model.channels)} channels")
+        if session.loaded.not_predicted:
+            self._log.warning(session.loaded.not_predicted)
+
+    def _restore(self, session: Session) -> None:
+        """With a folder for checkpoints, let a session go on from the one there, and write those to come."""
+        if self._checkpoints is not None:
+            self._checkpoints.close()
+        if not self._configuration["checkpoint.folder"]:
+            return
+        folder = Path(self._configuration["checkpoint.folder"]).resolve()
+        self._checkpoints = Checkpoints(session, folder, self._configuration["checkpoint.period"])
+        if self._checkpoints.restored is not None and self._worker is None:
+            self._ledger.restore(self._checkpoints.restored.accounts)
+        status = self._checkpoints.status
+        if status.error or status.warning:
+            self._log.error(status.error or status.warning)
+        elif self._checkpoints.beginning:
+            self._log.info(self._checkpoints.beginning)
+
+    def reset(self) -> None:
+        """Forget all rows, and that threads hung."""
+        self._restarts, self._hung = 0, ""
+        if self._worker is not None:
+            self._worker.reset()
+
+    def restart_what_hangs(self) -> None:
+        """Restart the solver if it hangs; if the intake does, replace the worker, whose rows are lost."""
+        if self._worker is None:
+            return
+        intake = self._worker.activity.current[1] > HANGING
+        solver = self._worker.solver.activity.current[1] > HANGING
+        if not solver and not intake:
+            return
+        what = "the intake of messages" if intake else "the solver"
+        if self._restarts == MOST_RESTARTS:
+            self._hung = f"{what} hangs again after {MOST_RESTARTS} restarts and is left alone"
+            return
+        self._restarts += 1
+        self._hung = f"{what} hung and was restarted, {self._restarts} of at most {MOST_RESTARTS} times"
+        if intake:
+            self.build(self._worker.session.urdf, "robot_description")
+        else:
+            self._worker.solver.restart()
+
+    def close(self, save: Callable[[Session, Estimate, float], None]) -> None:
+        """End the threads, after saving the last estimate.
+
+        Args:
+            save: ``save(session, estimate, patience)`` is called with the last estimate and the seconds that it may
+                take: at once, as nobody may have the time to wait for a solver at work, and again if that has found
+                another.
+        """
+        if self._worker is None:
+            return
+        end = time.monotonic() + _PATIENCE
+        saved = self._save_last(self._worker, save, None, end)
+        self._worker.close(max(0.0, end - time.monotonic()))
+        self._save_last(self._worker, save, saved, end)
+        if self._checkpoints is not None:
+            self._checkpoints.close()
+
+    @staticmethod
+    def _save_last(
+        worker: Worker, save: Callable[[Session, Estimate, float], None], saved: Estimate | None, end: float
+    ) -> Estimate | None:
+        estimate = worker.estimate
+        if estimate is not None and estimate is not saved:
+            save(worker.session, estimate, max(0.0, end - time.monotonic()))
+        return estimate

@@ -1,0 +1,225 @@
+"""From accepted numbers to samples: alignment, filtering, differentiation."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Sequence
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from geomid_ros.model.columns import Columns
+from geomid_ros.model.samples import Samples
+from geomid_ros.signals.ledger import Ledger
+from geomid_ros.signals.messages import JOINT_STATES, ODOM, Accepted
+from geomid_ros.signals.settings import PERIOD_ROUNDING, SignalSettings
+from geomid_ros.signals.streams import Grid, JointSegment, PoseSegment, Stream, VectorSegment
+from geomid_ros.types import BoolArray, FloatArray
+
+_MESSAGES_TO_INFER_PERIOD = 32
+_MOST_WAITING = 10_000  # messages kept until the period is known
+_HORIZON = 60_000_000_000  # [ns] a topic this far behind the others is not waited for
+_EFFORTS = "joint_states.effort"  # stream of efforts with a delay; no topic has that name
+
+
+class Sampler:
+    """Takes accepted numbers with :meth:`add`; :meth:`collect` gives the samples that they complete."""
+
+    def __init__(
+        self,
+        settings: SignalSettings,
+        continuous: BoolArray,
+        *,
+        wrenches: Sequence[str],
+        floating_base: bool,
+        effect_columns: Columns,
+        ledger: Ledger,
+    ) -> None:
+        """
+        Args:
+            settings: of the filter.
+            continuous: ``(joints,)`` which joints have no end; their positions are from -pi to pi in samples.
+            wrenches: the topics of the wrench sensors.
+            floating_base: whether the base's pose is among the numbers.
+            effect_columns: those of effects that samples carry.
+            ledger: is told of accepted messages that are given up.
+        """
+        self._settings = settings
+        self._continuous = continuous
+        self._wrenches = tuple(wrenches)
+        self._floating_base = floating_base
+        self._max_gap = settings.max_gap_ns
+        self._effort_delay = settings.effort_delay_ns
+        self._effect_columns = effect_columns
+        self._ledger = ledger
+        self._velocity = VelocityChoice(len(continuous))
+        self._grid: Grid | None = None
+        self._streams: dict[str, Stream[Any]] = {}
+        self._waiting: deque[Accepted] = deque()
+        self._first_stamps: deque[int] = deque(maxlen=_MESSAGES_TO_INFER_PERIOD)
+        self._next_instant = 0
+        self._pending: list[Samples] = []
+        if settings.period > 0.0:
+            self._start(round(settings.period * 1e9))
+
+    @property
+    def lag(self) -> float:
+        """Seconds by which samples trail the newest message; 0 until the rate is known."""
+        return self._grid.lag * self._grid.period * 1e-9 if self._grid is not None else 0.0
+
+    def add(self, accepted: Accepted) -> None:
+        """Take numbers, later than the last ones of their topic. Raises InputError if the cutoff is too high for the
+        rate."""
+        if self._grid is None:
+            self._wait(accepted)
+        else:
+            self._take(self._grid, accepted)
+
+    def restart(self) -> None:
+        """Begin anew, as a clock was set back."""
+        self._waiting.clear()
+        self._first_stamps.clear()
+        self._next_instant = 0
+        if self._grid is not None:
+            self._open_streams(self._grid)
+
+    def _wait(self, accepted: Accepted) -> None:
+        """Keep what arrives before the period is known."""
+        self._waiting.append(accepted)
+        if len(self._waiting) > _MOST_WAITING:
+            self._ledger.revoke(self._waiting.popleft().topic, "no joint states to go with")
+        if accepted.topic == JOINT_STATES:
+            self._first_stamps.append(accepted.stamp)
+            if len(self._first_stamps) == _MESSAGES_TO_INFER_PERIOD:
+                period = float(np.median(np.diff(self._first_stamps)))
+                self._start(max(PERIOD_ROUNDING, round(period / PERIOD_ROUNDING) * PERIOD_ROUNDING))
+
+    def _take(self, grid: Grid, accepted: Accepted) -> None:
+        """Pass numbers on and make what samples they complete."""
+        stamp = accepted.stamp
+        parts = {accepted.topic: (stamp, accepted.values)}
+        if accepted.topic == JOINT_STATES and self._effort_delay:
+            parts[_EFFORTS] = (stamp - self._effort_delay, accepted.values[2 * len(self._continuous) :])
+        for name, part in parts.items():
+            self._streams[name].push(*part)
+        self._make_samples(grid)
+        oldest = (stamp - _HORIZON - abs(self._effort_delay)) // grid.period - grid.lag
+        for name in parts:
+            self._streams[name].drop_before(oldest)
+
+    def _start(self, period: int) -> None:
+        grid = Grid(period, self._settings.cutoff, self._settings.samples_per_cutoff_period)
+        self._grid = grid
+        self._open_streams(grid)
+        for accepted in self._waiting:
+            self._take(grid, accepted)
+        self._waiting.clear()
+
+    def _open_streams(self, grid: Grid) -> None:
+        def joint_segment() -> JointSegment:
+            return JointSegment(grid, len(self._continuous), self._effect_columns)
+
+        self._joint_stream = Stream(self._max_gap, joint_segment)
+        self._streams = {JOINT_STATES: self._joint_stream}
+        self._streams |= {topic: Stream(self._max_gap, partial(VectorSegment, grid)) for topic in self._wrenches}
+        if self._effort_delay:
+            self._streams[_EFFORTS] = Stream(self._max_gap, partial(VectorSegment, grid))
+        if self._floating_base:
+            self._streams[ODOM] = Stream(self._max_gap, partial(PoseSegment, grid))
+
+    def collect(self) -> Samples | None:
+        """The samples that have become ready since the last call, oldest first; None if there are none."""
+        if not self._pending:
+            return None
+        samples = Samples.concatenate(self._pending)
+        self._pending.clear()
+        return samples
+
+    def _make_samples(self, grid: Grid) -> None:
+        """Make the samples for which every topic has numbers, and go on after pauses."""
+        streams = self._streams.values()
+        while True:
+            ranges = [stream.segment.ready() for stream in streams]
+            start = max([self._next_instant, *(r.start for r in ranges)])
+            instants = range(-(-start // grid.stride) * grid.stride, min(r.stop for r in ranges), grid.stride)
+            if instants:
+                self._pending.append(self._samples(grid, instants))
+                self._next_instant = instants[-1] + 1
+                for stream in streams:
+                    stream.drop_before(self._next_instant)
+            elif not any(stream.skip_to(instants.start) for stream in streams):
+                break
+
+    def _samples(self, grid: Grid, instants: range) -> Samples:
+        count, joints = len(instants), len(self._continuous)
+        value, first, second = (
+            part.reshape(count, 3, joints) for part in self._joint_stream.segment.filtered(instants)
+        )
+        position = value[:, 0]
+        position[:, self._continuous] = np.remainder(position[:, self._continuous] + np.pi, 2.0 * np.pi) - np.pi
+        velocity, acceleration = self._velocity.choose(value[:, 1], first[:, 1], first[:, 0], second[:, 0])
+        effort = self._streams[_EFFORTS].segment.filtered(instants)[0] if self._effort_delay else value[:, 2]
+        pose = base_velocity = base_acceleration = np.zeros((count, 0))
+        if self._floating_base:
+            pose, base_velocity, base_acceleration = self._streams[ODOM].segment.filtered(instants)
+        wrenches = np.zeros((count, len(self._wrenches), 6))
+        for index, topic in enumerate(self._wrenches):
+            wrenches[:, index] = self._streams[topic].segment.filtered(instants)[0]
+        return Samples(
+            stamps=np.array([instant * grid.period for instant in instants], dtype=np.int64),
+            position=position,
+            velocity=velocity,
+            acceleration=acceleration,
+            effort=effort,
+            base_pose=pose,
+            base_velocity=base_velocity,
+            base_acceleration=base_acceleration,
+            wrenches=wrenches,
+            effects=self._joint_stream.segment.effects(instants),
+            columns=self._effect_columns,
+        )
+
+
+class VelocityChoice:
+    """Chooses for each joint the message's velocity while it agrees with the position's derivative, else the latter.
+
+    They agree while the root mean square of their difference is below 5 % of the derivative's, both with a memory of
+    about 100 samples, and not before that many were seen.
+    """
+
+    _MEMORY = 100
+    _RELATIVE_DISAGREEMENT = 0.05
+
+    def __init__(self, joints: int) -> None:
+        self._seen = np.zeros(joints)
+        self._difference = np.zeros(joints)
+        self._energy = np.zeros(joints)
+
+    def choose(
+        self, given: FloatArray, given_rate: FloatArray, derived: FloatArray, derived_rate: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Choose for N samples.
+
+        Args:
+            given: ``(N, joints)`` the messages' velocity, filtered; NaN where there is none.
+            given_rate: its derivative.
+            derived: ``(N, joints)`` the filtered position's first derivative.
+            derived_rate: its second.
+
+        Returns:
+            Velocities and accelerations ``(N, joints)``.
+        """
+        velocity, acceleration = derived.copy(), derived_rate.copy()
+        for row in range(len(derived)):
+            known = np.isfinite(given[row])
+            error = np.where(known, given[row] - derived[row], 0.0)
+            self._seen = np.where(known, self._seen + 1, 0.0)
+            share = 1.0 / np.minimum(np.maximum(self._seen, 1.0), self._MEMORY)
+            self._difference += share * (error**2 - self._difference)
+            self._energy += share * (derived[row] ** 2 - self._energy)
+            agrees = self._difference <= self._RELATIVE_DISAGREEMENT**2 * self._energy
+            use = known & agrees & (self._seen >= self._MEMORY)
+            velocity[row, use] = given[row, use]
+            acceleration[row, use] = given_rate[row, use]
+        return velocity, acceleration

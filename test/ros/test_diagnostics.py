@@ -1,0 +1,79 @@
+"""What diagnostics say is what was counted since the last ones, topic by topic."""
+
+from __future__ import annotations
+
+from collections import Counter
+from typing import Any
+
+import pytest
+from diagnostic_msgs.msg import DiagnosticStatus
+
+from geomid_ros.live.status import Status
+from geomid_ros.ros.diagnostics import Diagnostics
+from geomid_ros.signals.ledger import Account
+
+OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
+TOPICS = ("joint_states", "/wrench")
+
+
+def status(accounts: dict[str, Account] | None = None, **values: Any) -> Status:
+    """Of a node that hears both topics."""
+    heard = {topic: Account(accepted=20) for topic in TOPICS}
+    return Status(active=True, topics=TOPICS, accounts=heard | (accounts or {}), **values)
+
+
+def said(*statuses: Status) -> tuple[bytes, str]:
+    """Level and message of the last of several diagnostics."""
+    diagnostics = Diagnostics("geomid")
+    for each in statuses:
+        stream = diagnostics.array(each).status[0]
+    return stream.level, stream.message
+
+
+def test_rows_that_are_not_taken_are_no_refused_messages() -> None:
+    """A robot that stands still, of which all is known, is well."""
+    assert said(status(rows=9, rows_rejected=Counter({"not measured": 70})))[0] == OK
+
+
+def test_each_topic_has_its_own_reasons() -> None:
+    """A topic, or a reason, that reads like a key of something else changes nothing."""
+    odd = Account(accepted=5, rejected=Counter({"x dropped: y": 2}), dropped=Counter({"z": 1}))
+    level, message = said(status({"/a lost": odd}))
+    assert level == WARN
+    assert message == "/a lost rejected: x dropped: y (2 messages); /a lost dropped: z (1 messages)"
+
+
+def test_what_was_told_is_not_told_again() -> None:
+    before = status({"/wrench": Account(accepted=20, rejected=Counter({"late": 3}), noted=Counter({"odd": 1}), lost=4)})
+    after = status(
+        {
+            "joint_states": Account(accepted=30),
+            "/wrench": Account(accepted=30, rejected=Counter({"late": 5}), noted=Counter({"odd": 1}), lost=5),
+        }
+    )
+    assert said(before) == (WARN, "/wrench rejected: late (3 messages); /wrench: odd; /wrench lost (4 messages)")
+    assert said(before, after) == (WARN, "/wrench rejected: late (2 messages); /wrench lost (1 messages)")
+
+
+def test_who_is_silent_is_named() -> None:
+    before = status()
+    after = status({"/wrench": Account(accepted=21)})
+    assert said(before, after) == (WARN, "no messages on joint_states")
+
+
+@pytest.mark.parametrize(("received", "level"), [(9, WARN), (10, ERROR)])
+def test_many_messages_of_which_none_is_taken_are_an_error(received: int, level: bytes) -> None:
+    found = said(status({"/wrench": Account(rejected=Counter({"late": received}))}))
+    assert found == (level, f"/wrench rejected: late ({received} messages)")
+
+
+def test_an_exception_is_told_once() -> None:
+    before = status(failures=Counter({"a callback failed": 1}))
+    assert said(before) == (ERROR, "a callback failed")
+    assert "failed" not in said(before, before)[1]
+
+
+def test_a_rejected_message_may_have_been_accepted_before() -> None:
+    """It waited in vain: one is accepted less, one rejected more."""
+    after = status({"/wrench": Account(accepted=19, rejected=Counter({"in vain": 1}))})
+    assert "/wrench rejected: in vain (1 messages)" in said(status(), after)[1]
