@@ -64,7 +64,7 @@ def solve_rows(
     start = manifold.point(prior.ravel())
     objective = GeodesicObjective(manifold, rows, targets, sigmas, start, gamma)
     # The prior bounds the curvature from below: a gradient of so little of the prior's weight is so little off.
-    gradient = max(tolerance * min(gamma, 1.0), _LEAST_GRADIENT)
+    gradient = max(tolerance * gamma / (1.0 + gamma), _LEAST_GRADIENT)
     solve = _from_remark_3 if solver == "trust_region" else SOLVERS[solver]
     solution = solve(objective, start, gradient, max_steps)
     parameters = frozen(pseudo_inertia.to_parameters(solution.point.pseudo_inertias))
