@@ -6,11 +6,15 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import rclpy
 from files.recordings import BAGS
 from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
 from rcl_interfaces.srv import DescribeParameters, GetParameters, ListParameters, SetParameters
+from rclpy.signals import SignalHandlerOptions
 
+from geomid_ros.errors import InputError
 from geomid_ros.files.configuration import PARAMETERS
+from geomid_ros.ros.node import GeomidNode
 
 from .processes import Process
 from .stage import Stage, description
@@ -47,6 +51,25 @@ def test_what_cannot_be_used_is_refused_with_one_message(stage: Stage) -> None:
             assert part in line, f"{case}: {line}"
     assert missing.status() == 2
     assert "nowhere.yaml" in missing.output
+
+
+def test_a_node_that_is_refused_is_gone_at_once(stage: Stage, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Not when the interpreter is taken down: there ROS's threads may wait for it, and it for them."""
+
+    def refuse(_: GeomidNode) -> None:
+        stage.observer.wait_for(lambda: "geomid" in names(), "the node")
+        raise InputError("refused")
+
+    names = stage.observer.node.get_node_names
+    monkeypatch.setattr("geomid_ros.ros.node.read_parameters", refuse)
+    rclpy.init(domain_id=stage.domain, signal_handler_options=SignalHandlerOptions.NO)
+    try:
+        with pytest.raises(InputError, match="refused") as kept:
+            GeomidNode()
+        stage.observer.wait_for(lambda: "geomid" not in names(), "its end")
+    finally:
+        rclpy.shutdown()
+    assert kept.traceback, "which holds the node"
 
 
 # Variables of the environment, ROS arguments, and what the one message must hold.
