@@ -41,7 +41,7 @@ def test_what_cannot_be_used_is_refused_with_one_message(stage: Stage) -> None:
     """Status 2, what is wrong, what would be right. All at once: starting takes its time."""
     started: dict[str, Process] = {}
     for case, (parameters, _) in REFUSED.items():
-        started[case] = stage.node(parameters, ready=False)
+        started[case] = stage.node(parameters, ready=False, fresh=not started)
     missing = stage.start("geomid_ros.ros.main", "--ros-args", "--params-file", stage.folder / "nowhere.yaml")
     for case, (_, parts) in REFUSED.items():
         process = started[case]
@@ -95,9 +95,10 @@ def test_ros_that_cannot_start_is_refused_with_one_message(
         with monkeypatch.context() as patch:
             for name, value in ({} if arguments else {**enforced, **variables}).items():
                 patch.setenv(name, value.format(folder=tmp_path))
-            started[case] = [stage.node({}, *arguments, ready=False)]
+            fresh = not started  # of the first case, as a user starts them
+            started[case] = [stage.node({}, *arguments, ready=False, fresh=fresh)]
             if not arguments:
-                started[case].append(stage.play(BAGS / "arm3"))
+                started[case].append(stage.play(BAGS / "arm3", fresh=fresh))
     for case, (_, _, parts) in CANNOT_START.items():
         for process in started[case]:
             assert process.status() == 2, f"{case}: {process.output}"
