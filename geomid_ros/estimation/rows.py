@@ -79,8 +79,8 @@ def solve_rows(
     manifold = ParameterManifold(len(prior), 0, np.zeros(0))
     start = manifold.point(prior.ravel())
     objective = GeodesicObjective(manifold, rows, targets, sigmas, start, gamma)
-    # The prior bounds the curvature from below: a gradient of ``tolerance`` times its weight is at most that far off.
-    gradient = max(tolerance * min(gamma, 1.0), _LEAST_GRADIENT)
+    # The prior bounds the curvature from below: a gradient of so little of the prior's weight is so little off.
+    gradient = max(tolerance * gamma / (1.0 + gamma), _LEAST_GRADIENT)
     solve = _from_remark_3 if solver == "trust_region" else SOLVERS[solver]
     solution = solve(objective, start, gradient, max_steps)
     parameters = frozen(pseudo_inertia.to_parameters(solution.point.pseudo_inertias))

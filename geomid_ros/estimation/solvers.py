@@ -16,7 +16,10 @@ from geomid_ros.types import FloatArray
 _ACCEPT = 1e-4
 _EXPAND_ABOVE = 0.75
 _SHRINK_BELOW = 0.25
-_ROUNDING = 1e-13  # relative to the value
+# Relative to the value. Its rounding, which grows with the condition of the links, may hide a decrease as small as the
+# first; no step decreases it by less than the second.
+_HIDDEN = 1e-10
+_ROUNDING = 1e-13
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,10 +79,11 @@ def trust_region(
             length = float(np.linalg.norm(tangent))
             if ratio >= _ACCEPT:
                 break
+            hidden = predicted <= _HIDDEN * evaluation.value
+            if hidden and np.linalg.norm(trial.gradient) <= 0.5 * np.linalg.norm(evaluation.gradient):
+                ratio = 1.0
+                break
             if predicted <= _ROUNDING * evaluation.value or length < 1e-12:
-                if np.linalg.norm(trial.gradient) <= 0.5 * np.linalg.norm(evaluation.gradient):
-                    ratio = 1.0
-                    break
                 return Solution(point, evaluation, True, "no decrease left in rounding", step, tuple(values))
             radius = 0.25 * length
         if ratio < _SHRINK_BELOW:
@@ -153,7 +157,9 @@ def cyclic(objective: Objective, start: Point, tolerance: float = 1e-8, max_step
         while True:
             candidate = objective.manifold.exp(point, -share / scale * evaluation.gradient)
             trial = objective.evaluate(candidate)
-            if trial.value < evaluation.value:
+            hidden = abs(trial.value - evaluation.value) <= _HIDDEN * evaluation.value
+            falls = np.linalg.norm(trial.gradient) < np.linalg.norm(evaluation.gradient)
+            if trial.value < evaluation.value or (hidden and falls):
                 break
             share *= 0.5
             if share < 1e-6:

@@ -58,6 +58,13 @@ class GeomidNode(Node):
                 super().__init__("geomid", automatically_declare_parameters_from_overrides=True)
         except ValueError as error:
             raise InputError(f'a parameter has no value; an empty list is written as [""] ({error})') from error
+        try:
+            self._set_up(solving)
+        except BaseException:
+            self.destroy_node()  # else the traceback keeps it: ROS's threads would run until the interpreter is gone
+            raise
+
+    def _set_up(self, solving: SolvingProcess | None) -> None:
         self._configuration = _read_parameters(self)
         self._active: bool = self._configuration["active"]
         self._outputs = Outputs(self)

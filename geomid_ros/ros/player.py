@@ -59,27 +59,33 @@ def play(
         for topic in [topic for topic, kind in kinds.items() if kind is None]:
             skipped(f"{topic} is left out: its type {bag.topics[topic]} is not installed here")
             del kinds[topic]
-        total = bag.count(list(kinds))
         # rclpy's own handlers would invalidate the publishers while they publish.
         with starting_ros():
             rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, signal.default_int_handler)
-        with starting_ros():
-            node = rclpy.create_node("geomid_play")
         try:
-            publishers = {topic: _publisher(node, topic, kind, path) for topic, kind in kinds.items()}
-            _wait_for_subscribers(publishers, wait)
-            begin = time.monotonic()
-            for published, (topic, stamp, raw) in enumerate(bag.raw_messages(list(kinds)), start=1):
-                due = begin + (stamp - bag.start) * 1e-9 / rate
-                time.sleep(max(0.0, due - time.monotonic()))
-                publishers[topic].publish(raw)
-                yield published, total
-            time.sleep(_LINGER)
+            with starting_ros():
+                node = rclpy.create_node("geomid_play")
+            try:
+                yield from _published(node, bag, kinds, rate, wait)
+            finally:
+                node.destroy_node()
         finally:
-            node.destroy_node()
             try_shutdown()
+
+
+def _published(node: Node, bag: Bag, kinds: dict[str, Any], rate: float, wait: float) -> Iterator[tuple[int, int]]:
+    publishers = {topic: _publisher(node, topic, kind, bag.path) for topic, kind in kinds.items()}
+    _wait_for_subscribers(publishers, wait)
+    total = bag.count(list(kinds))
+    begin = time.monotonic()
+    for published, (topic, stamp, raw) in enumerate(bag.raw_messages(list(kinds)), start=1):
+        due = begin + (stamp - bag.start) * 1e-9 / rate
+        time.sleep(max(0.0, due - time.monotonic()))
+        publishers[topic].publish(raw)
+        yield published, total
+    time.sleep(_LINGER)
 
 
 def _chosen(bag: Bag, named: Collection[str]) -> list[str]:

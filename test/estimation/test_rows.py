@@ -14,7 +14,8 @@ from geomid_ros.types import FloatArray
 from .problems import LINKS, Problem, human_like, problem
 
 SEEDS = pytest.mark.parametrize("seed", range(4))
-SAME = 1e-8  # geodesic distance
+NEAR = 1e-8  # the tolerance of solve_rows: geodesic distance of a result from the minimum
+SAME = 2.0 * NEAR  # of two results from each other
 ROD = np.array([[2.0, 0, 0, 0, 1, 0, 1, 0, 0, 1]])
 
 
@@ -69,7 +70,7 @@ def test_a_strong_prior_is_returned(seed: int) -> None:
     assert errors[2] < 0.02 * errors[1] < 4e-4 * errors[0]
 
 
-@SEEDS
+@pytest.mark.parametrize("seed", range(40))  # of so many some have a last step whose descent rounding hides
 def test_a_single_row_is_met_on_the_way_to_its_projection(seed: int) -> None:
     """At the share 1/(1 + gamma) of the geodesic from the prior to the projection, by symmetry."""
     case = problem(seed, LINKS, count=1, distance=0.3)
@@ -77,13 +78,13 @@ def test_a_single_row_is_met_on_the_way_to_its_projection(seed: int) -> None:
     toward = projection.project(LINKS, case.prior, normals, case.targets).tangent[0]
     for gamma in (0.1, 1.0, 10.0):
         expected = LINKS.exp(case.prior, toward / (1.0 + gamma)).parameters
-        assert distance(case, solution(case, gamma), expected) < SAME
+        assert distance(case, solution(case, gamma), expected) < NEAR
 
 
 @SEEDS
 def test_both_solvers_agree(seed: int) -> None:
     case = problem(seed, LINKS, count=20)
-    assert distance(case, solution(case, 0.1), solution(case, 0.1, "cyclic")) < 1e-6
+    assert distance(case, solution(case, 0.1), solution(case, 0.1, "cyclic")) < SAME
 
 
 @SEEDS

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 import threading
 from collections.abc import Callable
 from dataclasses import replace
@@ -196,18 +197,22 @@ def test_one_thread_takes_back_while_another_adds() -> None:
 
     def meddle() -> None:
         rng = np.random.default_rng(0)
-        while not ended.is_set():
+        while not ended.wait(1e-3):  # else who adds may wait for the lock for minutes
             identifier.leave_out("bad", BAD, identifier.instants - int(rng.integers(200)))
             identifier.take_again("bad", identifier.instants)
             identifier.settle(identifier.instants - 100)
             counts = identifier.counts
             seen.append(counts.made - counts.taken - counts.rejected.total())
 
-    other = threading.Thread(target=meddle)
-    other.start()
-    add(identifier, of.samples)
-    ended.set()
-    other.join()
+    other, interval = threading.Thread(target=meddle), sys.getswitchinterval()
+    sys.setswitchinterval(1e-5)  # in the middle of everything
+    try:
+        other.start()
+        add(identifier, of.samples)
+    finally:
+        ended.set()
+        other.join()
+        sys.setswitchinterval(interval)
     assert seen
     assert not any(seen)
     taken = sum(part.count for channel in identifier.snapshot().parts() for part in channel)

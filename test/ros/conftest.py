@@ -17,6 +17,15 @@ if find_spec("rclpy") is None:
     collect_ignore_glob = ["*.py"]
 
 
+@pytest.fixture(scope="session", autouse=True)
+def forked() -> Iterator[None]:
+    """Nothing that was started is left."""
+    yield
+    from .forked import end_server  # noqa: PLC0415
+
+    end_server()
+
+
 @pytest.fixture
 def stage(tmp_path: Path) -> Iterator[Stage]:
     """A ROS domain for this test alone."""

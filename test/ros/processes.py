@@ -16,6 +16,8 @@ import yaml
 
 import geomid_ros
 
+from .forked import Forked
+
 SOON = 2.0  # [s] in which a node ends, whatever it is at
 PATIENCE = 60.0  # [s] after which a process that should end is taken to hang
 
@@ -23,23 +25,29 @@ PATIENCE = 60.0  # [s] after which a process that should end is taken to hang
 class Process:
     """A Python module of this package that runs in a ROS domain."""
 
-    def __init__(self, domain: int, folder: Path, arguments: Sequence[str | Path]) -> None:
-        """``folder`` becomes its working directory; its log lies beside."""
+    def __init__(self, domain: int, folder: Path, arguments: Sequence[str | Path], fresh: bool) -> None:
+        """``folder`` becomes its working directory; its log lies beside. ``fresh``: started as a user does."""
         folder.mkdir(parents=True, exist_ok=True)
         self.log = folder.with_suffix(f".{len(list(folder.parent.glob('*.log')))}.log")
         package = str(Path(geomid_ros.__file__).parents[1])
         # The environment as a whole: ROS from PyPI has prepared it for this process, and would do so again for a part.
         environment = {**os.environ, "ROS_DOMAIN_ID": str(domain), "PYTHONUNBUFFERED": "1"}
         environment["PYTHONPATH"] = os.pathsep.join(filter(None, (package, os.environ.get("PYTHONPATH"))))
-        with self.log.open("wb") as log:
-            self._process = subprocess.Popen(
-                [sys.executable, "-m", *map(str, arguments)],
-                cwd=folder,
-                env=environment,
-                stdin=subprocess.DEVNULL,
-                stdout=log,
-                stderr=subprocess.STDOUT,
-            )
+        line = [str(argument) for argument in arguments]
+        self.log.touch()
+        self._process: Forked | subprocess.Popen[bytes]
+        if fresh:
+            with self.log.open("wb") as log:
+                self._process = subprocess.Popen(
+                    [sys.executable, "-m", *line],
+                    cwd=folder,
+                    env=environment,
+                    stdin=subprocess.DEVNULL,
+                    stdout=log,
+                    stderr=subprocess.STDOUT,
+                )
+        else:
+            self._process = Forked(line, folder, environment, self.log)
 
     @property
     def output(self) -> str:

@@ -233,12 +233,12 @@ def assert_balanced(values: dict[str, str], sent: Counter[str]) -> None:
 
 
 @contextmanager
-def rigged(folder: Path, module: str = "geomid_ros.ros.main", **parameters: Any) -> Iterator[Rig]:
+def rigged(folder: Path, module: str = "geomid_ros.ros.main", fresh: bool = False, **parameters: Any) -> Iterator[Rig]:
     """A node of the small arm with its wrist sensor, and its twin."""
     with staged(folder) as stage:
         out = folder / "out"
         values = {**WRIST, "robot_description": description("arm3"), "solve_period": 0.2, "output_folder": str(out)}
-        node = stage.node({**values, **parameters}, module=module)
+        node = stage.node({**values, **parameters}, module=module, fresh=fresh)
         yield Rig(stage, out, node)
 
 

@@ -38,9 +38,9 @@ class Stage:
         self.observer = Observer(domain)
         self.processes: list[Process] = []
 
-    def start(self, *arguments: str | Path) -> Process:
-        """Start a module of this package."""
-        process = Process(self.domain, self.folder / f"process{len(self.processes)}", arguments)
+    def start(self, *arguments: str | Path, fresh: bool = False) -> Process:
+        """Start a module of this package; ``fresh``: see :class:`Process`."""
+        process = Process(self.domain, self.folder / f"process{len(self.processes)}", arguments, fresh)
         self.processes.append(process)
         return process
 
@@ -51,12 +51,13 @@ class Stage:
         name: str = "geomid",
         ready: bool = True,
         module: str = "geomid_ros.ros.main",
+        fresh: bool = False,
     ) -> Process:
         """Start a node with these parameters, and wait until it serves unless told otherwise."""
         folder = self.folder / f"parameters{len(self.processes)}"
         folder.mkdir()
         path = parameter_file(folder, parameters or {})
-        process = self.start(module, "--ros-args", "--params-file", path, *ros_arguments)
+        process = self.start(module, "--ros-args", "--params-file", path, *ros_arguments, fresh=fresh)
         if ready:
             self.serving(process, name)
         return process
@@ -71,9 +72,9 @@ class Stage:
 
         self.observer.wait_for(offered, f"service {wanted}")
 
-    def play(self, bag: Path, rate: float = 1.0, *arguments: str | Path) -> Process:
+    def play(self, bag: Path, rate: float = 1.0, *arguments: str | Path, fresh: bool = False) -> Process:
         """Start to play a bag."""
-        return self.start("geomid_ros", "play", bag, "--rate", str(rate), "--wait", "60", *arguments)
+        return self.start("geomid_ros", "play", bag, "--rate", str(rate), "--wait", "60", *arguments, fresh=fresh)
 
     def spin_while(self, process: Process) -> None:
         """Let messages come until a process has ended well."""

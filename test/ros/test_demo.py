@@ -11,7 +11,7 @@ from .stage import Stage
 
 
 def test_the_demonstration(stage: Stage) -> None:
-    demo = stage.start("geomid_ros", "demo", "--rate", "6", "--out", stage.folder / "out")
+    demo = stage.start("geomid_ros", "demo", "--rate", "6", "--out", stage.folder / "out", fresh=True)
     stage.spin_while(demo)
     out = stage.folder / "out"
     assert {path.name for path in out.iterdir()} == {"estimate.json", "identified.urdf", "identification.png"}

@@ -23,7 +23,9 @@ def test_busy_nodes_save_their_last_estimate(stage: Stage, tmp_path: Path) -> No
     for number in (signal.SIGINT, signal.SIGTERM):
         name = number.name.lower()
         arguments = ("-r", f"__ns:=/{name}", "-r", "joint_states:=/joint_states")
-        nodes[number] = stage.node({**parameters, "output_folder": str(tmp_path / name)}, *arguments, ready=False)
+        nodes[number] = stage.node(
+            {**parameters, "output_folder": str(tmp_path / name)}, *arguments, ready=False, fresh=True
+        )
     for number, node in nodes.items():
         stage.serving(node, f"{number.name.lower()}/geomid")
         topic = f"/{number.name.lower()}/geomid/inertias"
@@ -44,7 +46,7 @@ def test_busy_nodes_save_their_last_estimate(stage: Stage, tmp_path: Path) -> No
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM], ids=lambda number: number.name)
 def test_a_player_that_is_told_to_end(number: signal.Signals, stage: Stage) -> None:
     """While it waits for subscribers, or while it plays; the status says that not all was published."""
-    player = stage.play(BAGS / "arm3")
+    player = stage.play(BAGS / "arm3", fresh=True)
     if number == signal.SIGINT:
         heard = stage.observer.collect(JointState, "/joint_states")
         stage.observer.wait_for(lambda: len(heard) > 10, "messages")
@@ -70,7 +72,7 @@ def test_idle_nodes(stage: Stage, tmp_path: Path) -> None:
 
 def test_a_node_told_to_end_while_it_starts(stage: Stage) -> None:
     """Whatever it was doing: no traceback, and no core dump."""
-    node = stage.node(ready=False)
+    node = stage.node(ready=False, fresh=True)
     stage.observer.wait_for(lambda: node.running, "a process")
     stage.observer.spin(0.6)
     assert node.seconds_to_end(signal.SIGTERM) <= SOON

@@ -89,6 +89,7 @@ def perform(stage: Stage, run: Live, out: Path) -> None:
     count = len(messages(run.robot)) // 2
     stage.fed({"joint_states": count, "/wrench": count})
     observer.wait_for(lambda: has_come(run), "what was saved, on all topics")
+    observer.diagnostics(lambda _, status: status.message.startswith("no messages"), "silence")
     run.status = node.end()
     run.saved_at_end = json.loads((out / "estimate.json").read_text())
 

@@ -6,10 +6,14 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import rclpy
 from files.recordings import BAGS
 from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
 from rcl_interfaces.srv import DescribeParameters, GetParameters, ListParameters, SetParameters
+from rclpy.signals import SignalHandlerOptions
 
+from geomid_ros.errors import InputError
+from geomid_ros.ros.node import GeomidNode
 from geomid_ros.session.configuration import PARAMETERS
 
 from .processes import Process
@@ -37,7 +41,7 @@ def test_what_cannot_be_used_is_refused_with_one_message(stage: Stage) -> None:
     """Status 2, what is wrong, what would be right. All at once: starting takes its time."""
     started: dict[str, Process] = {}
     for case, (parameters, _) in REFUSED.items():
-        started[case] = stage.node(parameters, ready=False)
+        started[case] = stage.node(parameters, ready=False, fresh=not started)
     missing = stage.start("geomid_ros.ros.main", "--ros-args", "--params-file", stage.folder / "nowhere.yaml")
     for case, (_, parts) in REFUSED.items():
         process = started[case]
@@ -47,6 +51,25 @@ def test_what_cannot_be_used_is_refused_with_one_message(stage: Stage) -> None:
             assert part in line, f"{case}: {line}"
     assert missing.status() == 2
     assert "nowhere.yaml" in missing.output
+
+
+def test_a_node_that_is_refused_is_gone_at_once(stage: Stage, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Not when the interpreter is taken down: there ROS's threads may wait for it, and it for them."""
+
+    def refuse(_: GeomidNode) -> None:
+        stage.observer.wait_for(lambda: "geomid" in names(), "the node")
+        raise InputError("refused")
+
+    names = stage.observer.node.get_node_names
+    monkeypatch.setattr("geomid_ros.ros.node.read_parameters", refuse)
+    rclpy.init(domain_id=stage.domain, signal_handler_options=SignalHandlerOptions.NO)
+    try:
+        with pytest.raises(InputError, match="refused") as kept:
+            GeomidNode()
+        stage.observer.wait_for(lambda: "geomid" not in names(), "its end")
+    finally:
+        rclpy.shutdown()
+    assert kept.traceback, "which holds the node"
 
 
 # Variables of the environment, ROS arguments, and what the one message must hold.
@@ -72,9 +95,10 @@ def test_ros_that_cannot_start_is_refused_with_one_message(
         with monkeypatch.context() as patch:
             for name, value in ({} if arguments else {**enforced, **variables}).items():
                 patch.setenv(name, value.format(folder=tmp_path))
-            started[case] = [stage.node({}, *arguments, ready=False)]
+            fresh = not started  # of the first case, as a user starts them
+            started[case] = [stage.node({}, *arguments, ready=False, fresh=fresh)]
             if not arguments:
-                started[case].append(stage.play(BAGS / "arm3"))
+                started[case].append(stage.play(BAGS / "arm3", fresh=fresh))
     for case, (_, _, parts) in CANNOT_START.items():
         for process in started[case]:
             assert process.status() == 2, f"{case}: {process.output}"

@@ -1,0 +1,64 @@
+"""Processes that are forked from one that has imported everything: to import it takes longer than most tests."""
+
+from __future__ import annotations
+
+import os
+import runpy
+import signal
+import subprocess
+import sys
+from collections.abc import Mapping, Sequence
+from multiprocessing import forkserver, get_context
+from pathlib import Path
+from unittest.mock import patch
+
+_context = get_context("forkserver")
+_context.set_forkserver_preload(["geomid_ros.commands.root", "geomid_ros.ros.node", "geomid_ros.ros.player"])
+
+
+class Forked:
+    """``python -m``, with what is used here of :class:`subprocess.Popen`."""
+
+    def __init__(self, arguments: Sequence[str], folder: Path, environment: Mapping[str, str], log: Path) -> None:
+        self._process = _context.Process(target=_run, args=(arguments, folder, dict(environment), log))
+        with patch.dict(os.environ, environment):  # the server, which the first process starts, imports from there
+            self._process.start()
+        assert self._process.pid is not None
+        self.pid = self._process.pid
+
+    def poll(self) -> int | None:
+        """Its exit status, None while it runs."""
+        return self._process.exitcode
+
+    def wait(self, timeout: float | None = None) -> int:
+        """Its exit status, when it has ended."""
+        self._process.join(timeout)
+        if self._process.exitcode is None:
+            raise subprocess.TimeoutExpired("forked", timeout or 0.0)
+        return self._process.exitcode
+
+    def send_signal(self, number: signal.Signals) -> None:
+        """Send it a signal, unless it has ended."""
+        if self.poll() is None:
+            os.kill(self.pid, number)
+
+    def kill(self) -> None:
+        """End it, whatever it is at."""
+        self._process.kill()
+
+
+def _run(arguments: Sequence[str], folder: Path, environment: dict[str, str], log: Path) -> None:
+    os.chdir(folder)
+    os.environ.clear()
+    os.environ.update(environment)
+    sys.path[:0] = [path for path in environment["PYTHONPATH"].split(os.pathsep) if path not in sys.path]
+    with log.open("ab") as file:
+        os.dup2(file.fileno(), 1)
+        os.dup2(file.fileno(), 2)
+    sys.argv = list(arguments)
+    runpy.run_module(arguments[0], run_name="__main__", alter_sys=True)
+
+
+def end_server() -> None:
+    """End the process that has imported everything, and wait for it: who measures this one's time is to see its."""
+    forkserver._forkserver._stop()
