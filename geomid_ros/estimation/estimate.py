@@ -37,18 +37,34 @@ class LinkEstimate:
 
 @dataclass(frozen=True)
 class EffectEstimate:
-    """An effect's coefficient at a joint, or at another place of that name.
+    """One of an effect's coefficients at a joint, or at another place of that name.
 
-    ``parameters``: the one that it is, which of an effect with several is named in ``parameter``, and the constants."""
+    ``parameters``: the one that it is, then the effect's constants."""
 
     name: str
     joint: str
-    value: float
-    unit: str
-    std: float
-    from_data: float
-    parameter: str
     parameters: Mapping[str, Quantity]
+    from_data: float
+
+    @property
+    def parameter(self) -> str:
+        """The name of the parameter that it is."""
+        return next(iter(self.parameters))
+
+    @property
+    def value(self) -> float:
+        """The parameter's value."""
+        return self.parameters[self.parameter].value
+
+    @property
+    def std(self) -> float:
+        """Its standard deviation."""
+        return self.parameters[self.parameter].std
+
+    @property
+    def unit(self) -> str:
+        """Its unit."""
+        return self.parameters[self.parameter].unit
 
 
 @dataclass(frozen=True)

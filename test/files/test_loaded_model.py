@@ -14,7 +14,7 @@ from model.robots import Reference, random_samples
 
 from geomid_ros.errors import InputError
 from geomid_ros.estimation.estimate import EffectEstimate
-from geomid_ros.files.models.effect_forms import combined, payload_parameters, tilted_gravity
+from geomid_ros.files.models.effect_forms import combined, payload_parameters, turned_gravity
 from geomid_ros.files.models.gap_model import write_model
 from geomid_ros.files.models.loaded_model import LoadedModel
 from geomid_ros.files.models.results import estimate_document, write_estimate
@@ -78,7 +78,7 @@ def test_gravity_and_payload_are_predicted(tmp_path: Path) -> None:
     session = session_with(tmp_path, [tilt, effect("payload", "link3", **PAYLOAD)], effects=[""])
     found, samples = predicted(session)
     straight = Robot(ARM)
-    reference = Reference(ARM, gravity=tilted_gravity(GRAVITY, {"tilt_x": 0.1, "tilt_y": -0.05}).tolist())
+    reference = Reference(ARM, gravity=turned_gravity(GRAVITY, [tilt]).tolist())
     inertias = {body.name: body.parameters for body in straight.bodies}
     inertias["link3"] = inertias["link3"] + payload_parameters(PAYLOAD)
     reference.set_inertias(inertias)
@@ -132,7 +132,7 @@ def estimated(session: Session) -> list[EffectEstimate]:
     assert session.prior is not None
     values = session.prior[len(session.prior) - len(session.model.coefficients) :]
     return [
-        EffectEstimate(c.effect.name, c.joint_name, float(value), c.unit, 0.01, 1.0)
+        EffectEstimate(c.effect.name, c.place_name, c.parameters(float(value), 0.01), 1.0)
         for c, value in zip(session.model.coefficients, np.nan_to_num(values, nan=1e-3), strict=True)
     ]
 

@@ -21,6 +21,7 @@ from geomid_ros.files.models.results import (
     write_estimate,
 )
 from geomid_ros.files.models.urdf import read_urdf
+from geomid_ros.model.effects import Quantity
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.session import Session
 
@@ -28,7 +29,7 @@ from .estimates import estimate_of, link_estimate
 from .recordings import BAGS
 
 ROUNDING = 1e-12  # relative: parameters go through the centre of mass and back
-EFFECT = EffectEstimate("coulomb_friction", "joint1", 0.5, "N m", 0.05, 0.9)
+EFFECT = EffectEstimate("coulomb_friction", "joint1", {"level": Quantity(0.5, 0.05, "N m")}, 0.9)
 ESTIMATE = estimate_of(link_estimate("link3", ("tool",), 1), link_estimate("link1", (), 2), effects=(EFFECT,))
 
 
