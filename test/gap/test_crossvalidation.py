@@ -2,8 +2,6 @@
 
 from dataclasses import replace
 
-import numpy as np
-
 from geomid_ros.gap import candidates as library
 from geomid_ros.gap.candidates import Candidate
 from geomid_ros.gap.evidence.noise import Autoregression

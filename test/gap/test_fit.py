@@ -155,4 +155,4 @@ def test_separability_is_one_beside_the_inertias_and_none_within(design: Design)
 def test_the_spread_of_the_inertias_is_found(design: Design, bare: JointFit) -> None:
     """The planted errors are of the usual size; a prior that takes them for ten times smaller is corrected."""
     assert 0.1 < bare.spread < 0.35
-    assert 0.06 < fit(design, prior(0.02), []).spread < 0.35
+    assert 0.06 < fit(design, planted.prior(spread=0.02), []).spread < 0.35

@@ -19,7 +19,6 @@ from geomid_ros.types import FloatArray, IntArray
 
 from .feeding import JOINTS, START, JointMessage, Motion, assert_same, feed, jittered, joint_messages, regular
 
-
 COLUMNS = Columns.of(
     JointColumn(effect)
     for effect in (ViscousFriction(), CoulombFriction(0.02), RotorInertia(), EffortOffset(), Spring())

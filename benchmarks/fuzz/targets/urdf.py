@@ -147,7 +147,8 @@ class UrdfTarget:
         require(again.model.body_names == session.model.body_names, "other bodies when written back")
         scale = np.maximum(1.0, np.abs(parameters))
         np.testing.assert_allclose(again.nominal_parameters / scale, parameters / scale, atol=1e-5)
-        effects = [coefficient("viscous_friction", joint, Quantity(0.5, 0.1, "N m s/rad")) for joint in session.robot.joint_names]
+        friction = Quantity(0.5, 0.1, "N m s/rad")
+        effects = [coefficient("viscous_friction", joint, friction) for joint in session.robot.joint_names]
         Session(with_effects(written, effects), configuration, "effects.urdf")
 
 

@@ -144,7 +144,7 @@ class TotalModel:
             for effect, place, coefficients in self.effects
             if isinstance(effect, SituationEffect) and effect.absorbed and np.any(coefficients)
         ]
-        return sorted(found, key=lambda own: (own[0].scales_measurement, not own[0].acts_on_wrenches, joints_of(own[1])))
+        return sorted(found, key=lambda o: (o[0].scales_measurement, not o[0].acts_on_wrenches, joints_of(o[1])))
 
     def scales(self, channels: int) -> FloatArray:
         """Factors ``(channels,)`` from what is true to what is measured."""
