@@ -8,7 +8,6 @@ from __future__ import annotations
 import argparse
 import random
 import subprocess
-import sys
 import tempfile
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -70,7 +69,8 @@ def _tried(copies: list[Path], selection: Selection, drawn: list[Mutant]) -> lis
         killed = bool(tests) and is_killed(root, mutant, tests, sum(selection.seconds[test] for test in tests))
         free.put(root)
         change = f"{' '.join(mutant.old.split())}  ->  {' '.join(mutant.new.split())}"
-        print(f"{'killed' if killed else 'LIVED '} {mutant.path}:{mutant.line}: {change} ({len(tests)} tests)", flush=True)
+        fate = "killed" if killed else "LIVED "
+        print(f"{fate} {mutant.path}:{mutant.line}: {change} ({len(tests)} tests)", flush=True)
         return killed
 
     with ThreadPoolExecutor(len(copies)) as pool:
@@ -78,4 +78,4 @@ def _tried(copies: list[Path], selection: Selection, drawn: list[Mutant]) -> lis
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

@@ -47,8 +47,10 @@ _NOT_CODE = {"annotation", "returns", "decorator_list", "type_comment"}
 
 @dataclass(frozen=True, order=True)
 class Mutant:
-    """A fault: the text from ``start`` to before ``stop`` of a file, in bytes, reads ``new`` instead of ``old``; it is in
-    the ``lines`` from the beginning of the statement to the end of that text."""
+    """A fault: the text from ``start`` to before ``stop`` of a file, in bytes, reads ``new`` instead of ``old``.
+
+    ``lines`` are those from the beginning of the statement to the end of that text.
+    """
 
     path: str
     lines: tuple[int, int]

@@ -52,7 +52,7 @@ def _fails(root: Path, patience: float) -> bool:
         env=environment(root),
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,
-        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_CPU, limits),  # noqa: PLW1509 no threads need it
+        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_CPU, limits),
         check=False,
     )
     return ended.returncode != 0

@@ -14,6 +14,7 @@ from pathlib import Path
 from coverage import CoverageData
 
 from benchmarks.mutants.operators import Mutant
+from benchmarks.mutants.running import environment
 
 _DURATION = re.compile(r"^ *([0-9.]+)s (?:setup|call|teardown) +(.+?) *$", re.MULTILINE)
 
@@ -32,7 +33,9 @@ class Selection:
         data = root / ".coverage"
         options = ["-q", "-vv", "--durations=0", "-n", "2", "-p", "no:cacheprovider", "--cov=geomid_ros"]
         command = [sys.executable, "-m", "pytest", *options, "--cov-context=test", "--cov-report=", *folders]
-        ended = subprocess.run(command, cwd=root, capture_output=True, text=True, check=False)  # noqa: S603 ours
+        ended = subprocess.run(  # noqa: S603 a command of ours
+            command, cwd=root, env=environment(root), capture_output=True, text=True, check=False
+        )
         if ended.returncode:
             raise RuntimeError(f"tests fail without any fault:\n{ended.stdout[-3000:]}")
         found = Selection()
