@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -66,8 +67,8 @@ def test_a_set_is_fitted_once_in_whatever_order() -> None:
 
 def test_the_best_comes_first() -> None:
     one = search({VISCOUS: [0.1], OFFSET: [0.3], OTHERS[0]: [0.2]}, among=CANDIDATES[:6])
-    assert [trial.candidate for trial in one.ranked(one.fit([]))][0] is OFFSET
-    assert [names(fit) for fit in one.extended(one.fit([]))][0] == {OFFSET}
+    assert one.ranked(one.fit([]))[0].candidate is OFFSET
+    assert names(one.extended(one.fit([]))[0]) == {OFFSET}
     fits = one.extended(one.fit([OFFSET]))
     assert [names(fit) - {OFFSET} for fit in fits] == [{OTHERS[0]}, {VISCOUS}]
     assert fits[0].score < fits[1].score
@@ -187,7 +188,7 @@ def test_the_constant_is_found_between_the_scouts() -> None:
     """Each constant's column is like the next one's."""
     own = [candidate.terms[1] for candidate in SPEEDY]
     recording = Recording(5, SPEEDY)
-    for before, after in zip(own, own[1:], strict=False):
+    for before, after in pairwise(own):
         recording.columns[after] = recording.columns[before] + 0.5 * recording.columns[after]
     truth = SPEEDY[6]
     design = recording.design(dict(zip(truth.terms, (STRONG, STRONG), strict=True)))
