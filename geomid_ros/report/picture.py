@@ -29,7 +29,7 @@ _NOTE_TOP = 9.48
 def draw_identification(path: Path, session: Session, estimate: Estimate, samples: Samples, of_what: str) -> None:
     """Draw bodies, before and after, in a pose of ``samples``, and the channels over the samples' time.
 
-    ``of_what`` says which data the samples are.
+    ``of_what``: which data the samples are, in words.
     """
     middle = samples.select(slice(len(samples) // 2, len(samples) // 2 + 1))
     identification_picture(

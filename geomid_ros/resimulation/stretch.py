@@ -14,7 +14,7 @@ from geomid_ros.signals.kernels import LOWEST_RATE_PER_CUTOFF, derivative_kernel
 from geomid_ros.types import FloatArray
 
 _PAUSE = 1.5  # sampling periods
-_SHORTEST = 0.25  # [s] a shorter part says nothing
+_SHORTEST = 0.25  # [s] a shorter part is not used
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,7 +27,7 @@ class Stretch:
 
 
 def stretches(recordings: Iterable[Samples]) -> list[Stretch]:
-    """The parts of recordings that are long enough for anything."""
+    """The parts of recordings without a pause that are long enough to be simulated."""
     found = []
     for samples in recordings:
         steps = np.diff(samples.stamps)
