@@ -71,7 +71,7 @@ class EffectEstimate:
 
 
 @dataclass(frozen=True, kw_only=True)
-class KnownEstimate:
+class WeighedEstimate:
     """A weighed mass [kg]: the ``given`` one and the estimated ``mass``, each with its standard deviation."""
 
     name: str
@@ -130,4 +130,4 @@ class Estimate:
     rms_nominal: FloatArray
     rms: FloatArray
     information: LinksInformation
-    known: tuple[KnownEstimate, ...] = ()
+    known: tuple[WeighedEstimate, ...] = ()

@@ -18,8 +18,8 @@ from geomid_ros.estimation.estimator import EstimatorSettings
 from geomid_ros.estimation.identifier import BufferSettings
 from geomid_ros.files.parameter_file import read_parameter_file
 from geomid_ros.model.effects import DEFAULT_EFFECTS, MotionEffect, SensorEffect, identified_effect
-from geomid_ros.model.known import WeighedMass
 from geomid_ros.model.sensors import AXES, WrenchSensor
+from geomid_ros.model.weighed_masses import WeighedMass
 from geomid_ros.signals.settings import SignalSettings
 from geomid_ros.types import FloatArray
 
