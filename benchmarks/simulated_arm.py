@@ -11,7 +11,7 @@ from scipy.signal import lfilter
 from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.estimation.estimator import EstimatorSettings, estimate
 from geomid_ros.estimation.summary import RowSummary
-from geomid_ros.model.effects import DEFAULT_EFFECTS, effect
+from geomid_ros.model.effects import DEFAULT_EFFECTS, identified_effect
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.robot import Robot
 from geomid_ros.model.samples import Samples
@@ -71,7 +71,7 @@ def arm(motion: int, seconds: float = SECONDS, resting: int | None = None) -> Ar
     if resting is not None:
         moving.position[:, resting] = joints[resting].centre
         moving.velocity[:, resting] = moving.acceleration[:, resting] = 0.0
-    model = MeasurementModel(robot, [effect(name) for name in DEFAULT_EFFECTS])
+    model = MeasurementModel(robot, [identified_effect(name) for name in DEFAULT_EFFECTS])
     none = np.zeros((len(times), 0))
     samples = Samples(
         (1e9 * times).astype(np.int64),

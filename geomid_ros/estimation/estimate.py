@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
+from geomid_ros.model.effects import Quantity
 from geomid_ros.types import FloatArray
 
 
@@ -35,7 +37,9 @@ class LinkEstimate:
 
 @dataclass(frozen=True)
 class EffectEstimate:
-    """An effect's coefficient at a joint."""
+    """An effect's coefficient at a joint, or at another place of that name.
+
+    ``parameters``: the one that it is, which of an effect with several is named in ``parameter``, and the constants."""
 
     name: str
     joint: str
@@ -43,6 +47,8 @@ class EffectEstimate:
     unit: str
     std: float
     from_data: float
+    parameter: str
+    parameters: Mapping[str, Quantity]
 
 
 @dataclass(frozen=True)

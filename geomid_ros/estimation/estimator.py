@@ -37,6 +37,7 @@ from geomid_ros.estimation.uncertainty import (
 )
 from geomid_ros.geometry import pseudo_inertia, spd
 from geomid_ros.geometry.manifold import ParameterManifold, Point
+from geomid_ros.model.effects import SensorEffect
 from geomid_ros.model.known import KnownRows, WeighedMass, known_rows
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.types import FloatArray, frozen
@@ -259,7 +260,16 @@ def _effects(
     std = diagonal * np.sqrt(np.diag(sure.covariance)[first:])
     shares = [sure.from_data(slice(column, column + 1)) for column in range(first, manifold.dimension)]
     return tuple(
-        EffectEstimate(c.effect.name, c.joint_name, float(value), c.unit, float(s), share)
+        EffectEstimate(
+            name=c.effect.name,
+            joint=c.place_name,
+            value=float(value),
+            unit=c.unit,
+            std=float(s),
+            from_data=share,
+            parameter=c.parameter if isinstance(c.effect, SensorEffect) else "",
+            parameters=c.parameters(float(value), float(s)),
+        )
         for c, value, s, share in zip(model.coefficients, point.parameters[first:], std, shares, strict=True)
     )
 

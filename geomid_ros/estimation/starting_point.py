@@ -61,9 +61,13 @@ def _least_residual(factor: FloatArray) -> tuple[float, int]:
 
 
 def scales_of_reals(model: MeasurementModel, sizes: FloatArray) -> FloatArray:
-    """The scale of each real coefficient: the size of its joint's channel."""
-    reals = model.coefficients[model.positives :]
-    return np.array([sizes[coefficient.joint] for coefficient in reals])
+    """The scale of each real coefficient: the size of the channel that it adds to, of several the largest."""
+    first = len(model.nominal_inertias) + model.positives
+    reached = [
+        [size for size, channel in zip(sizes, model.channels, strict=True) if column in channel.columns]
+        for column in range(first, model.dimension)
+    ]
+    return np.array([max(own, default=1.0) for own in reached])
 
 
 def usual_spreads(manifold: ParameterManifold) -> FloatArray:
@@ -88,16 +92,46 @@ def prior_parameters(model: MeasurementModel, summary: RowSummary, known: FloatA
         inertial = known[:first]
         parameters[:first] = np.where(np.isfinite(inertial), inertial, parameters[:first])
     sizes = channel_sizes(summary, model.dimension)
-    for index, parts in enumerate(summary.parts()):
-        columns = model.channels[index].columns
+    parts = summary.parts()
+    for group in _sharing_effects(model):
+        columns, factor = _together(
+            [model.channels[index].columns for index in group], [joined(parts[i]) for i in group], sizes[group]
+        )
         chosen = columns[columns >= first]
-        if len(chosen):
-            factor = joined(parts)
-            count = sum(part.count for part in parts)
-            parameters[chosen] = _fitted_effects(factor, count, columns, parameters, chosen, sizes[index], model)
+        count = sum(part.count for index in group for part in parts[index])
+        parameters[chosen] = _fitted_effects(
+            factor, count, columns, parameters, chosen, float(np.mean(sizes[group])), model
+        )
     if known is not None:
         parameters = np.where(np.isfinite(known), known, parameters)
     return parameters
+
+
+def _sharing_effects(model: MeasurementModel) -> list[list[int]]:
+    """The channels with effects, those together that share one."""
+    first = len(model.nominal_inertias)
+    groups: list[tuple[list[int], set[int]]] = []
+    for index, channel in enumerate(model.channels):
+        own = {int(column) for column in channel.columns if column >= first}
+        sharing = [group for group in groups if group[1] & own]
+        groups = [group for group in groups if not group[1] & own]
+        if own:
+            members = [member for group in sharing for member in group[0]]
+            groups.append(([*members, index], own.union(*(group[1] for group in sharing))))
+    return [members for members, _ in groups]
+
+
+def _together(columns: list[IntArray], factors: list[FloatArray], sizes: FloatArray) -> tuple[IntArray, FloatArray]:
+    """Columns ``(k,)`` and factor ``(rows, k + 1)`` of several channels, which weigh as much as each other."""
+    if len(factors) == 1:
+        return columns[0], factors[0]
+    union = np.unique(np.concatenate(columns))
+    blocks = []
+    for own, factor, size in zip(columns, factors, sizes, strict=True):
+        block = np.zeros((len(factor), len(union) + 1))
+        block[:, [*np.searchsorted(union, own), -1]] = factor * (np.mean(sizes) / size)
+        blocks.append(block)
+    return union, np.concatenate(blocks)
 
 
 def _check_possible(known: FloatArray, model: MeasurementModel) -> None:
@@ -109,8 +143,8 @@ def _check_possible(known: FloatArray, model: MeasurementModel) -> None:
         if np.all(np.isfinite(body)) and np.linalg.eigvalsh(pseudo_inertia.from_parameters(body))[0] <= 0.0:
             raise InputError(f"the prior of link '{name}' belongs to no body that can exist")
     for coefficient, value in zip(model.coefficients, known[first:], strict=True):
-        if coefficient.effect.positive and value <= 0.0:
-            what = f"{coefficient.effect.name} of joint '{coefficient.joint_name}'"
+        if coefficient.positive and value <= 0.0:
+            what = f"{coefficient.effect.name} of joint '{coefficient.place_name}'"
             raise InputError(f"the prior's {what} is {value:g}, expected a number greater than zero")
 
 

@@ -12,6 +12,7 @@ import numpy as np
 from geomid_ros.errors import InputError, unknown_name
 from geomid_ros.estimation.estimator import QUANTITIES
 from geomid_ros.exports.inertial import Inertial, quantities_of
+from geomid_ros.files.models.effect_forms import is_body
 from geomid_ros.files.models.joint_frames import joint_frames
 from geomid_ros.files.models.loaded_model import LoadedModel
 from geomid_ros.files.models.results import known_inertias, read_estimate
@@ -156,7 +157,7 @@ def _found_payloads(bodies: Mapping[str, Body], source: str) -> dict[str, Body]:
     found = {}
     for effect in LoadedModel.read(source).effects:
         name = f"{effect.link}_payload"
-        if effect.effect == "payload" and name in bodies:
+        if is_body(effect) and name in bodies:
             std = [effect.parameters[key].std if key in effect.parameters else np.nan for key in _PAYLOAD]
             found[name] = Body(Inertial(bodies[name].inertial.quantities, np.array(std)))
     return found

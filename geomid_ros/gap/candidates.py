@@ -1,196 +1,190 @@
-"""The library of effects: what may be named, and the columns that samples carry for it."""
+"""What may be named: the effects with their places on a robot, the coefficients to fit, and the columns of these."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import TypeAlias
 
 import numpy as np
 
-from geomid_ros.model.effects import EFFECTS, Effect, JointMotion, SituationEffect
-from geomid_ros.model.effects.backlash import CROSSINGS, Backlash
-from geomid_ros.model.effects.coulomb_friction import CoulombFriction
-from geomid_ros.model.effects.effort_delay import EffortDelay
-from geomid_ros.model.effects.effort_gain import EffortGain
-from geomid_ros.model.effects.effort_offset import EffortOffset
-from geomid_ros.model.effects.gravity_tilt import GravityTilt
-from geomid_ros.model.effects.joint_elasticity import JointElasticity
-from geomid_ros.model.effects.load_friction import LoadFriction
-from geomid_ros.model.effects.rotor_inertia import RotorInertia
-from geomid_ros.model.effects.spring import Spring
-from geomid_ros.model.effects.stribeck_friction import StribeckFriction
-from geomid_ros.model.effects.viscous_friction import ViscousFriction
-from geomid_ros.model.measurement import Coefficient, MeasurementModel
+from geomid_ros.model.columns import Columns, JointColumn, column_of
+from geomid_ros.model.effects import (
+    EFFECTS,
+    AtSensor,
+    Effect,
+    JointMotion,
+    MotionEffect,
+    OnLink,
+    Place,
+    joints_of,
+)
+from geomid_ros.model.effects.coulomb_friction import SMOOTHINGS, CoulombFriction
+from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.types import FloatArray
 
-# [rad/s or m/s] What enters nonlinearly: over which speed dry friction changes its sign, and Stribeck's speed.
-SMOOTHINGS = (0.003, 0.02, 0.08)
-STRIBECK_SPEEDS = tuple(float(speed) for speed in np.geomspace(0.03, 0.6, 25).round(4))
-RICHER = {"coulomb_friction": "stribeck_friction", "effort_offset": "spring"}
-"""Names that contain another one as a special case: of the two, the simpler is right unless the richer is needed."""
 _SCOUTS = 4  # one of so many scanned constants is tried before its name is chosen
+_PAYLOAD_PENALTY = 4.0  # mass and centre; what is said of its inertia is little
 STILL = 0.01  # [rad/s or m/s] below this friction is no function of speed
 
-_OFFSET = EffortOffset()
-_FIRST: tuple[Effect, ...] = (
-    ViscousFriction(),
-    RotorInertia(),
-    _OFFSET,
-    Spring(),
-    *(CoulombFriction(smoothing) for smoothing in SMOOTHINGS),
-    *(StribeckFriction(speed, SMOOTHINGS[0]) for speed in STRIBECK_SPEEDS),
-)
-_MORE = tuple(effect for effect in EFFECTS.values() if effect.name not in {first.name for first in _FIRST})
-MOTION_EFFECTS = (*_FIRST, *_MORE)
-"""All functions of one joint's motion, in the order of the samples' columns; what other files add comes last."""
-SIGN = MOTION_EFFECTS.index(CoulombFriction(SMOOTHINGS[0]))  # the direction of motion
-SMOOTH_SIGN = MOTION_EFFECTS.index(CoulombFriction(SMOOTHINGS[1]))  # the same, of friction that sets in slowly
-DRY = [place for place, effect in enumerate(MOTION_EFFECTS) if isinstance(effect, CoulombFriction)]
-REST = len(MOTION_EFFECTS)  # the last column: the share of the filter's window in which the joint stands still
+
+class _Rest:
+    """Whether a joint stands still."""
+
+    def column(self, motion: JointMotion) -> FloatArray:
+        return np.asarray(np.abs(motion.velocity) < STILL, dtype=np.float64)
 
 
-def effect_columns(position: FloatArray, velocity: FloatArray, acceleration: FloatArray) -> FloatArray:
-    """Columns ``(N, joints, library)`` for ``SignalPipeline(effect_columns=...)``; motions each ``(N, joints)``."""
-    columns = np.empty((*position.shape, REST + 1))
-    motion = JointMotion(position, velocity, acceleration)
-    for index, effect in enumerate(MOTION_EFFECTS):
-        columns[:, :, index] = effect.column(motion)
-    columns[:, :, REST] = np.abs(velocity) < STILL
-    return columns
+SIGN = JointColumn(CoulombFriction(SMOOTHINGS[0]))
+"""The direction of motion."""
+SMOOTH_SIGN = JointColumn(CoulombFriction(SMOOTHINGS[1]))
+"""The same, of friction that sets in slowly."""
+REST = JointColumn(_Rest())
+"""The share of the filter's window in which the joint stands still."""
+
+
+def library_columns(model: MeasurementModel) -> Columns:
+    """The columns of samples for the gap workflow: of all effects of joints' motion, with all constants to choose from,
+    and of those that the model has."""
+    found = [
+        column_of(effect, place)
+        for cls in EFFECTS.values()
+        if issubclass(cls, MotionEffect)
+        for effect in cls.variants()
+        if isinstance(effect, MotionEffect)
+        for place in model.places(effect)
+    ]
+    return Columns.of([*found, SIGN, SMOOTH_SIGN, REST, *model.columns.columns])
 
 
 @dataclass(frozen=True)
-class Term:
-    """One linear coefficient. Its column is that of ``motion`` at ``joint`` in the samples; or the one of ``index`` of
-    a ``situation``; or a constant of one ``channel``; or the one of ``index`` of a free ``curve``."""
+class EffectTerm:
+    """One linear coefficient of an effect at a place, the one of ``index``."""
+
+    effect: Effect
+    place: Place
+    index: int = 0
+
+
+@dataclass(frozen=True)
+class CurveTerm:
+    """One linear coefficient of a free ``curve`` at a joint, the one of ``index``."""
 
     joint: int
-    motion: int = -1
-    situation: SituationEffect | None = None
-    index: int = 0
-    channel: int = -1
-    curve: str = ""
+    curve: str
+    index: int
 
 
-@dataclass(frozen=True)
+Term: TypeAlias = EffectTerm | CurveTerm
+
+
+@dataclass(frozen=True, eq=False)
 class Candidate:
-    """A name at a place, for some value of the constant that is ``scanned`` (0 for names without one).
+    """An effect at a place, with one value of the constant that is scanned, if there is one.
 
-    ``terms``: its coefficients, the first ``positives`` of which cannot be negative. ``payload``: the place of the
-    link, among the identified ones, to which a body is fixed, -1 for other effects. ``penalty``: how many parameters it
-    counts for. ``group``: candidates of one group are the same name with other constants; those that ``scout`` stand
-    for the others until one is chosen.
+    Attributes:
+        effect: with its constants.
+        place: where it acts.
+        terms: its coefficients, none for a payload, which is a body.
+        penalty: how many parameters it counts for.
+        scout: whether it stands for those of its group until one is chosen.
     """
 
-    effect: str
-    joint: int
+    effect: Effect
+    place: Place
     terms: tuple[Term, ...]
-    positives: int = 0
-    payload: int = -1
-    penalty: float = 1.0
-    scanned: float = 0.0
+    penalty: float
     scout: bool = True
 
-    def excludes(self, other: Candidate) -> bool:
+    def excludes(self, other: Candidate | CurveCandidate) -> bool:
         """Whether both at once make no sense: one name and place, one a special case of the other, two payloads."""
-        if self.payload >= 0 and other.payload >= 0:
+        if isinstance(other, CurveCandidate):
+            return False
+        if self.payload is not None and other.payload is not None:
             return True
-        names = {self.effect, other.effect}
-        nested = any(names == {simple, rich} for simple, rich in RICHER.items())
-        return self.group == other.group or (nested and self.joint == other.joint)
+        nested = self.effect.contains == other.name or other.effect.contains == self.name
+        return self.group == other.group or (nested and joints_of(self.place) == joints_of(other.place))
 
     @property
-    def group(self) -> tuple[str, int, int]:
-        """Name and place."""
-        return self.effect, self.joint, self.payload
+    def name(self) -> str:
+        """The effect's."""
+        return self.effect.name
 
-    def __hash__(self) -> int:
-        return hash((self.group, self.terms))
+    @property
+    def payload(self) -> int | None:
+        """The identified link, by its place among these, that carries it, of a body."""
+        return self.place.link if isinstance(self.place, OnLink) else None
+
+    @property
+    def joint(self) -> int | None:
+        """The joint at which it acts alone."""
+        joints = joints_of(self.place)
+        return joints[0] if len(joints) == 1 else None
+
+    @property
+    def positives(self) -> int:
+        """How many of its coefficients, the first ones, cannot be negative."""
+        return self.effect.positives
+
+    @property
+    def scanned(self) -> float:
+        """The value of the constant that is scanned, 0 for an effect without one."""
+        return self.effect.scanned
+
+    @property
+    def group(self) -> tuple[str, Place]:
+        """Name and place: candidates of one group are the same effect with other constants."""
+        return self.name, self.place
 
 
-_SITUATION: tuple[SituationEffect, ...] = (LoadFriction(), EffortGain(), JointElasticity())
+@dataclass(frozen=True, eq=False)
+class CurveCandidate:
+    """A free curve of one ``variable`` (position, velocity, load, time or a joint's name) at a joint."""
+
+    variable: str
+    curve: str
+    joint: int
+    terms: tuple[Term, ...]
+    penalty: float
+
+    def excludes(self, other: Candidate | CurveCandidate) -> bool:
+        """Whether it is a curve of the same variable."""
+        return isinstance(other, CurveCandidate) and self.group == other.group
+
+    payload = None
+    positives = 0
+
+    @property
+    def group(self) -> tuple[str, int]:
+        """Variable and joint."""
+        return self.variable, self.joint
+
+
+AnyCandidate: TypeAlias = Candidate | CurveCandidate
 
 
 def candidates(model: MeasurementModel) -> list[Candidate]:
     """All names for a robot with its sensors."""
-    found: list[Candidate] = []
-    joints = range(len(model.robot.joints)) if model.efforts_usable else range(0)
-    for joint in joints:
-        found += _joint_candidates(joint)
-    if joints and not model.robot.floating_base:
-        found.append(Candidate("effort_delay", -1, (Term(-1, situation=EffortDelay()),)))
-    if not model.robot.floating_base:
-        tilt = GravityTilt()
-        found.append(
-            Candidate("gravity_tilt", -1, (Term(-1, situation=tilt), Term(-1, situation=tilt, index=1)), penalty=2)
-        )
-    found += [
-        Candidate("payload", _mover(model, place), (), payload=place, penalty=4)
-        for place in range(len(model.identified))
-    ]
-    return found + _wrench_offsets(model)
+    found = [candidate for cls in EFFECTS.values() for candidate in _candidates_of(cls, model)]
+    return sorted(found, key=_order)
 
 
-def _joint_candidates(joint: int) -> list[Candidate]:
-    found = [_motion_candidate(joint, effect) for effect in MOTION_EFFECTS]
-    found += [
-        Candidate(effect.name, joint, (Term(joint, situation=effect),), int(effect.positive)) for effect in _SITUATION
-    ]
-    found += [
-        Candidate(
-            "backlash",
-            joint,
-            (Term(joint, situation=Backlash(place)),),
-            1,
-            penalty=2,
-            scanned=crossing,
-            scout=place % _SCOUTS == 0,
-        )
-        for place, crossing in enumerate(CROSSINGS)
-    ]
-    return found
+def _order(candidate: Candidate) -> tuple[int, int]:
+    """Joint by joint; then the whole robot, payloads, sensors."""
+    kinds = ("joint", "joints", "robot", "link", "sensor")
+    kind = kinds.index(candidate.effect.place)
+    return kind, candidate.joint or 0 if kind == 0 else 0
 
 
-def _motion_candidate(joint: int, effect: Effect) -> Candidate:
-    def term(of: Effect) -> Term:
-        return Term(joint, motion=MOTION_EFFECTS.index(of))
-
-    if isinstance(effect, Spring):
-        return Candidate(effect.name, joint, (term(effect), term(_OFFSET)), 1, penalty=2)
-    if isinstance(effect, StribeckFriction):
-        terms = term(CoulombFriction(effect.smoothing)), term(effect)
-        scout = effect.speed in STRIBECK_SPEEDS[::_SCOUTS]
-        return Candidate(effect.name, joint, terms, 2, penalty=3, scanned=effect.speed, scout=scout)
-    return Candidate(effect.name, joint, (term(effect),), int(effect.positive))
+def _candidates_of(cls: type[Effect], model: MeasurementModel) -> Iterator[Candidate]:
+    for index, effect in enumerate(cls.variants()):
+        for place in model.places(effect):
+            terms = tuple(_terms(effect, place))
+            penalty = len(terms) + (effect.scanned != 0.0) if terms else _PAYLOAD_PENALTY
+            yield Candidate(effect, place, terms, penalty, not effect.scanned or index % _SCOUTS == 0)
 
 
-def _mover(model: MeasurementModel, place: int) -> int:
-    """The joint that moves an identified body, -1 for none."""
-    children = [joint.child for joint in model.robot.tree.joints if joint.name in model.robot.joint_names]
-    name = model.body_names[place]
-    owners = [j for j in model.robot.tree.joints if j.name in model.robot.joint_names]
-    moved = {joint.child: joint.name for joint in owners}
-    while name not in children:
-        parent = next((joint.parent for joint in model.robot.tree.joints if joint.child == name), None)
-        if parent is None:
-            return -1
-        name = parent
-    return model.robot.joint_names.index(moved[name])
-
-
-def _wrench_offsets(model: MeasurementModel) -> list[Candidate]:
-    first = len(model.robot.joints) if model.efforts_usable else 0
-    found = []
-    for sensor in model.mounted:
-        channels = range(first, first + len(sensor.axes))
-        terms = tuple(Term(-1, channel=channel) for channel in channels)
-        found.append(Candidate("wrench_offset", -1, terms, penalty=len(terms)))
-        first = channels.stop
-    return found
-
-
-def base_term(coefficient: Coefficient) -> Term:
-    """The term of an effect that the model already has."""
-    names = [effect.name for effect in MOTION_EFFECTS]
-    if coefficient.effect in MOTION_EFFECTS:
-        return Term(coefficient.joint, motion=MOTION_EFFECTS.index(coefficient.effect))
-    return Term(coefficient.joint, motion=names.index(coefficient.effect.name))
+def _terms(effect: Effect, place: Place) -> Iterator[EffectTerm]:
+    for part in effect.parts:
+        count = len(place.channels) if isinstance(place, AtSensor) else part.count
+        yield from (EffectTerm(part, place, index) for index in range(count))

@@ -6,19 +6,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Literal, TypeAlias
 
+from geomid_ros.model.effects import KnownEffect, Quantity
 from geomid_ros.types import FloatArray, IntArray
 
 Confidence: TypeAlias = Literal["confident", "tentative", "ambiguous"]
 Verdict: TypeAlias = Literal["no gap", "named", "incomplete", "unexplained"]
-
-
-@dataclass(frozen=True)
-class Quantity:
-    """A parameter's value with its standard deviation and unit."""
-
-    value: float
-    std: float
-    unit: str
 
 
 @dataclass(frozen=True)
@@ -30,7 +22,7 @@ class Rival:
     loss: float
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Finding:
     """A named effect.
 
@@ -64,7 +56,7 @@ class Unexplained:
     gap: float
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class Trace:
     """Held-out data: ``stamps (N,)`` [ns], joints' ``position, velocity (N, joints)``, and by channel what was measured
     and what the three models predict, ``(N, channels)``, NaN where not measured. ``load (N, channels)`` is the
@@ -114,12 +106,13 @@ class Ranked:
     chosen: bool
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class GapResult:
     """The whole finding. ``channels`` name the rows of all per-channel arrays; ``units`` are theirs, ``floor`` is the
     noise's standard deviation in them. ``inertias (bodies, 10)`` are those of the final model (pinocchio's order, about
     the link's origin), payloads not included; ``bodies`` their links. ``coefficients`` are those of the effects that
-    the model had before, fitted anew, in its order, NaN where it had none or a finding's parameter is the whole."""
+    the model had before, fitted anew, in its order, NaN where it had none or a finding's parameter is the whole;
+    ``beside`` are those that it had beside its coefficients, fitted anew."""
 
     verdict: Verdict
     findings: tuple[Finding, ...]
@@ -134,4 +127,5 @@ class GapResult:
     bodies: tuple[str, ...]
     inertias: FloatArray
     coefficients: FloatArray
+    beside: tuple[KnownEffect, ...]
     seconds: float

@@ -10,10 +10,10 @@ import numpy as np
 
 from geomid_ros.errors import InputError
 from geomid_ros.estimation.estimate import LinksInformation
-from geomid_ros.gap import candidates as library
+from geomid_ros.gap.candidates import REST, EffectTerm
 from geomid_ros.gap.evidence.record import Records
 from geomid_ros.gap.fitting.fit import Prior, unfitted
-from geomid_ros.gap.fitting.stage import Stage, TotalModel
+from geomid_ros.gap.fitting.stage import Stage, total_model
 from geomid_ros.gap.judgement.held_out import HeldOut
 from geomid_ros.gap.judgement.locate import located
 from geomid_ros.gap.judgement.verdict import findings, ranking, unexplained, verdict
@@ -21,13 +21,15 @@ from geomid_ros.gap.result import GapResult
 from geomid_ros.gap.search.analysis import Analysis, analyse
 from geomid_ros.gap.settings import GapSettings
 from geomid_ros.geometry import pseudo_inertia
-from geomid_ros.model.measurement import MeasurementModel
+from geomid_ros.model.effects import KnownEffect, effect_class, joint_of
+from geomid_ros.model.measurement import Coefficient, MeasurementModel
 from geomid_ros.model.samples import Samples
 from geomid_ros.types import FloatArray
 
 _DEFAULT = GapSettings()
 _FEWEST_ROWS = 100
 _SPREAD_OF_EFFECTS = 0.2  # of the coefficients that the model already has, relative
+_CERTAINTY_OF_GUESSED = 4.0
 _CERTAINTY_OF_IDENTIFIED = 400.0  # what was identified is hardly ever as wrong as a drawing
 _SPREAD_OF_SIMULATED = 0.02
 _LEAST_SPREAD = 1e-3
@@ -42,6 +44,7 @@ def find_gap(
     nominal: FloatArray | None = None,
     deviations: FloatArray | None = None,
     known: LinksInformation | None = None,
+    beside: Sequence[KnownEffect] = (),
     simulated: Sequence[Samples] = (),
     progress: Callable[[str, float], None] | None = None,
 ) -> GapResult:
@@ -51,7 +54,8 @@ def find_gap(
     ``nominal (D,)``: the model's parameters (the URDF's inertias and no effects unless given, as
     :func:`geomid_ros.estimation.estimator.nominal_parameters`; those of an estimate.json with ``--model``; NaN where
     that has none). ``deviations (D,)``: their standard deviations where they are known, NaN elsewhere. ``known``: what
-    the recordings say that these were identified from, others than ``train``, of all links together.
+    the recordings say that these were identified from, others than ``train``, of all links together. ``beside``: the
+    effects that the model has beside its coefficients, at joints, which depend on what it says of a motion.
 
     ``train``, ``held_out``: one element per recording, or per part of one without a pause, in the order of time: all
     the samples of a stretch in ONE :class:`Samples` (``Samples.concatenate`` what a pipeline collects), not batches.
@@ -62,7 +66,7 @@ def find_gap(
     The samples come from a pipeline made for the purpose::
 
         SignalPipeline(
-            robot.joint_names, ..., effect_columns=geomid_ros.gap.candidates.effect_columns,
+            robot.joint_names, ..., effect_columns=geomid_ros.gap.candidates.library_columns(model),
             settings=replace(signals, cutoff=settings.cutoff),
         )
 
@@ -79,6 +83,7 @@ def find_gap(
     _check(bare, records)
     _check_held_out(bare, held)
     prior = _prior(model, nominal, deviations, known, settings)
+    prior, own = _with_beside(bare, records, prior, beside)
     if simulated:
         prior = _as_simulated(bare, Records.make(simulated, settings.cutoff), prior, report)
     analysis = analyse(bare, records, prior, report)
@@ -88,23 +93,24 @@ def find_gap(
     found = findings(bare, analysis, unseen)
     report("judging", 1.0)
     untouched = unfitted(prior)
-    stage = Stage(bare, records, TotalModel.of(bare, untouched))
+    stage = Stage(bare, records, total_model(bare, untouched))
     first = stage.residual(stage.columns((), prior.terms), untouched)
     return GapResult(
-        verdict(analysis, unseen),
-        found,
-        left,
-        tuple(channel.name for channel in bare.channels),
-        tuple(channel.unit for channel in bare.channels),
-        analysis.floor,
-        unseen.gap,
-        located(bare, records, first, np.abs(records.rows(bare).targets - first)),
-        ranking(bare, analysis),
-        unseen.trace,
-        bare.body_names,
-        _links(analysis),
-        _coefficients(model, prior, analysis),
-        perf_counter() - started,
+        verdict=verdict(analysis, unseen),
+        findings=found,
+        unexplained=left,
+        channels=tuple(channel.name for channel in bare.channels),
+        units=tuple(channel.unit for channel in bare.channels),
+        floor=analysis.floor,
+        gap=unseen.gap,
+        located=located(bare, records, first, np.abs(records.rows(bare).targets - first)),
+        ranking=ranking(bare, analysis),
+        trace=unseen.trace,
+        bodies=bare.body_names,
+        inertias=_links(analysis),
+        coefficients=_coefficients(model, prior, analysis),
+        beside=tuple(_refitted(bare, analysis, place, known) for place, known in own.items()),
+        seconds=perf_counter() - started,
     )
 
 
@@ -123,7 +129,7 @@ def _check(model: MeasurementModel, records: Records) -> None:
     if not np.any(np.isfinite(targets)):
         names = ", ".join(channel.name for channel in model.channels)
         raise InputError(f"no effort or wrench is measured: at least one of these channels is needed: {names}")
-    if np.all(records.samples.effects[:, :, library.REST] > 0.5):
+    if np.all(records.samples.column(REST) > 0.5):
         raise InputError("no joint moves: record a motion that takes all joints through their ranges")
 
 
@@ -151,11 +157,59 @@ def _prior(
     own = np.flatnonzero(coefficients)
     strengths = coefficients[own]
     spreads = np.maximum(np.maximum(_SPREAD_OF_EFFECTS * np.abs(strengths), _LEAST_SPREAD), unsure[own])
-    terms = tuple(library.base_term(model.coefficients[place]) for place in own)
-    if np.any(np.isfinite(values[:size])):
-        spread = settings.identified_spread
-        return Prior(inertias, spread, terms, strengths, spreads, _CERTAINTY_OF_IDENTIFIED, known)
-    return Prior(inertias, settings.spread, terms, strengths, spreads)
+    terms = tuple(_term(model.coefficients[place]) for place in own)
+    identified = bool(np.any(np.isfinite(values[:size])))
+    return Prior(
+        inertias=inertias,
+        spread=settings.identified_spread if identified else settings.spread,
+        terms=terms,
+        values=strengths,
+        spreads=spreads,
+        certainty=_CERTAINTY_OF_IDENTIFIED if identified else _CERTAINTY_OF_GUESSED,
+        known=known if identified else None,
+    )
+
+
+def _term(coefficient: Coefficient) -> EffectTerm:
+    """The term of an effect that the model already has."""
+    return EffectTerm(coefficient.effect, coefficient.place, coefficient.index)
+
+
+def _with_beside(
+    model: MeasurementModel, records: Records, prior: Prior, beside: Sequence[KnownEffect]
+) -> tuple[Prior, dict[EffectTerm, KnownEffect]]:
+    """The prior with the effects ``beside`` the model's coefficients, and these by their terms."""
+    if not beside:
+        return prior, {}
+    situation = Stage(model, records, total_model(model, unfitted(prior))).situation
+    own: dict[EffectTerm, KnownEffect] = {}
+    values: list[float] = []
+    for known in beside:
+        cls = effect_class(known.effect)
+        place = model.place_called(cls(), known.joint)
+        numbers = {name: quantity.value for name, quantity in known.parameters.items()}
+        ((effect, (value,)),) = cls.coefficients(numbers, situation.usual_load(joint_of(place))).items()
+        own[EffectTerm(effect, place)] = known
+        values.append(value)
+    spreads = _SPREAD_OF_EFFECTS * np.abs(values)
+    extended = replace(
+        prior,
+        terms=(*prior.terms, *own),
+        values=np.append(prior.values, values),
+        spreads=np.append(prior.spreads, spreads),
+    )
+    return extended, own
+
+
+def _refitted(model: MeasurementModel, analysis: Analysis, term: EffectTerm, known: KnownEffect) -> KnownEffect:
+    """An effect beside the model's coefficients with the size that was fitted."""
+    found = analysis.names
+    place = found.place(term)
+    values, covariance = np.array([found.value(term)]), found.covariance[place : place + 1, place : place + 1]
+    load = analysis.stage.situation.usual_load(joint_of(term.place))
+    sliding = model.slides(term.place)
+    parameters = term.effect.quantities(values, covariance, sliding=sliding, usual_load=load)
+    return replace(known, parameters=parameters)
 
 
 def _as_simulated(
@@ -164,16 +218,23 @@ def _as_simulated(
     """What the user's simulator shows: its inertias with their payloads, and its effects, in place of the model's."""
     _check(model, records)
     found = analyse(model, records, replace(prior, known=None), report).names
-    inertias = TotalModel.of(model, found).inertias[list(model.identified)].ravel()
+    inertias = total_model(model, found).inertias[list(model.identified)].ravel()
     values = np.array([found.value(term) for term in found.terms])
     spreads = np.maximum(_SPREAD_OF_SIMULATED * np.abs(values), _LEAST_SPREAD)
-    return Prior(inertias, prior.spread, found.terms, values, spreads, prior.certainty)
+    return Prior(
+        inertias=inertias,
+        spread=prior.spread,
+        terms=found.terms,
+        values=values,
+        spreads=spreads,
+        certainty=prior.certainty,
+    )
 
 
 def _coefficients(model: MeasurementModel, prior: Prior, analysis: Analysis) -> FloatArray:
     """The model's own coefficients as they were fitted ``(coefficients,)``, NaN where it had none or a name says it."""
     said = {term for candidate in analysis.names.chosen for term in candidate.terms}
-    terms = [library.base_term(coefficient) for coefficient in model.coefficients]
+    terms = [_term(coefficient) for coefficient in model.coefficients]
     own = [term in prior.terms and term not in said for term in terms]
     return np.array([analysis.names.value(term) if kept else np.nan for term, kept in zip(terms, own, strict=True)])
 

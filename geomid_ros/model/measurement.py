@@ -7,7 +7,7 @@ coefficients, then the real ones.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import chain
 from types import MappingProxyType
@@ -16,30 +16,65 @@ import numpy as np
 
 from geomid_ros.errors import InputError, unknown_name
 from geomid_ros.geometry.manifold import ParameterManifold
-from geomid_ros.model.effects import Effect, JointMotion
+from geomid_ros.model.columns import Columns, column_of, reached_joints
+from geomid_ros.model.effects import (
+    AtJoint,
+    AtJoints,
+    AtSensor,
+    Effect,
+    MotionEffect,
+    OnLink,
+    OnRobot,
+    PairEffect,
+    Place,
+    Quantity,
+    SensorEffect,
+    joints_of,
+)
+from geomid_ros.model.effects.places import pair_name
 from geomid_ros.model.robot import Robot
 from geomid_ros.model.samples import Samples
 from geomid_ros.model.sensors import WORLD_FRAMES, WrenchSensor
 from geomid_ros.types import FloatArray, IntArray
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Coefficient:
-    """An effect's coefficient at one joint."""
+    """One of an effect's coefficients at a place, the one of ``index``, which is the ``parameter`` of that name."""
 
-    effect: Effect
-    joint: int
-    joint_name: str
+    effect: MotionEffect | SensorEffect
+    place: Place
+    index: int
+    place_name: str
+    parameter: str
     unit: str
 
+    @property
+    def positive(self) -> bool:
+        """Whether it lives on P(1)."""
+        return self.index < self.effect.positives
 
-@dataclass(frozen=True, eq=False)
+    def parameters(self, value: float, std: float) -> dict[str, Quantity]:
+        """Its effect's parameters: the one that it is, and the constants."""
+        own = {self.parameter: Quantity(value, std, self.unit)}
+        constants = self.effect.constants([(value, std)], 0.0, 0.0)
+        forms = self.effect.parameters[-len(constants) :] if constants else ()
+        sliding = self.effect.parameters[0].units[0] != self.unit
+        return own | {f.name: Quantity(*c, f.units[sliding]) for f, c in zip(forms, constants, strict=True)}
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
 class Channel:
-    """One measured number: its name, unit, and the parameters (columns) that it can depend on."""
+    """One measured number: a ``joint``'s effort, or an ``axis`` of the wrench of a ``topic``.
+
+    ``columns``: the parameters that it can depend on."""
 
     name: str
     unit: str
     columns: IntArray
+    joint: int | None = None
+    topic: str = ""
+    axis: str = ""
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,23 +91,31 @@ class MeasurementModel:
     def __init__(
         self,
         robot: Robot,
-        effects: Sequence[Effect],
+        effects: Sequence[MotionEffect | SensorEffect],
         sensors: Sequence[WrenchSensor] = (),
         links: Sequence[str] | None = None,
-        local_effects: Mapping[str, Sequence[Effect]] = MappingProxyType({}),
+        local_effects: Mapping[str, Sequence[MotionEffect | SensorEffect]] = MappingProxyType({}),
     ) -> None:
-        """``links`` are the bodies to identify (all unless given); the others keep their URDF's inertia.
+        """A model of a robot.
 
-        ``effects`` act at every joint, ``local_effects`` at the joint that they are given for."""
+        Args:
+            robot: its bodies and joints.
+            effects: act at every place of their kind.
+            sensors: the wrench sensors.
+            links: the bodies to identify (all unless given); the others keep their URDF's inertia.
+            local_effects: act only at the place by whose name they are given.
+
+        Raises:
+            InputError: for a link or sensor that does not fit the robot, or where nothing measured can be predicted.
+        """
         self.robot = robot
         self.sensors = tuple(sensors)
         self._links = links
         self.identified = self._identified_bodies(links)
         self._common = tuple(effects)
         self._local = local_effects
-        self.effects = tuple(dict.fromkeys([*effects, *chain.from_iterable(local_effects.values())]))
-        self.coefficients = self._coefficients()
         self._check_sensors()
+        self.coefficients = self._coefficients()
         self.channels = (*self._joint_channels(), *self._wrench_channels())
         if not self.channels:
             raise InputError(
@@ -89,15 +132,116 @@ class MeasurementModel:
         return tuple(index for index, name in enumerate(names) if links is None or name in links)
 
     def _coefficients(self) -> tuple[Coefficient, ...]:
-        if not self.efforts_usable:
-            return ()
-        ordered = sorted(self.effects, key=lambda effect: not effect.positive)
-        return tuple(
-            Coefficient(effect, index, joint.name, effect.units[joint.unit == "N"])
-            for effect in ordered
-            for index, joint in enumerate(self.robot.joints)
-            if effect in self._common or effect in self._local.get(joint.name, ())
-        )
+        effects = dict.fromkeys([*self._common, *chain.from_iterable(self._local.values())])
+        found = [
+            coefficient
+            for effect in effects
+            for place in self.places(effect)
+            if self._acts(effect, self.place_name(place))
+            for coefficient in self._coefficients_at(effect, place)
+        ]
+        return tuple(sorted(found, key=lambda coefficient: not coefficient.positive))
+
+    def _acts(self, effect: MotionEffect | SensorEffect, place: str) -> bool:
+        """Whether an effect is in the model at a place: one that is known there, or one that every place has unless it
+        is known there with other constants."""
+        local = self._local.get(place, ())
+        return effect in local or (effect in self._common and effect.name not in {other.name for other in local})
+
+    def _coefficients_at(self, effect: MotionEffect | SensorEffect, place: Place) -> Iterator[Coefficient]:
+        name, sliding = self.place_name(place), self.slides(place)
+        forms = effect.parameters[:1]
+        if isinstance(place, AtSensor):
+            axes = self._sensor(place.topic).axes
+            forms = tuple(form for form in effect.parameters if form.name in axes)
+        for index, form in enumerate(forms):
+            yield Coefficient(
+                effect=effect,
+                place=place,
+                index=index,
+                place_name=name,
+                parameter=form.name,
+                unit=form.units[sliding],
+            )
+
+    def places(self, effect: Effect) -> list[Place]:
+        """Where on this robot an effect may act."""
+        match effect.place:
+            case "joint":
+                return [AtJoint(joint) for joint in range(self.effort_channels)]
+            case "joints" if isinstance(effect, PairEffect):
+                return [AtJoints(*pair) for pair in effect.pairs(self._chain)] if self.efforts_usable else []
+            case "robot":
+                felt = self.effort_channels or effect.acts_on_wrenches
+                return [OnRobot()] if felt and not self.robot.floating_base else []
+            case "link":
+                return [OnLink(place, self._mover(place)) for place in range(len(self.identified))]
+            case "sensor":
+                return [AtSensor(topic, tuple(channels)) for topic, channels in self._mounted_channels().items()]
+        return []
+
+    def place_name(self, place: Place) -> str:
+        """What files and tables call a place: a joint, two as ``FIRST+SECOND``, the joint that moves a link, the topic
+        of a sensor; empty for the whole robot."""
+        match place:
+            case AtSensor(topic, _):
+                return topic
+            case AtJoints(first, second):
+                return pair_name(self.robot.joint_names[first], self.robot.joint_names[second])
+        return "".join(self.robot.joint_names[joint] for joint in joints_of(place))
+
+    def place_called(self, effect: Effect, name: str) -> Place:
+        """The place of an effect by its :meth:`place_name`. Raises InputError with the valid names."""
+        places = {self.place_name(place): place for place in self.places(effect)}
+        if name not in places:
+            raise unknown_name(f"place of {effect.label}", name, places)
+        return places[name]
+
+    def slides(self, place: Place) -> bool:
+        """Whether the (first) joint of a place is prismatic."""
+        joints = joints_of(place)
+        return bool(joints) and self.robot.joints[joints[0]].unit == "N"
+
+    @property
+    def effort_channels(self) -> int:
+        """How many channels, the first ones, are joints' efforts: all joints' or none."""
+        return len(self.robot.joints) if self.efforts_usable else 0
+
+    @property
+    def _chain(self) -> list[tuple[int, int]]:
+        """Pairs of joints of which the second moves on the first, nothing that moves between them."""
+        joints = {joint.child: joint for joint in self.robot.tree.joints}
+        moving = {name: index for index, name in enumerate(self.robot.joint_names)}
+        found = []
+        for joint in self.robot.tree.joints:
+            if joint.name in moving:
+                above = joints.get(joint.parent)
+                while above is not None and above.name not in moving:
+                    above = joints.get(above.parent)
+                if above is not None:
+                    found.append((moving[above.name], moving[joint.name]))
+        return found
+
+    def _mover(self, place: int) -> int | None:
+        """The joint that moves an identified body."""
+        owners = {joint.child: joint for joint in self.robot.tree.joints}
+        link: str | None = self.body_names[place]
+        while link is not None and link in owners:
+            if owners[link].name in self.robot.joint_names:
+                return self.robot.joint_names.index(owners[link].name)
+            link = owners[link].parent
+        return None
+
+    def _mounted_channels(self) -> dict[str, range]:
+        """Places of the mounted sensors' axes among the channels, by topic."""
+        found, first = {}, self.effort_channels
+        for sensor in self.mounted:
+            found[sensor.topic] = range(first, first + len(sensor.axes))
+            first = found[sensor.topic].stop
+        return found
+
+    def _sensor(self, topic: str) -> WrenchSensor:
+        return next(sensor for sensor in self.sensors if sensor.topic == topic)
 
     def _check_sensors(self) -> None:
         for sensor in self.sensors:
@@ -161,7 +305,7 @@ class MeasurementModel:
     @property
     def positives(self) -> int:
         """How many of the effects' coefficients are positive; they come first."""
-        return sum(coefficient.effect.positive for coefficient in self.coefficients)
+        return sum(coefficient.positive for coefficient in self.coefficients)
 
     @property
     def body_names(self) -> tuple[str, ...]:
@@ -177,27 +321,41 @@ class MeasurementModel:
         """The manifold of the parameters, with the scales of the real coefficients."""
         return ParameterManifold(len(self.identified), self.positives, scales)
 
-    def _columns(self, bodies: Sequence[int], joint: int | None) -> IntArray:
+    def _columns(self, bodies: Sequence[int], acts: Callable[[Place], bool]) -> IntArray:
+        """Parameters of these bodies, and of the effects at places where they act on a channel."""
         columns = [10 * place + k for place, body in enumerate(self.identified) if body in bodies for k in range(10)]
         first = 10 * len(self.identified)
-        columns += [first + k for k, coefficient in enumerate(self.coefficients) if coefficient.joint == joint]
+        columns += [first + k for k, coefficient in enumerate(self.coefficients) if acts(coefficient.place)]
         return np.array(columns, dtype=np.int64)
 
     def _joint_channels(self) -> list[Channel]:
-        if not self.efforts_usable:
-            return []
         children = {joint.name: joint.child for joint in self.robot.tree.joints}
+        count = self.effort_channels
         return [
-            Channel(joint.name, joint.unit, self._columns(self.robot.subtree(children[joint.name]), index))
-            for index, joint in enumerate(self.robot.joints)
+            Channel(
+                name=joint.name,
+                unit=joint.unit,
+                columns=self._columns(
+                    self.robot.subtree(children[joint.name]),
+                    lambda place, index=index: index in reached_joints(place, count),  # type: ignore[misc]
+                ),
+                joint=index,
+            )
+            for index, joint in enumerate(self.robot.joints[:count])
         ]
 
     def _wrench_channels(self) -> list[Channel]:
-        channels = []
+        channels: list[Channel] = []
         for sensor in self._row_sensors:
-            columns = self._columns(self._loaded_bodies(sensor), None)
-            topic = sensor.topic.strip("/")
-            channels += [Channel(f"{topic}/{axis}", "N" if axis[0] == "f" else "N m", columns) for axis in sensor.axes]
+            for axis in sensor.axes:
+                index = self.effort_channels + len(channels)
+                columns = self._columns(
+                    self._loaded_bodies(sensor),
+                    lambda place, index=index: isinstance(place, AtSensor) and index in place.channels,  # type: ignore[misc]
+                )
+                name = f"{sensor.topic.strip('/')}/{axis}"
+                unit = "N" if axis[0] == "f" else "N m"
+                channels.append(Channel(name=name, unit=unit, columns=columns, topic=sensor.topic, axis=axis))
         return channels
 
     @property
@@ -216,7 +374,7 @@ class MeasurementModel:
         targets = np.empty((len(samples), len(self.channels)))
         wrenches = self._measured_wrenches(samples)
         for index, (q, v, a) in enumerate(zip(*self.robot.configuration(samples), strict=True)):
-            joints = len(self.robot.joints) if self.efforts_usable else 0
+            joints = self.effort_channels
             if joints:
                 bodies[index, :joints] = self.robot.joint_effort_rows(q, v, a)
                 targets[index, :joints] = samples.effort[index]
@@ -270,23 +428,27 @@ class MeasurementModel:
         for index in known:
             targets -= bodies[:, :, index] @ self.robot.bodies[index].parameters
         coefficients = np.concatenate([inertial, np.zeros((count, len(self.channels), len(self.coefficients)))], axis=2)
-        first = inertial.shape[2]
-        columns = samples.effects
-        if columns.shape[2] != len(self.effects):
-            columns = self.effect_columns(samples.position, samples.velocity, samples.acceleration)
-        for place, coefficient in enumerate(self.coefficients):
-            column = columns[:, coefficient.joint, self.effects.index(coefficient.effect)]
-            coefficients[:, coefficient.joint, first + place] = column
+        for column, coefficient in enumerate(self.coefficients, inertial.shape[2]):
+            for channel, values in self._columns_by_channel(samples, coefficient).items():
+                coefficients[:, channel, column] = values
         return Rows(coefficients, targets)
 
-    def effect_columns(self, position: FloatArray, velocity: FloatArray, acceleration: FloatArray) -> FloatArray:
-        """Effort per unit of each effect's coefficient ``(N, joints, effects)`` for a motion, each ``(N, joints)``."""
-        columns = np.zeros((*position.shape, len(self.effects)))
-        for joint in range(position.shape[1]):
-            motion = JointMotion(position[:, joint], velocity[:, joint], acceleration[:, joint])
-            for index, effect in enumerate(self.effects):
-                columns[:, joint, index] = effect.column(motion)
-        return columns
+    def _columns_by_channel(self, samples: Samples, coefficient: Coefficient) -> dict[int, FloatArray]:
+        """What a unit of a coefficient adds to the channels ``(N,)``."""
+        effect, place = coefficient.effect, coefficient.place
+        if isinstance(effect, MotionEffect):
+            own = samples.column(column_of(effect, place))
+            return {joint: own[:, joint] for joint in reached_joints(place, self.effort_channels)}
+        channels = place.channels if isinstance(place, AtSensor) else ()
+        columns = effect.columns(samples.motion, [self.channels[channel].axis for channel in channels])
+        return {channel: columns[:, row, coefficient.index] for row, channel in enumerate(channels)}
+
+    @property
+    def columns(self) -> Columns:
+        """The columns of the effects, as samples carry them."""
+        return Columns.of(
+            column_of(c.effect, c.place) for c in self.coefficients if isinstance(c.effect, MotionEffect)
+        )
 
     def predict(self, samples: Samples, parameters: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Measured and predicted values of every channel, each ``(N, channels)``, at parameters ``(D,)``."""
@@ -299,6 +461,5 @@ class MeasurementModel:
         measured, predicted = self.predict(samples, parameters)
         efforts = np.full(samples.effort.shape, np.nan)
         if self.efforts_usable:
-            joints = len(self.robot.joints)
-            efforts[:] = samples.effort - (measured - predicted)[:, :joints]
+            efforts[:] = samples.effort - (measured - predicted)[:, : self.effort_channels]
         return efforts

@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
+from typing import Any
 
 import numpy as np
 
+from geomid_ros.model.columns import NO_COLUMNS, Column, Columns
+from geomid_ros.model.effects import Motion
 from geomid_ros.types import AnyArray, FloatArray, IntArray
 
 
@@ -17,9 +20,8 @@ class Samples:
     effort is not measured; ``base_pose (N, 7)`` position and quaternion xyzw of the base in the world,
     ``base_velocity, base_acceleration (N, 6)`` its spatial velocity and that velocity's derivative in the base frame
     (linear, angular), all with 0 columns for a fixed base; ``wrenches (N, sensors, 6)`` force and torque.
-    ``effects (N, joints, effects)`` are the effects' columns (:meth:`MeasurementModel.effect_columns`), computed before
-    the filter and filtered as the efforts were; with 0 effects they are computed from the motion given here, which is
-    right when that is exact.
+    ``effects (N, joints, K)`` are the effects' ``columns``, computed before the filter and filtered as the efforts
+    were; a column that is not among them is computed from the motion given here, which is right when that is exact.
     """
 
     stamps: IntArray
@@ -32,23 +34,43 @@ class Samples:
     base_acceleration: FloatArray
     wrenches: FloatArray
     effects: FloatArray = None  # type: ignore[assignment]  # replaced by an array without columns
+    columns: Columns = NO_COLUMNS
 
     def __post_init__(self) -> None:
         if self.effects is None:
             object.__setattr__(self, "effects", np.zeros((*self.position.shape, 0)))
-        for field in fields(self):
-            array = np.asarray(getattr(self, field.name))
+        if self.effects.shape[2] != len(self.columns):
+            raise ValueError(f"{self.effects.shape[2]} effect columns for {len(self.columns)} descriptions")
+        for name in _ARRAYS:
+            array = np.asarray(getattr(self, name))
             array.setflags(write=False)
-            object.__setattr__(self, field.name, array)
+            object.__setattr__(self, name, array)
 
     def __len__(self) -> int:
         return len(self.stamps)
 
+    @property
+    def motion(self) -> Motion:
+        """The joints' motion."""
+        return Motion(self.position, self.velocity, self.acceleration)
+
+    def column(self, column: Column) -> FloatArray:
+        """One of the effects' columns ``(N, joints)``."""
+        if column in self.columns.columns:
+            values: FloatArray = self.effects[:, :, self.columns.columns.index(column)]
+            return values
+        return column.values(self.motion)
+
     def select(self, index: AnyArray | slice) -> Samples:
         """The samples chosen by a mask, index array or slice."""
-        return Samples(*(getattr(self, field.name)[index] for field in fields(self)))
+        arrays = {name: getattr(self, name)[index] for name in _ARRAYS}
+        return Samples(**arrays, columns=self.columns)
 
     @staticmethod
     def concatenate(parts: list[Samples]) -> Samples:
         """All samples of ``parts`` (at least one), in order."""
-        return Samples(*(np.concatenate([getattr(part, field.name) for part in parts]) for field in fields(Samples)))
+        arrays: dict[str, Any] = {name: np.concatenate([getattr(part, name) for part in parts]) for name in _ARRAYS}
+        return Samples(**arrays, columns=parts[0].columns)
+
+
+_ARRAYS = tuple(field.name for field in fields(Samples) if field.name != "columns")

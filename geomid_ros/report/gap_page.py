@@ -13,9 +13,9 @@ import numpy as np
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
 from geomid_ros.files.atomic import write_text
-from geomid_ros.files.models.effect_forms import ModelEffect
 from geomid_ros.gap.result import Finding, GapResult, Located
 from geomid_ros.geometry import pseudo_inertia, spd
+from geomid_ros.model.effects import ModelEffect
 from geomid_ros.report import gap_words
 from geomid_ros.report.gap_figures import (
     AFTER,

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from geomid_ros.files.models.effect_forms import ModelEffect
-from geomid_ros.gap.result import Confidence, Finding, GapResult, Quantity, Ranked, Rival, Unexplained
+from geomid_ros.gap.result import Confidence, Finding, GapResult, Ranked, Rival, Unexplained
+from geomid_ros.model.effects import ModelEffect, Quantity
 from geomid_ros.types import FloatArray
 
 NONE = "n/a"

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from geomid_ros.files.models.gap_model import ModelFiles
-from geomid_ros.model.effects import JointMotion
+from geomid_ros.model.effects import Motion
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.samples import Samples
 from geomid_ros.resimulation.errors import root_mean_square
@@ -218,6 +218,6 @@ def _driving(part: _Commanded, controller: Controller, robot: WrittenRobot, simu
         interpolated(times, values, middles)
         for values in (needed, part.feedforward, samples.position, samples.velocity, samples.acceleration)
     )
-    moving = JointMotion(*motion)
+    moving = Motion(*motion)
     free = feedforward + controller.constant + setpoints - robot.unsaid_friction(effort, moving)
     return np.where(controller.found, free, robot.prescribed_effort(moving.acceleration))

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from geomid_ros.model.effects import Motion
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.sensors import WrenchSensor
 from geomid_ros.resimulation.noise import Noise
@@ -46,17 +47,20 @@ class Errors:
     def of(self, windows: Windows, instants: FloatArray, robot: WrittenRobot, simulated: Simulated) -> FloatArray:
         """Measured minus simulated."""
         velocity = windows.stretch.samples.velocity[windows.samples[:, -1]] - simulated.velocity[:, -1]
+        motion = self._mean_motion(windows, instants)
         wrenches = [
-            self._measured_mean(windows, instants, sensor)
+            _mean(windows, instants, self._measured(windows.stretch, sensor))
             - robot.wrench(simulated.sensed, sensor)[:, sensor.axis_indices]
+            - robot.wrench_error(motion, sensor)
             for sensor in self._sensors
         ]
         return np.hstack([velocity, *wrenches])
 
-    def _measured_mean(self, windows: Windows, instants: FloatArray, sensor: WrenchSensor) -> FloatArray:
-        measured = self._measured(windows.stretch, sensor)
-        mean: FloatArray = interpolated(windows.stretch.times, measured, instants).mean(axis=1)
-        return mean
+    @staticmethod
+    def _mean_motion(windows: Windows, instants: FloatArray) -> Motion:
+        samples = windows.stretch.samples
+        parts = (samples.position, samples.velocity, samples.acceleration)
+        return Motion(*(_mean(windows, instants, part) for part in parts))
 
     def of_noise(self, simulation: WindowSimulation, robot: WrittenRobot, undisturbed: Simulated) -> FloatArray:
         """What noise in the efforts and wrenches changes, ``(draws W, channels)``."""
@@ -75,6 +79,12 @@ class Errors:
             changes.append(np.hstack([velocity, *sensed]))
             changes[-1][:, self._joints :] -= noise[..., self._joints :].mean(axis=1)
         return np.concatenate(changes)
+
+
+def _mean(windows: Windows, instants: FloatArray, values: FloatArray) -> FloatArray:
+    """Of ``values (N, K)`` at the instants of each window, ``(W, K)``."""
+    mean: FloatArray = interpolated(windows.stretch.times, values, instants).mean(axis=1)
+    return mean
 
 
 def root_mean_square(parts: Sequence[FloatArray]) -> FloatArray:

@@ -7,7 +7,7 @@ from functools import cached_property
 
 import numpy as np
 
-from geomid_ros.model.effects import JointMotion
+from geomid_ros.model.effects import Motion
 from geomid_ros.resimulation.stretch import Stretch, interpolated, smoothed
 from geomid_ros.resimulation.written_robot import Rollout, WrittenRobot
 from geomid_ros.types import FloatArray, IntArray
@@ -109,4 +109,4 @@ def driving_efforts(robot: WrittenRobot, stretch: Stretch, instants: FloatArray)
     samples, times = stretch.samples, stretch.times
     true = robot.true_effort(interpolated(times, samples.effort, instants + robot.delay))
     motion = (samples.position, samples.velocity, samples.acceleration)
-    return robot.driving_effort(true, JointMotion(*(interpolated(times, values, instants) for values in motion)))
+    return robot.driving_effort(true, Motion(*(interpolated(times, values, instants) for values in motion)))

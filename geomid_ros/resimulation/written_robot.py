@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,9 +15,10 @@ from geomid_ros.errors import InputError, unknown_name
 from geomid_ros.files.models.effect_forms import values
 from geomid_ros.files.models.gap_model import ModelFiles
 from geomid_ros.files.models.sidecar import read_sidecar
-from geomid_ros.model.effects import EFFECTS, JointMotion
+from geomid_ros.model.effects import Effect, Motion, Place, SensorEffect, Values, effect_class, joints_of
+from geomid_ros.model.effects.places import place_named
 from geomid_ros.model.samples import Samples
-from geomid_ros.model.sensors import AXES, WrenchSensor
+from geomid_ros.model.sensors import WrenchSensor
 from geomid_ros.resimulation.mujoco_module import load_mujoco, load_rollout
 from geomid_ros.types import BoolArray, FloatArray, IntArray
 
@@ -52,10 +53,10 @@ class WrittenRobot:
             if joint not in names:
                 raise InputError(f"{files.mjcf}: {unknown_name('joint', joint, names)}")
         self.dofs: IntArray = np.array([names[joint] for joint in joints], dtype=np.int64)
-        self.gears = {names[name]: name for name in names if name.endswith(("/elasticity", "/backlash"))}
+        self.gears = {names[name]: name for name in names if name.rpartition("/")[0] in joints}
         self._read_effects(files)
-        # All of Stribeck's friction holds a joint at rest; what the motion takes off it is in unsaid_friction.
-        self.model.dof_frictionloss[self.dofs] += self._excess
+        # What holds a joint at rest; what the motion takes off it is in unsaid_friction.
+        self.model.dof_frictionloss[self.dofs] += self._holding
         # Stops at the ends of a joint's range are not in the measurements; those of a backlash stay.
         self.model.jnt_limited[self.dofs] = 0
         self.model.opt.disableflags |= self.mujoco.mjtDisableBit.mjDSBL_AUTORESET
@@ -73,28 +74,30 @@ class WrittenRobot:
         """What the MJCF does not say: of the effort sensors, of friction, of the wrench sensors."""
         count = len(self.joints)
         self.gain, self.offset, self.delay = np.ones(count), np.zeros(count), 0.0
-        self._excess, self._speed, self._load_friction = np.zeros(count), np.ones(count), np.zeros(count)
-        self._usual_load = np.zeros(count)
-        self.wrench_offset: dict[str, Mapping[str, float]] = {}
-        of_joints = {
-            "effort_gain": (("gain", self.gain),),
-            "effort_offset": (("offset", self.offset),),
-            "stribeck_friction": (("excess", self._excess), ("speed", self._speed)),
-            "load_friction": (("coefficient", self._load_friction),),
-        }
-        forms = {name: effect.parameters[0] for name, effect in EFFECTS.items() if name not in of_joints}
-        self._by_motion = {name: np.zeros(count) for name, form in forms.items() if not form.mjcf}
-        of_joints |= {name: ((forms[name].name, array),) for name, array in self._by_motion.items()}
-        for effect in read_sidecar(files.effects).effects if files.effects else ():
-            if effect.effect in of_joints:
-                if effect.joint not in self.joints:
-                    raise InputError(f"{files.effects}: {unknown_name('joint', effect.joint, self.joints)}")
-                for name, array in of_joints[effect.effect]:
-                    array[self.joints.index(effect.joint)] = values(effect)[name]
-            elif effect.effect == "effort_delay":
-                self.delay = values(effect)["delay"]
-            elif effect.effect == "wrench_offset":
-                self.wrench_offset[effect.joint] = values(effect)
+        self._holding, self._load_friction, self._usual_load = np.zeros(count), np.zeros(count), np.zeros(count)
+        self._of_motion: list[tuple[Effect, Place, Values]] = []
+        self._of_sensors: dict[str, list[tuple[SensorEffect, Values]]] = {}
+        for known in read_sidecar(files.effects).effects if files.effects else ():
+            effect = effect_class(known.effect).from_values(values(known))
+            if isinstance(effect, SensorEffect):
+                self._of_sensors.setdefault(known.joint, []).append((effect, values(known)))
+            elif effect.place != "link":
+                self._add(effect, self._place(effect, known.joint, files), values(known))
+
+    def _place(self, effect: Effect, name: str, files: ModelFiles) -> Place:
+        place = place_named(effect.place, name, self.joints)
+        if place is None:
+            raise InputError(f"{files.effects}: {unknown_name('joint', name, self.joints)}")
+        return place
+
+    def _add(self, effect: Effect, place: Place, own: Values) -> None:
+        self.delay += effect.effort_lag(own)
+        for joint in joints_of(place):
+            self.gain[joint] *= effect.effort_scale(own)
+            self.offset[joint] += effect.effort_shift(own)
+            self._holding[joint] += effect.holding_friction(own)
+            self._load_friction[joint] += effect.friction_by_load(own)
+        self._of_motion.append((effect, place, own))
 
     @property
     def step(self) -> float:
@@ -141,7 +144,7 @@ class WrittenRobot:
         """What accelerates joints that follow their measured motion."""
         return _IMMOVABLE * acceleration
 
-    def driving_effort(self, true_effort: FloatArray, motion: JointMotion) -> FloatArray:
+    def driving_effort(self, true_effort: FloatArray, motion: Motion) -> FloatArray:
         """What drives the joints ``(..., J)`` in MuJoCo: the motors' true efforts less what the MJCF does not say of
         this motion, ``(..., J)`` each."""
         friction = self.unsaid_friction(true_effort, motion)
@@ -149,7 +152,7 @@ class WrittenRobot:
         driven: FloatArray = np.where(follows, self.prescribed_effort(motion.acceleration), true_effort - friction)
         return driven
 
-    def unsaid_friction(self, true_effort: FloatArray, motion: JointMotion) -> FloatArray:
+    def unsaid_friction(self, true_effort: FloatArray, motion: Motion) -> FloatArray:
         """Friction ``(..., J)`` that only the sidecar says: what Stribeck's takes off at speed, what the load adds, and
         other functions of the motion.
 
@@ -158,9 +161,9 @@ class WrittenRobot:
         """
         velocity = motion.velocity
         sign = np.tanh(velocity / _STILL_SPEED)
-        by_motion = self._excess * np.expm1(-((velocity / self._speed) ** 2)) * sign
-        for name, coefficients in self._by_motion.items():
-            by_motion += coefficients * EFFECTS[name].column(motion)
+        by_motion = np.zeros(velocity.shape)
+        for effect, place, own in self._of_motion:
+            by_motion += effect.unsaid_efforts(own, motion, place)
         model, dofs = self.model, self.dofs
         dry = model.dof_frictionloss[dofs] - self._load_friction * self._usual_load
         known = model.dof_damping[dofs] * velocity + dry * sign + by_motion
@@ -181,15 +184,23 @@ class WrittenRobot:
         return measured
 
     def wrench(self, sensed: FloatArray, sensor: WrenchSensor) -> FloatArray:
-        """What a mounted sensor shows, its sign reversed if it is ``(..., 6)``, of all ``sensed (..., values)``."""
+        """The true wrench at a mounted sensor, its sign reversed if it is ``(..., 6)``, of all ``sensed (...,
+        values)``."""
         force, torque = (self.model.sensor(f"{sensor.topic}/{kind}").adr[0] for kind in ("force", "torque"))
-        offset = [self.wrench_offset.get(sensor.topic, {}).get(axis, 0.0) for axis in AXES]
-        return np.concatenate([sensed[..., force : force + 3], sensed[..., torque : torque + 3]], axis=-1) + offset
+        return np.concatenate([sensed[..., force : force + 3], sensed[..., torque : torque + 3]], axis=-1)
+
+    def wrench_error(self, motion: Motion, sensor: WrenchSensor) -> FloatArray:
+        """What a mounted sensor shows beside the true wrench in a motion of N instants, ``(N, axes)``."""
+        error = np.zeros((len(motion.position), len(sensor.axes)))
+        for effect, own in self._of_sensors.get(sensor.topic, ()):
+            coefficients = np.array([own.get(axis, 0.0) for axis in sensor.axes])
+            error += effect.columns(motion, sensor.axes) @ coefficients
+        return error
 
     def gear_deflections(self, samples: Samples) -> FloatArray:
         """How far the hinges of ``gears`` are turned ``(N, gears)`` while the joints move, without swinging."""
         gears = list(self.gears)
-        elastic = np.array([name.endswith("/elasticity") for name in self.gears.values()])
+        elastic = self.model.jnt_stiffness[gears] > 0.0
         stiffness = np.where(elastic, self.model.jnt_stiffness[gears], 1.0)
         play = np.where(elastic, 0.0, self.model.jnt_range[gears, 1])
         efforts = self._gear_efforts(samples)

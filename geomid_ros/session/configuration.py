@@ -17,7 +17,7 @@ from geomid_ros.errors import InputError, unknown_name
 from geomid_ros.estimation.estimator import EstimatorSettings
 from geomid_ros.estimation.identifier import BufferSettings
 from geomid_ros.files.parameter_file import read_parameter_file
-from geomid_ros.model.effects import DEFAULT_EFFECTS, Effect, effect
+from geomid_ros.model.effects import DEFAULT_EFFECTS, MotionEffect, SensorEffect, identified_effect
 from geomid_ros.model.known import WeighedMass
 from geomid_ros.model.sensors import AXES, WrenchSensor
 from geomid_ros.signals.pipeline import SignalSettings
@@ -202,9 +202,10 @@ class Configuration:
         return {name: self[name] for name in names if find_parameter(name).name not in _NOT_OF_ROWS}
 
     @property
-    def effects(self) -> list[Effect]:
+    def effects(self) -> list[MotionEffect | SensorEffect]:
         """The effects to identify."""
-        return [self._naming_source("effects: ", partial(effect, name)) for name in dict.fromkeys(self["effects"])]
+        names = dict.fromkeys(self["effects"])
+        return [self._naming_source("effects: ", partial(identified_effect, name)) for name in names]
 
     def _naming_source(self, key: str, make: Callable[[], T]) -> T:
         """What ``make`` makes; its error says that ``key`` of this source is what is wrong."""

@@ -10,7 +10,7 @@ import numpy as np
 
 from geomid_ros.errors import InputError
 from geomid_ros.files.models.results import read_estimate
-from geomid_ros.gap.candidates import effect_columns
+from geomid_ros.gap.candidates import library_columns
 from geomid_ros.gap.result import GapResult
 from geomid_ros.gap.settings import CUTOFF, GapSettings
 from geomid_ros.gap.workflow import find_gap
@@ -82,7 +82,7 @@ def gap_cutoff(session: Session, rate: float) -> float:
 def gap_pipeline(session: Session, cutoff: float) -> SignalPipeline:
     """A pipeline with a low-pass of ``cutoff`` [Hz] that makes samples for the gap workflow."""
     settings = replace(session.configuration.signals(session.robot.joint_names), cutoff=cutoff)
-    return session.new_pipeline(settings, effect_columns)
+    return session.new_pipeline(settings, library_columns(session.model))
 
 
 def find(session: Session, recordings: Recordings, progress: Progress) -> GapResult:
@@ -99,6 +99,7 @@ def find(session: Session, recordings: Recordings, progress: Progress) -> GapRes
         nominal=session.prior,
         deviations=session.loaded.deviations(session.model),
         known=session.loaded.information(session.model),
+        beside=session.loaded.beside_coefficients,
         simulated=recordings.simulated,
         progress=progress,
     )

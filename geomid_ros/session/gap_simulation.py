@@ -11,9 +11,9 @@ from tempfile import TemporaryDirectory
 import numpy as np
 
 from geomid_ros.errors import InputError
-from geomid_ros.files.models.effect_forms import ModelEffect
 from geomid_ros.files.models.gap_model import ModelFiles, model_files, write_model
 from geomid_ros.gap.result import GapResult
+from geomid_ros.model.effects import ModelEffect
 from geomid_ros.model.samples import Samples
 from geomid_ros.resimulation.closed_loop import ClosedLoop, closed_loop
 from geomid_ros.resimulation.noise import Noise
@@ -45,7 +45,7 @@ def write_found(folder: Path, session: Session, result: GapResult) -> list[Path]
     Returns:
         The files: estimate.json, identified.urdf, identified.xml (MJCF) and effects.yaml.
     """
-    known = session.loaded.refitted(session.model, result.coefficients)
+    known = session.loaded.refitted(session.model, result.coefficients, result.beside)
     return _write(folder, session, result.inertias, [*known.beside_inertias, *result.findings])
 
 
@@ -83,7 +83,7 @@ def simulate_again(
     if find_spec("mujoco") is None:
         return Simulations(skipped=_NO_MUJOCO)
     known = session.loaded
-    fitted = known.refitted(session.model, result.coefficients)
+    fitted = known.refitted(session.model, result.coefficients, result.beside)
     with TemporaryDirectory() as folder:
         before, after = Path(folder) / "before", Path(folder) / "after"
         _write(before, session, nominal_inertias(session), known.in_samples)

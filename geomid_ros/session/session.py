@@ -15,10 +15,10 @@ from geomid_ros.estimation.estimator import WarmStart, nominal_parameters
 from geomid_ros.estimation.identifier import Identifier
 from geomid_ros.files.atomic import write_text
 from geomid_ros.files.checkpoints.checkpoint import Checkpoint
-from geomid_ros.files.models.continued_effects import continued
 from geomid_ros.files.models.loaded_model import LoadedModel
 from geomid_ros.files.models.results import estimate_document, write_estimate
 from geomid_ros.files.models.urdf import with_identified_inertias
+from geomid_ros.model.columns import Columns
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.robot import Robot
 from geomid_ros.model.samples import Samples
@@ -26,7 +26,6 @@ from geomid_ros.session.configuration import Configuration
 from geomid_ros.signals.ledger import Ledger
 from geomid_ros.signals.pipeline import JOINT_STATES, ODOM, SignalPipeline, SignalSettings, ignore
 from geomid_ros.signals.recent import Recent
-from geomid_ros.signals.streams import EffectColumns
 from geomid_ros.types import FloatArray
 
 
@@ -61,7 +60,7 @@ class Session:
             source=source,
         )
         effects = configuration.effects
-        local = self.loaded.local_effects([effect.name for effect in effects])
+        local = self.loaded.local_effects(effects)
         self.model = MeasurementModel(self.robot, effects, sensors, configuration.links, local)
         self.identifier = Identifier(
             self.model,
@@ -95,7 +94,7 @@ class Session:
             "effort_delay": signals.effort_delay,
             "wrench_offsets": [list(sensor.offset) for sensor in self.model.sensors],
             "gravity": loaded.gravity(self.configuration.gravity).tolist(),
-            "effects": [[c.effect.name, c.joint_name, vars(c.effect)] for c in self.model.coefficients],
+            "effects": [[c.effect.name, c.place_name, vars(c.effect)] for c in self.model.coefficients],
         }
         urdf = hashlib.sha256(self.urdf.encode(errors="replace")).hexdigest()
         return {"robot_description": urdf, **self.configuration.of_rows, "model": corrections}
@@ -108,7 +107,7 @@ class Session:
     def new_pipeline(
         self,
         settings: SignalSettings | None = None,
-        effect_columns: EffectColumns | None = None,
+        effect_columns: Columns | None = None,
         on_accepted: Callable[[str, int, FloatArray], None] = ignore,
         ledger: Ledger | None = None,
     ) -> SignalPipeline:
@@ -127,7 +126,7 @@ class Session:
             sensors=self.model.sensors,
             settings=self.loaded.signals(settings or self.configuration.signals(joints), joints),
             continuous=[joint.name for joint in self.robot.joints if joint.continuous],
-            effect_columns=effect_columns or self.model.effect_columns,
+            effect_columns=effect_columns or self.model.columns,
             on_accepted=on_accepted,
             ledger=ledger,
         )
@@ -174,8 +173,7 @@ class Session:
             estimate: what was found.
             held_out: RMS residual of each channel on held-out data ``(channels,)``, if there are any.
         """
-        document = estimate_document(estimate, dict(self.identifier.rows_rejected), held_out)
-        return document | continued(document["effects"], self.loaded.effects)
+        return estimate_document(estimate, dict(self.identifier.rows_rejected), held_out, self.loaded.effects)
 
     def identified_urdf(self, estimate: Estimate) -> str:
         """The robot description with the estimated inertias; every other character of it is kept."""

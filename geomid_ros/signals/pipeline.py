@@ -15,12 +15,13 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from geomid_ros.errors import InputError, unknown_name
+from geomid_ros.model.columns import NO_COLUMNS, Columns
 from geomid_ros.model.samples import Samples
 from geomid_ros.model.sensors import WrenchSensor
 from geomid_ros.signals.joint_messages import JointReader, RejectedError, usable
 from geomid_ros.signals.joint_parts import JointParts, Part
 from geomid_ros.signals.ledger import Ledger
-from geomid_ros.signals.streams import EffectColumns, Grid, JointSegment, PoseSegment, Stream, VectorSegment
+from geomid_ros.signals.streams import Grid, JointSegment, PoseSegment, Stream, VectorSegment
 from geomid_ros.signals.timeline import Read, Timeline, Turn
 from geomid_ros.signals.velocity_choice import VelocityChoice
 from geomid_ros.types import FloatArray
@@ -78,11 +79,6 @@ def ignore(*_: object) -> None:
     """Nobody wants to know."""
 
 
-def no_effects(position: FloatArray, *_: FloatArray) -> FloatArray:
-    """Columns of no effects."""
-    return np.zeros((*position.shape, 0))
-
-
 class SignalPipeline:
     """Feeds: :meth:`push_joints`, :meth:`push_base_pose`, :meth:`push_wrench`; result: :meth:`collect`."""
 
@@ -94,14 +90,14 @@ class SignalPipeline:
         sensors: Sequence[WrenchSensor] = (),
         settings: SignalSettings = SignalSettings(),
         continuous: Sequence[str] = (),
-        effect_columns: EffectColumns = no_effects,
+        effect_columns: Columns = NO_COLUMNS,
         on_accepted: Callable[[str, int, FloatArray], None] = ignore,
         ledger: Ledger | None = None,
     ) -> None:
         """``ledger`` is told what becomes of every message; ``on_accepted`` of every one that is accepted, as
         :meth:`push_accepted` takes it.
 
-        ``effect_columns`` computes the columns that samples carry (:meth:`MeasurementModel.effect_columns`).
+        ``effect_columns`` are those that samples carry (:attr:`MeasurementModel.columns`).
 
         ``continuous`` names the joints without end: their positions may jump by whole turns between messages, and
         are given from -pi to pi in samples."""
@@ -344,6 +340,7 @@ class SignalPipeline:
             base_acceleration,
             wrenches,
             self._joint_stream.segment.effects(instants),
+            self._effect_columns,
         )
 
 

@@ -9,17 +9,15 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Callable
-from typing import Generic, TypeAlias, TypeVar
+from typing import Generic, TypeVar
 
 import numpy as np
 
 from geomid_ros.model import se3
+from geomid_ros.model.columns import Columns
+from geomid_ros.model.effects import Motion
 from geomid_ros.signals.kernels import cubic_weights, cubic_weights_at, derivative_kernels
 from geomid_ros.types import FloatArray
-
-# Position, velocity and acceleration, each (N, joints), to effects' columns (N, joints, effects).
-EffectColumns: TypeAlias = Callable[[FloatArray, FloatArray, FloatArray], FloatArray]
-
 
 # How much higher than the filter's is the cutoff of the motion that effects are computed on; and the highest that a
 # grid allows, as a share of its rate.
@@ -188,7 +186,7 @@ class JointSegment(VectorSegment):
     effects are computed on a sharper motion, at every instant of the grid, and filtered as the efforts are.
     """
 
-    def __init__(self, grid: Grid, joints: int, columns: EffectColumns) -> None:
+    def __init__(self, grid: Grid, joints: int, columns: Columns) -> None:
         super().__init__(grid)
         self._joints = joints
         self._columns = columns
@@ -204,7 +202,7 @@ class JointSegment(VectorSegment):
         instants = range(start, last_sample + half + 1)
         if instants:
             motion = self._on_grid.correlated(instants, self._grid.sharp_kernels, self._joints)
-            self._columns_on_grid.extend(start, self._columns(*motion).reshape(len(instants), -1))
+            self._columns_on_grid.extend(start, self._columns.values(Motion(*motion)).reshape(len(instants), -1))
 
     def ready(self) -> range:
         motion, columns = super().ready(), self._columns_on_grid.inside(self._grid.half)

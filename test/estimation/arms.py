@@ -16,7 +16,7 @@ import pinocchio as pin
 from geometry import bodies
 
 from geomid_ros.geometry import pseudo_inertia
-from geomid_ros.model.effects import DEFAULT_EFFECTS, EFFECTS
+from geomid_ros.model.effects import DEFAULT_EFFECTS, identifiable
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.robot import Robot
 from geomid_ros.model.samples import Samples
@@ -167,7 +167,7 @@ def arm(
     """An arm of ``bags/`` with a hidden truth (in all links and effects named), moved and measured."""
     rng = np.random.default_rng(seed)
     robot = Robot(shipped(name))
-    model = MeasurementModel(robot, [EFFECTS[effect] for effect in effects], links=links)
+    model = MeasurementModel(robot, [identifiable()[effect] for effect in effects], links=links)
     true = truth(rng, robot, size)
     if links is not None:
         known = [index for index in range(len(robot.bodies)) if index not in model.identified]

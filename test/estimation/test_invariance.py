@@ -9,7 +9,7 @@ from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.estimation.estimator import EstimatorSettings
 from geomid_ros.estimation.identifier import Identifier
 from geomid_ros.geometry import pseudo_inertia, spd
-from geomid_ros.model.effects import EFFECTS
+from geomid_ros.model.effects import identifiable
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.robot import Robot
 
@@ -38,7 +38,7 @@ def solved(case: Case, settings: EstimatorSettings) -> Estimate:
 
 def solved_there(case: Case, other: Rewritten, settings: EstimatorSettings) -> Estimate:
     robot = Robot(other.urdf, gravity=np.array([0.0, 0.0, -9.81 * other.length]))
-    model = MeasurementModel(robot, [EFFECTS[effect] for effect in ALL_EFFECTS])
+    model = MeasurementModel(robot, [identifiable()[effect] for effect in ALL_EFFECTS])
     unit = other.mass * other.length**2
     scaled = EstimatorSettings(
         settings.gamma, {name: unit * s for name, s in (settings.sigma or {}).items()}, settings.objective

@@ -12,7 +12,7 @@ from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.estimation.estimator import EstimatorSettings
 from geomid_ros.estimation.identifier import BufferSettings, Identifier
 from geomid_ros.geometry import pseudo_inertia, spd
-from geomid_ros.model.effects import EFFECTS
+from geomid_ros.model.effects import identifiable
 from geomid_ros.model.known import WeighedMass
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.robot import Robot
@@ -159,7 +159,7 @@ def test_frames_and_units_do_not_matter(objective: str) -> None:
     length, mass = 100.0, 1000.0
     case, other = arm("arm3", 0, seconds=10), rewritten(shipped("arm3"), 0, length, mass)
     robot = Robot(other.urdf, gravity=np.array([0.0, 0.0, -9.81 * length]))
-    model = MeasurementModel(robot, [EFFECTS[effect] for effect in ALL_EFFECTS])
+    model = MeasurementModel(robot, [identifiable()[effect] for effect in ALL_EFFECTS])
     truth = true_total(case)
     here = solved(case, weighed(truth), objective=objective)
     there = Identifier(model, EstimatorSettings(objective=objective, known=(weighed(mass * truth, mass * STD),)))

@@ -12,10 +12,9 @@ from geomid_ros.errors import InputError
 from geomid_ros.exports.inertial import Export, Inertial, Term, quantities_of, total
 from geomid_ros.exports.model import read_model
 from geomid_ros.exports.payload import attached, chosen, difference, each_link
-from geomid_ros.files.models.effect_forms import KnownEffect
 from geomid_ros.files.models.gap_model import write_model
-from geomid_ros.gap.result import Quantity
 from geomid_ros.geometry import pseudo_inertia
+from geomid_ros.model.effects import KnownEffect, Quantity
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.robot import Robot
 

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from geomid_ros.files.models.effect_forms import KnownEffect
-from geomid_ros.gap.result import Quantity
-from geomid_ros.model.effects import PARAMETERS, PHYSICAL_EFFECTS
+from geomid_ros.model.effects import EFFECTS, PARAMETERS, KnownEffect, Quantity
 
 
 def effect(name: str, place: str = "", **parameters: float) -> KnownEffect:
     """An effect at a joint, a link or a topic, in units of a turning joint, every standard deviation a tenth."""
-    place_of = PHYSICAL_EFFECTS[name].place
+    place_of = EFFECTS[name].place
     quantities = {
         key: Quantity(value, abs(value) / 10.0, PARAMETERS[name][key].units[0]) for key, value in parameters.items()
     }

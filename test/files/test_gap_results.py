@@ -11,7 +11,7 @@ import pytest
 
 from geomid_ros.files.models.gap_results import gap_document, write_gap
 from geomid_ros.files.models.sidecar import effect_of
-from geomid_ros.gap.result import Quantity
+from geomid_ros.model.effects import Quantity
 
 from .gaps import FLOOR, gap_result
 

@@ -14,12 +14,13 @@ from model.robots import Reference, random_samples
 
 from geomid_ros.errors import InputError
 from geomid_ros.estimation.estimate import EffectEstimate
-from geomid_ros.files.models.effect_forms import KnownEffect, combined, payload_parameters, tilted_gravity
+from geomid_ros.files.models.effect_forms import combined, payload_parameters, tilted_gravity
 from geomid_ros.files.models.gap_model import write_model
 from geomid_ros.files.models.loaded_model import LoadedModel
 from geomid_ros.files.models.results import estimate_document, write_estimate
 from geomid_ros.files.models.urdf import read_urdf
 from geomid_ros.geometry import pseudo_inertia
+from geomid_ros.model.effects import KnownEffect
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.robot import GRAVITY, Robot
 from geomid_ros.model.sensors import WrenchSensor

@@ -12,9 +12,9 @@ import trimesh
 from scipy.spatial.transform import Rotation
 
 from geomid_ros.errors import InputError
+from geomid_ros.files.shapes import shapes as shapes_of_files
 from geomid_ros.files.shapes.meshes import MeshFinder
 from geomid_ros.files.shapes.shapes import ShapeReader
-from geomid_ros.files.shapes.shapes import shapes as shapes_of_files
 from geomid_ros.model import shapes
 from geomid_ros.model.shape_prior import Solid
 from geomid_ros.types import FloatArray

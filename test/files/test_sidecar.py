@@ -11,10 +11,9 @@ import pytest
 import yaml
 
 from geomid_ros.errors import InputError
-from geomid_ros.files.models.effect_forms import KnownEffect, combined, values
+from geomid_ros.files.models.effect_forms import combined, values
 from geomid_ros.files.models.sidecar import read_sidecar, write_sidecar
-from geomid_ros.gap.result import Quantity
-from geomid_ros.model.effects import PARAMETERS, PHYSICAL_EFFECTS
+from geomid_ros.model.effects import EFFECTS, PARAMETERS, KnownEffect, Quantity
 
 from .effects import PAYLOAD, effect
 
@@ -26,7 +25,7 @@ def one_of_each() -> list[KnownEffect]:
         effect("payload", "tool", **PAYLOAD)
         if name == "payload"
         else effect(name, places[form.place], **{key: 0.1 + 0.01 * index for index, key in enumerate(PARAMETERS[name])})
-        for name, form in sorted(PHYSICAL_EFFECTS.items(), key=lambda named: named[0] != "viscous_friction")
+        for name, form in sorted(EFFECTS.items(), key=lambda named: named[0] != "viscous_friction")
     ]
 
 

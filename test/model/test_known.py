@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from geomid_ros.errors import InputError
-from geomid_ros.model.effects import EFFECTS
+from geomid_ros.model.effects import identifiable
 from geomid_ros.model.known import WeighedMass, known_rows
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.robot import Robot
@@ -33,7 +33,7 @@ URDF = (
 
 
 def model(links: list[str] | None = None) -> MeasurementModel:
-    return MeasurementModel(Robot(URDF), [EFFECTS["viscous_friction"]], links=links)
+    return MeasurementModel(Robot(URDF), [identifiable()["viscous_friction"]], links=links)
 
 
 def row(text: str, links: list[str] | None = None) -> tuple[dict[str, float], float, float]:

@@ -7,7 +7,7 @@ from collections.abc import Callable
 import pytest
 
 from geomid_ros.errors import InputError
-from geomid_ros.model.effects import EFFECTS, effect
+from geomid_ros.model.effects import identifiable, identified_effect
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.robot import Robot
 from geomid_ros.model.sensors import AXES, ROLES, WORLD_FRAMES, WrenchSensor
@@ -28,7 +28,7 @@ def measured(frame: str, role: str, floating: bool = False) -> Callable[[], obje
 
 
 CASES: dict[str, tuple[Callable[[], object], str, list[str]]] = {
-    "effect": (lambda: effect("viscous_fricton"), "viscous_friction", list(EFFECTS)),
+    "effect": (lambda: identified_effect("viscous_fricton"), "viscous_friction", list(identifiable())),
     "role": (lambda: WrenchSensor("/w", "tool0", "mountd"), "mounted", list(ROLES)),
     "axis": (lambda: WrenchSensor("/w", "tool0", "mounted", ("fx", "mz", "tzz")), "", list(AXES)),
     "role in text": (lambda: WrenchSensor.parse("/w:tool0:exernal"), "external", list(ROLES)),

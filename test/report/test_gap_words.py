@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from files.gaps import gap_result
 
-from geomid_ros.gap.result import Quantity
+from geomid_ros.model.effects import Quantity
 from geomid_ros.report.gap_words import (
     headline,
     interval,

@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 from model.robots import Reference, with_values
 
-from geomid_ros.files.models.effect_forms import ModelEffect
 from geomid_ros.files.models.gap_model import ModelFiles
 from geomid_ros.files.models.mjcf import mjcf
 from geomid_ros.files.models.sidecar import write_sidecar
 from geomid_ros.files.models.urdf import read_urdf
+from geomid_ros.model.effects import ModelEffect
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.robot import Robot
 from geomid_ros.model.samples import Samples

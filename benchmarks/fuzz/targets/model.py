@@ -15,7 +15,7 @@ import numpy as np
 from benchmarks.fuzz.mutations import changed_text
 from benchmarks.fuzz.target import require
 from geomid_ros.commands.demo import shared_file
-from geomid_ros.model.effects import PARAMETERS, PHYSICAL_EFFECTS
+from geomid_ros.model.effects import EFFECTS, PARAMETERS
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.gap import effects_of
 from geomid_ros.session.session import Session
@@ -90,7 +90,7 @@ def changed_document(document: Any, random: Random) -> None:
         elif random.random() < 0.3:
             container[key] = json.loads(json.dumps(other[other_key]))
         else:
-            container[key] = copy.deepcopy(random.choice((*EDGES, *PHYSICAL_EFFECTS)))
+            container[key] = copy.deepcopy(random.choice((*EDGES, *EFFECTS)))
 
 
 def effect_entries() -> list[dict[str, Any]]:
@@ -105,7 +105,7 @@ def effect_entries() -> list[dict[str, Any]]:
                 for parameter, kind in PARAMETERS[name].items()
             },
         }
-        for name, form in PHYSICAL_EFFECTS.items()
+        for name, form in EFFECTS.items()
     ]
 
 

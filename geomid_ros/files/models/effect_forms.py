@@ -3,60 +3,37 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, replace
-from typing import Protocol
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
-from geomid_ros.gap.result import Quantity
 from geomid_ros.geometry import pseudo_inertia
-from geomid_ros.model.effects import PARAMETERS, PHYSICAL_EFFECTS
+from geomid_ros.model.effects import EFFECTS, KnownEffect, ModelEffect, Quantity, effect_class, identifiable
 from geomid_ros.model.effects.parameters import COM_ENTRIES, INERTIA_ENTRIES
 from geomid_ros.types import FloatArray
 
 
-class ModelEffect(Protocol):
-    """An effect with the values of its parameters: a finding, or what is read of it from a file."""
-
-    @property
-    def effect(self) -> str:
-        """Its name."""
-
-    @property
-    def joint(self) -> str:
-        """The joint, or the topic of a wrench sensor; empty for the whole robot."""
-
-    @property
-    def link(self) -> str:
-        """The link that carries a payload, else empty."""
-
-    @property
-    def parameters(self) -> Mapping[str, Quantity]:
-        """The parameters by name."""
-
-
-@dataclass(frozen=True)
-class KnownEffect:
-    """An effect as a file says it; see :class:`ModelEffect`."""
-
-    effect: str
-    joint: str
-    link: str
-    parameters: Mapping[str, Quantity]
-
-
 def values(effect: ModelEffect) -> dict[str, float]:
     """An effect's parameters without their units; what may be left out is zero."""
-    optional = {name: 0.0 for name, form in PARAMETERS[effect.effect].items() if form.optional}
+    optional = {form.name: 0.0 for form in effect_class(effect.effect).parameters if form.optional}
     return optional | {name: quantity.value for name, quantity in effect.parameters.items()}
+
+
+def is_body(effect: ModelEffect) -> bool:
+    """Whether it is a body that a link carries."""
+    return effect_class(effect.effect).place == "link"
+
+
+def is_coefficient(effect: ModelEffect) -> bool:
+    """Whether it is one number at a joint that is identified along with the inertias."""
+    return effect.effect in identifiable() and len(EFFECTS[effect.effect].parameters) == 1
 
 
 def joint_attributes(effect: str, known: Mapping[str, float], element: str) -> dict[str, float]:
     """What an effect with the parameters ``known`` adds to attributes of a joint's ``element``: ``dynamics`` in a URDF,
     ``joint`` in an MJCF."""
-    forms = PARAMETERS[effect].values()
+    forms = effect_class(effect).parameters
     places = [(form.name, place.partition("/")) for form in forms for place in (form.urdf, form.mjcf)]
     return {attribute: known[name] for name, (own, _, attribute) in places if own == element}
 
@@ -73,41 +50,86 @@ def payload_parameters(payload: Mapping[str, float]) -> FloatArray:
     return pseudo_inertia.assemble(np.array(payload["mass"]), centre, inertia_matrix(payload))
 
 
-def tilted_gravity(gravity: FloatArray, tilt: Mapping[str, float]) -> FloatArray:
-    """Gravity ``(3,)`` in the frame of a base that is tilted, from the tilt's values."""
-    turn = Rotation.from_rotvec([tilt["tilt_x"], tilt["tilt_y"], 0.0]).as_matrix()
-    turned: FloatArray = turn.T @ gravity
-    return turned
+def turned_gravity(gravity: FloatArray, effects: Iterable[ModelEffect]) -> FloatArray:
+    """Gravity ``(3,)`` in the base frame, from that of a base that stands straight."""
+    for effect in effects:
+        gravity = effect_class(effect.effect).turned_gravity(gravity, values(effect))
+    return gravity
 
 
 def combined(effects: Iterable[ModelEffect]) -> list[KnownEffect]:
-    """Effects of which none is there twice at a place: what adds up is added, gains are multiplied, of others the later
-    one holds."""
+    """Effects of which none is there twice at a place; see
+    :meth:`~geomid_ros.model.effects.Effect.together`."""
     found: dict[tuple[str, str], KnownEffect] = {}
     for effect in effects:
-        new = KnownEffect(effect.effect, effect.joint, effect.link, effect.parameters)
         key = effect.effect, effect.link or effect.joint
-        found[key] = _together(found[key], new) if key in found else new
+        parameters = effect.parameters
+        if key in found:
+            parameters = effect_class(effect.effect).together(found[key].parameters, parameters)
+        found[key] = KnownEffect(effect.effect, effect.joint, effect.link, parameters)
     return list(found.values())
 
 
-def _together(first: KnownEffect, second: KnownEffect) -> KnownEffect:
-    if second.effect == "effort_gain":
-        return replace(second, parameters={"gain": _scaled(second.parameters["gain"], first.parameters["gain"].value)})
-    if not PHYSICAL_EFFECTS[second.effect].adds_up:
-        return second
-    both = [*first.parameters.items(), *second.parameters.items()]
-    sums: dict[str, Quantity] = {}
-    for name, quantity in both:
-        sums[name] = _sum(sums[name], quantity) if name in sums else quantity
-    return replace(second, parameters=sums)
+def continued(estimated: Sequence[KnownEffect], known: Sequence[ModelEffect]) -> list[KnownEffect]:
+    """The effects of a model that began with ``known`` ones, after coefficients were ``estimated``.
+
+    The estimated ones are as they are, or bring those known effects up to date that consist of them; what was not
+    estimated holds on. Payloads are in the links' inertias by now.
+
+    Returns:
+        coefficients at joints first, then the others.
+    """
+    left = {(effect.effect, effect.joint): effect for effect in estimated}
+    order = list(EFFECTS)
+    others = [effect for effect in known if not is_body(effect) and not is_coefficient(effect)]
+    refined = [_refined(effect, left) for effect in sorted(others, key=lambda effect: order.index(effect.effect))]
+    of_place = [effect for effect in left.values() if not is_coefficient(effect)]
+    return [*(effect for effect in left.values() if is_coefficient(effect)), *combined([*refined, *of_place])]
 
 
-def _scaled(quantity: Quantity, factor: float) -> Quantity:
-    return replace(quantity, value=factor * quantity.value, std=abs(factor) * quantity.std)
+def _refined(effect: ModelEffect, left: dict[tuple[str, str], KnownEffect]) -> KnownEffect:
+    """An effect brought up to date, which takes away from what is ``left`` what belongs to it."""
+    here = {name: found for (name, joint), found in left.items() if joint == effect.joint and _number(found)}
+    quantities = {name: next(iter(found.parameters.values())) for name, found in here.items()}
+    parameters, others = effect_class(effect.effect).refined(effect.parameters, quantities)
+    for name, found in here.items():
+        if name not in others:
+            del left[name, effect.joint]
+        else:
+            (parameter,) = found.parameters
+            left[name, effect.joint] = KnownEffect(name, found.joint, "", {parameter: others[name]})
+    return KnownEffect(effect.effect, effect.joint, effect.link, parameters)
 
 
-def _sum(first: Quantity, second: Quantity) -> Quantity:
-    """Sum of two independent estimates; where the uncertainty of one is not known, the other's."""
-    known = [quantity.std for quantity in (first, second) if math.isfinite(quantity.std)]
-    return replace(second, value=first.value + second.value, std=math.hypot(*known) if known else math.nan)
+def _number(effect: KnownEffect) -> bool:
+    return len(effect.parameters) == 1
+
+
+def coefficient(name: str, joint: str, quantity: Quantity) -> KnownEffect:
+    """An effect of one coefficient at a joint, which its first parameter is."""
+    return KnownEffect(name, joint, "", {effect_class(name).parameters[0].name: quantity})
+
+
+def effect_entry(effect: ModelEffect) -> dict[str, Any]:
+    """An effect with its place and parameters, as :func:`geomid_ros.files.models.sidecar.effect_of` reads it."""
+    return {
+        "effect": effect.effect,
+        "joint": effect.joint,
+        "link": effect.link,
+        "parameters": {name: _quantity(quantity) for name, quantity in effect.parameters.items()},
+    }
+
+
+def coefficient_entry(effect: ModelEffect) -> dict[str, Any]:
+    """An effect of one coefficient at a joint, as ``estimate.json`` has it."""
+    (quantity,) = effect.parameters.values()
+    return {"name": effect.effect, "joint": effect.joint, **_quantity(quantity)}
+
+
+def _quantity(quantity: Quantity) -> dict[str, Any]:
+    return {"value": finite(quantity.value), "unit": quantity.unit, "std": finite(quantity.std)}
+
+
+def finite(value: float) -> float | None:
+    """A number as JSON can have it: None for what is not finite."""
+    return float(value) if math.isfinite(value) else None

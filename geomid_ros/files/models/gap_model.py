@@ -13,14 +13,13 @@ from pathlib import Path
 from typing import Any
 
 from geomid_ros.files.atomic import write_text
-from geomid_ros.files.models.effect_forms import ModelEffect, combined
-from geomid_ros.files.models.gap_results import effect_entry
+from geomid_ros.files.models.effect_forms import coefficient_entry, combined, effect_entry, is_coefficient
 from geomid_ros.files.models.mjcf import mjcf
 from geomid_ros.files.models.results import FORMAT, write_estimate
 from geomid_ros.files.models.sidecar import write_sidecar
 from geomid_ros.files.models.urdf import Inertia, with_effects, with_inertials
 from geomid_ros.geometry import pseudo_inertia
-from geomid_ros.model.effects import EFFECTS
+from geomid_ros.model.effects import ModelEffect
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.types import FloatArray
 
@@ -85,11 +84,6 @@ def _estimate(
             }
             for name, (mass, com, inertia) in bodies.items()
         ],
-        "effects": [_coefficient(effect) for effect in effects if effect.effect in EFFECTS],
-        "added": [effect_entry(effect) for effect in effects if effect.effect not in EFFECTS],
+        "effects": [coefficient_entry(effect) for effect in effects if is_coefficient(effect)],
+        "added": [effect_entry(effect) for effect in effects if not is_coefficient(effect)],
     }
-
-
-def _coefficient(effect: ModelEffect) -> dict[str, Any]:
-    (quantity,) = effect_entry(effect)["parameters"].values()
-    return {"name": effect.effect, "joint": effect.joint, **quantity}

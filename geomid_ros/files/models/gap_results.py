@@ -28,13 +28,12 @@ Numbers that do not exist (a channel without measurements, say) are null.
 from __future__ import annotations
 
 import json
-import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeAlias
 
 from geomid_ros.files.atomic import write_text
-from geomid_ros.files.models.effect_forms import ModelEffect
+from geomid_ros.files.models.effect_forms import effect_entry, finite
 from geomid_ros.gap.result import Finding, GapResult
 from geomid_ros.types import FloatArray
 
@@ -52,7 +51,7 @@ def gap_document(result: GapResult, simulations: Mapping[str, Errors]) -> dict[s
         "verdict": result.verdict,
         "findings": [_finding(finding) for finding in result.findings],
         "unexplained": [
-            {"joint": entry.joint, "depends_on": entry.depends_on, "gap": _number(entry.gap)}
+            {"joint": entry.joint, "depends_on": entry.depends_on, "gap": finite(entry.gap)}
             for entry in result.unexplained
         ],
         "gap": {kind: _by_channel(result.channels, getattr(result.gap, kind)) for kind in kinds},
@@ -65,42 +64,26 @@ def gap_document(result: GapResult, simulations: Mapping[str, Errors]) -> dict[s
 def _errors(errors: Errors | None) -> dict[str, Any] | None:
     if errors is None:
         return None
-    return {kind: {name: _number(value) for name, value in by_name.items()} for kind, by_name in errors.items()}
-
-
-def effect_entry(effect: ModelEffect) -> dict[str, Any]:
-    """An effect with its place and parameters, as :func:`geomid_ros.files.models.sidecar.effect_of` reads it."""
-    return {
-        "effect": effect.effect,
-        "joint": effect.joint,
-        "link": effect.link,
-        "parameters": {
-            name: {"value": _number(quantity.value), "std": _number(quantity.std), "unit": quantity.unit}
-            for name, quantity in effect.parameters.items()
-        },
-    }
+    return {kind: {name: finite(value) for name, value in by_name.items()} for kind, by_name in errors.items()}
 
 
 def _finding(finding: Finding) -> dict[str, Any]:
     return effect_entry(finding) | {
         "confidence": finding.confidence,
         "rivals": [
-            {"effect": rival.effect, "joint": rival.joint, "loss": _number(rival.loss)} for rival in finding.rivals
+            {"effect": rival.effect, "joint": rival.joint, "loss": finite(rival.loss)} for rival in finding.rivals
         ],
-        "separability": _number(finding.separability),
-        "loss": _number(finding.loss),
-        "share": _number(finding.share),
+        "separability": finite(finding.separability),
+        "loss": finite(finding.loss),
+        "share": finite(finding.share),
         "sentence": finding.sentence,
         "settled_by": finding.settled_by,
     }
 
 
 def _by_channel(channels: Sequence[str], values: FloatArray) -> dict[str, float | None]:
-    return {name: _number(value) for name, value in zip(channels, values, strict=True)}
+    return {name: finite(value) for name, value in zip(channels, values, strict=True)}
 
-
-def _number(value: float) -> float | None:
-    return float(value) if math.isfinite(value) else None
 
 
 def write_gap(path: Path, document: Mapping[str, Any]) -> None:

@@ -17,28 +17,31 @@ import numpy as np
 
 from geomid_ros.errors import InputError, unknown_name
 from geomid_ros.estimation.estimate import LinksInformation
-from geomid_ros.files.models.continued_effects import continued
 from geomid_ros.files.models.effect_forms import (
-    KnownEffect,
-    ModelEffect,
+    coefficient,
     combined,
+    continued,
+    is_body,
     payload_parameters,
-    tilted_gravity,
+    turned_gravity,
     values,
 )
 from geomid_ros.files.models.results import known_inertias, known_information, read_estimate
 from geomid_ros.files.models.sidecar import effect_of
-from geomid_ros.gap.result import Quantity
-from geomid_ros.model.effects import EFFECTS, PARAMETERS, Effect
-from geomid_ros.model.effects.spring import Spring
-from geomid_ros.model.effects.stribeck_friction import StribeckFriction
+from geomid_ros.model.effects import (
+    Effect,
+    KnownEffect,
+    ModelEffect,
+    MotionEffect,
+    Quantity,
+    SituationEffect,
+    effect_class,
+    identifiable,
+)
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.sensors import AXES, WrenchSensor
 from geomid_ros.signals.pipeline import SignalSettings
 from geomid_ros.types import FloatArray
-
-NOT_PREDICTED = ("load_friction", "joint_elasticity", "backlash")
-"""Effects that are no part of the measurement model: only the MJCF and its sidecar have them."""
 
 
 @dataclass(frozen=True)
@@ -69,109 +72,105 @@ class LoadedModel:
         known = known_information(document, inertias, path)
         return LoadedModel(path, inertias, tuple(combined(effects)), known, _merged(document, path))
 
-    def refitted(self, model: MeasurementModel, coefficients: FloatArray) -> LoadedModel:
-        """The same with the ``coefficients`` of ``model`` fitted anew, without those that are NaN or not as positive as
-        they must be, and without payloads, which are in the links' inertias by then."""
+    def refitted(
+        self, model: MeasurementModel, coefficients: FloatArray, beside: Sequence[KnownEffect] = ()
+    ) -> LoadedModel:
+        """The same with the ``coefficients`` of ``model`` and the effects :attr:`beside_coefficients` fitted anew,
+        without those that are NaN or not as positive as they must be, and without payloads, which are in the links'
+        inertias by then."""
         entries = [
-            {"name": c.effect.name, "joint": c.joint_name, "value": float(value), "std": math.nan, "unit": c.unit}
+            coefficient(c.effect.name, c.place_name, Quantity(float(value), math.nan, c.unit))
             for c, value in zip(model.coefficients, coefficients, strict=True)
-            if math.isfinite(value) and (value > 0.0 or not c.effect.positive)
+            if math.isfinite(value) and (value > 0.0 or not c.positive)
         ]
-        fitted = {(entry["name"], entry["joint"]) for entry in entries}
-        gone = [key for key in self._own_effects if key not in fitted]
-        document = continued(entries, [known for known in self.effects if (known.effect, known.joint) not in gone])
-        added = [effect_of(entry, self.source) for entry in document["added"]]
-        return LoadedModel(self.source, None, (*_single_coefficients(document, self.source), *added))
+        fitted = {(entry.effect, entry.joint) for entry in entries}
+        gone = [(effect.name, joint) for effect, joint in self._coefficients if (effect.name, joint) not in fitted]
+        anew = {(known.effect, known.joint): known for known in beside}
+        kept = [anew.get((known.effect, known.joint), known) for known in self.effects]
+        own = [known for known in kept if (known.effect, known.joint) not in gone]
+        return LoadedModel(self.source, None, tuple(continued(entries, own)))
 
-    def _of(self, effect: str) -> list[tuple[str, dict[str, float]]]:
-        """Places and values of an effect."""
-        return [(known.joint, values(known)) for known in self.effects if known.effect == effect]
+    @property
+    def beside_coefficients(self) -> list[KnownEffect]:
+        """The effects that no measurement model has, as samples show them: they depend on what a model says."""
+        return [known for known in self.in_samples if _is_beside(known)]
 
     @property
     def not_predicted(self) -> str:
         """What is known and cannot be predicted, in a sentence; empty for nothing."""
-        names = [f"{known.effect} of {known.joint}" for known in self.effects if known.effect in NOT_PREDICTED]
+        names = [f"{known.effect} of {known.joint}" for known in self.effects if _is_beside(known)]
         return f"{self.source}: {', '.join(names)}: not predicted, only simulated with the MJCF" if names else ""
 
     @property
     def beside_inertias(self) -> list[ModelEffect]:
         """The effects without payloads, which are in the inertias of :meth:`parameters`."""
-        return [known for known in self.effects if known.effect != "payload"]
+        return [known for known in self.effects if not is_body(known)]
 
     @property
-    def in_samples(self) -> list[ModelEffect]:
+    def in_samples(self) -> list[KnownEffect]:
         """The same, as samples show them that are corrected as :meth:`signals` and :meth:`sensors` say."""
-        corrected = ("effort_gain", "effort_delay", "wrench_offset")
-        offsets = [
-            known_effect("effort_offset", joint, own["offset"] / self._gains.get(joint, 1.0))
-            for joint, own in self._of("effort_offset")
+        return [
+            self._behind_gain(known)
+            for known in self.beside_inertias
+            if not effect_class(known.effect).corrected_in_samples
         ]
-        others = [known for known in self.beside_inertias if known.effect not in (*corrected, "effort_offset")]
-        return [*others, *offsets]
+
+    def _behind_gain(self, known: ModelEffect) -> KnownEffect:
+        """An effect as efforts show it that were divided by their gain."""
+        own = values(known)
+        behind = effect_class(known.effect).behind_gain(own, self._gains.get(known.joint, 1.0))
+        parameters = {
+            name: replace(quantity, value=behind[name]) if behind[name] != own[name] else quantity
+            for name, quantity in known.parameters.items()
+        }
+        return KnownEffect(known.effect, known.joint, known.link, parameters)
 
     def gravity(self, gravity: FloatArray) -> FloatArray:
         """Gravity ``(3,)`` in the base frame, of what it would be if the base stood straight."""
-        for _, tilt in self._of("gravity_tilt"):
-            return tilted_gravity(gravity, tilt)
-        return gravity
+        return turned_gravity(gravity, self.effects)
 
     def sensors(self, sensors: Sequence[WrenchSensor]) -> list[WrenchSensor]:
         """The sensors with what is known of their offsets."""
-        offsets = {topic: tuple(offset[axis] for axis in AXES) for topic, offset in self._of("wrench_offset")}
-        return [replace(sensor, offset=offsets.get(sensor.topic, sensor.offset)) for sensor in sensors]
+        shifts: dict[str, FloatArray] = {}
+        for known in self.effects:
+            shift = effect_class(known.effect).wrench_shift(values(known))
+            if shift:
+                own = np.array([shift.get(axis, 0.0) for axis in AXES])
+                shifts[known.joint] = shifts.get(known.joint, np.zeros(len(AXES))) + own
+        return [
+            replace(sensor, offset=tuple(shifts[sensor.topic].tolist())) if sensor.topic in shifts else sensor
+            for sensor in sensors
+        ]
 
     def signals(self, settings: SignalSettings, joints: Sequence[str]) -> SignalSettings:
         """The settings with what is known of the effort sensors."""
         given = settings.effort_gain
         by_joint = given if isinstance(given, dict) else dict.fromkeys(joints, given)
         gains = {joint: by_joint.get(joint, 1.0) / self._gains.get(joint, 1.0) for joint in joints}
-        delay = sum(delay["delay"] for _, delay in self._of("effort_delay"))
+        delay = sum(effect_class(known.effect).effort_lag(values(known)) for known in self.effects)
         return replace(settings, effort_gain=gains if self._gains else given, effort_delay=delay)
 
     @cached_property
     def _gains(self) -> dict[str, float]:
-        return {joint: gain["gain"] for joint, gain in self._of("effort_gain")}
+        """Factors from true efforts to measured ones by joint, where they are not 1."""
+        scales = [(known.joint, effect_class(known.effect).effort_scale(values(known))) for known in self.effects]
+        return {joint: scale for joint, scale in scales if scale != 1.0}
 
     @cached_property
-    def _coefficients(self) -> dict[tuple[str, str], float]:
-        """Coefficients of the measurement model's effects by name and joint, at efforts without error of scale."""
-        found: dict[tuple[str, str], float] = {}
-
-        def add(name: str, joint: str, value: float) -> None:
-            found[name, joint] = found.get((name, joint), 0.0) + value
-
-        for known in self.effects:
-            own = values(known)
-            if known.effect == "effort_offset":
-                add("effort_offset", known.joint, own["offset"] / self._gains.get(known.joint, 1.0))
-            elif known.effect == "spring":
-                add("spring", known.joint, own["stiffness"])
-                add("effort_offset", known.joint, -own["stiffness"] * own["equilibrium"])
-            elif known.effect == "stribeck_friction":
-                add("coulomb_friction", known.joint, own["level"])
-                add("stribeck_friction", known.joint, own["excess"])
-            elif known.effect in EFFECTS:
-                add(known.effect, known.joint, *own.values())
+    def _coefficients(self) -> dict[tuple[Effect, str], float]:
+        """Coefficients of the effects of motion, at efforts without error of scale, by the effect and its place."""
+        found: dict[tuple[Effect, str], float] = {}
+        for known in self.in_samples:
+            for part, (value, *_) in effect_class(known.effect).coefficients(values(known)).items():
+                if isinstance(part, MotionEffect):
+                    found[part, known.joint] = found.get((part, known.joint), 0.0) + value
         return found
 
-    @cached_property
-    def _own_effects(self) -> dict[tuple[str, str], Effect]:
-        """The measurement model's effects of the coefficients, by name and joint."""
-        speeds = {joint: own["speed"] for joint, own in self._of("stribeck_friction")}
-        spring = Spring()
-
-        def effect(name: str, joint: str) -> Effect:
-            if name == "stribeck_friction":
-                return StribeckFriction(speeds[joint])
-            return spring if name == "spring" else EFFECTS[name]
-
-        return {(name, joint): effect(name, joint) for name, joint in self._coefficients}
-
-    def local_effects(self, common: Collection[str]) -> dict[str, list[Effect]]:
-        """The effects that are known at single joints, by joint, beside those that every joint has, by name."""
-        found: dict[str, list[Effect]] = {}
-        for (name, joint), effect in self._own_effects.items():
-            if name not in common:
+    def local_effects(self, common: Collection[Effect]) -> dict[str, list[MotionEffect]]:
+        """The effects that are known at single places, by the place's name, beside those that every place has."""
+        found: dict[str, list[MotionEffect]] = {}
+        for effect, joint in self._coefficients:
+            if effect not in common and isinstance(effect, MotionEffect):
                 found.setdefault(joint, []).append(effect)
         return found
 
@@ -189,8 +188,8 @@ class LoadedModel:
         inertias = [
             self.inertias.get(name, np.full(10, np.nan)) + self._payload(name, model) for name in model.body_names
         ]
-        found = np.array([self._coefficients.get((c.effect.name, c.joint_name), np.nan) for c in model.coefficients])
-        positive = np.array([c.effect.positive for c in model.coefficients], dtype=bool)
+        found = np.array([self._coefficients.get((c.effect, c.place_name), np.nan) for c in model.coefficients])
+        positive = np.array([c.positive for c in model.coefficients], dtype=bool)
         if np.any(found[positive] <= 0.0) or np.any(np.isinf(found)):
             raise InputError(f"{self.source}: an effect that must be positive and finite is not")
         return np.concatenate([*inertias, found])
@@ -216,7 +215,7 @@ class LoadedModel:
             for known in self.effects
             if len(known.parameters) == 1
         }
-        found = [stds.get((c.effect.name, c.joint_name), math.nan) for c in model.coefficients]
+        found = [stds.get((c.effect.name, c.place_name), math.nan) for c in model.coefficients]
         return np.concatenate([np.full(len(model.nominal_inertias), np.nan), found])
 
     def information(self, model: MeasurementModel) -> LinksInformation | None:
@@ -235,11 +234,16 @@ class LoadedModel:
         """Parameters ``(10,)`` of what a body carries."""
         total = np.zeros(10)
         for known in self.effects:
-            if known.effect == "payload" and known.link not in model.body_names:
+            if is_body(known) and known.link not in model.body_names:
                 raise InputError(f"{self.source}: {unknown_name('link with a payload', known.link, model.body_names)}")
-            if known.effect == "payload" and known.link == body:
+            if is_body(known) and known.link == body:
                 total += payload_parameters(values(known))
         return total
+
+
+def _is_beside(known: ModelEffect) -> bool:
+    cls = effect_class(known.effect)
+    return issubclass(cls, SituationEffect) and not cls.corrected_in_samples and not cls.absorbed
 
 
 def _merged(document: Mapping[str, Any], source: str) -> dict[str, frozenset[str]]:
@@ -262,12 +266,9 @@ def _single_coefficients(document: Mapping[str, Any], source: str) -> list[Known
     except (KeyError, TypeError, ValueError, OverflowError) as error:
         raise InputError(f"{source}: an effect lacks a valid name, joint or value ({error})") from error
     for name, *_ in entries:
-        if name not in EFFECTS:
-            raise InputError(f"{source}: {unknown_name('effect', name, EFFECTS)}")
-    return [known_effect(name, joint, value, std=std) for name, joint, value, std in entries]
-
-
-def known_effect(name: str, joint: str, value: float, unit: str = "", std: float = np.nan) -> KnownEffect:
-    """An effect of one coefficient at a joint."""
-    ((parameter, form),) = PARAMETERS[name].items()
-    return KnownEffect(name, joint, "", {parameter: Quantity(value, std, unit or form.units[0])})
+        if name not in identifiable():
+            raise InputError(f"{source}: {unknown_name('effect', name, identifiable())}")
+    return [
+        coefficient(name, joint, Quantity(value, std, effect_class(name).parameters[0].units[0]))
+        for name, joint, value, std in entries
+    ]

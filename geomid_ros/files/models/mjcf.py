@@ -15,14 +15,15 @@ from xml.etree.ElementTree import Element, SubElement, indent, tostring
 import numpy as np
 
 from geomid_ros.files.models.effect_forms import (
-    ModelEffect,
+    is_body,
     joint_attributes,
     payload_parameters,
-    tilted_gravity,
+    turned_gravity,
     values,
 )
 from geomid_ros.files.models.joint_frames import JointFrame, joint_frames
 from geomid_ros.geometry import pseudo_inertia
+from geomid_ros.model.effects import EFFECTS, Hinge, ModelEffect
 from geomid_ros.model.robot import Robot
 from geomid_ros.model.sensors import WrenchSensor
 from geomid_ros.types import FloatArray
@@ -35,7 +36,6 @@ _STEPS_PER_RADIAN = 4.0  # of the fastest oscillation of an elastic joint
 _CONSTRAINT_STEPS = 2.0
 # Where a second hinge needs an inertia before it and none is known: a share of the inertia behind it.
 _SMALL_ROTOR = 0.01
-_ELASTIC_DAMPING = 0.05  # damping ratio of the link on the elastic gear, the motor held
 _MASSLESS = 1e-12  # [kg, kg m^2] MuJoCo wants everything that moves to have a mass
 
 
@@ -70,19 +70,19 @@ class _Writer:
         self, robot: Robot, inertias: Mapping[str, FloatArray], effects: Iterable[ModelEffect], gravity: FloatArray
     ) -> None:
         self._robot = robot
-        self._straight_gravity = gravity
         self._bodies = {body.name: inertias.get(body.name, body.parameters) for body in robot.bodies}
         self._joints = joint_frames(robot.urdf, robot.source)
         self._moving = set(robot.joint_names)
         effects = list(effects)
         self._effects = {(effect.effect, effect.joint): values(effect) for effect in effects}
-        self._payloads = {effect.link: values(effect) for effect in effects if effect.effect == "payload"}
+        self._payloads = {effect.link: values(effect) for effect in effects if is_body(effect)}
+        self._gravity = turned_gravity(gravity, effects)
 
     def document(self, sensors: Sequence[WrenchSensor]) -> Element:
         root = Element("mujoco", model=self._robot.name)
         SubElement(root, "compiler", angle="radian", inertiafromgeom="false", balanceinertia="false")
         step = self._step()
-        gravity = _words(self._gravity())
+        gravity = _words(self._gravity)
         SubElement(root, "option", timestep=_words(step), integrator="implicitfast", gravity=gravity)
         default = SubElement(SubElement(root, "default"), "joint")
         constraint = _words([_CONSTRAINT_STEPS * step, 1.0])
@@ -96,13 +96,6 @@ class _Writer:
                 self._add_motor(actuators, joint)
         self._add_sensors(root, sensors)
         return root
-
-    def _gravity(self) -> FloatArray:
-        tilt = self._effects.get(("gravity_tilt", ""))
-        return tilted_gravity(self._straight_gravity, tilt) if tilt else self._straight_gravity
-
-    def _effect(self, name: str, joint: JointFrame) -> Mapping[str, float]:
-        return self._effects.get((name, joint.name), {})
 
     def _add_link(self, parent: Element, link: str, joint: JointFrame | None) -> Element:
         body = SubElement(parent, "body", name=_body_name(link))
@@ -132,8 +125,12 @@ class _Writer:
         own = SubElement(body, "joint", {"name": joint.name, **kind, **self._dynamics(joint)})
         if joint.lower < joint.upper and math.isfinite(joint.lower + joint.upper):
             own.attrib |= {"limited": "true", "range": _words([joint.lower, joint.upper])}
-        for name, attributes in self._gears(joint).items():
-            SubElement(body, "joint", {"name": f"{joint.name}/{name}", **kind, **attributes})
+        hinges = self._hinges(joint)
+        for hinge in hinges:
+            attributes = _attributes(hinge)
+            if hinge is not hinges[-1]:
+                attributes["armature"] = _words(_SMALL_ROTOR * self._carried(joint))
+            SubElement(body, "joint", {"name": f"{joint.name}/{hinge.name}", **kind, **attributes})
 
     def _dynamics(self, joint: JointFrame) -> dict[str, str]:
         numbers = self._said(joint) | {"armature": self._rotor(joint)}
@@ -147,31 +144,27 @@ class _Writer:
                 numbers[name] = numbers.get(name, 0.0) + value
         return numbers
 
-    def _gears(self, joint: JointFrame) -> dict[str, dict[str, str]]:
-        """Attributes of the hinges behind a joint's own, by name."""
-        gears = {}
-        elasticity, backlash = self._effect("joint_elasticity", joint), self._effect("backlash", joint)
-        if elasticity:
-            stiffness = elasticity["stiffness"]
-            damping = 2.0 * _ELASTIC_DAMPING * math.sqrt(stiffness * self._carried(joint))
-            gears["elasticity"] = {"stiffness": _words(stiffness), "damping": _words(damping)}
-        if elasticity and backlash:
-            gears["elasticity"]["armature"] = _words(_SMALL_ROTOR * self._carried(joint))
-        if backlash:
-            ends = [-0.5 * backlash["gap"], 0.5 * backlash["gap"]]
-            gears["backlash"] = {"limited": "true", "range": _words(ends), "damping": _words(backlash["drag"])}
-        return gears
+    def _hinges(self, joint: JointFrame) -> list[Hinge]:
+        """The hinges behind a joint's own."""
+        own = [
+            (effect, self._effects[name, joint.name])
+            for name, effect in EFFECTS.items()
+            if (name, joint.name) in self._effects
+        ]
+        hinges = [effect.hinge(known, self._carried(joint)) for effect, known in own]
+        return [hinge for hinge in hinges if hinge is not None]
 
     def _rotor(self, joint: JointFrame) -> float:
         known = self._said(joint).get("armature", 0.0)
-        gives = self._effect("joint_elasticity", joint) or self._effect("backlash", joint)
-        return max(known, _SMALL_ROTOR * self._carried(joint)) if gives else known
+        return max(known, _SMALL_ROTOR * self._carried(joint)) if self._hinges(joint) else known
 
     def _step(self) -> float:
         """A time step that resolves the oscillation of every rotor on its elastic gear."""
-        elastic = [joint for joint in self._joints if self._effect("joint_elasticity", joint)]
         periods = [
-            math.sqrt(self._rotor(joint) / self._effect("joint_elasticity", joint)["stiffness"]) for joint in elastic
+            math.sqrt(self._rotor(joint) / hinge.stiffness)
+            for joint in self._joints
+            for hinge in self._hinges(joint)
+            if hinge.stiffness > 0.0
         ]
         return min([LONGEST_STEP, *(period / _STEPS_PER_RADIAN for period in periods)])
 
@@ -210,6 +203,16 @@ class _Writer:
 def _body_name(link: str) -> str:
     """MuJoCo keeps the name of the world to itself."""
     return "world_link" if link == "world" else link
+
+
+def _attributes(hinge: Hinge) -> dict[str, str]:
+    """Of a hinge behind a joint's own."""
+    attributes = {}
+    if hinge.stiffness > 0.0:
+        attributes["stiffness"] = _words(hinge.stiffness)
+    if hinge.half_range > 0.0:
+        attributes |= {"limited": "true", "range": _words([-hinge.half_range, hinge.half_range])}
+    return {**attributes, "damping": _words(hinge.damping)}
 
 
 def _add_inertial(body: Element, parameters: FloatArray) -> None:

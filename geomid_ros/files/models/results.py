@@ -13,11 +13,19 @@ from typing import Any
 import numpy as np
 
 from geomid_ros.errors import InputError
-from geomid_ros.estimation.estimate import FINEST, Estimate, LinksInformation
+from geomid_ros.estimation.estimate import FINEST, EffectEstimate, Estimate, LinksInformation
 from geomid_ros.files.atomic import write_text
 from geomid_ros.files.bounded import read_text
+from geomid_ros.files.models.effect_forms import (
+    coefficient_entry,
+    combined,
+    continued,
+    effect_entry,
+    is_coefficient,
+)
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.geometry.manifold import ParameterManifold
+from geomid_ros.model.effects import KnownEffect, ModelEffect
 from geomid_ros.types import FloatArray
 
 FORMAT = 1
@@ -32,10 +40,21 @@ _WITHOUT_INFORMATION = "identify again, or delete 'information', without which l
 
 
 def estimate_document(
-    estimate: Estimate, rows_rejected: Mapping[str, int], held_out: FloatArray | None = None
+    estimate: Estimate,
+    rows_rejected: Mapping[str, int],
+    held_out: FloatArray | None = None,
+    known: Sequence[ModelEffect] = (),
 ) -> dict[str, Any]:
-    """The document of an estimate; ``held_out (channels,)`` are RMS residuals on data that were not used, if any were
-    held out."""
+    """The document of an estimate.
+
+    Args:
+        estimate: what was found.
+        rows_rejected: how many rows were not used, by reason.
+        held_out: RMS residuals ``(channels,)`` on data that were not used, if any were held out.
+        known: the effects of the model that the estimation began with.
+    """
+    effects = continued(combined(_found(effect) for effect in estimate.effects), known)
+    shares = {(effect.name, effect.joint): effect.from_data for effect in estimate.effects}
     rms = {"nominal": estimate.rms_nominal, "train": estimate.rms, "held_out": held_out}
     return {
         "format": FORMAT,
@@ -68,16 +87,11 @@ def estimate_document(
             for link in estimate.links
         ],
         "effects": [
-            {
-                "name": effect.name,
-                "joint": effect.joint,
-                "value": effect.value,
-                "unit": effect.unit,
-                "std": effect.std,
-                "from_data": effect.from_data,
-            }
-            for effect in estimate.effects
+            coefficient_entry(effect) | {"from_data": shares[effect.effect, effect.joint]}
+            for effect in effects
+            if is_coefficient(effect)
         ],
+        "added": [effect_entry(effect) for effect in effects if not is_coefficient(effect)],
         "known": [
             {"name": k.name, "mass": k.mass, "std": k.std, "given": k.given, "given_std": k.given_std}
             for k in estimate.known
@@ -88,6 +102,10 @@ def estimate_document(
         "sigma": _by_channel(estimate.channels, estimate.sigmas),
         "information": _together(estimate) if len(estimate.links) <= _MOST_LINKS_TOGETHER else None,
     }
+
+
+def _found(effect: EffectEstimate) -> KnownEffect:
+    return KnownEffect(effect.name, effect.joint, "", effect.parameters)
 
 
 def _together(estimate: Estimate) -> dict[str, Any]:

@@ -6,7 +6,7 @@
     robot: NAME                     # as in the URDF
     effects:
       - effect: stribeck_friction   # names, places, parameters and units: geomid_ros/model/effects/
-        joint: joint3               # or the topic of a wrench sensor; absent for the whole robot
+        joint: joint3               # or FIRST+SECOND, or the topic of a wrench sensor; absent for the whole robot
         link: tool                  # of a payload, else absent
         parameters:
           level: {value: 1.2, std: 0.01, unit: N m}     # std: standard deviation, null where it is not known
@@ -29,11 +29,16 @@ import yaml
 
 from geomid_ros.errors import InputError, unknown_name
 from geomid_ros.files.atomic import write_text
-from geomid_ros.files.models.effect_forms import KnownEffect, ModelEffect
 from geomid_ros.files.parameter_file import read_yaml
-from geomid_ros.gap.result import Quantity
-from geomid_ros.model.effects import PARAMETERS, PHYSICAL_EFFECTS, ParameterForm
-from geomid_ros.model.effects.effect import Place
+from geomid_ros.model.effects import (
+    EFFECTS,
+    KnownEffect,
+    ModelEffect,
+    ParameterForm,
+    PlaceKind,
+    Quantity,
+    effect_class,
+)
 
 FORMAT = 1
 _MOST_EFFECTS = 10_000
@@ -59,12 +64,12 @@ def write_sidecar(path: Path, robot: str, effects: Iterable[ModelEffect]) -> Non
     document = {"format": FORMAT, "robot": robot, "effects": entries}
     text = yaml.safe_dump(document, sort_keys=False, allow_unicode=True, default_flow_style=None, width=120)
     names = dict.fromkeys(entry["effect"] for entry in entries)
-    meanings = "".join(f"#   {name}: {PHYSICAL_EFFECTS[name].meaning}\n" for name in names)
+    meanings = "".join(f"#   {name}: {effect_class(name).meaning}\n" for name in names)
     write_text(path, _HEADER + meanings + text)
 
 
 def _entry(effect: ModelEffect) -> dict[str, Any]:
-    forms = PARAMETERS[effect.effect]
+    forms = effect_class(effect.effect).parameters
     place = {"joint": effect.joint, "link": effect.link}
     return {
         "effect": effect.effect,
@@ -73,8 +78,8 @@ def _entry(effect: ModelEffect) -> dict[str, Any]:
             name: {"value": float(q.value), "std": float(q.std) if math.isfinite(q.std) else None, "unit": q.unit}
             for name, q in effect.parameters.items()
         },
-        "urdf": [name for name, form in forms.items() if form.urdf and name in effect.parameters],
-        "mjcf": [name for name, form in forms.items() if form.mjcf and name in effect.parameters],
+        "urdf": [form.name for form in forms if form.urdf and form.name in effect.parameters],
+        "mjcf": [form.name for form in forms if form.mjcf and form.name in effect.parameters],
     }
 
 
@@ -106,15 +111,16 @@ def effect_of(entry: Any, where: str) -> KnownEffect:
     if not isinstance(entry, dict):
         raise InputError(f"{where}: expected an effect with its parameters, found {reprlib.repr(entry)}")
     name = str(entry.get("effect"))
-    if name not in PHYSICAL_EFFECTS:
-        raise InputError(f"{where}: {unknown_name('effect', name, PHYSICAL_EFFECTS)}")
+    if name not in EFFECTS:
+        raise InputError(f"{where}: {unknown_name('effect', name, EFFECTS)}")
+    forms = {form.name: form for form in EFFECTS[name].parameters}
     where = f"{where} ({name})"
     parameters = entry.get("parameters")
     if not isinstance(parameters, dict):
-        raise InputError(f"{where}: parameters: expected {', '.join(PARAMETERS[name])}")
+        raise InputError(f"{where}: parameters: expected {', '.join(forms)}")
     joint, link = (_text(entry, key, where) for key in ("joint", "link"))
-    _check_place(PHYSICAL_EFFECTS[name].place, joint, link, where)
-    return KnownEffect(name, joint, link, _parameters(parameters, PARAMETERS[name], f"{where}: parameters"))
+    _check_place(EFFECTS[name].place, joint, link, where)
+    return KnownEffect(name, joint, link, _parameters(parameters, forms, f"{where}: parameters"))
 
 
 def _text(entry: Mapping[str, Any], key: str, where: str) -> str:
@@ -124,11 +130,12 @@ def _text(entry: Mapping[str, Any], key: str, where: str) -> str:
     return value
 
 
-def _check_place(place: Place, joint: str, link: str, where: str) -> None:
-    needed = {"joint": joint, "sensor": joint, "link": link}
+def _check_place(place: PlaceKind, joint: str, link: str, where: str) -> None:
+    needed = {"joint": joint, "joints": joint, "sensor": joint, "link": link}
     if place in needed and not needed[place]:
         key = "link" if place == "link" else "joint"
-        what = "the topic of the wrench sensor" if place == "sensor" else f"the {key} at which it acts"
+        others = {"sensor": "the topic of the wrench sensor", "joints": "the two joints at which it acts, FIRST+SECOND"}
+        what = others.get(place, f"the {key} at which it acts")
         raise InputError(f"{where}: {key} is not given, expected {what}")
 
 

@@ -11,8 +11,9 @@ import numpy as np
 
 from geomid_ros.estimation.estimate import LinkEstimate
 from geomid_ros.files.bounded import read_text
-from geomid_ros.files.models.effect_forms import ModelEffect, inertia_matrix, joint_attributes, values
+from geomid_ros.files.models.effect_forms import inertia_matrix, is_body, joint_attributes, values
 from geomid_ros.files.models.urdf_spans import Edit, Span, edited, insertion, spans
+from geomid_ros.model.effects import ModelEffect
 from geomid_ros.model.effects.parameters import COM_ENTRIES
 from geomid_ros.model.urdf_tree import MOST_BYTES
 from geomid_ros.types import FloatArray
@@ -72,7 +73,7 @@ def with_effects(urdf: str, effects: Iterable[ModelEffect]) -> str:
             own[attribute] = own.get(attribute, 0.0) + value
     edits = [_dynamics(data, joints[name], own) for name, own in dynamics.items()]
     end = data.rindex(b"</robot")
-    payloads = [_payload(effect, links, joints) for effect in effects if effect.effect == "payload"]
+    payloads = [_payload(effect, links, joints) for effect in effects if is_body(effect)]
     edits.append((end, end, b"".join(payloads)))
     return edited(data, edits).decode()
 

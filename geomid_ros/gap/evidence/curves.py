@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from geomid_ros.gap.candidates import Candidate, Term
+from geomid_ros.gap.candidates import CurveCandidate, CurveTerm, Term
 from geomid_ros.gap.evidence.record import Records
 from geomid_ros.model.effects import Situation
 from geomid_ros.model.measurement import MeasurementModel
@@ -15,16 +15,6 @@ from geomid_ros.types import FloatArray
 POSITION, VELOCITY, LOAD, TIME = "position", "velocity", "load", "time"
 _PERIODS = range(2, 49)  # per turn of the joint
 _HANDICAP = 1.0  # in parameters: of as good a name and curve the name is taken
-
-
-def is_curve(candidate: Candidate) -> bool:
-    """Whether a candidate is a free curve and no name."""
-    return bool(candidate.terms) and bool(candidate.terms[0].curve)
-
-
-def depends_on(candidate: Candidate) -> str:
-    """The variable of a curve: position, velocity, load, time or a joint's name."""
-    return candidate.effect
 
 
 class Curves:
@@ -48,20 +38,20 @@ class Curves:
             LOAD: situation.predicted[:, joint],
         }
 
-    def _candidates(self, records: Records, situation: Situation, joint: int) -> Iterator[Candidate]:
+    def _candidates(self, records: Records, situation: Situation, joint: int) -> Iterator[CurveCandidate]:
         for kind, name, matrix in self._matrices(records, situation, joint):
-            terms = tuple(Term(joint, index=index, curve=name) for index in range(matrix.shape[1]))
+            terms = tuple(CurveTerm(joint, name, index) for index in range(matrix.shape[1]))
             look_elsewhere = 1.0 if name.startswith("wave") else 0.0
-            yield Candidate(kind, joint, terms, penalty=len(terms) + _HANDICAP + look_elsewhere)
+            yield CurveCandidate(kind, name, joint, terms, len(terms) + _HANDICAP + look_elsewhere)
 
     def columns(self, records: Records, situation: Situation) -> dict[Term, dict[int, FloatArray]]:
         """Columns of all curves' terms."""
-        found = {}
+        found: dict[Term, dict[int, FloatArray]] = {}
         joints = {candidate.joint for candidate in self.candidates}
         for joint in sorted(joints):
             for _, name, matrix in self._matrices(records, situation, joint):
                 for index in range(matrix.shape[1]):
-                    found[Term(joint, index=index, curve=name)] = {joint: matrix[:, index]}
+                    found[CurveTerm(joint, name, index)] = {joint: matrix[:, index]}
         return found
 
     def _matrices(self, records: Records, situation: Situation, joint: int) -> Iterator[tuple[str, str, FloatArray]]:

@@ -7,31 +7,49 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from geomid_ros.gap.candidates import Candidate, Term
+from geomid_ros.gap.candidates import AnyCandidate, EffectTerm, Term
 from geomid_ros.gap.evidence.noise import Autoregression, runs_of
 from geomid_ros.gap.evidence.record import Records
-from geomid_ros.model.effects import Situation
+from geomid_ros.model.columns import column_of, reached_joints
+from geomid_ros.model.effects import AtSensor, MotionEffect, SensorEffect, Situation, SituationEffect
+from geomid_ros.model.measurement import MeasurementModel
+from geomid_ros.model.samples import Samples
 from geomid_ros.types import BoolArray, FloatArray
 
 Columns = Mapping[Term, Mapping[int, FloatArray]]  # of each term, by channel: (N,)
 
 
 def term_columns(
-    records: Records, terms: Sequence[Term], situation: Callable[[], Situation]
+    model: MeasurementModel, records: Records, terms: Sequence[Term], situation: Callable[[], Situation]
 ) -> dict[Term, dict[int, FloatArray]]:
-    """Columns of named terms at the chosen rows, by the channels that they reach; ``situation``, which takes
+    """Columns of effects' terms at the chosen rows, by the channels that they reach; ``situation``, which takes
     long, is asked for only when a term needs it."""
     found: dict[Term, dict[int, FloatArray]] = {}
     for term in terms:
-        if term.motion >= 0:
-            found[term] = {term.joint: records.samples.effects[:, term.joint, term.motion]}
-        elif term.channel >= 0:
-            found[term] = {term.channel: np.ones(len(records.samples))}
-        elif term.situation is not None:
-            values = term.situation.columns(situation(), term.joint)[:, :, term.index]
-            reached = np.flatnonzero(np.any(values != 0.0, axis=0)).tolist()
-            found[term] = {channel: values[:, channel] for channel in reached}
+        if isinstance(term, EffectTerm):
+            found[term] = _columns(model, records.samples, term, situation)
     return found
+
+
+def _columns(
+    model: MeasurementModel, samples: Samples, term: EffectTerm, situation: Callable[[], Situation]
+) -> dict[int, FloatArray]:
+    effect, place = term.effect, term.place
+    if isinstance(effect, MotionEffect):
+        joints = reached_joints(place, model.effort_channels)
+        return {joint: samples.column(column_of(effect, place))[:, joint] for joint in joints}
+    if isinstance(effect, SituationEffect):
+        return _reached(effect.columns(situation(), place)[:, :, term.index], range(len(model.channels)))
+    if isinstance(effect, SensorEffect) and isinstance(place, AtSensor):
+        axes = [model.channels[channel].axis for channel in place.channels]
+        return _reached(effect.columns(samples.motion, axes)[:, :, term.index], place.channels)
+    return {}
+
+
+def _reached(values: FloatArray, channels: Sequence[int]) -> dict[int, FloatArray]:
+    """The columns of ``values (N, channels)`` that are not zero, by channel."""
+    used = np.flatnonzero(np.any(values != 0.0, axis=0)).tolist()
+    return {channels[place]: values[:, place] for place in used}
 
 
 BLOCKS = 8  # of time, for cross-validation
@@ -111,18 +129,19 @@ class Design:
         again = [10 * body + k for body in bodies for k in range(10)]
         return [*range(self.dimension), *again, *channel.gather(terms), -2]
 
-    def reached(self, candidate: Candidate) -> list[int]:
+    def reached(self, candidate: AnyCandidate) -> list[int]:
         """The channels that a candidate can change."""
-        if candidate.payload >= 0:
+        if candidate.payload is not None:
             return list(range(len(self.channels)))
         return [i for i, c in enumerate(self.channels) if any(term in c.place for term in candidate.terms)]
 
     def cross(
-        self, bodies: Sequence[int], terms: Sequence[Term], candidate: Candidate
+        self, bodies: Sequence[int], terms: Sequence[Term], candidate: AnyCandidate
     ) -> tuple[FloatArray, FloatArray]:
         """Products of a candidate's columns with those of :meth:`gather`, ``(R, k, n)``, and with themselves, in the R
         channels that it reaches."""
-        own = range(10 * candidate.payload, 10 * candidate.payload + 10) if candidate.payload >= 0 else ()
+        body = candidate.payload
+        own = range(10 * body, 10 * body + 10) if body is not None else ()
         with_others, with_own = [], []
         for channel in [self.channels[index] for index in self.reached(candidate)]:
             mine = [*own, *channel.gather(candidate.terms)]

@@ -11,10 +11,11 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 from scipy.ndimage import maximum_filter1d
 
-from geomid_ros.gap import candidates as library
-from geomid_ros.gap.evidence.play import sides
+from geomid_ros.gap.candidates import REST, SIGN, SMOOTH_SIGN
+from geomid_ros.model.columns import column_of, reached_joints
 from geomid_ros.model.dynamics import Dynamics
-from geomid_ros.model.effects import Situation
+from geomid_ros.model.effects import Effect, MotionEffect, Place, Situation, SituationEffect, joints_of
+from geomid_ros.model.effects.backlash import sides
 from geomid_ros.model.measurement import MeasurementModel, Rows
 from geomid_ros.model.samples import Samples
 from geomid_ros.signals.kernels import LOWEST_RATE_PER_CUTOFF, derivative_kernels
@@ -72,7 +73,7 @@ class Records:
         """Which of the targets ``(N, C)`` are measured, and efforts of joints that move."""
         valid: BoolArray = np.isfinite(targets)
         if model.efforts_usable:
-            sign, rest = self.samples.effects[:, :, library.SIGN], self.samples.effects[:, :, library.REST]
+            sign, rest = self.samples.column(SIGN), self.samples.column(REST)
             valid[:, : sign.shape[1]] &= (np.abs(sign) > _SAME_WAY) & (rest < _REST_SHARE)
         return valid
 
@@ -87,54 +88,107 @@ class Records:
         """Rows of the inertias alone."""
         return model.rows(self.samples)
 
-    def situation(
-        self, model: MeasurementModel, inertias: FloatArray, effects: FloatArray, gravity_by_tilt: FloatArray
-    ) -> Situation:
-        """What a model with ``inertias (bodies, 10)`` and joint effects of strength ``effects (joints, library)`` says;
-        ``gravity_by_tilt (3, 2)``: derivative of its gravity by the base's rotation."""
-        dynamics = Dynamics(model, inertias)
+    def situation(self, model: MeasurementModel, total: TotalModel) -> Situation:
+        """What a ``model`` with the gravity, inertias and effects of ``total`` says."""
+        dynamics = Dynamics(model, total.inertias)
         joints, channels = len(model.robot.joints), len(model.channels)
         parts = [
-            _load_terms(part, index, dynamics, effects, self.cutoff)
+            _load_terms(part, index, dynamics, total, self.cutoff)
             for part, index in zip(self.dense, self.chosen, strict=True)
         ]
-        joined = [np.concatenate(columns) for columns in zip(*parts, strict=True)]
-        predicted_joints, rate_joints = joined[:2]
-        predicted, rate = np.zeros((len(self.samples), channels)), np.zeros((len(self.samples), channels))
-        if model.efforts_usable:
-            predicted[:, :joints], rate[:, :joints] = predicted_joints, rate_joints
+        joined = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+        for name in ("predicted", "rate"):
+            of_joints, joined[name] = joined[name], np.zeros((len(self.samples), channels))
+            if model.efforts_usable:
+                joined[name][:, :joints] = of_joints
         sensitivity = dynamics.sensitivity(self.samples)
         return Situation(
-            self.samples.effects[:, :, library.SIGN],
-            predicted,
-            rate,
-            joined[2],
-            joined[3],
-            joined[4],
-            joined[5],
-            joined[6],
-            joined[7],
-            sensitivity.by_position,
-            sensitivity.by_velocity,
-            sensitivity.by_acceleration,
-            sensitivity.by_gravity @ gravity_by_tilt,
+            sign=self.samples.column(SIGN),
+            by_position=sensitivity.by_position,
+            by_velocity=sensitivity.by_velocity,
+            by_acceleration=sensitivity.by_acceleration,
+            by_gravity=sensitivity.by_gravity,
+            gravity=total.straight_gravity,
+            coefficients={(effect.name, place): values for effect, place, values in total.effects},
+            **joined,
         )
 
 
+@dataclass(frozen=True, eq=False)
+class TotalModel:
+    """A whole model: ``inertias (bodies, 10)`` of all bodies with their payloads; its ``effects``, each at a place with
+    its coefficients ``(k,)``; and gravity ``(3,)`` in the frame of a base that stands straight [m/s^2]."""
+
+    inertias: FloatArray
+    effects: tuple[tuple[Effect, Place, FloatArray], ...]
+    straight_gravity: FloatArray
+
+    @property
+    def gravity(self) -> FloatArray:
+        """Gravity ``(3,)`` in the base frame."""
+        gravity = self.straight_gravity
+        for effect, _, coefficients in self.absorbed:
+            gravity = effect.turned_gravity(gravity, effect.values(coefficients))
+        return gravity
+
+    @property
+    def lag(self) -> float:
+        """How long after the motion efforts are measured [s]."""
+        return sum(effect.effort_lag(effect.values(coefficients)) for effect, _, coefficients in self.absorbed)
+
+    @property
+    def absorbed(self) -> list[tuple[SituationEffect, Place, FloatArray]]:
+        """The effects that are built into the model instead of being columns: of gravity, of time, of scale."""
+        found = [
+            (effect, place, coefficients)
+            for effect, place, coefficients in self.effects
+            if isinstance(effect, SituationEffect) and effect.absorbed and np.any(coefficients)
+        ]
+        return sorted(found, key=lambda own: (own[0].scales_measurement, not own[0].acts_on_wrenches, joints_of(own[1])))
+
+    def scales(self, channels: int) -> FloatArray:
+        """Factors ``(channels,)`` from what is true to what is measured."""
+        scales = np.ones(channels)
+        for effect, place, coefficients in self.absorbed:
+            if effect.scales_measurement:
+                scales[list(joints_of(place))] *= effect.effort_scale(effect.values(coefficients))
+        return scales
+
+    def efforts(self, samples: Samples) -> FloatArray:
+        """What the effects of motion add to the joints' efforts ``(N, J)``."""
+        strengths = np.zeros((samples.position.shape[1], len(samples.columns)))
+        others = np.zeros(samples.position.shape)
+        for effect, place, (coefficient, *_) in self.effects:
+            if isinstance(effect, MotionEffect):
+                column, joints = column_of(effect, place), reached_joints(place, samples.position.shape[1])
+                if column in samples.columns.columns:
+                    strengths[list(joints), samples.columns.columns.index(column)] += coefficient
+                else:
+                    others[:, joints] += coefficient * samples.column(column)[:, joints]
+        efforts: FloatArray = np.einsum("njl,jl->nj", samples.effects, strengths)
+        return efforts + others
+
+
 def _load_terms(
-    part: Samples, index: IntArray, dynamics: Dynamics, effects: FloatArray, cutoff: float
-) -> tuple[FloatArray, ...]:
+    part: Samples, index: IntArray, dynamics: Dynamics, total: TotalModel, cutoff: float
+) -> dict[str, FloatArray]:
     period = _period(part)
     load = dynamics.efforts(part)
-    predicted = load + np.einsum("njl,jl->nj", part.effects[:, :, : effects.shape[1]], effects)
-    rate = np.gradient(predicted, period, axis=0)
+    predicted = load + total.efforts(part)
     smooth = _filtered(load, _SMOOTHER * cutoff, period)
-    side = [_filtered(each, cutoff, period) for each in np.moveaxis(sides(smooth[0], period), 2, 0)]
-    return tuple(values[index] for values in (predicted, rate, *smooth, *np.stack(side, axis=3)))
+    sides_by_crossing = [_filtered(each, cutoff, period) for each in np.moveaxis(sides(smooth[0], period), 2, 0)]
+    side = np.stack(sides_by_crossing, axis=3)
+    terms = {
+        "predicted": predicted,
+        "rate": np.gradient(predicted, period, axis=0),
+        **dict(zip(("load", "load_rate", "load_acceleration"), smooth, strict=True)),
+        **dict(zip(("side", "side_rate", "side_acceleration"), side, strict=True)),
+    }
+    return {name: values[index] for name, values in terms.items()}
 
 
 def _unsettled(part: Samples) -> FloatArray:
-    sharp, smooth = part.effects[:, :, library.SIGN], part.effects[:, :, library.SMOOTH_SIGN]
+    sharp, smooth = part.column(SIGN), part.column(SMOOTH_SIGN)
     reach = 2 * round(_REVERSAL / _period(part)) + 1
     differences: FloatArray = maximum_filter1d(np.abs(sharp - smooth), reach, axis=0)
     return differences

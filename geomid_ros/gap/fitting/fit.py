@@ -16,7 +16,7 @@ import numpy as np
 
 from geomid_ros.estimation.estimate import LinksInformation
 from geomid_ros.estimation.solvers import trust_region
-from geomid_ros.gap.candidates import Candidate, Term
+from geomid_ros.gap.candidates import AnyCandidate, Term
 from geomid_ros.gap.evidence.design import Design
 from geomid_ros.gap.fitting import other_recordings, payload_start
 from geomid_ros.gap.fitting.profile_objective import ProfileObjective, StraightManifold
@@ -30,7 +30,7 @@ _STEPS = 40
 _SPREADS = (0.03, 0.8)
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class Prior:
     """What is known before: the inertias ``(10 links,)``, the usual spread of their errors, and the effects that the
     model already has: their terms, values and spreads ``(k,)``. ``certainty``: how many directions of inertial error
@@ -41,11 +41,11 @@ class Prior:
     terms: tuple[Term, ...]
     values: FloatArray
     spreads: FloatArray
-    certainty: float = 4.0
+    certainty: float
     known: LinksInformation | None = None
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class JointFit:
     """The minimum for some ``chosen`` candidates.
 
@@ -54,7 +54,7 @@ class JointFit:
     the parameters by them; ``spread`` of the links; ``inflation`` of the variances of what other recordings say.
     """
 
-    chosen: tuple[Candidate, ...]
+    chosen: tuple[AnyCandidate, ...]
     terms: tuple[Term, ...]
     point: Point
     manifold: ParameterManifold
@@ -68,7 +68,7 @@ class JointFit:
     @property
     def bodies(self) -> list[int]:
         """Links that carry a payload."""
-        return [c.payload for c in self.chosen if c.payload >= 0]
+        return [c.payload for c in self.chosen if c.payload is not None]
 
     @cached_property
     def inverse(self) -> FloatArray:
@@ -105,7 +105,7 @@ class JointFit:
 def fit(
     design: Design,
     prior: Prior,
-    chosen: Sequence[Candidate],
+    chosen: Sequence[AnyCandidate],
     start: JointFit | None = None,
     spread: float | None = None,
 ) -> JointFit:
@@ -125,11 +125,11 @@ def fit(
 
 
 def _fit(
-    design: Design, prior: Prior, chosen: Sequence[Candidate], start: JointFit | None, spread: float | None = None
+    design: Design, prior: Prior, chosen: Sequence[AnyCandidate], start: JointFit | None, spread: float | None = None
 ) -> JointFit:
     """The minimum that is reached from the start."""
     fixed = spread is not None
-    bodies = [c.payload for c in chosen if c.payload >= 0]
+    bodies = [c.payload for c in chosen if c.payload is not None]
     own = dict.fromkeys(term for c in chosen for term in c.terms)
     terms = (*prior.terms, *(term for term in own if term not in prior.terms))
     products = design.gather(bodies, terms)
@@ -174,7 +174,18 @@ def _fit(
     score += other_recordings.cost_of_inflation(rows, inflation)
     score += sum(c.penalty for c in chosen) * float(np.log(np.max(counts, initial=1.0)))
     squares = trusted.squares(point)
-    return JointFit(tuple(chosen), terms, point, manifold, score, squares, hessian, spread, inflation, products)
+    return JointFit(
+        chosen=tuple(chosen),
+        terms=terms,
+        point=point,
+        manifold=manifold,
+        score=score,
+        squares=squares,
+        information=hessian,
+        spread=spread,
+        inflation=inflation,
+        products=products,
+    )
 
 
 def unfitted(prior: Prior) -> JointFit:
@@ -182,16 +193,16 @@ def unfitted(prior: Prior) -> JointFit:
     manifold = StraightManifold(len(prior.inertias) // 10, 0, np.ones(len(prior.values)))
     size = manifold.dimension
     return JointFit(
-        (),
-        prior.terms,
-        manifold.point(np.concatenate([prior.inertias, prior.values])),
-        manifold,
-        np.inf,
-        np.zeros(0),
-        np.eye(size),
-        prior.spread,
-        1.0,
-        np.zeros((0, size + 1, size + 1)),
+        chosen=(),
+        terms=prior.terms,
+        point=manifold.point(np.concatenate([prior.inertias, prior.values])),
+        manifold=manifold,
+        score=np.inf,
+        squares=np.zeros(0),
+        information=np.eye(size),
+        spread=prior.spread,
+        inflation=1.0,
+        products=np.zeros((0, size + 1, size + 1)),
     )
 
 

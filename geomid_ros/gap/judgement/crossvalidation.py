@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from geomid_ros.gap.candidates import Candidate
+from geomid_ros.gap.candidates import AnyCandidate
 from geomid_ros.gap.evidence.design import Design
 from geomid_ros.gap.fitting.fit import JointFit
 from geomid_ros.types import FloatArray
@@ -16,10 +16,10 @@ _GAIN_PER_LOSS = 3.0
 _NONE = np.zeros(0)
 
 
-def generalises(design: Design, found: JointFit, candidate: Candidate) -> bool:
+def generalises(design: Design, found: JointFit, candidate: AnyCandidate) -> bool:
     """Whether each block of time is on the whole predicted better with a candidate than without it by fits to the other
     blocks; True for a payload, without which the fit is far from quadratic."""
-    if candidate.payload >= 0:
+    if candidate.payload is not None:
         return True
     blocks = _Blocks(design, found)
     places = [found.place(term) for term in candidate.terms]

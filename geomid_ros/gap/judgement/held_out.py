@@ -8,7 +8,7 @@ import numpy as np
 
 from geomid_ros.gap.evidence.record import Records
 from geomid_ros.gap.fitting.fit import JointFit, Prior, unfitted
-from geomid_ros.gap.fitting.stage import Stage, TotalModel
+from geomid_ros.gap.fitting.stage import Stage, total_model
 from geomid_ros.gap.judgement.locate import located
 from geomid_ros.gap.result import Gap, Located, Trace
 from geomid_ros.gap.search.analysis import Analysis
@@ -46,7 +46,16 @@ class HeldOut:
         fits = (self._untouched, self._analysis.bare, self._analysis.names)
         before, middle, after = (measured - self._residual(found) for found in fits)
         load = np.abs(after)
-        return Trace(samples.stamps, samples.position, samples.velocity, load, measured, before, middle, after)
+        return Trace(
+            stamps=samples.stamps,
+            position=samples.position,
+            velocity=samples.velocity,
+            load=load,
+            measured=measured,
+            before=before,
+            inertias_only=middle,
+            after=after,
+        )
 
     @cached_property
     def located(self) -> tuple[Located, ...]:
@@ -65,7 +74,7 @@ class HeldOut:
         return self._times_floor(self._residual(found))
 
     def _stage(self, found: JointFit) -> Stage:
-        return Stage(self._model, self._records, TotalModel.of(self._model, found), self._analysis.floor)
+        return Stage(self._model, self._records, total_model(self._model, found), self._analysis.floor)
 
     def _residual(self, found: JointFit) -> FloatArray:
         if found not in self._residuals:

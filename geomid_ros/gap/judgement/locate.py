@@ -16,11 +16,10 @@ def located(model: MeasurementModel, records: Records, residual: FloatArray, loa
     """For each channel of ``residual (N, C)``; a wrench channel has no joint, only load and time."""
     samples = records.samples
     time = (samples.stamps - samples.stamps[0]) * 1e-9
-    joints = len(model.robot.joints) if model.efforts_usable else 0
     found = []
     for index, channel in enumerate(model.channels):
         values = residual[:, index]
-        own = index < joints
+        own = channel.joint is not None
         velocity = samples.velocity[:, index] if own else np.zeros(len(values))
         position = samples.position[:, index] if own else np.zeros(len(values))
         found.append(

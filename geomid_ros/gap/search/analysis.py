@@ -8,13 +8,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from geomid_ros.gap import candidates as library
-from geomid_ros.gap.candidates import Candidate, Term
-from geomid_ros.gap.evidence.curves import Curves, is_curve
+from geomid_ros.gap.candidates import AnyCandidate, CurveCandidate, CurveTerm, EffectTerm, Term
+from geomid_ros.gap.evidence.curves import Curves
 from geomid_ros.gap.evidence.noise import Autoregression, runs_of
-from geomid_ros.gap.evidence.record import Records
+from geomid_ros.gap.evidence.record import Records, TotalModel
 from geomid_ros.gap.evidence.repeats import noise_by_repeats
 from geomid_ros.gap.fitting.fit import JointFit, Prior, unfitted
-from geomid_ros.gap.fitting.stage import Stage, TotalModel
+from geomid_ros.gap.fitting.stage import Stage, total_model
 from geomid_ros.gap.search.beam_search import Search
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.types import BoolArray, FloatArray
@@ -22,15 +22,13 @@ from geomid_ros.types import BoolArray, FloatArray
 _ROUNDS = 6
 _SETTLED = 0.5  # standard deviations
 _MOST_CURVES = 4
-_FAR_TILT = 0.03  # [rad]
-_FAR_DELAY = 2e-3  # [s]
 _MEDIAN_OF_GAUSSIAN = 0.6745
 _VISIBLE = 1.07  # times larger, to be worth a word
 
 Columns = dict[Term, dict[int, FloatArray]]
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class Analysis:
     """Where the search ended: the last ``stage`` with its ``columns`` and ``search``; the fit with ``names`` alone,
     with curves for what they leave (``whole``), and without either (``bare``); each channel's ``noise``, its standard
@@ -51,28 +49,29 @@ def analyse(
     model: MeasurementModel, records: Records, prior: Prior, progress: Callable[[str, float], None]
 ) -> Analysis:
     """Find the set of names that explains the records best."""
-    total = TotalModel.of(model, unfitted(prior))
+    total = total_model(model, unfitted(prior))
     stage = Stage(model, records, total)
     curves = Curves(model, records, stage.situation)
-    names = library.candidates(model)
+    has = {(term.effect.name, term.place) for term in prior.terms if isinstance(term, EffectTerm)}
+    names = [c for c in library.candidates(model) if c.effect.adds_up or c.group not in has]
     columns = stage.columns(names, prior.terms, curves)
     noise = (Autoregression.white(),) * len(model.channels)
     bare = Search(stage.design(columns, noise), prior, names).fit([])
     noise = _flexible_noise(stage, columns, bare, stage.valid)
     floor: FloatArray | None = None
-    chosen: Sequence[Candidate] = ()
+    chosen: Sequence[AnyCandidate] = ()
     before: JointFit | None = None
     for attempt in range(_ROUNDS):
         progress("searching", attempt / _ROUNDS)
-        stage = Stage(model, records, TotalModel.of(model, bare) if attempt == 0 else total, floor)
+        stage = Stage(model, records, total_model(model, bare) if attempt == 0 else total, floor)
         columns = stage.columns(names, prior.terms, curves)
         search = Search(stage.design(columns, noise), prior, names, curves.candidates)
         found = search.without_absurd(search.fit(chosen))
         final = attempt == _ROUNDS - 1
-        if final or _near(TotalModel.of(model, found), total):
+        if final or _near(total_model(model, found), total):
             found = search.without_absurd(search.settle(search.prune(found), to_the_end=final))
         whole = found
-        total = TotalModel.of(model, found)
+        total = total_model(model, found)
         last = final or _same(before, found)
         before = found
         if last:
@@ -89,24 +88,24 @@ def analyse(
     counts = search.design.counts
     freedom = 1.0 - whole.parameters_by_channel(search.design) / np.where(counts > 0.0, counts, np.nan)
     return Analysis(
-        stage,
-        columns,
-        search,
-        curves,
-        search.fit([]),
-        found,
-        whole,
-        noise,
-        repeats.floor(_root_mean_square(residual, stage.valid) / np.sqrt(freedom)),
+        stage=stage,
+        columns=columns,
+        search=search,
+        curves=curves,
+        bare=search.fit([]),
+        names=found,
+        whole=whole,
+        noise=noise,
+        floor=repeats.floor(_root_mean_square(residual, stage.valid) / np.sqrt(freedom)),
     )
 
 
 def _with_and_without_curves(search: Search, found: JointFit) -> tuple[JointFit, JointFit]:
     """The fit of the names alone, and the one with the curves that they leave room for: the same names in both."""
     whole = search.simplified(search.without_absurd(_with_curves(search, found)))
-    names = search.without_absurd(search.fit([c for c in whole.chosen if not is_curve(c)], whole))
-    if {*names.chosen} != {c for c in whole.chosen if not is_curve(c)}:
-        whole = search.fit([*names.chosen, *(c for c in whole.chosen if is_curve(c))], names)
+    names = search.without_absurd(search.fit([c for c in whole.chosen if not isinstance(c, CurveCandidate)], whole))
+    if {*names.chosen} != {c for c in whole.chosen if not isinstance(c, CurveCandidate)}:
+        whole = search.fit([*names.chosen, *(c for c in whole.chosen if isinstance(c, CurveCandidate))], names)
     return names, whole if search.possible(whole) else names
 
 
@@ -117,7 +116,7 @@ def _with_curves(search: Search, found: JointFit) -> JointFit:
         current = search.prune(larger)
     if current is not found:
         current = search.exchange(current)
-    for curve in [c for c in current.chosen if is_curve(c)]:
+    for curve in [c for c in current.chosen if isinstance(c, CurveCandidate)]:
         without = search.without(current, curve)
         if float(np.sqrt(np.max(without.squares / current.squares))) < _VISIBLE:
             current = without
@@ -126,7 +125,13 @@ def _with_curves(search: Search, found: JointFit) -> JointFit:
 
 def _near(found: TotalModel, total: TotalModel) -> bool:
     """Whether columns for one are good for the other."""
-    return bool(np.all(np.abs(found.tilt - total.tilt) < _FAR_TILT) and abs(found.delay - total.delay) < _FAR_DELAY)
+    before = {(effect, place): coefficients for effect, place, coefficients in total.effects}
+    after = {(effect, place): coefficients for effect, place, coefficients in found.effects}
+    return all(
+        bool(np.all(np.abs(after.get(key, 0.0) - before.get(key, np.zeros(1))) < key[0].far))
+        for key in {**before, **after}
+        if key[0].far
+    )
 
 
 def _same(before: JointFit | None, found: JointFit) -> bool:
@@ -144,7 +149,7 @@ def _flexible_noise(stage: Stage, columns: Columns, bare: JointFit, valid: BoolA
     left = np.full(residual.shape, np.nan)
     for channel in range(residual.shape[1]):
         chosen = valid[:, channel]
-        own = [by[channel] for term, by in columns.items() if channel in by and not term.curve]
+        own = [by[channel] for term, by in columns.items() if channel in by and not isinstance(term, CurveTerm)]
         matrix = np.column_stack(own)[chosen] if own else np.zeros((np.count_nonzero(chosen), 0))
         matrix = matrix / np.maximum(np.linalg.norm(matrix, axis=0), 1e-12)
         solution = np.linalg.lstsq(matrix, residual[chosen, channel], rcond=1e-6)[0]

@@ -4,13 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TypeAlias
 
 import numpy as np
 
-from geomid_ros.gap.candidates import RICHER, Candidate
+from geomid_ros.gap.candidates import AnyCandidate, Candidate, CurveCandidate
 from geomid_ros.gap.evidence.design import Design
 from geomid_ros.gap.fitting.fit import JointFit, Prior, fit
 from geomid_ros.gap.search.score_test import improvement
+from geomid_ros.model.effects import Place
+
+Group: TypeAlias = tuple[str, Place] | tuple[str, int]
 
 LEAST_GAIN = 12.0
 """A name that improves the score by less is not taken: e^-6 in probability."""
@@ -20,33 +24,13 @@ _EXCHANGES = 4
 _MOST_EFFECTS = 40
 _PLAUSIBLE = 0.5  # of a name's loss: what the score test must promise of a rival that is tried in its place
 _NEEDED = 5.0 * LEAST_GAIN  # a name whose loss is larger, by a quadratic estimate, need not be tried to be left out
-# Beyond these it is no effect of a robot that works: limits of the coefficients, either sign.
-_LARGEST = {
-    "effort_gain": 0.5,
-    "load_friction": 1.0,
-    "effort_delay": 0.2,  # [s]
-    "backlash": 0.2,  # [rad]
-    "joint_elasticity": 1.0,  # [rad/(N m)]
-}
-_LIKE_A_PAYLOAD = {
-    "payload",
-    "rotor_inertia",
-    "spring",
-    "effort_offset",
-    "effort_gain",
-    "gravity_tilt",
-    "joint_elasticity",
-    "wrench_offset",
-}
-_LARGEST_EXCESS = 4.0  # of the friction of a fast joint
-_LARGEST_TURN = 12.6  # [rad] between the zero of a joint and the rest of its spring
 
 
 @dataclass(frozen=True)
 class Trial:
     """A candidate's improvement of a fit by the score test, its penalty paid, and its separability."""
 
-    candidate: Candidate
+    candidate: AnyCandidate
     gain: float
     separability: float
 
@@ -55,26 +39,26 @@ class Search:
     """Search over sets of candidates for one design."""
 
     def __init__(
-        self, design: Design, prior: Prior, candidates: Sequence[Candidate], curves: Sequence[Candidate] = ()
+        self, design: Design, prior: Prior, candidates: Sequence[Candidate], curves: Sequence[CurveCandidate] = ()
     ) -> None:
         self.design = design
         self.prior = prior
         self.candidates = list(candidates)
         self._scouts = [c for c in self.candidates if c.scout]
         self.curves = list(curves)
-        self._fits: dict[frozenset[Candidate], JointFit] = {}
-        self._payload_trials: dict[frozenset[Candidate], list[Trial]] = {}
+        self._fits: dict[frozenset[AnyCandidate], JointFit] = {}
+        self._payload_trials: dict[frozenset[AnyCandidate], list[Trial]] = {}
 
-    def fit(self, chosen: Sequence[Candidate], start: JointFit | None = None) -> JointFit:
+    def fit(self, chosen: Sequence[AnyCandidate], start: JointFit | None = None) -> JointFit:
         """The joint fit of a set; each set is fitted once."""
         key = frozenset(chosen)
         if key not in self._fits:
             self._fits[key] = fit(self.design, self.prior, chosen, start)
         return self._fits[key]
 
-    def ranked(self, current: JointFit, among: Sequence[Candidate] | None = None) -> list[Trial]:
+    def ranked(self, current: JointFit, among: Sequence[AnyCandidate] | None = None) -> list[Trial]:
         """Candidates that could join, the best of each group, by the score test."""
-        best: dict[tuple[str, int, int], Trial] = {}
+        best: dict[Group, Trial] = {}
         for candidate in self._scouts if among is None else among:
             if any(candidate.excludes(other) for other in current.chosen):
                 continue
@@ -93,34 +77,32 @@ class Search:
             current = min((f for c in absurd for f in self._simpler(current, c)), key=lambda f: f.score)
         return current
 
-    def _simpler(self, current: JointFit, candidate: Candidate) -> list[JointFit]:
+    def _simpler(self, current: JointFit, candidate: AnyCandidate) -> list[JointFit]:
         """The fit without a candidate, and those with a name that is a special case of it."""
         rest = self.without(current, candidate)
-        special = [
-            c for c in self.candidates if c.joint == candidate.joint and RICHER.get(c.effect) == candidate.effect
-        ]
+        contained = candidate.effect.contains if isinstance(candidate, Candidate) else ""
+        special = [c for c in self.candidates if c.name == contained and c.joint == candidate.joint]
         return [rest, *(self.fit([*rest.chosen, c], rest) for c in special)]
 
-    def _is_absurd(self, found: JointFit, candidate: Candidate) -> bool:
-        if candidate.payload >= 0:
+    def _is_absurd(self, found: JointFit, candidate: AnyCandidate) -> bool:
+        if isinstance(candidate, CurveCandidate):
+            return False
+        if candidate.payload is not None:
             place = len(self.prior.inertias) // 10 + found.bodies.index(candidate.payload)
             return bool(found.point.pseudo_inertias[place, 3, 3] > np.sum(self.prior.inertias[::10]))
-        values = [found.value(term) for term in candidate.terms]
-        if candidate.effect == "spring" and abs(values[1]) > _LARGEST_TURN * values[0]:
-            return True
-        if candidate.effect == "stribeck_friction" and values[1] > _LARGEST_EXCESS * values[0]:
-            return True
-        wrong_sign = any(value <= 0.0 for value in values[: candidate.positives])
-        return wrong_sign or abs(values[0]) > _LARGEST.get(candidate.effect, np.inf)
+        values = np.array([found.value(term) for term in candidate.terms])
+        return bool(np.any(values[: candidate.positives] <= 0.0)) or candidate.effect.is_absurd(values)
 
     def extended(
-        self, current: JointFit, skip: tuple[str, int, int] | None = None, least: float = 0.5 * LEAST_GAIN
+        self, current: JointFit, instead_of: AnyCandidate | None = None, least: float = 0.5 * LEAST_GAIN
     ) -> list[JointFit]:
         """Exact fits with one candidate more, the best first: those that the score test prefers, and payloads; none of
         which it promises less than ``least``."""
-        trials = [t for t in self.ranked(current) if t.gain > least and t.candidate.payload < 0]
+        skip = None if instead_of is None else instead_of.group
+        imitable = not isinstance(instead_of, Candidate) or instead_of.effect.like_a_payload
+        trials = [t for t in self.ranked(current) if t.gain > least and t.candidate.payload is None]
         trials = [t for t in trials if t.candidate.group != skip][:_SHORTLIST]
-        if not current.bodies and (skip is None or skip[0] in _LIKE_A_PAYLOAD):
+        if not current.bodies and imitable:
             trials += [t for t in self._payloads(current) if t.gain > least]
         shortlist = [t.candidate for t in trials if t.candidate.group != skip]
         fits = [self.fit([*current.chosen, candidate], current) for candidate in shortlist]
@@ -132,11 +114,11 @@ class Search:
         key = frozenset(current.chosen)
         if key not in self._payload_trials:
             firm = fit(self.design, self.prior, current.chosen, current, spread=self.prior.spread)
-            trials = self.ranked(firm, [c for c in self.candidates if c.payload >= 0])
+            trials = self.ranked(firm, [c for c in self.candidates if c.payload is not None])
             self._payload_trials[key] = [trial for trial in trials if trial.gain > 0.0][:_PAYLOADS]
         return self._payload_trials[key]
 
-    def without(self, current: JointFit, candidate: Candidate) -> JointFit:
+    def without(self, current: JointFit, candidate: AnyCandidate) -> JointFit:
         """The fit without one of its candidates."""
         return self.fit([c for c in current.chosen if c is not candidate], current)
 
@@ -156,11 +138,11 @@ class Search:
             current = smaller
         return current
 
-    def rivals(self, current: JointFit, candidate: Candidate) -> list[JointFit]:
+    def rivals(self, current: JointFit, candidate: AnyCandidate) -> list[JointFit]:
         """The best sets in which another name stands in the place of one candidate."""
         rest = self.without(current, candidate)
         least = max(0.5 * LEAST_GAIN, _PLAUSIBLE * (rest.score - current.score))
-        return self.extended(rest, candidate.group, least)
+        return self.extended(rest, candidate, least)
 
     def add_curve(self, current: JointFit) -> JointFit | None:
         """The best set with one free curve more; None if none is worth its parameters."""
@@ -169,7 +151,7 @@ class Search:
         best = min((f for f in fits if self.possible(f)), key=lambda f: f.score, default=None)
         return best if best is not None and current.score - best.score > LEAST_GAIN else None
 
-    def instead(self, current: JointFit, candidate: Candidate) -> JointFit | None:
+    def instead(self, current: JointFit, candidate: AnyCandidate) -> JointFit | None:
         """The best set in which a free curve at the same joint stands in the place of a name."""
         rest = self.without(current, candidate)
         trials = self.ranked(rest, [c for c in self.curves if c.joint == candidate.joint])
@@ -201,9 +183,9 @@ class Search:
                 current = best
         return current
 
-    def neighbours(self, candidate: Candidate) -> list[Candidate]:
+    def neighbours(self, candidate: AnyCandidate) -> list[Candidate]:
         """The same name with the next smaller and the next larger of its scanned constant, where there are such."""
-        if not candidate.scanned:
+        if not isinstance(candidate, Candidate) or not candidate.scanned:
             return []
         alike = sorted((c for c in self.candidates if c.group == candidate.group), key=lambda c: c.scanned)
         place = alike.index(candidate)
@@ -225,13 +207,13 @@ class Search:
 
 def _turns(found: JointFit) -> set[str]:
     """The names of a fit whose size all other columns depend on."""
-    return {c.effect for c in found.chosen} & {"gravity_tilt", "effort_delay"}
+    return {c.name for c in found.chosen if isinstance(c, Candidate) and c.effect.far}
 
 
-def _estimated_loss(design: Design, current: JointFit, candidate: Candidate) -> float:
+def _estimated_loss(design: Design, current: JointFit, candidate: AnyCandidate) -> float:
     """By how much the score is worse without a candidate, to second order, its penalty not counted; 0 for a payload,
     whose loss is not nearly quadratic."""
-    if candidate.payload >= 0:
+    if candidate.payload is not None:
         return 0.0
     places = [current.place(term) for term in candidate.terms]
     values = np.array([current.value(term) for term in candidate.terms])

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from geomid_ros.gap.candidates import Candidate
+from geomid_ros.gap.candidates import AnyCandidate
 from geomid_ros.gap.evidence.design import Design
 from geomid_ros.gap.fitting.fit import JointFit
 
 
-def improvement(design: Design, current: JointFit, candidate: Candidate) -> tuple[float, float]:
+def improvement(design: Design, current: JointFit, candidate: AnyCandidate) -> tuple[float, float]:
     """The score test: by how much a candidate would improve the current fit, to second order, less its penalty; and its
     separability, the share of its columns that the other parameters, within their prior, cannot imitate.
 

@@ -1,59 +1,132 @@
-"""Physical effects, one file each: what is in a file of this folder is known everywhere."""
+"""Physical effects, one file each: what is listed here is known everywhere."""
 
 from __future__ import annotations
 
-from importlib import import_module
-from pkgutil import iter_modules
-
 from geomid_ros.errors import unknown_name
-from geomid_ros.model.effects.effect import Effect, JointMotion, PhysicalEffect
-from geomid_ros.model.effects.parameters import ParameterForm
-from geomid_ros.model.effects.situation import Situation, SituationEffect
+from geomid_ros.model.effects.backlash import Backlash
+from geomid_ros.model.effects.coulomb_friction import CoulombFriction
+from geomid_ros.model.effects.effect import (
+    Effect,
+    Hinge,
+    JointEffect,
+    MotionEffect,
+    PairEffect,
+    RobotEffect,
+    SensorEffect,
+    SituationEffect,
+)
+from geomid_ros.model.effects.effort_delay import EffortDelay
+from geomid_ros.model.effects.effort_gain import EffortGain
+from geomid_ros.model.effects.effort_offset import EffortOffset
+from geomid_ros.model.effects.gravity_tilt import GravityTilt
+from geomid_ros.model.effects.joint_elasticity import JointElasticity
+from geomid_ros.model.effects.known import KnownEffect, ModelEffect
+from geomid_ros.model.effects.load_friction import LoadFriction
+from geomid_ros.model.effects.parameters import ParameterForm, Quantity, Values
+from geomid_ros.model.effects.payload import Payload
+from geomid_ros.model.effects.places import (
+    AtJoint,
+    AtJoints,
+    AtSensor,
+    OnLink,
+    OnRobot,
+    Place,
+    PlaceKind,
+    joint_of,
+    joints_of,
+)
+from geomid_ros.model.effects.rotor_inertia import RotorInertia
+from geomid_ros.model.effects.situation import JointMotion, Motion, Situation
+from geomid_ros.model.effects.spring import Spring
+from geomid_ros.model.effects.stribeck_friction import StribeckFriction
+from geomid_ros.model.effects.viscous_friction import ViscousFriction
+from geomid_ros.model.effects.wrench_offset import WrenchOffset
 
 __all__ = [
     "DEFAULT_EFFECTS",
     "EFFECTS",
-    "PARAMETERS",
-    "PHYSICAL_EFFECTS",
+    "AtJoint",
+    "AtJoints",
+    "AtSensor",
     "Effect",
+    "Hinge",
+    "JointEffect",
     "JointMotion",
+    "KnownEffect",
+    "ModelEffect",
+    "Motion",
+    "MotionEffect",
+    "OnLink",
+    "OnRobot",
+    "PairEffect",
     "ParameterForm",
-    "PhysicalEffect",
+    "Place",
+    "PlaceKind",
+    "Quantity",
+    "RobotEffect",
+    "SensorEffect",
     "Situation",
     "SituationEffect",
-    "effect",
+    "Values",
+    "effect_class",
+    "identifiable",
+    "identified_effect",
+    "joint_of",
+    "joints_of",
+    "register",
 ]
 
 DEFAULT_EFFECTS = ("viscous_friction", "coulomb_friction", "rotor_inertia", "effort_offset")
 """Names of the effects that are identified at every joint unless the user says otherwise."""
 
-
-def _collected() -> dict[str, type[PhysicalEffect]]:
-    """The classes with a name in the files of this folder, by name, in the order of the files."""
-    found: dict[str, type[PhysicalEffect]] = {}
-    for file in sorted(module.name for module in iter_modules(__path__)):
-        for value in vars(import_module(f"{__name__}.{file}")).values():
-            if isinstance(value, type) and issubclass(value, PhysicalEffect) and hasattr(value, "name"):
-                other = found.setdefault(value.name, value)
-                if other is not value:
-                    raise TypeError(f"{other} and {value} have the same name, '{value.name}'")
-    return found
+EFFECTS: dict[str, type[Effect]] = {}
+"""All effects, by name, in the order in which they are tried."""
 
 
-PHYSICAL_EFFECTS = _collected()
-"""All effects, by name."""
-
-PARAMETERS = {name: {form.name: form for form in cls.parameters} for name, cls in PHYSICAL_EFFECTS.items()}
-"""The parameters of all effects, by their names."""
-
-EFFECTS: dict[str, Effect] = {
-    name: cls() for name, cls in PHYSICAL_EFFECTS.items() if issubclass(cls, Effect) and len(cls.parameters) == 1
-}
-"""The effects that can be identified: functions of one joint's motion with one parameter, its coefficient."""
+def register(effect: type[Effect]) -> type[Effect]:
+    """Make an effect known everywhere; may be used as a decorator. Raises TypeError if there is another of its name."""
+    other = EFFECTS.setdefault(effect.name, effect)
+    if other is not effect:
+        raise TypeError(f"{other} and {effect} have the same name, '{effect.name}'")
+    return effect
 
 
-def effect(name: str) -> Effect:
-    """The effect of that name that can be identified; an unknown one is answered with the valid names."""
+for _effect in (
+    ViscousFriction,
+    RotorInertia,
+    EffortOffset,
+    Spring,
+    CoulombFriction,
+    StribeckFriction,
+    LoadFriction,
+    EffortGain,
+    JointElasticity,
+    Backlash,
+    EffortDelay,
+    GravityTilt,
+    Payload,
+    WrenchOffset,
+):
+    register(_effect)
+
+
+def effect_class(name: str) -> type[Effect]:
+    """The effect of that name. Raises InputError with the valid names for an unknown one."""
     if name not in EFFECTS:
         raise unknown_name("effect", name, EFFECTS)
     return EFFECTS[name]
+
+
+def identifiable() -> dict[str, MotionEffect | SensorEffect]:
+    """The effects that can be identified along with the inertias, by name: linear in their coefficients, and not made
+    of others."""
+    instances = {name: cls() for name, cls in EFFECTS.items() if issubclass(cls, MotionEffect | SensorEffect)}
+    return {name: effect for name, effect in instances.items() if effect.parts == (effect,)}
+
+
+def identified_effect(name: str) -> MotionEffect | SensorEffect:
+    """The effect of that name that can be identified. Raises InputError with the valid names for an unknown one."""
+    known = identifiable()
+    if name not in known:
+        raise unknown_name("effect", name, known)
+    return known[name]

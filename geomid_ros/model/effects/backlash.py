@@ -1,11 +1,14 @@
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from geomid_ros.model.effects.parameters import ParameterForm
-from geomid_ros.model.effects.situation import Situation, SituationEffect
+from geomid_ros.model.effects.effect import Effect, Hinge, SituationEffect
+from geomid_ros.model.effects.parameters import ParameterForm, Values
+from geomid_ros.model.effects.places import Place, joint_of
+from geomid_ros.model.effects.situation import Situation
 from geomid_ros.types import FloatArray
 
 CROSSINGS = tuple(float(time) for time in np.geomspace(0.003, 0.2, 15).round(4))
@@ -17,7 +20,7 @@ class Backlash(SituationEffect):
     """Play: the link is behind the measured position by half of c [rad], on the side to which the load has pushed it;
     it crosses the play in :data:`CROSSINGS` of ``crossing``."""
 
-    crossing: int
+    crossing: int = len(CROSSINGS) // 2
 
     name = "backlash"
     label = "backlash"
@@ -27,9 +30,29 @@ class Backlash(SituationEffect):
         ParameterForm("drag", ("N m s/rad", "N s/m"), above=0.0, optional=True, mjcf="backlash/damping"),
     )
     settled_by = "slow motions in which the load of this joint changes its sign"
-    positive = True
+    first_order = True
 
-    def columns(self, situation: Situation, joint: int) -> FloatArray:
+    @classmethod
+    def variants(cls) -> tuple[Effect, ...]:
+        """One for each of :data:`CROSSINGS`."""
+        return tuple(cls(place) for place in range(len(CROSSINGS)))
+
+    @property
+    def scanned(self) -> float:
+        """The time of a crossing [s]."""
+        return CROSSINGS[self.crossing]
+
+    @property
+    def positives(self) -> int:
+        """The gap."""
+        return 1
+
+    def is_absurd(self, coefficients: FloatArray) -> bool:
+        """Whether the play is wider than 0.2 rad."""
+        return bool(abs(coefficients[0]) > 0.2)
+
+    def columns(self, situation: Situation, place: Place) -> FloatArray:
+        joint = joint_of(place)
         moved = (
             situation.by_position[:, :, joint] * situation.side[:, joint, self.crossing, None]
             + situation.by_velocity[:, :, joint] * situation.side_rate[:, joint, self.crossing, None]
@@ -37,3 +60,45 @@ class Backlash(SituationEffect):
         )
         result: FloatArray = -0.5 * moved[:, :, None]
         return result
+
+    def constants(
+        self, found: Sequence[tuple[float, float]], unsure: float, usual_load: float
+    ) -> list[tuple[float, float]]:
+        """The drag, against which the usual load crosses the gap in the time that was scanned."""
+        ((gap, std),) = found
+        drag = usual_load * self.scanned / gap
+        return [(drag, drag * float(np.hypot(unsure, std / gap)))]
+
+    @classmethod
+    def from_values(cls, values: Values, usual_load: float = 0.0) -> Backlash:
+        """The one whose crossing takes most nearly as long as against this drag."""
+        if usual_load <= 0.0 or values["drag"] <= 0.0:
+            return cls()
+        wanted = values["drag"] * values["gap"] / usual_load
+        return cls(int(np.argmin(np.abs(np.log(np.array(CROSSINGS) / wanted)))))
+
+    @classmethod
+    def hinge(cls, values: Values, carried: float) -> Hinge:  # noqa: ARG003
+        """A hinge with ends, and with the drag between them."""
+        return Hinge("backlash", damping=values["drag"], half_range=0.5 * values["gap"])
+
+
+def sides(load: FloatArray, period: float) -> FloatArray:
+    """On which side of their play the gears are.
+
+    The load pushes the link through the play against a drag: its speed is in proportion to the load.
+
+    Args:
+        load: of the gears ``(N, J)``, sampled every ``period`` [s].
+
+    Returns:
+        from -1 to 1 ``(N, J, K)``, for each of :data:`CROSSINGS`.
+    """
+    usual = np.maximum(np.std(load, axis=0), 1e-12)
+    steps: FloatArray = (load / usual)[:, :, None] * (2.0 * period / np.array(CROSSINGS))
+    result = np.empty_like(steps)
+    side = np.sign(steps[0])
+    for index, step in enumerate(steps):
+        side = np.minimum(np.maximum(side + step, -1.0), 1.0)
+        result[index] = side
+    return result

@@ -4,13 +4,17 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from geomid_ros.model.effects.effect import Effect, JointMotion
+from geomid_ros.model.effects.effect import Effect, JointEffect
 from geomid_ros.model.effects.parameters import EFFORT, ParameterForm
+from geomid_ros.model.effects.situation import JointMotion
 from geomid_ros.types import FloatArray
+
+SMOOTHINGS = (0.003, 0.02, 0.08)
+"""[rad/s or m/s] over which dry friction may change its sign."""
 
 
 @dataclass(frozen=True)
-class CoulombFriction(Effect):
+class CoulombFriction(JointEffect):
     """Dry friction: effort ``c tanh(v / e)``, the sign of the velocity smoothed over the speed e [rad/s or m/s].
 
     Within e of standstill friction depends on the load and on the past; the smooth sign keeps the equation linear in c
@@ -24,7 +28,18 @@ class CoulombFriction(Effect):
     meaning = "effort level sign(v)"
     parameters = (ParameterForm("level", EFFORT, above=0.0, urdf="dynamics/friction", mjcf="joint/frictionloss"),)
     settled_by = "a slow motion of this joint to and fro, at several constant speeds"
+    alike_one_way = "effort_offset"
+
+    @classmethod
+    def variants(cls) -> tuple[Effect, ...]:
+        """One for each of :data:`SMOOTHINGS`."""
+        return tuple(cls(smoothing) for smoothing in SMOOTHINGS)
 
     def column(self, motion: JointMotion) -> FloatArray:
         result: FloatArray = np.tanh(motion.velocity / self.smoothing)
         return result
+
+    @classmethod
+    def dry_friction(cls, coefficient: float, load: FloatArray) -> FloatArray:
+        """Its level."""
+        return np.full(load.shape, abs(coefficient))

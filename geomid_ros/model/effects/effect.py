@@ -1,24 +1,51 @@
-"""The contract of physical effects, and of those whose strength is identified along with the inertias."""
+"""The contract of physical effects. A subclass in a file of this folder holds all that is known of one effect.
+
+Results, reports, files, the search for missing effects and the simulation of what was found ask the effect; no other
+file knows its name. Everything has a default, so that an effect says only what is peculiar to it.
+"""
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import ClassVar, Literal, TypeAlias
+from typing import ClassVar
 
-from geomid_ros.model.effects.parameters import ParameterForm
+import numpy as np
+
+from geomid_ros.model.effects.parameters import ParameterForm, Quantity, Values
+from geomid_ros.model.effects.places import Place, PlaceKind, joint_of, joints_of
+from geomid_ros.model.effects.situation import JointMotion, Motion, Situation
 from geomid_ros.types import FloatArray
 
-Place: TypeAlias = Literal["joint", "robot", "link", "sensor"]
+
+@dataclass(frozen=True)
+class Hinge:
+    """A second hinge (or slide) behind a joint's own, for a gear that gives, as MJCF attributes.
+
+    ``stiffness`` [N m/rad], 0 for none; ``damping`` [N m s/rad]; ``half_range`` [rad], 0 for no ends.
+    """
+
+    name: str
+    stiffness: float = 0.0
+    damping: float = 0.0
+    half_range: float = 0.0
 
 
-class PhysicalEffect:
-    """What every effect says of itself; results, reports and files take it from here.
+class Effect(ABC):
+    """A physical effect; instances differ in the constants that enter nonlinearly.
 
-    ``label``: what it is called within a sentence. ``meaning``: the equation, in terms of its ``parameters``, of a
-    joint's position q, velocity v and acceleration a, and of the effort tau that its gear transmits to the link.
-    ``settled_by``: the recording that tells it from its rivals, as the gap workflow recommends it. ``place``: where it
-    acts. ``adds_up``: two at one place are one with the sums of their parameters.
+    What it says of itself, within a sentence:
+
+    Attributes:
+        name: in files and on the command line.
+        label: what it is called.
+        meaning: its equation, in terms of its ``parameters``, of a joint's position q, velocity v and acceleration a,
+            and of the effort tau that its gear transmits to the link.
+        parameters: their names, units and ranges. The coefficients' come first, then those of the constants.
+        settled_by: the recording that tells it from its rivals.
+        place: where it acts.
+        said_first: how many of its parameters a sentence says; None for all.
     """
 
     name: ClassVar[str]
@@ -26,23 +53,213 @@ class PhysicalEffect:
     meaning: ClassVar[str]
     parameters: ClassVar[tuple[ParameterForm, ...]]
     settled_by: ClassVar[str]
-    place: ClassVar[Place] = "joint"
+    place: ClassVar[PlaceKind] = "joint"
+    said_first: ClassVar[int | None] = None
+
+    def __eq__(self, other: object) -> bool:
+        """Whether it is the same effect with the same constants."""
+        return type(self) is type(other) and vars(self) == vars(other)
+
+    def __hash__(self) -> int:
+        return hash((self.name, *vars(self).values()))
+
+    # How it stands to other effects.
+    contains: ClassVar[str] = ""
+    """The effect that is a special case of it: of the two the simpler is right unless the richer one is needed."""
+    alike_one_way: ClassVar[str] = ""
+    """The effect that it cannot be told from at a joint that moves to one side only."""
+    like_a_payload: ClassVar[bool] = False
+    """Whether a payload may be found in its place."""
+    first_order: ClassVar[bool] = False
+    """Whether its columns are known to first order only, so that smaller effects may be what is left of it."""
+    far: ClassVar[tuple[float, ...]] = ()
+    """Changes of its coefficients after which the columns of all effects are others; empty if none does that."""
+    acts_on_wrenches: ClassVar[bool] = False
+    """Whether wrench sensors feel it, of effects of the whole robot."""
     adds_up: ClassVar[bool] = True
+    """Whether two at one place are one with the sums of their parameters."""
+
+    # How it is fitted.
+    count: ClassVar[int] = 1
+    """How many coefficients its own columns have."""
+    absorbed: ClassVar[bool] = False
+    """Whether what was found of it is built into the model (gravity, time, scale), and only its change is a column."""
+    scales_measurement: ClassVar[bool] = False
+    """Whether it acts on what is measured after everything else."""
+
+    @classmethod
+    def variants(cls) -> tuple[Effect, ...]:
+        """The instances to choose from when its constants are unknown, in the order of its constant."""
+        return (cls(),)
+
+    @property
+    def scanned(self) -> float:
+        """The constant in which variants differ and which is one of the parameters; 0 if there is none."""
+        return 0.0
+
+    @property
+    def positives(self) -> int:
+        """How many of its coefficients, the first ones, cannot be negative."""
+        return 0
+
+    @property
+    def parts(self) -> tuple[Effect, ...]:
+        """The effects of one coefficient that it is made of, in the order of its coefficients."""
+        return (self,)
+
+    def is_absurd(self, coefficients: FloatArray) -> bool:  # noqa: ARG002
+        """Whether no robot that works has it with these ``coefficients (k,)``, signs apart."""
+        return False
+
+    def linearised_at(self, coefficients: FloatArray) -> FloatArray:
+        """The ``coefficients (k,)`` at which columns may be computed."""
+        return coefficients
+
+    # From coefficients to parameters and back.
+
+    def transformed(self, coefficients: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """The first parameters ``(p,)`` and their derivatives by the ``coefficients (k,)``, ``(p, k)``."""
+        return coefficients, np.eye(len(coefficients))
+
+    def values(self, coefficients: FloatArray) -> dict[str, float]:
+        """The first parameters by name, from the ``coefficients (k,)``."""
+        found = self.transformed(coefficients)[0]
+        return {form.name: float(value) for form, value in zip(self.parameters, found, strict=False)}
+
+    def quantities(
+        self,
+        coefficients: FloatArray,
+        covariance: FloatArray,
+        *,
+        sliding: bool = False,
+        unsure: float = 0.0,
+        usual_load: float = 0.0,
+    ) -> dict[str, Quantity]:
+        """Its parameters by name.
+
+        Args:
+            coefficients: as they were fitted ``(k,)``, with their ``covariance (k, k)``.
+            sliding: whether its joint is prismatic.
+            unsure: standard deviation of the logarithm of the scanned constant.
+            usual_load: standard deviation of what the joint's gear transmits [N m or N].
+        """
+        values, jacobian = self.transformed(coefficients)
+        stds = np.sqrt(np.maximum(np.einsum("ij,jk,ik->i", jacobian, covariance, jacobian), 0.0))
+        found = [(float(value), float(std)) for value, std in zip(values, stds, strict=True)]
+        found += self.constants(found, unsure, usual_load)
+        return {
+            form.name: Quantity(value, std, form.units[sliding])
+            for form, (value, std) in zip(self.parameters, found, strict=False)
+        }
+
+    def constants(
+        self,
+        found: Sequence[tuple[float, float]],  # noqa: ARG002
+        unsure: float,  # noqa: ARG002
+        usual_load: float,  # noqa: ARG002
+    ) -> list[tuple[float, float]]:
+        """Values and standard deviations of the parameters that are constants, from those ``found`` before."""
+        return []
+
+    @classmethod
+    def from_values(cls, values: Values, usual_load: float = 0.0) -> Effect:  # noqa: ARG003
+        """The instance with the constants of these parameters."""
+        return cls()
+
+    @classmethod
+    def coefficients(cls, values: Values, usual_load: float = 0.0) -> dict[Effect, tuple[float, ...]]:
+        """What parameters say of the coefficients, by the parts (:attr:`parts`) that these belong to."""
+        names = [form.name for form in cls.parameters[: cls.count]]
+        return {cls.from_values(values, usual_load): tuple(values[name] for name in names)}
+
+    @classmethod
+    def refined(
+        cls, known: Mapping[str, Quantity], found: dict[str, Quantity]
+    ) -> tuple[Mapping[str, Quantity], dict[str, Quantity]]:
+        """Its parameters brought up to date by coefficients that were estimated at its place.
+
+        Args:
+            known: its parameters before.
+            found: the estimated coefficients by the names of the parts that they belong to.
+
+        Returns:
+            its parameters, and what is left of ``found`` for other effects.
+        """
+        return known, found
+
+    @classmethod
+    def together(cls, first: Mapping[str, Quantity], second: Mapping[str, Quantity]) -> Mapping[str, Quantity]:
+        """The parameters of one effect that does what two at one place do, the ``second`` found beside the first."""
+        if not cls.adds_up:
+            return second
+        return {**first, **{name: first[name].plus(q) if name in first else q for name, q in second.items()}}
+
+    # What it does to the world and to the sensors; the defaults do nothing.
+
+    corrected_in_samples: ClassVar[bool] = False
+    """Whether signals are freed of it where it is known, by the hooks below."""
+
+    @classmethod
+    def turned_gravity(cls, gravity: FloatArray, values: Values) -> FloatArray:  # noqa: ARG003
+        """Gravity ``(3,)`` in the base frame, from that of a base that stands straight."""
+        return gravity
+
+    @classmethod
+    def effort_scale(cls, values: Values) -> float:  # noqa: ARG003
+        """Factor from true efforts to measured ones at its joint."""
+        return 1.0
+
+    @classmethod
+    def effort_shift(cls, values: Values) -> float:  # noqa: ARG003
+        """What measured efforts at its joint show beside the scaled true ones [N m or N]."""
+        return 0.0
+
+    @classmethod
+    def effort_lag(cls, values: Values) -> float:  # noqa: ARG003
+        """How long after the motion efforts are measured [s]."""
+        return 0.0
+
+    @classmethod
+    def wrench_shift(cls, values: Values) -> dict[str, float]:  # noqa: ARG003
+        """What its wrench sensor shows beside the true wrench, by axis [N, N m]."""
+        return {}
+
+    @classmethod
+    def behind_gain(cls, values: Values, gain: float) -> Values:  # noqa: ARG003
+        """Its parameters as efforts show them that were divided by ``gain``."""
+        return values
+
+    # What friction the motion and the load bring, beside what URDF and MJCF say.
+
+    @classmethod
+    def dry_friction(cls, coefficient: float, load: FloatArray) -> FloatArray:  # noqa: ARG003
+        """Size ``(N,)`` of the friction whose sign is unknown about standstill, under the gear's ``load (N,)``."""
+        return np.zeros(load.shape)
+
+    @classmethod
+    def friction_by_load(cls, values: Values) -> float:  # noqa: ARG003
+        """Friction per effort that the gear transmits."""
+        return 0.0
+
+    @classmethod
+    def holding_friction(cls, values: Values) -> float:  # noqa: ARG003
+        """Friction that holds a joint at rest beside what the MJCF says [N m or N]."""
+        return 0.0
+
+    def unsaid_efforts(self, values: Values, motion: Motion, place: Place) -> FloatArray | float:  # noqa: ARG002
+        """Efforts ``(..., J)`` of a moving robot that the MJCF does not say."""
+        return 0.0
+
+    @classmethod
+    def hinge(cls, values: Values, carried: float) -> Hinge | None:  # noqa: ARG003
+        """The hinge behind the joint that the MJCF needs for it; ``carried``: inertia behind the joint [kg m^2, kg]."""
+        return None
 
 
-@dataclass(frozen=True, eq=False)
-class JointMotion:
-    """One joint's motion over N instants, each ``(N,)``, in rad, rad/s, rad/s^2 (or m, m/s, m/s^2)."""
+class MotionEffect(Effect):
+    """An effect of one coefficient that adds ``coefficient * efforts(motion)`` to the joints' efforts.
 
-    position: FloatArray
-    velocity: FloatArray
-    acceleration: FloatArray
-
-
-class Effect(PhysicalEffect, ABC):
-    """An effect adds ``coefficient * column(motion)`` to a joint's effort, with one coefficient per joint.
-
-    If that is its only parameter it can be identified, and is in :data:`geomid_ros.model.effects.EFFECTS`.
+    It can be identified along with the inertias. Its column is computed before the filter and filtered as efforts are.
     """
 
     @property
@@ -52,10 +269,88 @@ class Effect(PhysicalEffect, ABC):
         return self.parameters[0].above == 0.0
 
     @property
+    def positives(self) -> int:
+        """1 if it is positive."""
+        return int(self.positive)
+
+    @property
     def units(self) -> tuple[str, str]:
         """Units of the coefficient at a revolute and at a prismatic joint."""
         return self.parameters[0].units
 
     @abstractmethod
+    def efforts(self, motion: Motion, place: Place) -> FloatArray:
+        """Efforts ``(..., J)`` per unit of the coefficient, at each instant by itself."""
+
+    def unsaid_efforts(self, values: Values, motion: Motion, place: Place) -> FloatArray | float:
+        """All of it, unless the MJCF says it."""
+        if any(form.mjcf for form in self.parameters):
+            return 0.0
+        result: FloatArray = values[self.parameters[0].name] * self.efforts(motion, place)
+        return result
+
+
+class JointEffect(MotionEffect):
+    """A function of one joint's motion, with one coefficient per joint."""
+
+    @abstractmethod
     def column(self, motion: JointMotion) -> FloatArray:
-        """Effort per unit of the coefficient, ``(N,)``, at each instant by itself."""
+        """Effort ``(...)`` at the joint per unit of the coefficient, at each instant by itself."""
+
+    def efforts(self, motion: Motion, place: Place) -> FloatArray:
+        """Those of the one joint."""
+        joint = joint_of(place)
+        efforts = np.zeros(motion.position.shape)
+        efforts[..., joint] = self.column(motion.of(joint))
+        return efforts
+
+
+class PairEffect(MotionEffect):
+    """A function of two joints' motion, with one coefficient per pair."""
+
+    place = "joints"
+
+    @staticmethod
+    def pairs(chain: Sequence[tuple[int, int]]) -> Iterator[tuple[int, int]]:
+        """The pairs of joints at which it is possible, among those of the ``chain`` that follow one another."""
+        yield from chain
+
+    @abstractmethod
+    def columns(self, first: JointMotion, second: JointMotion) -> tuple[FloatArray, FloatArray]:
+        """Efforts ``(...)`` at either joint per unit of the coefficient, at each instant by itself."""
+
+    def efforts(self, motion: Motion, place: Place) -> FloatArray:
+        """Those of the two joints."""
+        first, second = joints_of(place)
+        efforts = np.zeros(motion.position.shape)
+        efforts[..., first], efforts[..., second] = self.columns(motion.of(first), motion.of(second))
+        return efforts
+
+
+class RobotEffect(MotionEffect):
+    """A function of all joints' motion, with one coefficient for the robot."""
+
+    place = "robot"
+
+
+class SensorEffect(Effect):
+    """An effect of a wrench sensor: adds ``columns(motion, axes) . coefficients`` to what the sensor shows.
+
+    Its parameters are named after the axes, fx to tz, that they are coefficients of, one each.
+    """
+
+    place = "sensor"
+    count = 6
+
+    @abstractmethod
+    def columns(self, motion: Motion, axes: Sequence[str]) -> FloatArray:
+        """Wrench ``(..., axes, coefficients)`` in the sensor's frame per unit of each axis's coefficient."""
+
+
+class SituationEffect(Effect):
+    """An effect that depends on what a model says of the motion: adds ``columns(situation, place) . coefficients`` to
+    the channels, to first order in the coefficients."""
+
+    @abstractmethod
+    def columns(self, situation: Situation, place: Place) -> FloatArray:
+        """Change of the channels per unit of each coefficient, ``(N, C, k)``."""

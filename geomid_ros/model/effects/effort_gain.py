@@ -1,10 +1,17 @@
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 
-from geomid_ros.model.effects.parameters import ParameterForm
-from geomid_ros.model.effects.situation import Situation, SituationEffect
+from geomid_ros.model.effects.effect import Effect, SituationEffect
+from geomid_ros.model.effects.effort_offset import EffortOffset
+from geomid_ros.model.effects.parameters import ParameterForm, Quantity, Values
+from geomid_ros.model.effects.places import Place, joint_of
+from geomid_ros.model.effects.situation import Situation
 from geomid_ros.types import FloatArray
+
+_USED = (-0.7, 2.0)  # errors of scale at which a model may be built
 
 
 class EffortGain(SituationEffect):
@@ -16,9 +23,49 @@ class EffortGain(SituationEffect):
     parameters = (ParameterForm("gain", ("-", "-"), above=0.0),)
     settled_by = "the same motion with a known payload"
     adds_up = False
-    positive = False
+    like_a_payload = True
+    absorbed = True
+    scales_measurement = True
+    corrected_in_samples = True
 
-    def columns(self, situation: Situation, joint: int) -> FloatArray:
+    def is_absurd(self, coefficients: FloatArray) -> bool:
+        """Whether it shows half or twice the effort."""
+        return bool(abs(coefficients[0]) > 0.5)
+
+    def linearised_at(self, coefficients: FloatArray) -> FloatArray:
+        result: FloatArray = np.clip(coefficients, *_USED)
+        return result
+
+    def columns(self, situation: Situation, place: Place) -> FloatArray:
+        joint = joint_of(place)
         columns = np.zeros((*situation.predicted.shape, 1))
         columns[:, joint, 0] = situation.predicted[:, joint]
         return columns
+
+    def transformed(self, coefficients: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """The gain."""
+        return 1.0 + coefficients, np.eye(1)
+
+    @classmethod
+    def coefficients(cls, values: Values, usual_load: float = 0.0) -> dict[Effect, tuple[float, ...]]:  # noqa: ARG003
+        """The gain's distance from 1."""
+        return {cls(): (values["gain"] - 1.0,)}
+
+    @classmethod
+    def refined(
+        cls, known: Mapping[str, Quantity], found: dict[str, Quantity]
+    ) -> tuple[Mapping[str, Quantity], dict[str, Quantity]]:
+        """The offset was estimated of efforts that are free of the gain; files say it of the measured ones."""
+        if EffortOffset.name not in found:
+            return known, found
+        return known, {**found, EffortOffset.name: found[EffortOffset.name].scaled(known["gain"].value)}
+
+    @classmethod
+    def together(cls, first: Mapping[str, Quantity], second: Mapping[str, Quantity]) -> Mapping[str, Quantity]:
+        """Gains are multiplied."""
+        return {"gain": second["gain"].scaled(first["gain"].value)}
+
+    @classmethod
+    def effort_scale(cls, values: Values) -> float:
+        """The gain."""
+        return values["gain"]

@@ -2,19 +2,37 @@ from __future__ import annotations
 
 import numpy as np
 
-from geomid_ros.model.effects.effect import Effect, JointMotion
-from geomid_ros.model.effects.parameters import EFFORT, ParameterForm
+from geomid_ros.model.effects.effect import JointEffect
+from geomid_ros.model.effects.parameters import EFFORT, ParameterForm, Values
+from geomid_ros.model.effects.places import Place
+from geomid_ros.model.effects.situation import JointMotion, Motion
 from geomid_ros.types import FloatArray
 
 
-class EffortOffset(Effect):
+class EffortOffset(JointEffect):
     """A constant error of the effort measurement."""
 
     name = "effort_offset"
     label = "an offset of the measured effort"
     meaning = "measured effort = true + offset"
     parameters = (ParameterForm("offset", EFFORT),)
+    like_a_payload = True
+    alike_one_way = "coulomb_friction"
     settled_by = "a recording in which gravity loads this joint to both sides"
 
     def column(self, motion: JointMotion) -> FloatArray:
         return np.ones_like(motion.velocity)
+
+    @classmethod
+    def effort_shift(cls, values: Values) -> float:
+        """The offset."""
+        return values["offset"]
+
+    @classmethod
+    def behind_gain(cls, values: Values, gain: float) -> Values:
+        """It is an error of the measured effort, which was divided by the gain."""
+        return {"offset": values["offset"] / gain}
+
+    def unsaid_efforts(self, values: Values, motion: Motion, place: Place) -> float:  # noqa: ARG002
+        """It is an error of the sensor, no effort."""
+        return 0.0

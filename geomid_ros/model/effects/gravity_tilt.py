@@ -2,9 +2,16 @@ from __future__ import annotations
 
 import math
 
-from geomid_ros.model.effects.parameters import ParameterForm
-from geomid_ros.model.effects.situation import Situation, SituationEffect
+import numpy as np
+
+from geomid_ros.model.effects.effect import SituationEffect
+from geomid_ros.model.effects.parameters import ParameterForm, Values
+from geomid_ros.model.effects.places import Place
+from geomid_ros.model.effects.situation import Situation
 from geomid_ros.types import FloatArray
+
+_NAMES = ("tilt_x", "tilt_y")
+_STEP = 1e-6  # [rad]
 
 
 class GravityTilt(SituationEffect):
@@ -14,12 +21,38 @@ class GravityTilt(SituationEffect):
     label = "a base that is not level"
     meaning = "gravity in the base frame is R^T g, R the rotation by the vector (tilt_x, tilt_y, 0)"
     parameters = tuple(
-        ParameterForm(name, ("rad", "rad"), above=-math.pi, below=math.pi, mjcf="option/gravity")
-        for name in ("tilt_x", "tilt_y")
+        ParameterForm(name, ("rad", "rad"), above=-math.pi, below=math.pi, mjcf="option/gravity") for name in _NAMES
     )
     settled_by = "a slow motion of the first joint through its range with the arm stretched out"
     place = "robot"
-    positive = False
+    count = 2
+    like_a_payload = True
+    far = (0.03, 0.03)
+    acts_on_wrenches = True
+    absorbed = True
 
-    def columns(self, situation: Situation, joint: int) -> FloatArray:  # noqa: ARG002  # the whole robot
-        return situation.by_tilt
+    def columns(self, situation: Situation, place: Place) -> FloatArray:
+        tilt = situation.coefficients.get((self.name, place), np.zeros(2))
+        ends = [[_turned(situation.gravity, tilt + sign * step) for sign in (1, -1)] for step in _STEP * np.eye(2)]
+        slopes = np.array([(ahead - behind) / (2.0 * _STEP) for ahead, behind in ends])
+        result: FloatArray = situation.by_gravity @ slopes.T
+        return result
+
+    @classmethod
+    def turned_gravity(cls, gravity: FloatArray, values: Values) -> FloatArray:
+        """``R^T g``."""
+        return _turned(gravity, np.array([values[name] for name in _NAMES]))
+
+
+def _turned(gravity: FloatArray, tilt: FloatArray) -> FloatArray:
+    """By Rodrigues' formula for the opposite rotation."""
+    angle = float(np.linalg.norm(tilt))
+    if angle == 0.0:
+        return gravity
+    axis = np.append(tilt, 0.0) / angle
+    turned: FloatArray = (
+        np.cos(angle) * gravity
+        - np.sin(angle) * np.cross(axis, gravity)
+        + (1.0 - np.cos(angle)) * (axis @ gravity) * axis
+    )
+    return turned

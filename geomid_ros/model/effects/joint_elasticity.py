@@ -1,8 +1,14 @@
 from __future__ import annotations
 
-from geomid_ros.model.effects.parameters import ParameterForm
-from geomid_ros.model.effects.situation import Situation, SituationEffect
+import numpy as np
+
+from geomid_ros.model.effects.effect import Effect, Hinge, SituationEffect
+from geomid_ros.model.effects.parameters import ParameterForm, Values
+from geomid_ros.model.effects.places import Place, joint_of
+from geomid_ros.model.effects.situation import Situation
 from geomid_ros.types import FloatArray
+
+_DAMPING_RATIO = 0.05  # of the link on the elastic gear, the motor held
 
 
 class JointElasticity(SituationEffect):
@@ -14,9 +20,20 @@ class JointElasticity(SituationEffect):
     parameters = (ParameterForm("stiffness", ("N m/rad", "N/m"), above=0.0, mjcf="elasticity/stiffness"),)
     settled_by = "faster motions, or an encoder on the link's side"
     adds_up = False
-    positive = True
+    like_a_payload = True
+    first_order = True
 
-    def columns(self, situation: Situation, joint: int) -> FloatArray:
+    @property
+    def positives(self) -> int:
+        """The compliance."""
+        return 1
+
+    def is_absurd(self, coefficients: FloatArray) -> bool:
+        """Whether it gives more than 1 rad per N m."""
+        return bool(abs(coefficients[0]) > 1.0)
+
+    def columns(self, situation: Situation, place: Place) -> FloatArray:
+        joint = joint_of(place)
         moved = (
             situation.by_position[:, :, joint] * situation.load[:, joint, None]
             + situation.by_velocity[:, :, joint] * situation.load_rate[:, joint, None]
@@ -24,3 +41,19 @@ class JointElasticity(SituationEffect):
         )
         result: FloatArray = -moved[:, :, None]
         return result
+
+    def transformed(self, coefficients: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """The stiffness."""
+        return 1.0 / coefficients, np.array([[-1.0 / coefficients[0] ** 2]])
+
+    @classmethod
+    def coefficients(cls, values: Values, usual_load: float = 0.0) -> dict[Effect, tuple[float, ...]]:  # noqa: ARG003
+        """The compliance."""
+        return {cls(): (1.0 / values["stiffness"],)}
+
+    @classmethod
+    def hinge(cls, values: Values, carried: float) -> Hinge:
+        """A spring between the motor and the link."""
+        stiffness = values["stiffness"]
+        damping = 2.0 * _DAMPING_RATIO * float(np.sqrt(stiffness * carried))
+        return Hinge("elasticity", stiffness=stiffness, damping=damping)

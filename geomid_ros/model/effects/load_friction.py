@@ -2,8 +2,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from geomid_ros.model.effects.parameters import ParameterForm
-from geomid_ros.model.effects.situation import Situation, SituationEffect
+from geomid_ros.model.effects.effect import SituationEffect
+from geomid_ros.model.effects.parameters import ParameterForm, Values
+from geomid_ros.model.effects.places import Place, joint_of
+from geomid_ros.model.effects.situation import Situation
 from geomid_ros.types import FloatArray
 
 
@@ -15,9 +17,29 @@ class LoadFriction(SituationEffect):
     meaning = "effort coefficient |tau| sign(v)"
     parameters = (ParameterForm("coefficient", ("-", "-"), above=0.0, below=1.0),)
     settled_by = "the same motion with a known payload and without"
-    positive = True
 
-    def columns(self, situation: Situation, joint: int) -> FloatArray:
+    @property
+    def positives(self) -> int:
+        """It is no motor."""
+        return 1
+
+    def is_absurd(self, coefficients: FloatArray) -> bool:
+        """Whether nothing of the effort would pass."""
+        return bool(abs(coefficients[0]) > 1.0)
+
+    def columns(self, situation: Situation, place: Place) -> FloatArray:
+        joint = joint_of(place)
         columns = np.zeros((*situation.predicted.shape, 1))
         columns[:, joint, 0] = np.abs(situation.load[:, joint]) * situation.sign[:, joint]
         return columns
+
+    @classmethod
+    def dry_friction(cls, coefficient: float, load: FloatArray) -> FloatArray:
+        """In proportion to the load."""
+        result: FloatArray = abs(coefficient) * np.abs(load)
+        return result
+
+    @classmethod
+    def friction_by_load(cls, values: Values) -> float:
+        """The coefficient."""
+        return values["coefficient"]

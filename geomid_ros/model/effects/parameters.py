@@ -1,23 +1,50 @@
-"""The contract of a parameter of an effect."""
+"""The parameters of an effect: how they are called, their units and ranges, and what is known of one."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import TypeAlias
 
 COM_ENTRIES = ("com_x", "com_y", "com_z")
 INERTIA_ENTRIES = ("ixx", "ixy", "iyy", "ixz", "iyz", "izz")
 """In pinocchio's order."""
 EFFORT = ("N m", "N")
 
+Values: TypeAlias = Mapping[str, float]
+"""Values of an effect's parameters by name."""
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """A parameter's value with its standard deviation and unit."""
+
+    value: float
+    std: float
+    unit: str
+
+    def scaled(self, factor: float) -> Quantity:
+        """The quantity times an exact ``factor``."""
+        return Quantity(factor * self.value, abs(factor) * self.std, self.unit)
+
+    def plus(self, other: Quantity) -> Quantity:
+        """Sum of two independent estimates; where the uncertainty of one is not known, the other's."""
+        known = [quantity.std for quantity in (self, other) if math.isfinite(quantity.std)]
+        return Quantity(self.value + other.value, math.hypot(*known) if known else math.nan, other.unit)
+
 
 @dataclass(frozen=True)
 class ParameterForm:
-    """A parameter: its name, its units at a turning and a sliding joint, its range (ends excluded), whether it may be
-    left out.
+    """What a parameter is, apart from its value.
 
-    ``urdf``, ``mjcf``: where these files say it, too, as ``ELEMENT/ATTRIBUTE``; empty where they cannot. What stands at
-    ``dynamics`` of a URDF's joint, or at the ``joint`` of an MJCF, is added to the attribute's value.
+    Attributes:
+        name: its name in files and tables.
+        units: at a revolute and at a prismatic joint.
+        above, below: its range, ends excluded.
+        optional: whether files may leave it out; it is zero then.
+        urdf, mjcf: where these files say it, too, as ``ELEMENT/ATTRIBUTE``; empty where they cannot. What stands at
+            ``dynamics`` of a URDF's joint, or at the ``joint`` of an MJCF, is added to the attribute's value.
     """
 
     name: str

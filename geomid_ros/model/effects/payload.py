@@ -1,12 +1,12 @@
 from __future__ import annotations
 
-from geomid_ros.model.effects.effect import PhysicalEffect
+from geomid_ros.model.effects.effect import Effect
 from geomid_ros.model.effects.parameters import COM_ENTRIES, INERTIA_ENTRIES, ParameterForm
 
 _URDF, _MJCF = "link/inertial", "body/inertial"
 
 
-class Payload(PhysicalEffect):
+class Payload(Effect):
     """A body that a link carries; it is fitted as the bodies are, on its own pseudo-inertia."""
 
     name = "payload"
@@ -17,6 +17,13 @@ class Payload(PhysicalEffect):
         *(ParameterForm(name, ("m", "m"), urdf=_URDF, mjcf=_MJCF) for name in COM_ENTRIES),
         *(ParameterForm(name, ("kg m^2", "kg m^2"), optional=True, urdf=_URDF, mjcf=_MJCF) for name in INERTIA_ENTRIES),
     )
+    said_first = 4
     settled_by = "the same motion with and without what the link carries, or a wrench sensor that carries the link"
     place = "link"
+    like_a_payload = True
     adds_up = False
+
+    @property
+    def parts(self) -> tuple[Effect, ...]:
+        """None: its body has no coefficients."""
+        return ()

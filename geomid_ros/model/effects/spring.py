@@ -1,11 +1,20 @@
 from __future__ import annotations
 
-from geomid_ros.model.effects.effect import Effect, JointMotion
-from geomid_ros.model.effects.parameters import ParameterForm
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from geomid_ros.model.effects.effect import Effect, JointEffect
+from geomid_ros.model.effects.effort_offset import EffortOffset
+from geomid_ros.model.effects.parameters import ParameterForm, Quantity, Values
+from geomid_ros.model.effects.situation import JointMotion
 from geomid_ros.types import FloatArray
 
+_LARGEST_TURN = 12.6  # [rad] between the zero of a joint and the rest of its spring
 
-class Spring(Effect):
+
+class Spring(JointEffect):
     """A spring or counterbalance: effort ``k q``; the offset that it comes with, ``-k q_0``, says where it rests."""
 
     name = "spring"
@@ -17,7 +26,47 @@ class Spring(Effect):
     )
     settled_by = "a slow sweep of this joint through its range in several postures of the others"
     adds_up = False
-    positive = True  # as it is found; a file may say a spring that pushes away
+    contains = "effort_offset"
+    like_a_payload = True
+
+    @property
+    def positive(self) -> bool:
+        """As it is found; a file may say a spring that pushes away."""
+        return True
+
+    @property
+    def parts(self) -> tuple[Effect, ...]:
+        """The stiffness, and the offset."""
+        return self, EffortOffset()
 
     def column(self, motion: JointMotion) -> FloatArray:
         return motion.position
+
+    def is_absurd(self, coefficients: FloatArray) -> bool:
+        """Whether it rests more than two turns away."""
+        return bool(abs(coefficients[1]) > _LARGEST_TURN * coefficients[0])
+
+    def transformed(self, coefficients: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Stiffness, and the position at which the effort is zero."""
+        stiffness, offset = coefficients
+        derivative = [[1.0, 0.0], [offset / stiffness**2, -1.0 / stiffness]]
+        return np.array([stiffness, -offset / stiffness]), np.array(derivative)
+
+    @classmethod
+    def coefficients(cls, values: Values, usual_load: float = 0.0) -> dict[Effect, tuple[float, ...]]:  # noqa: ARG003
+        """The stiffness, and the offset of a spring that rests elsewhere than at zero."""
+        return {cls(): (values["stiffness"],), EffortOffset(): (-values["stiffness"] * values["equilibrium"],)}
+
+    @classmethod
+    def refined(
+        cls, known: Mapping[str, Quantity], found: dict[str, Quantity]
+    ) -> tuple[Mapping[str, Quantity], dict[str, Quantity]]:
+        """The estimated offset has that of the spring in it; the spring keeps its equilibrium."""
+        if cls.name not in found:
+            return known, found
+        left = {name: q for name, q in found.items() if name != cls.name}
+        if EffortOffset.name in left:
+            offset = left[EffortOffset.name]
+            rest = offset.value + found[cls.name].value * known["equilibrium"].value
+            left[EffortOffset.name] = replace(offset, value=rest)
+        return {**known, "stiffness": found[cls.name]}, left

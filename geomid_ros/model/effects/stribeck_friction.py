@@ -1,19 +1,30 @@
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from geomid_ros.model.effects.coulomb_friction import CoulombFriction
-from geomid_ros.model.effects.effect import Effect, JointMotion
-from geomid_ros.model.effects.parameters import EFFORT, ParameterForm
+from geomid_ros.model.effects.coulomb_friction import SMOOTHINGS, CoulombFriction
+from geomid_ros.model.effects.effect import Effect, JointEffect
+from geomid_ros.model.effects.parameters import EFFORT, ParameterForm, Quantity, Values
+from geomid_ros.model.effects.places import Place
+from geomid_ros.model.effects.situation import JointMotion, Motion
 from geomid_ros.types import FloatArray
+
+SPEEDS = tuple(float(speed) for speed in np.geomspace(0.03, 0.6, 25).round(4))
+"""[rad/s or m/s] to choose Stribeck's speed from."""
+_LARGEST_EXCESS = 4.0  # of the friction of a fast joint
 
 
 @dataclass(frozen=True)
-class StribeckFriction(Effect):
-    """What dry friction exceeds its level at slow motion: effort ``c sign(v) exp(-(v / v_s)^2)``, v_s the ``speed``
-    [rad/s or m/s], with the sign of :class:`CoulombFriction`, which it comes with."""
+class StribeckFriction(JointEffect):
+    """Dry friction that is larger at slow motion: effort ``sign(v) (level + excess exp(-(v / v_s)^2))``, v_s the
+    ``speed`` [rad/s or m/s].
+
+    Its own column is that of the excess; it comes with :class:`CoulombFriction` of the same smooth sign, whose
+    coefficient is the level.
+    """
 
     speed: float = 0.1
     smoothing: float = 0.02
@@ -28,9 +39,77 @@ class StribeckFriction(Effect):
     )
     settled_by = "runs of this joint at constant speeds from creeping to fast"
     adds_up = False
+    contains = "coulomb_friction"
+    alike_one_way = "effort_offset"
+
+    @classmethod
+    def variants(cls) -> tuple[Effect, ...]:
+        """One for each of :data:`SPEEDS`, with the sharpest sign."""
+        return tuple(cls(speed, SMOOTHINGS[0]) for speed in SPEEDS)
+
+    @property
+    def scanned(self) -> float:
+        """The speed."""
+        return self.speed
+
+    @property
+    def parts(self) -> tuple[Effect, ...]:
+        """Coulomb friction, and the excess."""
+        return CoulombFriction(self.smoothing), self
+
+    @property
+    def positives(self) -> int:
+        """Level and excess."""
+        return 2
+
+    def is_absurd(self, coefficients: FloatArray) -> bool:
+        """Whether the excess is many times the level."""
+        return bool(coefficients[1] > _LARGEST_EXCESS * coefficients[0])
 
     def column(self, motion: JointMotion) -> FloatArray:
         result: FloatArray = CoulombFriction(self.smoothing).column(motion) * np.exp(
             -((motion.velocity / self.speed) ** 2)
         )
+        return result
+
+    def constants(
+        self,
+        found: Sequence[tuple[float, float]],  # noqa: ARG002
+        unsure: float,
+        usual_load: float,  # noqa: ARG002
+    ) -> list[tuple[float, float]]:
+        """The speed."""
+        return [(self.speed, unsure * self.speed)]
+
+    @classmethod
+    def from_values(cls, values: Values, usual_load: float = 0.0) -> StribeckFriction:  # noqa: ARG003
+        """Of this speed."""
+        return cls(values["speed"])
+
+    @classmethod
+    def coefficients(cls, values: Values, usual_load: float = 0.0) -> dict[Effect, tuple[float, ...]]:  # noqa: ARG003
+        """The level is Coulomb friction, the excess its own."""
+        own = cls.from_values(values)
+        return {CoulombFriction(own.smoothing): (values["level"],), own: (values["excess"],)}
+
+    @classmethod
+    def refined(
+        cls, known: Mapping[str, Quantity], found: dict[str, Quantity]
+    ) -> tuple[Mapping[str, Quantity], dict[str, Quantity]]:
+        """The estimated Coulomb friction is the level."""
+        names = {"excess": cls.name, "level": CoulombFriction.name}
+        if not all(name in found for name in names.values()):
+            return known, found
+        own = {parameter: found[name] for parameter, name in names.items()}
+        return {**known, **own}, {name: q for name, q in found.items() if name not in names.values()}
+
+    @classmethod
+    def holding_friction(cls, values: Values) -> float:
+        """All of the excess holds a joint at rest."""
+        return values["excess"]
+
+    def unsaid_efforts(self, values: Values, motion: Motion, place: Place) -> FloatArray:
+        """What the motion takes off the excess, which :meth:`holding_friction` counts as friction."""
+        full = values["excess"] * CoulombFriction(self.smoothing).efforts(motion, place)
+        result: FloatArray = full * np.expm1(-((motion.velocity / self.speed) ** 2))
         return result

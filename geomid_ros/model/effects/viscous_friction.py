@@ -1,11 +1,12 @@
 from __future__ import annotations
 
-from geomid_ros.model.effects.effect import Effect, JointMotion
+from geomid_ros.model.effects.effect import JointEffect
 from geomid_ros.model.effects.parameters import ParameterForm
+from geomid_ros.model.effects.situation import JointMotion
 from geomid_ros.types import FloatArray
 
 
-class ViscousFriction(Effect):
+class ViscousFriction(JointEffect):
     """Friction in proportion to speed: effort ``c v``."""
 
     name = "viscous_friction"

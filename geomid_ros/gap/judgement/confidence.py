@@ -1,0 +1,220 @@
+"""How sure a name is."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from geomid_ros.gap.candidates import SIGN, Candidate, CurveCandidate
+from geomid_ros.gap.judgement.crossvalidation import generalises
+from geomid_ros.gap.judgement.held_out import HeldOut
+from geomid_ros.gap.result import Confidence, Rival
+from geomid_ros.gap.search.analysis import Analysis
+from geomid_ros.model.effects import EFFECTS, Quantity, joints_of
+from geomid_ros.model.measurement import MeasurementModel
+from geomid_ros.types import BoolArray, FloatArray
+
+CONFIDENT_LOSS = 20.0
+CONFIDENT_BESIDE_UNEXPLAINED = 200.0
+"""Where something is left that has no name, small names may be its shadow."""
+CONFIDENT_IN_THE_SHADE = 100.0
+"""Of a name whose share of the gap is small because another one's is so large."""
+CONFIDENT_RIVAL = 12.0
+CONFIDENT_SHARE = 0.03
+BESIDE_A_GEAR = 0.25
+"""Of the loss of an effect that is known to first order only: smaller names may be what that leaves of it."""
+DOMINANT_LOSS = 200.0
+DOMINANT_SHARE = 0.3
+"""A name of the whole robot is sure in spite of what it leaves only if it matters so much more."""
+CERTAIN = 100.0
+"""Prior inertias of such a certainty were identified, not guessed."""
+LEAST_RISE = 1.05
+"""Without a name that is sure, the remainder of some channel is so many times larger; payloads apart."""
+LEAST_PREDICTED = 0.5
+"""Share of the gap of unseen data that a sure name closes where something is left."""
+LEAST_OTHER_WAY = 0.05
+_SURE_OF_MASS = 3.0  # standard deviations
+REACHED = 1.15
+"""A channel whose remainder is below this times the floor has reached it."""
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Evidence:
+    """What speaks for one name of an ``analysis``, which is judged on what was fitted and on ``unseen`` data.
+
+    ``loss``: by how much the score is worse without it; ``rivals``: other names in its place.
+    """
+
+    model: MeasurementModel
+    analysis: Analysis
+    unseen: HeldOut
+    candidate: Candidate
+    rivals: Sequence[Rival]
+    loss: float
+
+    @property
+    def joint(self) -> str:
+        """The name of its place."""
+        return self.model.place_name(self.candidate.place)
+
+    def confidence(self, parameters: dict[str, Quantity]) -> Confidence:
+        """How sure the name with these ``parameters`` is."""
+        if self._is_ambiguous:
+            return "ambiguous"
+        if self._is_weak or self._is_small or self._is_beside_unexplained or self._is_hidden_by_others:
+            return "tentative"
+        if self.candidate.payload is not None and _may_weigh_nothing(parameters["mass"]):
+            return "tentative"
+        return "confident" if self._sure or self._generalises else "tentative"
+
+    @property
+    def _is_ambiguous(self) -> bool:
+        return any(rival.loss < CONFIDENT_RIVAL for rival in self._others) or self._rests_on_prior
+
+    @cached_property
+    def _others(self) -> list[Rival]:
+        """The rivals but for one that contains the name: that fits as well by nature, but better only where needed."""
+        open_here = bool(np.any(is_open(self.unseen)[list(joints_of(self.candidate.place))]))
+        return [rival for rival in self.rivals if not self._contains(rival) or rival.loss < 0.0 or open_here]
+
+    def _contains(self, rival: Rival) -> bool:
+        return EFFECTS[rival.effect].contains == self.candidate.name and rival.joint == self.joint
+
+    @property
+    def _rests_on_prior(self) -> bool:
+        """Whether a payload is preferred to wrong inertias only by how likely the latter were thought, where that is a
+        guess: without it the inertias reach the same remainder."""
+        guessed = not is_identified(self.analysis)
+        return self.candidate.payload is not None and guessed and self._rise < LEAST_RISE
+
+    @cached_property
+    def _sure(self) -> bool:
+        """Whether unseen data of what the name reaches leave nothing open."""
+        reached = self.analysis.search.design.reached(self.candidate)
+        is_judged = bool(np.any(self.unseen.counts[reached] > 0.0))
+        return not (open_curves(self.analysis, self.unseen) or np.any(is_open(self.unseen))) and is_judged
+
+    @cached_property
+    def _margin(self) -> float:
+        """By how much the score is worse with anything else in its place, or nothing."""
+        margin = min([self.loss, *(rival.loss for rival in self._others)])
+        instead = self.analysis.search.instead(self.analysis.whole, self.candidate)
+        return margin if instead is None else min(margin, instead.score - self.analysis.whole.score)
+
+    @property
+    def _is_weak(self) -> bool:
+        least = CONFIDENT_LOSS if self._sure else CONFIDENT_BESIDE_UNEXPLAINED
+        beside_gear = BESIDE_A_GEAR * self._largest_gear_loss
+        return self.loss < least or self._margin < CONFIDENT_RIVAL or self.loss < beside_gear
+
+    @property
+    def _is_small(self) -> bool:
+        return self.candidate.payload is None and self._rise < LEAST_RISE
+
+    @property
+    def _is_beside_unexplained(self) -> bool:
+        """Whether what is left without a name is at its joint; of a name of the whole robot: anywhere, unless the name
+        matters much more."""
+        if not joints_of(self.candidate.place) and not self._sure:
+            return self._margin < DOMINANT_LOSS or self.share < DOMINANT_SHARE
+        return any(
+            curve.joint in joints_of(self.candidate.place) or curve.variable == self.joint
+            for curve in open_curves(self.analysis, self.unseen)
+        )
+
+    @property
+    def _is_hidden_by_others(self) -> bool:
+        return self.share < CONFIDENT_SHARE and not (self._sure and self.loss > CONFIDENT_IN_THE_SHADE)
+
+    @property
+    def _generalises(self) -> bool:
+        """Where the floor is reached the score can be trusted; else it takes errors of the model for noise."""
+        return generalises(self.analysis.search.design, self.analysis.whole, self.candidate) and self._predicts
+
+    @property
+    def _largest_gear_loss(self) -> float:
+        """Of the other names, those that are known to first order only; 0 if there are none."""
+        whole, search = self.analysis.whole, self.analysis.search
+        gears = [c for c in whole.chosen if isinstance(c, Candidate) and c.effect.first_order]
+        losses = [search.without(whole, gear).score - whole.score for gear in gears if gear is not self.candidate]
+        return max(losses, default=0.0)
+
+    @property
+    def _predicts(self) -> bool:
+        """Whether the name closes enough of the gap of unseen data, over the channels that it reaches."""
+        reached = self.analysis.search.design.reached(self.candidate)
+        smaller = self.analysis.search.without(self.analysis.names, self.candidate)
+        without = self.unseen.times_floor(smaller)[reached]
+        after, expected = self.unseen.gap.after[reached], self.unseen.gap.expected[reached]
+        closed, gap = np.nansum(without**2 - after**2), np.nansum(np.maximum(without**2 - expected**2, 0.0))
+        return bool(closed > LEAST_PREDICTED * gap)
+
+    @cached_property
+    def share(self) -> float:
+        """Of the gap that the inertias leave, above the floor, over the channels that it reaches: how much the name
+        closes beside the others."""
+        whole = self.analysis.whole
+        reached = self.analysis.search.design.reached(self.candidate)
+        without = self._squares_without
+        closed = np.sum(((without - whole.squares) / whole.squares)[reached])
+        gap = np.sum((np.maximum(self.analysis.bare.squares, without) / whole.squares - 1.0)[reached])
+        return float(np.clip(closed / max(float(gap), 1e-300), 0.0, 1.0))
+
+    @property
+    def _squares_without(self) -> FloatArray:
+        """Sums of squares ``(C,)`` without the name. Without a payload on an identified robot the inertias are those
+        that are known: fitted ones would take its place."""
+        whole, search = self.analysis.whole, self.analysis.search
+        if self.candidate.payload is None or not is_identified(self.analysis):
+            return search.without(whole, self.candidate).squares
+        known = whole.point.parameters.copy()
+        known[whole.manifold.inertial] = 0.0
+        known[: len(search.prior.inertias)] = search.prior.inertias
+        vector = np.append(known, -1.0)
+        squares: FloatArray = np.einsum("cij,i,j->c", whole.products, vector, vector)
+        return squares
+
+    @property
+    def _rise(self) -> float:
+        """Factor by which the remainder of the channel that is concerned most grows without the name."""
+        whole = self.analysis.whole
+        without = self.analysis.search.without(whole, self.candidate)
+        return float(np.sqrt(np.max(without.squares / whole.squares)))
+
+
+def _may_weigh_nothing(mass: Quantity) -> bool:
+    return not mass.value > _SURE_OF_MASS * mass.std
+
+
+def is_identified(analysis: Analysis) -> bool:
+    """Whether the inertias were identified before, not guessed."""
+    return analysis.search.prior.certainty >= CERTAIN
+
+
+def moves_one_way(analysis: Analysis, joint: int) -> bool:
+    """Whether a joint hardly ever moves to the other side at the instants that are used."""
+    stage = analysis.stage
+    signs = stage.records.samples.column(SIGN)[stage.valid[:, joint], joint]
+    return float(min(np.mean(signs > 0.0), np.mean(signs < 0.0))) < LEAST_OTHER_WAY
+
+
+def open_curves(analysis: Analysis, unseen: HeldOut) -> list[CurveCandidate]:
+    """The free curves for which unseen data leave room."""
+    room = _is_above(unseen, 1.0)
+    return [c for c in analysis.whole.chosen if isinstance(c, CurveCandidate) and room[c.joint]]
+
+
+def is_open(unseen: HeldOut) -> BoolArray:
+    """The channels ``(C,)`` whose gap on unseen data is larger than noise and the uncertainty of all that was fitted
+    explain."""
+    return _is_above(unseen, REACHED)
+
+
+def _is_above(unseen: HeldOut, times: float) -> BoolArray:
+    # A standard deviation from n values is itself uncertain by 1 / sqrt(2 n), relative.
+    reached = times * (1.0 + 2.0 / np.sqrt(2.0 * np.maximum(unseen.counts, 1.0))) * unseen.gap.expected
+    above: BoolArray = np.nan_to_num(unseen.gap.after) >= np.nan_to_num(reached, nan=np.inf)
+    return above
