@@ -11,7 +11,7 @@ from scipy.signal import lfilter
 from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.estimation.estimator import EstimatorSettings, estimate
 from geomid_ros.estimation.summary import RowSummary
-from geomid_ros.model.effects import DEFAULT_EFFECTS, identified_effect
+from geomid_ros.model.effects import DEFAULT_EFFECTS, identified_effect, joint_of
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.robot import Robot
 from geomid_ros.model.samples import Samples
@@ -104,7 +104,7 @@ def truth(where: Arm, run: Run) -> FloatArray:
     nominal = np.concatenate([model.nominal_inertias, np.ones(model.positives), np.zeros(len(manifold.scales))])
     true = manifold.exp(manifold.point(nominal), tangent).parameters.copy()
     true[manifold.inertial.stop :] = [
-        rng.uniform(0.5, 1.5) * _usual_size(where, c.effect.name, c.joint) for c in model.coefficients
+        rng.uniform(0.5, 1.5) * _usual_size(where, c.effect.name, joint_of(c.place)) for c in model.coefficients
     ]
     true[manifold.real] *= rng.choice((-1.0, 1.0), len(manifold.scales))
     return true

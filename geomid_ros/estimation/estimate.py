@@ -49,25 +49,39 @@ class LinkEstimate:
 
 @dataclass(frozen=True, kw_only=True)
 class EffectEstimate:
-    """The coefficient of an effect at a joint, or at another place of that name.
+    """One of an effect's coefficients at a joint, or at another place of that name.
 
     Attributes:
         name: The effect's.
         joint: The name of its place.
-        value, unit, std: Of the coefficient, with its standard deviation.
+        parameters: The one that the coefficient is, then the effect's constants.
         from_data: Share of the prior's variance that the data removed, 0 to 1.
-        parameter: Which parameter the coefficient is, of an effect with several; else empty.
-        parameters: That parameter, and the effect's constants.
     """
 
     name: str
     joint: str
-    value: float
-    unit: str
-    std: float
-    from_data: float
-    parameter: str
     parameters: Mapping[str, Quantity]
+    from_data: float
+
+    @property
+    def parameter(self) -> str:
+        """The name of the parameter that it is."""
+        return next(iter(self.parameters))
+
+    @property
+    def value(self) -> float:
+        """The parameter's value."""
+        return self.parameters[self.parameter].value
+
+    @property
+    def std(self) -> float:
+        """Its standard deviation."""
+        return self.parameters[self.parameter].std
+
+    @property
+    def unit(self) -> str:
+        """Its unit."""
+        return self.parameters[self.parameter].unit
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -32,7 +32,6 @@ from geomid_ros.estimation.uncertainty import (
 )
 from geomid_ros.geometry import pseudo_inertia, spd
 from geomid_ros.geometry.manifold import ParameterManifold, Point
-from geomid_ros.model.effects import SensorEffect
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.weighed_masses import WeighedMass, WeighedRows, weighed_rows
 from geomid_ros.types import FloatArray, frozen
@@ -268,12 +267,8 @@ def _effects(
         EffectEstimate(
             name=c.effect.name,
             joint=c.place_name,
-            value=float(value),
-            unit=c.unit,
-            std=float(s),
-            from_data=share,
-            parameter=c.parameter if isinstance(c.effect, SensorEffect) else "",
             parameters=c.parameters(float(value), float(s)),
+            from_data=share,
         )
         for c, value, s, share in zip(model.coefficients, point.parameters[first:], std, shares, strict=True)
     )

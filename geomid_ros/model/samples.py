@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any
 
@@ -44,13 +44,18 @@ class Samples:
             object.__setattr__(self, "effects", np.zeros((*self.position.shape, 0)))
         if self.effects.shape[2] != len(self.columns):
             raise ValueError(f"{self.effects.shape[2]} effect columns for {len(self.columns)} descriptions")
-        for name in _ARRAYS:
-            array = np.asarray(getattr(self, name))
+        for name, values in self.arrays.items():
+            array = np.asarray(values)
             array.setflags(write=False)
             object.__setattr__(self, name, array)
 
     def __len__(self) -> int:
         return len(self.stamps)
+
+    @property
+    def arrays(self) -> dict[str, AnyArray]:
+        """All arrays by name."""
+        return {name: values for name, values in vars(self).items() if name != "columns"}
 
     @property
     def motion(self) -> Motion:
@@ -66,8 +71,8 @@ class Samples:
 
     def select(self, index: AnyArray | slice) -> Samples:
         """The samples chosen by a mask, index array or slice."""
-        arrays = {name: getattr(self, name)[index] for name in _ARRAYS}
-        return Samples(**arrays, columns=self.columns)
+        arrays: dict[str, Any] = {name: array[index] for name, array in self.arrays.items()}
+        return replace(self, **arrays)
 
     def stretches(self) -> list[Samples]:
         """The parts without a pause between them: a step longer than 1.5 times the median one."""
@@ -78,8 +83,7 @@ class Samples:
     @staticmethod
     def concatenate(parts: list[Samples]) -> Samples:
         """All samples of ``parts`` (at least one), in order."""
-        arrays: dict[str, Any] = {name: np.concatenate([getattr(part, name) for part in parts]) for name in _ARRAYS}
-        return Samples(**arrays, columns=parts[0].columns)
-
-
-_ARRAYS = tuple(field.name for field in fields(Samples) if field.name != "columns")
+        arrays: dict[str, Any] = {
+            name: np.concatenate([part.arrays[name] for part in parts]) for name in parts[0].arrays
+        }
+        return replace(parts[0], **arrays)

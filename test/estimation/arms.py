@@ -16,7 +16,7 @@ import pinocchio as pin
 from geometry import bodies
 
 from geomid_ros.geometry import pseudo_inertia
-from geomid_ros.model.effects import DEFAULT_EFFECTS, identifiable
+from geomid_ros.model.effects import DEFAULT_EFFECTS, identifiable, joint_of
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.robot import Robot
 from geomid_ros.model.samples import Samples
@@ -85,7 +85,7 @@ def truth(rng: np.random.Generator, robot: Robot, size: float = 0.2) -> Truth:
 
 def parameters(model: MeasurementModel, true: Truth) -> FloatArray:
     """The truth as the model's parameter vector ``(D,)``."""
-    effects = [true.effects[c.effect.name][c.joint] for c in model.coefficients]
+    effects = [true.effects[c.effect.name][joint_of(c.place)] for c in model.coefficients]
     return np.concatenate([true.links[list(model.identified)].ravel(), effects])
 
 

@@ -93,7 +93,7 @@ def test_links_are_possible_and_described_consistently(name: str, seed: int) -> 
         assert link.min_eigenvalue_ratio == pytest.approx(ratio, rel=1e-9)
         assert link.name == case.model.body_names[place]
         assert 0.0 <= link.from_data <= 1.0
-    assert [effect.joint for effect in found.effects] == [c.joint_name for c in case.model.coefficients]
+    assert [effect.joint for effect in found.effects] == [c.place_name for c in case.model.coefficients]
     assert found.channels == tuple(joint.name for joint in case.model.robot.joints)
     assert found.rows_accepted == case.samples.effort.size
 

@@ -16,6 +16,7 @@ from geomid_ros.estimation.starting_point import (
     scales_of_reals,
 )
 from geomid_ros.estimation.summary import RowSummary
+from geomid_ros.model.effects import joint_of
 from geomid_ros.types import FloatArray
 
 from .arms import Case, arm
@@ -39,7 +40,7 @@ def started(case: Case) -> FloatArray:
 
 def effects_of_joint(case: Case, joint: int) -> FloatArray:
     first = len(case.model.nominal_inertias)
-    return np.array([first + k for k, c in enumerate(case.model.coefficients) if c.joint == joint])
+    return np.array([first + k for k, c in enumerate(case.model.coefficients) if joint_of(c.place) == joint])
 
 
 def halted(case: Case, joint: int, velocity_noise: float = 0.0) -> Case:
@@ -76,7 +77,7 @@ def test_positive_effects_never_start_at_zero(seed: int) -> None:
     positive = slice(len(case.model.nominal_inertias), len(case.model.nominal_inertias) + case.model.positives)
     sizes = np.sqrt(np.mean(case.samples.effort**2, axis=0))
     for value, coefficient in zip(found[positive], case.model.coefficients, strict=False):
-        assert 0.0 < value <= 0.1 * sizes[coefficient.joint] + 1.5
+        assert 0.0 < value <= 0.1 * sizes[joint_of(coefficient.place)] + 1.5
 
 
 def test_a_channel_without_rows_gets_ones_and_zeros() -> None:

@@ -14,10 +14,10 @@ from geomid_ros.types import FloatArray
 SEEDS = pytest.mark.parametrize("seed", range(4))
 DIMENSION = 12
 CHANNELS = (
-    Channel("wide", "N m", np.arange(DIMENSION)),
-    Channel("narrow", "N m", np.array([3, 4, 11])),
-    Channel("one", "N", np.array([7])),
-    Channel("silent", "N", np.array([0, 1])),
+    Channel(name="wide", unit="N m", columns=np.arange(DIMENSION)),
+    Channel(name="narrow", unit="N m", columns=np.array([3, 4, 11])),
+    Channel(name="one", unit="N", columns=np.array([7])),
+    Channel(name="silent", unit="N", columns=np.array([0, 1])),
 )
 CONTENT = 1e-10
 

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from geomid_ros.model.effects import EFFECTS, PARAMETERS, KnownEffect, Quantity
+from geomid_ros.model.effects import EFFECTS, KnownEffect, Quantity
 
 
 def effect(name: str, place: str = "", **parameters: float) -> KnownEffect:
     """An effect at a joint, a link or a topic, in units of a turning joint, every standard deviation a tenth."""
-    place_of = EFFECTS[name].place
-    quantities = {
-        key: Quantity(value, abs(value) / 10.0, PARAMETERS[name][key].units[0]) for key, value in parameters.items()
-    }
+    place_of, units = EFFECTS[name].place, {form.name: form.units[0] for form in EFFECTS[name].parameters}
+    quantities = {key: Quantity(value, abs(value) / 10.0, units[key]) for key, value in parameters.items()}
     return KnownEffect(name, "" if place_of == "link" else place, place if place_of == "link" else "", quantities)
 
 

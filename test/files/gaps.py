@@ -65,6 +65,7 @@ def gap_result(case: Case, joints: Sequence[str], *, wrench: bool = False) -> Ga
         bodies=bodies,
         inertias=_bodies(len(joints), 0.0 if case == "no gap" else 0.1),
         coefficients=np.zeros(0),
+        beside=(),
         seconds=2.5,
     )
 
@@ -122,7 +123,19 @@ def _findings(case: Case, joint: str) -> tuple[Finding, ...]:
     settled = f"move {joint} at three constant speeds" if ambiguous else ""
     confidence = "ambiguous" if ambiguous else "confident"
     return (
-        Finding("coulomb_friction", joint, "", parameters, confidence, rivals, 0.97, 812.0, 0.93, sentence, settled),
+        Finding(
+            effect="coulomb_friction",
+            joint=joint,
+            link="",
+            parameters=parameters,
+            confidence=confidence,
+            rivals=rivals,
+            separability=0.97,
+            loss=812.0,
+            share=0.93,
+            sentence=sentence,
+            settled_by=settled,
+        ),
     )
 
 

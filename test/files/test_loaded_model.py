@@ -14,7 +14,7 @@ from model.robots import Reference, random_samples
 
 from geomid_ros.errors import InputError
 from geomid_ros.estimation.estimate import EffectEstimate
-from geomid_ros.files.models.effect_forms import combined, payload_parameters, tilted_gravity
+from geomid_ros.files.models.effect_forms import combined, payload_parameters, turned_gravity
 from geomid_ros.files.models.gap_model import write_model
 from geomid_ros.files.models.loaded_model import LoadedModel
 from geomid_ros.files.models.results import estimate_document, write_estimate
@@ -79,7 +79,7 @@ def test_gravity_and_payload_are_predicted(tmp_path: Path) -> None:
     session = session_with(tmp_path, [tilt, effect("payload", "link3", **PAYLOAD)], effects=[""])
     found, samples = predicted(session)
     straight = Robot(ARM)
-    reference = Reference(ARM, gravity=tilted_gravity(GRAVITY, {"tilt_x": 0.1, "tilt_y": -0.05}).tolist())
+    reference = Reference(ARM, gravity=turned_gravity(GRAVITY, [tilt]).tolist())
     inertias = {body.name: body.parameters for body in straight.bodies}
     inertias["link3"] = inertias["link3"] + payload_parameters(PAYLOAD)
     reference.set_inertias(inertias)
@@ -134,7 +134,9 @@ def estimated(session: Session) -> list[EffectEstimate]:
     assert session.prior is not None
     values = session.prior[len(session.prior) - len(session.model.coefficients) :]
     return [
-        EffectEstimate(name=c.effect.name, joint=c.joint_name, value=float(value), unit=c.unit, std=0.01, from_data=1.0)
+        EffectEstimate(
+            name=c.effect.name, joint=c.place_name, parameters=c.parameters(float(value), 0.01), from_data=1.0
+        )
         for c, value in zip(session.model.coefficients, np.nan_to_num(values, nan=1e-3), strict=True)
     ]
 

@@ -21,6 +21,7 @@ from geomid_ros.files.models.results import (
     write_estimate,
 )
 from geomid_ros.files.models.urdf import read_urdf
+from geomid_ros.model.effects import Quantity
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.session import Session
 
@@ -28,7 +29,9 @@ from .estimates import estimate_of, link_estimate
 from .recordings import BAGS
 
 ROUNDING = 1e-12  # relative: parameters go through the centre of mass and back
-EFFECT = EffectEstimate(name="coulomb_friction", joint="joint1", value=0.5, unit="N m", std=0.05, from_data=0.9)
+EFFECT = EffectEstimate(
+    name="coulomb_friction", joint="joint1", parameters={"level": Quantity(0.5, 0.05, "N m")}, from_data=0.9
+)
 ESTIMATE = estimate_of(link_estimate("link3", ("tool",), 1), link_estimate("link1", (), 2), effects=(EFFECT,))
 
 

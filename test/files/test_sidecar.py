@@ -13,7 +13,7 @@ import yaml
 from geomid_ros.errors import InputError
 from geomid_ros.files.models.effect_forms import combined, values
 from geomid_ros.files.models.sidecar import read_sidecar, write_sidecar
-from geomid_ros.model.effects import EFFECTS, PARAMETERS, KnownEffect, Quantity
+from geomid_ros.model.effects import EFFECTS, KnownEffect, Quantity
 
 from .effects import PAYLOAD, effect
 
@@ -24,8 +24,8 @@ def one_of_each() -> list[KnownEffect]:
     return [
         effect("payload", "tool", **PAYLOAD)
         if name == "payload"
-        else effect(name, places[form.place], **{key: 0.1 + 0.01 * index for index, key in enumerate(PARAMETERS[name])})
-        for name, form in sorted(EFFECTS.items(), key=lambda named: named[0] != "viscous_friction")
+        else effect(name, places[known.place], **{p.name: 0.1 + 0.01 * k for k, p in enumerate(known.parameters)})
+        for name, known in sorted(EFFECTS.items(), key=lambda named: named[0] != "viscous_friction")
     ]
 
 

@@ -12,8 +12,10 @@ from pathlib import Path
 import numpy as np
 import pinocchio as pin
 
-from geomid_ros.gap import candidates as library
+from geomid_ros.gap.candidates import library_columns
+from geomid_ros.gap.fitting.fit import Prior
 from geomid_ros.geometry import pseudo_inertia, spd
+from geomid_ros.model.effects import Motion
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.robot import Robot
 from geomid_ros.model.samples import Samples
@@ -30,6 +32,13 @@ Efforts = Callable[[FloatArray, FloatArray, FloatArray], FloatArray]  # of q, v,
 @cache
 def model() -> MeasurementModel:
     return MeasurementModel(Robot((BAGS / "arm3.urdf").read_text(encoding="utf-8")), ())
+
+
+def prior(inertias: FloatArray | None = None, spread: float = 0.2) -> Prior:
+    """What is thought of a robot without effects: these ``inertias (bodies, 10)``, the URDF's unless given."""
+    known = model().nominal_inertias if inertias is None else inertias.ravel()
+    nothing = np.zeros(0)
+    return Prior(inertias=known, spread=spread, terms=(), values=nothing, spreads=nothing, certainty=4.0)
 
 
 def true_inertias(seed: int, size: float) -> FloatArray:
@@ -85,5 +94,6 @@ def recording(efforts: Efforts, seed: int, seconds: float = 40.0, noise: float =
         base_velocity=nothing,
         base_acceleration=nothing,
         wrenches=np.zeros((len(times), 0, 6)),
-        effects=library.effect_columns(position, velocity, acceleration),
+        effects=library_columns(model()).values(Motion(position, velocity, acceleration)),
+        columns=library_columns(model()),
     )

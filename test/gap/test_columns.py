@@ -6,8 +6,9 @@ import pytest
 from scipy.interpolate import CubicSpline
 
 from geomid_ros.gap.evidence.record import Records
-from geomid_ros.gap.fitting.fit import Prior, unfitted
-from geomid_ros.gap.fitting.stage import Stage, TotalModel, turned_gravity
+from geomid_ros.gap.fitting.fit import unfitted
+from geomid_ros.gap.fitting.stage import Stage, total_model
+from geomid_ros.model.effects import AtJoint, OnRobot
 from geomid_ros.model.effects.effort_delay import EffortDelay
 from geomid_ros.model.effects.effort_gain import EffortGain
 from geomid_ros.model.effects.gravity_tilt import GravityTilt
@@ -24,9 +25,8 @@ JOINT = 1
 def stage() -> Stage:
     model = planted.model()
     inertias = planted.true_inertias(5, 0.2)
-    prior = Prior(inertias.ravel(), 0.2, (), np.zeros(0), np.zeros(0))
     records = Records.make([planted.recording(planted.rigid(inertias), 5, noise=0.0)], planted.CUTOFF)
-    return Stage(model, records, TotalModel.of(model, unfitted(prior)))
+    return Stage(model, records, total_model(model, unfitted(planted.prior(inertias))))
 
 
 def efforts(stage: Stage, moved: tuple[FloatArray, FloatArray, FloatArray] | None = None) -> FloatArray:
@@ -40,7 +40,7 @@ def agree(column: FloatArray, expected: FloatArray, share: float) -> None:
 
 
 def test_tilt(stage: Stage) -> None:
-    columns = GravityTilt().columns(stage.situation, -1)
+    columns = GravityTilt().columns(stage.situation, OnRobot())
     samples, step = stage.records.samples, 1e-5
     for axis in range(2):
         turned = pin.exp3(step * np.eye(3)[axis]).T @ stage.model.robot.gravity
@@ -50,9 +50,10 @@ def test_tilt(stage: Stage) -> None:
 
 
 def test_turned_gravity_is_that_of_the_turned_base() -> None:
-    gravity, tilt = np.array([0.3, -0.2, -9.8]), np.array([0.7, -0.4])
-    expected = pin.exp3(np.append(tilt, 0.0)).T @ gravity
-    np.testing.assert_allclose(turned_gravity(gravity, tilt), expected, atol=1e-12)
+    gravity = np.array([0.3, -0.2, -9.8])
+    expected = pin.exp3(np.array([0.7, -0.4, 0.0])).T @ gravity
+    found = GravityTilt.turned_gravity(gravity, {"tilt_x": 0.7, "tilt_y": -0.4})
+    np.testing.assert_allclose(found, expected, atol=1e-12)
 
 
 def test_elasticity(stage: Stage) -> None:
@@ -67,7 +68,7 @@ def test_elasticity(stage: Stage) -> None:
         load = np.gradient(load, times, edge_order=2)
     (chosen,) = stage.records.chosen
     expected = (dynamics(*bent) - dynamics(*exact))[chosen] / compliance
-    agree(JointElasticity().columns(stage.situation, JOINT)[20:-20, :, 0], expected[20:-20], 0.05)
+    agree(JointElasticity().columns(stage.situation, AtJoint(JOINT))[20:-20, :, 0], expected[20:-20], 0.05)
 
 
 def test_delay(stage: Stage) -> None:
@@ -76,13 +77,13 @@ def test_delay(stage: Stage) -> None:
     whole = planted.rigid(stage.total.inertias)(*exact)
     (chosen,) = stage.records.chosen
     late = CubicSpline(times, whole)(times - delay)
-    column = EffortDelay().columns(stage.situation, -1)[:, :, 0]
+    column = EffortDelay().columns(stage.situation, OnRobot())[:, :, 0]
     agree(column, ((late - whole) / delay)[chosen], 0.05)
 
 
 def test_gain_and_load_friction(stage: Stage) -> None:
-    gain = EffortGain().columns(stage.situation, JOINT)[:, :, 0]
-    friction = LoadFriction().columns(stage.situation, JOINT)[:, :, 0]
+    gain = EffortGain().columns(stage.situation, AtJoint(JOINT))[:, :, 0]
+    friction = LoadFriction().columns(stage.situation, AtJoint(JOINT))[:, :, 0]
     true = efforts(stage)[:, JOINT]
     agree(gain[:, JOINT], true, 1e-9)
     assert not np.any(gain[:, JOINT - 1])

@@ -2,26 +2,24 @@
 
 from dataclasses import replace
 
-import numpy as np
-
 from geomid_ros.gap import candidates as library
 from geomid_ros.gap.candidates import Candidate
 from geomid_ros.gap.evidence.noise import Autoregression
 from geomid_ros.gap.evidence.record import Records
-from geomid_ros.gap.fitting.fit import Prior, fit, unfitted
-from geomid_ros.gap.fitting.stage import Stage, TotalModel
+from geomid_ros.gap.fitting.fit import fit, unfitted
+from geomid_ros.gap.fitting.stage import Stage, total_model
 from geomid_ros.gap.judgement.crossvalidation import generalises
 from geomid_ros.model.samples import Samples
 
 from . import planted
 
 MODEL = planted.model()
-PRIOR = Prior(MODEL.nominal_inertias, 0.2, (), np.zeros(0), np.zeros(0))
-VISCOUS = next(c for c in library.candidates(MODEL) if c.effect == "viscous_friction" and c.joint == 1)
+PRIOR = planted.prior()
+VISCOUS = next(c for c in library.candidates(MODEL) if c.name == "viscous_friction" and c.joint == 1)
 
 
 def survives(samples: Samples, candidate: Candidate) -> bool:
-    stage = Stage(MODEL, Records.make([samples], planted.CUTOFF), TotalModel.of(MODEL, unfitted(PRIOR)))
+    stage = Stage(MODEL, Records.make([samples], planted.CUTOFF), total_model(MODEL, unfitted(PRIOR)))
     noise = (Autoregression.white(),) * len(MODEL.channels)
     design = stage.design(stage.columns([candidate], ()), noise)
     return generalises(design, fit(design, PRIOR, [candidate]), candidate)

@@ -12,8 +12,8 @@ from geomid_ros.gap.candidates import Candidate
 from geomid_ros.gap.evidence.design import Design
 from geomid_ros.gap.evidence.noise import Autoregression
 from geomid_ros.gap.evidence.record import Records
-from geomid_ros.gap.fitting.fit import JointFit, Prior, fit, unfitted
-from geomid_ros.gap.fitting.stage import Stage, TotalModel
+from geomid_ros.gap.fitting.fit import JointFit, fit, unfitted
+from geomid_ros.gap.fitting.stage import Stage, total_model
 from geomid_ros.gap.search.score_test import improvement
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.types import FloatArray
@@ -26,15 +26,11 @@ WHITE = (Autoregression.white(),) * len(MODEL.channels)
 SMALL = 0.02  # [N m s/rad] of viscous friction at the second joint
 
 
-def prior(spread: float = 0.2) -> Prior:
-    return Prior(MODEL.nominal_inertias, spread, (), np.zeros(0), np.zeros(0))
-
-
 def designed(*seeds: int, friction: float = SMALL) -> Design:
     """Of recordings of one robot, whose second joint has this friction."""
     rigid = planted.rigid(planted.true_inertias(7, 0.2))
     samples = [planted.recording(lambda q, v, a: rigid(q, v, a) + [0.0, friction, 0.0] * v, seed) for seed in seeds]
-    stage = Stage(MODEL, Records.make(samples, planted.CUTOFF), TotalModel.of(MODEL, unfitted(prior())))
+    stage = Stage(MODEL, Records.make(samples, planted.CUTOFF), total_model(MODEL, unfitted(planted.prior())))
     return stage.design(stage.columns(CANDIDATES, ()), WHITE)
 
 
@@ -45,11 +41,11 @@ def design() -> Design:
 
 @pytest.fixture(scope="module")
 def bare(design: Design) -> JointFit:
-    return fit(design, prior(), [])
+    return fit(design, planted.prior(), [])
 
 
 def named(effect: str, joint: int) -> Candidate:
-    return next(c for c in CANDIDATES if c.effect == effect and c.joint == joint)
+    return next(c for c in CANDIDATES if c.name == effect and c.joint == joint)
 
 
 RANDOM = np.random.default_rng(3)
@@ -59,7 +55,7 @@ KNOWN = LinksInformation(RANDOM.normal(scale=30.0, size=(12, 30)), RANDOM.normal
 @pytest.mark.parametrize("known", [None, KNOWN], ids=["one recording", "others, too"])
 def test_the_fit_is_a_minimum(design: Design, known: LinksInformation | None) -> None:
     """Steps away from it, with the spread that it found, raise the score."""
-    found = fit(design, replace(prior(), known=known), [named("viscous_friction", 1)], spread=0.2)
+    found = fit(design, replace(planted.prior(), known=known), [named("viscous_friction", 1)], spread=0.2)
     rng = np.random.default_rng(0)
     for _ in range(5):
         direction = rng.standard_normal(found.manifold.dimension)
@@ -91,8 +87,8 @@ def said(found: JointFit, design: Design) -> LinksInformation:
 
 
 def test_what_is_known_of_a_recording_counts_as_if_it_were_fitted_again() -> None:
-    first, second, both = (fit(designed(*seeds), prior(), [], spread=0.2) for seeds in ((7,), (8,), (7, 8)))
-    again = fit(designed(8), replace(prior(), known=said(first, designed(7))), [], spread=0.2)
+    first, second, both = (fit(designed(*seeds), planted.prior(), [], spread=0.2) for seeds in ((7,), (8,), (7, 8)))
+    again = fit(designed(8), replace(planted.prior(), known=said(first, designed(7))), [], spread=0.2)
 
     def errors(found: JointFit) -> float:
         """Mean square of the distance from the fit to both, in its standard deviations."""
@@ -106,13 +102,13 @@ def test_what_is_known_of_a_recording_counts_as_if_it_were_fitted_again() -> Non
 def test_what_is_known_is_trusted_as_far_as_it_agrees() -> None:
     """Recordings whose links seem others, by many times what their noise allows, had errors of the model."""
     first, second = designed(7, friction=0.0), designed(8, friction=0.0)
-    known = said(fit(first, prior(), [], spread=0.2), first)
-    agreeing = fit(second, replace(prior(), known=known), [])
+    known = said(fit(first, planted.prior(), [], spread=0.2), first)
+    agreeing = fit(second, replace(planted.prior(), known=known), [])
     assert agreeing.inflation < 2.0
     shifted = LinksInformation(known.rows, known.residuals + 100.0 * np.random.default_rng(5).standard_normal(30))
-    contradicting = fit(second, replace(prior(), known=shifted), [])
+    contradicting = fit(second, replace(planted.prior(), known=shifted), [])
     assert contradicting.inflation > 1000.0
-    alone = fit(second, prior(), [])
+    alone = fit(second, planted.prior(), [])
     np.testing.assert_allclose(contradicting.squares, alone.squares, rtol=0.02)
 
 
@@ -126,9 +122,9 @@ def test_a_payload_is_reached_from_afar() -> None:
     stage = Stage(
         MODEL,
         Records.make([planted.recording(planted.rigid(loaded), 9)], planted.CUTOFF),
-        TotalModel.of(MODEL, unfitted(prior())),
+        total_model(MODEL, unfitted(planted.prior())),
     )
-    precise = replace(prior(), inertias=inertias[list(MODEL.identified)].ravel(), spread=1e-3, certainty=1e4)
+    precise = replace(planted.prior(), inertias=inertias[list(MODEL.identified)].ravel(), spread=1e-3, certainty=1e4)
     payload = next(c for c in CANDIDATES if c.payload == len(MODEL.identified) - 1)
     found = fit(stage.design(stage.columns([payload], ()), WHITE), precise, [payload])
     body = pseudo_inertia.to_parameters(found.point.pseudo_inertias)[-1]
@@ -140,13 +136,13 @@ def test_a_payload_is_reached_from_afar() -> None:
 def test_the_score_test_foretells_the_exact_fit(design: Design, bare: JointFit, effect: str, joint: int) -> None:
     candidate = named(effect, joint)
     gain, _ = improvement(design, bare, candidate)
-    exact = bare.score - fit(design, prior(), [candidate], bare, bare.spread).score
+    exact = bare.score - fit(design, planted.prior(), [candidate], bare, bare.spread).score
     assert abs(gain - exact) < 0.02 * abs(exact) + 0.5
 
 
 def test_separability_is_one_beside_the_inertias_and_none_within(design: Design) -> None:
     """No inertia imitates viscous friction; the rotor of the first, upright joint is an inertia of its link."""
-    free = fit(design, prior(), [], spread=2.0)
+    free = fit(design, planted.prior(), [], spread=2.0)
     separable: Mapping[tuple[str, int], float] = {
         (effect, joint): improvement(design, free, named(effect, joint))[1]
         for effect, joint in (("viscous_friction", 0), ("viscous_friction", 1), ("rotor_inertia", 0))
@@ -159,4 +155,4 @@ def test_separability_is_one_beside_the_inertias_and_none_within(design: Design)
 def test_the_spread_of_the_inertias_is_found(design: Design, bare: JointFit) -> None:
     """The planted errors are of the usual size; a prior that takes them for ten times smaller is corrected."""
     assert 0.1 < bare.spread < 0.35
-    assert 0.06 < fit(design, prior(0.02), []).spread < 0.35
+    assert 0.06 < fit(design, planted.prior(spread=0.02), []).spread < 0.35

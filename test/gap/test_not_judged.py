@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from geomid_ros.errors import InputError
+from geomid_ros.gap.candidates import REST
 from geomid_ros.gap.evidence.record import Records
 from geomid_ros.gap.workflow import find_gap
 from geomid_ros.model.measurement import MeasurementModel
@@ -77,7 +78,7 @@ def test_what_a_force_plate_measures_counts_while_joints_stand_still() -> None:
     plate = WrenchSensor("/plate", "world", "external")
     model = MeasurementModel(Robot(urdf, floating_base=True), (), (plate,))
     effects = TRAIN.effects.copy()
-    effects[:, JOINT] = np.append(np.zeros(effects.shape[2] - 1), 1.0)  # at rest all the time
+    effects[:, JOINT] = [column == REST for column in TRAIN.columns.columns]  # at rest all the time
     records = Records.make([replace(TRAIN, effects=effects)], planted.CUTOFF)
     targets = np.random.default_rng(1).normal(size=(len(records.samples), 6))
     assert not model.efforts_usable

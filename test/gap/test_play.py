@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from geomid_ros.gap.evidence.play import sides
-from geomid_ros.model.effects.backlash import CROSSINGS
+from geomid_ros.model.effects.backlash import CROSSINGS, sides
 
 
 def square(period: float, seconds: float, size: float) -> np.ndarray:

@@ -1,12 +1,14 @@
 """Instants that the model can be blamed for: not those at which its own friction is uncertain."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from geomid_ros.gap import candidates as library
 from geomid_ros.gap.evidence.record import Records
-from geomid_ros.gap.fitting.fit import Prior, unfitted
-from geomid_ros.gap.fitting.stage import Stage, TotalModel
+from geomid_ros.gap.fitting.fit import unfitted
+from geomid_ros.gap.fitting.stage import Stage, total_model
+from geomid_ros.model.effects import AtJoint, identified_effect
 from geomid_ros.types import BoolArray
 
 from . import planted
@@ -19,8 +21,8 @@ def valid(joint: int, level: float, floor: float = 1.0) -> BoolArray:
     model = planted.model()
     inertias = planted.true_inertias(2, 0.1)
     records = Records.make([planted.recording(planted.rigid(inertias), 2)], planted.CUTOFF)
-    total = TotalModel.of(model, unfitted(Prior(inertias.ravel(), 0.2, (), np.zeros(0), np.zeros(0))))
-    total.effects[joint, library.SIGN] = level
+    friction = (identified_effect("coulomb_friction"), AtJoint(joint), np.array([level]))
+    total = replace(total_model(model, unfitted(planted.prior(inertias))), effects=(friction,))
     return Stage(model, records, total, floor * FLOOR).valid
 
 

@@ -40,9 +40,9 @@ def test_nominal_parameters_give_the_efforts_of_the_urdf(name: str) -> None:
     model = MeasurementModel(robot, [])
     samples = random_samples(robot, seed=1)
     measured, predicted = model.predict(samples, model.nominal_inertias)
-    assert_equal(predicted, Reference(urdf(name)).inverse_dynamics(samples, robot.place_names)[1])
+    assert_equal(predicted, Reference(urdf(name)).inverse_dynamics(samples, robot.joint_names)[1])
     np.testing.assert_array_equal(measured, samples.effort)
-    assert [channel.name for channel in model.channels] == list(robot.place_names)
+    assert [channel.name for channel in model.channels] == list(robot.joint_names)
 
 
 @FIXED
@@ -53,7 +53,7 @@ def test_any_bodies_give_the_efforts_of_a_robot_made_of_them(name: str) -> None:
     reference.set_inertias(dict(zip(robot.body_names, parameters, strict=True)))
     samples = random_samples(robot, seed=3)
     predicted = MeasurementModel(robot, []).predict(samples, parameters.ravel())[1]
-    assert_equal(predicted, reference.inverse_dynamics(samples, robot.place_names)[1])
+    assert_equal(predicted, reference.inverse_dynamics(samples, robot.joint_names)[1])
 
 
 @pytest.mark.parametrize(
@@ -68,7 +68,7 @@ def test_both_parts_of_a_divided_body_load_its_joints(name: str, cut: str) -> No
     reference.set_inertias(dict(zip(robot.body_names, parameters, strict=True)))
     samples = random_samples(robot, seed=21)
     predicted = MeasurementModel(robot, []).predict(samples, parameters.ravel())[1]
-    assert_equal(predicted, reference.inverse_dynamics(samples, robot.place_names)[1])
+    assert_equal(predicted, reference.inverse_dynamics(samples, robot.joint_names)[1])
 
 
 def test_effects_add_their_terms() -> None:
@@ -78,14 +78,14 @@ def test_effects_add_their_terms() -> None:
     model = MeasurementModel(robot, [identified_effect(name) for name in names])
     order = ["rotor_inertia", "coulomb_friction", "viscous_friction", "effort_offset"]
     assert [(c.effect.name, c.place_name) for c in model.coefficients] == [
-        (name, joint) for name in order for joint in robot.place_names
+        (name, joint) for name in order for joint in robot.joint_names
     ]
     assert (model.positives, model.dimension) == (18, 60 + 24)
 
     rotor, coulomb, viscous, offset = np.random.default_rng(4).normal(size=(4, 6))
     samples = random_samples(robot, seed=5)
     predicted = model.predict(samples, np.concatenate([model.nominal_inertias, rotor, coulomb, viscous, offset]))[1]
-    efforts = Reference(urdf("ur5_robot.urdf")).inverse_dynamics(samples, robot.place_names)[1]
+    efforts = Reference(urdf("ur5_robot.urdf")).inverse_dynamics(samples, robot.joint_names)[1]
     friction = viscous * samples.velocity + coulomb * np.tanh(samples.velocity / 0.02)
     assert_equal(predicted, efforts + rotor * samples.acceleration + friction + offset)
 
@@ -143,7 +143,7 @@ def test_links_that_are_not_identified_keep_their_share() -> None:
     reference = Reference(urdf("panda.urdf"))
     bodies = dict(zip(whole.body_names, whole.nominal_inertias.reshape(-1, 10), strict=True))
     reference.set_inertias(bodies | dict(zip(part.body_names, parameters, strict=True)))
-    efforts = reference.inverse_dynamics(samples, robot.place_names)[1]
+    efforts = reference.inverse_dynamics(samples, robot.joint_names)[1]
     assert_equal(samples.effort - measured + predicted, efforts)
     np.testing.assert_array_equal(part.channels[5].columns, np.arange(10, 20))
 
@@ -152,7 +152,7 @@ def test_effects_alone_can_be_identified() -> None:
     robot = Robot(urdf("ur5_robot.urdf"))
     model = MeasurementModel(robot, [identified_effect("effort_offset")], links=[])
     samples = random_samples(robot, seed=10)
-    efforts = Reference(urdf("ur5_robot.urdf")).inverse_dynamics(samples, robot.place_names)[1]
+    efforts = Reference(urdf("ur5_robot.urdf")).inverse_dynamics(samples, robot.joint_names)[1]
     rows = model.rows(samples)
     assert_equal(samples.effort - rows.targets, efforts)
     assert model.nominal_inertias.shape == (0,)
@@ -164,7 +164,7 @@ def test_gravity_may_point_anywhere() -> None:
     robot = Robot(urdf("ur5_robot.urdf"), gravity=np.array(tilted))
     samples = random_samples(robot, seed=11)
     model = MeasurementModel(robot, [])
-    expected = Reference(urdf("ur5_robot.urdf"), gravity=tilted).inverse_dynamics(samples, robot.place_names)[1]
+    expected = Reference(urdf("ur5_robot.urdf"), gravity=tilted).inverse_dynamics(samples, robot.joint_names)[1]
     assert_equal(model.predict(samples, model.nominal_inertias)[1], expected)
 
 

@@ -50,7 +50,7 @@ def test_a_force_plate_feels_the_whole_robot(name: str, foot: str, other_foot: s
     reference = Reference(urdf(name), floating_base=True)
     reference.set_inertias(dict(zip(robot.body_names, parameters, strict=True)))
     samples = random_samples(robot, seed=2, sensors=1)
-    base = reference.inverse_dynamics(samples, robot.place_names)[0]
+    base = reference.inverse_dynamics(samples, robot.joint_names)[0]
     on_plate = in_frames(base, [pin.XYZQUATToSE3(pose) for pose in samples.base_pose])
     measured, predicted = model.predict(samples, parameters.ravel())
     assert_equal(predicted, on_plate[:, [3, 4, 2]])
@@ -65,8 +65,8 @@ def test_one_contact_sensor_carries_the_robot(name: str, foot: str, other_foot: 
     model = MeasurementModel(robot, [], [WrenchSensor("/foot", foot, "external")])
     reference = Reference(urdf(name), floating_base=True)
     samples = random_samples(robot, seed=3, sensors=1)
-    base = reference.inverse_dynamics(samples, robot.place_names)[0]
-    placements = [reference.placement(samples, i, robot.place_names, foot) for i in range(len(samples))]
+    base = reference.inverse_dynamics(samples, robot.joint_names)[0]
+    placements = [reference.placement(samples, i, robot.joint_names, foot) for i in range(len(samples))]
     to_foot = [
         placement.actInv(pin.XYZQUATToSE3(pose)) for placement, pose in zip(placements, samples.base_pose, strict=True)
     ]
@@ -102,7 +102,7 @@ def test_two_feet_and_the_joints_balance(name: str, foot: str, other_foot: str) 
     reference = Reference(urdf(name), floating_base=True)
     reference.set_inertias(dict(zip(robot.body_names, parameters, strict=True)))
     samples = random_samples(robot, seed=6, sensors=2)
-    wrenches, efforts = standing(reference, samples, robot.place_names, (foot, other_foot))
+    wrenches, efforts = standing(reference, samples, robot.joint_names, (foot, other_foot))
     viscous = np.random.default_rng(7).uniform(size=len(robot.joints))
     samples = with_values(
         samples,
@@ -120,7 +120,7 @@ def test_a_known_load_on_a_fixed_robot_reaches_its_joints() -> None:
     assert len(model.channels) == len(robot.joints)
     samples = random_samples(robot, seed=8, sensors=1)
     reference = Reference(urdf("panda.urdf"))
-    efforts = reference.inverse_dynamics(samples, robot.place_names, {"panda_hand": -samples.wrenches[:, 0]})[1]
+    efforts = reference.inverse_dynamics(samples, robot.joint_names, {"panda_hand": -samples.wrenches[:, 0]})[1]
     measured, predicted = model.predict(with_values(samples, effort=efforts), model.nominal_inertias)
     assert_equal(measured, predicted)
 
@@ -149,12 +149,12 @@ def test_a_mounted_sensor_moves_all_that_comes_after_it(name: str, link: str, fl
 
     part = Reference(part_after(urdf(name), link), floating_base=True)
     whole = Reference(urdf(name), floating_base=floating)
-    joints = [joint for joint in robot.place_names if part.model.existJointName(joint)]
-    chosen = [robot.place_names.index(joint) for joint in joints]
+    joints = [joint for joint in robot.joint_names if part.model.existJointName(joint)]
+    chosen = [robot.joint_names.index(joint) for joint in joints]
     poses, velocities, accelerations = [], [], []
     for index in range(len(samples)):
-        placement = whole.placement(samples, index, robot.place_names, link)
-        velocity, acceleration = whole.motion(samples, index, robot.place_names, link)
+        placement = whole.placement(samples, index, robot.joint_names, link)
+        velocity, acceleration = whole.motion(samples, index, robot.joint_names, link)
         poses.append(pin.SE3ToXYZQUAT(placement))
         velocities.append(velocity)
         accelerations.append(acceleration)
@@ -187,7 +187,7 @@ def test_a_sensor_under_a_fixed_base_feels_the_base_as_well() -> None:
     still = np.zeros((len(samples), 6))
     pose = np.tile([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0], (len(samples), 1))
     moved = with_values(samples, base_pose=pose, base_velocity=still, base_acceleration=still)
-    base, efforts = part.inverse_dynamics(moved, robot.place_names)
+    base, efforts = part.inverse_dynamics(moved, robot.joint_names)
     assert_equal(model.predict(samples, model.nominal_inertias)[1], np.hstack([efforts, base]))
 
 

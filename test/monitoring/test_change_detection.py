@@ -65,7 +65,7 @@ class Robot:
 
 
 def new_detector(forgetting_time: float = np.inf) -> ChangeDetector:
-    return ChangeDetector([Channel("joint", "N m", np.arange(COLUMNS))], forgetting_time)
+    return ChangeDetector([Channel(name="joint", unit="N m", columns=np.arange(COLUMNS))], forgetting_time)
 
 
 def open_blocks(robot: Robot, forgetting_time: float = np.inf) -> list[int]:
@@ -184,7 +184,7 @@ def test_channels_are_judged_by_themselves() -> None:
     """What one does not measure, or measures as zero, costs the other nothing."""
     robot = Robot(5)
     robot.change()
-    channels = [Channel(name, "N m", np.arange(COLUMNS)) for name in ("silent", "zero", "joint")]
+    channels = [Channel(name=name, unit="N m", columns=np.arange(COLUMNS)) for name in ("silent", "zero", "joint")]
     detector = ChangeDetector(channels)
     for begin in range(0, len(robot.targets), BLOCK):
         rows = slice(begin, begin + BLOCK)

@@ -14,7 +14,8 @@ import numpy as np
 import pytest
 from files.gaps import gap_page
 
-from geomid_ros.files.models.loaded_model import known_effect
+from geomid_ros.files.models.effect_forms import coefficient
+from geomid_ros.model.effects import Quantity
 from geomid_ros.report.gap_figures import elapsed
 from geomid_ros.report.gap_page import GapPage, write_gap_page
 from geomid_ros.report.gap_words import measured, ratio, verdict_sentence
@@ -176,7 +177,7 @@ def test_only_links_that_changed_are_in_the_table_of_changes(drawn: Draw) -> Non
 
 
 def test_what_the_model_said_before_is_in_the_table_of_changes(drawn: Draw) -> None:
-    known = (known_effect("coulomb_friction", "joint2", 0.25, "N m"),)
+    known = (coefficient("coulomb_friction", "joint2", Quantity(0.25, np.nan, "N m")),)
     page = drawn(replace(PAGES["ambiguous"], known=known))
     assert "already in the model Coulomb friction at joint2" in page.text
     assert "level 0.2500 N m 0.4012 ± 0.0049 N m" in page.text

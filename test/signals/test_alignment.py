@@ -68,7 +68,7 @@ def test_topics_of_different_rates_are_aligned(period: float) -> None:
 def test_every_array_has_the_shape_that_is_written() -> None:
     samples = feed(pipeline(), recording())
     count = len(samples)
-    shapes = {name: getattr(samples, name).shape for name in vars(samples)}
+    shapes = {name: array.shape for name, array in samples.arrays.items()}
     assert shapes == {
         "stamps": (count,),
         "position": (count, 3),

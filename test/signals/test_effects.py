@@ -7,6 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from geomid_ros.model.columns import Columns, JointColumn
+from geomid_ros.model.effects.coulomb_friction import CoulombFriction
+from geomid_ros.model.effects.effort_offset import EffortOffset
+from geomid_ros.model.effects.rotor_inertia import RotorInertia
+from geomid_ros.model.effects.spring import Spring
+from geomid_ros.model.effects.viscous_friction import ViscousFriction
 from geomid_ros.model.samples import Samples
 from geomid_ros.signals.messages import JointMessage
 from geomid_ros.signals.pipeline import SignalPipeline
@@ -15,14 +21,19 @@ from geomid_ros.types import FloatArray, IntArray
 
 from .feeding import JOINTS, START, Motion, assert_same, feed, jittered, joint_messages, regular
 
+COLUMNS = Columns.of(
+    JointColumn(effect)
+    for effect in (ViscousFriction(), CoulombFriction(0.02), RotorInertia(), EffortOffset(), Spring())
+)
+
 
 def columns(position: FloatArray, velocity: FloatArray, acceleration: FloatArray) -> FloatArray:
-    """Viscous and Coulomb friction, rotor inertia, offset, and a spring."""
+    """Viscous and Coulomb friction, rotor inertia, offset, and a spring, by their formulas ``(N, J, 5)``."""
     return np.stack([velocity, np.tanh(velocity / 0.02), acceleration, np.ones_like(position), position], axis=2)
 
 
 def pipeline(period: float = 0.008) -> SignalPipeline:
-    return SignalPipeline(JOINTS, settings=SignalSettings(period=period), effect_columns=columns)
+    return SignalPipeline(JOINTS, settings=SignalSettings(period=period), effect_columns=COLUMNS)
 
 
 def with_efforts(stamps: IntArray, efforts: FloatArray) -> list[JointMessage]:

@@ -15,7 +15,7 @@ import numpy as np
 from benchmarks.fuzz.mutations import changed_text
 from benchmarks.fuzz.target import require
 from geomid_ros.commands.demo import shared_file
-from geomid_ros.model.effects import EFFECTS, PARAMETERS
+from geomid_ros.model.effects import EFFECTS
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.gap import effects_of
 from geomid_ros.session.session import Session
@@ -98,14 +98,13 @@ def effect_entries() -> list[dict[str, Any]]:
     return [
         {
             "effect": name,
-            "joint": "" if form.place in ("robot", "link") else "joint1",
-            "link": "tool" if form.place == "link" else "",
+            "joint": "" if effect.place in ("robot", "link") else "joint1",
+            "link": "tool" if effect.place == "link" else "",
             "parameters": {
-                parameter: {"value": 0.01, "std": 0.001, "unit": kind.units[0]}
-                for parameter, kind in PARAMETERS[name].items()
+                form.name: {"value": 0.01, "std": 0.001, "unit": form.units[0]} for form in effect.parameters
             },
         }
-        for name, form in EFFECTS.items()
+        for name, effect in EFFECTS.items()
     ]
 
 
@@ -128,7 +127,7 @@ class ModelTarget:
             "residuals": _packed(np.ones(size)),
         }
         effects = [
-            {"name": c.effect.name, "joint": c.joint_name, "value": 0.1, "std": 0.01, "unit": c.unit}
+            {"name": c.effect.name, "joint": c.place_name, "value": 0.1, "std": 0.01, "unit": c.unit}
             for c in session.model.coefficients
         ]
         added = [entry for entry in effect_entries() if entry["link"] != "tool"]

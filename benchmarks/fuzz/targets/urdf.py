@@ -13,9 +13,10 @@ import numpy as np
 from benchmarks.fuzz.mutations import NUMBERS, changed_text
 from benchmarks.fuzz.target import require
 from geomid_ros.commands.demo import shared_file
-from geomid_ros.files.models.loaded_model import known_effect
+from geomid_ros.files.models.effect_forms import coefficient
 from geomid_ros.files.models.urdf import with_effects, with_inertials
 from geomid_ros.geometry import pseudo_inertia
+from geomid_ros.model.effects import Quantity
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.session import Session
 
@@ -146,7 +147,8 @@ class UrdfTarget:
         require(again.model.body_names == session.model.body_names, "other bodies when written back")
         scale = np.maximum(1.0, np.abs(parameters))
         np.testing.assert_allclose(again.nominal_parameters / scale, parameters / scale, atol=1e-5)
-        effects = [known_effect("viscous_friction", joint, 0.5) for joint in session.robot.joint_names]
+        friction = Quantity(0.5, 0.1, "N m s/rad")
+        effects = [coefficient("viscous_friction", joint, friction) for joint in session.robot.joint_names]
         Session(with_effects(written, effects), configuration, "effects.urdf")
 
 
