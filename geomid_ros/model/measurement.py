@@ -26,6 +26,7 @@ from geomid_ros.model.effects import (
     OnLink,
     OnRobot,
     PairEffect,
+    ParameterForm,
     Place,
     Quantity,
     SensorEffect,
@@ -150,7 +151,7 @@ class MeasurementModel:
 
     def _coefficients_at(self, effect: MotionEffect | SensorEffect, place: Place) -> Iterator[Coefficient]:
         name, sliding = self.place_name(place), self.slides(place)
-        forms = effect.parameters[:1]
+        forms: tuple[ParameterForm, ...] = (effect.own_form,) if isinstance(effect, MotionEffect) else ()
         if isinstance(place, AtSensor):
             axes = self._sensor(place.topic).axes
             forms = tuple(form for form in effect.parameters if form.name in axes)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -89,20 +90,20 @@ def continued(estimated: Sequence[KnownEffect], known: Sequence[ModelEffect]) ->
 
 def _refined(effect: ModelEffect, left: dict[tuple[str, str], KnownEffect]) -> KnownEffect:
     """An effect brought up to date, which takes away from what is ``left`` what belongs to it."""
-    here = {name: found for (name, joint), found in left.items() if joint == effect.joint and _number(found)}
+    here = {name: found for (name, joint), found in left.items() if joint == effect.joint and not _of_sensor(found)}
     quantities = {name: next(iter(found.parameters.values())) for name, found in here.items()}
     parameters, others = effect_class(effect.effect).refined(effect.parameters, quantities)
     for name, found in here.items():
         if name not in others:
             del left[name, effect.joint]
         else:
-            (parameter,) = found.parameters
-            left[name, effect.joint] = KnownEffect(name, found.joint, "", {parameter: others[name]})
+            own = next(iter(found.parameters))
+            left[name, effect.joint] = replace(found, parameters={**found.parameters, own: others[name]})
     return KnownEffect(effect.effect, effect.joint, effect.link, parameters)
 
 
-def _number(effect: KnownEffect) -> bool:
-    return len(effect.parameters) == 1
+def _of_sensor(effect: KnownEffect) -> bool:
+    return effect_class(effect.effect).place == "sensor"
 
 
 def coefficient(name: str, joint: str, quantity: Quantity) -> KnownEffect:

@@ -185,7 +185,10 @@ class Effect(ABC):
         Returns:
             its parameters, and what is left of ``found`` for other effects.
         """
-        return known, found
+        if cls.name not in found:
+            return known, found
+        left = {name: quantity for name, quantity in found.items() if name != cls.name}
+        return {**known, cls.parameters[0].name: found[cls.name]}, left
 
     @classmethod
     def together(cls, first: Mapping[str, Quantity], second: Mapping[str, Quantity]) -> Mapping[str, Quantity]:
@@ -266,7 +269,12 @@ class MotionEffect(Effect):
     def positive(self) -> bool:
         """Whether the coefficient lives on P(1) (it cannot change sign, the metric is dc^2/c^2), not on a real line: a
         parameter that must be above zero does."""
-        return self.parameters[0].above == 0.0
+        return self.own_form.above == 0.0
+
+    @property
+    def own_form(self) -> ParameterForm:
+        """The parameter that its own coefficient is."""
+        return self.parameters[0]
 
     @property
     def positives(self) -> int:
@@ -276,7 +284,7 @@ class MotionEffect(Effect):
     @property
     def units(self) -> tuple[str, str]:
         """Units of the coefficient at a revolute and at a prismatic joint."""
-        return self.parameters[0].units
+        return self.own_form.units
 
     @abstractmethod
     def efforts(self, motion: Motion, place: Place) -> FloatArray:

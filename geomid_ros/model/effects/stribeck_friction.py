@@ -58,6 +58,16 @@ class StribeckFriction(JointEffect):
         return CoulombFriction(self.smoothing), self
 
     @property
+    def own_form(self) -> ParameterForm:
+        """The excess."""
+        return self.parameters[1]
+
+    @property
+    def positive(self) -> bool:
+        """The excess is friction, too."""
+        return True
+
+    @property
     def positives(self) -> int:
         """Level and excess."""
         return 2
