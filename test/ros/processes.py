@@ -79,17 +79,17 @@ class Process:
 
     def seconds_to_end(self, number: signal.Signals | None = None) -> float:
         """How long it takes to end after a signal, or from now on, but for what its threads wait for a processor."""
-        begin, before = time.monotonic(), self._waits()
+        begin, before = time.monotonic(), self.waits()
         if number is not None:
             self.send(number)
         waits = before
         while self.running:
             assert time.monotonic() - begin < PATIENCE, self.output
-            waits = {**waits, **self._waits()}
+            waits = {**waits, **self.waits()}
             time.sleep(0.01)
         return time.monotonic() - begin - sum(wait - before.get(thread, 0.0) for thread, wait in waits.items())
 
-    def _waits(self) -> dict[str, float]:
+    def waits(self) -> dict[str, float]:
         """How long [s] each thread could have run, had the machine had a processor to spare."""
         waits = {}
         for path in Path(f"/proc/{self.pid}/task").glob("*/schedstat"):

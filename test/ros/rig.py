@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import time
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
@@ -92,10 +91,11 @@ class Rig:
 
     def send(self, items: Iterable[Recorded], pause: float = BETWEEN_MESSAGES) -> None:
         """Publish messages in quick succession."""
+        pace = self.stage.observer.pace()
         for item in items:
             self.publishers[item.topic].publish(bytes(TYPES.serialize_cdr(item.message, item.kind)))
             self.sent[item.topic] += 1
-            time.sleep(pause)
+            pace.pause(pause)
 
     def shifted(self, items: Iterable[Recorded]) -> list[Recorded]:
         """Messages in the time of the present case."""
