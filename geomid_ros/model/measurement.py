@@ -7,6 +7,7 @@ coefficients, then the real ones.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import chain
@@ -19,7 +20,7 @@ from geomid_ros.geometry.manifold import ParameterManifold
 from geomid_ros.model.channels import Channel, ChannelLayout, wrench_channel
 from geomid_ros.model.columns import Columns, column_of, reached_joints
 from geomid_ros.model.effect_places import EffectPlaces
-from geomid_ros.model.effects import AtSensor, MotionEffect, ParameterForm, Place, Quantity, SensorEffect
+from geomid_ros.model.effects import AtSensor, IdentifiedEffect, MotionEffect, Place, Quantity
 from geomid_ros.model.robot import Robot
 from geomid_ros.model.samples import Samples
 from geomid_ros.model.sensors import WORLD_FRAMES, WrenchSensor
@@ -30,7 +31,7 @@ from geomid_ros.types import FloatArray, IntArray
 class Coefficient:
     """One of an effect's coefficients at a place, the one of ``index``, which is the ``parameter`` of that name."""
 
-    effect: MotionEffect | SensorEffect
+    effect: IdentifiedEffect
     place: Place
     index: int
     place_name: str
@@ -45,7 +46,7 @@ class Coefficient:
     def parameters(self, value: float, std: float) -> dict[str, Quantity]:
         """Its effect's parameters: the one that it is, and the constants."""
         own = {self.parameter: Quantity(value, std, self.unit)}
-        constants = self.effect.constants([(value, std)], 0.0, 0.0)
+        constants = self.effect.constants([(value, std)], math.nan, 0.0)
         forms = self.effect.parameters[-len(constants) :] if constants else ()
         sliding = self.effect.parameters[0].units[0] != self.unit
         return own | {f.name: Quantity(*c, f.units[sliding]) for f, c in zip(forms, constants, strict=True)}
@@ -65,10 +66,10 @@ class MeasurementModel:
     def __init__(
         self,
         robot: Robot,
-        effects: Sequence[MotionEffect | SensorEffect],
+        effects: Sequence[IdentifiedEffect],
         sensors: Sequence[WrenchSensor] = (),
         links: Sequence[str] | None = None,
-        local_effects: Mapping[str, Sequence[MotionEffect | SensorEffect]] = MappingProxyType({}),
+        local_effects: Mapping[str, Sequence[IdentifiedEffect]] = MappingProxyType({}),
     ) -> None:
         """A model of a robot.
 
@@ -119,18 +120,17 @@ class MeasurementModel:
         ]
         return tuple(sorted(found, key=lambda coefficient: not coefficient.positive))
 
-    def _acts(self, effect: MotionEffect | SensorEffect, place: str) -> bool:
+    def _acts(self, effect: IdentifiedEffect, place: str) -> bool:
         """Whether an effect is in the model at a place: one that is known there, or one that every place has unless it
         is known there with other constants."""
         local = self._local.get(place, ())
         return effect in local or (effect in self._common and effect.name not in {other.name for other in local})
 
-    def _coefficients_at(self, effect: MotionEffect | SensorEffect, place: Place) -> Iterator[Coefficient]:
+    def _coefficients_at(self, effect: IdentifiedEffect, place: Place) -> Iterator[Coefficient]:
         name, sliding = self.places.name(place), self.places.slides(place)
-        forms: tuple[ParameterForm, ...] = (effect.own_form,) if isinstance(effect, MotionEffect) else ()
+        forms = effect.own
         if isinstance(place, AtSensor):
-            axes = self._sensor(place.topic).axes
-            forms = tuple(form for form in effect.parameters if form.name in axes)
+            forms = tuple(form for form in forms if form.name in self._sensor(place.topic).axes)
         for index, form in enumerate(forms):
             yield Coefficient(
                 effect=effect,
