@@ -18,9 +18,9 @@ from geomid_ros.estimation.objective import residual_objective
 from geomid_ros.estimation.solvers import trust_region
 from geomid_ros.estimation.starting_point import channel_sizes, prior_parameters, scales_of_reals
 from geomid_ros.files.models.urdf import read_urdf
-from geomid_ros.model.known import known_rows
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.samples import Samples
+from geomid_ros.model.weighed_masses import weighed_rows
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.session import Session
 from geomid_ros.types import FloatArray
@@ -129,7 +129,7 @@ def _distance_to_batch(streamed: FloatArray) -> tuple[float, float]:
     rows = np.concatenate(coefficients)
     rows /= sigmas[:, None]
     objective = residual_objective(
-        manifold, (rows, np.concatenate(targets) / sigmas), known_rows(model, ()), prior, PAPER
+        manifold, (rows, np.concatenate(targets) / sigmas), weighed_rows(model, ()), prior, PAPER
     )
     found = trust_region(objective, prior, _SETTINGS.tolerance * PAPER, _SETTINGS.max_steps)
     return manifold.distance(manifold.point(streamed), found.point), resident("VmHWM")

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from geomid_ros.api.identify import Identification, identify
     from geomid_ros.errors import GeomidError, InputError
     from geomid_ros.estimation.rows import RowsSolution, solve_rows
-    from geomid_ros.model.effects import Effect, JointMotion, ParameterForm
+    from geomid_ros.model.effects import Effect, JointEffect, JointMotion, ParameterForm, register
 
 __version__ = "0.1.0"
 
@@ -35,11 +35,13 @@ __all__ = [
     "GeomidError",
     "Identification",
     "InputError",
+    "JointEffect",
     "JointMotion",
     "ParameterForm",
     "RowsSolution",
     "find_gap",
     "identify",
+    "register",
     "solve_rows",
 ]
 
@@ -48,7 +50,7 @@ _NAMES = {
     "geomid_ros.api.identify": ("Identification", "identify"),
     "geomid_ros.errors": ("GeomidError", "InputError"),
     "geomid_ros.estimation.rows": ("RowsSolution", "solve_rows"),
-    "geomid_ros.model.effects": ("Effect", "JointMotion", "ParameterForm"),
+    "geomid_ros.model.effects": ("Effect", "JointEffect", "JointMotion", "ParameterForm", "register"),
 }
 _HOMES = {name: module for module, names in _NAMES.items() for name in names}
 

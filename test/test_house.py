@@ -40,7 +40,6 @@ FLOORS = {
 }
 # Names from outside, and the rooms in which alone they may be imported.
 KEPT_IN = {"pinocchio": ("model",), "mujoco": ("simulation", "resimulation"), "rclpy": ("ros",)}
-OWN_FILES = "import_module(f'{__name__}.{file}')"  # all in the folder of the package that says this
 COMPUTED = "(computed)"  # a name that is known only when the program runs: the player's message types
 ROS_SUFFIXES = ("_msgs", "_srvs", "_interfaces")
 
@@ -71,9 +70,6 @@ def imported(path: Path) -> Iterator[tuple[str, bool]]:
             for alias in node.names:
                 whole = f"{node.module}.{alias.name}"
                 yield whole if whole in MODULES else str(node.module), at_once
-        elif isinstance(node, ast.Call) and ast.unparse(node) == OWN_FILES:
-            own = [name for name, other in MODULES.items() if other.parent == path.parent and other != path]
-            yield from ((name, True) for name in own)
         elif isinstance(node, ast.Call) and ast.unparse(node.func).endswith(("import_module", "__import__")):
             yield from ((name, at_once) for name in computed(node.args[0]))
 

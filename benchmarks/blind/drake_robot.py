@@ -12,7 +12,7 @@ from defusedxml import ElementTree as Reader
 
 from geomid_ros.simulation.compiled import GRAVITY
 from geomid_ros.simulation.description import Description, LinkInertia
-from geomid_ros.simulation.effects.effect import Effect
+from geomid_ros.simulation.effects.effect import TrueEffect
 from geomid_ros.simulation.effects.model import rotation
 from geomid_ros.simulation.effects.structure import GEARS, payload_inertia, play_name
 from geomid_ros.simulation.simulator import Simulator
@@ -41,7 +41,7 @@ class DrakeRobot(Simulator):
         self,
         description: Description,
         bodies: Iterable[LinkInertia],
-        effects: Iterable[Effect] = (),
+        effects: Iterable[TrueEffect] = (),
         wrench_frame: str | None = None,
     ) -> None:
         effects = tuple(effects)
@@ -132,7 +132,7 @@ class DrakeRobot(Simulator):
         return self._equation(position, np.zeros(len(position)))[0]
 
 
-def _gravity(effects: Iterable[Effect]) -> FloatArray:
+def _gravity(effects: Iterable[TrueEffect]) -> FloatArray:
     gravity = np.array([0.0, 0.0, -GRAVITY])
     for effect in effects:
         if effect.name == "gravity_tilt":

@@ -54,7 +54,7 @@ class EffectEstimate:
     Attributes:
         name: The effect's.
         joint: The name of its place.
-        parameters: The one that it is, then the effect's constants.
+        parameters: The one that the coefficient is, then the effect's constants.
         from_data: Share of the prior's variance that the data removed, 0 to 1.
     """
 
@@ -85,7 +85,7 @@ class EffectEstimate:
 
 
 @dataclass(frozen=True, kw_only=True)
-class KnownEstimate:
+class WeighedEstimate:
     """A weighed mass [kg]: the ``given`` one and the estimated ``mass``, each with its standard deviation."""
 
     name: str
@@ -144,4 +144,4 @@ class Estimate:
     rms_nominal: FloatArray
     rms: FloatArray
     information: LinksInformation
-    known: tuple[KnownEstimate, ...] = ()
+    known: tuple[WeighedEstimate, ...] = ()

@@ -10,7 +10,7 @@ import numpy as np
 from scipy.fft import dct
 
 from geomid_ros.errors import InputError, unknown_name
-from geomid_ros.estimation.estimate import QUANTITIES, EffectEstimate, Estimate, KnownEstimate, LinkEstimate
+from geomid_ros.estimation.estimate import QUANTITIES, EffectEstimate, Estimate, LinkEstimate, WeighedEstimate
 from geomid_ros.estimation.gamma import PAPER, choose_gamma
 from geomid_ros.estimation.objective import GeodesicObjective, ResidualObjective, residual_objective, trust_in_known
 from geomid_ros.estimation.solvers import SOLVERS, trust_region
@@ -32,8 +32,8 @@ from geomid_ros.estimation.uncertainty import (
 )
 from geomid_ros.geometry import pseudo_inertia, spd
 from geomid_ros.geometry.manifold import ParameterManifold, Point
-from geomid_ros.model.known import KnownRows, WeighedMass, known_rows
 from geomid_ros.model.measurement import MeasurementModel
+from geomid_ros.model.weighed_masses import WeighedMass, WeighedRows, weighed_rows
 from geomid_ros.types import FloatArray, frozen
 
 OBJECTIVES = ("residual", "geodesic")
@@ -118,7 +118,7 @@ def estimate(
     sizes = channel_sizes(summary, model.dimension)
     manifold = model.manifold(scales_of_reals(model, sizes))
     prior_point = manifold.point(prior_parameters(model, summary, prior))
-    known = known_rows(model, settings.known)
+    known = weighed_rows(model, settings.known)
     configured = _configured_sigmas(model, settings)
     sigmas = np.where(np.isfinite(configured), configured, first_sigmas(summary, model.dimension))
     gamma = warm.gamma if warm else settings.gamma
@@ -275,19 +275,19 @@ def _effects(
 
 
 def _known(
-    known: KnownRows, manifold: ParameterManifold, point: Point, found: Uncertainty
-) -> tuple[KnownEstimate, ...]:
+    known: WeighedRows, manifold: ParameterManifold, point: Point, found: Uncertainty
+) -> tuple[WeighedEstimate, ...]:
     normals = manifold.whiten(point, known.rows)
     stds = np.sqrt(np.einsum("ki,ij,kj->k", normals, found.covariance, normals))
     # In units of the given standard deviation, and without what is not identified of it.
     errors = known.rows @ point.parameters - known.targets
     return tuple(
-        KnownEstimate(
+        WeighedEstimate(
             name=given.name,
             given=given.mass,
             given_std=given.std,
             mass=given.mass + float(error) * given.std,
             std=float(std) * given.std,
         )
-        for given, error, std in zip(known.weighed, errors, stds, strict=True)
+        for given, error, std in zip(known.masses, errors, stds, strict=True)
     )

@@ -8,7 +8,7 @@ from geomid_ros.estimation.objective import residual_objective
 from geomid_ros.estimation.solvers import trust_region
 from geomid_ros.estimation.summary import RowSummary
 from geomid_ros.geometry.manifold import ParameterManifold, Point
-from geomid_ros.model.known import KnownRows
+from geomid_ros.model.weighed_masses import WeighedRows
 from geomid_ros.types import FloatArray
 
 PAPER = 1e-2
@@ -19,7 +19,7 @@ _STEPS = 100
 
 
 def choose_gamma(
-    manifold: ParameterManifold, summary: RowSummary, sigmas: FloatArray, prior: Point, known: KnownRows
+    manifold: ParameterManifold, summary: RowSummary, sigmas: FloatArray, prior: Point, known: WeighedRows
 ) -> float:
     """The candidate with the least of :func:`held_out_losses`; the paper's where nothing can be held out."""
     losses = held_out_losses(manifold, summary, sigmas, prior, known)
@@ -27,7 +27,7 @@ def choose_gamma(
 
 
 def held_out_losses(
-    manifold: ParameterManifold, summary: RowSummary, sigmas: FloatArray, prior: Point, known: KnownRows
+    manifold: ParameterManifold, summary: RowSummary, sigmas: FloatArray, prior: Point, known: WeighedRows
 ) -> dict[float, float]:
     """Loss on held-out folds by weight of the prior, a share of the sum of the rows' weights; empty without two folds.
 

@@ -15,9 +15,9 @@ from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.estimation.estimator import EstimatorSettings, WarmStart, estimate
 from geomid_ros.estimation.revocable_buffer import Instant, RevocableBuffer
 from geomid_ros.estimation.summary import RowSummary, SummaryState, usable
-from geomid_ros.model.known import known_rows
 from geomid_ros.model.measurement import MeasurementModel, Rows
 from geomid_ros.model.samples import Samples
+from geomid_ros.model.weighed_masses import weighed_rows
 from geomid_ros.types import FloatArray, IntArray
 
 NOT_MEASURED = "not measured"
@@ -109,7 +109,7 @@ class Identifier:
         self._task = EstimationTask(model, estimator or EstimatorSettings(), prior)
         self._solve: Solve = EstimationTask.solve
         self._buffer = buffer or BufferSettings()
-        known_rows(model, self._task.settings.known)
+        weighed_rows(model, self._task.settings.known)
         self._lock = threading.Lock()
         self._held = 0
         self._instants = 0

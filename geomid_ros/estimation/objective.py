@@ -13,7 +13,7 @@ import numpy as np
 from geomid_ros.estimation.starting_point import LEAST_PRIOR_SPREAD, USUAL_SPREAD_OF_LINKS, usual_spreads
 from geomid_ros.geometry import projection, symmetric
 from geomid_ros.geometry.manifold import ParameterManifold, Point
-from geomid_ros.model.known import KnownRows
+from geomid_ros.model.weighed_masses import WeighedRows
 from geomid_ros.types import BoolArray, FloatArray, IntArray, frozen
 
 # The kernels run without the GIL, so chunks share the cores; results do not depend on the number of cores, because the
@@ -195,7 +195,7 @@ class ResidualObjective:
 
 
 def residual_objective(
-    manifold: ParameterManifold, measured: tuple[FloatArray, FloatArray], known: KnownRows, prior: Point, gamma: float
+    manifold: ParameterManifold, measured: tuple[FloatArray, FloatArray], known: WeighedRows, prior: Point, gamma: float
 ) -> ResidualObjective:
     """The objective of measured rows and known masses.
 

@@ -78,22 +78,22 @@ def usual_spreads(manifold: ParameterManifold) -> FloatArray:
     return spreads
 
 
-def prior_parameters(model: MeasurementModel, summary: RowSummary, known: FloatArray | None) -> FloatArray:
+def prior_parameters(model: MeasurementModel, summary: RowSummary, given: FloatArray | None) -> FloatArray:
     """The prior's parameters ``(D,)``.
 
-    These are the ``known`` ones ``(D,)`` where they are given and not NaN; else the URDF's inertias and, for the
+    These are the ``given`` ones ``(D,)`` where they are given and not NaN; else the URDF's inertias and, for the
     effects, the non-negative least-squares fit of each joint's effects alone to what the inertias leave unexplained: no
     CAD file knows a joint's friction, and the metric on positive coefficients is relative, so that their prior must
     have the right order of magnitude.
 
     Raises:
-        InputError: ``known`` is no point of the model's manifold.
+        InputError: ``given`` is no point of the model's manifold.
     """
     parameters = np.concatenate([model.nominal_inertias, np.zeros(len(model.coefficients))])
     first = len(model.nominal_inertias)
-    if known is not None:
-        _check_possible(known, model)
-        inertial = known[:first]
+    if given is not None:
+        _check_possible(given, model)
+        inertial = given[:first]
         parameters[:first] = np.where(np.isfinite(inertial), inertial, parameters[:first])
     sizes = channel_sizes(summary, model.dimension)
     parts = summary.parts()
@@ -104,8 +104,8 @@ def prior_parameters(model: MeasurementModel, summary: RowSummary, known: FloatA
         count = sum(part.count for index in group for part in parts[index])
         size = float(np.mean(sizes[group]))
         parameters[chosen] = _fitted_effects(model, factor, count, columns, parameters, size)
-    if known is not None:
-        parameters = np.where(np.isfinite(known), known, parameters)
+    if given is not None:
+        parameters = np.where(np.isfinite(given), given, parameters)
     return parameters
 
 
@@ -136,15 +136,15 @@ def _together(columns: list[IntArray], factors: list[FloatArray], sizes: FloatAr
     return union, np.concatenate(blocks)
 
 
-def _check_possible(known: FloatArray, model: MeasurementModel) -> None:
+def _check_possible(given: FloatArray, model: MeasurementModel) -> None:
     """Raise InputError unless a prior ``(D,)``, in which NaN is allowed, is a point of the model's manifold."""
-    if known.shape != (model.dimension,):
-        raise InputError(f"the prior has the shape {known.shape}, the model has {model.dimension} parameters")
+    if given.shape != (model.dimension,):
+        raise InputError(f"the prior has the shape {given.shape}, the model has {model.dimension} parameters")
     first = len(model.nominal_inertias)
-    for name, body in zip(model.body_names, known[:first].reshape(-1, 10), strict=True):
+    for name, body in zip(model.body_names, given[:first].reshape(-1, 10), strict=True):
         if np.all(np.isfinite(body)) and np.linalg.eigvalsh(pseudo_inertia.from_parameters(body))[0] <= 0.0:
             raise InputError(f"the prior of link '{name}' belongs to no body that can exist")
-    for coefficient, value in zip(model.coefficients, known[first:], strict=True):
+    for coefficient, value in zip(model.coefficients, given[first:], strict=True):
         if coefficient.positive and value <= 0.0:
             what = f"{coefficient.effect.name} of joint '{coefficient.place_name}'"
             raise InputError(f"the prior's {what} is {value:g}, expected a number greater than zero")

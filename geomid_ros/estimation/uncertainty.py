@@ -11,7 +11,7 @@ from geomid_ros.estimation.estimate import FINEST, LinksInformation
 from geomid_ros.estimation.summary import triangular
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.geometry.manifold import ParameterManifold, Point
-from geomid_ros.model.known import KnownRows
+from geomid_ros.model.weighed_masses import WeighedRows
 from geomid_ros.types import FloatArray, IntArray, frozen
 
 # The usual spread counts as much as one direction of the tangent space that the data determine.
@@ -226,7 +226,7 @@ def links_information(
     prior: Point,
     point: Point,
     measured: tuple[FloatArray, FloatArray],
-    known: KnownRows,
+    known: WeighedRows,
     found: Uncertainty,
 ) -> LinksInformation:
     """What the rows of an estimate say of the inertias of all links together.

@@ -55,9 +55,9 @@ _GAZEBO_NOTE = (
 _MUJOCO_NOTE = ('<compiler inertiafromgeom="true"/> would override it; the default, "auto", does not.',)
 
 
-class Controller(NamedTuple):
-    """An arm's controller: how the name of its ``flange`` ends in the manufacturer's URDF, and the ``commands`` that
-    tell it a payload there."""
+class PayloadFormat(NamedTuple):
+    """A controller's form of a payload: the ending of the ``flange``'s name in the manufacturer's URDF, and the
+    ``commands`` that set the payload there."""
 
     flange: str
     commands: Callable[[Export], str]
@@ -112,7 +112,7 @@ def mjcf(exports: Sequence[Export]) -> str:
     return _described(exports, _MUJOCO_NOTE, _mjcf_inertial)
 
 
-CONTROLLERS = {"ur": Controller("tool0", ur_commands), "franka": Controller("link8", franka_commands)}
+CONTROLLERS = {"ur": PayloadFormat("tool0", ur_commands), "franka": PayloadFormat("link8", franka_commands)}
 """Controllers that take a payload, by the name of who is to read it."""
 DESCRIPTIONS = {"moveit": urdf, "gazebo": sdf, "mujoco": mjcf}
 """Descriptions that take the inertials of links, likewise."""
@@ -171,7 +171,7 @@ def _comments(export: Export) -> list[str]:
         f"  centre of mass [m]     {_with_std(quantities[1:4], std[1:4])}",
         f"  Ixx Iyy Izz [kg m^2]   {_with_std(quantities[[4, 6, 9]], std[[4, 6, 9]])}",
         f"  Ixy Ixz Iyz [kg m^2]   {_with_std(quantities[[5, 7, 8]], std[[5, 7, 8]])}",
-        *(["  how sure these numbers are is not known"] if not export.inertial.has_std else []),
+        *(["  the uncertainty of these numbers is not known"] if not export.inertial.has_std else []),
         *(f"  {note}" for note in export.notes),
     ]
 

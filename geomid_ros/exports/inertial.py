@@ -1,4 +1,4 @@
-"""An inertia as it is handed over: its numbers, how sure they are, and their sum over bodies in one frame."""
+"""An inertia to export: its quantities with their standard deviations, and sums of bodies in one frame."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from geomid_ros.types import FloatArray
 
 
 @dataclass(frozen=True, eq=False)
-class Inertial:
+class UncertainInertia:
     """``quantities (10,)`` of a body (:func:`~geomid_ros.geometry.pseudo_inertia.quantities_of`) in a frame, and their
     standard deviations ``std (10,)``, NaN where these are not known."""
 
@@ -42,32 +42,32 @@ class Inertial:
 
 
 @dataclass(frozen=True, eq=False)
-class Term:
-    """A body in a sum: ``placement (4, 4)``, homogeneous, puts its frame into that of the sum; ``sign`` is -1 for what
-    is taken away."""
+class Summand:
+    """A body in a sum: the homogeneous ``placement (4, 4)`` of its frame in that of the sum; ``sign`` is -1 for a body
+    that is subtracted."""
 
-    inertial: Inertial
+    inertial: UncertainInertia
     placement: FloatArray
     sign: float = 1.0
 
 
 @dataclass(frozen=True, eq=False)
 class Export:
-    """What is handed over: an ``inertial`` in the axes and about the origin of the link ``frame``, ``title`` in words,
-    and ``notes`` for whoever uses it."""
+    """An ``inertial`` in the axes and about the origin of the link ``frame``, with a ``title`` and ``notes`` for its
+    user."""
 
     title: str
     frame: str
-    inertial: Inertial
+    inertial: UncertainInertia
     notes: tuple[str, ...] = ()
 
 
-def total(terms: Sequence[Term], what: str) -> Inertial:
+def total(terms: Sequence[Summand], what: str) -> UncertainInertia:
     """The sum of bodies as one. Raises InputError that begins with ``what`` if no body can be so.
 
-    Standard deviations are propagated one by one, plus and minus one standard deviation each: files do not say how
-    errors of one body's quantities go together, they count as independent. Those that are not known add nothing, unless
-    none is known.
+    Standard deviations are propagated one by one, by differences of plus and minus one standard deviation: files do not
+    have the correlations of a body's quantities, so they count as independent. Unknown ones add nothing, unless none is
+    known.
     """
     given = np.array([term.inertial.quantities for term in terms]).reshape(-1, 10)
     parameters = _sum(terms, given)
@@ -80,10 +80,10 @@ def total(terms: Sequence[Term], what: str) -> Inertial:
         step[*index] = deviations[*index]
         above, below = (pseudo_inertia.quantities_of(_sum(terms, given + sign * step)) for sign in (1.0, -1.0))
         variance += (0.5 * (above - below)) ** 2
-    return Inertial(pseudo_inertia.quantities_of(parameters), np.sqrt(variance))
+    return UncertainInertia(pseudo_inertia.quantities_of(parameters), np.sqrt(variance))
 
 
-def _sum(terms: Sequence[Term], quantities: FloatArray) -> FloatArray:
+def _sum(terms: Sequence[Summand], quantities: FloatArray) -> FloatArray:
     """Parameters ``(10,)`` of the sum, the bodies having ``quantities (bodies, 10)``."""
     pseudo = np.zeros((4, 4))
     for term, own in zip(terms, pseudo_inertia.from_parameters(pseudo_inertia.parameters_of(quantities)), strict=True):

@@ -11,7 +11,7 @@ import numpy as np
 
 from geomid_ros.errors import InputError, unknown_name
 from geomid_ros.estimation.estimate import QUANTITIES
-from geomid_ros.exports.inertial import Inertial
+from geomid_ros.exports.inertial import UncertainInertia
 from geomid_ros.files.models.effect_forms import is_body
 from geomid_ros.files.models.joint_frames import joint_frames
 from geomid_ros.files.models.loaded_model import LoadedModel
@@ -29,28 +29,38 @@ _SAME_MASS = 1e-6  # relative; the URDF has nine digits
 
 
 @dataclass(frozen=True, eq=False)
-class Body:
-    """A link with a mass, ``inertial`` in its frame; ``merged`` are the links that are fixed to it and counted in.
+class MassiveLink:
+    """A link with a mass.
 
-    ``untold`` are the quantities that the data said little about, None where nobody says what the data did;
-    ``from_data`` is the share that came from the data, NaN where it is not known.
+    Attributes:
+        inertial: Its inertia in its own frame.
+        merged: Links that are fixed to it and counted in.
+        unidentified: Quantities that the data do not identify; None where that is not known.
+        from_data: Share that came from the data, NaN where that is not known.
     """
 
-    inertial: Inertial
+    inertial: UncertainInertia
     merged: tuple[str, ...] = ()
-    untold: tuple[str, ...] | None = None
+    unidentified: tuple[str, ...] | None = None
     from_data: float = np.nan
 
 
 @dataclass(frozen=True, eq=False)
 class Model:
-    """The file ``source``, the URDF's ``tree``, the placements ``(4, 4)`` of all links in the root with all joints at
-    zero, and the links with a mass. ``estimated`` are those that the data were asked about."""
+    """A model to export from.
+
+    Attributes:
+        source: The file.
+        tree: The URDF's.
+        placements: Homogeneous matrices ``(4, 4)`` of all links in the root's frame, with all joints at zero.
+        bodies: The links with a mass.
+        estimated: The links that were identified.
+    """
 
     source: str
     tree: UrdfTree
     placements: Mapping[str, FloatArray]
-    bodies: Mapping[str, Body]
+    bodies: Mapping[str, MassiveLink]
     estimated: tuple[str, ...]
 
     def placement(self, link: str, frame: str) -> FloatArray:
@@ -89,19 +99,21 @@ def _placements(urdf: str, tree: UrdfTree, source: str) -> dict[str, FloatArray]
     return placements
 
 
-def _urdf_bodies(tree: UrdfTree) -> dict[str, Body]:
+def _urdf_bodies(tree: UrdfTree) -> dict[str, MassiveLink]:
     unknown = np.full(10, np.nan)
-    return {name: Body(Inertial(pseudo_inertia.quantities_of(own), unknown)) for name, own in tree.inertials.items()}
+    return {
+        name: MassiveLink(UncertainInertia(pseudo_inertia.quantities_of(own), unknown))
+        for name, own in tree.inertials.items()
+    }
 
 
-def _estimated_bodies(document: Mapping[str, Any], tree: UrdfTree, source: str) -> dict[str, Body]:
-    """The URDF's bodies, with what the document says of those that were identified; the others are as unsure as
-    before."""
+def _estimated_bodies(document: Mapping[str, Any], tree: UrdfTree, source: str) -> dict[str, MassiveLink]:
+    """The URDF's bodies, with the document's estimates of those that were identified."""
     inertias = known_inertias(document, source)
     _check_same_model(inertias, tree, source)
     bodies = _urdf_bodies(tree)
     if any("cannot_tell" in link for link in document["links"]):
-        bodies = {name: Body(body.inertial, untold=QUANTITIES) for name, body in bodies.items()}
+        bodies = {name: MassiveLink(body.inertial, unidentified=QUANTITIES) for name, body in bodies.items()}
     for link in document["links"]:
         bodies[link["name"]] = _estimated_body(link, inertias[link["name"]], source)
     return bodies | _found_payloads(bodies, source)
@@ -117,15 +129,15 @@ def _check_same_model(inertias: Mapping[str, FloatArray], tree: UrdfTree, source
             )
 
 
-def _estimated_body(link: Mapping[str, Any], parameters: FloatArray, source: str) -> Body:
+def _estimated_body(link: Mapping[str, Any], parameters: FloatArray, source: str) -> MassiveLink:
     try:
-        untold = link.get("cannot_tell")
-        return Body(
-            Inertial(
+        unidentified = link.get("cannot_tell")
+        return MassiveLink(
+            UncertainInertia(
                 pseudo_inertia.quantities_of(parameters), _std(link["std"]) if "std" in link else np.full(10, np.nan)
             ),
             tuple(map(str, link["merged"])),
-            None if untold is None else tuple(map(str, untold)),
+            None if unidentified is None else tuple(map(str, unidentified)),
             float(link.get("from_data", np.nan)),
         )
     except (KeyError, TypeError, ValueError) as error:
@@ -134,14 +146,14 @@ def _estimated_body(link: Mapping[str, Any], parameters: FloatArray, source: str
         ) from error
 
 
-def _found_payloads(bodies: Mapping[str, Body], source: str) -> dict[str, Body]:
+def _found_payloads(bodies: Mapping[str, MassiveLink], source: str) -> dict[str, MassiveLink]:
     """Payloads that ``geomid gap`` found: links of their own in the URDF, whose standard deviations the file has."""
     found = {}
     for effect in LoadedModel.read(source).effects:
         name = f"{effect.link}_payload"
         if is_body(effect) and name in bodies:
             std = [effect.parameters[key].std if key in effect.parameters else np.nan for key in _PAYLOAD]
-            found[name] = Body(Inertial(bodies[name].inertial.quantities, np.array(std)))
+            found[name] = MassiveLink(UncertainInertia(bodies[name].inertial.quantities, np.array(std)))
     return found
 
 

@@ -8,12 +8,12 @@ from collections.abc import Sequence
 import numpy as np
 
 from geomid_ros.errors import InputError
-from geomid_ros.exports.inertial import Export, Inertial, Term, total
-from geomid_ros.exports.model import Body, Model
+from geomid_ros.exports.inertial import Export, Summand, UncertainInertia, total
+from geomid_ros.exports.model import MassiveLink, Model
 
-# Gravity is compensated by mass and centre of mass: links of which the data did not show these may be this share of the
-# mass.
-_UNTOLD_SHARE = 0.1
+# Gravity is compensated by mass and centre of mass: links of which the data do not identify these may be this share of
+# the mass.
+_UNIDENTIFIED_SHARE = 0.1
 _AS_INDEPENDENT = "± counts both estimates' errors as independent: too large if one started from the other"
 _SAME = 1e-6  # relative: a URDF has nine digits
 
@@ -21,8 +21,8 @@ _SAME = 1e-6  # relative: a URDF has nine digits
 def attached(model: Model, frame: str) -> Export:
     """All links at and after the link ``frame``, in its axes.
 
-    Raises InputError if there are none with a mass, if they are counted in with a link before, or if the data did not
-    show them.
+    Raises InputError if there are none with a mass, if they are counted in with a link before, or if the data do not
+    identify them.
     """
     model.check_link(frame, "frame")
     return _sum_of(model, model.tree.subtree(frame), frame)
@@ -43,11 +43,11 @@ def chosen(model: Model, links: Sequence[str], frame: str) -> Export:
 def difference(model: Model, reference: Model, frame: str) -> Export:
     """What ``model`` has and ``reference`` has not, in the axes of the link ``frame``, which both have.
 
-    Compared is all that moves with the link that carries the frame, so that a tool counts that was identified as one
-    body with the wrist. Raises InputError as :func:`attached` does, and if the difference is no body.
+    Everything is compared that moves with the link that carries the frame: a tool may have been identified as one body
+    with the wrist. Raises InputError as :func:`attached` does, and if the difference is no body.
     """
     carried, taken = _moving_with(model, frame), _moving_with(reference, frame)
-    _check_told(model, carried)
+    _check_identified(model, carried)
     terms = [*_terms(model, carried, frame), *_terms(reference, taken, frame, -1.0)]
     what = f"{model.source} without {reference.source}"
     try:
@@ -74,19 +74,19 @@ def each_link(model: Model) -> list[Export]:
     exports = []
     for name in model.estimated or model.bodies:
         body = model.bodies[name]
-        inertial = total([Term(body.inertial, np.eye(4))], f"{model.source}: link '{name}'")
+        inertial = total([Summand(body.inertial, np.eye(4))], f"{model.source}: link '{name}'")
         exports.append(Export(f"link '{name}'", name, inertial, _link_notes(body)))
     return exports
 
 
-def _link_notes(body: Body) -> tuple[str, ...]:
+def _link_notes(body: MassiveLink) -> tuple[str, ...]:
     notes = []
     if body.merged:
         notes.append(f"counts in {', '.join(body.merged)}: these links get no inertial")
     if math.isfinite(body.from_data):
         notes.append(f"{100.0 * body.from_data:.0f} % from data")
-    if body.untold:
-        notes.append(f"hardly told by the data, mostly as in the prior: {', '.join(body.untold)}")
+    if body.unidentified:
+        notes.append(f"hardly identified by the data, mostly as in the prior: {', '.join(body.unidentified)}")
     return tuple(notes)
 
 
@@ -98,15 +98,15 @@ def _sum_of(model: Model, links: Sequence[str], frame: str) -> Export:
             f"{model.source}: nothing at or after '{frame}' has a mass. What is attached there may be counted in "
             "with a link before it: name a model without it (--without)"
         )
-    _check_told(model, massive)
+    _check_identified(model, massive)
     inertial = total(_terms(model, massive, frame), f"{model.source}: {', '.join(massive)} together")
     parts = ", ".join(f"{link} ({model.bodies[link].inertial.mass:.4g} kg)" for link in massive)
-    untold = [
-        f"hardly told by the data of {link}, mostly as in the prior: {', '.join(model.bodies[link].untold or ())}"
+    unidentified = [
+        f"hardly identified by the data of {link}, mostly as in the prior: {', '.join(quantities)}"
         for link in massive
-        if model.bodies[link].untold
+        if (quantities := model.bodies[link].unidentified)
     ]
-    notes = (*_joints_at_zero(model, massive, frame), *_exact(model, massive, inertial), *untold)
+    notes = (*_joints_at_zero(model, massive, frame), *_exact(model, massive, inertial), *unidentified)
     return Export(f"payload at '{frame}': {parts}", frame, inertial, notes)
 
 
@@ -127,8 +127,8 @@ def _moving_with(model: Model, frame: str) -> list[str]:
     return _massive(model, links)
 
 
-def _terms(model: Model, links: Sequence[str], frame: str, sign: float = 1.0) -> list[Term]:
-    return [Term(model.bodies[link].inertial, model.placement(link, frame), sign) for link in links]
+def _terms(model: Model, links: Sequence[str], frame: str, sign: float = 1.0) -> list[Summand]:
+    return [Summand(model.bodies[link].inertial, model.placement(link, frame), sign) for link in links]
 
 
 def _check_whole(model: Model, links: Sequence[str]) -> None:
@@ -143,21 +143,21 @@ def _check_whole(model: Model, links: Sequence[str]) -> None:
             )
 
 
-def _check_told(model: Model, links: Sequence[str]) -> None:
+def _check_identified(model: Model, links: Sequence[str]) -> None:
     masses = {link: model.bodies[link].inertial.mass for link in links}
-    untold = {link: names for link in links if (names := _weight_untold(model.bodies[link]))}
-    if sum(masses[link] for link in untold) > _UNTOLD_SHARE * sum(masses.values()):
-        quantities = "; ".join(f"{', '.join(names)} of '{link}'" for link, names in untold.items())
+    unidentified = {link: names for link in links if (names := _unidentified_weight(model.bodies[link]))}
+    if sum(masses[link] for link in unidentified) > _UNIDENTIFIED_SHARE * sum(masses.values()):
+        quantities = "; ".join(f"{', '.join(names)} of '{link}'" for link, names in unidentified.items())
         raise InputError(
-            f"{model.source}: the data hardly told {quantities}; these are mostly what was known before. Record a "
+            f"{model.source}: the data hardly identify {quantities}; these are mostly as in the prior. Record a "
             "motion that turns the flange into all directions, or weigh what it carries (identify --known). The "
             "numbers as they are: export identified.urdf"
         )
 
 
-def _weight_untold(body: Body) -> list[str]:
-    """What the data did not tell of what gravity acts on."""
-    return [name for name in body.untold or () if name == "mass" or name.startswith("com")]
+def _unidentified_weight(body: MassiveLink) -> list[str]:
+    """The quantities that gravity acts on and that the data do not identify."""
+    return [name for name in body.unidentified or () if name == "mass" or name.startswith("com")]
 
 
 def _joints_at_zero(model: Model, links: Sequence[str], frame: str) -> list[str]:
@@ -168,7 +168,7 @@ def _joints_at_zero(model: Model, links: Sequence[str], frame: str) -> list[str]
     return [f"with these joints at zero: {', '.join(moving)}"] if moving else []
 
 
-def _exact(model: Model, links: Sequence[str], inertial: Inertial) -> list[str]:
+def _exact(model: Model, links: Sequence[str], inertial: UncertainInertia) -> list[str]:
     """Which links count as exact in the sum ``inertial``."""
     names = [link for link in links if not model.bodies[link].inertial.has_std]
     return [f"taken as exact: {', '.join(names)} of {model.source}"] if names and inertial.has_std else []
@@ -185,5 +185,5 @@ def _other_differences(model: Model, reference: Model, frame: str) -> list[str]:
     return [f"{', '.join(differing)} differ, too, and part of the payload may be in them: {alone}"]
 
 
-def _same(one: Inertial, other: Inertial) -> bool:
+def _same(one: UncertainInertia, other: UncertainInertia) -> bool:
     return bool(np.allclose(one.quantities, other.quantities, rtol=_SAME, atol=_SAME * one.mass))

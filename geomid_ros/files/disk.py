@@ -54,7 +54,7 @@ def make_folder(path: Path) -> None:
 
 
 def _sync_folder(folder: Path) -> None:
-    """Let names in a folder be on the disk, too."""
+    """Write a folder's names to the disk, too."""
     descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
     try:
         os.fsync(descriptor)
@@ -66,7 +66,7 @@ def _sync_folder(folder: Path) -> None:
 
 
 def read_bytes(path: Path, what: str, most_bytes: int) -> bytes:
-    """The content of a regular file; ``what`` it is for messages. Raises InputError naming it.
+    """The content of a regular file, at most ``most_bytes``; ``what`` it is, for messages. Raises InputError naming it.
 
     A pipe or a device, which may never end, is not opened.
     """

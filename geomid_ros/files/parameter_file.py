@@ -1,4 +1,4 @@
-"""Reading YAML, ROS parameter files above all: what rcl reads, and no more of it."""
+"""Reading YAML, above all ROS parameter files: what rcl reads, and no more."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ _MOST_NODES = 40_000
 
 
 class _Loader(yaml.SafeLoader):
-    """YAML as rcl reads it: the texts of numbers and truth values are no other types, and ``1e-3`` is a number.
+    """YAML as rcl reads it: the same forms of numbers and truth values, so that ``1e-3`` is a number.
 
-    Without aliases, which can make a small file as large as memory, and without tags, whose types rcl does not have.
+    Aliases, which can expand a small file beyond memory, and tags, whose types rcl does not have, are refused.
     """
 
     yaml_implicit_resolvers: dict[str, list[tuple[str, re.Pattern[str]]]] = {}  # noqa: RUF012 as the base class has it

@@ -186,7 +186,7 @@ def _with_beside(
     values: list[float] = []
     for known in beside:
         cls = effect_class(known.effect)
-        place = model.place_called(cls(), known.joint)
+        place = model.places.named(cls(), known.joint)
         numbers = {name: quantity.value for name, quantity in known.parameters.items()}
         ((effect, (value,)),) = cls.coefficients(numbers, situation.usual_load(joint_of(place))).items()
         own[EffectTerm(effect, place)] = known
@@ -207,7 +207,7 @@ def _refitted(model: MeasurementModel, analysis: Analysis, term: EffectTerm, kno
     place = found.place(term)
     values, covariance = np.array([found.value(term)]), found.covariance[place : place + 1, place : place + 1]
     load = analysis.stage.situation.usual_load(joint_of(term.place))
-    sliding = model.slides(term.place)
+    sliding = model.places.slides(term.place)
     parameters = term.effect.quantities(values, covariance, sliding=sliding, usual_load=load)
     return replace(known, parameters=parameters)
 

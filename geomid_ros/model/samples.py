@@ -71,7 +71,8 @@ class Samples:
 
     def select(self, index: AnyArray | slice) -> Samples:
         """The samples chosen by a mask, index array or slice."""
-        return replace(self, **{name: array[index] for name, array in self.arrays.items()})
+        arrays: dict[str, Any] = {name: array[index] for name, array in self.arrays.items()}
+        return replace(self, **arrays)
 
     def stretches(self) -> list[Samples]:
         """The parts without a pause between them: a step longer than 1.5 times the median one."""

@@ -43,7 +43,7 @@ class Solid:
 
 
 @dataclass(frozen=True, eq=False)
-class Inertial:
+class UrdfInertial:
     """A link's inertial in the URDF: its ``parameters (10,)`` if it has a mass, and the ``problem`` with it, empty if
     there is none."""
 
@@ -68,7 +68,7 @@ class LinkPrior:
 
     name: str
     solid: Solid | None
-    before: Inertial
+    before: UrdfInertial
     parameters: FloatArray | None
     verdict: str
 
@@ -97,7 +97,7 @@ class ShapePrior:
 
 
 def shape_prior(
-    inertials: Mapping[str, Inertial], solids: Mapping[str, Solid], total_mass: float, source: str
+    inertials: Mapping[str, UrdfInertial], solids: Mapping[str, Solid], total_mass: float, source: str
 ) -> ShapePrior:
     """Inertias of the links with ``solids``, so that all links weigh ``total_mass`` [kg].
 
@@ -122,7 +122,7 @@ def shape_prior(
     return ShapePrior(tuple(links), density)
 
 
-def verdict(before: Inertial, solid: Solid | None, density: float) -> str:
+def verdict(before: UrdfInertial, solid: Solid | None, density: float) -> str:
     """What is wrong with an inertial: no body has it, or none of this shape; empty if nothing is wrong.
 
     The variance along an axis of a body between a and b is at most ``(b - c)(c - a)`` about its centre c (Bhatia and
@@ -203,11 +203,11 @@ def _tree_without_inertials(robot: Element, source: str) -> UrdfTree:
     return urdf_tree.tree(stripped, source)
 
 
-def _inertial(link: Element, source: str) -> Inertial:
+def _inertial(link: Element, source: str) -> UrdfInertial:
     try:
         parameters = urdf_tree.inertial_parameters(link, source)
     except InputError:
-        return Inertial(None, UNREADABLE)
+        return UrdfInertial(None, UNREADABLE)
     if parameters is None:
-        return Inertial(None, MISSING if link.find("inertial") is None else ZERO)
-    return Inertial(parameters, "" if pseudo_inertia.is_body(parameters) else IMPOSSIBLE)
+        return UrdfInertial(None, MISSING if link.find("inertial") is None else ZERO)
+    return UrdfInertial(parameters, "" if pseudo_inertia.is_body(parameters) else IMPOSSIBLE)

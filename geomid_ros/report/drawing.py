@@ -26,7 +26,7 @@ _NOTE_TOP = 9.48
 def draw_identification(session: Session, estimate: Estimate, samples: Samples, of_what: str) -> Figure:
     """Draw bodies, before and after, in a pose of ``samples``, and the channels over the samples' time.
 
-    ``of_what`` says which data the samples are.
+    ``of_what``: which data the samples are, in words.
     """
     middle = samples.select(slice(len(samples) // 2, len(samples) // 2 + 1))
     return identification_figure(

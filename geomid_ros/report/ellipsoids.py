@@ -1,4 +1,4 @@
-"""A robot's bodies as ellipsoids of a size that can be seen, and how they look from the viewer's place.
+"""A robot's bodies as ellipsoids of visible size, and their projection on the picture.
 
 The projection is orthographic: there an ellipsoid's outline is an ellipse.
 """
@@ -36,9 +36,14 @@ class Ellipsoid:
 
 @dataclass(frozen=True, eq=False)
 class BodyDrawing:
-    """A link: its frame's ``origin (3,)`` in the world [m], ``parent_origin (3,)`` where the stick to it starts.
+    """A link to draw.
 
-    ``from_data``: share of the estimate that came from data, 0 to 1.
+    Attributes:
+        name: The link.
+        origin: Of its frame in the world, ``(3,)`` [m].
+        parent_origin: Where the stick to it starts, ``(3,)`` [m]; None for no stick.
+        prior, identified: Its body before and after.
+        from_data: Share of the estimate that came from data, 0 to 1.
     """
 
     name: str
@@ -70,7 +75,7 @@ class View:
 
 @dataclass(frozen=True, eq=False)
 class Drawn:
-    """A body as it goes onto the sheet: with sizes and places that can be seen, and the marks that say so."""
+    """A body as drawn: with sizes and places that can be seen, and marks where they differ from the true ones."""
 
     number: int
     body: BodyDrawing
@@ -84,7 +89,7 @@ class Drawn:
 
 
 def made_visible(bodies: Sequence[BodyDrawing]) -> list[Drawn]:
-    """The bodies, numbered from one, as they go onto the sheet."""
+    """The bodies as drawn, numbered from one."""
     limit = _limit(bodies)
     drawn = []
     for number, body in enumerate(bodies, start=1):
@@ -112,7 +117,7 @@ def stick_ends(bodies: Sequence[BodyDrawing]) -> FloatArray:
 
 
 def _fitted(body: Ellipsoid, origin: FloatArray, limit: float) -> tuple[Ellipsoid, str]:
-    """The ellipsoid in a size and place that the picture can show, and the marks that tell of the difference."""
+    """The ellipsoid in a size and place that the picture can show, and the marks of the difference."""
     if not all(np.all(np.isfinite(part)) for part in (body.centre, body.semi_axes, body.axes)):
         return body, ABSENT
     marks, centre, semi_axes = "", body.centre, np.abs(body.semi_axes)

@@ -64,8 +64,8 @@ class Against:
 
 @dataclass(frozen=True, eq=False)
 class Remainder:
-    """A channel's residuals ``(N,)``: ``missing`` without the named effects, ``fitted`` what these say it is, and
-    ``floor`` the noise's standard deviation, in ``unit``."""
+    """A channel's residuals ``(N,)`` in ``unit``: ``missing`` without the named effects, and their part ``fitted`` by
+    these; ``floor`` is the noise's standard deviation."""
 
     channel: str
     unit: str
@@ -109,7 +109,7 @@ def remainder_picture(remainder: Remainder, against: Against) -> Picture:
         panels[-1].set_xlabel(f"{against.name} [{against.unit}]", labelpad=1.0, parse_math=False)
         figure.align_ylabels()
         what = {
-            "missing": "above what the model with corrected inertias misses, with what the named effects say of it; ",
+            "missing": "above what the model with corrected inertias misses, with what the named effects explain; ",
             "left": "what is left",
         }
         described = "".join(what[name] for name, _, _ in rows)

@@ -34,8 +34,8 @@ _BINS = 500  # stretches of a long line; each keeps its smallest and largest val
 
 @dataclass(frozen=True, eq=False)
 class Series:
-    """A channel over time: ``times`` [s] and, in ``unit``, what was measured, what the URDF says (``nominal``) and what
-    the identified model says (``predicted``); ``(N,)`` each, NaN where absent."""
+    """A channel over time, in ``unit``: ``times`` [s], the ``measured`` values, those of the URDF (``nominal``) and
+    those of the identified model (``predicted``); ``(N,)`` each, NaN where absent."""
 
     name: str
     unit: str
@@ -51,7 +51,7 @@ class Series:
 
     @property
     def ratio(self) -> float:
-        """RMS after over RMS before: below 1 is better; NaN where that says nothing."""
+        """RMS after over RMS before: below 1 is better; NaN where it is undefined."""
         before, after = self.rms
         return after / before if before > 0 else float("nan")
 

@@ -36,10 +36,13 @@ class LoopTrace:
 
 @dataclass(frozen=True, eq=False)
 class ClosedLoop:
-    """Errors of the efforts that the controller needs, root mean square in units of the noise floor, by joint; without
-    the joints whose efforts do not follow from the commands.
+    """Errors of the efforts that the controller needs.
 
-    ``skipped`` says why there is nothing, else it is empty.
+    Attributes:
+        before, after: Root mean square in units of the noise floor, by joint; without the joints whose efforts do not
+            follow from the commands.
+        traces: The stretches.
+        skipped: Why there is nothing, else empty.
     """
 
     before: Mapping[str, float]
@@ -49,9 +52,9 @@ class ClosedLoop:
 
 
 @dataclass(frozen=True, eq=False)
-class Controller:
-    """Each joint's proportional and derivative gain and constant effort ``(J,)``, and whether its efforts follow from
-    the commands so."""
+class FittedController:
+    """Each joint's proportional gain, derivative gain and constant effort ``(J,)``, and whether these explain its
+    measured efforts."""
 
     stiffness: FloatArray
     damping: FloatArray
@@ -79,12 +82,19 @@ def closed_loop(
     noise: Noise,
     cutoff: float,
 ) -> ClosedLoop:
-    """Simulate ``recordings`` under their ``commands``: set-points, and as efforts the feed-forward, both on one grid
-    of stamps, from a pipeline of the same settings.
+    """Simulate recordings under their commands.
 
     The controller is the one that explains the measured efforts best, ``u = feed-forward + k (q_d - q) + d (v_d - v) +
-    constant`` at every joint; where none does, the joint follows its measured motion. Errors are judged below
-    ``cutoff`` [Hz], that of ``noise``.
+    constant`` at every joint; where none does, the joint follows its measured motion.
+
+    Args:
+        model: Of the robot.
+        before, after: The model files before and after the findings.
+        recordings: Measured samples.
+        commands: Set-points, and as efforts the feed-forward, on the same grid of stamps, from a pipeline of the same
+            settings.
+        noise: An example of the sensors' noise.
+        cutoff: Errors are judged below it [Hz]; that of ``noise``.
     """
     if model.robot.floating_base:
         return ClosedLoop({}, {}, (), "the base floats: without its contacts its motion cannot be simulated")
@@ -122,7 +132,7 @@ def _commanded(recording: Samples, commands: Samples) -> list[_Commanded]:
     return found
 
 
-def fitted_controller(parts: Sequence[_Commanded], robot: WrittenRobot) -> Controller:
+def fitted_controller(parts: Sequence[_Commanded], robot: WrittenRobot) -> FittedController:
     """The gains that explain the true efforts: the measured ones as the sidecar of ``robot`` corrects them.
 
     A good controller's errors are hardly larger than the noise of their measurement, and least squares would take the
@@ -142,7 +152,7 @@ def fitted_controller(parts: Sequence[_Commanded], robot: WrittenRobot) -> Contr
         total = np.concatenate([effort[:, joint] for effort in efforts])
         found[joint] = solution[0] > 0.0 and np.var(y - x @ solution) < (1.0 - _EXPLAINED) * np.var(total)
         gains[joint] = solution if found[joint] else 0.0
-    return Controller(gains[:, 0], np.maximum(gains[:, 1], 0.0), gains[:, 2], found)
+    return FittedController(gains[:, 0], np.maximum(gains[:, 1], 0.0), gains[:, 2], found)
 
 
 def _feedback_columns(part: _Commanded, joint: int) -> FloatArray:
@@ -167,7 +177,7 @@ def _true_time(stretch: Stretch, robot: WrittenRobot) -> FloatArray:
     return np.where(np.all(np.isfinite(effort), axis=0), shifted, np.nan)
 
 
-def _simulated(part: _Commanded, controller: Controller, before: WrittenRobot, after: WrittenRobot) -> LoopTrace:
+def _simulated(part: _Commanded, controller: FittedController, before: WrittenRobot, after: WrittenRobot) -> LoopTrace:
     return LoopTrace(
         times=part.stretch.times,
         effort=part.stretch.samples.effort,
@@ -176,7 +186,7 @@ def _simulated(part: _Commanded, controller: Controller, before: WrittenRobot, a
     )
 
 
-def _simulated_effort(part: _Commanded, controller: Controller, robot: WrittenRobot) -> FloatArray:
+def _simulated_effort(part: _Commanded, controller: FittedController, robot: WrittenRobot) -> FloatArray:
     """Efforts ``(N, J)`` as the sensors would show them."""
     samples, times = part.stretch.samples, part.stretch.times
     simulation = WindowSimulation(robot, Windows.whole(part.stretch))
@@ -189,14 +199,16 @@ def _simulated_effort(part: _Commanded, controller: Controller, robot: WrittenRo
     return robot.measured_effort(interpolated(times, true, np.maximum(times - robot.delay, 0.0)))
 
 
-def _effort(part: _Commanded, controller: Controller, position: FloatArray, velocity: FloatArray) -> FloatArray:
+def _effort(part: _Commanded, controller: FittedController, position: FloatArray, velocity: FloatArray) -> FloatArray:
     """The controller's efforts at the samples ``(N, J)``."""
     proportional = controller.stiffness * (part.position - position)
     effort: FloatArray = part.feedforward + controller.constant + proportional
     return effort + controller.damping * (part.velocity - velocity)
 
 
-def _driving(part: _Commanded, controller: Controller, robot: WrittenRobot, simulation: WindowSimulation) -> FloatArray:
+def _driving(
+    part: _Commanded, controller: FittedController, robot: WrittenRobot, simulation: WindowSimulation
+) -> FloatArray:
     """What drives the joints beside the controller's springs and dampers ``(1, steps, J)``.
 
     MuJoCo's springs pull as at the beginning of a step and its dampers as at the end: so do the set-points here, else a

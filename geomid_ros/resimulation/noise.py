@@ -1,4 +1,4 @@
-"""What noise does to a simulation: the measure of its errors."""
+"""An example of the sensors' noise, whose effect on a simulation is the unit of its errors."""
 
 from __future__ import annotations
 

@@ -21,7 +21,7 @@ CUTOFF = 32.0
 """Low-pass [Hz] of samples to simulate from, where the recording's rate allows it: dry friction jumps when a joint
 reverses, and a simulation feels every moment by which the measured effort jumps more slowly."""
 
-_STILL = 1e-3  # [rad, m] a joint that moves less is held by what nobody measures
+_STILL = 1e-3  # [rad, m] a joint that moves less is held by forces that are not measured
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,10 +37,13 @@ class WindowTrace:
 
 @dataclass(frozen=True, eq=False)
 class Resimulated:
-    """Errors of the simulation in short windows, root mean square in units of what the noise alone makes of them: of a
-    joint's velocity at the end, of a wrench's mean. By joint or channel; without those that cannot be judged.
+    """Errors of the simulation in short windows.
 
-    ``skipped`` says why there is nothing, else it is empty.
+    Attributes:
+        before, after: Root mean square by joint (velocity at the window's end) or wrench channel (mean), in units of
+            the errors that noise alone causes; without those that cannot be judged.
+        traces: The windows of each stretch.
+        skipped: Why there is nothing, else empty.
     """
 
     before: Mapping[str, float]
@@ -54,12 +57,13 @@ def resimulate(
 ) -> Resimulated:
     """Simulate ``recordings`` in windows of :data:`~geomid_ros.resimulation.windows.HORIZON`.
 
-    Each starts from the measured position and velocity and runs under the measured efforts, corrected by what the
-    sidecar says of their sensors. A joint whose effort is not measured, or that is held, follows its measured motion
-    and is not judged. The errors' unit is the root mean square of what ``noise``, added to the efforts at other times
-    than its own, changes: a perfect model has about 1 everywhere. Samples filtered at :data:`CUTOFF` are best.
+    Each starts from the measured position and velocity and runs under the measured efforts, corrected by the sidecar's
+    effects of their sensors. A joint whose effort is not measured, or that is held, follows its measured motion and is
+    not judged. The errors' unit is the root mean square of the change that ``noise`` causes, added to the efforts at
+    other times than its own: a perfect model has about 1 everywhere. Samples filtered at :data:`CUTOFF` are best.
 
-    Raises InputError for files that cannot be read.
+    Raises:
+        InputError: The files cannot be read.
     """
     reason = _why_not(model, recordings)
     if reason:

@@ -11,7 +11,7 @@ from scipy.interpolate import CubicSpline
 from geomid_ros.model.samples import Samples
 from geomid_ros.types import FloatArray
 
-_SHORTEST = 0.25  # [s] a shorter part says nothing
+_SHORTEST = 0.25  # [s] a shorter part is not used
 
 
 @dataclass(frozen=True, eq=False)
@@ -24,7 +24,7 @@ class Stretch:
 
 
 def stretches(recordings: Iterable[Samples]) -> list[Stretch]:
-    """The parts of recordings that are long enough for anything."""
+    """The parts of recordings without a pause that are long enough to be simulated."""
     found: list[Stretch] = []
     for samples in recordings:
         period = 1e-9 * float(np.median(np.diff(samples.stamps))) if len(samples) > 1 else 0.0

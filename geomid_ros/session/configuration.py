@@ -17,9 +17,9 @@ from geomid_ros.errors import InputError, unknown_name
 from geomid_ros.estimation.estimator import EstimatorSettings
 from geomid_ros.estimation.identifier import BufferSettings
 from geomid_ros.files.parameter_file import read_parameter_file
-from geomid_ros.model.effects import DEFAULT_EFFECTS, MotionEffect, SensorEffect, identified_effect
-from geomid_ros.model.known import WeighedMass
+from geomid_ros.model.effects import DEFAULT_EFFECTS, IdentifiedEffect, identified_effect
 from geomid_ros.model.sensors import AXES, WrenchSensor
+from geomid_ros.model.weighed_masses import WeighedMass
 from geomid_ros.signals.settings import SignalSettings
 from geomid_ros.types import FloatArray
 
@@ -202,7 +202,7 @@ class Configuration:
         return {name: self[name] for name in names if find_parameter(name).name not in _NOT_OF_ROWS}
 
     @property
-    def effects(self) -> list[MotionEffect | SensorEffect]:
+    def effects(self) -> list[IdentifiedEffect]:
         """The effects to identify."""
         names = dict.fromkeys(self["effects"])
         return [self._naming_source("effects: ", partial(identified_effect, name)) for name in names]

@@ -30,9 +30,7 @@ class Sampler:
         self,
         settings: SignalSettings,
         continuous: BoolArray,
-        *,
-        wrenches: Sequence[str],
-        floating_base: bool,
+        topics: Sequence[str],
         effect_columns: Columns,
         ledger: Ledger,
     ) -> None:
@@ -40,15 +38,14 @@ class Sampler:
         Args:
             settings: of the filter.
             continuous: ``(joints,)`` which joints have no end; their positions are from -pi to pi in samples.
-            wrenches: the topics of the wrench sensors.
-            floating_base: whether the base's pose is among the numbers.
+            topics: of the numbers beside joints': those of the wrench sensors, and ODOM of a floating base.
             effect_columns: those of effects that samples carry.
             ledger: is told of accepted messages that are given up.
         """
         self._settings = settings
         self._continuous = continuous
-        self._wrenches = tuple(wrenches)
-        self._floating_base = floating_base
+        self._wrenches = [topic for topic in topics if topic != ODOM]
+        self._floating_base = ODOM in topics
         self._max_gap = settings.max_gap_ns
         self._effort_delay = settings.effort_delay_ns
         self._effect_columns = effect_columns

@@ -19,7 +19,7 @@ from rosbags.typesys import Stores, get_typestore
 
 from geomid_ros.simulation.effects.choice import WRENCH_TOPIC
 from geomid_ros.simulation.options import SimulationOptions
-from geomid_ros.simulation.trace import Trace
+from geomid_ros.simulation.trace import RunTrace
 from geomid_ros.types import FloatArray
 
 if sys.version_info >= (3, 14):
@@ -41,7 +41,7 @@ _RECORD = struct.Struct("<BQ")  # kind, length
 _CHUNK_HEAD = struct.Struct("<QQQII4sQ")  # first and last time, size, checksum, "zstd", packed size
 
 
-def write_bag(path: Path, trace: Trace, names: Sequence[str], urdf: str, options: SimulationOptions) -> None:
+def write_bag(path: Path, trace: RunTrace, names: Sequence[str], urdf: str, options: SimulationOptions) -> None:
     """Write ``/robot_description``, ``/joint_states`` and what ``options`` ask for of ``/wrench`` and
     ``/joint_commands`` to a new bag.
 

@@ -7,7 +7,7 @@ from typing import Any
 
 from geomid_ros.errors import InputError, unknown_name
 from geomid_ros.simulation.description import Description, LinkInertia
-from geomid_ros.simulation.effects.effect import Effect
+from geomid_ros.simulation.effects.effect import TrueEffect
 from geomid_ros.simulation.effects.structure import STRUCTURE
 from geomid_ros.simulation.inertias import set_inertia
 
@@ -24,7 +24,7 @@ def compiled(
     mujoco: Any,
     description: Description,
     bodies: Iterable[LinkInertia],
-    effects: Iterable[Effect],
+    effects: Iterable[TrueEffect],
     wrench_frame: str | None,
 ) -> Any:
     """An MjModel with the kinematics of ``description``, the inertias of ``bodies`` and what ``effects`` add to them.

@@ -1,4 +1,4 @@
-"""The little that the simulator reads from a URDF by itself: inertials and joint limits.
+"""What the simulator itself reads from a URDF: inertials and joint limits.
 
 MuJoCo reads the kinematics from the same text, stripped of everything else.
 """
@@ -69,9 +69,14 @@ class Edge:
 
 @dataclass(frozen=True, kw_only=True)
 class Description:
-    """A robot as its URDF says: ``text`` as given, ``kinematics`` the URDF with nothing but its tree of joints.
+    """A robot as its URDF describes it.
 
-    ``edges`` connect every link but the ``root``.
+    Attributes:
+        text: The URDF.
+        kinematics: The URDF reduced to its tree of joints.
+        links, root: Names of all links, and of the root.
+        inertias, joints: Links with a mass, and moving joints.
+        edges: Connection of every link but the root to its parent, by link.
     """
 
     text: str

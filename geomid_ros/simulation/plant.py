@@ -1,4 +1,4 @@
-"""The simulated robot: rigid bodies, joints and sensors in MuJoCo. The only file that imports MuJoCo."""
+"""The simulated robot: rigid bodies, joints and sensors in MuJoCo."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 from geomid_ros.errors import InputError
 from geomid_ros.simulation.compiled import compiled
 from geomid_ros.simulation.description import Description, LinkInertia
-from geomid_ros.simulation.effects.effect import Effect
+from geomid_ros.simulation.effects.effect import TrueEffect
 from geomid_ros.simulation.effects.model import MODEL
 from geomid_ros.simulation.simulator import Simulator
 from geomid_ros.types import FloatArray
@@ -29,14 +29,14 @@ class Plant(Simulator):
     """A robot in MuJoCo, whose order of joints it has.
 
     Constant properties of a joint are MuJoCo's ``damping``, ``armature``, ``stiffness`` and ``actuatorfrcrange``; dry
-    friction is its ``frictionloss``, set anew at every state; other efforts are applied.
+    friction is its ``frictionloss``, set at every state; other efforts are applied.
     """
 
     def __init__(
         self,
         description: Description,
         bodies: Iterable[LinkInertia],
-        effects: Iterable[Effect] = (),
+        effects: Iterable[TrueEffect] = (),
         wrench_frame: str | None = None,
     ) -> None:
         effects = tuple(effects)

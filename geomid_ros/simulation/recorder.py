@@ -1,4 +1,4 @@
-"""Control and integration: from set-points to what truly happened at the recorded instants."""
+"""Control and integration: from set-points to the true motion at the recorded instants."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from geomid_ros.errors import InputError
 from geomid_ros.simulation.description import JointLimits
 from geomid_ros.simulation.motion import Motion
 from geomid_ros.simulation.simulator import Simulator
-from geomid_ros.simulation.trace import Trace
+from geomid_ros.simulation.trace import RunTrace
 from geomid_ros.types import FloatArray, IntArray
 
 _STIFFNESS = 10.0  # effort limits per rad (or m) of position error
@@ -129,8 +129,8 @@ class Sampling:
         return np.arange(self.samples) * self.substeps
 
 
-def run(loop: ClosedLoop, sampling: Sampling, progress: Callable[[float], None] | None = None) -> Trace:
-    """Follow the controller's set-points from the first one and note what ``sampling`` says."""
+def run(loop: ClosedLoop, sampling: Sampling, progress: Callable[[float], None] | None = None) -> RunTrace:
+    """Follow the controller's set-points from the first one and record as ``sampling`` specifies."""
     position, velocity = loop.robot.at_rest(loop.controller.setpoints.position[0])
     noted = set(sampling.joints.tolist())
     sensed = {step + sampling.wrench_lag for step in noted}
@@ -155,11 +155,11 @@ def _trace(
     rows: list[tuple[FloatArray, FloatArray, FloatArray]],
     wrenches: list[FloatArray],
     efforts: list[FloatArray],
-) -> Trace:
+) -> RunTrace:
     at, motors, step = sampling.joints, loop.robot.driven, np.float64(loop.step)
     position, velocity, acceleration = (np.array(column)[:, motors] for column in zip(*rows, strict=True))
     setpoints = loop.controller.setpoints
-    return Trace(
+    return RunTrace(
         time=step * at,
         position=position,
         velocity=velocity,
@@ -174,9 +174,9 @@ def _trace(
     )
 
 
-def check_motion(trace: Trace, joints: Sequence[JointLimits]) -> None:
-    """Refuse a run that diverged, lost its set-points or reached the ends of the joints' ranges, whose stops nobody
-    measures."""
+def check_motion(trace: RunTrace, joints: Sequence[JointLimits]) -> None:
+    """Refuse a run that diverged, lost its set-points or reached the ends of the joints' ranges, whose stops are not
+    measured."""
     lower, upper = np.array([(joint.lower, joint.upper) for joint in joints]).T
     inside = (trace.position > lower) & (trace.position < upper)
     followed = np.abs(trace.position - trace.commands.position) < _LOST

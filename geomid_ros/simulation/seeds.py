@@ -7,8 +7,8 @@ from enum import IntEnum
 import numpy as np
 
 
-class Stream(IntEnum):
-    """What the numbers decide."""
+class RandomStream(IntEnum):
+    """What a stream of random numbers decides."""
 
     INERTIA = 0
     EFFECTS = 1
@@ -18,6 +18,6 @@ class Stream(IntEnum):
     HIDDEN = 5
 
 
-def generator(seed: int, stream: Stream, *part: int) -> np.random.Generator:
+def generator(seed: int, stream: RandomStream, *part: int) -> np.random.Generator:
     """The numbers of one stream of a seed, or of a ``part`` of it, from their beginning."""
     return np.random.default_rng([seed, stream, *part])

@@ -11,9 +11,9 @@ import numpy as np
 from geomid_ros.simulation.description import JointLimits
 from geomid_ros.simulation.effects.measurement import sensed
 from geomid_ros.simulation.options import SimulationOptions
-from geomid_ros.simulation.robot import Robot
-from geomid_ros.simulation.seeds import Stream, generator
-from geomid_ros.simulation.trace import Trace
+from geomid_ros.simulation.robot import TrueRobot
+from geomid_ros.simulation.seeds import RandomStream, generator
+from geomid_ros.simulation.trace import RunTrace
 from geomid_ros.types import FloatArray
 
 
@@ -28,9 +28,9 @@ def noise_levels(joints: Sequence[JointLimits], options: SimulationOptions) -> d
     }
 
 
-def measured(trace: Trace, robot: Robot, options: SimulationOptions) -> Trace:
+def measured(trace: RunTrace, robot: TrueRobot, options: SimulationOptions) -> RunTrace:
     """The trace with effects of measurement, noise and resolution."""
-    numbers = generator(options.recording_seed, Stream.NOISE)
+    numbers = generator(options.recording_seed, RandomStream.NOISE)
     levels = noise_levels(robot.joints, options)
     seen = sensed(trace, robot.plant.joints, robot.effects)
     memory = math.exp(-1.0 / (options.rate * options.noise_time)) if options.noise_time > 0.0 else 0.0

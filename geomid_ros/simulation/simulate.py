@@ -11,15 +11,15 @@ import numpy as np
 
 from geomid_ros.errors import InputError
 from geomid_ros.simulation.bag import write_bag
-from geomid_ros.simulation.effects.effect import Effect
+from geomid_ros.simulation.effects.effect import TrueEffect
 from geomid_ros.simulation.motion import exciting_motion
 from geomid_ros.simulation.options import SimulationOptions
 from geomid_ros.simulation.plant import Plant
 from geomid_ros.simulation.recorder import ClosedLoop, Sampling, check_motion, run, slowed, tuned_controller
-from geomid_ros.simulation.robot import Builder, Robot, build_robot
-from geomid_ros.simulation.seeds import Stream, generator
+from geomid_ros.simulation.robot import Builder, TrueRobot, build_robot
+from geomid_ros.simulation.seeds import RandomStream, generator
 from geomid_ros.simulation.sensors import measured
-from geomid_ros.simulation.trace import Trace
+from geomid_ros.simulation.trace import RunTrace
 from geomid_ros.simulation.truth import contributions, controller_path, truth_path, write_gains, write_truth
 
 Progress = Callable[[float], None]
@@ -41,10 +41,17 @@ def simulate(
     progress: Progress | None = None,
     builder: Builder = Plant,
 ) -> SimulationResult:
-    """Record a simulated robot into the new folder ``out_bag``, and its truth into ``<out_bag>.truth.json`` beside it.
+    """Record a simulated robot; the same options give the same messages.
 
-    With ``options.commands`` the controller's gains go to ``<out_bag>.controller.yaml``. ``progress`` is called with
-    the finished fraction, 0 to 1. ``builder`` chooses the simulator. The same options give the same messages.
+    Args:
+        out_bag: New folder for the bag. The truth goes to ``<out_bag>.truth.json`` beside it, and with
+            ``options.commands`` the controller's gains to ``<out_bag>.controller.yaml``.
+        options: What to simulate.
+        progress: Called with the finished fraction, 0 to 1.
+        builder: Chooses the simulator.
+
+    Raises:
+        InputError: A file exists already, or the robot or the motion cannot be simulated.
     """
     options = options or SimulationOptions()
     bag = Path(out_bag)
@@ -56,7 +63,7 @@ def simulate(
     loop = closed_loop(robot, options)
     true_trace = record(robot, loop, options, progress)
     trace = measured(true_trace, robot, options)
-    order = generator(options.seed, Stream.ORDER).permutation(len(robot.joints))
+    order = generator(options.seed, RandomStream.ORDER).permutation(len(robot.joints))
     names = [robot.plant.joints[index] for index in order]
     write_bag(bag, trace.reordered(order), names, robot.nominal.text, options)
     write_truth(truth, robot, options, contributions(true_trace, robot, options))
@@ -65,26 +72,28 @@ def simulate(
     return SimulationResult(bag, truth, gains, options.samples)
 
 
-def closed_loop(robot: Robot, options: SimulationOptions) -> ClosedLoop:
-    """The robot under the control of somebody who knows the nominal model only."""
+def closed_loop(robot: TrueRobot, options: SimulationOptions) -> ClosedLoop:
+    """The robot with a controller that knows the nominal model only."""
     half_steps = np.arange(2 * sampling(robot, options).steps + 1, dtype=np.float64)
-    numbers = generator(options.recording_seed, Stream.MOTION)
+    numbers = generator(options.recording_seed, RandomStream.MOTION)
     motion = exciting_motion(0.5 * options.step * half_steps, robot.joints, options, numbers)
     nominal = Plant(robot.nominal, robot.nominal.inertias)
-    tuned_on = robot.plant if options.hide is None else nominal  # gains known to all, which tell nothing
+    tuned_on = robot.plant if options.hide is None else nominal  # public gains, which reveal nothing of the truth
     controller = tuned_controller(motion, nominal, robot.plant, robot.joints, tuned_on)
     return ClosedLoop(robot.plant, slowed(controller, robot.plant, options.step), options.step)
 
 
-def record(robot: Robot, loop: ClosedLoop, options: SimulationOptions, progress: Progress | None = None) -> Trace:
-    """What truly happens at the recorded instants while the robot follows its motion; sensors come later."""
+def record(
+    robot: TrueRobot, loop: ClosedLoop, options: SimulationOptions, progress: Progress | None = None
+) -> RunTrace:
+    """The true motion at the recorded instants, before sensors."""
     trace = run(loop, sampling(robot, options), progress)
     check_motion(trace, robot.joints)
     return trace
 
 
-def sampling(robot: Robot, options: SimulationOptions) -> Sampling:
+def sampling(robot: TrueRobot, options: SimulationOptions) -> Sampling:
     """Which steps of the integration are recorded; it runs on for as long as the sensors look ahead."""
     lag = round(options.wrench_lag / options.step)
-    early = -min(effect.parameters.get("delay", 0.0) for effect in (*robot.effects, Effect("", "", {})))
+    early = -min(effect.parameters.get("delay", 0.0) for effect in (*robot.effects, TrueEffect("", "", {})))
     return Sampling(options.samples, options.substeps, lag, max(lag, math.ceil(early / options.step)))

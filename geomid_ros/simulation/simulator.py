@@ -1,4 +1,4 @@
-"""What a simulated robot offers, whatever computes it, and what is the same for all of them."""
+"""The interface of a simulated robot, and what all simulators share."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Iterable, Sequence
 
 import numpy as np
 
-from geomid_ros.simulation.effects.effect import Effect
+from geomid_ros.simulation.effects.effect import TrueEffect
 from geomid_ros.simulation.effects.forces import FORCES, Places
 from geomid_ros.simulation.effects.friction import FRICTION
 from geomid_ros.simulation.effects.structure import GEARS, play_name, wound
@@ -23,7 +23,7 @@ class Simulator(ABC):
     gears with play or elasticity add; ``names`` are those of all m, for which see :func:`play_name`.
     """
 
-    def __init__(self, names: Sequence[str], motors: Iterable[str], effects: Iterable[Effect]) -> None:
+    def __init__(self, names: Sequence[str], motors: Iterable[str], effects: Iterable[TrueEffect]) -> None:
         motors = set(motors)
         self.joints = tuple(name for name in names if name in motors)
         self.driven: IntArray = np.array([names.index(name) for name in self.joints])

@@ -1,4 +1,4 @@
-"""What is noted of a run."""
+"""What is recorded of a run."""
 
 from __future__ import annotations
 
@@ -11,14 +11,17 @@ _PER_JOINT = ("position", "velocity", "acceleration", "effort", "fine_effort", "
 
 
 @dataclass(frozen=True, eq=False)
-class Trace:
-    """Samples of T instants: ``time (T,)`` [s] and joints ``(T, n)``, all of a row at one instant.
+class RunTrace:
+    """Samples of n joints at T instants.
 
-    Without effects of measurement the effort is what the motors supply at that position and velocity, and with the
-    accelerations it satisfies the equation of motion exactly. ``wrench (T, 6)`` or ``(T, 0)`` is sampled at its own
-    instants ``wrench_time (T,)``, in its frame. ``commands`` and ``feedforward (T, n)`` are the controller's set-points
-    and its feed-forward efforts at ``time``. ``fine_effort (F, n)`` are the efforts at ``fine_time (F,)``, every step
-    of the integration.
+    Attributes:
+        time: ``(T,)`` [s].
+        position, velocity, acceleration, effort: ``(T, n)``. Without effects of measurement the effort is what the
+            motors supply, and all four satisfy the equation of motion exactly.
+        wrench_time: Instants ``(T,)`` of the wrench [s].
+        wrench: ``(T, 6)`` in its frame, or ``(T, 0)``.
+        commands, feedforward: The controller's set-points and feed-forward efforts ``(T, n)`` at ``time``.
+        fine_time, fine_effort: Every step of the integration ``(F,)`` [s], and the efforts there ``(F, n)``.
     """
 
     time: FloatArray
@@ -33,7 +36,7 @@ class Trace:
     fine_time: FloatArray
     fine_effort: FloatArray
 
-    def reordered(self, order: IntArray) -> Trace:
+    def reordered(self, order: IntArray) -> RunTrace:
         """The same samples with the joints in another ``order (n,)``."""
         commands = Motion(*(values[:, order] for values in vars(self.commands).values()))
         return replace(self, commands=commands, **{name: getattr(self, name)[:, order] for name in _PER_JOINT})

@@ -13,14 +13,14 @@ import yaml
 
 from geomid_ros.simulation.compiled import GRAVITY
 from geomid_ros.simulation.description import LinkInertia
-from geomid_ros.simulation.effects.effect import Effect
+from geomid_ros.simulation.effects.effect import TrueEffect
 from geomid_ros.simulation.effects.measurement import sensed
 from geomid_ros.simulation.options import SimulationOptions
 from geomid_ros.simulation.plant import Plant
 from geomid_ros.simulation.recorder import Controller
-from geomid_ros.simulation.robot import Robot
+from geomid_ros.simulation.robot import TrueRobot
 from geomid_ros.simulation.sensors import noise_levels
-from geomid_ros.simulation.trace import Trace
+from geomid_ros.simulation.trace import RunTrace
 from geomid_ros.types import FloatArray
 
 
@@ -29,11 +29,11 @@ def truth_path(bag: Path) -> Path:
     return bag.with_name(bag.name + ".truth.json")
 
 
-def contributions(trace: Trace, robot: Robot, options: SimulationOptions) -> dict[str, FloatArray]:
-    """What the effects add to the measured efforts ``(n,)`` and wrench ``(6,)`` or ``(0,)``, root mean square.
+def contributions(trace: RunTrace, robot: TrueRobot, options: SimulationOptions) -> dict[str, FloatArray]:
+    """Root mean square of what the effects add to the measured efforts ``(n,)`` and wrench ``(6,)`` or ``(0,)``.
 
-    It is the difference between what perfect sensors show and what the true bodies alone would take at the motors'
-    positions, so it holds what other inertias could explain as well.
+    It is the difference between what perfect sensors show and what the true bodies alone would need at the motors'
+    positions; other inertias could explain a part of it.
     """
     bare = Plant(robot.nominal, robot.bodies, (), options.wrench_frame)
     efforts, wrenches = [], []
@@ -52,7 +52,7 @@ def _rms(values: FloatArray) -> FloatArray:
     return root
 
 
-def write_truth(path: Path, robot: Robot, options: SimulationOptions, added: Mapping[str, FloatArray]) -> None:
+def write_truth(path: Path, robot: TrueRobot, options: SimulationOptions, added: Mapping[str, FloatArray]) -> None:
     """Write what is true of the robot in a recording: links, effects, the noise of each channel, and the options.
 
     A link fixed to another one stands by itself; one that no joint moves (``moves`` false) cannot show in the data.
@@ -73,7 +73,7 @@ def write_truth(path: Path, robot: Robot, options: SimulationOptions, added: Map
     path.write_text(json.dumps(truth, indent=1) + "\n", encoding="utf-8")
 
 
-def _effect(effect: Effect) -> dict[str, Any]:
+def _effect(effect: TrueEffect) -> dict[str, Any]:
     places = {"joint": effect.joint, "link": effect.link, "other": effect.other}
     named = {key: name for key, name in places.items() if name or key == "joint"}
     return {"effect": effect.name, **named, "parameters": dict(effect.parameters)}

@@ -60,7 +60,7 @@ def test_what_the_torques_alone_do_not_show_is_refused(estimates: dict[str, Path
     message = refused("export", estimates["torques"], "--for", "ur", "--frame", "wrist_ft")
     assert "'link3' was identified as one body with tool" in message
     message = refused("export", estimates["torques"], "--for", "franka", "--frame", "wrist_ft", "--links", "link3")
-    assert "the data hardly told" in message
+    assert "the data hardly identify" in message
     numbers = estimates["torques"].with_name("identified.urdf")
     assert "not known" in done("export", numbers, "--for", "franka", "--frame", "link3")
 

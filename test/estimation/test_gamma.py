@@ -10,7 +10,7 @@ from geomid_ros.estimation.gamma import CANDIDATES, PAPER, choose_gamma, held_ou
 from geomid_ros.estimation.identifier import BufferSettings, Identifier
 from geomid_ros.estimation.starting_point import channel_sizes, first_sigmas, prior_parameters, scales_of_reals
 from geomid_ros.estimation.summary import RowSummary
-from geomid_ros.model.known import known_rows
+from geomid_ros.model.weighed_masses import weighed_rows
 
 from .arms import Case, arm
 
@@ -53,7 +53,7 @@ def losses(case: Case, folds: int = 4) -> dict[float, float]:
     sizes = channel_sizes(summary, case.model.dimension)
     manifold = case.model.manifold(scales_of_reals(case.model, sizes))
     prior = manifold.point(prior_parameters(case.model, summary, None))
-    arguments = manifold, summary, first_sigmas(summary, case.model.dimension), prior, known_rows(case.model, ())
+    arguments = manifold, summary, first_sigmas(summary, case.model.dimension), prior, weighed_rows(case.model, ())
     found = held_out_losses(*arguments)
     assert found.get(choose_gamma(*arguments), np.inf) == min(found.values(), default=np.inf)
     return found

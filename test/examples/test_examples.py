@@ -70,6 +70,16 @@ def test_gap(tmp_path: Path) -> None:
     assert all(after < 0.5 * before for before, after in improved)
 
 
+def test_own_effect(tmp_path: Path) -> None:
+    """There is no drag in the arm, and it says how sure it is of that; files have the effect by its name."""
+    text = output("own_effect.py", tmp_path)
+    drags = re.findall(r"^(joint\d): drag ([+-][\d.]+) ± ([\d.]+) N m s\^2/rad\^2$", text, re.MULTILINE)
+    assert len(drags) == 7
+    assert all(abs(float(value)) < 4.0 * float(std) < 2.0 for _, value, std in drags)
+    written = json.loads((tmp_path / "geomid_own/estimate.json").read_text())["effects"]
+    assert [e["joint"] for e in written if e["name"] == "quadratic_drag"] == [joint for joint, *_ in drags]
+
+
 def test_raw_rows(tmp_path: Path) -> None:
     text = output("raw_rows.py", tmp_path)
     assert "converged: True  rows set aside: 0" in text

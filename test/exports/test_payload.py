@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from geomid_ros.errors import InputError
-from geomid_ros.exports.inertial import Export, Inertial, Term, total
+from geomid_ros.exports.inertial import Export, Summand, UncertainInertia, total
 from geomid_ros.exports.model import read_model
 from geomid_ros.exports.payload import attached, chosen, difference, each_link
 from geomid_ros.files.models.gap_model import write_model
@@ -109,7 +109,7 @@ def test_a_difference_that_no_body_has_is_refused(tmp_path: Path) -> None:
 def test_what_the_data_did_not_show_is_refused(quantity: str, tmp_path: Path) -> None:
     told = {"wrist": {}, "gripper": {"cannot_tell": [quantity, "Ixx"]}, "finger": {}}
     model = read_model(replace(WHOLE, estimated=told).write(tmp_path))
-    with pytest.raises(InputError, match=f"hardly told {quantity} of 'gripper'"):
+    with pytest.raises(InputError, match=f"hardly identify {quantity} of 'gripper'"):
         attached(model, "tool0")
     assert any(f"{quantity}, Ixx" in note for note in each_link(model)[1].notes)
 
@@ -125,15 +125,15 @@ def test_of_a_small_part_it_may_be_unknown(tmp_path: Path) -> None:
     model = read_model(Chain(links, {"gripper": {"cannot_tell": ["Ixx"]}}).write(tmp_path / "light"))
     notes = attached(model, "tool0").notes
     assert [note.split(",")[0] for note in notes[2:]] == [
-        "hardly told by the data of gripper",
-        "hardly told by the data of finger",
+        "hardly identified by the data of gripper",
+        "hardly identified by the data of finger",
     ]
     heavy = read_model(replace(WHOLE, estimated={"gripper": {}}).write(tmp_path / "heavy"))
     with pytest.raises(InputError, match="of 'finger'"):
         attached(heavy, "tool0")
 
 
-def random_term(seed: int) -> Term:
+def random_term(seed: int) -> Summand:
     random = np.random.default_rng(seed)
     body = points(seed)
     own = pseudo_inertia.assemble(np.array(body.mass), body.com, body.inertia)
@@ -141,13 +141,13 @@ def random_term(seed: int) -> Term:
     placement[:3, :3] = np.linalg.qr(random.normal(size=(3, 3)))[0]
     placement[:3, 3] = random.normal(scale=0.1, size=3)
     std = np.array([2e-3, *[1e-4] * 3, *[2e-6] * 6]) * random.uniform(0.5, 2.0, 10)
-    return Term(Inertial(pseudo_inertia.quantities_of(own), std), placement)
+    return Summand(UncertainInertia(pseudo_inertia.quantities_of(own), std), placement)
 
 
-def part_taken_away(term: Term) -> Term:
+def part_taken_away(term: Summand) -> Summand:
     """Of a body, a third of each of its points."""
     third = term.inertial.quantities / np.array([3.0, 1.0, 1.0, 1.0, *[3.0] * 6])
-    return Term(Inertial(third, 0.7 * term.inertial.std), term.placement, -1.0)
+    return Summand(UncertainInertia(third, 0.7 * term.inertial.std), term.placement, -1.0)
 
 
 def test_standard_deviations_are_those_of_repeated_draws() -> None:

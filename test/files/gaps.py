@@ -8,19 +8,9 @@ from typing import Literal
 
 import numpy as np
 
-from geomid_ros.gap.result import (
-    Finding,
-    Gap,
-    GapResult,
-    Located,
-    Quantity,
-    Ranked,
-    Rival,
-    Trace,
-    Unexplained,
-    Verdict,
-)
+from geomid_ros.gap.result import Finding, Gap, GapResult, Located, Ranked, Rival, Trace, Unexplained, Verdict
 from geomid_ros.geometry import pseudo_inertia
+from geomid_ros.model.effects import Quantity
 from geomid_ros.report.gap_page import GapPage
 from geomid_ros.report.simulated_again import SimulatedAgain
 from geomid_ros.types import FloatArray

@@ -174,7 +174,7 @@ class TestFlippedBit:
         data[second] = 0x86  # a private record, to be passed over
         path = tmp_path / "less.mcap"
         path.write_bytes(data)
-        assert "its statistics tell of 400 messages, it has 390" in error_of(path)
+        assert "its statistics count 400 messages, it has 390" in error_of(path)
 
     def test_a_databases_time_that_contradicts_its_index_is_found(self, tmp_path: Path) -> None:
         path = database(tmp_path)

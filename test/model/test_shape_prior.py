@@ -9,12 +9,12 @@ import trimesh
 from geomid_ros.errors import InputError
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.model import shape_prior, shapes, urdf_tree
-from geomid_ros.model.shape_prior import MISSING, Inertial, Solid
+from geomid_ros.model.shape_prior import MISSING, Solid, UrdfInertial
 from geomid_ros.types import FloatArray
 
 ORIGIN = np.zeros(3)
 SIZE = np.array([0.1, 0.2, 0.4])
-NONE = Inertial(None, MISSING)
+NONE = UrdfInertial(None, MISSING)
 DENSITY = 2000.0
 
 
@@ -25,18 +25,18 @@ def box(size: FloatArray = SIZE, centre: FloatArray = ORIGIN) -> Solid:
     return Solid(shapes.moved(shapes.box(size), placement), mesh.vertices + centre, mesh.faces, "box")
 
 
-def inertial(mass: float, *inertia: float, com: FloatArray = ORIGIN) -> Inertial:
-    return Inertial(pseudo_inertia.assemble(np.array(mass), com, np.diag(inertia)), "")
+def inertial(mass: float, *inertia: float, com: FloatArray = ORIGIN) -> UrdfInertial:
+    return UrdfInertial(pseudo_inertia.assemble(np.array(mass), com, np.diag(inertia)), "")
 
 
-def cloud(rng: np.random.Generator, low: FloatArray, high: FloatArray) -> Inertial:
+def cloud(rng: np.random.Generator, low: FloatArray, high: FloatArray) -> UrdfInertial:
     """Some point masses in a box, mostly at its corners."""
     corners = rng.integers(0, 2, size=(8, 3)).astype(float)
     shares = np.where(rng.uniform(size=(8, 3)) < 0.7, corners, rng.uniform(size=(8, 3)))
     points = np.column_stack([low + shares * (high - low), np.ones(8)])
     masses = rng.uniform(size=8) ** 4
     masses *= DENSITY * float(np.prod(SIZE)) / masses.sum()
-    return Inertial(pseudo_inertia.to_parameters((points.T * masses) @ points), "")
+    return UrdfInertial(pseudo_inertia.to_parameters((points.T * masses) @ points), "")
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -95,7 +95,7 @@ class TestVerdict:
             ends = share * SIZE * np.array([[0, 0, 1], [0, 0, -1], [0.5, 0.5, 0], [-0.5, 0.5, 0], [-0.5, -0.5, 0]])
             points = np.column_stack([ends, np.ones(5)])
             masses = DENSITY * float(np.prod(SIZE)) * np.array([0.4999, 0.4999, 1e-4, 0.5e-4, 0.5e-4])
-            body = Inertial(pseudo_inertia.to_parameters((points.T * masses) @ points), "")
+            body = UrdfInertial(pseudo_inertia.to_parameters((points.T * masses) @ points), "")
             found = shape_prior.verdict(body, box(SIZE * [1.0, 1.0, 0.9999]), DENSITY)
             assert found == verdict, (share, found)
 
@@ -116,7 +116,7 @@ class TestVerdict:
             (inertial(1.5, 0.02, 0.017, 0.005), shape_prior.LIGHT),
         ],
     )
-    def test_of_a_box_that_should_weigh_16_kg(self, body: Inertial, verdict: str) -> None:
+    def test_of_a_box_that_should_weigh_16_kg(self, body: UrdfInertial, verdict: str) -> None:
         assert shape_prior.verdict(body, box(), DENSITY) == verdict
 
     def test_without_a_shape_only_the_inertial_itself_is_judged(self) -> None:

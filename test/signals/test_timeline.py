@@ -1,136 +1,79 @@
-"""Stamps of one topic: what is used, what is held, and what shows that a clock was set back."""
+"""Which stamps continue a topic's time, and which begin another."""
 
 from __future__ import annotations
 
 import pytest
 
-from geomid_ros.signals.messages import WrenchMessage
-from geomid_ros.signals.validation import Judged, Timeline, Turn
+from geomid_ros.signals.messages import PoseMessage
+from geomid_ros.signals.timeline import Timeline, Turn
 
-GAP = 500  # [ns]
-NOW = 100_000
-TO_CONFIRM = 10  # messages of an earlier time
+from .feeding import START
 
-
-def message(stamp: int) -> WrenchMessage:
-    return WrenchMessage("/wrench", stamp, "", (0.0,) * 6)
+MAX_GAP = 500_000_000
+PERIOD = 10_000_000
+LATE = START - 100 * MAX_GAP
 
 
-class Topic:
-    """A timeline whose messages are all good."""
-
-    def __init__(self, *stamps: int) -> None:
-        self.timeline = Timeline(GAP)
-        for stamp in stamps:
-            self.push(stamp)
-
-    def push(self, stamp: int) -> Judged:
-        judged = self.timeline.judge(message(stamp))
-        for used in judged.use:
-            self.timeline.advance(used.stamp)
-        return judged
+def judged(*stamps: int) -> tuple[list[int], list[str], list[Turn], Timeline]:
+    """What is used, why the others are refused, and the turns that time takes."""
+    timeline, used, refused, turns = Timeline(MAX_GAP), [], [], []
+    for stamp in stamps:
+        found = timeline.judge(PoseMessage(stamp, [0.0] * 7))
+        for message in found.use:
+            timeline.advance(message.stamp)
+            used.append(message.stamp)
+        refused += found.refused
+        turns += [found.turn] if found.turn is not Turn.CONTINUED else []
+    return used, refused, turns, timeline
 
 
-def used(judged: Judged) -> list[int]:
-    return [each.stamp for each in judged.use]
+def run(begin: int, count: int, period: int = PERIOD) -> list[int]:
+    return [begin + period * index for index in range(count)]
 
 
-def test_what_goes_on_is_used_and_nothing_twice() -> None:
-    topic = Topic()
-    assert used(topic.push(NOW)) == [NOW]
-    assert used(topic.push(NOW + GAP)) == [NOW + GAP]
-    assert topic.push(NOW + GAP).refused == ["stamp not later than the one before"]
-    assert topic.push(NOW).refused == ["stamp not later than the one before"]
-    assert used(topic.push(NOW + GAP + 1)) == [NOW + GAP + 1]
-    assert topic.timeline.held == 0
+@pytest.mark.parametrize("count", [1, 2, 5, 9])
+def test_a_few_late_messages_are_no_clock_that_was_set_back(count: int) -> None:
+    before, after = run(START, 20), run(START + 20 * PERIOD, 5)
+    used, refused, turns, timeline = judged(*before, *run(LATE, count), *after)
+    assert used == before + after
+    assert refused == ["stamp too old"] * count
+    assert (turns, timeline.held) == ([], 0)
 
 
-@pytest.mark.parametrize(("stamp", "reason"), [(0, "stamp is zero"), (-1, "stamp is not valid")])
-def test_what_is_no_stamp_is_refused_and_changes_nothing(stamp: int, reason: str) -> None:
-    topic = Topic(NOW)
-    assert topic.push(stamp).refused == [reason]
-    assert used(topic.push(NOW + 1)) == [NOW + 1]
+def test_ten_late_messages_are_a_clock_that_was_set_back_and_are_used() -> None:
+    before, after = run(START, 20), run(LATE, 30)
+    used, refused, turns, _ = judged(*before, *after)
+    assert (used, refused, turns) == (before + after, [], [Turn.RESET])
 
 
-def test_the_first_nanosecond_is_a_time() -> None:
-    assert used(Topic().push(1)) == [1]
+def test_one_message_from_the_future_is_refused_two_are_a_pause() -> None:
+    before, later = run(START, 20), run(START + 10 * MAX_GAP, 2)
+    after = run(START + 20 * PERIOD, 5)
+    assert judged(*before, later[0], *after)[:3] == (before + after, ["stamp from the future"], [])
+    assert judged(*before, *later)[:3] == (before + later, [], [Turn.PAUSE])
 
 
-def test_nothing_less_than_ten_messages_shows_that_a_clock_was_set_back() -> None:
-    """A few late ones do not; each is later than the one before it."""
-    topic, begin = Topic(NOW), NOW // 2
-    for count in range(1, TO_CONFIRM):
-        judged = topic.push(begin + count)
-        assert (judged.use, judged.refused, judged.turn) == ([], [], Turn.CONTINUED)
-        assert topic.timeline.held == count
-    judged = topic.push(begin + TO_CONFIRM)
-    assert used(judged) == list(range(begin + 1, begin + TO_CONFIRM + 1))
-    assert (judged.refused, judged.turn, topic.timeline.held) == ([], Turn.RESET, 0)
-    assert used(topic.push(begin + TO_CONFIRM + 1)) == [begin + TO_CONFIRM + 1]
+@pytest.mark.parametrize("count", [1, 2, 3, 8])
+def test_a_topic_slower_than_the_longest_gap_takes_three_messages_to_tell(count: int) -> None:
+    before, slow = run(START, 1), run(START + 2 * MAX_GAP, count, 2 * MAX_GAP)
+    used, refused, turns, timeline = judged(*before, *slow)
+    assert not refused
+    settled = 3 * (count // 3)
+    assert used == before + slow[:settled]
+    assert timeline.held == count - settled
+    assert turns == [Turn.PAUSE] * (count // 3)
 
 
-def test_late_messages_before_the_next_one_in_time_are_refused() -> None:
-    topic = Topic(NOW, *range(NOW // 2, NOW // 2 + TO_CONFIRM - 1))
-    judged = topic.push(NOW + 1)
-    assert judged.refused == ["stamp too old"] * (TO_CONFIRM - 1)
-    assert (used(judged), judged.turn, topic.timeline.held) == ([NOW + 1], Turn.CONTINUED, 0)
+@pytest.mark.parametrize(
+    ("stamp", "reason"),
+    [(0, "stamp is zero"), (-1, "stamp is not valid"), (START, "stamp not later than the one before")],
+)
+def test_a_stamp_that_can_be_none_is_refused_at_once(stamp: int, reason: str) -> None:
+    assert judged(START, stamp, START + PERIOD)[:2] == ([START, START + PERIOD], [reason])
 
 
-def test_one_message_that_goes_on_from_there_shows_a_pause() -> None:
-    topic, later = Topic(NOW), 2 * NOW
-    assert topic.push(later).use == []
-    judged = topic.push(later + GAP)
-    assert (used(judged), judged.turn) == ([later, later + GAP], Turn.PAUSE)
-    assert topic.timeline.held == 0
-
-
-def test_two_more_after_pauses_show_a_slow_topic() -> None:
-    topic, step = Topic(NOW), GAP + 1
-    assert [len(topic.push(NOW + count * step).use) for count in (1, 2)] == [0, 0]
-    judged = topic.push(NOW + 3 * step)
-    assert (used(judged), judged.turn) == ([NOW + count * step for count in (1, 2, 3)], Turn.PAUSE)
-
-
-def test_just_longer_than_the_longest_gap_is_held_just_as_long_is_not() -> None:
-    assert used(Topic(NOW).push(NOW + GAP)) == [NOW + GAP]
-    assert used(Topic(NOW).push(NOW + GAP + 1)) == []
-    assert Topic(NOW).push(NOW - GAP).refused == ["stamp not later than the one before"]
-    assert Topic(NOW).push(NOW - GAP - 1).refused == []
-
-
-def test_a_stamp_from_the_future_is_refused_when_time_goes_on_as_before() -> None:
-    topic = Topic(NOW, 2 * NOW)
-    judged = topic.push(NOW + 1)
-    assert (used(judged), judged.refused) == ([NOW + 1], ["stamp from the future"])
-
-
-def test_a_held_one_that_comes_again_or_late_is_refused_and_stays_held() -> None:
-    topic = Topic(NOW, 2 * NOW)
-    for stamp in (2 * NOW, 2 * NOW - GAP):
-        assert topic.push(stamp).refused == ["stamp not later than the one before"]
-    assert topic.timeline.held == 1
-    assert used(topic.push(2 * NOW + 1)) == [2 * NOW, 2 * NOW + 1]
-
-
-def test_an_earlier_one_shows_that_the_held_one_was_wrong() -> None:
-    topic = Topic(NOW, 3 * NOW)
-    judged = topic.push(2 * NOW)
-    assert (judged.use, judged.refused) == ([], ["stamp from the future"])
-    assert used(topic.push(2 * NOW + 1)) == [2 * NOW, 2 * NOW + 1]
-
-
-def test_the_past_and_the_future_do_not_confirm_each_other() -> None:
-    topic = Topic(NOW, NOW // 2)
-    assert topic.push(2 * NOW).refused == ["stamp too old"]
-    assert topic.push(NOW // 2).refused == ["stamp from the future"]
-    assert topic.timeline.held == 1
-
-
-def test_what_is_held_is_refused_at_the_end_and_begins_a_new_time() -> None:
-    topic = Topic(NOW, 2 * NOW)
-    assert topic.timeline.release() == ["stamp from the future"]
-    assert topic.timeline.held == 0
-    topic = Topic(NOW, NOW // 2)
-    assert [each.stamp for each in topic.timeline.forget()] == [NOW // 2]
-    assert topic.timeline.held == 0
-    assert used(topic.push(7)) == [7]
+def test_what_is_held_is_refused_in_the_end() -> None:
+    timeline = judged(START, START + 10 * MAX_GAP)[3]
+    assert timeline.held == 1
+    assert timeline.release() == ["stamp from the future"]
+    assert timeline.held == 0

@@ -8,10 +8,10 @@ from pathlib import Path
 import pytest
 
 from geomid_ros.simulation.options import SimulationOptions
-from geomid_ros.simulation.robot import Robot, build_robot
+from geomid_ros.simulation.robot import TrueRobot, build_robot
 from geomid_ros.simulation.robots import WRIST_FRAME
 from geomid_ros.simulation.simulate import closed_loop, record
-from geomid_ros.simulation.trace import Trace
+from geomid_ros.simulation.trace import RunTrace
 from geomid_ros.simulation.truth import contributions, write_truth
 
 from .independent import Independent
@@ -21,8 +21,8 @@ from .independent import Independent
 class Run:
     """One simulation, noise-free, and what pinocchio makes of its truth file."""
 
-    robot: Robot
-    trace: Trace
+    robot: TrueRobot
+    trace: RunTrace
     independent: Independent
 
 

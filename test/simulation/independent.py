@@ -11,7 +11,7 @@ from xml.etree import ElementTree
 import numpy as np
 import pinocchio as pin
 
-from geomid_ros.simulation.trace import Trace
+from geomid_ros.simulation.trace import RunTrace
 from geomid_ros.types import FloatArray
 
 COMPONENTS = {"ixx": (0, 0), "ixy": (0, 1), "ixz": (0, 2), "iyy": (1, 1), "iyz": (1, 2), "izz": (2, 2)}
@@ -55,7 +55,7 @@ class Independent:
         values = {entry["joint"]: next(iter(entry["parameters"].values())) for entry in every}
         return np.array([values.get(name, 0.0) for name in self.model.names[1:]])
 
-    def smooth_effort(self, trace: Trace) -> FloatArray:
+    def smooth_effort(self, trace: RunTrace) -> FloatArray:
         """Efforts ``(T, n)`` of the rigid bodies, the rotors and viscous friction."""
         data = self.model.createData()
         rows = zip(trace.position, trace.velocity, trace.acceleration, strict=True)
@@ -63,7 +63,7 @@ class Independent:
         viscous = self.coefficients("viscous_friction") * trace.velocity
         return bodies + viscous + self.coefficients("rotor_inertia") * trace.acceleration
 
-    def carried_wrench(self, trace: Trace, frame: str, carried: str) -> FloatArray:
+    def carried_wrench(self, trace: RunTrace, frame: str, carried: str) -> FloatArray:
         """Newton and Euler for the one body ``carried`` beyond ``frame``: wrench on it ``(T, 6)``, in the frame."""
         link = next(link for link in self.truth["links"] if link["name"] == carried)
         body = pin.Inertia(link["mass"], np.array(link["com"]), np.array(link["inertia"]))

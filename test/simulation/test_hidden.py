@@ -15,7 +15,7 @@ from geomid_ros.errors import InputError
 from geomid_ros.simulation import EFFECTS, WRIST_FRAME, Hidden, SimulationOptions, parse_hidden, simulate
 from geomid_ros.simulation.description import read_description
 from geomid_ros.simulation.effects.choice import chosen_effects
-from geomid_ros.simulation.effects.effect import Effect
+from geomid_ros.simulation.effects.effect import TrueEffect
 from geomid_ros.simulation.robots import robot_description
 from geomid_ros.types import FloatArray
 
@@ -29,7 +29,7 @@ def quiet(options: SimulationOptions) -> SimulationOptions:
     return replace(options, position_noise=0.0, velocity_noise=0.0, effort_noise=0.0, force_noise=0.0, torque_noise=0.0)
 
 
-def chosen(*hide: Hidden, seed: int = 1) -> tuple[Effect, ...]:
+def chosen(*hide: Hidden, seed: int = 1) -> tuple[TrueEffect, ...]:
     options = replace(OPTIONS, hide=hide, seed=seed)
     return chosen_effects(options, read_description(robot_description(options.robot)))
 

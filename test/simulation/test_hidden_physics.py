@@ -15,7 +15,7 @@ from scipy.interpolate import CubicSpline
 from geomid_ros.simulation import EFFECTS, WRIST_FRAME, Hidden, SimulationOptions
 from geomid_ros.simulation.effects.measurement import sensed
 from geomid_ros.simulation.robot import build_robot
-from geomid_ros.simulation.trace import Trace
+from geomid_ros.simulation.trace import RunTrace
 from geomid_ros.types import FloatArray
 
 from .conftest import Run, simulated
@@ -32,7 +32,7 @@ class Situation:
     """A run, what perfect sensors show of it, and where the effect is, in pinocchio's order of joints."""
 
     run: Run
-    seen: Trace
+    seen: RunTrace
     entry: dict[str, Any]
 
     def __getitem__(self, parameter: str) -> float:

@@ -15,7 +15,7 @@ from geomid_ros.simulation.plant import Plant
 from geomid_ros.simulation.robot import build_robot
 from geomid_ros.simulation.robots import WRIST_FRAME
 from geomid_ros.simulation.simulate import closed_loop, record
-from geomid_ros.simulation.trace import Trace
+from geomid_ros.simulation.trace import RunTrace
 
 from .conftest import Run, simulated
 
@@ -26,7 +26,7 @@ MOVING = 0.03  # rad/s; below, MuJoCo's dry friction is not yet constant
 QUICK = SimulationOptions(robot="arm3", duration=4.0, coulomb_friction=0.0)
 
 
-def recorded(options: SimulationOptions) -> Trace:
+def recorded(options: SimulationOptions) -> RunTrace:
     robot = build_robot(options)
     return record(robot, closed_loop(robot, options), options)
 

@@ -1,4 +1,4 @@
-"""Reading rosbags, with only the built-in message definitions: what a bag says of its types is never executed."""
+"""Reading rosbags, with only the built-in message definitions: type definitions in a bag are never executed."""
 
 from __future__ import annotations
 
@@ -27,10 +27,10 @@ _MOST_BYTES = 8_000_000  # of a message whose fields are read; a robot descripti
 
 
 class Bag:
-    """An open rosbag2 folder, or a single ``.mcap`` or ``.db3`` file; use it in a ``with`` statement.
+    """An open rosbag2 folder, or a single ``.mcap`` or ``.db3`` file, for a ``with`` statement.
 
-    It is looked at as a whole when opened. Raises InputError, naming the file, for whatever cannot be read; of a
-    damaged file it tells where the damage is and how much could be read.
+    All of it is checked when it is opened. Raises InputError naming the file if it cannot be read; for a damaged file
+    it says where the damage is and how much can be read.
     """
 
     def __init__(self, path: Path) -> None:
@@ -140,8 +140,7 @@ class _BagFiles:
 
 
 def _bag_files(path: Path, scratch: Callable[[], Path]) -> _BagFiles:
-    """The files of a folder or of a single file. What is compressed as a whole is unpacked into the folder that
-    ``scratch`` makes.
+    """The files of a recording. Those compressed as a whole are unpacked into the folder that ``scratch`` makes.
 
     Raises InputError naming the file.
     """
@@ -162,10 +161,10 @@ def _in_folder(path: Path, scratch: Callable[[], Path]) -> _BagFiles:
         hint = f"name the file itself ({path / inside[0]}) or" if inside else "record it again, or"
         raise InputError(f"{path}: a folder without metadata.yaml is no rosbag; {hint} run 'ros2 bag reindex' on it")
     try:
-        told = read_yaml(metadata, "bag's description")["rosbag2_bagfile_information"]
-        paths = [_checked(path / PurePath(name).name) for name in told["relative_file_paths"]]
-        suffix = _SUFFIXES[told["storage_identifier"]]
-        mode, method = (told.get("compression_mode") or "none").lower(), told.get("compression_format")
+        information = read_yaml(metadata, "bag's description")["rosbag2_bagfile_information"]
+        paths = [_checked(path / PurePath(name).name) for name in information["relative_file_paths"]]
+        suffix = _SUFFIXES[information["storage_identifier"]]
+        mode, method = (information.get("compression_mode") or "none").lower(), information.get("compression_format")
     except (KeyError, TypeError, AttributeError) as error:
         what = f"no valid {error}" if isinstance(error, KeyError) else str(error)
         raise InputError(f"{metadata}: cannot be read, {what}; 'ros2 bag reindex' writes it anew") from error
@@ -182,7 +181,7 @@ def _in_folder(path: Path, scratch: Callable[[], Path]) -> _BagFiles:
 
 
 def _checked(path: Path) -> Path:
-    """A path, if it is that of a file: to open a pipe would be to wait for ever."""
+    """The path of a regular file; opening a pipe would wait for ever."""
     if not path.is_file():
         raise InputError(f"{path}: cannot be read as a part of a rosbag2 recording, the file is missing")
     return path

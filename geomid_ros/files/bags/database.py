@@ -1,7 +1,7 @@
 """SQLite files of rosbag2 (``.db3``).
 
 They have no checksums. Their pages are checked for consistency, and only databases of the plain form that rosbag2
-writes are read: views, generated columns and the like are programs that whoever made the file would have run here.
+writes are read: views, generated columns and the like are programs of the file's writer, which would run here.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ _NEEDED = {"topics": {"id", "name", "type", "serialization_format"}, "messages":
 class Database:
     """An open SQLite file; see :class:`~geomid_ros.files.bags.storage.Storage`.
 
-    Raises InputError naming the file, the place where SQLite tells it, and how much can be read.
+    Raises InputError naming the file, the place if SQLite knows it, and how much can be read.
     """
 
     def __init__(self, path: Path) -> None:
@@ -103,7 +103,7 @@ class Database:
             raise FaultError("it has a row that would need more memory than is allowed") from error
 
     def _too_long(self) -> bool:
-        """Whether SQLite is to stop: crafted pages can make it go in circles."""
+        """Whether SQLite must stop: crafted pages can make it loop."""
         self._steps -= 1
         return self._steps < 0
 
@@ -117,14 +117,14 @@ class Database:
         return header
 
     def _check_size(self, header: bytes) -> None:
-        """The header says how large pages are and how many there are, unless an old program changed the file."""
+        """Check the file's size against the header's page count, unless an old program changed the file."""
         page_size, changes, pages, changes_then = struct.unpack_from(">16xH6xII60xI", header)
         whole = pages * (page_size if page_size > 1 else 1 << 16)
         if changes == changes_then and whole > self._size:
             raise FaultError(f"of {whole} bytes, {self._size} are there", self._size)
 
     def _check_closed(self) -> None:
-        """Beside a recording whose recorder was killed lies a journal, without which it is not whole."""
+        """Refuse a file with a journal beside it: its recorder was killed, and part of it is in the journal."""
         for ending in ("-wal", "-journal"):
             journal = self._path.with_name(self._path.name + ending)
             if journal.is_file() and journal.stat().st_size:
@@ -167,8 +167,8 @@ class Database:
                 self._first = first if self._first is None else min(self._first, first)
 
     def _part(self) -> Part:
-        """How many messages can be read one after the other, as they were written, while their numbers rise: damaged
-        pages may lead back to others."""
+        """The part that can be read in the order of writing, while row numbers rise: damaged pages may lead back to
+        others."""
         count, last, number = 0, 0, -math.inf
         try:
             # Else SQLite reads nothing at all of a file that is shorter than it should be.

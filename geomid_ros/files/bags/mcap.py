@@ -1,6 +1,6 @@
 """Mcap files (https://mcap.dev/spec): walked through once when opened, and then read part by part.
 
-The index at the end is not used, as it may say anything. Every checksum that is there is checked: of chunks, of the
+The index at the end is not used, as it may be wrong. Every checksum that is present is checked: of chunks, of the
 data section and of the summary; and the number of messages against the summary's.
 """
 
@@ -246,16 +246,16 @@ class McapFile:
         return int.from_bytes(self._bytes(begin, begin + size), "little")
 
     def _check_count(self, begin: int) -> None:
-        told = self._number(begin + _RECORD.size, 8)
-        if told != self._counted.total():
-            raise FaultError(f"its statistics tell of {told} messages, it has {self._counted.total()}", begin)
+        recorded = self._number(begin + _RECORD.size, 8)
+        if recorded != self._counted.total():
+            raise FaultError(f"its statistics count {recorded} messages, it has {self._counted.total()}", begin)
 
-    def _check_sum(self, begin: int, end: int, told: int, what: str) -> None:
-        """Compare the checksum of a part of the file with what it should be; zero says nothing."""
+    def _check_sum(self, begin: int, end: int, recorded: int, what: str) -> None:
+        """Compare the checksum of a part of the file with the recorded one; zero stands for none."""
         found = 0
-        for place in range(begin, end, _PIECE) if told else ():
+        for place in range(begin, end, _PIECE) if recorded else ():
             found = crc32(self._bytes(place, min(end, place + _PIECE)), found)
-        if found != told:
+        if found != recorded:
             raise FaultError(f"the checksum of its {what} is wrong", begin)
 
 
@@ -266,10 +266,10 @@ def _set_once(table: dict[int, T], key: int, value: T, what: str) -> None:
 
 def _chunk_data(fields: _Fields) -> bytes | memoryview:
     """What a chunk holds. Raises ValueError or struct.error."""
-    _, _, size, told = fields.numbers("<QQQI")
+    _, _, size, recorded = fields.numbers("<QQQI")
     method = fields.text()
     data = unpacked(fields.block(*fields.numbers("<Q")), method, size)
-    if told and crc32(data) != told:
+    if recorded and crc32(data) != recorded:
         raise ValueError("the checksum of a chunk is wrong")
     return data
 

@@ -38,7 +38,7 @@ class Storage(Protocol):
 
 
 class FaultError(Exception):
-    """What is wrong in a file; ``offset`` of the byte at which, where that can be told."""
+    """A fault in a file, with the ``offset`` of its byte if that is known."""
 
     def __init__(self, why: str, offset: int | None = None) -> None:
         super().__init__(why)
@@ -47,7 +47,8 @@ class FaultError(Exception):
 
 @dataclass(frozen=True)
 class Part:
-    """What can be read of a damaged file: ``count`` messages, the last at ``time`` [ns]; ``rescue`` gets it out."""
+    """The readable part of a damaged file: ``count`` messages, the last at ``time`` [ns]; ``rescue`` says how to
+    recover them."""
 
     count: int
     time: int
@@ -60,6 +61,6 @@ class Part:
 
 
 def damaged(path: Path, fault: FaultError, part: Part) -> InputError:
-    """The error that tells of a fault, and of what could be read in spite of it."""
+    """The error for a file with this fault, and this part that can still be read."""
     place = "" if fault.offset is None else f" at byte {fault.offset}"
     return InputError(f"{path}: cannot be read as a rosbag2 recording: damaged or cut off{place}, {fault}. {part}")

@@ -1,4 +1,4 @@
-"""A checkpoint: all that an identification has learned, so that it goes on after a crash as if nothing had been.
+"""A checkpoint: all that an identification has learned, so that it can go on after a crash.
 
 A file of :mod:`geomid_ros.files.checkpoints.tensor_file`. Nothing in it is pickled; all of it is checked on reading.
 """
@@ -18,7 +18,7 @@ from geomid_ros.estimation.estimator import WarmStart
 from geomid_ros.estimation.identifier import Memory
 from geomid_ros.estimation.summary import SummaryState
 from geomid_ros.files.checkpoints.tensor_file import MOST_HEADER, pack, parsed, unpack
-from geomid_ros.model.measurement import Channel
+from geomid_ros.model.channels import Channel
 from geomid_ros.signals.ledger import Account
 from geomid_ros.types import FloatArray
 
@@ -31,9 +31,16 @@ _MOST_NAMED = 5  # differences in one message
 
 @dataclass(frozen=True, eq=False)
 class Checkpoint:
-    """``meaning``: what the rows mean (:attr:`Session.meaning`). ``memory``: of the identifier. ``accounts``: the
-    ledger's, by topic. ``warm``: the last estimate; ``solving``: a checksum of what it depends on beside the rows.
-    ``number``: greater than that of the checkpoint before."""
+    """What an identification needs to go on after a crash.
+
+    Attributes:
+        meaning: What the rows mean (:attr:`Session.meaning`).
+        memory: State of the identifier.
+        accounts: The ledger's, by topic.
+        warm: The last estimate.
+        solving: Checksum of what the estimate depends on beside the rows.
+        number: Greater than that of the checkpoint before.
+    """
 
     meaning: Mapping[str, Any]
     memory: Memory

@@ -1,4 +1,4 @@
-"""Where a node keeps its checkpoints: two generations, each whole, and the newest of those that could not be used."""
+"""The folder of a node's checkpoints: two generations, each whole, and the newest of those that could not be used."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from typing import Any
 from geomid_ros.errors import GeomidError, InputError
 from geomid_ros.files.checkpoints.checkpoint import Checkpoint, decoded, encoded, largest_size
 from geomid_ros.files.disk import make_folder, write_bytes
-from geomid_ros.model.measurement import Channel
+from geomid_ros.model.channels import Channel
 
 _NAMES = ("checkpoint-a.safetensors", "checkpoint-b.safetensors")
 _LOCK = ".lock"
@@ -28,8 +28,8 @@ _MOST_ASIDE = 10
 
 @dataclass(frozen=True)
 class Restored:
-    """What a folder gave: the checkpoint that is gone on from, None for none, and what is wrong with the others, each
-    in a sentence."""
+    """What was restored: the checkpoint, None if there is none, and a sentence on the problem with each of the
+    others."""
 
     checkpoint: Checkpoint | None = None
     problems: tuple[str, ...] = ()

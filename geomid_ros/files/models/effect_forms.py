@@ -89,25 +89,18 @@ def continued(estimated: Sequence[KnownEffect], known: Sequence[ModelEffect]) ->
 
 def _refined(effect: ModelEffect, left: dict[tuple[str, str], KnownEffect]) -> KnownEffect:
     """An effect brought up to date, which takes away from what is ``left`` what belongs to it."""
-    here = {name: found for (name, joint), found in left.items() if joint == effect.joint and _number(found)}
-    quantities = {name: next(iter(found.parameters.values())) for name, found in here.items()}
-    parameters, others = effect_class(effect.effect).refined(effect.parameters, quantities)
-    for name, found in here.items():
-        if name not in others:
-            del left[name, effect.joint]
-        else:
-            (parameter,) = found.parameters
-            left[name, effect.joint] = KnownEffect(name, found.joint, "", {parameter: others[name]})
+    here = {name: found.parameters for (name, joint), found in left.items() if joint == effect.joint}
+    parameters, others = effect_class(effect.effect).refined(effect.parameters, here)
+    for name in here:
+        del left[name, effect.joint]
+    left |= {(name, effect.joint): KnownEffect(name, effect.joint, "", own) for name, own in others.items()}
     return KnownEffect(effect.effect, effect.joint, effect.link, parameters)
 
 
-def _number(effect: KnownEffect) -> bool:
-    return len(effect.parameters) == 1
-
-
 def coefficient(name: str, joint: str, quantity: Quantity) -> KnownEffect:
-    """An effect of one coefficient at a joint, which its first parameter is."""
-    return KnownEffect(name, joint, "", {effect_class(name).parameters[0].name: quantity})
+    """An effect of one parameter."""
+    (form,) = effect_class(name).parameters
+    return KnownEffect(name, joint, "", {form.name: quantity})
 
 
 def effect_entry(effect: ModelEffect) -> dict[str, Any]:

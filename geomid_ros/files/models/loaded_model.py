@@ -30,9 +30,9 @@ from geomid_ros.files.models.results import known_inertias, known_information, r
 from geomid_ros.files.models.sidecar import effect_of
 from geomid_ros.model.effects import (
     Effect,
+    IdentifiedEffect,
     KnownEffect,
     ModelEffect,
-    MotionEffect,
     Quantity,
     SituationEffect,
     effect_class,
@@ -79,16 +79,16 @@ class LoadedModel:
         without those that are NaN or not as positive as they must be, and without payloads, which are in the links'
         inertias by then."""
         entries = [
-            coefficient(c.effect.name, c.place_name, Quantity(float(value), math.nan, c.unit))
+            KnownEffect(c.effect.name, c.place_name, "", c.parameters(float(value), math.nan))
             for c, value in zip(model.coefficients, coefficients, strict=True)
             if math.isfinite(value) and (value > 0.0 or not c.positive)
         ]
         fitted = {(entry.effect, entry.joint) for entry in entries}
-        gone = [(effect.name, joint) for effect, joint in self._coefficients if (effect.name, joint) not in fitted]
+        gone = {(effect.name, place) for effect, place, _ in self._coefficients} - fitted
         anew = {(known.effect, known.joint): known for known in beside}
         kept = [anew.get((known.effect, known.joint), known) for known in self.effects]
         own = [known for known in kept if (known.effect, known.joint) not in gone]
-        return LoadedModel(self.source, None, tuple(continued(entries, own)))
+        return LoadedModel(self.source, None, tuple(continued(combined(entries), own)))
 
     @property
     def beside_coefficients(self) -> list[KnownEffect]:
@@ -157,21 +157,24 @@ class LoadedModel:
         return {joint: scale for joint, scale in scales if scale != 1.0}
 
     @cached_property
-    def _coefficients(self) -> dict[tuple[Effect, str], float]:
-        """Coefficients of the effects of motion, at efforts without error of scale, by the effect and its place."""
-        found: dict[tuple[Effect, str], float] = {}
+    def _coefficients(self) -> dict[tuple[IdentifiedEffect, str, str], float]:
+        """Coefficients of the effects that a measurement model can have, at efforts without error of scale, by the
+        effect, its place and the parameter that they are."""
+        found: dict[tuple[IdentifiedEffect, str, str], float] = {}
         for known in self.in_samples:
-            for part, (value, *_) in effect_class(known.effect).coefficients(values(known)).items():
-                if isinstance(part, MotionEffect):
-                    found[part, known.joint] = found.get((part, known.joint), 0.0) + value
+            for part, own in effect_class(known.effect).coefficients(values(known)).items():
+                if isinstance(part, IdentifiedEffect):
+                    for form, value in zip(part.own, own, strict=True):
+                        key = part, known.joint, form.name
+                        found[key] = found.get(key, 0.0) + value
         return found
 
-    def local_effects(self, common: Collection[Effect]) -> dict[str, list[MotionEffect]]:
+    def local_effects(self, common: Collection[Effect]) -> dict[str, list[IdentifiedEffect]]:
         """The effects that are known at single places, by the place's name, beside those that every place has."""
-        found: dict[str, list[MotionEffect]] = {}
-        for effect, joint in self._coefficients:
-            if effect not in common and isinstance(effect, MotionEffect):
-                found.setdefault(joint, []).append(effect)
+        found: dict[str, list[IdentifiedEffect]] = {}
+        for effect, place in dict.fromkeys((effect, place) for effect, place, _ in self._coefficients):
+            if effect not in common:
+                found.setdefault(place, []).append(effect)
         return found
 
     def parameters(self, model: MeasurementModel) -> FloatArray | None:
@@ -188,7 +191,8 @@ class LoadedModel:
         inertias = [
             self.inertias.get(name, np.full(10, np.nan)) + self._payload(name, model) for name in model.body_names
         ]
-        found = np.array([self._coefficients.get((c.effect, c.place_name), np.nan) for c in model.coefficients])
+        known = self._coefficients
+        found = np.array([known.get((c.effect, c.place_name, c.parameter), np.nan) for c in model.coefficients])
         positive = np.array([c.positive for c in model.coefficients], dtype=bool)
         if np.any(found[positive] <= 0.0) or np.any(np.isinf(found)):
             raise InputError(f"{self.source}: an effect that must be positive and finite is not")
@@ -208,14 +212,13 @@ class LoadedModel:
                 )
 
     def deviations(self, model: MeasurementModel) -> FloatArray:
-        """Standard deviations ``(D,)`` of those parameters that are effects of one coefficient, NaN where the file says
-        none."""
+        """Standard deviations ``(D,)`` of the effects' coefficients, NaN where the file says none."""
         stds = {
-            (known.effect, known.joint): next(iter(known.parameters.values())).std
+            (known.effect, known.joint, name): quantity.std
             for known in self.effects
-            if len(known.parameters) == 1
+            for name, quantity in known.parameters.items()
         }
-        found = [stds.get((c.effect.name, c.place_name), math.nan) for c in model.coefficients]
+        found = [stds.get((c.effect.name, c.place_name, c.parameter), math.nan) for c in model.coefficients]
         return np.concatenate([np.full(len(model.nominal_inertias), np.nan), found])
 
     def information(self, model: MeasurementModel) -> LinksInformation | None:

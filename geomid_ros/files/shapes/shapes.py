@@ -41,7 +41,7 @@ class _Shape:
 
 
 class ShapeReader:
-    """Reads what fills links; :attr:`warnings` say what could not be taken as it is."""
+    """Reads the solids of links; :attr:`warnings` list what could not be taken as it is."""
 
     def __init__(self, finder: MeshFinder, source: str) -> None:
         """``source`` names the URDF in messages."""
@@ -62,8 +62,10 @@ class ShapeReader:
         return [f"{what}: {', '.join(dict.fromkeys(where))}" for what, where in found.items() if where]
 
     def solid(self, link: Element) -> Solid | None:
-        """What fills a ``<link>``: the union of its collision shapes, which are made closed and solid where visual ones
-        often are mere covers; of its visual shapes if it has no others; None if all have no volume.
+        """The solid of a ``<link>``; None if its shapes have no volume.
+
+        It is the union of the collision shapes, which usually are closed and solid where visual ones often are mere
+        covers; of the visual shapes if there are no others.
 
         Raises InputError naming the link.
         """

@@ -102,6 +102,6 @@ def _measured(model: MeasurementModel, part: Samples) -> FloatArray:
     """The measured numbers of all channels ``(N, C)``; NaN where not measured, and if some are sums of others."""
     if len(model.sensors) != len(model.mounted):
         return np.full((len(part), len(model.channels)), np.nan)
-    parts = [part.effort] if model.efforts_usable else []
+    parts = [part.effort] if model.layout.efforts else []
     parts += [part.wrenches[:, model.sensors.index(sensor), sensor.axis_indices] for sensor in model.mounted]
     return np.concatenate(parts, axis=1)

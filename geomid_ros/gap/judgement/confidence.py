@@ -58,7 +58,7 @@ class Evidence:
     @property
     def joint(self) -> str:
         """The name of its place."""
-        return self.model.place_name(self.candidate.place)
+        return self.model.places.name(self.candidate.place)
 
     def confidence(self, parameters: dict[str, Quantity]) -> Confidence:
         """How sure the name with these ``parameters`` is."""

@@ -8,6 +8,7 @@ from geomid_ros.model.effects.coulomb_friction import CoulombFriction
 from geomid_ros.model.effects.effect import (
     Effect,
     Hinge,
+    IdentifiedEffect,
     JointEffect,
     MotionEffect,
     PairEffect,
@@ -50,6 +51,7 @@ __all__ = [
     "AtSensor",
     "Effect",
     "Hinge",
+    "IdentifiedEffect",
     "JointEffect",
     "JointMotion",
     "KnownEffect",
@@ -84,7 +86,13 @@ EFFECTS: dict[str, type[Effect]] = {}
 
 
 def register(effect: type[Effect]) -> type[Effect]:
-    """Make an effect known everywhere; may be used as a decorator. Raises TypeError if there is another of its name."""
+    """Make an effect known everywhere; may be used as a decorator.
+
+    Raises:
+        TypeError: there is another of its name, or the effect contradicts itself.
+    """
+    if effect.adds_up and effect.variants()[0].scanned:
+        raise TypeError(f"{effect} has a constant to choose: two at one place do not add up, adds_up must be False")
     other = EFFECTS.setdefault(effect.name, effect)
     if other is not effect:
         raise TypeError(f"{other} and {effect} have the same name, '{effect.name}'")
@@ -117,14 +125,14 @@ def effect_class(name: str) -> type[Effect]:
     return EFFECTS[name]
 
 
-def identifiable() -> dict[str, MotionEffect | SensorEffect]:
+def identifiable() -> dict[str, IdentifiedEffect]:
     """The effects that can be identified along with the inertias, by name: linear in their coefficients, and not made
     of others."""
-    instances = {name: cls() for name, cls in EFFECTS.items() if issubclass(cls, MotionEffect | SensorEffect)}
+    instances = {name: cls() for name, cls in EFFECTS.items() if issubclass(cls, IdentifiedEffect)}
     return {name: effect for name, effect in instances.items() if effect.parts == (effect,)}
 
 
-def identified_effect(name: str) -> MotionEffect | SensorEffect:
+def identified_effect(name: str) -> IdentifiedEffect:
     """The effect of that name that can be identified. Raises InputError with the valid names for an unknown one."""
     known = identifiable()
     if name not in known:

@@ -31,6 +31,7 @@ class Backlash(SituationEffect):
     )
     settled_by = "slow motions in which the load of this joint changes its sign"
     first_order = True
+    adds_up = False
 
     @classmethod
     def variants(cls) -> tuple[Effect, ...]:

@@ -7,13 +7,13 @@ file knows its name. Everything has a default, so that an effect says only what 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import ClassVar, TypeAlias
 
 import numpy as np
 
-from geomid_ros.model.effects.parameters import ParameterForm, Quantity, Values
+from geomid_ros.model.effects.parameters import ByEffect, ParameterForm, Quantities, Quantity, Values, without
 from geomid_ros.model.effects.places import Place, PlaceKind, joint_of, joints_of
 from geomid_ros.model.effects.situation import JointMotion, Motion, Situation
 from geomid_ros.types import FloatArray
@@ -77,7 +77,8 @@ class Effect(ABC):
     turns_gravity: ClassVar[bool] = False
     """Whether it turns gravity, which wrench sensors feel, too."""
     adds_up: ClassVar[bool] = True
-    """Whether two at one place are one with the sums of their parameters."""
+    """Whether two at one place are one with the sums of their parameters; else the second takes the first's place. An
+    effect with a constant to choose does not."""
 
     # How it is fitted.
     count: ClassVar[int] = 1
@@ -106,6 +107,12 @@ class Effect(ABC):
     def parts(self) -> tuple[Effect, ...]:
         """The effects of one coefficient that it is made of, in the order of its coefficients."""
         return (self,)
+
+    @property
+    def own(self) -> tuple[ParameterForm, ...]:
+        """The parameters that its own coefficients are; those of its other parts are said by these."""
+        first = self.parts.index(self)
+        return self.parameters[first : first + self.count]
 
     def is_absurd(self, coefficients: FloatArray) -> bool:  # noqa: ARG002
         """Whether no robot that works has it with these ``coefficients (k,)``, signs apart."""
@@ -169,26 +176,27 @@ class Effect(ABC):
     @classmethod
     def coefficients(cls, values: Values, usual_load: float = 0.0) -> dict[Effect, tuple[float, ...]]:
         """What parameters say of the coefficients, by the parts (:attr:`parts`) that these belong to."""
-        names = [form.name for form in cls.parameters[: cls.count]]
-        return {cls.from_values(values, usual_load): tuple(values[name] for name in names)}
+        own = cls.from_values(values, usual_load)
+        return {own: tuple(values[form.name] for form in own.own)}
 
     @classmethod
-    def refined(
-        cls, known: Mapping[str, Quantity], found: dict[str, Quantity]
-    ) -> tuple[Mapping[str, Quantity], dict[str, Quantity]]:
-        """Its parameters brought up to date by coefficients that were estimated at its place.
+    def refined(cls, known: Quantities, found: ByEffect) -> tuple[Quantities, ByEffect]:
+        """Its parameters brought up to date by what was estimated at its place.
 
         Args:
             known: its parameters before.
-            found: the estimated coefficients by the names of the parts that they belong to.
+            found: the parameters of the estimated effects, by the effects' names.
 
         Returns:
             its parameters, and what is left of ``found`` for other effects.
         """
-        return known, found
+        if cls.name not in found or cls.corrected_in_samples:
+            return known, found
+        own = {form.name: found[cls.name][form.name] for form in cls().own if form.name in found[cls.name]}
+        return {**known, **own}, without(found, cls.name)
 
     @classmethod
-    def together(cls, first: Mapping[str, Quantity], second: Mapping[str, Quantity]) -> Mapping[str, Quantity]:
+    def together(cls, first: Quantities, second: Quantities) -> Quantities:
         """The parameters of one effect that does what two at one place do, the ``second`` found beside the first."""
         if not cls.adds_up:
             return second
@@ -276,7 +284,7 @@ class MotionEffect(Effect):
     @property
     def units(self) -> tuple[str, str]:
         """Units of the coefficient at a revolute and at a prismatic joint."""
-        return self.parameters[0].units
+        return self.own[0].units
 
     @abstractmethod
     def efforts(self, motion: Motion, place: Place) -> FloatArray:
@@ -286,7 +294,7 @@ class MotionEffect(Effect):
         """All of it, unless the MJCF says it."""
         if any(form.mjcf for form in self.parameters):
             return 0.0
-        result: FloatArray = values[self.parameters[0].name] * self.efforts(motion, place)
+        result: FloatArray = values[self.own[0].name] * self.efforts(motion, place)
         return result
 
 
@@ -345,6 +353,10 @@ class SensorEffect(Effect):
     @abstractmethod
     def columns(self, motion: Motion, axes: Sequence[str]) -> FloatArray:
         """Wrench ``(..., axes, coefficients)`` in the sensor's frame per unit of each axis's coefficient."""
+
+
+IdentifiedEffect: TypeAlias = MotionEffect | SensorEffect
+"""What a measurement model can have: linear in coefficients whose columns do not depend on the model itself."""
 
 
 class SituationEffect(Effect):

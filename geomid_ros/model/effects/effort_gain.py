@@ -1,12 +1,10 @@
 from __future__ import annotations
 
-from collections.abc import Mapping
-
 import numpy as np
 
 from geomid_ros.model.effects.effect import Effect, SituationEffect
 from geomid_ros.model.effects.effort_offset import EffortOffset
-from geomid_ros.model.effects.parameters import ParameterForm, Quantity, Values
+from geomid_ros.model.effects.parameters import ByEffect, ParameterForm, Quantities, Values
 from geomid_ros.model.effects.places import Place, joint_of
 from geomid_ros.model.effects.situation import Situation
 from geomid_ros.types import FloatArray
@@ -52,16 +50,15 @@ class EffortGain(SituationEffect):
         return {cls(): (values["gain"] - 1.0,)}
 
     @classmethod
-    def refined(
-        cls, known: Mapping[str, Quantity], found: dict[str, Quantity]
-    ) -> tuple[Mapping[str, Quantity], dict[str, Quantity]]:
+    def refined(cls, known: Quantities, found: ByEffect) -> tuple[Quantities, ByEffect]:
         """The offset was estimated of efforts that are free of the gain; files say it of the measured ones."""
         if EffortOffset.name not in found:
             return known, found
-        return known, {**found, EffortOffset.name: found[EffortOffset.name].scaled(known["gain"].value)}
+        offset = found[EffortOffset.name]["offset"].scaled(known["gain"].value)
+        return known, {**found, EffortOffset.name: {"offset": offset}}
 
     @classmethod
-    def together(cls, first: Mapping[str, Quantity], second: Mapping[str, Quantity]) -> Mapping[str, Quantity]:
+    def together(cls, first: Quantities, second: Quantities) -> Quantities:
         """Gains are multiplied."""
         return {"gain": second["gain"].scaled(first["gain"].value)}
 

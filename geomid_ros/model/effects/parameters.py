@@ -34,6 +34,17 @@ class Quantity:
         return Quantity(self.value + other.value, math.hypot(*known) if known else math.nan, other.unit)
 
 
+Quantities: TypeAlias = Mapping[str, Quantity]
+"""An effect's parameters by name."""
+ByEffect: TypeAlias = Mapping[str, Quantities]
+"""The parameters of several effects at one place, by the effects' names."""
+
+
+def without(found: ByEffect, name: str) -> ByEffect:
+    """All effects but one."""
+    return {other: parameters for other, parameters in found.items() if other != name}
+
+
 @dataclass(frozen=True)
 class ParameterForm:
     """What a parameter is, apart from its value.

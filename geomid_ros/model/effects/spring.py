@@ -1,13 +1,12 @@
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
 
 from geomid_ros.model.effects.effect import Effect, JointEffect
 from geomid_ros.model.effects.effort_offset import EffortOffset
-from geomid_ros.model.effects.parameters import ParameterForm, Quantity, Values
+from geomid_ros.model.effects.parameters import ByEffect, ParameterForm, Quantities, Values
 from geomid_ros.model.effects.situation import JointMotion
 from geomid_ros.types import FloatArray
 
@@ -58,15 +57,11 @@ class Spring(JointEffect):
         return {cls(): (values["stiffness"],), EffortOffset(): (-values["stiffness"] * values["equilibrium"],)}
 
     @classmethod
-    def refined(
-        cls, known: Mapping[str, Quantity], found: dict[str, Quantity]
-    ) -> tuple[Mapping[str, Quantity], dict[str, Quantity]]:
+    def refined(cls, known: Quantities, found: ByEffect) -> tuple[Quantities, ByEffect]:
         """The estimated offset has that of the spring in it; the spring keeps its equilibrium."""
-        if cls.name not in found:
-            return known, found
-        left = {name: q for name, q in found.items() if name != cls.name}
-        if EffortOffset.name in left:
-            offset = left[EffortOffset.name]
-            rest = offset.value + found[cls.name].value * known["equilibrium"].value
-            left[EffortOffset.name] = replace(offset, value=rest)
-        return {**known, "stiffness": found[cls.name]}, left
+        own, left = super().refined(known, found)
+        if cls.name not in found or EffortOffset.name not in found:
+            return own, left
+        offset = left[EffortOffset.name]["offset"]
+        rest = offset.value + own["stiffness"].value * own["equilibrium"].value
+        return own, {**left, EffortOffset.name: {"offset": replace(offset, value=rest)}}

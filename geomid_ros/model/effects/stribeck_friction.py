@@ -1,13 +1,13 @@
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from geomid_ros.model.effects.coulomb_friction import SMOOTHINGS, CoulombFriction
 from geomid_ros.model.effects.effect import Effect, JointEffect
-from geomid_ros.model.effects.parameters import EFFORT, ParameterForm, Quantity, Values
+from geomid_ros.model.effects.parameters import EFFORT, ByEffect, ParameterForm, Quantities, Values, without
 from geomid_ros.model.effects.places import Place
 from geomid_ros.model.effects.situation import JointMotion, Motion
 from geomid_ros.types import FloatArray
@@ -93,15 +93,12 @@ class StribeckFriction(JointEffect):
         return {CoulombFriction(own.smoothing): (values["level"],), own: (values["excess"],)}
 
     @classmethod
-    def refined(
-        cls, known: Mapping[str, Quantity], found: dict[str, Quantity]
-    ) -> tuple[Mapping[str, Quantity], dict[str, Quantity]]:
+    def refined(cls, known: Quantities, found: ByEffect) -> tuple[Quantities, ByEffect]:
         """The estimated Coulomb friction is the level."""
-        names = {"excess": cls.name, "level": CoulombFriction.name}
-        if not all(name in found for name in names.values()):
+        if not {cls.name, CoulombFriction.name} <= found.keys():
             return known, found
-        own = {parameter: found[name] for parameter, name in names.items()}
-        return {**known, **own}, {name: q for name, q in found.items() if name not in names.values()}
+        own, left = super().refined(known, found)
+        return {**own, **left[CoulombFriction.name]}, without(left, CoulombFriction.name)
 
     @classmethod
     def holding_friction(cls, values: Values) -> float:

@@ -1,4 +1,4 @@
-"""Which effects a robot has, where and how large: asked for, or drawn from the seed."""
+"""The effects of a robot, with their places and sizes: as requested, or drawn from the seed."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ import numpy as np
 
 from geomid_ros.errors import InputError, unknown_name
 from geomid_ros.simulation.description import Description, JointLimits
-from geomid_ros.simulation.effects.effect import Effect
+from geomid_ros.simulation.effects.effect import TrueEffect
 from geomid_ros.simulation.effects.sizes import SIZES, Site
 from geomid_ros.simulation.effects.structure import GEARS
 from geomid_ros.simulation.hidden import Hidden
 from geomid_ros.simulation.options import SimulationOptions
-from geomid_ros.simulation.seeds import Stream, generator
+from geomid_ros.simulation.seeds import RandomStream, generator
 
 WRENCH_TOPIC = "/wrench"
 """Where a recording has its wrench."""
@@ -24,18 +24,20 @@ _TWO_JOINTS = {"cable_force", "joint_coupling"}
 _ABOVE_ZERO = {"speed", "gain", "gap", "mass", "stiffness", "damping", "rotor_inertia"}
 
 
-def chosen_effects(options: SimulationOptions, robot: Description) -> tuple[Effect, ...]:
+def chosen_effects(options: SimulationOptions, robot: Description) -> tuple[TrueEffect, ...]:
     """The effects of a robot: those that ``options.hide`` names, or else some friction and the like at every joint."""
     if options.hide is None:
-        numbers = generator(options.seed, Stream.EFFECTS)
+        numbers = generator(options.seed, RandomStream.EFFECTS)
         return tuple(effect for joint in robot.joints for effect in _everyday(options, joint, numbers))
-    effects: list[Effect] = []
+    effects: list[TrueEffect] = []
     for index, request in enumerate(options.hide):
-        effects.append(_asked_for(request, robot, options, effects, generator(options.seed, Stream.HIDDEN, index)))
+        effects.append(
+            _asked_for(request, robot, options, effects, generator(options.seed, RandomStream.HIDDEN, index))
+        )
     return tuple(effects)
 
 
-def _everyday(options: SimulationOptions, joint: JointLimits, rng: np.random.Generator) -> Iterable[Effect]:
+def _everyday(options: SimulationOptions, joint: JointLimits, rng: np.random.Generator) -> Iterable[TrueEffect]:
     viscous, dry, rotor, offset = rng.uniform(0.5, 1.5, 4).tolist()
     sign = -1.0 if rng.uniform() < 0.5 else 1.0
     slowness = joint.effort / joint.velocity
@@ -45,12 +47,12 @@ def _everyday(options: SimulationOptions, joint: JointLimits, rng: np.random.Gen
         ("rotor_inertia", "inertia", rotor * options.rotor_inertia * slowness),
         ("effort_offset", "offset", sign * offset * options.effort_offset * joint.effort),
     ):
-        yield Effect(name, joint.name, {parameter: value})
+        yield TrueEffect(name, joint.name, {parameter: value})
 
 
 def _asked_for(
-    request: Hidden, robot: Description, options: SimulationOptions, others: list[Effect], rng: np.random.Generator
-) -> Effect:
+    request: Hidden, robot: Description, options: SimulationOptions, others: list[TrueEffect], rng: np.random.Generator
+) -> TrueEffect:
     if request.effect not in SIZES:
         raise unknown_name("effect", request.effect, SIZES)
     joint, link = _place(request, robot, options, others, rng)
@@ -58,7 +60,7 @@ def _asked_for(
     other = _neighbour(joint, list(limits)) if request.effect in _TWO_JOINTS else ""
     strongest = max(robot.joints, key=lambda limits: limits.effort)
     site = Site(limits.get(joint, strongest), limits.get(other, strongest), strongest.effort, {})
-    effect = Effect(request.effect, joint, _parameters(request, site, rng), link, other)
+    effect = TrueEffect(request.effect, joint, _parameters(request, site, rng), link, other)
     _check_beside(effect, others)
     return effect
 
@@ -72,7 +74,7 @@ def _neighbour(joint: str, joints: list[str]) -> str:
 
 
 def _place(
-    request: Hidden, robot: Description, options: SimulationOptions, others: list[Effect], rng: np.random.Generator
+    request: Hidden, robot: Description, options: SimulationOptions, others: list[TrueEffect], rng: np.random.Generator
 ) -> tuple[str, str]:
     """Joint (or topic, or nothing) and, for a payload, link."""
     if request.effect in _WHOLE_ROBOT:
@@ -93,7 +95,7 @@ def _fixed_place(request: Hidden, place: str) -> str:
     return place
 
 
-def _joint(request: Hidden, robot: Description, others: list[Effect], rng: np.random.Generator) -> str:
+def _joint(request: Hidden, robot: Description, others: list[TrueEffect], rng: np.random.Generator) -> str:
     names = [joint.name for joint in robot.joints]
     taken = {effect.joint for effect in others if effect.name == request.effect}
     drawn = str(rng.choice([name for name in names if name not in taken] or names))
@@ -136,7 +138,7 @@ def _check_value(effect: str, name: str, value: float) -> None:
         raise InputError(f"load_friction: {name} is {value:g}; from 1 on nothing moves the joint from behind it.")
 
 
-def _check_beside(effect: Effect, others: list[Effect]) -> None:
+def _check_beside(effect: TrueEffect, others: list[TrueEffect]) -> None:
     for other in others:
         twice = (other.name, other.joint, other.link) == (effect.name, effect.joint, effect.link)
         if twice or (other.joint == effect.joint and {effect.name, other.name} <= {*GEARS}):

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 
 @dataclass(frozen=True)
-class Effect:
+class TrueEffect:
     """The effect called ``name`` at ``joint``, with the values of its ``parameters``.
 
     ``joint`` is empty for the whole robot, and the topic for a wrench sensor. ``link`` carries a payload; ``other`` is

@@ -10,42 +10,42 @@ from dataclasses import replace
 
 import numpy as np
 
-from geomid_ros.simulation.effects.effect import Effect
-from geomid_ros.simulation.trace import Trace
+from geomid_ros.simulation.effects.effect import TrueEffect
+from geomid_ros.simulation.trace import RunTrace
 from geomid_ros.types import FloatArray
 
 Parameters = Mapping[str, float]
 
 
-def _effort_delay(trace: Trace, _: int, parameters: Parameters) -> Trace:
+def _effort_delay(trace: RunTrace, _: int, parameters: Parameters) -> RunTrace:
     seen = trace.time - parameters["delay"]
     columns = [np.interp(seen, trace.fine_time, column) for column in trace.fine_effort.T]
     return replace(trace, effort=np.stack(columns, axis=1))
 
 
-def _effort_gain(trace: Trace, joint: int, parameters: Parameters) -> Trace:
+def _effort_gain(trace: RunTrace, joint: int, parameters: Parameters) -> RunTrace:
     return _with_effort(trace, joint, parameters["gain"] * trace.effort[:, joint])
 
 
-def _effort_offset(trace: Trace, joint: int, parameters: Parameters) -> Trace:
+def _effort_offset(trace: RunTrace, joint: int, parameters: Parameters) -> RunTrace:
     return _with_effort(trace, joint, trace.effort[:, joint] + parameters["offset"])
 
 
-def _drift(trace: Trace, joint: int, parameters: Parameters) -> Trace:
+def _drift(trace: RunTrace, joint: int, parameters: Parameters) -> RunTrace:
     return _with_effort(trace, joint, trace.effort[:, joint] + parameters["rate"] * trace.time)
 
 
-def _wrench_offset(trace: Trace, _: int, parameters: Parameters) -> Trace:
+def _wrench_offset(trace: RunTrace, _: int, parameters: Parameters) -> RunTrace:
     return replace(trace, wrench=trace.wrench + [parameters[name] for name in ("fx", "fy", "fz", "tx", "ty", "tz")])
 
 
-def _with_effort(trace: Trace, joint: int, column: FloatArray) -> Trace:
+def _with_effort(trace: RunTrace, joint: int, column: FloatArray) -> RunTrace:
     effort = trace.effort.copy()
     effort[:, joint] = column
     return replace(trace, effort=effort)
 
 
-MEASURED: dict[str, Callable[[Trace, int, Parameters], Trace]] = {
+MEASURED: dict[str, Callable[[RunTrace, int, Parameters], RunTrace]] = {
     "effort_delay": _effort_delay,
     "effort_gain": _effort_gain,
     "effort_offset": _effort_offset,
@@ -54,7 +54,7 @@ MEASURED: dict[str, Callable[[Trace, int, Parameters], Trace]] = {
 }
 
 
-def sensed(trace: Trace, joints: Sequence[str], effects: Iterable[Effect]) -> Trace:
+def sensed(trace: RunTrace, joints: Sequence[str], effects: Iterable[TrueEffect]) -> RunTrace:
     """What sensors without noise show of a true ``trace`` of ``joints``."""
     order = list(MEASURED)
     for effect in sorted((e for e in effects if e.name in MEASURED), key=lambda effect: order.index(effect.name)):

@@ -1,4 +1,4 @@
-"""How large effects are when nobody says it: drawn from what real joints of that size show.
+"""Default sizes of effects, drawn from the range that real joints of that size show.
 
 ``E`` is the joint's effort limit, ``V`` its velocity limit. The first parameter of each is the one that a bare number
 means. Units on a turning joint; every effort is what the motor has to supply, signs included.

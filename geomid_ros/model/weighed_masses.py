@@ -50,15 +50,15 @@ class WeighedMass:
 
 
 @dataclass(frozen=True, eq=False)
-class KnownRows:
-    """``rows (K, D) . parameters = targets (K,)`` with standard deviation 1, from the masses ``weighed``."""
+class WeighedRows:
+    """``rows (K, D) . parameters = targets (K,)`` with standard deviation 1, from weighed ``masses``."""
 
     rows: FloatArray
     targets: FloatArray
-    weighed: tuple[WeighedMass, ...] = ()
+    masses: tuple[WeighedMass, ...] = ()
 
 
-def known_rows(model: MeasurementModel, weighed: Sequence[WeighedMass]) -> KnownRows:
+def weighed_rows(model: MeasurementModel, weighed: Sequence[WeighedMass]) -> WeighedRows:
     """The rows of weighed masses: sums of the masses of identified bodies.
 
     Bodies that are not identified, and for the whole robot the links that do not move, count with the URDF's masses.
@@ -79,7 +79,7 @@ def known_rows(model: MeasurementModel, weighed: Sequence[WeighedMass]) -> Known
             )
         rows[index, columns] = 1.0 / given.std
         targets[index] = unknown / given.std
-    return KnownRows(rows, targets, tuple(weighed))
+    return WeighedRows(rows, targets, tuple(weighed))
 
 
 def _weighed_bodies(robot: Robot, given: WeighedMass) -> list[int]:

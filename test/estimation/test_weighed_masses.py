@@ -13,9 +13,9 @@ from geomid_ros.estimation.estimator import EstimatorSettings
 from geomid_ros.estimation.identifier import BufferSettings, Identifier
 from geomid_ros.geometry import pseudo_inertia, spd
 from geomid_ros.model.effects import identifiable
-from geomid_ros.model.known import WeighedMass
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.robot import Robot
+from geomid_ros.model.weighed_masses import WeighedMass
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.session import Session
 

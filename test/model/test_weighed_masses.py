@@ -7,10 +7,10 @@ import pytest
 
 from geomid_ros.errors import InputError
 from geomid_ros.model.effects import identifiable
-from geomid_ros.model.known import WeighedMass, known_rows
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.robot import Robot
 from geomid_ros.model.sensors import WrenchSensor
+from geomid_ros.model.weighed_masses import WeighedMass, weighed_rows
 from geomid_ros.types import FloatArray
 
 INERTIA = '<inertia ixx="1" ixy="0" ixz="0" iyy="1" iyz="0" izz="1"/>'
@@ -39,7 +39,7 @@ def model(links: list[str] | None = None) -> MeasurementModel:
 def row(text: str, links: list[str] | None = None) -> tuple[dict[str, float], float, float]:
     """Coefficients of the bodies' masses, the mass on the other side, and the standard deviation."""
     own, given = model(links), WeighedMass.parse(text)
-    known = known_rows(own, [given])
+    known = weighed_rows(own, [given])
     (coefficients,), (target,) = known.rows * given.std, known.targets * given.std
     names = own.body_names
     masses = {name: coefficients[10 * place] for place, name in enumerate(names) if coefficients[10 * place]}
@@ -88,7 +88,7 @@ def test_what_is_not_identified_counts_with_the_urdfs_mass() -> None:
 def test_of_a_floating_robot_everything_is_unknown() -> None:
     plate = WrenchSensor("plate", "odom", "external")
     from_plate = MeasurementModel(Robot(URDF, floating_base=True), [], [plate])
-    known = known_rows(from_plate, [WeighedMass.parse("total=12:1")])
+    known = weighed_rows(from_plate, [WeighedMass.parse("total=12:1")])
     assert from_plate.body_names == ("base", "upper", "fore")
     np.testing.assert_array_equal(known.rows[0, ::10], 1.0)
     np.testing.assert_array_equal(known.targets, [12.0])
@@ -98,7 +98,7 @@ def test_rows_hold_at_the_truth() -> None:
     own = model()
     truth: FloatArray = np.append(own.nominal_inertias, np.zeros(len(own.coefficients)))
     total = sum(MASSES.values())
-    known = known_rows(own, [WeighedMass.parse(f"total={total}:0.01"), WeighedMass.parse("upper=3.5:0.3")])
+    known = weighed_rows(own, [WeighedMass.parse(f"total={total}:0.01"), WeighedMass.parse("upper=3.5:0.3")])
     np.testing.assert_allclose(known.rows @ truth, known.targets, rtol=1e-12)
 
 
@@ -117,4 +117,4 @@ def test_rows_hold_at_the_truth() -> None:
 )
 def test_what_cannot_be_weighed(text: str, links: list[str] | None, message: str) -> None:
     with pytest.raises(InputError, match=message.replace("?", r"\?")):
-        known_rows(model(links), [WeighedMass.parse(text)])
+        weighed_rows(model(links), [WeighedMass.parse(text)])
