@@ -221,9 +221,7 @@ def test_the_situation_is_that_of_the_total_model() -> None:
 def test_the_motion_of_no_effort_is_no_channel() -> None:
     """A model of wrenches alone predicts no joint's effort."""
     sensitivity = SimpleNamespace(by_position=None, by_velocity=None, by_acceleration=None, by_gravity=None)
-    dynamics: Any = SimpleNamespace(
-        efforts=lambda part: np.ones((len(part), 3)), sensitivity=lambda _: sensitivity
-    )
+    dynamics: Any = SimpleNamespace(efforts=lambda part: np.ones((len(part), 3)), sensitivity=lambda _: sensitivity)
     model: Any = SimpleNamespace(robot=MODEL.robot, channels=(None,) * 2, layout=SimpleNamespace(efforts=()))
     records = Records.make([samples(200)], CUTOFF)
     with pytest.MonkeyPatch.context() as patch:
