@@ -15,7 +15,18 @@ from geomid_ros.signals.messages import Accepted, JointMessage, Message, PoseMes
 from geomid_ros.signals.pipeline import SignalPipeline
 from geomid_ros.signals.settings import SignalSettings
 
-from .feeding import JOINTS, START, assert_same, balanced, feed, in_time, joint_messages, regular, without, wrench_messages
+from .feeding import (
+    JOINTS,
+    START,
+    assert_same,
+    balanced,
+    feed,
+    in_time,
+    joint_messages,
+    regular,
+    without,
+    wrench_messages,
+)
 
 SENSOR = WrenchSensor("/wrench", "tool", "mounted", ("fx", "fz"))
 EVERY = 7  # each seventh message is followed by a bad one
