@@ -120,7 +120,7 @@ def _is_left_out(node: ast.AST) -> bool:
 def _statements(node: ast.stmt) -> list[str]:
     """What may stand in the place of a statement."""
     if isinstance(node, ast.Return) and node.value is not None:
-        return [] if isinstance(node.value, ast.Constant) and node.value.value is None else ["return None"]
+        return [] if isinstance(node.value, ast.Constant) else ["return None"]
     is_text = isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant)
     on_a_part = isinstance(node, ast.Assign) and not isinstance(node.targets[0], ast.Name | ast.Tuple)
     if isinstance(node, ast.AugAssign):

@@ -77,3 +77,43 @@ def test_what_is_held_is_refused_in_the_end() -> None:
     assert timeline.held == 1
     assert timeline.release() == ["stamp from the future"]
     assert timeline.held == 0
+
+
+@pytest.mark.parametrize(("step", "is_held"), [(MAX_GAP, False), (MAX_GAP + 1, True)])
+def test_a_pause_is_longer_than_the_longest_gap(step: int, is_held: bool) -> None:
+    used, _, _, timeline = judged(START, START + step)
+    assert (used, timeline.held) == ([START] if is_held else [START, START + step], is_held)
+    _, refused, _, timeline = judged(START, START - step)
+    assert (refused, timeline.held) == ([] if is_held else ["stamp not later than the one before"], is_held)
+
+
+def test_the_one_that_shows_a_pause_is_within_the_longest_gap() -> None:
+    later = START + 10 * MAX_GAP
+    assert judged(START, later, later + MAX_GAP)[0] == [START, later, later + MAX_GAP]
+    assert judged(START, later, later + MAX_GAP + 1)[0] == [START]
+
+
+@pytest.mark.parametrize("earlier", [0, 1, MAX_GAP])
+def test_a_held_one_that_comes_again_or_late_is_refused_and_confirms_nothing(earlier: int) -> None:
+    later = START + 10 * MAX_GAP
+    used, refused, _, timeline = judged(START, later, later - earlier)
+    assert (used, refused, timeline.held) == ([START], ["stamp not later than the one before"], 1)
+
+
+def test_an_earlier_one_shows_that_the_held_one_was_wrong() -> None:
+    later, latest = START + 10 * MAX_GAP, START + 20 * MAX_GAP
+    used, refused, turns, _ = judged(START, latest, later, later + 1)
+    assert (used, refused, turns) == ([START, later, later + 1], ["stamp from the future"], [Turn.PAUSE])
+
+
+def test_late_ones_and_those_from_the_future_do_not_confirm_each_other() -> None:
+    used, refused, turns, timeline = judged(START, LATE, START + 10 * MAX_GAP, LATE)
+    assert (used, turns, timeline.held) == ([START], [], 1)
+    assert refused == ["stamp too old", "stamp from the future"]
+
+
+def test_a_new_time_begins_with_what_was_held() -> None:
+    timeline = judged(START, LATE)[3]
+    assert [message.stamp for message in timeline.forget()] == [LATE]
+    assert timeline.held == 0
+    assert [message.stamp for message in timeline.judge(PoseMessage(1, [0.0] * 7)).use] == [1]
