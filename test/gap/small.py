@@ -11,7 +11,7 @@ import numpy as np
 from geomid_ros.gap.candidates import AnyCandidate, Candidate, CurveCandidate, CurveTerm, EffectTerm, Term
 from geomid_ros.gap.evidence.design import Design
 from geomid_ros.gap.evidence.noise import Autoregression
-from geomid_ros.gap.fitting.fit import Prior
+from geomid_ros.gap.fitting.prior import Prior
 from geomid_ros.model.effects import EFFECTS, AtJoint, Effect, OnLink, Payload
 from geomid_ros.types import FloatArray
 

@@ -10,10 +10,11 @@ from scipy.stats import chi2
 from geomid_ros.estimation.estimate import LinksInformation
 from geomid_ros.gap.candidates import Candidate
 from geomid_ros.gap.evidence.design import Design
-from geomid_ros.gap.fitting import other_recordings, payload_start
-from geomid_ros.gap.fitting.fit import JointFit, Prior, fit, unfitted
+from geomid_ros.gap.fitting import prior as before
+from geomid_ros.gap.fitting.fit import JointFit, fit, unfitted
+from geomid_ros.gap.fitting.prior import Prior
 from geomid_ros.gap.fitting.profile_objective import ProfileObjective, StraightManifold
-from geomid_ros.gap.judgement.crossvalidation import generalises
+from geomid_ros.gap.judgement.confidence import generalises
 from geomid_ros.gap.search.score_test import improvement
 from geomid_ros.geometry import pseudo_inertia, spd
 from geomid_ros.types import FloatArray
@@ -334,33 +335,33 @@ class TestOtherRecordings:
     KNOWN = LinksInformation(np.random.default_rng(1).normal(size=(12, 10)), np.arange(12.0))
 
     def test_rows_say_nothing_of_effects(self) -> None:
-        rows = other_recordings.rows(self.KNOWN, 13)
+        rows = before.known_rows(self.KNOWN, 13)
         np.testing.assert_array_equal(rows[:, :10], self.KNOWN.rows)
         np.testing.assert_array_equal(rows[:, 10:13], np.zeros((12, 3)))
         np.testing.assert_array_equal(rows[:, 13], np.arange(12.0))
-        assert other_recordings.rows(None, 13).shape == (0, 14)
+        assert before.known_rows(None, 13).shape == (0, 14)
 
     def test_the_inflation_is_the_most_probable_one(self) -> None:
         """Of residuals in units of enlarged standard deviations, and of the inflation itself."""
-        rows = other_recordings.rows(self.KNOWN, 10)
+        rows = before.known_rows(self.KNOWN, 10)
         manifold = StraightManifold(1, 0, np.zeros(0))
         prior = manifold.point(LINK)
         point = manifold.point(1.05 * LINK)
         squares = float(np.sum((rows @ np.append(0.05 * LINK, 1.0)) ** 2))
         best = minimize_scalar(
-            lambda size: squares / np.exp(size) + other_recordings.cost_of_inflation(rows, float(np.exp(size)))
+            lambda size: squares / np.exp(size) + before.cost_of_inflation(rows, float(np.exp(size)))
         )
         certain = 1e12 * np.eye(10)
-        found = other_recordings.inflation(rows, manifold, point, prior, certain)
+        found = before.inflation_of(rows, manifold, point, prior, certain)
         assert found == pytest.approx(np.exp(best.x), rel=1e-3)
         assert found > 5.0
 
     def test_what_the_fit_leaves_open_counts_as_error(self) -> None:
-        rows = other_recordings.rows(replace(self.KNOWN, residuals=np.zeros(12)), 10)
+        rows = before.known_rows(replace(self.KNOWN, residuals=np.zeros(12)), 10)
         manifold = StraightManifold(1, 0, np.zeros(0))
         point = manifold.point(LINK)
         sure, unsure = (
-            other_recordings.inflation(rows, manifold, point, point, size * np.eye(10)) for size in (1e9, 1e-3)
+            before.inflation_of(rows, manifold, point, point, size * np.eye(10)) for size in (1e9, 1e-3)
         )
         assert sure == 1.0
         normals = manifold.whiten(point, rows[:, :-1])
@@ -369,21 +370,21 @@ class TestOtherRecordings:
     def test_none_are_never_wrong(self) -> None:
         manifold = StraightManifold(1, 0, np.zeros(0))
         point = manifold.point(LINK)
-        rows = other_recordings.rows(None, 10)
-        assert other_recordings.inflation(rows, manifold, point, point, np.eye(10)) == 1.0
-        assert other_recordings.contradiction(rows, np.zeros(10)) == 1.0
-        assert other_recordings.cost_of_inflation(rows, 1.0) == 0.0
+        rows = before.known_rows(None, 10)
+        assert before.inflation_of(rows, manifold, point, point, np.eye(10)) == 1.0
+        assert before.contradiction(rows, np.zeros(10)) == 1.0
+        assert before.cost_of_inflation(rows, 1.0) == 0.0
 
     def test_rows_contradict_by_their_mean_square_and_those_that_say_nothing_do_not_count(self) -> None:
         off = np.random.default_rng(3).normal(size=10)
         silent = np.vstack([self.KNOWN.rows, np.zeros((5, 10))])
         empty = LinksInformation(silent, np.append(np.arange(12.0), np.zeros(5)))
         for known in (self.KNOWN, empty):
-            rows = other_recordings.rows(known, 10)
+            rows = before.known_rows(known, 10)
             expected = np.sum((self.KNOWN.rows @ off + np.arange(12.0)) ** 2) / 12
-            assert other_recordings.contradiction(rows, off) == pytest.approx(expected)
-        agreeing = other_recordings.rows(replace(self.KNOWN, residuals=-self.KNOWN.rows @ off), 10)
-        assert other_recordings.contradiction(agreeing, off) == 1.0
+            assert before.contradiction(rows, off) == pytest.approx(expected)
+        agreeing = before.known_rows(replace(self.KNOWN, residuals=-self.KNOWN.rows @ off), 10)
+        assert before.contradiction(agreeing, off) == 1.0
 
 
 class TestPayloadStart:
@@ -391,7 +392,7 @@ class TestPayloadStart:
 
     def test_the_usual_payload_is_a_ball_at_the_carrier_s_centre(self) -> None:
         """A fifth of the mean link's mass; each direction's standard deviation is 0.1 m."""
-        body = payload_start.usual(self.LINKS, 1)
+        body = before.usual_payload(self.LINKS, 1)
         assert body[0] == pytest.approx(0.2 * 2.0 * LINK[0])
         np.testing.assert_allclose(pseudo_inertia.centre_of_mass(body), LINK[1:4] / LINK[0])
         central = pseudo_inertia.central_inertia(body)
