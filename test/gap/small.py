@@ -11,7 +11,7 @@ import numpy as np
 from geomid_ros.gap.candidates import AnyCandidate, Candidate, CurveCandidate, CurveTerm, EffectTerm, Term
 from geomid_ros.gap.evidence.design import Design
 from geomid_ros.gap.evidence.noise import Autoregression
-from geomid_ros.gap.fitting.fit import Prior
+from geomid_ros.gap.fitting.prior import Prior
 from geomid_ros.model.effects import EFFECTS, AtJoint, Effect, OnLink, Payload
 from geomid_ros.types import FloatArray
 
@@ -55,11 +55,19 @@ class Recording:
         """The channel that a term reaches."""
         return term.joint if isinstance(term, CurveTerm) else term.place.joint  # type: ignore[union-attr]
 
-    def design(self, planted: Mapping[Term, float], link: FloatArray = LINK, noise: float = NOISE) -> Design:
-        """Of a robot with these coefficients."""
+    def targets(self, planted: Mapping[Term, float], link: FloatArray = LINK, noise: float = NOISE) -> FloatArray:
+        """What is measured of a robot with these coefficients."""
         targets = self.coefficients @ link + noise * self._rng.normal(size=(ROWS, CHANNELS))
         for term, value in planted.items():
             targets[:, self.channel(term)] += value * self.columns[term]
+        return np.asarray(targets)
+
+    def design(self, planted: Mapping[Term, float], link: FloatArray = LINK, noise: float = NOISE) -> Design:
+        """Of a robot with these coefficients."""
+        return self.design_of(self.targets(planted, link, noise))
+
+    def design_of(self, targets: FloatArray) -> Design:
+        """Of what is measured."""
         columns = {term: {self.channel(term): column} for term, column in self.columns.items()}
         records: Any = SimpleNamespace(segment=np.zeros(ROWS, dtype=np.int64))
         white = (Autoregression.white(),) * CHANNELS

@@ -1,0 +1,131 @@
+"""What may be named: places, coefficients, parameters, and what excludes what."""
+
+import numpy as np
+import pytest
+
+from geomid_ros.gap import candidates as library
+from geomid_ros.gap.candidates import REST, SIGN, SMOOTH_SIGN, Candidate, EffectTerm
+from geomid_ros.model.effects import EFFECTS, AtJoint, JointMotion, OnLink, OnRobot
+from geomid_ros.model.effects.backlash import CROSSINGS
+from geomid_ros.model.effects.coulomb_friction import SMOOTHINGS
+from geomid_ros.model.effects.stribeck_friction import SPEEDS
+from geomid_ros.model.measurement import MeasurementModel
+from geomid_ros.model.robot import Robot
+from geomid_ros.model.sensors import WrenchSensor
+
+from . import planted
+from .judged import curve
+
+MODEL = planted.model()
+ALL = library.candidates(MODEL)
+VARIANTS = {"coulomb_friction": len(SMOOTHINGS), "stribeck_friction": len(SPEEDS), "backlash": len(CROSSINGS)}
+PARAMETERS = {"spring": 2, "stribeck_friction": 3, "backlash": 2, "gravity_tilt": 2, "payload": 4}
+"""That a name counts for: coefficients and a scanned constant; a payload's mass and centre."""
+
+
+def named(effect: str, joint: int | None = None) -> list[Candidate]:
+    return [c for c in ALL if c.name == effect and (joint is None or c.joint == joint)]
+
+
+@pytest.mark.parametrize("name", [name for name, cls in EFFECTS.items() if cls.place == "joint"])
+def test_an_effect_of_joints_is_possible_at_every_joint_with_all_its_constants(name: str) -> None:
+    for joint in range(3):
+        own = named(name, joint)
+        assert len(own) == VARIANTS.get(name, 1)
+        assert len({candidate.effect for candidate in own}) == len(own)
+        assert {candidate.place for candidate in own} == {AtJoint(joint)}
+        assert {candidate.penalty for candidate in own} == {PARAMETERS.get(name, 1)}
+        assert {candidate.group for candidate in own} == {(name, AtJoint(joint))}
+
+
+def test_others_are_possible_at_the_robot_and_at_every_link() -> None:
+    assert [(c.place, c.joint, c.payload) for c in named("gravity_tilt")] == [(OnRobot(), None, None)]
+    assert [(c.place, c.joint, c.payload) for c in named("payload")] == [
+        (OnLink(link, link), link, link) for link in range(3)
+    ]
+    for name in ("gravity_tilt", "payload"):
+        assert {candidate.penalty for candidate in named(name)} == {PARAMETERS[name]}
+    assert [len(candidate.terms) for candidate in named("payload")] == [0, 0, 0]
+    assert not named("wrench_offset"), "there is no sensor"
+
+
+def test_a_coefficient_has_a_term_of_its_own() -> None:
+    (tilt,) = named("gravity_tilt")
+    assert tilt.terms == tuple(EffectTerm(tilt.effect, OnRobot(), index) for index in range(2))
+    (spring,) = named("spring", 1)
+    (offset,) = named("effort_offset", 1)
+    assert spring.terms[1:] == offset.terms, "a spring's offset is an offset"
+
+
+def test_a_sensor_has_a_coefficient_for_each_axis_that_it_measures() -> None:
+    urdf = (planted.BAGS / "arm3.urdf").read_text(encoding="utf-8")
+    robot = Robot(urdf)
+    model = MeasurementModel(robot, (), (WrenchSensor("/wrench", "link3", "mounted", ("fx", "tz")),))
+    *_, offset = library.candidates(model)
+    assert offset.name == "wrench_offset"
+    assert [term.index for term in offset.terms] == [0, 1]
+    assert offset.penalty == 2
+
+
+def test_the_order_is_joint_by_joint_then_the_robot_then_links() -> None:
+    kinds = [candidate.effect.place for candidate in ALL]
+    assert kinds == sorted(kinds, key=["joint", "joints", "robot", "link", "sensor"].index)
+    joints = [candidate.joint for candidate in ALL if candidate.effect.place == "joint"]
+    assert joints == sorted(joints)
+
+
+@pytest.mark.parametrize(("name", "count"), [("stribeck_friction", 25), ("backlash", 15)])
+def test_every_fourth_of_many_constants_is_a_scout(name: str, count: int) -> None:
+    own = named(name, 0)
+    assert [candidate.scout for candidate in own] == [place % 4 == 0 for place in range(count)]
+    assert [candidate.scanned for candidate in own] == sorted(candidate.scanned for candidate in own)
+    assert all(candidate.scout for candidate in ALL if not candidate.scanned)
+
+
+def one(name: str, joint: int | None = None) -> Candidate:
+    return named(name, joint)[0]
+
+
+@pytest.mark.parametrize(
+    ("first", "second", "expected"),
+    [
+        (named("coulomb_friction", 0)[0], named("coulomb_friction", 0)[2], True),
+        (one("coulomb_friction", 0), one("coulomb_friction", 1), False),
+        (one("coulomb_friction", 0), one("stribeck_friction", 0), True),
+        (one("coulomb_friction", 0), one("stribeck_friction", 1), False),
+        (one("spring", 2), one("effort_offset", 2), True),
+        (one("spring", 2), one("viscous_friction", 2), False),
+        (named("payload")[0], named("payload")[2], True),
+        (named("payload")[0], one("spring", 0), False),
+        (one("spring", 0), curve(0), False),
+    ],
+)
+def test_what_makes_no_sense_together_excludes_each_other(first: Candidate, second: Candidate, expected: bool) -> None:
+    assert first.excludes(second) == expected
+    assert second.excludes(first) == expected
+
+
+def test_a_curve_excludes_those_of_its_variable_at_its_joint() -> None:
+    assert curve(0).excludes(curve(0))
+    assert not curve(0).excludes(curve(1))
+    assert not curve(0).excludes(curve(0, "time"))
+
+
+def test_samples_carry_all_columns_that_names_are_made_of_once() -> None:
+    columns = library.library_columns(MODEL).columns
+    assert len(set(columns)) == len(columns)
+    motion = planted.recording(planted.rigid(planted.true_inertias(1, 0.1)), 1, 2.0)
+    for candidate in ALL:
+        for term in candidate.terms:
+            if hasattr(term.effect, "column"):
+                assert library.column_of(term.effect, term.place) in columns
+    assert {SIGN, SMOOTH_SIGN, REST} <= set(columns)
+    assert motion.columns.columns == columns
+
+
+def test_a_joint_stands_still_below_a_hundredth_of_a_radian_per_second() -> None:
+    speed = np.array([0.0, 0.009, -0.009, 0.011, -0.011, 1.0])
+    motion = JointMotion(0.0 * speed, speed, 0.0 * speed)
+    np.testing.assert_array_equal(REST.function.column(motion), [1.0, 1.0, 1.0, 0.0, 0.0, 0.0])
+    direction = SIGN.function.column(motion)
+    np.testing.assert_array_less(np.abs(SMOOTH_SIGN.function.column(motion)[1:5]), np.abs(direction[1:5]))

@@ -1,0 +1,152 @@
+"""Products of whitened columns, against the columns themselves."""
+
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from geomid_ros.gap.candidates import Candidate, EffectTerm, Term
+from geomid_ros.gap.evidence.design import BLOCKS, Design, term_columns
+from geomid_ros.gap.evidence.noise import Autoregression
+from geomid_ros.model.effects import AtJoint, AtSensor, OnLink, OnRobot, Payload
+from geomid_ros.model.effects.effort_gain import EffortGain
+from geomid_ros.model.effects.gravity_tilt import GravityTilt
+from geomid_ros.model.effects.viscous_friction import ViscousFriction
+from geomid_ros.model.effects.wrench_offset import WrenchOffset
+from geomid_ros.model.measurement import MeasurementModel
+from geomid_ros.model.robot import Robot
+from geomid_ros.model.sensors import WrenchSensor
+from geomid_ros.types import FloatArray
+
+from . import planted
+
+ROWS, CHANNELS, LINKS = 90, 2, 2
+RNG = np.random.default_rng(6)
+COEFFICIENTS = RNG.normal(size=(ROWS, CHANNELS, 10 * LINKS))
+TARGETS = RNG.normal(size=(ROWS, CHANNELS))
+VALID = RNG.uniform(size=(ROWS, CHANNELS)) > 0.2
+SEGMENT = (np.arange(ROWS) >= 50).astype(int)
+BOTH, FIRST, SECOND = (EffectTerm(ViscousFriction(), AtJoint(joint)) for joint in range(3))
+COLUMNS: dict[Term, dict[int, FloatArray]] = {
+    BOTH: {0: RNG.normal(size=ROWS), 1: RNG.normal(size=ROWS)},
+    FIRST: {0: RNG.normal(size=ROWS)},
+    SECOND: {1: RNG.normal(size=ROWS)},
+}
+NOISE = (Autoregression((np.zeros(0), np.array([0.5])), np.array([1.0, 0.75])), Autoregression.white())
+RECORDS: Any = SimpleNamespace(segment=SEGMENT)
+DESIGN = Design.make(COEFFICIENTS, TARGETS, VALID, COLUMNS, NOISE, RECORDS)
+
+
+def white(channel: int, values: FloatArray) -> FloatArray:
+    """A column whitened by hand: less half of the row before, where that is valid and of the same segment."""
+    valid = np.flatnonzero(VALID[:, channel])
+    if channel == 1:
+        return values[valid]
+    result = []
+    for row in valid:
+        follows = row > 0 and VALID[row - 1, channel] and SEGMENT[row] == SEGMENT[row - 1]
+        result.append(values[row] - 0.5 * values[row - 1] if follows else np.sqrt(0.75) * values[row])
+    return np.array(result)
+
+
+def stacked(channel: int, bodies: list[int], terms: list[Term]) -> FloatArray:
+    """The whitened columns that a fit has, those that do not reach the channel zero."""
+    zero = np.zeros(ROWS)
+    again = [COEFFICIENTS[:, channel, 10 * body + k] for body in bodies for k in range(10)]
+    own = [COLUMNS[term].get(channel, zero) for term in terms]
+    columns = [*COEFFICIENTS[:, channel].T, *again, *own, TARGETS[:, channel]]
+    return np.column_stack([white(channel, column) for column in columns])
+
+
+def test_products_are_those_of_the_whitened_columns() -> None:
+    bodies, terms = [1], [FIRST, BOTH, SECOND]
+    for channel, products in enumerate(DESIGN.gather(bodies, terms)):
+        columns = stacked(channel, bodies, terms)
+        np.testing.assert_allclose(products, columns.T @ columns, atol=1e-10)
+        assert DESIGN.counts[channel] == len(columns)
+        assert DESIGN.target_squares[channel] == pytest.approx(float(columns[:, -1] @ columns[:, -1]))
+
+
+def test_blocks_are_equal_parts_of_time() -> None:
+    for channel, blocks in enumerate(DESIGN.gather_blocks([0], [SECOND])):
+        columns = stacked(channel, [0], [SECOND])
+        parts = np.array_split(columns, BLOCKS)
+        assert len(blocks) == BLOCKS
+        for block, part in zip(blocks, parts, strict=True):
+            np.testing.assert_allclose(block, part.T @ part, atol=1e-10)
+    assert 5 <= BLOCKS <= 12, "fewer tell little, more are correlated"
+
+
+def test_crossed_products_are_those_with_a_candidate_s_columns() -> None:
+    candidate = Candidate(ViscousFriction(), AtJoint(0), (BOTH, SECOND), 2.0)
+    cross, own = DESIGN.cross([1], [FIRST], candidate)
+    assert DESIGN.reached(candidate) == [0, 1]
+    for channel in range(CHANNELS):
+        mine = stacked(channel, [], [BOTH, SECOND])[:, 10 * LINKS : -1]
+        np.testing.assert_allclose(cross[channel], mine.T @ stacked(channel, [1], [FIRST]), atol=1e-10)
+        np.testing.assert_allclose(own[channel], mine.T @ mine, atol=1e-10)
+
+
+def test_only_channels_that_a_candidate_reaches_are_crossed() -> None:
+    candidate = Candidate(ViscousFriction(), AtJoint(2), (SECOND,), 1.0)
+    assert DESIGN.reached(candidate) == [1]
+    cross, own = DESIGN.cross([], [], candidate)
+    assert (cross.shape, own.shape) == ((1, 1, 10 * LINKS + 1), (1, 1, 1))
+    mine = white(1, COLUMNS[SECOND][1])
+    np.testing.assert_allclose(own[0, 0, 0], mine @ mine)
+
+
+def test_a_payload_has_the_columns_of_its_link() -> None:
+    candidate = Candidate(Payload(), OnLink(1, 1), (), 4.0)
+    assert DESIGN.reached(candidate) == [0, 1]
+    cross, own = DESIGN.cross([], [FIRST], candidate)
+    for channel in range(CHANNELS):
+        mine = stacked(channel, [], [])[:, 10:20]
+        np.testing.assert_allclose(cross[channel], mine.T @ stacked(channel, [], [FIRST]), atol=1e-10)
+        np.testing.assert_allclose(own[channel], mine.T @ mine, atol=1e-10)
+
+
+class TestColumns:
+    """Columns of effects by the channels that they reach."""
+
+    URDF = (planted.BAGS / "arm3.urdf").read_text(encoding="utf-8")
+    MODEL = MeasurementModel(Robot(URDF), (), (WrenchSensor("/wrench", "link3", "mounted", ("fx", "tz")),))
+    COUNT = 30
+    PREDICTED = RNG.normal(size=(COUNT, 5))
+
+    def columns(self, *terms: EffectTerm) -> dict[Term, dict[int, FloatArray]]:
+        motion = planted.recording(planted.rigid(planted.true_inertias(1, 0.1)), 1, 2.0).select(slice(self.COUNT))
+        by_gravity = np.zeros((self.COUNT, 5, 3))
+        by_gravity[:, 1:4, 1] = self.PREDICTED[:, 1:4]
+        situation: Any = SimpleNamespace(
+            predicted=self.PREDICTED, by_gravity=by_gravity, gravity=np.array([0.0, 0.0, -9.81]), coefficients={}
+        )
+        records: Any = SimpleNamespace(samples=motion)
+        return term_columns(self.MODEL, records, terms, lambda: situation)
+
+    def test_friction_reaches_its_joint(self) -> None:
+        found = self.columns(FIRST, BOTH)
+        assert [list(by_channel) for by_channel in found.values()] == [[1], [0]]
+        speed = planted.motion(1, 2.0)[2][: self.COUNT]
+        np.testing.assert_array_equal(found[FIRST][1], speed[:, 1])
+
+    def test_a_wrong_gain_reaches_its_channel_with_what_is_predicted_there(self) -> None:
+        term = EffectTerm(EffortGain(), AtJoint(1))
+        found = self.columns(term)[term]
+        assert list(found) == [1]
+        np.testing.assert_array_equal(found[1], self.PREDICTED[:, 1])
+
+    def test_a_tilt_reaches_what_gravity_reaches(self) -> None:
+        terms = [EffectTerm(GravityTilt(), OnRobot(), index) for index in range(2)]
+        found = self.columns(*terms)
+        assert [list(by_channel) for by_channel in found.values()] == [[1, 2, 3], []]
+        # R^T g turns towards y by x, from (0, 0, -g) to (0, -g sin, -g cos).
+        np.testing.assert_allclose(found[terms[0]][2], -9.81 * self.PREDICTED[:, 2], rtol=1e-6)
+
+    def test_an_offset_of_a_sensor_reaches_each_axis_by_itself(self) -> None:
+        place = AtSensor("/wrench", (3, 4))
+        terms = [EffectTerm(WrenchOffset(), place, index) for index in range(2)]
+        found = self.columns(*terms)
+        assert [list(by_channel) for by_channel in found.values()] == [[3], [4]]
+        np.testing.assert_array_equal(found[terms[1]][4], np.ones(self.COUNT))

@@ -1,0 +1,424 @@
+"""The joint fit on designs of random columns: its objective, its uncertainty, and what is known before."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.optimize import minimize_scalar
+from scipy.stats import chi2
+
+from geomid_ros.estimation.estimate import LinksInformation
+from geomid_ros.gap.candidates import Candidate
+from geomid_ros.gap.evidence.design import Design
+from geomid_ros.gap.fitting import prior as before
+from geomid_ros.gap.fitting.fit import JointFit, fit, unfitted
+from geomid_ros.gap.fitting.prior import Prior
+from geomid_ros.gap.fitting.profile_objective import ProfileObjective, StraightManifold
+from geomid_ros.gap.judgement.confidence import generalises
+from geomid_ros.gap.search.score_test import improvement
+from geomid_ros.geometry import pseudo_inertia, spd
+from geomid_ros.types import FloatArray
+
+from .small import CHANNELS, LINK, PAYLOAD, PRIOR, ROWS, Recording, at
+
+VISCOUS, OFFSET, ELSEWHERE = at("viscous_friction", 0), at("effort_offset", 0), at("viscous_friction", 1)
+COULOMB = at("coulomb_friction", 0)
+NAMES = (VISCOUS, OFFSET, ELSEWHERE)
+TERM = VISCOUS.terms[0]
+STEP = 1e-5
+
+
+def designed(seed: int, value: float = 0.3, link: FloatArray = LINK) -> Design:
+    return Recording(seed, NAMES).design({TERM: value}, link)
+
+
+def objective(counts: float = 1.0) -> ProfileObjective:
+    """At no minimum; ``counts`` of rows, relative."""
+    design = designed(1)
+    manifold = StraightManifold(1, 0, np.array([0.5, 2.0]))
+    known = np.random.default_rng(2).normal(size=(4, manifold.dimension + 1))
+    return ProfileObjective(
+        manifold,
+        design.gather([], [TERM, OFFSET.terms[0]]),
+        counts * design.counts,
+        np.full(CHANNELS, 1e-9),
+        manifold.point(np.append(LINK, [0.1, 0.0])),
+        np.append(np.full(10, 3.0), [1.0, 5.0]),
+        known,
+    )
+
+
+def moved(own: ProfileObjective, direction: FloatArray, steps: tuple[float, ...]) -> list[float]:
+    """Values along a straight line."""
+    start = own.manifold.point(np.append(1.1 * LINK, [0.2, -0.1]))
+    return [own.evaluate(own.manifold.exp(start, step * direction)).value for step in steps]
+
+
+def test_the_gradient_is_the_slope_of_the_value() -> None:
+    own = objective()
+    start = own.manifold.point(np.append(1.1 * LINK, [0.2, -0.1]))
+    gradient = own.evaluate(start).gradient
+    for direction in np.eye(own.manifold.dimension):
+        ahead, behind = moved(own, direction, (STEP, -STEP))
+        assert gradient @ direction == pytest.approx((ahead - behind) / (2.0 * STEP), rel=1e-5, abs=1e-4)
+
+
+def test_the_hessian_of_what_is_known_is_the_bend_of_the_value() -> None:
+    """Without rows that are measured; those bend by their information alone."""
+    own, step = objective(counts=0.0), 1e-3
+    start = own.manifold.point(np.append(1.1 * LINK, [0.2, -0.1]))
+    hessian = own.evaluate(start).hessian
+    for direction in np.random.default_rng(4).normal(size=(8, own.manifold.dimension)):
+        unit = direction / np.linalg.norm(direction)
+        ahead, here, behind = moved(own, unit, (step, 0.0, -step))
+        assert unit @ hessian @ unit == pytest.approx((ahead - 2.0 * here + behind) / step**2, rel=1e-3)
+
+
+def test_the_information_is_that_of_gaussian_rows() -> None:
+    own = objective()
+    start = own.manifold.point(np.append(1.1 * LINK, [0.2, -0.1]))
+    jacobian = own.manifold.whiten(start, np.eye(own.manifold.dimension))
+    of_rows = sum(
+        count / squares * products[:-1, :-1]
+        for count, squares, products in zip(own.counts, own.squares(start), own.products, strict=True)
+    )
+    of_known = own.known[:, :-1].T @ own.known[:, :-1]
+    expected = jacobian.T @ (of_rows + of_known) @ jacobian
+    np.testing.assert_allclose(own.evaluate(start).information, expected, rtol=1e-9, atol=1e-9)
+    assert (own.scale, own.prior_weight) == (CHANNELS * ROWS, 1.0)
+
+
+def test_no_sum_of_squares_is_less_than_the_least() -> None:
+    own = replace(objective(), least=np.array([1e9, 1e-9]))
+    start = own.manifold.point(np.append(LINK, [0.2, -0.1]))
+    first, second = own.squares(start)
+    assert first == 1e9
+    assert second == objective().squares(start)[1]
+
+
+class TestStraightSteps:
+    MANIFOLD = StraightManifold(1, 0, np.array([3.0]))
+    BASE = MANIFOLD.point(np.append(LINK, 0.5))
+
+    def test_a_step_is_straight_in_the_parameters(self) -> None:
+        jacobian = self.MANIFOLD.whiten(self.BASE, np.eye(11))
+        for seed in range(5):
+            tangent = np.random.default_rng(seed).uniform(-0.1, 0.1, size=11)
+            end = self.MANIFOLD.exp(self.BASE, tangent)
+            np.testing.assert_allclose(end.parameters, self.BASE.parameters + jacobian @ tangent, atol=1e-12)
+
+    def test_no_step_leaves_the_cone(self) -> None:
+        for seed in range(20):
+            tangent = 10.0 * np.random.default_rng(seed).standard_normal(11)
+            (matrix,) = self.MANIFOLD.exp(self.BASE, tangent).pseudo_inertias
+            assert np.all(np.linalg.eigvalsh(matrix) > 0.0)
+
+    def test_a_step_towards_the_edge_shrinks_more_and_more_but_no_more_than_to_a_twentieth(self) -> None:
+        """Without a kink where it begins to bend."""
+        sizes = np.linspace(0.0, 5.0, 501)
+        ends = [self.MANIFOLD.exp(self.BASE, np.append(-size * self.inward(), 0.0)) for size in sizes]
+        masses = np.array([end.pseudo_inertias[0, 3, 3] for end in ends]) / LINK[0]
+        np.testing.assert_allclose(masses[sizes < 0.5], 1.0 - sizes[sizes < 0.5], atol=1e-9)
+        steps = np.diff(masses)
+        assert np.all(steps <= 1e-12)
+        assert np.max(np.abs(np.diff(steps[:80]))) < 3e-4
+        assert masses[-1] == pytest.approx(0.05)
+
+    def inward(self) -> FloatArray:
+        """Tangent coordinates of the body growing as a whole."""
+        jacobian = self.MANIFOLD.whiten(self.BASE, np.eye(11))[:10, :10]
+        return np.asarray(np.linalg.solve(jacobian, LINK))
+
+
+def test_standard_deviations_are_those_of_the_errors() -> None:
+    """Over robots: mean squares of errors in standard deviations, false once in ten thousand."""
+    errors = []
+    for seed in range(60):
+        found = fit(designed(seed), PRIOR, [VISCOUS, OFFSET, ELSEWHERE])
+        stds = np.sqrt(np.diag(found.covariance))
+        own = [(found.value(c.terms[0]) - 0.3 * (c is VISCOUS)) / stds[found.place(c.terms[0])] for c in NAMES]
+        links = np.linalg.solve(found.jacobian, found.point.parameters - np.append(LINK, [0.3, 0.0, 0.0]))
+        errors.append([*own, *(links @ found.information @ links / len(links),)])
+    squares = np.sum(np.array(errors)[:, :3] ** 2)
+    assert chi2.ppf(5e-5, 180) < squares < chi2.ppf(1.0 - 5e-5, 180)
+    count = 60 * 13
+    assert chi2.ppf(5e-5, count) < 13 * np.sum(np.array(errors)[:, 3]) < chi2.ppf(1.0 - 5e-5, count)
+
+
+def test_the_covariance_is_the_inverse_information_in_parameters() -> None:
+    found = fit(designed(1), PRIOR, [VISCOUS])
+    np.testing.assert_allclose(found.inverse @ found.information, np.eye(11), atol=1e-8)
+    step = 1e-6
+    for place in range(11):
+        tangent = step * np.eye(11)[place]
+        change = found.manifold.exp(found.point, tangent).parameters - found.point.parameters
+        np.testing.assert_allclose(found.jacobian[:, place], change / step, atol=1e-7)
+
+
+def test_a_parameter_costs_the_logarithm_of_the_number_of_rows() -> None:
+    cheap, dear = (at("viscous_friction", 0, penalty=penalty) for penalty in (1.0, 3.5))
+    scores = [fit(designed(1), PRIOR, [candidate]).score for candidate in (cheap, dear)]
+    assert scores[1] - scores[0] == pytest.approx(2.5 * np.log(ROWS))
+
+
+def test_units_of_a_column_do_not_matter() -> None:
+    recording = Recording(3, NAMES)
+    one = fit(recording.design({TERM: 0.3}), PRIOR, NAMES)
+    recording = Recording(3, NAMES)
+    recording.columns[TERM] *= 1000.0
+    other = fit(recording.design({TERM: 0.3e-3}), PRIOR, NAMES)
+    assert 1000.0 * other.value(TERM) == pytest.approx(one.value(TERM), rel=1e-4)
+    assert other.score == pytest.approx(one.score, abs=1e-3)
+
+
+@pytest.mark.parametrize(("planted", "expected"), [(0.05, 0.1), (0.2, 0.2), (0.6, 0.5)])
+def test_the_spread_is_the_one_of_the_best_score(planted: float, expected: float) -> None:
+    """And follows the links' errors, as far as one link tells."""
+    spreads = []
+    for seed in range(12):
+        direction = np.random.default_rng(seed).standard_normal((4, 4))
+        root = spd.spd_sqrt(pseudo_inertia.from_parameters(LINK))
+        body = root @ spd.sym_exp(planted * 0.5 * (direction + direction.T)) @ root
+        design = designed(seed, link=np.asarray(pseudo_inertia.to_parameters(body)))
+        found = fit(design, PRIOR, [])
+        spreads.append(found.spread)
+        around = [fit(design, PRIOR, [], spread=found.spread * factor).score for factor in (0.75, 1.0, 1.35)]
+        assert around[1] == min(around)
+    assert np.median(spreads) == pytest.approx(expected, rel=0.35)
+
+
+def test_a_spread_that_is_certain_stays() -> None:
+    far = designed(1, link=2.0 * LINK)
+    assert fit(far, replace(PRIOR, certainty=1e7), []).spread == pytest.approx(0.2, rel=1e-3)
+    assert fit(far, PRIOR, []).spread > 0.25
+    assert fit(far, replace(PRIOR, spread=1e-3, certainty=1e-3), [], spread=0.07).spread == 0.07
+
+
+class TestWhatTheModelHas:
+    """Effects with values and spreads that are known before."""
+
+    def fit(self, value: float, spread: float, chosen: tuple[Candidate, ...] = (), planted: float = 0.3) -> JointFit:
+        prior = replace(PRIOR, terms=(TERM,), values=np.array([value]), spreads=np.array([spread]))
+        return fit(designed(5, planted), prior, chosen)
+
+    def test_a_certain_one_stays(self) -> None:
+        found = self.fit(0.5, 1e-6)
+        assert found.value(TERM) == pytest.approx(0.5, abs=1e-6)
+        assert np.sqrt(found.covariance[found.place(TERM), found.place(TERM)]) == pytest.approx(1e-6, rel=1e-2)
+
+    def test_of_two_that_are_as_sure_the_mean_is_taken(self) -> None:
+        free = self.fit(0.0, 1e3)
+        std = float(np.sqrt(free.covariance[free.place(TERM), free.place(TERM)]))
+        known = free.value(TERM) + 2.0 * std
+        both = self.fit(known, std)
+        middle = 0.5 * (known + free.value(TERM))
+        assert both.value(TERM) == pytest.approx(middle, abs=0.1 * std)
+        found = np.sqrt(both.covariance[both.place(TERM), both.place(TERM)])
+        assert found == pytest.approx(std / np.sqrt(2.0), rel=0.05)
+
+    def test_one_that_nothing_shows_is_what_it_was(self) -> None:
+        recording = Recording(5, NAMES)
+        recording.columns[TERM] *= 0.0
+        prior = replace(PRIOR, terms=(TERM,), values=np.array([0.4]), spreads=np.array([0.05]))
+        found = fit(recording.design({}), prior, [])
+        assert found.value(TERM) == pytest.approx(0.4)
+        assert np.sqrt(found.covariance[found.place(TERM), found.place(TERM)]) == pytest.approx(0.05, rel=1e-3)
+
+    def test_a_name_for_it_is_the_same_coefficient(self) -> None:
+        found = self.fit(0.3, 1e-3, chosen=(VISCOUS, OFFSET))
+        assert found.terms == (TERM, OFFSET.terms[0])
+        assert len(found.point.reals) == 2
+
+    def test_it_is_what_an_unfitted_model_says(self) -> None:
+        prior = replace(PRIOR, terms=(TERM,), values=np.array([0.4]), spreads=np.array([0.05]))
+        found = unfitted(prior)
+        assert (found.value(TERM), found.chosen, found.bodies, found.spread) == (0.4, (), [], PRIOR.spread)
+        np.testing.assert_allclose(found.point.parameters, np.append(LINK, 0.4))
+
+
+def test_all_parameters_are_determined_by_the_channels_together() -> None:
+    """Without a prior to speak of."""
+    design = designed(2)
+    vague = replace(PRIOR, certainty=1e6, spread=50.0)
+    bare, named = (fit(design, vague, chosen, spread=50.0) for chosen in ([], [VISCOUS]))
+    assert np.sum(bare.parameters_by_channel(design)) == pytest.approx(10.0, rel=1e-3)
+    assert np.sum(named.parameters_by_channel(design)) == pytest.approx(11.0, rel=1e-3)
+    assert np.all(named.parameters_by_channel(design) > 4.0), "the channels are equally loud"
+
+
+def test_a_fit_goes_on_from_another_one() -> None:
+    design = designed(6)
+    first = fit(design, PRIOR, [VISCOUS, OFFSET])
+    again = fit(design, PRIOR, [VISCOUS, OFFSET], first)
+    fewer = fit(design, PRIOR, [OFFSET], first)
+    assert again.score == pytest.approx(first.score, abs=1e-2)
+    assert fewer.score == pytest.approx(fit(design, PRIOR, [OFFSET]).score, abs=1e-2)
+
+
+class TestScoreTest:
+    def test_separability_is_the_share_of_a_column_that_the_others_cannot_imitate(self) -> None:
+        """By least squares on all other columns of the channel, without a prior to speak of."""
+        recording = Recording(7, NAMES)
+        recording.columns[TERM] += 2.0 * recording.columns[OFFSET.terms[0]] + recording.coefficients[:, 0, 0]
+        recording.coefficients[:, 1] *= 1e-3  # else the other channel tells the inertias, and they imitate less
+        design = recording.design({TERM: 0.3})
+        current = fit(design, replace(PRIOR, certainty=1e6, spread=50.0), [OFFSET], spread=50.0)
+        _, separability = improvement(design, current, VISCOUS)
+        others = np.column_stack([recording.coefficients[:, 0], recording.columns[OFFSET.terms[0]]])
+        column = recording.columns[TERM]
+        left = column - others @ np.linalg.lstsq(others, column)[0]
+        assert separability == pytest.approx(float(left @ left / (column @ column)), rel=0.02)
+
+    def test_a_column_that_the_others_are_made_of_brings_nothing(self) -> None:
+        recording = Recording(7, NAMES)
+        recording.columns[OFFSET.terms[0]] = 2.0 * recording.columns[TERM]
+        design = recording.design({TERM: 0.3})
+        gain, separability = improvement(design, fit(design, PRIOR, [VISCOUS]), OFFSET)
+        assert gain < 0.0
+        assert separability < 1e-3
+
+    def test_more_parameters_cost_the_logarithm_of_the_number_of_rows(self) -> None:
+        design = designed(1)
+        bare = fit(design, PRIOR, [])
+        gains = [improvement(design, bare, at("viscous_friction", 0, penalty=penalty))[0] for penalty in (0.0, 2.5)]
+        assert gains[0] - gains[1] == pytest.approx(2.5 * np.log(ROWS))
+
+    def test_what_reaches_nothing_or_has_the_wrong_sign_brings_nothing(self) -> None:
+        recording = Recording(1, [COULOMB])
+        design = recording.design({COULOMB.terms[0]: -0.3})
+        bare = fit(design, PRIOR, [])
+        gain, separability = improvement(design, bare, COULOMB)
+        assert gain == -np.inf
+        assert separability > 0.5
+        assert improvement(design, bare, at("spring", 5)) == (-np.inf, 0.0)
+        positive = Recording(1, [COULOMB]).design({COULOMB.terms[0]: 0.3})
+        assert improvement(positive, fit(positive, PRIOR, []), COULOMB)[0] > 100.0
+
+    @pytest.mark.parametrize("value", [0.05, 0.3, 3.0])
+    def test_it_foretells_the_gain_of_the_fit(self, value: float) -> None:
+        design = designed(8, value)
+        bare = fit(design, PRIOR, [])
+        gain, _ = improvement(design, bare, VISCOUS)
+        exact = bare.score - fit(design, PRIOR, [VISCOUS], spread=bare.spread).score
+        assert gain == pytest.approx(exact, rel=0.05, abs=1.0)
+
+
+class TestBlocks:
+    """Blocks of time that are left out."""
+
+    def survives(self, values: FloatArray) -> bool:
+        """A name whose coefficient has these values in eight equal parts of time."""
+        recording = Recording(9, NAMES)
+        column = recording.columns[TERM]
+        recording.columns[TERM] = np.repeat(values, ROWS // 8) * column
+        targets = recording.targets({TERM: 1.0})
+        recording.columns[TERM] = column
+        design = recording.design_of(targets)
+        return generalises(design, fit(design, PRIOR, [VISCOUS]), VISCOUS)
+
+    def test_what_is_there_in_every_block_generalises(self) -> None:
+        assert self.survives(np.full(8, 0.1))
+
+    def test_what_is_there_in_one_does_not(self) -> None:
+        assert not self.survives(np.array([0.0, 0.0, 0.0, 0.8, 0.0, 0.0, 0.0, 0.0]))
+
+    def test_what_is_there_in_most_does_and_what_changes_its_sign_does_not(self) -> None:
+        assert self.survives(np.array([0.3, 0.3, 0.3, 0.0, 0.3, 0.3, 0.3, 0.3]))
+        assert not self.survives(np.array([0.3, -0.25, 0.3, -0.25, 0.3, -0.25, 0.3, -0.25]))
+
+    def test_of_a_payload_nothing_is_said(self) -> None:
+        design = designed(1)
+        assert generalises(design, fit(design, PRIOR, [VISCOUS]), PAYLOAD)
+
+
+class TestOtherRecordings:
+    KNOWN = LinksInformation(np.random.default_rng(1).normal(size=(12, 10)), np.arange(12.0))
+
+    def test_rows_say_nothing_of_effects(self) -> None:
+        rows = before.known_rows(self.KNOWN, 13)
+        np.testing.assert_array_equal(rows[:, :10], self.KNOWN.rows)
+        np.testing.assert_array_equal(rows[:, 10:13], np.zeros((12, 3)))
+        np.testing.assert_array_equal(rows[:, 13], np.arange(12.0))
+        assert before.known_rows(None, 13).shape == (0, 14)
+
+    def test_the_inflation_is_the_most_probable_one(self) -> None:
+        """Of residuals in units of enlarged standard deviations, and of the inflation itself."""
+        rows = before.known_rows(self.KNOWN, 10)
+        manifold = StraightManifold(1, 0, np.zeros(0))
+        prior = manifold.point(LINK)
+        point = manifold.point(1.05 * LINK)
+        squares = float(np.sum((rows @ np.append(0.05 * LINK, 1.0)) ** 2))
+        best = minimize_scalar(
+            lambda size: squares / np.exp(size) + before.cost_of_inflation(rows, float(np.exp(size)))
+        )
+        certain = 1e12 * np.eye(10)
+        found = before.inflation_of(rows, manifold, point, prior, certain)
+        assert found == pytest.approx(np.exp(best.x), rel=1e-3)
+        assert found > 5.0
+
+    def test_what_the_fit_leaves_open_counts_as_error(self) -> None:
+        rows = before.known_rows(replace(self.KNOWN, residuals=np.zeros(12)), 10)
+        manifold = StraightManifold(1, 0, np.zeros(0))
+        point = manifold.point(LINK)
+        sure, unsure = (
+            before.inflation_of(rows, manifold, point, point, size * np.eye(10)) for size in (1e9, 1e-3)
+        )
+        assert sure == 1.0
+        normals = manifold.whiten(point, rows[:, :-1])
+        assert unsure == pytest.approx((1e3 * np.sum(normals**2) + 4.0) / (12 + 4.0))
+
+    def test_none_are_never_wrong(self) -> None:
+        manifold = StraightManifold(1, 0, np.zeros(0))
+        point = manifold.point(LINK)
+        rows = before.known_rows(None, 10)
+        assert before.inflation_of(rows, manifold, point, point, np.eye(10)) == 1.0
+        assert before.contradiction(rows, np.zeros(10)) == 1.0
+        assert before.cost_of_inflation(rows, 1.0) == 0.0
+
+    def test_rows_contradict_by_their_mean_square_and_those_that_say_nothing_do_not_count(self) -> None:
+        off = np.random.default_rng(3).normal(size=10)
+        silent = np.vstack([self.KNOWN.rows, np.zeros((5, 10))])
+        empty = LinksInformation(silent, np.append(np.arange(12.0), np.zeros(5)))
+        for known in (self.KNOWN, empty):
+            rows = before.known_rows(known, 10)
+            expected = np.sum((self.KNOWN.rows @ off + np.arange(12.0)) ** 2) / 12
+            assert before.contradiction(rows, off) == pytest.approx(expected)
+        agreeing = before.known_rows(replace(self.KNOWN, residuals=-self.KNOWN.rows @ off), 10)
+        assert before.contradiction(agreeing, off) == 1.0
+
+
+class TestPayloadStart:
+    LINKS = np.array([LINK, 3.0 * LINK])
+
+    def test_the_usual_payload_is_a_ball_at_the_carrier_s_centre(self) -> None:
+        """A fifth of the mean link's mass; each direction's standard deviation is 0.1 m."""
+        body = before.usual_payload(self.LINKS, 1)
+        assert body[0] == pytest.approx(0.2 * 2.0 * LINK[0])
+        np.testing.assert_allclose(pseudo_inertia.centre_of_mass(body), LINK[1:4] / LINK[0])
+        central = pseudo_inertia.central_inertia(body)
+        np.testing.assert_allclose(central, 2.0 * 0.1**2 * body[0] * np.eye(3), atol=1e-12)
+
+    def test_a_payload_s_mass_and_centre_are_found(self) -> None:
+        """Beside inertias that are nearly certain."""
+        precise = Prior(inertias=LINK, spread=1e-3, terms=(), values=np.zeros(0), spreads=np.zeros(0), certainty=1e6)
+        for mass, centre in ((0.1, [0.0, 0.0, 0.0]), (1.0, [0.5, -0.3, 0.2]), (1.5, [0.0, 1.0, 0.0])):
+            offset = np.array(centre)
+            about = (offset @ offset + 0.02) * np.eye(3) - np.outer(offset, offset)
+            rows, columns = pseudo_inertia.INERTIA_ENTRIES
+            body = mass * np.concatenate([[1.0], offset, about[rows, columns]])
+            found = fit(Recording(2, []).design({}, LINK + body), precise, [PAYLOAD])
+            payload = pseudo_inertia.to_parameters(found.point.pseudo_inertias)[1]
+            stds = np.sqrt(np.diag(found.covariance))[10:20]
+            np.testing.assert_array_less(np.abs(payload - body), 4.0 * stds)
+            assert stds[0] < 0.1
+
+
+def test_what_stays_the_same_is_known() -> None:
+    """A fit to other recordings alone is where they say, and to none of both at the prior."""
+    design = Recording(4, []).design({}, link=LINK, noise=1e6)
+    nowhere = fit(design, PRIOR, [])
+    np.testing.assert_allclose(nowhere.point.parameters, LINK, rtol=0.02, atol=0.02)
+    sharp = LinksInformation(1e4 * np.eye(10), -1e4 * 0.1 * LINK)
+    told = fit(design, replace(PRIOR, known=sharp), [])
+    np.testing.assert_allclose(told.point.parameters, 1.1 * LINK, rtol=1e-3, atol=1e-4)
+    assert told.inflation == 1.0
