@@ -109,7 +109,7 @@ def find_gap(
         bodies=bare.body_names,
         inertias=_links(analysis),
         coefficients=_coefficients(model, prior, analysis),
-        beside=tuple(_refitted(bare, analysis, place, known) for place, known in own.items()),
+        beside=tuple(_refitted(bare, analysis, term, known) for term, known in own.items() if _is_left(analysis, term)),
         seconds=perf_counter() - started,
     )
 
@@ -199,6 +199,11 @@ def _with_beside(
         spreads=np.append(prior.spreads, spreads),
     )
     return extended, own
+
+
+def _is_left(analysis: Analysis, term: EffectTerm) -> bool:
+    """Whether what was fitted of an effect is possible: else it is not there."""
+    return analysis.names.value(term) > 0.0 or term.effect.positives == 0
 
 
 def _refitted(model: MeasurementModel, analysis: Analysis, term: EffectTerm, known: KnownEffect) -> KnownEffect:

@@ -75,9 +75,13 @@ class LoadedModel:
     def refitted(
         self, model: MeasurementModel, coefficients: FloatArray, beside: Sequence[KnownEffect] = ()
     ) -> LoadedModel:
-        """The same with the ``coefficients`` of ``model`` and the effects :attr:`beside_coefficients` fitted anew,
-        without those that are NaN or not as positive as they must be, and without payloads, which are in the links'
-        inertias by then."""
+        """The same with what was fitted anew, without payloads, which are in the links' inertias by then.
+
+        Args:
+            model: a measurement model.
+            coefficients: those of its effects; effects are left out that are NaN or not as positive as they must be.
+            beside: of :attr:`beside_coefficients` those that are left.
+        """
         entries = [
             KnownEffect(c.effect.name, c.place_name, "", c.parameters(float(value), math.nan))
             for c, value in zip(model.coefficients, coefficients, strict=True)
@@ -85,10 +89,8 @@ class LoadedModel:
         ]
         fitted = {(entry.effect, entry.joint) for entry in entries}
         gone = {(effect.name, place) for effect, place, _ in self._coefficients} - fitted
-        anew = {(known.effect, known.joint): known for known in beside}
-        kept = [anew.get((known.effect, known.joint), known) for known in self.effects]
-        own = [known for known in kept if (known.effect, known.joint) not in gone]
-        return LoadedModel(self.source, None, tuple(continued(combined(entries), own)))
+        kept = [known for known in self.effects if not _is_beside(known) and (known.effect, known.joint) not in gone]
+        return LoadedModel(self.source, None, tuple(continued(combined(entries), [*kept, *beside])))
 
     @property
     def beside_coefficients(self) -> list[KnownEffect]:
