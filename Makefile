@@ -5,19 +5,23 @@ PYTHON ?= python3
 VENV ?= .venv$(addprefix -,$(filter-out python3,$(notdir $(PYTHON))))
 BIN := $(VENV)/bin
 PIP_INSTALL := $(BIN)/python -m pip install -qq --disable-pip-version-check
-PYTEST_ARGS ?=
+# Tests of the node wait for it most of the time: more of them than there are processors run side by side.
+PYTEST_ARGS ?= --numprocesses 4 --dist loadscope
 BENCH_ARGS ?=
 
-.PHONY: help demo test lint docs bench colcon clean
+.PHONY: help demo test quick lint docs bench colcon clean
 
 help: ## List these targets
 	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "make %-7s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
 
 demo: $(VENV)/.run-ready ## Set up, then run the demonstration
-	$(BIN)/geomid demo
+	$(BIN)/geomid demo --out out/demo
 
 test: lint ## Set up, then run the static checks and the tests
 	$(BIN)/python -m pytest $(PYTEST_ARGS)
+
+quick: lint ## Set up, then run the static checks and the tests without ROS, simulations and processes
+	$(BIN)/python -m pytest -m "not slow" --numprocesses 2 --dist loadscope
 
 lint: $(VENV)/.test-ready ## Set up, then run ruff and mypy
 	$(BIN)/ruff check

@@ -15,7 +15,7 @@ from typing import cast
 import numpy as np
 
 from geomid_ros.errors import InputError
-from geomid_ros.model.measurement import Channel
+from geomid_ros.model.channels import Channel
 from geomid_ros.types import BoolArray, FloatArray
 
 

@@ -52,7 +52,7 @@ def library_columns(model: MeasurementModel) -> Columns:
         if issubclass(cls, MotionEffect)
         for effect in cls.variants()
         if isinstance(effect, MotionEffect)
-        for place in model.places(effect)
+        for place in model.places.of(effect)
     ]
     return Columns.of([*found, SIGN, SMOOTH_SIGN, REST, *model.columns.columns])
 
@@ -178,7 +178,7 @@ def _order(candidate: Candidate) -> tuple[int, int]:
 
 def _candidates_of(cls: type[Effect], model: MeasurementModel) -> Iterator[Candidate]:
     for index, effect in enumerate(cls.variants()):
-        for place in model.places(effect):
+        for place in model.places.of(effect):
             terms = tuple(_terms(effect, place))
             penalty = len(terms) + (effect.scanned != 0.0) if terms else _PAYLOAD_PENALTY
             yield Candidate(effect, place, terms, penalty, not effect.scanned or index % _SCOUTS == 0)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from time import perf_counter
 
 import numpy as np
@@ -12,19 +12,34 @@ from geomid_ros.errors import InputError
 from geomid_ros.estimation.estimate import LinksInformation
 from geomid_ros.gap.candidates import REST, EffectTerm
 from geomid_ros.gap.evidence.record import Records
-from geomid_ros.gap.fitting.fit import Prior, unfitted
+from geomid_ros.gap.fitting.fit import unfitted
+from geomid_ros.gap.fitting.prior import Prior
 from geomid_ros.gap.fitting.stage import Stage, total_model
 from geomid_ros.gap.judgement.held_out import HeldOut
 from geomid_ros.gap.judgement.locate import located
 from geomid_ros.gap.judgement.verdict import findings, ranking, unexplained, verdict
 from geomid_ros.gap.result import GapResult
 from geomid_ros.gap.search.analysis import Analysis, analyse
-from geomid_ros.gap.settings import GapSettings
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.model.effects import KnownEffect, effect_class, joint_of
 from geomid_ros.model.measurement import Coefficient, MeasurementModel
 from geomid_ros.model.samples import Samples
 from geomid_ros.types import FloatArray
+
+CUTOFF = 8.0
+"""Low-pass of the samples that the workflow is given [Hz], where the recording's rate allows it."""
+
+
+@dataclass(frozen=True)
+class GapSettings:
+    """``cutoff`` [Hz] of the pipeline that made the samples; ``spread``: usual size of the errors of link inertias, a
+    geodesic distance (about the relative standard deviation of a mass); ``identified_spread``: of those of a model that
+    was identified before, where nobody guesses."""
+
+    cutoff: float = CUTOFF
+    spread: float = 0.2
+    identified_spread: float = 0.05
+
 
 _DEFAULT = GapSettings()
 _FEWEST_ROWS = 100
@@ -186,7 +201,7 @@ def _with_beside(
     values: list[float] = []
     for known in beside:
         cls = effect_class(known.effect)
-        place = model.place_called(cls(), known.joint)
+        place = model.places.named(cls(), known.joint)
         numbers = {name: quantity.value for name, quantity in known.parameters.items()}
         ((effect, (value,)),) = cls.coefficients(numbers, situation.usual_load(joint_of(place))).items()
         own[EffectTerm(effect, place)] = known
@@ -212,7 +227,7 @@ def _refitted(model: MeasurementModel, analysis: Analysis, term: EffectTerm, kno
     place = found.place(term)
     values, covariance = np.array([found.value(term)]), found.covariance[place : place + 1, place : place + 1]
     load = analysis.stage.situation.usual_load(joint_of(term.place))
-    sliding = model.slides(term.place)
+    sliding = model.places.slides(term.place)
     parameters = term.effect.quantities(values, covariance, sliding=sliding, usual_load=load)
     return replace(known, parameters=parameters)
 

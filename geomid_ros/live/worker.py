@@ -159,7 +159,7 @@ class Worker:
             solves=self.solver.solves,
             accounts=self.ledger.topics,
             joints=len(self.session.robot.joint_names),
-            unmeasured=pipeline.unmeasured if self.session.model.efforts_usable else (),
+            unmeasured=pipeline.unmeasured if self.session.model.layout.efforts else (),
             gaps=self.solver.gaps,
             estimate=self.solver.estimate,
             changed_sensors=self.solver.changed_sensors,

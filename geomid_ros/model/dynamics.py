@@ -54,17 +54,14 @@ class Dynamics:
     def sensitivity(self, samples: Samples) -> Sensitivity:
         """Derivatives of all channels at N instants."""
         count, joints = len(samples), len(self._robot.joints)
-        channels = len(self._model.channels)
+        channels, layout = len(self._model.channels), self._model.layout
         derivatives = [np.zeros((count, channels, joints)) for _ in range(3)]
         by_gravity = np.zeros((count, channels, 3))
         for index, (q, v, a) in enumerate(zip(*self._robot.configuration(samples), strict=True)):
-            first = 0
-            if self._model.efforts_usable:
-                first = joints
+            if layout.efforts:
                 self._joint_terms(q, v, a, index, derivatives, by_gravity)
             for sensor, carried, data in self._carried:
-                rows = slice(first, first + len(sensor.axes))
-                first = rows.stop
+                rows = layout.wrenches[sensor.topic]
                 terms = _wrench_terms(self._robot, carried, data, sensor.frame, q, v, a)
                 for target, term in zip((*derivatives, by_gravity), terms, strict=True):
                     target[index, rows] = term[sensor.axis_indices]

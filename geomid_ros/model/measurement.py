@@ -17,22 +17,10 @@ import numpy as np
 
 from geomid_ros.errors import InputError, unknown_name
 from geomid_ros.geometry.manifold import ParameterManifold
+from geomid_ros.model.channels import Channel, ChannelLayout, wrench_channel
 from geomid_ros.model.columns import Columns, column_of, reached_joints
-from geomid_ros.model.effects import (
-    AtJoint,
-    AtJoints,
-    AtSensor,
-    Effect,
-    IdentifiedEffect,
-    MotionEffect,
-    OnLink,
-    OnRobot,
-    PairEffect,
-    Place,
-    Quantity,
-    joints_of,
-)
-from geomid_ros.model.effects.places import pair_name
+from geomid_ros.model.effect_places import EffectPlaces
+from geomid_ros.model.effects import AtSensor, IdentifiedEffect, MotionEffect, Place, Quantity
 from geomid_ros.model.robot import Robot
 from geomid_ros.model.samples import Samples
 from geomid_ros.model.sensors import WORLD_FRAMES, WrenchSensor
@@ -62,20 +50,6 @@ class Coefficient:
         forms = self.effect.parameters[-len(constants) :] if constants else ()
         sliding = self.effect.parameters[0].units[0] != self.unit
         return own | {f.name: Quantity(*c, f.units[sliding]) for f, c in zip(forms, constants, strict=True)}
-
-
-@dataclass(frozen=True, eq=False, kw_only=True)
-class Channel:
-    """One measured number: a ``joint``'s effort, or an ``axis`` of the wrench of a ``topic``.
-
-    ``columns``: the parameters that it can depend on."""
-
-    name: str
-    unit: str
-    columns: IntArray
-    joint: int | None = None
-    topic: str = ""
-    axis: str = ""
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,6 +90,9 @@ class MeasurementModel:
         self._common = tuple(effects)
         self._local = local_effects
         self._check_sensors()
+        self.layout = ChannelLayout.of(len(robot.joints) if self._efforts_usable else 0, self._row_sensors)
+        topics = [sensor.topic for sensor in self.mounted]
+        self.places = EffectPlaces(robot, self.body_names, topics, self.layout)
         self.coefficients = self._coefficients()
         self.channels = (*self._joint_channels(), *self._wrench_channels())
         if not self.channels:
@@ -137,8 +114,8 @@ class MeasurementModel:
         found = [
             coefficient
             for effect in effects
-            for place in self.places(effect)
-            if self._acts(effect, self.place_name(place))
+            for place in self.places.of(effect)
+            if self._acts(effect, self.places.name(place))
             for coefficient in self._coefficients_at(effect, place)
         ]
         return tuple(sorted(found, key=lambda coefficient: not coefficient.positive))
@@ -150,7 +127,7 @@ class MeasurementModel:
         return effect in local or (effect in self._common and effect.name not in {other.name for other in local})
 
     def _coefficients_at(self, effect: IdentifiedEffect, place: Place) -> Iterator[Coefficient]:
-        name, sliding = self.place_name(place), self.slides(place)
+        name, sliding = self.places.name(place), self.places.slides(place)
         forms = effect.own
         if isinstance(place, AtSensor):
             forms = tuple(form for form in forms if form.name in self._sensor(place.topic).axes)
@@ -163,82 +140,6 @@ class MeasurementModel:
                 parameter=form.name,
                 unit=form.units[sliding],
             )
-
-    def places(self, effect: Effect) -> list[Place]:
-        """Where on this robot an effect may act."""
-        match effect.place:
-            case "joint":
-                return [AtJoint(joint) for joint in range(self.effort_channels)]
-            case "joints" if isinstance(effect, PairEffect):
-                return [AtJoints(*pair) for pair in effect.pairs(self._chain)] if self.efforts_usable else []
-            case "robot":
-                felt = self.effort_channels or effect.turns_gravity
-                return [OnRobot()] if felt and not self.robot.floating_base else []
-            case "link":
-                return [OnLink(place, self._mover(place)) for place in range(len(self.identified))]
-            case "sensor":
-                return [AtSensor(topic, tuple(channels)) for topic, channels in self._mounted_channels().items()]
-        return []
-
-    def place_name(self, place: Place) -> str:
-        """What files and tables call a place: a joint, two as ``FIRST+SECOND``, the joint that moves a link, the topic
-        of a sensor; empty for the whole robot."""
-        match place:
-            case AtSensor(topic, _):
-                return topic
-            case AtJoints(first, second):
-                return pair_name(self.robot.joint_names[first], self.robot.joint_names[second])
-        return "".join(self.robot.joint_names[joint] for joint in joints_of(place))
-
-    def place_called(self, effect: Effect, name: str) -> Place:
-        """The place of an effect by its :meth:`place_name`. Raises InputError with the valid names."""
-        places = {self.place_name(place): place for place in self.places(effect)}
-        if name not in places:
-            raise unknown_name(f"place of {effect.label}", name, places)
-        return places[name]
-
-    def slides(self, place: Place) -> bool:
-        """Whether the (first) joint of a place is prismatic."""
-        joints = joints_of(place)
-        return bool(joints) and self.robot.joints[joints[0]].unit == "N"
-
-    @property
-    def effort_channels(self) -> int:
-        """How many channels, the first ones, are joints' efforts: all joints' or none."""
-        return len(self.robot.joints) if self.efforts_usable else 0
-
-    @property
-    def _chain(self) -> list[tuple[int, int]]:
-        """Pairs of joints of which the second moves on the first, nothing that moves between them."""
-        joints = {joint.child: joint for joint in self.robot.tree.joints}
-        moving = {name: index for index, name in enumerate(self.robot.joint_names)}
-        found = []
-        for joint in self.robot.tree.joints:
-            if joint.name in moving:
-                above = joints.get(joint.parent)
-                while above is not None and above.name not in moving:
-                    above = joints.get(above.parent)
-                if above is not None:
-                    found.append((moving[above.name], moving[joint.name]))
-        return found
-
-    def _mover(self, place: int) -> int | None:
-        """The joint that moves an identified body."""
-        owners = {joint.child: joint for joint in self.robot.tree.joints}
-        link: str | None = self.body_names[place]
-        while link is not None and link in owners:
-            if owners[link].name in self.robot.joint_names:
-                return self.robot.joint_names.index(owners[link].name)
-            link = owners[link].parent
-        return None
-
-    def _mounted_channels(self) -> dict[str, range]:
-        """Places of the mounted sensors' axes among the channels, by topic."""
-        found, first = {}, self.effort_channels
-        for sensor in self.mounted:
-            found[sensor.topic] = range(first, first + len(sensor.axes))
-            first = found[sensor.topic].stop
-        return found
 
     def _sensor(self, topic: str) -> WrenchSensor:
         return next(sensor for sensor in self.sensors if sensor.topic == topic)
@@ -277,7 +178,7 @@ class MeasurementModel:
         return [sensor for sensor in self.sensors if sensor.role == "external"]
 
     @property
-    def efforts_usable(self) -> bool:
+    def _efforts_usable(self) -> bool:
         """Whether all loads that reach the joints are known: not those of a force plate, which rest on some link, nor
         those of a floating base without sensors."""
         on_robot = all(self.robot.is_on_robot(s.frame) and len(s.axes) == 6 for s in self._external)
@@ -330,7 +231,7 @@ class MeasurementModel:
 
     def _joint_channels(self) -> list[Channel]:
         children = {joint.name: joint.child for joint in self.robot.tree.joints}
-        count = self.effort_channels
+        count = len(self.layout.efforts)
         return [
             Channel(
                 name=joint.name,
@@ -345,18 +246,20 @@ class MeasurementModel:
         ]
 
     def _wrench_channels(self) -> list[Channel]:
-        channels: list[Channel] = []
-        for sensor in self._row_sensors:
-            for axis in sensor.axes:
-                index = self.effort_channels + len(channels)
-                columns = self._columns(
+        return [
+            Channel(
+                name=wrench_channel(sensor.topic, axis),
+                unit="N" if axis[0] == "f" else "N m",
+                columns=self._columns(
                     self._loaded_bodies(sensor),
                     lambda place, index=index: isinstance(place, AtSensor) and index in place.channels,  # type: ignore[misc]
-                )
-                name = f"{sensor.topic.strip('/')}/{axis}"
-                unit = "N" if axis[0] == "f" else "N m"
-                channels.append(Channel(name=name, unit=unit, columns=columns, topic=sensor.topic, axis=axis))
-        return channels
+                ),
+                topic=sensor.topic,
+                axis=axis,
+            )
+            for sensor in self._row_sensors
+            for index, axis in zip(self.layout.wrenches[sensor.topic], sensor.axes, strict=True)
+        ]
 
     @property
     def _row_sensors(self) -> list[WrenchSensor]:
@@ -374,7 +277,7 @@ class MeasurementModel:
         targets = np.empty((len(samples), len(self.channels)))
         wrenches = self._measured_wrenches(samples)
         for index, (q, v, a) in enumerate(zip(*self.robot.configuration(samples), strict=True)):
-            joints = self.effort_channels
+            joints = len(self.layout.efforts)
             if joints:
                 bodies[index, :joints] = self.robot.joint_effort_rows(q, v, a)
                 targets[index, :joints] = samples.effort[index]
@@ -438,7 +341,7 @@ class MeasurementModel:
         effect, place = coefficient.effect, coefficient.place
         if isinstance(effect, MotionEffect):
             own = samples.column(column_of(effect, place))
-            return {joint: own[:, joint] for joint in reached_joints(place, self.effort_channels)}
+            return {joint: own[:, joint] for joint in reached_joints(place, len(self.layout.efforts))}
         channels = place.channels if isinstance(place, AtSensor) else ()
         columns = effect.columns(samples.motion, [self.channels[channel].axis for channel in channels])
         return {channel: columns[:, row, coefficient.index] for row, channel in enumerate(channels)}
@@ -446,9 +349,7 @@ class MeasurementModel:
     @property
     def columns(self) -> Columns:
         """The columns of the effects, as samples carry them."""
-        return Columns.of(
-            column_of(c.effect, c.place) for c in self.coefficients if isinstance(c.effect, MotionEffect)
-        )
+        return Columns.of(column_of(c.effect, c.place) for c in self.coefficients if isinstance(c.effect, MotionEffect))
 
     def predict(self, samples: Samples, parameters: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Measured and predicted values of every channel, each ``(N, channels)``, at parameters ``(D,)``."""
@@ -460,6 +361,6 @@ class MeasurementModel:
         external loads; NaN for joints whose effort is not measured."""
         measured, predicted = self.predict(samples, parameters)
         efforts = np.full(samples.effort.shape, np.nan)
-        if self.efforts_usable:
-            efforts[:] = samples.effort - (measured - predicted)[:, : self.effort_channels]
+        if self.layout.efforts:
+            efforts[:] = samples.effort - (measured - predicted)[:, self.layout.efforts]
         return efforts

@@ -15,7 +15,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from geomid_ros.estimation.summary import triangular, usable
-from geomid_ros.model.measurement import Channel, Rows
+from geomid_ros.model.channels import Channel
+from geomid_ros.model.measurement import Rows
 from geomid_ros.types import FloatArray, IntArray
 
 BLOCK = 40

@@ -25,8 +25,7 @@ _OTHER_UNIT = 50.0  # times as large, or as small: no payload is
 
 def sensor_channels(model: MeasurementModel) -> dict[str, list[int]]:
     """The places among the model's channels of each mounted sensor's axes, by its topic."""
-    places = {channel.name: place for place, channel in enumerate(model.channels)}
-    return {s.topic: [places[f"{s.topic.strip('/')}/{axis}"] for axis in s.axes] for s in model.mounted}
+    return {sensor.topic: list(model.layout.wrenches[sensor.topic]) for sensor in model.mounted}
 
 
 class WrenchCheck:

@@ -15,6 +15,7 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from geomid_ros.files.disk import write_text
 from geomid_ros.gap.result import Finding, GapResult, Located
 from geomid_ros.geometry import pseudo_inertia, spd
+from geomid_ros.model.channels import is_of
 from geomid_ros.model.effects import ModelEffect
 from geomid_ros.report import gap_words
 from geomid_ros.report.gap_figures import (
@@ -187,7 +188,7 @@ def _telling_channels(result: GapResult) -> list[int]:
     if result.verdict == "no gap":
         return []
     places = [finding.joint for finding in result.findings] + [entry.joint for entry in result.unexplained]
-    named = [k for place in places if place for k, name in enumerate(result.channels) if _is_at(name, place)]
+    named = [k for place in places if place for k, name in enumerate(result.channels) if is_of(name, place)]
     improved = np.argsort(-np.nan_to_num(result.gap.inertias_only - result.gap.after), kind="stable")
     everywhere = [int(k) for k in improved[:3]] if not named or "" in places else []
     return list(dict.fromkeys(named + everywhere))[:_MOST_CHANNELS]
@@ -197,10 +198,6 @@ def _located(result: GapResult) -> list[Located]:
     """Where the gap lives, for channels in which inertias leave one."""
     gaps = dict(zip(result.channels, result.gap.inertias_only, strict=True))
     return [entry for entry in result.located if gaps.get(entry.channel, 0.0) > _OPEN and math.isfinite(entry.velocity)]
-
-
-def _is_at(channel: str, place: str) -> bool:
-    return channel == place or channel.startswith(place.strip("/") + "/")
 
 
 def _remainder(page: GapPage, channel: int) -> Remainder:
@@ -219,7 +216,7 @@ def _variables(page: GapPage, channel: int) -> Iterator[Against]:
     """Motion of the channel's joint and of those that it depends on, load, time."""
     result, trace = page.result, page.result.trace
     name = result.channels[channel]
-    others = [entry.depends_on for entry in result.unexplained if _is_at(name, entry.joint)]
+    others = [entry.depends_on for entry in result.unexplained if is_of(name, entry.joint)]
     for joint in [name, *others]:
         if joint in page.joints:
             column, of = page.joints.index(joint), "" if joint == name else f" of {joint}"

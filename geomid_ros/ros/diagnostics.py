@@ -14,6 +14,7 @@ from geomid_ros.estimation.identifier import STANDING_STILL
 from geomid_ros.live.checkpointing import CheckpointStatus
 from geomid_ros.live.gap_search import SearchStatus
 from geomid_ros.live.status import Status
+from geomid_ros.model.channels import is_of
 from geomid_ros.monitoring.change_detection import ChannelGap
 from geomid_ros.report.gap_words import not_explained
 from geomid_ros.signals.joint_messages import DRIVER_ERROR
@@ -244,7 +245,7 @@ def _open(status: Status) -> list[ChannelGap]:
 
 
 def _is_wrench(gap: ChannelGap, status: Status) -> bool:
-    return any(gap.channel.startswith(f"{topic.strip('/')}/") for topic in status.topics)
+    return any(is_of(gap.channel, topic) for topic in status.topics)
 
 
 def _wrench_question(changed: Sequence[str]) -> str:

@@ -12,8 +12,7 @@ from geomid_ros.errors import InputError
 from geomid_ros.files.models.results import read_estimate
 from geomid_ros.gap.candidates import library_columns
 from geomid_ros.gap.result import GapResult
-from geomid_ros.gap.settings import CUTOFF, GapSettings
-from geomid_ros.gap.workflow import find_gap
+from geomid_ros.gap.workflow import CUTOFF, GapSettings, find_gap
 from geomid_ros.model.samples import Samples
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.recordings import HELD_OUT, Progress, divided

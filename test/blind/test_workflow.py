@@ -31,39 +31,48 @@ CASES = {
     "delay": Hiding(replace(ARM3, seed=12), (Hidden("effort_delay", "", 0.006),)),
     "two at once": Hiding(replace(ARM3, seed=13), (Hidden("spring", "joint3"), Hidden("viscous_friction", "joint1"))),
 }
+WRIST = ("--wrench", f"/wrench:{WRIST_FRAME}:mounted")
 PAYLOAD = Hiding(replace(ARM7, seed=14), (Hidden("payload", "tool", 1.5),))
 
 
-def found(hiding: Hiding, folder: Path, identified: bool = False) -> tuple[dict[str, Any], list[dict[str, Any]]]:
-    """The workflow's gap.json, and what is true; ``identified``: the robot was, before anything was hidden in it."""
+def recorded(hiding: Hiding, folder: Path) -> Path:
+    """A robot's description, and two recordings of it: ``one`` to find what is hidden in, an ``other`` to judge on."""
     pytest.importorskip("mujoco")
     options = replace(hiding.options, hide=hiding.hide)
-    for index, name in enumerate(("one", "two", "other")):
+    for index, name in enumerate(("one", "other")):
         simulate(folder / name, replace(options, motion_seed=100 + index))
     (folder / "robot.urdf").write_text(robot_description(options.robot))
-    robot: list[str | Path] = ["--urdf", folder / "robot.urdf"]
-    if options.wrench_frame:
-        robot += ["--wrench", f"/wrench:{WRIST_FRAME}:mounted"]
-    if identified:
-        simulate(folder / "before", replace(hiding.options, hide=(), motion_seed=99))
-        done("identify", folder / "before", *robot, "--effects", "none", "--out", folder / "known")
-        robot += ["--model", folder / "known" / "estimate.json"]
-    bags = [folder / "one", folder / "two", "--validate", folder / "other"]
-    document = json.loads(done("gap", *bags, *robot, "--out", folder / "out", "--json"))
+    return folder
+
+
+def found(folder: Path, out: Path, *more: str | Path) -> tuple[dict[str, Any], list[dict[str, Any]]]:
+    """The workflow's gap.json, and what is true."""
+    line = [folder / "one", "--validate", folder / "other", "--urdf", folder / "robot.urdf", *more]
+    document = json.loads(done("gap", *line, "--out", out, "--json"))
     return document, json.loads((folder / "other.truth.json").read_text())["effects"]
 
 
 @pytest.mark.parametrize("case", CASES)
 def test_it_is_named(case: str, tmp_path: Path) -> None:
-    check_named(*found(CASES[case], tmp_path))
+    check_named(*found(recorded(CASES[case], tmp_path), tmp_path / "out"))
 
 
-def test_a_payload_on_an_identified_robot_is_named(tmp_path: Path) -> None:
-    check_named(*found(PAYLOAD, tmp_path, identified=True))
+@pytest.fixture(scope="module")
+def loaded(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Recordings of an arm with a payload."""
+    return recorded(PAYLOAD, tmp_path_factory.mktemp("payload"))
 
 
-def test_a_payload_beside_unsure_inertias_is_not_told_for_sure(tmp_path: Path) -> None:
-    document, _ = found(PAYLOAD, tmp_path)
+def test_a_payload_on_an_identified_robot_is_named(loaded: Path, tmp_path: Path) -> None:
+    """The robot was, before anything was hidden in it."""
+    simulate(tmp_path / "before", replace(PAYLOAD.options, motion_seed=99))
+    robot = ["--urdf", loaded / "robot.urdf", *WRIST]
+    done("identify", tmp_path / "before", *robot, "--effects", "none", "--out", tmp_path / "known")
+    check_named(*found(loaded, tmp_path / "out", *WRIST, "--model", tmp_path / "known/estimate.json"))
+
+
+def test_a_payload_beside_unsure_inertias_is_not_told_for_sure(loaded: Path, tmp_path: Path) -> None:
+    document, _ = found(loaded, tmp_path / "out", *WRIST)
     (finding,) = document["findings"]
     assert (finding["effect"], finding["confidence"]) == ("payload", "ambiguous")
     assert finding["settled_by"]
@@ -82,12 +91,13 @@ def check_named(document: dict[str, Any], truth: list[dict[str, Any]]) -> None:
 
 
 def test_coloured_noise_is_no_effect(tmp_path: Path) -> None:
-    document, _ = found(Hiding(replace(ARM3, seed=15, noise_time=0.05)), tmp_path)
+    document, _ = found(recorded(Hiding(replace(ARM3, seed=15, noise_time=0.05)), tmp_path), tmp_path / "out")
     assert document["findings"] == []
 
 
 def test_what_has_no_name_gets_none(tmp_path: Path) -> None:
-    document, truth = found(Hiding(replace(ARM3, seed=16), (Hidden("cogging", "joint2"),)), tmp_path)
+    hiding = Hiding(replace(ARM3, seed=16), (Hidden("cogging", "joint2"),))
+    document, truth = found(recorded(hiding, tmp_path), tmp_path / "out")
     assert [entry for entry in document["findings"] if entry["confidence"] == "confident"] == []
     assert "joint2" in [entry["joint"] for entry in document["unexplained"]]
     assert truth[0]["joint"] == "joint2"

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from geomid_ros.estimation.summary import RowSummary
-from geomid_ros.model.measurement import Channel
+from geomid_ros.model.channels import Channel
 from geomid_ros.types import FloatArray
 
 SEEDS = pytest.mark.parametrize("seed", range(4))

@@ -7,8 +7,7 @@ import pytest
 
 from geomid_ros.gap.judgement.locate import strongest
 from geomid_ros.gap.result import GapResult, Located
-from geomid_ros.gap.settings import GapSettings
-from geomid_ros.gap.workflow import find_gap
+from geomid_ros.gap.workflow import GapSettings, find_gap
 
 from . import planted
 

@@ -81,6 +81,6 @@ def test_what_a_force_plate_measures_counts_while_joints_stand_still() -> None:
     effects[:, JOINT] = [column == REST for column in TRAIN.columns.columns]  # at rest all the time
     records = Records.make([replace(TRAIN, effects=effects)], planted.CUTOFF)
     targets = np.random.default_rng(1).normal(size=(len(records.samples), 6))
-    assert not model.efforts_usable
+    assert not model.layout.efforts
     assert np.all(records.usable(model, targets))
     assert not np.any(records.usable(planted.model(), targets[:, :3])[:, JOINT])

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
+from geomid_ros.gap.evidence.noise import Repeats, noise_by_repeats, repeated_after
 from geomid_ros.gap.evidence.record import Records
-from geomid_ros.gap.evidence.repeats import Repeats, noise_by_repeats, repeated_after
 from geomid_ros.model.samples import Samples
 
 from . import planted

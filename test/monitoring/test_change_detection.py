@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from scipy.signal import firwin, lfilter
 
-from geomid_ros.model.measurement import Channel, Rows
+from geomid_ros.model.channels import Channel
+from geomid_ros.model.measurement import Rows
 from geomid_ros.monitoring.change_detection import BLOCK, ChangeDetector, ChannelGap
 from geomid_ros.types import FloatArray
 

@@ -109,6 +109,11 @@ def test_a_sensor_that_is_not_as_declared_is_named(case: str, model: Measurement
     assert word in check.problems["/wrist"]
 
 
+def test_a_mirror_image_is_no_other_frame(model: MeasurementModel) -> None:
+    """No frame is left-handed: nothing is said of what nobody understands."""
+    assert checked(model, np.diag([1.0, 1.0, -1.0]), 80).problems == {}
+
+
 @pytest.mark.parametrize("factor", [0.1, 1.0, 10.0])
 def test_a_payload_is_no_fault(factor: float, model: MeasurementModel) -> None:
     check = checked(model, factor * np.eye(3), 80)

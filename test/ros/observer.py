@@ -21,6 +21,7 @@ T = TypeVar("T")
 PATIENCE = 60.0  # [s] for what must come some time: the machine may be busy
 MATCHING = 1.0  # [s] a subscriber knows of a publisher a little later than the publisher of it
 BETWEEN_MESSAGES = 0.75e-3  # [s]
+TOGETHER = 20  # messages
 
 
 def latched(depth: int = 1000) -> QoSProfile:
@@ -32,10 +33,31 @@ def plenty() -> QoSProfile:
     return QoSProfile(depth=10_000, history=HistoryPolicy.KEEP_LAST, reliability=ReliabilityPolicy.RELIABLE)
 
 
+class Pace:
+    """Lets time pass between messages: so much more as those who are to take them wait for a processor."""
+
+    def __init__(self, waited: Callable[[], float]) -> None:
+        """``waited``: how long they have so far [s]."""
+        self._waited = waited
+        self._before = waited()
+        self._count = 0
+
+    def pause(self, seconds: float = BETWEEN_MESSAGES) -> None:
+        """After every message."""
+        time.sleep(seconds)
+        self._count += 1
+        if self._count % TOGETHER == 0:
+            now = self._waited()
+            time.sleep(max(0.0, now - self._before))
+            self._before = now
+
+
 class Observer:
     """A node in a context and executor of its own."""
 
-    def __init__(self, domain: int) -> None:
+    def __init__(self, domain: int, waited: Callable[[], float]) -> None:
+        """``waited``: see :class:`Pace`."""
+        self._waited = waited
         self._context = Context()
         rclpy.init(context=self._context, domain_id=domain, signal_handler_options=SignalHandlerOptions.NO)
         self.node = rclpy.create_node("observer", context=self._context)
@@ -100,10 +122,15 @@ class Observer:
         chosen = [self._publishers[namespace + topic] for topic in kinds]
         self.wait_for(lambda: all(p.get_subscription_count() for p in chosen), f"subscribers of {', '.join(kinds)}")
         self.spin(MATCHING)
+        pace = self.pace()
         for item in messages:
             if item.topic in kinds:
                 self._publishers[namespace + item.topic].publish(bytes(TYPES.serialize_cdr(item.message, item.kind)))
-                time.sleep(BETWEEN_MESSAGES)
+                pace.pause()
+
+    def pace(self) -> Pace:
+        """For messages in quick succession."""
+        return Pace(self._waited)
 
     def diagnostics(self, look: Callable[[dict[str, str], Any], bool], what: str, node: str = "geomid") -> Any:
         """The first diagnostics of a node from now on whose stream's values and status satisfy ``look``."""

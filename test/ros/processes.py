@@ -70,26 +70,27 @@ class Process:
 
     def status(self) -> int:
         """Its exit status, when it has ended."""
-        try:
-            return self._process.wait(PATIENCE)
-        except subprocess.TimeoutExpired:
-            self._process.kill()
-            self._process.wait()
-            raise AssertionError(f"still running after {PATIENCE:g} s:\n{self.output}") from None
+        self.seconds_to_end()
+        return self._process.wait()
 
     def seconds_to_end(self, number: signal.Signals | None = None) -> float:
         """How long it takes to end after a signal, or from now on, but for what its threads wait for a processor."""
-        begin, before = time.monotonic(), self._waits()
+        begin, before = time.monotonic(), self.waits()
         if number is not None:
             self.send(number)
-        waits = before
+        waits, seconds = before, 0.0
         while self.running:
-            assert time.monotonic() - begin < PATIENCE, self.output
-            waits = {**waits, **self._waits()}
+            if seconds > PATIENCE:
+                self._process.kill()
+                self._process.wait()
+                raise AssertionError(f"still running after {PATIENCE:g} s:\n{self.output}")
             time.sleep(0.01)
-        return time.monotonic() - begin - sum(wait - before.get(thread, 0.0) for thread, wait in waits.items())
+            waits = {**waits, **self.waits()}
+            waited = sum(wait - before.get(thread, 0.0) for thread, wait in waits.items())
+            seconds = time.monotonic() - begin - waited
+        return seconds
 
-    def _waits(self) -> dict[str, float]:
+    def waits(self) -> dict[str, float]:
         """How long [s] each thread could have run, had the machine had a processor to spare."""
         waits = {}
         for path in Path(f"/proc/{self.pid}/task").glob("*/schedstat"):

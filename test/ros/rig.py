@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import time
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
@@ -88,10 +87,11 @@ class Rig:
 
     def send(self, items: Iterable[Recorded], pause: float = BETWEEN_MESSAGES) -> None:
         """Publish messages in quick succession."""
+        pace = self.stage.observer.pace()
         for item in items:
             self.publishers[item.topic].publish(bytes(TYPES.serialize_cdr(item.message, item.kind)))
             self.sent[item.topic] += 1
-            time.sleep(pause)
+            pace.pause(pause)
 
     def shifted(self, items: Iterable[Recorded]) -> list[Recorded]:
         """Messages in the time of the present case."""
@@ -172,20 +172,24 @@ class Rig:
         )
 
     def names_at_once(self, begin: int, level: bytes | None, *parts: str) -> None:
-        """The first diagnostics with all messages in the ledger, or the next, a second later, have ``parts``."""
+        """The first diagnostics with all messages in the ledger, those before, or the next have ``parts``."""
         self.settled(begin)
         settled = self.told_at
         self.says(begin, level, *parts)
         assert self.told_at <= settled + 1
 
-    def says(self, begin: int, level: bytes | None, *parts: str) -> str:
-        """The stream's message that has, with this level if one is given, all ``parts``."""
-        status = self.told(
-            f"{parts} in diagnostics of level {level!r}",
-            begin,
-            lambda _, status: level in (None, status.level) and all(part in status.message for part in parts),
-        )
-        return str(status.message)
+    def says(self, begin: int, level: bytes | None, *parts: str) -> None:
+        """Wait until the stream's messages of this level, if one is given, have had ``parts``: not at once maybe, as
+        diagnostics tell what is new."""
+        places = []
+        for part in parts:
+            self.told(
+                f"'{part}' in diagnostics of level {level!r}",
+                begin,
+                lambda _, status, part=part: level in (None, status.level) and part in status.message,
+            )
+            places.append(self.told_at)
+        self.told_at = max(places)
 
     def published(self) -> Any:
         """What the node has saved and published, once it has all the rows that the twin has."""

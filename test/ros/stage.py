@@ -35,8 +35,12 @@ class Stage:
     def __init__(self, domain: int, folder: Path) -> None:
         self.domain = domain
         self.folder = folder
-        self.observer = Observer(domain)
         self.processes: list[Process] = []
+        self.observer = Observer(domain, self._waited)
+
+    def _waited(self) -> float:
+        """How long all threads of all processes have waited for a processor [s]."""
+        return sum(sum(process.waits().values()) for process in self.processes)
 
     def start(self, *arguments: str | Path, fresh: bool = False) -> Process:
         """Start a module of this package; ``fresh``: see :class:`Process`."""

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import json
 import re
-import time
 from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
@@ -32,7 +31,7 @@ from test_configs import in_force
 from geomid_ros.types import FloatArray
 
 from .in_motion import COULOMB, SECOND, InMotion, in_time, noisy
-from .observer import BETWEEN_MESSAGES, MATCHING, latched, plenty
+from .observer import MATCHING, latched, plenty
 from .processes import Process
 from .spoiling import later, stamp_of
 from .stage import Stage, description, messages
@@ -84,10 +83,11 @@ class Setup:
             ((item.time, number, item) for number, items in enumerate(drivers) for item in items),
             key=lambda entry: entry[:2],
         )
+        pace = self.stage.observer.pace()
         for _, number, item in said:
             self._publishers[number, item.topic].publish(bytes(TYPES.serialize_cdr(item.message, item.kind)))
             self.sent[item.topic] += 1
-            time.sleep(BETWEEN_MESSAGES)
+            pace.pause()
 
     def told(self, **names: str) -> dict[str, str]:
         """The stream's values when all messages are in the ledger: accepted, all of them, and nothing was wrong.

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from geomid_ros.errors import InputError
@@ -36,6 +36,7 @@ def recording(count: int) -> Samples:
     )
 
 
+@settings(deadline=None, derandomize=True, database=None)
 @given(count=st.integers(2, 40), share=st.floats(0.0, 1.0), cuts=st.lists(st.integers(1, 39)))
 def test_the_end_is_held_out_whatever_the_batches(count: int, share: float, cuts: list[int]) -> None:
     whole = recording(count)

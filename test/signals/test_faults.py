@@ -11,11 +11,22 @@ import pytest
 
 from geomid_ros.model.samples import Samples
 from geomid_ros.model.sensors import WrenchSensor
-from geomid_ros.signals.messages import JointMessage, Message, PoseMessage, WrenchMessage
+from geomid_ros.signals.messages import Accepted, JointMessage, Message, PoseMessage, WrenchMessage
 from geomid_ros.signals.pipeline import SignalPipeline
 from geomid_ros.signals.settings import SignalSettings
 
-from .feeding import JOINTS, assert_same, balanced, feed, in_time, joint_messages, regular, without, wrench_messages
+from .feeding import (
+    JOINTS,
+    START,
+    assert_same,
+    balanced,
+    feed,
+    in_time,
+    joint_messages,
+    regular,
+    without,
+    wrench_messages,
+)
 
 SENSOR = WrenchSensor("/wrench", "tool", "mounted", ("fx", "fz"))
 EVERY = 7  # each seventh message is followed by a bad one
@@ -311,3 +322,22 @@ def test_bad_messages_alone_make_no_samples() -> None:
     assert silent.collect() is None
     assert silent.ledger.topics["joint_states"].accepted == 0
     assert balanced(silent, clean())
+
+
+def test_messages_behind_one_that_fails_are_counted() -> None:
+    """A slow topic: the fourth message decides on three, of which the first fails; who pushed counts that one."""
+    stamps = np.array([START + 2_000_000_000 * index for index in range(4)])
+
+    def fail(accepted: Accepted) -> None:
+        if accepted.stamp == stamps[1]:
+            raise ZeroDivisionError
+
+    unlucky = SignalPipeline(JOINTS, on_accepted=fail)
+    messages = joint_messages(stamps)
+    for message in messages[:3]:
+        unlucky.push(message)
+    with pytest.raises(ZeroDivisionError):
+        unlucky.push(messages[3])
+    account = unlucky.ledger.topics["joint_states"]
+    assert (account.accepted, account.dropped) == (1, {"ZeroDivisionError while another message was taken": 2})
+    assert unlucky.held == 0

@@ -217,6 +217,13 @@ def test_a_whole_recording_is_filtered_as_a_stream_is() -> None:
         np.testing.assert_allclose(part, expected, rtol=0, atol=1e-8)
 
 
+def test_the_first_and_the_last_value_go_on_beyond_the_ends_of_a_recording() -> None:
+    values = np.random.default_rng(5).standard_normal((120, 2))
+    longer = np.concatenate([np.tile(values[0], (90, 1)), values, np.tile(values[-1], (90, 1))])
+    for ours, theirs in zip(kernels.filtered(values, 5.0, 0.01), kernels.filtered(longer, 5.0, 0.01), strict=True):
+        np.testing.assert_allclose(ours, theirs[90:-90], rtol=0, atol=1e-9 * np.abs(theirs).max())
+
+
 def test_a_recording_too_slow_for_the_cutoff_is_filtered_as_far_as_it_can_be() -> None:
     values = np.random.default_rng(4).standard_normal((80, 2))
     for ours, theirs in zip(kernels.filtered(values, 50.0, 0.1), kernels.filtered(values, 4.0, 0.1), strict=True):

@@ -18,7 +18,7 @@ from geomid_ros.estimation.estimator import WarmStart
 from geomid_ros.estimation.identifier import Memory
 from geomid_ros.estimation.summary import SummaryState
 from geomid_ros.files.checkpoints.tensor_file import MOST_HEADER, pack, parsed, unpack
-from geomid_ros.model.measurement import Channel
+from geomid_ros.model.channels import Channel
 from geomid_ros.signals.ledger import Account
 from geomid_ros.types import FloatArray
 

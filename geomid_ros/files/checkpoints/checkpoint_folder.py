@@ -16,7 +16,7 @@ from typing import Any
 from geomid_ros.errors import GeomidError, InputError
 from geomid_ros.files.checkpoints.checkpoint import Checkpoint, decoded, encoded, largest_size
 from geomid_ros.files.disk import make_folder, write_bytes
-from geomid_ros.model.measurement import Channel
+from geomid_ros.model.channels import Channel
 
 _NAMES = ("checkpoint-a.safetensors", "checkpoint-b.safetensors")
 _LOCK = ".lock"

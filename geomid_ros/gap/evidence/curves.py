@@ -23,7 +23,7 @@ class Curves:
     def __init__(self, model: MeasurementModel, records: Records, situation: Situation) -> None:
         self._model = model
         self._knots: dict[tuple[str, int], FloatArray] = {}
-        joints = len(model.robot.joints) if model.efforts_usable else 0
+        joints = len(model.layout.efforts)
         for joint in range(joints):
             for kind, values in self._variables(records, situation, joint).items():
                 self._knots[kind, joint] = np.quantile(values, [0.005, 0.995])

@@ -36,7 +36,7 @@ def _columns(
 ) -> dict[int, FloatArray]:
     effect, place = term.effect, term.place
     if isinstance(effect, MotionEffect):
-        joints = reached_joints(place, model.effort_channels)
+        joints = reached_joints(place, len(model.layout.efforts))
         return {joint: samples.column(column_of(effect, place))[:, joint] for joint in joints}
     if isinstance(effect, SituationEffect):
         return _reached(effect.columns(situation(), place)[:, :, term.index], range(len(model.channels)))

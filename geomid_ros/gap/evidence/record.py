@@ -74,7 +74,7 @@ class Records:
     def usable(self, model: MeasurementModel, targets: FloatArray) -> BoolArray:
         """Which of the targets ``(N, C)`` are measured, and efforts of joints that move."""
         valid: BoolArray = np.isfinite(targets)
-        if model.efforts_usable:
+        if model.layout.efforts:
             sign, rest = self.samples.column(SIGN), self.samples.column(REST)
             valid[:, : sign.shape[1]] &= (np.abs(sign) > _SAME_WAY) & (rest < _REST_SHARE)
         return valid
@@ -101,7 +101,7 @@ class Records:
         joined = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
         for name in ("predicted", "rate"):
             of_joints, joined[name] = joined[name], np.zeros((len(self.samples), channels))
-            if model.efforts_usable:
+            if model.layout.efforts:
                 joined[name][:, :joints] = of_joints
         sensitivity = dynamics.sensitivity(self.samples)
         return Situation(

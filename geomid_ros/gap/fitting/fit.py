@@ -14,11 +14,19 @@ from functools import cached_property
 
 import numpy as np
 
-from geomid_ros.estimation.estimate import LinksInformation
 from geomid_ros.estimation.solvers import trust_region
 from geomid_ros.gap.candidates import AnyCandidate, Term
 from geomid_ros.gap.evidence.design import Design
-from geomid_ros.gap.fitting import other_recordings, payload_start
+from geomid_ros.gap.fitting.prior import (
+    SPREAD_OF_PAYLOADS,
+    Prior,
+    centred_payloads,
+    contradiction,
+    cost_of_inflation,
+    inflation_of,
+    known_rows,
+    usual_payload,
+)
 from geomid_ros.gap.fitting.profile_objective import ProfileObjective, StraightManifold
 from geomid_ros.geometry.manifold import ParameterManifold, Point
 from geomid_ros.types import FloatArray
@@ -28,21 +36,6 @@ _TOLERANCE = 3e-5
 _ROUNDS = 4
 _STEPS = 40
 _SPREADS = (0.03, 0.8)
-
-
-@dataclass(frozen=True, eq=False, kw_only=True)
-class Prior:
-    """What is known before: the inertias ``(10 links,)``, the usual spread of their errors, and the effects that the
-    model already has: their terms, values and spreads ``(k,)``. ``certainty``: how many directions of inertial error
-    the usual spread counts as much as. ``known``: what other recordings say of the links."""
-
-    inertias: FloatArray
-    spread: float
-    terms: tuple[Term, ...]
-    values: FloatArray
-    spreads: FloatArray
-    certainty: float
-    known: LinksInformation | None = None
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -118,9 +111,9 @@ def fit(
     if prior.known is None or spread is not None:
         return _fit(design, prior, chosen, start, spread)
     alone = _fit(design, replace(prior, known=None), chosen, start)
-    rows = other_recordings.rows(prior.known, alone.manifold.dimension)
+    rows = known_rows(prior.known, alone.manifold.dimension)
     off = alone.point.parameters - _known(alone.manifold, prior, alone.bodies).parameters
-    loose = replace(alone, inflation=other_recordings.contradiction(rows, off))
+    loose = replace(alone, inflation=contradiction(rows, off))
     return min((_fit(design, prior, chosen, first) for first in (start, loose)), key=lambda found: found.score)
 
 
@@ -138,10 +131,10 @@ def _fit(
     known = _known(manifold, prior, bodies)
     first = 10 * (len(prior.inertias) // 10)
     weights = np.full(manifold.dimension, 1e-6)
-    weights[first : manifold.inertial.stop] = payload_start.SPREAD**-2
+    weights[first : manifold.inertial.stop] = SPREAD_OF_PAYLOADS**-2
     held = slice(manifold.real.start, manifold.real.start + len(prior.terms))
     weights[held] = (scales[: len(prior.terms)] / prior.spreads) ** 2
-    rows = other_recordings.rows(prior.known, manifold.dimension)
+    rows = known_rows(prior.known, manifold.dimension)
     counts, least = design.counts, _LEAST_SHARE * design.target_squares + 1e-300
     afresh = start is None or set(bodies) != set(start.bodies)
     inflation = 1.0 if fixed or start is None else start.inflation
@@ -151,10 +144,12 @@ def _fit(
 
     def objective(spread: float, inflation: float) -> ProfileObjective:
         trusted = np.where(np.arange(manifold.dimension) < first, spread**-2, weights)
-        return ProfileObjective(manifold, products, counts, least, known, trusted, rows / np.sqrt(inflation))
+        return ProfileObjective(
+            manifold, products, counts, least, prior=known, weights=trusted, known=rows / np.sqrt(inflation)
+        )
 
     if afresh and bodies:
-        point = payload_start.centred(objective(spread, inflation), point, len(bodies))
+        point = centred_payloads(objective(spread, inflation), point, len(bodies))
     for _ in range(_ROUNDS):
         trusted = objective(spread, inflation)
         solution = trust_region(trusted, point, _TOLERANCE, _STEPS)
@@ -164,14 +159,14 @@ def _fit(
         hessian = solution.evaluation.information + np.diag(trusted.weights)
         before = np.array([spread, inflation])
         spread = _spread(manifold, point, known, hessian, first, prior)
-        inflation = other_recordings.inflation(rows, manifold, point, known, hessian)
+        inflation = inflation_of(rows, manifold, point, known, hessian)
         if np.all(np.abs(np.log([spread, inflation] / before)) < 0.05):
             break
     trusted = objective(spread, inflation)
     found = trusted.evaluate(point)
     hessian = found.information + np.diag(trusted.weights)
     score = 2.0 * found.value + _cost_of_spread(hessian[:first, :first], spread, prior)
-    score += other_recordings.cost_of_inflation(rows, inflation)
+    score += cost_of_inflation(rows, inflation)
     score += sum(c.penalty for c in chosen) * float(np.log(np.max(counts, initial=1.0)))
     squares = trusted.squares(point)
     return JointFit(
@@ -219,7 +214,7 @@ def _scales(products: FloatArray, design: Design, bodies: Sequence[int], terms: 
 
 def _known(manifold: ParameterManifold, prior: Prior, bodies: Sequence[int]) -> Point:
     links = prior.inertias.reshape(-1, 10)
-    payloads = [payload_start.usual(links, body) for body in bodies]
+    payloads = [usual_payload(links, body) for body in bodies]
     reals = np.zeros(len(manifold.scales))
     reals[: len(prior.values)] = prior.values
     return manifold.point(np.concatenate([prior.inertias, *payloads, reals]))

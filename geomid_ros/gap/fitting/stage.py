@@ -75,7 +75,7 @@ class Stage:
         friction is uncertain by more than a share of the noise, nor where that reaches other channels through the
         joint's acceleration."""
         valid = self.records.usable(self.model, self.rows.targets)
-        if not self.model.efforts_usable or not np.any(self._dry_friction):
+        if not self.model.layout.efforts or not np.any(self._dry_friction):
             return valid
         joints = self._dry_friction.shape[1]
         by_acceleration = np.abs(self.situation.by_acceleration)

@@ -7,7 +7,8 @@ from functools import cached_property
 import numpy as np
 
 from geomid_ros.gap.evidence.record import Records
-from geomid_ros.gap.fitting.fit import JointFit, Prior, unfitted
+from geomid_ros.gap.fitting.fit import JointFit, unfitted
+from geomid_ros.gap.fitting.prior import Prior
 from geomid_ros.gap.fitting.stage import Stage, total_model
 from geomid_ros.gap.judgement.locate import located
 from geomid_ros.gap.result import Gap, Located, Trace

@@ -30,7 +30,7 @@ def parameters(
     covariance = found.covariance[np.ix_(places, places)]
     if isinstance(candidate.place, AtSensor):
         return _of_sensor(model, candidate.place, values, covariance)
-    sliding = model.slides(candidate.place)
+    sliding = model.places.slides(candidate.place)
     return candidate.effect.quantities(values, covariance, sliding=sliding, unsure=unsure, usual_load=usual_load)
 
 

@@ -27,13 +27,11 @@ def _finding(model: MeasurementModel, analysis: Analysis, candidate: Candidate, 
     without = search.without(whole, candidate)
     loss = without.score - whole.score
     rivals = _rivals(model, analysis, candidate)
-    joint, link = model.place_name(candidate.place), naming.link_name(model, candidate)
+    joint, link = model.places.name(candidate.place), naming.link_name(model, candidate)
     close = [(EFFECTS[rival.effect](), rival.joint) for rival in rivals if rival.loss < CONFIDENT_RIVAL]
     load = analysis.stage.situation.usual_load(joint_of(candidate.place)) if candidate.scanned else 0.0
     parameters = naming.parameters(model, whole, candidate, _scanned_std(analysis, candidate), load)
-    evidence = Evidence(
-        model=model, analysis=analysis, unseen=unseen, candidate=candidate, rivals=rivals, loss=loss
-    )
+    evidence = Evidence(model=model, analysis=analysis, unseen=unseen, candidate=candidate, rivals=rivals, loss=loss)
     confidence = evidence.confidence(parameters)
     return Finding(
         effect=candidate.name,
@@ -73,10 +71,10 @@ def _rivals(model: MeasurementModel, analysis: Analysis, candidate: Candidate) -
     found = []
     for rival in analysis.search.rivals(whole, candidate):
         (other,) = (c for c in rival.chosen if isinstance(c, Candidate) and c not in whole.chosen)
-        found.append(Rival(other.name, model.place_name(other.place), rival.score - whole.score))
+        found.append(Rival(other.name, model.places.name(other.place), rival.score - whole.score))
     alike = candidate.effect.alike_one_way
     if alike and moves_one_way(analysis, joint_of(candidate.place)):
-        joint = model.place_name(candidate.place)
+        joint = model.places.name(candidate.place)
         found = [rival for rival in found if (rival.effect, rival.joint) != (alike, joint)]
         found.append(Rival(alike, joint, 0.0))
     return sorted(found, key=lambda rival: rival.loss)
@@ -113,7 +111,7 @@ def ranking(model: MeasurementModel, analysis: Analysis) -> tuple[Ranked, ...]:
     chosen = [
         Ranked(
             c.name,
-            model.place_name(c.place),
+            model.places.name(c.place),
             search.without(whole, c).score - whole.score,
             improvement(search.design, search.without(whole, c), c)[1],
             True,
@@ -121,7 +119,7 @@ def ranking(model: MeasurementModel, analysis: Analysis) -> tuple[Ranked, ...]:
         for c in names
     ]
     others = [
-        Ranked(t.candidate.name, model.place_name(t.candidate.place), t.gain, t.separability, False)
+        Ranked(t.candidate.name, model.places.name(t.candidate.place), t.gain, t.separability, False)
         for t in search.ranked(whole)
         if isinstance(t.candidate, Candidate) and np.isfinite(t.gain)
     ]

@@ -10,10 +10,10 @@ import numpy as np
 from geomid_ros.gap import candidates as library
 from geomid_ros.gap.candidates import AnyCandidate, CurveCandidate, CurveTerm, EffectTerm, Term
 from geomid_ros.gap.evidence.curves import Curves
-from geomid_ros.gap.evidence.noise import Autoregression, runs_of
+from geomid_ros.gap.evidence.noise import Autoregression, noise_by_repeats, runs_of
 from geomid_ros.gap.evidence.record import Records, TotalModel
-from geomid_ros.gap.evidence.repeats import noise_by_repeats
-from geomid_ros.gap.fitting.fit import JointFit, Prior, unfitted
+from geomid_ros.gap.fitting.fit import JointFit, unfitted
+from geomid_ros.gap.fitting.prior import Prior
 from geomid_ros.gap.fitting.stage import Stage, total_model
 from geomid_ros.gap.search.beam_search import Search
 from geomid_ros.model.measurement import MeasurementModel

@@ -10,7 +10,8 @@ import numpy as np
 
 from geomid_ros.gap.candidates import AnyCandidate, Candidate, CurveCandidate
 from geomid_ros.gap.evidence.design import Design
-from geomid_ros.gap.fitting.fit import JointFit, Prior, fit
+from geomid_ros.gap.fitting.fit import JointFit, fit
+from geomid_ros.gap.fitting.prior import Prior
 from geomid_ros.gap.search.score_test import improvement
 from geomid_ros.model.effects import Place
 

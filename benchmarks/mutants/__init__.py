@@ -1,0 +1,1 @@
+"""Small faults planted in the package, and whether the tests notice them."""

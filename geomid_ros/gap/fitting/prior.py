@@ -1,0 +1,121 @@
+"""What is known before the joint fit: of links and effects, of payloads, and from other recordings.
+
+Other recordings are those from which a model was identified before, beside the recordings at hand.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from geomid_ros.estimation.estimate import LinksInformation
+from geomid_ros.gap.candidates import Term
+from geomid_ros.gap.fitting.profile_objective import ProfileObjective
+from geomid_ros.geometry import pseudo_inertia
+from geomid_ros.geometry.manifold import ParameterManifold, Point
+from geomid_ros.types import FloatArray
+
+SPREAD_OF_PAYLOADS = 3.0
+"""Of a payload about the usual one, a geodesic distance: next to nothing is known."""
+_PAYLOAD_MASS = 0.2  # of the mean link's mass
+_PAYLOAD_SIZE = 0.1  # [m]
+_CENTRINGS = 5
+_CERTAINTY = 4.0
+"""That they are as exact as they say counts as much as so many of their rows."""
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Prior:
+    """What is known before: the inertias ``(10 links,)``, the usual spread of their errors, and the effects that the
+    model already has: their terms, values and spreads ``(k,)``. ``certainty``: how many directions of inertial error
+    the usual spread counts as much as. ``known``: what other recordings say of the links."""
+
+    inertias: FloatArray
+    spread: float
+    terms: tuple[Term, ...]
+    values: FloatArray
+    spreads: FloatArray
+    certainty: float
+    known: LinksInformation | None = None
+
+
+def usual_payload(links: FloatArray, carrier: int) -> FloatArray:
+    """Parameters ``(10,)`` of the body that a payload of one of the ``links (n, 10)`` usually is."""
+    return _ball(_PAYLOAD_MASS * float(np.mean(links[:, 0])), links[carrier, 1:4] / links[carrier, 0])
+
+
+def _ball(mass: float, centre: FloatArray) -> FloatArray:
+    """Parameters ``(10,)`` of a body of a payload's usual size."""
+    pseudo = mass * np.diag([_PAYLOAD_SIZE**2] * 3 + [1.0])
+    pseudo[:3, :3] += mass * np.outer(centre, centre)
+    pseudo[:3, 3] = pseudo[3, :3] = mass * centre
+    result: FloatArray = pseudo_inertia.to_parameters(pseudo)
+    return result
+
+
+def centred_payloads(objective: ProfileObjective, point: Point, payloads: int) -> Point:
+    """With the last bodies where least squares that knows no cone wants their masses and centres.
+
+    From elsewhere a body gets there by growing thin, and then hardly moves any more.
+    """
+    manifold = objective.manifold
+    places = slice(manifold.inertial.stop - 10 * payloads, manifold.inertial.stop)
+    evaluation = objective.evaluate(point)
+    for _ in range(_CENTRINGS):
+        hessian = evaluation.information + np.diag(objective.weights)
+        step = -np.linalg.solve(hessian, evaluation.gradient)
+        parameters = point.parameters.copy()
+        wanted = parameters + manifold.whiten(point, np.eye(manifold.dimension)) @ step
+        bodies = wanted[places].reshape(-1, 10)
+        if np.any(bodies[:, 0] <= 0.0):
+            break
+        parameters[places] = np.concatenate([_ball(body[0], body[1:4] / body[0]) for body in bodies])
+        candidate = manifold.point(parameters)
+        trial = objective.evaluate(candidate)
+        if trial.value >= evaluation.value:
+            break
+        point, evaluation = candidate, trial
+    return point
+
+
+def known_rows(known: LinksInformation | None, dimension: int) -> FloatArray:
+    """Rows for D parameters, and as the last column their residuals at the prior ``(r, D + 1)``; r is 0 without any."""
+    if known is None:
+        return np.zeros((0, dimension + 1))
+    others = np.zeros((len(known.rows), dimension - known.rows.shape[1]))
+    return np.column_stack([known.rows, others, known.residuals])
+
+
+def inflation_of(
+    rows: FloatArray, manifold: ParameterManifold, point: Point, prior: Point, hessian: FloatArray
+) -> float:
+    """By how much the variances of ``rows (r, D + 1)`` are larger than they say, at least 1, as a fit with ``hessian
+    (D, D)`` shows: their model had errors, too.
+
+    MacKay's re-estimate, as of the prior's spread: mean square of the residuals, the fit's uncertainty included.
+    """
+    if not len(rows):
+        return 1.0
+    off = rows @ np.append(point.parameters - prior.parameters, 1.0)
+    normals = manifold.whiten(point, rows[:, :-1])
+    unsure = float(np.sum((normals @ np.linalg.inv(hessian)) * normals))
+    return max(1.0, (float(off @ off) + unsure + _CERTAINTY) / (_telling(rows) + _CERTAINTY))
+
+
+def contradiction(rows: FloatArray, off: FloatArray) -> float:
+    """The inflation, at least 1, with which the rows are as wrong as they say at parameters that are ``off (D,)`` the
+    prior."""
+    return max(1.0, float(np.sum((rows @ np.append(off, 1.0)) ** 2)) / max(1, _telling(rows)))
+
+
+def cost_of_inflation(rows: FloatArray, inflation: float) -> float:
+    """Minus twice the logarithm of its probability, beside that of the rows' residuals in units of the enlarged
+    standard deviations."""
+    return (_telling(rows) + _CERTAINTY) * float(np.log(inflation)) + _CERTAINTY * (1.0 / inflation - 1.0)
+
+
+def _telling(rows: FloatArray) -> int:
+    """How many of the rows say something."""
+    sizes = np.linalg.norm(rows[:, :-1], axis=1)
+    return int(np.count_nonzero(sizes > 1e-6 * np.max(sizes, initial=0.0)))

@@ -1,0 +1,121 @@
+"""Analyses that nobody made: scores and remainders as a test says, for the rules of judgement alone.
+
+The robot is the arm of :mod:`planted` with three channels, its joints' efforts.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+
+from geomid_ros.gap import candidates as library
+from geomid_ros.gap.candidates import AnyCandidate, Candidate, CurveCandidate, CurveTerm
+from geomid_ros.gap.judgement.confidence import Evidence
+from geomid_ros.gap.result import Confidence, Rival
+from geomid_ros.model.effects import Quantity
+from geomid_ros.types import FloatArray
+
+from . import planted
+
+MODEL = planted.model()
+JOINTS = MODEL.robot.joint_names
+CANDIDATES = library.candidates(MODEL)
+GUESSED, IDENTIFIED = 4.0, 400.0  # how certain the inertias are
+
+
+def named(effect: str, joint: int | None = 1) -> Candidate:
+    """A candidate, the first one of its constants."""
+    return next(c for c in CANDIDATES if c.name == effect and c.joint == joint)
+
+
+PAYLOAD = next(c for c in CANDIDATES if c.payload == len(MODEL.identified) - 1)
+
+
+def curve(joint: int, variable: str = "position") -> CurveCandidate:
+    """A free curve at a joint."""
+    return CurveCandidate(variable, "made up", joint, (CurveTerm(joint, "made up", 0),), 2.0)
+
+
+@dataclass(eq=False)
+class Fit:
+    """A fit: its score, and what it leaves of three channels, each of a floor of one."""
+
+    score: float
+    squares: FloatArray
+    chosen: tuple[AnyCandidate, ...] = ()
+
+
+@dataclass(kw_only=True)
+class Judged:
+    """What is said of a ``name`` at the second joint, on which everything depends unless a test says otherwise.
+
+    ``loss``: how much worse the score is without it; ``losses``: without each of the ``others``; ``instead``: with a
+    curve in its place. ``without``, ``bare``: sums of squares of each channel without the name and without any,
+    those of the whole being 1. ``after``, ``expected``, ``unnamed``: remainders of ``counts`` unseen instants with all
+    names, as they should be, and without the name. ``reached``: the channels that it can change.
+    """
+
+    name: Candidate = field(default_factory=lambda: named("viscous_friction"))
+    loss: float = 1000.0
+    others: Sequence[AnyCandidate] = ()
+    losses: Mapping[AnyCandidate, float] = field(default_factory=dict)
+    instead: float | None = None
+    rivals: Sequence[Rival] = ()
+    without: Sequence[float] = (1.0, 4.0, 1.0)
+    bare: Sequence[float] = (1.0, 4.0, 1.0)
+    after: Sequence[float] = (1.0, 1.0, 1.0)
+    expected: Sequence[float] = (1.0, 1.0, 1.0)
+    unnamed: Sequence[float] = (1.0, 3.0, 1.0)
+    counts: Sequence[float] = (1e4, 1e4, 1e4)
+    reached: Sequence[int] = (1,)
+    certainty: float = GUESSED
+
+    @property
+    def analysis(self) -> Any:
+        """As :class:`geomid_ros.gap.search.analysis.Analysis`."""
+        whole = Fit(0.0, np.ones(3), (self.name, *self.others))
+
+        def without(_: Fit, candidate: AnyCandidate) -> Fit:
+            if candidate is self.name:
+                return Fit(self.loss, np.array(self.without))
+            return Fit(self.losses.get(candidate, self.loss), np.ones(3))
+
+        def instead(_: Fit, __: AnyCandidate) -> Fit | None:
+            return None if self.instead is None else Fit(self.instead, np.ones(3))
+
+        search = SimpleNamespace(
+            design=SimpleNamespace(reached=lambda _: list(self.reached)),
+            prior=SimpleNamespace(certainty=self.certainty),
+            without=without,
+            instead=instead,
+        )
+        bare = Fit(0.0, np.array(self.bare))
+        return SimpleNamespace(search=search, whole=whole, names=whole, bare=bare)
+
+    @property
+    def unseen(self) -> Any:
+        """As :class:`geomid_ros.gap.judgement.held_out.HeldOut`."""
+        gap = SimpleNamespace(after=np.array(self.after), expected=np.array(self.expected))
+        return SimpleNamespace(
+            counts=np.array(self.counts), gap=gap, times_floor=lambda _: np.array(self.unnamed, dtype=float)
+        )
+
+    @property
+    def evidence(self) -> Evidence:
+        """For the name."""
+        return Evidence(
+            model=MODEL,
+            analysis=self.analysis,
+            unseen=self.unseen,
+            candidate=self.name,
+            rivals=self.rivals,
+            loss=self.loss,
+        )
+
+    def confidence(self, mass: float = 1.0, std: float = 0.01) -> Confidence:
+        """How sure the name is; of a payload with this mass."""
+        return self.evidence.confidence({"mass": Quantity(mass, std, "kg")})
