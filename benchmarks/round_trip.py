@@ -19,12 +19,13 @@ from rich.table import Table
 import geomid_ros
 from geomid_ros.files.models.loaded_model import LoadedModel
 from geomid_ros.model.effects import EFFECTS, ModelEffect, Quantity
+from geomid_ros.model.sensors import WrenchSensor
 from geomid_ros.session.gap_simulation import write_found
 from geomid_ros.simulation import EFFECTS as HIDEABLE
 from geomid_ros.simulation import WRIST_FRAME, Hidden, SimulationOptions, simulate
 
 _ROBOT = "arm3"
-_URDF = Path(__file__).parents[1] / f"bags/{_ROBOT}.urdf"
+URDF = Path(__file__).parents[1] / f"bags/{_ROBOT}.urdf"
 _JOINT = "joint2"
 _STDS = 4.0
 _SHARE = 0.1  # of the planted size: elasticity and play are known to first order, and the flanks of the play give
@@ -48,8 +49,13 @@ class Planted:
 
     @property
     def wrench(self) -> tuple[str, ...]:
-        """The wrench sensor that is needed."""
+        """The wrench sensor that is needed, as the command line has it."""
         return (f"/wrench:{WRIST_FRAME}:mounted",) if EFFECTS[self.effect].place == "sensor" else ()
+
+    @property
+    def sensors(self) -> list[WrenchSensor]:
+        """The same."""
+        return [WrenchSensor.parse(text) for text in self.wrench]
 
     def is_at(self, found: ModelEffect) -> bool:
         """Whether an effect that was found is this one."""
@@ -111,7 +117,7 @@ class RoundTrip:
         """The gap beside the URDF; beside what was identified without a payload, of one."""
         model = None
         if self.planted.is_payload:
-            bare = geomid_ros.identify(self.bag(3, bare=True), _URDF, effects=[])
+            bare = geomid_ros.identify(self.bag(3, bare=True), URDF, effects=[])
             model, _ = bare.session.save(self.folder / "bare", bare.estimate, bare.held_out_rms)
         return self._gap(1, model, "first")
 
@@ -124,13 +130,13 @@ class RoundTrip:
     def identified(self) -> geomid_ros.Identification:
         """What the other motion says of the robot, from what was found first on."""
         found = geomid_ros.identify(
-            self.bag(2), _URDF, model=self.model("first"), wrench=self.planted.wrench, hold_out=0.0
+            self.bag(2), URDF, model=self.model("first"), wrench=self.planted.wrench, hold_out=0.0
         )
         found.session.save(self.folder / "identified", found.estimate, None)
         return found
 
     def _gap(self, motion: int, model: Path | None, out: str) -> geomid_ros.Gap:
-        found = geomid_ros.find_gap(self.bag(motion), _URDF, model=model, wrench=self.planted.wrench)
+        found = geomid_ros.find_gap(self.bag(motion), URDF, model=model, wrench=self.planted.wrench)
         write_found(self.folder / out, found.session, found.result)
         return found
 
