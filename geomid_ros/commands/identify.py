@@ -3,18 +3,24 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import click
 import numpy as np
+from rich.markup import escape
 from rich.table import Table
 
 import geomid_ros
 from geomid_ros.commands.options import URDF, recording_options
 from geomid_ros.commands.progress import progress_bar
 from geomid_ros.commands.tables import number_columns, plain_table, results_console
-from geomid_ros.estimation.estimate import QUANTITIES, Estimate, LinkEstimate
+from geomid_ros.estimation.estimate import QUANTITIES, EffectEstimate, Estimate, LinkEstimate
+from geomid_ros.files.models.effect_forms import is_coefficient
+from geomid_ros.files.models.results import model_effects
+from geomid_ros.model.effects import EFFECTS, KnownEffect
+from geomid_ros.report import gap_words
 
 
 @click.command()
@@ -83,8 +89,12 @@ def _print(found: geomid_ros.Identification) -> None:
     console.print(_links_table(found))
     if estimate.known:
         console.print(_known_table(estimate))
-    if estimate.effects:
-        console.print(_effects_table(estimate))
+    of_joints = [effect for effect in estimate.effects if EFFECTS[effect.name].place == "joint"]
+    if of_joints:
+        console.print(_joint_effects_table(of_joints))
+    others = [effect for effect in model_effects(estimate, found.session.loaded.effects) if not _is_in_a_cell(effect)]
+    if others:
+        console.print(_other_effects_table(others))
     console.print(_channels_table(found))
 
 
@@ -131,15 +141,33 @@ def _known_table(estimate: Estimate) -> Table:
     return table
 
 
-def _effects_table(estimate: Estimate) -> Table:
+def _is_in_a_cell(effect: KnownEffect) -> bool:
+    """Whether the table of joints says all of an effect."""
+    return is_coefficient(effect) and EFFECTS[effect.effect].place == "joint"
+
+
+def _other_effects_table(effects: Sequence[KnownEffect]) -> Table:
+    """Those of several parameters, those at other places, and those that hold as the model says them."""
+    table = plain_table("Other effects")
+    for heading in ("effect", "where", "parameter"):
+        table.add_column(heading, overflow="fold")
+    number_columns(table, ["value"])
+    for effect in effects:
+        names = "\n".join(name.replace("_", " ") for name in effect.parameters)
+        values = "\n".join(gap_words.measured(quantity) for quantity in effect.parameters.values())
+        table.add_row(gap_words.headline(effect.effect), escape(gap_words.place(effect.joint)), names, values)
+    return table
+
+
+def _joint_effects_table(effects: Sequence[EffectEstimate]) -> Table:
     """An empty cell where a joint does not have an effect that others have."""
-    names = list(dict.fromkeys(effect.name for effect in estimate.effects))
-    joints = list(dict.fromkeys(effect.joint for effect in estimate.effects))
-    cells = {(effect.name, effect.joint): f"{effect.value:.3g} ± {effect.std:.1g}" for effect in estimate.effects}
+    names = list(dict.fromkeys(effect.name for effect in effects))
+    joints = list(dict.fromkeys(effect.joint for effect in effects))
+    cells = {(effect.name, effect.joint): f"{effect.value:.3g} ± {effect.std:.1g}" for effect in effects}
     table = plain_table("Joint effects")
     table.add_column("joint", overflow="fold")
     for name in names:
-        units = {effect.unit for effect in estimate.effects if effect.name == name}
+        units = {effect.unit for effect in effects if effect.name == name}
         first, _, second = name.partition("_")
         number_columns(table, [f"{first}\n{second}\n[{', '.join(sorted(units))}]"])
     for joint in joints:

@@ -92,9 +92,16 @@ class Candidate:
 
     effect: Effect
     place: Place
-    terms: tuple[Term, ...]
+    terms: tuple[EffectTerm, ...]
     penalty: float
     scout: bool = True
+
+    @staticmethod
+    def of(effect: Effect, place: Place, *, scout: bool = True) -> Candidate:
+        """The candidate of an effect at a place."""
+        terms = tuple(_terms(effect, place))
+        penalty = len(terms) + (effect.scanned != 0.0) if terms else _PAYLOAD_PENALTY
+        return Candidate(effect, place, terms, penalty, scout)
 
     def excludes(self, other: Candidate | CurveCandidate) -> bool:
         """Whether both at once make no sense: one name and place, one a special case of the other, two payloads."""
@@ -179,9 +186,7 @@ def _order(candidate: Candidate) -> tuple[int, int]:
 def _candidates_of(cls: type[Effect], model: MeasurementModel) -> Iterator[Candidate]:
     for index, effect in enumerate(cls.variants()):
         for place in model.places.of(effect):
-            terms = tuple(_terms(effect, place))
-            penalty = len(terms) + (effect.scanned != 0.0) if terms else _PAYLOAD_PENALTY
-            yield Candidate(effect, place, terms, penalty, not effect.scanned or index % _SCOUTS == 0)
+            yield Candidate.of(effect, place, scout=not effect.scanned or index % _SCOUTS == 0)
 
 
 def _terms(effect: Effect, place: Place) -> Iterator[EffectTerm]:

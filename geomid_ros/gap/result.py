@@ -112,7 +112,7 @@ class GapResult:
     noise's standard deviation in them. ``inertias (bodies, 10)`` are those of the final model (pinocchio's order, about
     the link's origin), payloads not included; ``bodies`` their links. ``coefficients`` are those of the effects that
     the model had before, fitted anew, in its order, NaN where it had none or a finding's parameter is the whole;
-    ``beside`` are those that it had beside its coefficients, fitted anew."""
+    ``beside`` are those that it had beside its coefficients, fitted anew, without those that cannot be."""
 
     verdict: Verdict
     findings: tuple[Finding, ...]

@@ -4,24 +4,26 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from itertools import chain
 from time import perf_counter
 
 import numpy as np
 
 from geomid_ros.errors import InputError
 from geomid_ros.estimation.estimate import LinksInformation
-from geomid_ros.gap.candidates import REST, EffectTerm
+from geomid_ros.gap.candidates import REST, Candidate, EffectTerm
 from geomid_ros.gap.evidence.record import Records
 from geomid_ros.gap.fitting.fit import unfitted
 from geomid_ros.gap.fitting.prior import Prior
 from geomid_ros.gap.fitting.stage import Stage, total_model
+from geomid_ros.gap.judgement import naming
 from geomid_ros.gap.judgement.held_out import HeldOut
 from geomid_ros.gap.judgement.locate import located
 from geomid_ros.gap.judgement.verdict import findings, ranking, unexplained, verdict
 from geomid_ros.gap.result import GapResult
 from geomid_ros.gap.search.analysis import Analysis, analyse
 from geomid_ros.geometry import pseudo_inertia
-from geomid_ros.model.effects import KnownEffect, effect_class, joint_of
+from geomid_ros.model.effects import KnownEffect, effect_class, values_of
 from geomid_ros.model.measurement import Coefficient, MeasurementModel
 from geomid_ros.model.samples import Samples
 from geomid_ros.types import FloatArray
@@ -124,7 +126,11 @@ def find_gap(
         bodies=bare.body_names,
         inertias=_links(analysis),
         coefficients=_coefficients(model, prior, analysis),
-        beside=tuple(_refitted(bare, analysis, place, known) for place, known in own.items()),
+        beside=tuple(
+            _refitted(bare, analysis, candidate, known)
+            for candidate, known in own
+            if not analysis.search.is_absurd(analysis.names, candidate)
+        ),
         seconds=perf_counter() - started,
     )
 
@@ -192,39 +198,31 @@ def _term(coefficient: Coefficient) -> EffectTerm:
 
 def _with_beside(
     model: MeasurementModel, records: Records, prior: Prior, beside: Sequence[KnownEffect]
-) -> tuple[Prior, dict[EffectTerm, KnownEffect]]:
-    """The prior with the effects ``beside`` the model's coefficients, and these by their terms."""
+) -> tuple[Prior, list[tuple[Candidate, KnownEffect]]]:
+    """The prior with the effects ``beside`` the model's coefficients, and each of these with its candidate."""
     if not beside:
-        return prior, {}
+        return prior, []
     situation = Stage(model, records, total_model(model, unfitted(prior))).situation
-    own: dict[EffectTerm, KnownEffect] = {}
-    values: list[float] = []
+    own, values = [], list(prior.values)
     for known in beside:
-        cls = effect_class(known.effect)
+        cls, numbers = effect_class(known.effect), values_of(known)
         place = model.places.named(cls(), known.joint)
-        numbers = {name: quantity.value for name, quantity in known.parameters.items()}
-        ((effect, (value,)),) = cls.coefficients(numbers, situation.usual_load(joint_of(place))).items()
-        own[EffectTerm(effect, place)] = known
-        values.append(value)
-    spreads = _SPREAD_OF_EFFECTS * np.abs(values)
+        load = situation.usual_load(place)
+        candidate, coefficients = Candidate.of(cls.from_values(numbers, load), place), cls.coefficients(numbers, load)
+        own.append((candidate, known))
+        values += [coefficients[term.effect][term.index] for term in candidate.terms]
+    spreads = _SPREAD_OF_EFFECTS * np.abs(values[len(prior.values) :])
+    terms = chain.from_iterable(candidate.terms for candidate, _ in own)
     extended = replace(
-        prior,
-        terms=(*prior.terms, *own),
-        values=np.append(prior.values, values),
-        spreads=np.append(prior.spreads, spreads),
+        prior, terms=(*prior.terms, *terms), values=np.array(values), spreads=np.append(prior.spreads, spreads)
     )
     return extended, own
 
 
-def _refitted(model: MeasurementModel, analysis: Analysis, term: EffectTerm, known: KnownEffect) -> KnownEffect:
+def _refitted(model: MeasurementModel, analysis: Analysis, candidate: Candidate, known: KnownEffect) -> KnownEffect:
     """An effect beside the model's coefficients with the size that was fitted."""
-    found = analysis.names
-    place = found.place(term)
-    values, covariance = np.array([found.value(term)]), found.covariance[place : place + 1, place : place + 1]
-    load = analysis.stage.situation.usual_load(joint_of(term.place))
-    sliding = model.places.slides(term.place)
-    parameters = term.effect.quantities(values, covariance, sliding=sliding, usual_load=load)
-    return replace(known, parameters=parameters)
+    load = analysis.stage.situation.usual_load(candidate.place)
+    return replace(known, parameters=naming.parameters(model, analysis.names, candidate, usual_load=load))
 
 
 def _as_simulated(

@@ -13,10 +13,9 @@ from typing import Any
 import numpy as np
 
 from geomid_ros.errors import InputError, unknown_name
-from geomid_ros.files.models.effect_forms import values
 from geomid_ros.files.models.gap_model import ModelFiles
 from geomid_ros.files.models.sidecar import read_sidecar
-from geomid_ros.model.effects import Effect, Motion, Place, SensorEffect, Values, effect_class, joints_of
+from geomid_ros.model.effects import Effect, Motion, Place, SensorEffect, Values, effect_class, joints_of, values_of
 from geomid_ros.model.effects.places import place_named
 from geomid_ros.model.samples import Samples
 from geomid_ros.model.sensors import WrenchSensor
@@ -78,11 +77,11 @@ class WrittenRobot:
         self._of_motion: list[tuple[Effect, Place, Values]] = []
         self._of_sensors: dict[str, list[tuple[SensorEffect, Values]]] = {}
         for known in read_sidecar(files.effects).effects if files.effects else ():
-            effect = effect_class(known.effect).from_values(values(known))
+            effect = effect_class(known.effect).from_values(values_of(known))
             if isinstance(effect, SensorEffect):
-                self._of_sensors.setdefault(known.joint, []).append((effect, values(known)))
+                self._of_sensors.setdefault(known.joint, []).append((effect, values_of(known)))
             elif effect.place != "link":
-                self._add(effect, self._place(effect, known.joint, files), values(known))
+                self._add(effect, self._place(effect, known.joint, files), values_of(known))
 
     def _place(self, effect: Effect, name: str, files: ModelFiles) -> Place:
         place = place_named(effect.place, name, self.joints)

@@ -11,9 +11,9 @@ import pytest
 import yaml
 
 from geomid_ros.errors import InputError
-from geomid_ros.files.models.effect_forms import combined, values
+from geomid_ros.files.models.effect_forms import combined
 from geomid_ros.files.models.sidecar import read_sidecar, write_sidecar
-from geomid_ros.model.effects import EFFECTS, KnownEffect, Quantity
+from geomid_ros.model.effects import EFFECTS, KnownEffect, Quantity, values_of
 
 from .effects import PAYLOAD, effect
 
@@ -159,5 +159,5 @@ def test_effects_at_one_place_are_combined() -> None:
     dry, gain, spring, _, offset = found
     assert dry.parameters["level"] == Quantity(4.0, pytest.approx(np.hypot(0.1, 0.3)), "N m")
     assert gain.parameters["gain"].value == pytest.approx(0.99)
-    assert values(spring) == {"stiffness": 2.0, "equilibrium": 0.1}
-    assert values(offset) == {"fx": 2.0, "fy": 0.0, "fz": 0.0, "tx": 0.0, "ty": 0.0, "tz": 2.0}
+    assert values_of(spring) == {"stiffness": 2.0, "equilibrium": 0.1}
+    assert values_of(offset) == {"fx": 2.0, "fy": 0.0, "fz": 0.0, "tx": 0.0, "ty": 0.0, "tz": 2.0}

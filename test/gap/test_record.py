@@ -215,7 +215,7 @@ def test_the_situation_is_that_of_the_total_model() -> None:
     np.testing.assert_array_equal(situation.sign, records.samples.column(SIGN))
     assert situation.coefficients == {("viscous_friction", AtJoint(1)): friction[2]}
     np.testing.assert_array_equal(situation.gravity, MODEL.robot.gravity)
-    assert situation.usual_load(1) == pytest.approx(np.std(situation.load[:, 1]))
+    assert situation.usual_load(AtJoint(1)) == pytest.approx(np.std(situation.load[:, 1]))
 
 
 def test_the_motion_of_no_effort_is_no_channel() -> None:

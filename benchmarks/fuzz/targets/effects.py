@@ -11,8 +11,9 @@ import yaml
 from benchmarks.fuzz.mutations import changed_text
 from benchmarks.fuzz.target import require
 from benchmarks.fuzz.targets.model import changed_document, effect_entries
-from geomid_ros.files.models.effect_forms import combined, values
+from geomid_ros.files.models.effect_forms import combined
 from geomid_ros.files.models.sidecar import read_sidecar, write_sidecar
+from geomid_ros.model.effects import values_of
 
 _SNIPPETS = ("*a", "&a", "!!float x", "[", "{", "\t", "? ", "- ", ": ", "\x00", "1e999", ".inf", "~")
 
@@ -43,6 +44,6 @@ class EffectsTarget:
         write_sidecar(self._again, sidecar.robot, sidecar.effects)
         again = read_sidecar(self._again)
         require(again.robot == sidecar.robot, "another robot")
-        before, after = ([values(effect) for effect in read.effects] for read in (sidecar, again))
+        before, after = ([values_of(effect) for effect in read.effects] for read in (sidecar, again))
         require(before == after, f"{before} has become {after}")
         combined(sidecar.effects)

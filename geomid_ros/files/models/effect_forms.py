@@ -9,15 +9,9 @@ from typing import Any
 import numpy as np
 
 from geomid_ros.geometry import pseudo_inertia
-from geomid_ros.model.effects import EFFECTS, KnownEffect, ModelEffect, Quantity, effect_class, identifiable
+from geomid_ros.model.effects import EFFECTS, KnownEffect, ModelEffect, Quantity, effect_class, identifiable, values_of
 from geomid_ros.model.effects.parameters import COM_ENTRIES, INERTIA_ENTRIES
 from geomid_ros.types import FloatArray
-
-
-def values(effect: ModelEffect) -> dict[str, float]:
-    """An effect's parameters without their units; what may be left out is zero."""
-    optional = {form.name: 0.0 for form in effect_class(effect.effect).parameters if form.optional}
-    return optional | {name: quantity.value for name, quantity in effect.parameters.items()}
 
 
 def is_body(effect: ModelEffect) -> bool:
@@ -53,7 +47,7 @@ def payload_parameters(payload: Mapping[str, float]) -> FloatArray:
 def turned_gravity(gravity: FloatArray, effects: Iterable[ModelEffect]) -> FloatArray:
     """Gravity ``(3,)`` in the base frame, from that of a base that stands straight."""
     for effect in effects:
-        gravity = effect_class(effect.effect).turned_gravity(gravity, values(effect))
+        gravity = effect_class(effect.effect).turned_gravity(gravity, values_of(effect))
     return gravity
 
 

@@ -81,8 +81,6 @@ def _finding(finding: Finding) -> dict[str, Any]:
     }
 
 
-
-
 def write_gap(path: Path, document: Mapping[str, Any]) -> None:
     """Write a gap's document."""
     write_text(path, json.dumps(document, indent=2, allow_nan=False) + "\n")

@@ -24,7 +24,6 @@ from geomid_ros.files.models.effect_forms import (
     is_body,
     payload_parameters,
     turned_gravity,
-    values,
 )
 from geomid_ros.files.models.results import known_inertias, known_information, read_estimate
 from geomid_ros.files.models.sidecar import effect_of
@@ -37,6 +36,7 @@ from geomid_ros.model.effects import (
     SituationEffect,
     effect_class,
     identifiable,
+    values_of,
 )
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.sensors import AXES, WrenchSensor
@@ -75,9 +75,13 @@ class LoadedModel:
     def refitted(
         self, model: MeasurementModel, coefficients: FloatArray, beside: Sequence[KnownEffect] = ()
     ) -> LoadedModel:
-        """The same with the ``coefficients`` of ``model`` and the effects :attr:`beside_coefficients` fitted anew,
-        without those that are NaN or not as positive as they must be, and without payloads, which are in the links'
-        inertias by then."""
+        """The same with what was fitted anew, without payloads, which are in the links' inertias by then.
+
+        Args:
+            model: a measurement model.
+            coefficients: those of its effects; effects are left out that are NaN or not as positive as they must be.
+            beside: of :attr:`beside_coefficients` those that are left.
+        """
         entries = [
             KnownEffect(c.effect.name, c.place_name, "", c.parameters(float(value), math.nan))
             for c, value in zip(model.coefficients, coefficients, strict=True)
@@ -85,10 +89,8 @@ class LoadedModel:
         ]
         fitted = {(entry.effect, entry.joint) for entry in entries}
         gone = {(effect.name, place) for effect, place, _ in self._coefficients} - fitted
-        anew = {(known.effect, known.joint): known for known in beside}
-        kept = [anew.get((known.effect, known.joint), known) for known in self.effects]
-        own = [known for known in kept if (known.effect, known.joint) not in gone]
-        return LoadedModel(self.source, None, tuple(continued(combined(entries), own)))
+        kept = [known for known in self.effects if not _is_beside(known) and (known.effect, known.joint) not in gone]
+        return LoadedModel(self.source, None, tuple(continued(combined(entries), [*kept, *beside])))
 
     @property
     def beside_coefficients(self) -> list[KnownEffect]:
@@ -117,7 +119,7 @@ class LoadedModel:
 
     def _behind_gain(self, known: ModelEffect) -> KnownEffect:
         """An effect as efforts show it that were divided by their gain."""
-        own = values(known)
+        own = values_of(known)
         behind = effect_class(known.effect).behind_gain(own, self._gains.get(known.joint, 1.0))
         parameters = {
             name: replace(quantity, value=behind[name]) if behind[name] != own[name] else quantity
@@ -133,7 +135,7 @@ class LoadedModel:
         """The sensors with what is known of their offsets."""
         shifts: dict[str, FloatArray] = {}
         for known in self.effects:
-            shift = effect_class(known.effect).wrench_shift(values(known))
+            shift = effect_class(known.effect).wrench_shift(values_of(known))
             if shift:
                 own = np.array([shift.get(axis, 0.0) for axis in AXES])
                 shifts[known.joint] = shifts.get(known.joint, np.zeros(len(AXES))) + own
@@ -147,13 +149,13 @@ class LoadedModel:
         given = settings.effort_gain
         by_joint = given if isinstance(given, dict) else dict.fromkeys(joints, given)
         gains = {joint: by_joint.get(joint, 1.0) / self._gains.get(joint, 1.0) for joint in joints}
-        delay = sum(effect_class(known.effect).effort_lag(values(known)) for known in self.effects)
+        delay = sum(effect_class(known.effect).effort_lag(values_of(known)) for known in self.effects)
         return replace(settings, effort_gain=gains if self._gains else given, effort_delay=delay)
 
     @cached_property
     def _gains(self) -> dict[str, float]:
         """Factors from true efforts to measured ones by joint, where they are not 1."""
-        scales = [(known.joint, effect_class(known.effect).effort_scale(values(known))) for known in self.effects]
+        scales = [(known.joint, effect_class(known.effect).effort_scale(values_of(known))) for known in self.effects]
         return {joint: scale for joint, scale in scales if scale != 1.0}
 
     @cached_property
@@ -162,7 +164,7 @@ class LoadedModel:
         effect, its place and the parameter that they are."""
         found: dict[tuple[IdentifiedEffect, str, str], float] = {}
         for known in self.in_samples:
-            for part, own in effect_class(known.effect).coefficients(values(known)).items():
+            for part, own in effect_class(known.effect).coefficients(values_of(known)).items():
                 if isinstance(part, IdentifiedEffect):
                     for form, value in zip(part.own, own, strict=True):
                         key = part, known.joint, form.name
@@ -240,7 +242,7 @@ class LoadedModel:
             if is_body(known) and known.link not in model.body_names:
                 raise InputError(f"{self.source}: {unknown_name('link with a payload', known.link, model.body_names)}")
             if is_body(known) and known.link == body:
-                total += payload_parameters(values(known))
+                total += payload_parameters(values_of(known))
         return total
 
 

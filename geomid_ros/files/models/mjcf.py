@@ -19,11 +19,10 @@ from geomid_ros.files.models.effect_forms import (
     joint_attributes,
     payload_parameters,
     turned_gravity,
-    values,
 )
 from geomid_ros.files.models.joint_frames import JointFrame, joint_frames
 from geomid_ros.geometry import pseudo_inertia
-from geomid_ros.model.effects import EFFECTS, Hinge, ModelEffect
+from geomid_ros.model.effects import EFFECTS, Hinge, ModelEffect, values_of
 from geomid_ros.model.robot import Robot
 from geomid_ros.model.sensors import WrenchSensor
 from geomid_ros.types import FloatArray
@@ -74,8 +73,8 @@ class _Writer:
         self._joints = joint_frames(robot.urdf, robot.source)
         self._moving = set(robot.joint_names)
         effects = list(effects)
-        self._effects = {(effect.effect, effect.joint): values(effect) for effect in effects}
-        self._payloads = {effect.link: values(effect) for effect in effects if is_body(effect)}
+        self._effects = {(effect.effect, effect.joint): values_of(effect) for effect in effects}
+        self._payloads = {effect.link: values_of(effect) for effect in effects if is_body(effect)}
         self._gravity = turned_gravity(gravity, effects)
 
     def document(self, sensors: Sequence[WrenchSensor]) -> Element:

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from geomid_ros.errors import InputError
-from geomid_ros.estimation.estimate import FINEST, EffectEstimate, Estimate, LinksInformation
+from geomid_ros.estimation.estimate import FINEST, Estimate, LinksInformation
 from geomid_ros.files.disk import read_text, write_text
 from geomid_ros.files.models.effect_forms import (
     coefficient_entry,
@@ -52,7 +52,7 @@ def estimate_document(
         held_out: RMS residuals ``(channels,)`` on data that were not used, if any were held out.
         known: the effects of the model that the estimation began with.
     """
-    effects = continued(combined(_found(effect) for effect in estimate.effects), known)
+    effects = model_effects(estimate, known)
     shares = {(effect.name, effect.joint): effect.from_data for effect in estimate.effects}
     rms = {"nominal": estimate.rms_nominal, "train": estimate.rms, "held_out": held_out}
     return {
@@ -103,8 +103,10 @@ def estimate_document(
     }
 
 
-def _found(effect: EffectEstimate) -> KnownEffect:
-    return KnownEffect(effect.name, effect.joint, "", effect.parameters)
+def model_effects(estimate: Estimate, known: Sequence[ModelEffect]) -> list[KnownEffect]:
+    """All effects of the model with an estimate that began with the ``known`` ones, as files have them."""
+    found = combined(KnownEffect(effect.name, effect.joint, "", effect.parameters) for effect in estimate.effects)
+    return continued(found, known)
 
 
 def _together(estimate: Estimate) -> dict[str, Any]:

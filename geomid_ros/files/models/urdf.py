@@ -13,8 +13,8 @@ import numpy as np
 
 from geomid_ros.estimation.estimate import LinkEstimate
 from geomid_ros.files.disk import read_text
-from geomid_ros.files.models.effect_forms import inertia_matrix, is_body, joint_attributes, values
-from geomid_ros.model.effects import ModelEffect
+from geomid_ros.files.models.effect_forms import inertia_matrix, is_body, joint_attributes
+from geomid_ros.model.effects import ModelEffect, values_of
 from geomid_ros.model.effects.parameters import COM_ENTRIES
 from geomid_ros.model.urdf_tree import MOST_BYTES
 from geomid_ros.types import FloatArray
@@ -82,7 +82,7 @@ def with_effects(urdf: str, effects: Iterable[ModelEffect]) -> str:
     joints, links = _spans(data, "joint", "dynamics"), _spans(data, "link", "inertial")
     dynamics: dict[str, dict[str, float]] = {}
     for effect in effects:
-        for attribute, value in joint_attributes(effect.effect, values(effect), "dynamics").items():
+        for attribute, value in joint_attributes(effect.effect, values_of(effect), "dynamics").items():
             own = dynamics.setdefault(effect.joint, {})
             own[attribute] = own.get(attribute, 0.0) + value
     edits = [_dynamics(data, joints[name], own) for name, own in dynamics.items()]
@@ -108,7 +108,7 @@ def _payload(effect: ModelEffect, links: Mapping[str, _Span], joints: Mapping[st
     name = f"{effect.link}_payload"
     while name in links or name in joints:
         name += "_"
-    payload = values(effect)
+    payload = values_of(effect)
     com = np.array([payload[key] for key in COM_ENTRIES])
     inertial = _inertial(payload["mass"], com, inertia_matrix(payload)).decode()
     return (

@@ -70,11 +70,11 @@ class Search:
 
     def possible(self, found: JointFit) -> bool:
         """Whether no coefficient has a sign or a size that it cannot have, and no payload outweighs the robot."""
-        return not any(self._is_absurd(found, candidate) for candidate in found.chosen)
+        return not any(self.is_absurd(found, candidate) for candidate in found.chosen)
 
     def without_absurd(self, current: JointFit) -> JointFit:
         """Without the candidates that cannot be, one after the other, or with simpler names in their places."""
-        while absurd := [c for c in current.chosen if self._is_absurd(current, c)]:
+        while absurd := [c for c in current.chosen if self.is_absurd(current, c)]:
             current = min((f for c in absurd for f in self._simpler(current, c)), key=lambda f: f.score)
         return current
 
@@ -85,7 +85,8 @@ class Search:
         special = [c for c in self.candidates if c.name == contained and c.joint == candidate.joint]
         return [rest, *(self.fit([*rest.chosen, c], rest) for c in special)]
 
-    def _is_absurd(self, found: JointFit, candidate: AnyCandidate) -> bool:
+    def is_absurd(self, found: JointFit, candidate: AnyCandidate) -> bool:
+        """Whether a candidate has a sign or a size that it cannot have."""
         if isinstance(candidate, CurveCandidate):
             return False
         if candidate.payload is not None:

@@ -76,6 +76,7 @@ __all__ = [
     "joint_of",
     "joints_of",
     "register",
+    "values_of",
 ]
 
 DEFAULT_EFFECTS = ("viscous_friction", "coulomb_friction", "rotor_inertia", "effort_offset")
@@ -123,6 +124,12 @@ def effect_class(name: str) -> type[Effect]:
     if name not in EFFECTS:
         raise unknown_name("effect", name, EFFECTS)
     return EFFECTS[name]
+
+
+def values_of(known: ModelEffect) -> dict[str, float]:
+    """An effect's parameters without their units; what may be left out is zero."""
+    optional = {form.name: 0.0 for form in effect_class(known.effect).parameters if form.optional}
+    return optional | {name: quantity.value for name, quantity in known.parameters.items()}
 
 
 def identifiable() -> dict[str, IdentifiedEffect]:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from geomid_ros.model.effects.places import Place
+from geomid_ros.model.effects.places import Place, joints_of
 from geomid_ros.types import FloatArray
 
 
@@ -71,6 +71,6 @@ class Situation:
     gravity: FloatArray
     coefficients: Mapping[tuple[str, Place], FloatArray]
 
-    def usual_load(self, joint: int) -> float:
-        """Standard deviation of what a joint's gear transmits [N m or N]."""
-        return float(np.std(self.load[:, joint]))
+    def usual_load(self, place: Place) -> float:
+        """Standard deviation of what the gear of a place's (first) joint transmits [N m or N]; 0 without a joint."""
+        return float(np.std(self.load[:, joints_of(place)[0]])) if joints_of(place) else 0.0
