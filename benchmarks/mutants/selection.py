@@ -17,6 +17,7 @@ from benchmarks.mutants.operators import Mutant
 from benchmarks.mutants.running import environment
 
 _DURATION = re.compile(r"^ *([0-9.]+)s (?:setup|call|teardown) +(.+?) *$", re.MULTILINE)
+_AT_IMPORT = ""  # in the place of a test
 
 
 @dataclass
@@ -49,28 +50,24 @@ class Selection:
         for path in data.measured_files():
             name = str(Path(path).relative_to(root))
             for line, contexts in data.contexts_by_lineno(path).items():
-                for context in contexts:
-                    tests = self._tests(context)
-                    self.lines[name, line] |= tests
-                    self.files[name] |= tests
-
-    def _tests(self, context: str) -> set[str]:
-        """A test; all tests of its file for what it sets up, as others may use it as well."""
-        test, _, phase = context.rpartition("|")
-        if not test:
-            return set()
-        return {test} if phase == "run" else {other for other in self.seconds if _file(other) == _file(test)}
+                tests = {context.rpartition("|")[0] for context in contexts}
+                self.lines[name, line] |= tests
+                self.files[name] |= tests - {_AT_IMPORT}
 
     def tests(self, mutant: Mutant, limit: float) -> list[str]:
-        """The tests that run the lines of a fault, or any line of its file where these are run at import: file by file,
-        the quick ones first, as many as take up to ``limit`` seconds."""
+        """The tests that a fault may concern, as many as take up to ``limit`` seconds.
+
+        First those that run its lines; then the others of their files, which may share what these have made; and where
+        the lines are run at import, those that run any line of the file. File by file, the quick ones first.
+        """
         first, last = mutant.lines
-        found = set().union(*(self.lines.get((mutant.path, line), ()) for line in range(first, last + 1)))
-        found = found or self.files[mutant.path]
+        running = set().union(*(self.lines.get((mutant.path, line), ()) for line in range(first, last + 1)))
+        files = {_file(test) for test in (self.files[mutant.path] if _AT_IMPORT in running or not running else running)}
+        found = [test for test in self.seconds if _file(test) in files]
         of_file: dict[str, float] = defaultdict(float)
         for test in found:
             of_file[_file(test)] += self.seconds[test]
-        order = sorted(found, key=lambda test: (of_file[_file(test)], _file(test), self.seconds[test], test))
+        order = sorted(found, key=lambda t: (t not in running, of_file[_file(t)], _file(t), self.seconds[t], t))
         spent = accumulate(self.seconds[test] for test in order)
         return [test for test, seconds in zip(order, spent, strict=True) if seconds <= limit]
 

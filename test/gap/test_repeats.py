@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
+from geomid_ros.gap.evidence import noise
 from geomid_ros.gap.evidence.noise import Repeats, noise_by_repeats, repeated_after
 from geomid_ros.gap.evidence.record import Records
 from geomid_ros.model.samples import Samples
@@ -72,3 +73,42 @@ def test_the_floor_of_a_model_that_lacks_nothing_is_not_too_low(memory: float) -
         remainder = SIZES * (1.0 + np.random.default_rng(seed).standard_normal(3) / np.sqrt(2.0 * 2.0 * repeats.counts))
         ratios.append(repeats.floor(remainder) / SIZES)
     assert abs(np.mean(ratios) - 1.0) < 0.02
+
+
+@pytest.mark.parametrize("lag", [-30, -1, 0, 1, 25])
+def test_two_stretches_differ_by_the_mean_over_what_overlaps(lag: int) -> None:
+    first, second = np.random.default_rng(1).normal(size=(2, 40, 3))
+    pairs = [(row, row + lag) for row in range(40) if 0 <= row + lag < 40]
+    expected = np.mean([np.sum((second[there] - first[here]) ** 2) for here, there in pairs])
+    assert noise._difference(first, second, lag) == pytest.approx(expected)
+
+
+def test_the_lowest_of_a_parabola() -> None:
+    for place in (-0.4, 0.0, 0.3):
+        three = 2.0 + 5.0 * (np.array([-1.0, 0.0, 1.0]) - place) ** 2
+        assert noise._lowest(three) == pytest.approx((2.0, place))
+    assert noise._lowest(np.array([1.0, 1.0, 1.0])) == (1.0, 0.0), "a line has none"
+    assert noise._lowest(np.array([2.0, 1.0, -5.0]))[1] == 0.0
+    assert noise._lowest(5.0 * (np.array([-1.0, 0.0, 1.0]) - 0.3) ** 2 - 1.0)[0] == 0.0, "no mean square is negative"
+
+
+def test_the_mean_of_standard_deviations_is_over_all_pairs_of_repeats() -> None:
+    """Each pair of stretches is one measure; they have as many instants as overlap, as far as these are independent."""
+    parts = [recording(1, 8.0, seed) for seed in (2, 3, 4)]
+    records = Records.make(parts, planted.CUTOFF)
+    found = noise_by_repeats(planted.model(), records)
+    pairs = [(0, 1), (0, 2), (1, 2)]
+    squares = [0.5 * np.mean((parts[a].effort - parts[b].effort) ** 2, axis=0) for a, b in pairs]
+    np.testing.assert_allclose(found.noise, np.sqrt(np.mean(squares, axis=0)), rtol=1e-3)
+    share = len(records.samples) / sum(len(part) for part in records.dense)
+    np.testing.assert_allclose(found.counts, share * 3 * len(parts[0]), rtol=0.01)
+
+
+def test_what_hardly_overlaps_or_stands_still_is_no_repeat() -> None:
+    whole = recording(1, 24.0, 2)
+    first = whole.select(slice(0, 384))
+    assert repeated_after(first, whole.select(slice(192, 576))) == pytest.approx(-3.0, abs=1e-3)
+    still = replace(first, position=0.0 * first.position)
+    assert repeated_after(still, still) is None
+    short = whole.select(slice(0, 60))
+    assert repeated_after(short, short) is None

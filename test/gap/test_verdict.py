@@ -79,7 +79,7 @@ def test_friction_at_a_joint_that_moves_one_way_is_an_offset_as_well() -> None:
     assert rivals(SPRING, {}, forward=1.0) == []
 
 
-@pytest.mark.parametrize("std", [0.3, 0.6])
+@pytest.mark.parametrize("std", [0.03, 0.3, 0.6])
 def test_a_scanned_constant_is_as_sure_as_the_curvature_of_the_score_says(std: float) -> None:
     """The score is minus twice a log likelihood; between two neighbours nothing is told apart."""
     middle = STRIBECK[10]

@@ -46,27 +46,24 @@ def test_inertial_errors_alone_are_no_finding(seed: int) -> None:
 
 
 PLANTED = {
-    "viscous_friction": (lambda _q, v, _a: 0.4 * v, {"coefficient": 0.4}),
-    "coulomb_friction": (lambda _q, v, _a: 0.3 * np.sign(v), {"level": 0.3}),
-    "spring": (lambda q, _v, _a: 2.0 * (q - 0.3), {"stiffness": 2.0, "equilibrium": 0.3}),
-    "effort_offset": (lambda q, _v, _a: -0.5 + 0.0 * q, {"offset": -0.5}),
+    "viscous_friction": lambda _q, v, _a: 0.4 * v,
+    "coulomb_friction": lambda _q, v, _a: 0.3 * np.sign(v),
+    "spring": lambda q, _v, _a: 2.0 * (q - 0.3),
+    "effort_offset": lambda q, _v, _a: -0.5 + 0.0 * q,
 }
 
 
-@pytest.mark.parametrize("effect", PLANTED)
-@pytest.mark.parametrize("joint", [0, 2])
-def test_a_planted_effect_is_named_with_its_size(effect: str, joint: int) -> None:
-    extra, parameters = PLANTED[effect]
-    result = run(beside(20 + joint, extra, joint), 20 + joint)
+@pytest.mark.parametrize(
+    ("effect", "joint"), [("viscous_friction", 0), ("coulomb_friction", 2), ("spring", 0), ("effort_offset", 2)]
+)
+def test_a_planted_effect_is_named(effect: str, joint: int) -> None:
+    """And how large it is, test_calibration judges."""
+    result = run(beside(20 + joint, PLANTED[effect], joint), 20 + joint)
     (finding,) = result.findings
     assert (finding.effect, finding.joint, finding.confidence) == (effect, JOINTS[joint], "confident")
     assert result.verdict == "named"
     assert np.max(result.gap.inertias_only) > 2.0
     assert np.max(result.gap.after) < 1.2
-    for name, value in parameters.items():
-        found = finding.parameters[name]
-        assert abs(found.value - value) < max(4.0 * found.std, 0.01 * abs(value))
-        assert found.std < 0.1 * abs(value)
 
 
 def test_what_the_library_does_not_know_is_not_named() -> None:

@@ -1,0 +1,77 @@
+"""Recordings of a pendulum with a planted effect, by its equation of motion: a whole gap run takes a fifth of a second.
+
+``tau = I a + g (m x cos q - m y sin q)`` about a level hinge, with white noise.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from geomid_ros.gap import candidates as library
+from geomid_ros.gap.result import GapResult
+from geomid_ros.gap.workflow import find_gap
+from geomid_ros.model.effects import Motion
+from geomid_ros.model.measurement import MeasurementModel
+from geomid_ros.model.robot import Robot
+from geomid_ros.model.samples import Samples
+from geomid_ros.types import FloatArray
+
+_URDF = """
+<robot name="pendulum">
+  <link name="base"/>
+  <link name="arm">
+    <inertial>
+      <origin xyz="0.2 0.05 0"/><mass value="2"/>
+      <inertia ixx="0.02" iyy="0.06" izz="0.06" ixy="0" ixz="0" iyz="0"/>
+    </inertial>
+  </link>
+  <joint name="hinge" type="revolute">
+    <parent link="base"/><child link="arm"/>
+    <origin rpy="1.5707963267948966 0 0"/><axis xyz="0 0 1"/>
+    <limit lower="-3" upper="3" effort="100" velocity="10"/>
+  </joint>
+</robot>
+"""
+MODEL = MeasurementModel(Robot(_URDF), ())
+_COLUMNS = library.library_columns(MODEL)
+_RATE = 64.0
+_INERTIA, _FIRST_MOMENT = 0.16, (0.42, 0.08)  # not those of the URDF
+NOISE = 0.02  # [N m]
+
+Effort = Callable[[FloatArray, FloatArray], FloatArray]  # of position and velocity, each (N,)
+
+
+def recording(extra: Effort, seed: int, seconds: float) -> Samples:
+    """A sum of six sines."""
+    rng = np.random.default_rng([seed, 1])
+    times = np.arange(round(seconds * _RATE)) / _RATE
+    rate = 2.0 * np.pi * np.arange(1, 7) / 6.0
+    size, phase = 0.8 * rng.normal(size=6) / np.arange(1, 7), rng.uniform(0.0, 2.0 * np.pi, size=6)
+    angle = rate * times[:, None] + phase
+    position, velocity, acceleration = (
+        np.sum(size * rate**order * np.sin(angle + 0.5 * np.pi * order), axis=1) for order in range(3)
+    )
+    weight = 9.81 * (_FIRST_MOMENT[0] * np.cos(position) - _FIRST_MOMENT[1] * np.sin(position))
+    effort = _INERTIA * acceleration + weight + extra(position, velocity) + NOISE * rng.standard_normal(len(times))
+    motion = Motion(position[:, None], velocity[:, None], acceleration[:, None])
+    nothing = np.zeros((len(times), 0))
+    return Samples(
+        stamps=(1e9 + 1e9 * times).astype(np.int64),
+        position=motion.position,
+        velocity=motion.velocity,
+        acceleration=motion.acceleration,
+        effort=effort[:, None],
+        base_pose=nothing,
+        base_velocity=nothing,
+        base_acceleration=nothing,
+        wrenches=np.zeros((len(times), 0, 6)),
+        effects=_COLUMNS.values(motion),
+        columns=_COLUMNS,
+    )
+
+
+def gap(extra: Effort, seed: int) -> GapResult:
+    """What is found in 16 s, and judged on 10 s of another motion."""
+    return find_gap(MODEL, [recording(extra, seed, 16.0)], [recording(extra, seed + 1000, 10.0)])

@@ -1,0 +1,193 @@
+"""Rounds of search and linearisation: when they end, and what is noise in them."""
+
+from dataclasses import dataclass, field
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+
+from geomid_ros.gap.candidates import Term
+from geomid_ros.gap.evidence.record import TotalModel
+from geomid_ros.gap.search import analysis
+from geomid_ros.gap.search.beam_search import Search
+from geomid_ros.model.effects import AtJoint, OnRobot
+from geomid_ros.model.effects.gravity_tilt import GravityTilt
+from geomid_ros.model.effects.viscous_friction import ViscousFriction
+from geomid_ros.types import FloatArray
+
+from .small import PRIOR, Recording, at, curve
+
+VISCOUS, OFFSET = at("viscous_friction", 0), at("effort_offset", 0)
+OTHER = at("viscous_friction", 1)
+
+
+@dataclass
+class Found:
+    """A fit: coefficients with their standard deviations."""
+
+    values: dict[Term, float]
+    chosen: tuple[Any, ...] = (VISCOUS,)
+    std: float = 0.1
+    stds: dict[Term, float] = field(default_factory=dict)
+
+    @property
+    def terms(self) -> tuple[Term, ...]:
+        return tuple(self.values)
+
+    @property
+    def covariance(self) -> FloatArray:
+        return np.diag([self.stds.get(term, self.std) ** 2 for term in self.values])
+
+    def value(self, term: Term) -> float:
+        return self.values[term]
+
+    def place(self, term: Term) -> int:
+        return self.terms.index(term)
+
+
+TERM, OWN = VISCOUS.terms[0], OFFSET.terms[0]
+
+
+@pytest.mark.parametrize(("change", "expected"), [(0.0, True), (0.04, True), (-0.04, True), (0.06, False)])
+def test_the_same_was_found_within_half_a_standard_deviation(change: float, expected: bool) -> None:
+    before, found = Found({TERM: 1.0}), Found({TERM: 1.0 + change})
+    assert analysis._same(before, found) == expected  # type: ignore[arg-type]
+    beside = Found({OWN: 5.0, TERM: 1.0 + change}, stds={OWN: 9.0})
+    assert analysis._same(before, beside) == expected  # type: ignore[arg-type]
+
+
+def test_other_names_are_not_the_same() -> None:
+    before = Found({TERM: 1.0})
+    assert not analysis._same(None, before)  # type: ignore[arg-type]
+    assert not analysis._same(before, Found({TERM: 1.0}, chosen=(VISCOUS, OFFSET)))  # type: ignore[arg-type]
+    assert not analysis._same(before, Found({TERM: 1.0}, chosen=()))  # type: ignore[arg-type]
+
+
+def total(tilt: tuple[float, float] | None = None, friction: float = 0.0) -> TotalModel:
+    effects: list[Any] = [(ViscousFriction(), AtJoint(0), np.array([friction]))]
+    if tilt is not None:
+        effects.append((GravityTilt(), OnRobot(), np.array(tilt)))
+    return TotalModel(np.zeros((1, 10)), tuple(effects), np.array([0.0, 0.0, -9.81]))
+
+
+@pytest.mark.parametrize(
+    ("first", "second", "expected"),
+    [
+        (total(), total(friction=9.0), True),
+        (total((0.1, 0.0)), total((0.12, 0.02)), True),
+        (total((0.1, 0.0)), total((0.14, 0.0)), False),
+        (total((0.1, 0.0)), total((0.1, -0.04)), False),
+        (total(), total((0.02, 0.02)), True),
+        (total(), total((0.04, 0.0)), False),
+    ],
+)
+def test_columns_for_one_model_are_good_for_another_unless_the_base_turns(
+    first: TotalModel, second: TotalModel, expected: bool
+) -> None:
+    assert analysis._near(first, second) == expected
+    assert analysis._near(second, first) == expected
+
+
+def test_the_size_of_a_remainder_is_that_of_what_is_used() -> None:
+    rng = np.random.default_rng(2)
+    residual = np.column_stack([0.3 * rng.standard_normal(20_000), rng.standard_normal(20_000), np.zeros(20_000)])
+    valid = rng.uniform(size=residual.shape) > 0.5
+    valid[:, 2] = False
+    wild = np.where(valid, residual, 1e6)
+    for size in (analysis._typical_size(wild, valid), analysis._root_mean_square(wild, valid)):
+        np.testing.assert_allclose(size, [0.3, 1.0, np.nan], rtol=0.02)
+
+
+def test_the_typical_size_is_that_of_most() -> None:
+    residual = np.random.default_rng(3).standard_normal((10_000, 1))
+    residual[::10] *= 100.0
+    assert analysis._typical_size(residual, np.ones((10_000, 1), dtype=bool))[0] == pytest.approx(1.0, abs=0.2)
+
+
+class TestFirstNoise:
+    """Before anything is named: what the motion of the channel's own joint does not explain."""
+
+    RNG = np.random.default_rng(7)
+    COUNT = 3000
+
+    def noise(self, memory: float, own: float, others: float, free: float = 0.0) -> Any:
+        """Of noise with a memory, under an effect at its joint and what another joint and a curve do."""
+        mine, alien, smooth = self.RNG.standard_normal((3, self.COUNT))
+        alien, smooth = (np.convolve(column, np.ones(20), mode="same") for column in (alien, smooth))
+        noise = lfilter([np.sqrt(1.0 - memory**2)], [1.0, -memory], self.RNG.standard_normal(self.COUNT))
+        own_column = np.convolve(mine, np.ones(20), mode="same")
+        left = noise + own * own_column + others * alien + free * smooth
+        columns = {
+            TERM: {0: own_column},
+            OTHER.terms[0]: {1: alien},
+            curve(0, "time", "drift").terms[0]: {0: smooth},
+        }
+        residual = np.column_stack([left, np.zeros(self.COUNT)])
+        stage: Any = SimpleNamespace(
+            residual=lambda *_: residual, records=SimpleNamespace(segment=np.zeros(self.COUNT, dtype=int))
+        )
+        valid = np.ones((self.COUNT, 2), dtype=bool)
+        valid[self.COUNT // 2] = False
+        return analysis._flexible_noise(stage, columns, None, valid)[0]  # type: ignore[arg-type]
+
+    @pytest.mark.parametrize("memory", [0.0, 0.7])
+    def test_an_effect_at_its_joint_is_no_noise(self, memory: float) -> None:
+        noise = self.noise(memory, own=3.0, others=0.0)
+        predictor = np.append(noise.predictors[noise.order], [0.0])
+        assert predictor[0] == pytest.approx(memory, abs=0.06)
+        assert noise.variances[-1] == pytest.approx(1.0 - memory**2, rel=0.1)
+
+    def test_what_other_joints_and_curves_explain_is(self) -> None:
+        assert self.noise(0.0, own=0.0, others=0.5).variances[0] > 2.0
+        assert self.noise(0.0, own=0.0, others=0.0, free=0.5).variances[0] > 2.0
+
+
+def searched(values: dict[Term, float], alike: dict[Term, Term] | None = None) -> Search:
+    recording = Recording(2, [VISCOUS, OFFSET, WAVE, DRIFT], alike)
+    return Search(recording.design(values), PRIOR, [VISCOUS, OFFSET], [WAVE, DRIFT])
+
+
+WAVE, DRIFT = curve(0, "position", "wave"), curve(0, "time", "drift")
+
+
+def test_what_names_leave_room_for_is_filled_by_curves() -> None:
+    search = searched({TERM: 0.3, WAVE.terms[0]: 0.3})
+    names, whole = analysis._with_and_without_curves(search, search.fit([VISCOUS]))
+    assert (set(names.chosen), set(whole.chosen)) == ({VISCOUS}, {VISCOUS, WAVE})
+
+
+def test_where_names_leave_no_room_both_are_the_same() -> None:
+    search = searched({TERM: 0.3})
+    names, whole = analysis._with_and_without_curves(search, search.fit([VISCOUS]))
+    assert names is whole is search.fit([VISCOUS])
+
+
+def test_a_curve_that_no_remainder_shows_is_not_worth_a_word() -> None:
+    """Its score is better, but no channel's remainder is visibly smaller, by seven percent."""
+    rises = {}
+    for size in np.linspace(0.015, 0.06, 16):
+        search = searched({WAVE.terms[0]: size})
+        bare, curved = search.fit([]), search.fit([WAVE])
+        assert bare.score - curved.score > 12.0
+        rises[float(np.sqrt(np.max(bare.squares / curved.squares)))] = analysis._with_curves(search, bare).chosen
+    faint = [chosen for rise, chosen in rises.items() if rise < 1.06]
+    plain = [chosen for rise, chosen in rises.items() if rise > 1.08]
+    assert len(faint) > 1
+    assert len(plain) > 1
+    assert set(faint) == {()}
+    assert set(plain) == {(WAVE,)}
+
+
+def test_no_more_than_four_curves_are_drawn() -> None:
+    waves = [curve(0, f"variable {k}", f"curve {k}") for k in range(6)]
+    recording = Recording(3, waves)
+    search = Search(recording.design({wave.terms[0]: 0.3 for wave in waves}), PRIOR, [], waves)
+    assert len(analysis._with_curves(search, search.fit([])).chosen) == 4
+
+
+def test_two_curves_in_the_place_of_one_that_is_like_their_sum() -> None:
+    """The better one of two alike is taken in the end."""
+    search = searched({WAVE.terms[0]: 0.3}, alike={DRIFT.terms[0]: WAVE.terms[0]})
+    assert set(analysis._with_curves(search, search.fit([])).chosen) == {WAVE}

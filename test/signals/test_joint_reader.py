@@ -1,0 +1,265 @@
+"""Joint messages one by one: what is taken, what is left out, and since when."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import pytest
+
+from geomid_ros.signals.joint_messages import JointParts, JointReader, RejectedError, plausible
+from geomid_ros.signals.messages import JointMessage
+from geomid_ros.signals.sampler import VelocityChoice
+
+from .feeding import START
+
+NAMES = ("a", "b")
+STEP = 10_000_000  # [ns]
+MAX_GAP = 10 * STEP
+NAN = float("nan")
+
+
+def reader(notes: list[str] | None = None, continuous: Sequence[bool] = (False, False)) -> JointReader:
+    note = (lambda _: None) if notes is None else notes.append
+    return JointReader(NAMES, np.array([1.0, -2.0]), np.array(continuous), MAX_GAP, note)
+
+
+def message(index: int, effort: Any = (1.0, 2.0), **other: Any) -> JointMessage:
+    """Of joints that move, each time a little further, under efforts that change."""
+    position = other.pop("position", (0.1 * index, -0.1 * index))
+    velocity = other.pop("velocity", (1.0, -1.0))
+    stamp = other.pop("stamp", START + index * STEP)
+    effort = tuple(value + 1e-3 * index for value in effort)
+    return JointMessage(stamp, other.pop("names", NAMES), position, velocity, effort)
+
+
+def test_numbers_are_in_the_robot_s_order_and_efforts_in_its_units() -> None:
+    mixed = {"position": (2.0, NAN, 1.0), "velocity": (4.0, 9.0, 3.0), "effort": (6.0, 1e99, 5.0)}
+    values = reader().read(message(0, names=("b", "other", "a"), **mixed))
+    np.testing.assert_allclose(values, [1.0, 2.0, 3.0, 4.0, 5.0, -12.0])
+
+
+def test_nothing_is_unmeasured_before_the_first_message() -> None:
+    assert reader().unmeasured == ()
+
+
+def test_an_effort_that_was_never_measured_is_left_out_from_the_start() -> None:
+    own = reader()
+    values = own.read(message(0, effort=(1.0, NAN)))
+    assert np.isnan(values[5])
+    assert own.unmeasured == ("b",)
+
+
+def test_an_effort_that_fails_costs_messages_for_the_longest_gap_and_then_its_joint() -> None:
+    own = reader()
+    own.read(message(0))
+    for index in range(1, 11):
+        with pytest.raises(RejectedError, match="effort of 'b' missing"):
+            own.read(message(index, effort=(1.0, NAN)))
+        assert own.unmeasured == ()
+    own.read(message(11, effort=(1.0, NAN)))
+    assert own.unmeasured == ("b",)
+    own.read(message(12))
+    assert own.unmeasured == ()
+
+
+def test_after_a_clock_was_set_back_nothing_is_known_of_before() -> None:
+    own = reader()
+    own.read(message(1000))
+    own.restart()
+    assert own.unmeasured == ()
+    assert np.isnan(own.read(message(0, effort=(1.0, NAN)))[5])
+
+
+def test_zeros_are_no_efforts_while_the_robot_moves() -> None:
+    """Of a robot that stands still they may be right; one that is not zero shows that there is a sensor."""
+    own = reader()
+    still = own.read(JointMessage(START, NAMES, (0.0, 0.0), (0.0, 0.0), (0.0, 0.0)))
+    assert np.all(np.isnan(still[4:])), "nothing is known of the sensor yet"
+    moving = own.read(JointMessage(START + STEP, NAMES, (0.1, 0.0), (1.0, 0.0), (0.0, 0.0)))
+    assert np.all(np.isnan(moving[4:]))
+    assert np.all(np.isfinite(own.read(message(2))[4:]))
+    with pytest.raises(RejectedError, match="is zero while the robot moves"):
+        own.read(JointMessage(START + 3 * STEP, NAMES, (0.3, 0.0), (1.0, 0.0), (0.0, 0.0)))
+    own.read(message(4))
+    resting = own.read(JointMessage(START + 5 * STEP, NAMES, (0.4, 0.0), (0.0, 0.0), (0.0, 0.0)))
+    assert np.all(resting[4:] == 0.0), "a robot at rest may show zeros"
+    later = JointMessage(START + 6 * STEP, NAMES, (0.5, 0.0), (1.0, 0.0), (0.0, 0.0))
+    with pytest.raises(RejectedError, match="is zero while the robot moves"):
+        own.read(later)
+
+
+@pytest.mark.parametrize(("velocity", "frozen"), [((1.0, 0.0), True), ((0.0, -1.0), True), ((0.009, 0.0), False)])
+def test_the_same_numbers_again_are_frozen_if_the_robot_moves(velocity: tuple[float, float], frozen: bool) -> None:
+    own = reader()
+    own.read(message(0, velocity=velocity))
+    again = message(0, velocity=velocity, stamp=START + STEP)
+    if frozen:
+        with pytest.raises(RejectedError, match="frozen"):
+            own.read(again)
+    else:
+        own.read(again)
+    own.read(message(2, velocity=velocity))
+
+
+@pytest.mark.parametrize(("step", "frozen"), [(0.011, True), (0.009, False)])
+def test_without_velocities_positions_tell_whether_the_robot_moves(step: float, frozen: bool) -> None:
+    """More than a hundredth of a radian per second, here in a second."""
+    own, second = reader(), 1_000_000_000
+    own.read(message(0, position=(0.0, 0.0), velocity=()))
+    own.read(message(1, position=(0.0, -step), velocity=(), stamp=START + second))
+    again = message(1, position=(0.0, -step), velocity=(), stamp=START + 2 * second)
+    if frozen:
+        with pytest.raises(RejectedError, match="frozen"):
+            own.read(again)
+    else:
+        own.read(again)
+
+
+def test_one_number_that_changes_is_enough() -> None:
+    own = reader()
+    own.read(message(0))
+    for change in ({"velocity": (1.0, -1.1)}, {"position": (0.0, 1e-9)}):
+        own.read(message(0, stamp=START + STEP, **change))
+        own.restart()
+        own.read(message(0))
+
+
+def test_positions_of_a_joint_without_end_go_on_and_those_of_others_jump() -> None:
+    own = reader(continuous=(True, False))
+    turn = 2.0 * np.pi
+    found = [own.read(message(k, position=(p, p)))[:2] for k, p in enumerate((3.0, 3.1 - turn, 3.2 - turn, 3.1, 0.1))]
+    np.testing.assert_allclose([joint[0] for joint in found], [3.0, 3.1, 3.2, 3.1, 0.1 + 0.0], atol=1e-12)
+    np.testing.assert_allclose([joint[1] for joint in found], [3.0, 3.1 - turn, 3.2 - turn, 3.1, 0.1])
+
+
+def test_peculiarities_are_noted_once_and_not_without_end() -> None:
+    notes: list[str] = []
+    own = reader(notes)
+    own.read(message(0, velocity=()))
+    own.read(message(1, velocity=()))
+    assert notes == ["no velocities: positions are differentiated"]
+    for index in range(30):
+        names = (*NAMES, f"extra {index}")
+        own.read(message(2 + index, names=names, position=(0.1 * index, 0.0, 0.0), velocity=(), effort=(1.0, 2.0, 3.0)))
+    assert len(notes) == len(NAMES) + 10
+    assert notes[1] == "joint 'extra 0' is not one of the robot's: passed over"
+
+
+def test_numbers_below_a_thousand_million_are_plausible() -> None:
+    values = np.array([0.0, 9e8, -9e8, 1.1e9, -1.1e9, NAN, np.inf, -np.inf])
+    assert plausible(values).tolist() == [True, True, True, False, False, False, False, False]
+
+
+class TestParts:
+    """Messages of two publishers."""
+
+    def parts(self) -> JointParts:
+        def new_reader(part: tuple[str, ...]) -> JointReader:
+            return JointReader(part, np.ones(len(part)), np.zeros(len(part), dtype=bool), MAX_GAP, lambda _: None)
+
+        return JointParts(("a", "b", "c"), MAX_GAP, new_reader)
+
+    def numbers(self, size: int, value: float) -> np.ndarray:
+        return np.full(3 * size, value)
+
+    def test_a_part_is_in_the_robot_s_order_and_has_a_reader_of_its_own(self) -> None:
+        parts = self.parts()
+        assert parts.part(("c", "x", "a")) == ("a", "c")
+        assert parts.part(("a", "c")) == ("a", "c")
+        assert parts.part(("b",)) == ("b",)
+        assert set(parts.readers) == {("a", "c"), ("b",)}
+
+    def test_a_joint_comes_with_the_same_others(self) -> None:
+        parts = self.parts()
+        parts.part(("a", "c"))
+        with pytest.raises(RejectedError, match="joint 'c' comes with others than before"):
+            parts.part(("b", "c"))
+        with pytest.raises(RejectedError, match="none of the robot's joints"):
+            parts.part(("x",))
+        with pytest.raises(RejectedError, match="no joint names"):
+            parts.part(())
+
+    def test_the_whole_is_at_the_stamps_that_all_have_reached(self) -> None:
+        parts = self.parts()
+        left, right = parts.part(("a", "c")), parts.part(("b",))
+        assert list(parts.add(left, 100, self.numbers(2, 1.0))) == []
+        ((stamp, whole),) = parts.add(right, 100, self.numbers(1, 5.0))
+        assert stamp == 100
+        np.testing.assert_array_equal(whole.reshape(3, 3), np.tile([1.0, 5.0, 1.0], (3, 1)))
+        assert list(parts.add(left, 200, self.numbers(2, 3.0))) == []
+        ((stamp, whole),) = parts.add(right, 150, self.numbers(1, 6.0))
+        assert stamp == 150
+        np.testing.assert_allclose(whole.reshape(3, 3), np.tile([2.0, 6.0, 2.0], (3, 1)))
+        ((stamp, whole),) = parts.add(right, 400, self.numbers(1, 11.0))
+        assert stamp == 200
+        np.testing.assert_allclose(whole.reshape(3, 3), np.tile([3.0, 7.0, 3.0], (3, 1)))
+
+    @pytest.mark.parametrize(("pause", "joined"), [(MAX_GAP, True), (MAX_GAP + 2, False)])
+    def test_between_messages_further_apart_than_a_gap_there_is_nothing(self, pause: int, joined: bool) -> None:
+        parts = self.parts()
+        left, right = parts.part(("a", "c")), parts.part(("b",))
+        list(parts.add(right, 1000, self.numbers(1, 0.0)))
+        list(parts.add(left, 1000, self.numbers(2, 0.0)))
+        list(parts.add(right, 1000 + pause, self.numbers(1, 0.0)))
+        found = list(parts.add(left, 1000 + pause // 2, self.numbers(2, 0.0)))
+        assert [stamp for stamp, _ in found] == ([1000 + pause // 2] if joined else [])
+
+    def test_what_begins_later_is_waited_for_and_nothing_is_given_twice(self) -> None:
+        parts = self.parts()
+        left, right = parts.part(("a", "c")), parts.part(("b",))
+        for stamp in (100, 200, 300):
+            assert list(parts.add(left, stamp, self.numbers(2, 1.0))) == []
+        assert [stamp for stamp, _ in parts.add(right, 250, self.numbers(1, 0.0))] == [250]
+        assert [stamp for stamp, _ in parts.add(right, 300, self.numbers(1, 0.0))] == [300]
+        assert list(parts.add(right, 350, self.numbers(1, 0.0))) == []
+        assert [stamp for stamp, _ in parts.add(left, 400, self.numbers(2, 0.0))] == [350]
+
+    def test_two_of_three_joints_are_not_the_robot(self) -> None:
+        parts = self.parts()
+        left = parts.part(("a", "c"))
+        assert list(parts.add(left, 100, self.numbers(2, 1.0))) == []
+        assert list(parts.add(left, 200, self.numbers(2, 1.0))) == []
+
+    def test_after_a_restart_time_begins_anew(self) -> None:
+        parts = self.parts()
+        left, right = parts.part(("a", "c")), parts.part(("b",))
+        list(parts.add(left, 1000, self.numbers(2, 1.0)))
+        list(parts.add(right, 1000, self.numbers(1, 1.0)))
+        parts.restart()
+        assert list(parts.add(left, 10, self.numbers(2, 1.0))) == []
+        assert [stamp for stamp, _ in parts.add(right, 10, self.numbers(1, 1.0))] == [10]
+
+
+class TestVelocityChoice:
+    """Of a joint whose position's derivative is 1, each time."""
+
+    def chosen(self, given: np.ndarray) -> np.ndarray:
+        """Which of the N samples take the message's velocity."""
+        one = np.ones((len(given), 1))
+        velocity, acceleration = VelocityChoice(1).choose(given[:, None], 7.0 * one, one, 0.0 * one)
+        taken = acceleration[:, 0] == 7.0
+        np.testing.assert_array_equal(velocity[:, 0], np.where(taken, given, 1.0))
+        return taken
+
+    def test_it_takes_a_hundred_samples_to_be_believed(self) -> None:
+        assert np.flatnonzero(self.chosen(np.full(150, 1.001)))[0] == 99
+
+    @pytest.mark.parametrize(("off", "believed"), [(0.04, True), (-0.04, True), (0.06, False), (-0.06, False)])
+    def test_it_may_be_off_by_five_percent(self, off: float, believed: bool) -> None:
+        assert self.chosen(np.full(150, 1.0 + off))[-1] == believed
+
+    def test_one_that_is_missing_begins_anew(self) -> None:
+        given = np.full(250, 1.001)
+        given[120] = NAN
+        taken = self.chosen(given)
+        assert taken[119]
+        assert not np.any(taken[120:220])
+        assert taken[220]
+
+    def test_of_the_past_only_the_last_hundred_or_so_matter(self) -> None:
+        """A disagreement fades by a hundredth with each sample: of 0.5^2 in 100 samples to 0.05^2 in 300 or so."""
+        given = np.concatenate([np.full(1000, 1.5), np.full(1000, 1.0)])
+        first = int(np.flatnonzero(self.chosen(given))[0]) - 1000
+        assert first == pytest.approx(np.log(0.05**2 / 0.5**2) / np.log(0.99), abs=2)

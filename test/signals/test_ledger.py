@@ -1,0 +1,96 @@
+"""The accounts of messages."""
+
+from __future__ import annotations
+
+from collections import Counter
+
+import pytest
+
+from geomid_ros.signals.ledger import Account, Ledger, count_reason
+
+TOPIC, OTHER = "joint_states", "/wrench"
+
+
+def account(accepted: int, *reasons: str, lost: int = 0) -> Account:
+    """With each reason counted once: rejected, dropped, and noted twice."""
+    return Account(accepted, Counter(reasons), Counter(reasons), Counter(dict.fromkeys(reasons, 2)), lost)
+
+
+def test_a_new_account_is_empty() -> None:
+    assert Account() == Account(accepted=0, rejected=Counter(), dropped=Counter(), noted=Counter(), lost=0)
+    assert Account().received == 0
+    assert Ledger().topics == {}
+
+
+def test_every_message_is_counted_once() -> None:
+    ledger = Ledger()
+    for _ in range(3):
+        ledger.accept(TOPIC)
+    ledger.reject(TOPIC, "a")
+    ledger.reject(TOPIC, "a")
+    ledger.drop(TOPIC, "b")
+    ledger.note(TOPIC, "c")
+    ledger.lose(TOPIC, 4)
+    ledger.lose(TOPIC, 1)
+    ledger.accept(OTHER)
+    assert ledger.topics[TOPIC] == Account(3, Counter(a=2), Counter(b=1), Counter(c=1), 5)
+    assert ledger.topics[TOPIC].received == 6, "what is noted was accepted, and what is lost never came"
+    assert ledger.topics[OTHER] == Account(accepted=1)
+
+
+def test_what_was_accepted_may_be_taken_back() -> None:
+    ledger = Ledger()
+    ledger.accept(TOPIC)
+    ledger.revoke(TOPIC, "too late")
+    assert ledger.topics[TOPIC] == Account(0, Counter({"too late": 1}))
+
+
+def test_who_looks_at_the_accounts_gets_copies() -> None:
+    ledger = Ledger()
+    ledger.reject(TOPIC, "a")
+    ledger.topics[TOPIC].rejected["a"] = 9
+    assert ledger.topics[TOPIC].rejected == {"a": 1}
+
+
+def test_since_another_time_is_the_difference() -> None:
+    """Without the reasons that were not given again."""
+    before = account(3, "a", lost=2)
+    after = Account(10, Counter(a=4, b=1), Counter(a=1), Counter(a=2, c=1), 7)
+    assert after.since(before) == Account(7, Counter(a=3, b=1), Counter(), Counter(c=1), 5)
+    assert after.since(Account()) == after
+
+
+def test_what_an_earlier_process_counted_is_added() -> None:
+    ledger = Ledger()
+    ledger.drop(TOPIC, "a")
+    ledger.lose(TOPIC, 1)
+    ledger.note(TOPIC, "a")
+    ledger.restore({TOPIC: account(5, "a", "b", lost=3), OTHER: account(1)})
+    assert ledger.topics[TOPIC] == Account(5, Counter(a=1, b=1), Counter(a=2, b=1), Counter(a=3, b=2), 4)
+    assert ledger.topics[OTHER] == Account(accepted=1)
+
+
+@pytest.mark.parametrize("accepted", [True, False])
+def test_but_not_to_what_this_one_has_counted_itself(accepted: bool) -> None:
+    ledger = Ledger()
+    if accepted:
+        ledger.accept(OTHER)
+    else:
+        ledger.reject(OTHER, "a")
+    before = ledger.topics
+    ledger.restore({TOPIC: account(5, "a")})
+    assert ledger.topics == before
+
+
+def test_nonsense_does_not_fill_the_memory() -> None:
+    """Fifty reasons, each of two hundred characters; those that are known go on being counted."""
+    reasons: Counter[str] = Counter()
+    for index in range(60):
+        count_reason(reasons, f"reason {index}")
+    count_reason(reasons, "reason 3")
+    assert len(reasons) == 51
+    assert (reasons["other reasons"], reasons["reason 3"], reasons.total()) == (10, 2, 61)
+    long: Counter[str] = Counter()
+    for length in (200, 201, 300):
+        count_reason(long, length * "x")
+    assert long == {200 * "x": 1, 200 * "x" + "...": 2}
