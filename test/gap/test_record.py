@@ -10,7 +10,7 @@ import pytest
 
 from geomid_ros.gap.candidates import REST, SIGN, SMOOTH_SIGN
 from geomid_ros.gap.evidence.record import Records, TotalModel
-from geomid_ros.model.columns import Columns
+from geomid_ros.model.columns import Columns, JointColumn
 from geomid_ros.model.effects import AtJoint, AtJoints, Effect, OnRobot
 from geomid_ros.model.effects.coulomb_friction import CoulombFriction
 from geomid_ros.model.effects.effect import JointMotion, PairEffect
@@ -150,8 +150,7 @@ def test_efforts_of_a_model_are_those_of_all_its_effects_of_motion() -> None:
     plain = samples(50, velocity=velocity)
     carried = np.random.default_rng(3).normal(size=(50, 3))
     coulomb = CoulombFriction(0.003)
-    part = replace(plain, effects=carried[:, :, None], columns=Columns((SIGN,)))
-    assert SIGN.function == coulomb
+    part = replace(plain, effects=carried[:, :, None], columns=Columns((JointColumn(coulomb),)))
     own = total(
         (coulomb, AtJoint(1), [0.3]),
         (coulomb, AtJoint(2), [0.1]),
