@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import re
 import subprocess
 import sys
 import textwrap
@@ -11,6 +12,8 @@ from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
 import pytest
+
+from geomid_ros.model.effects import EFFECTS
 
 ROOT = Path(__file__).parents[1]
 PACKAGE = ROOT / "geomid_ros"
@@ -142,6 +145,38 @@ def test_the_simulator_shares_no_code_with_the_estimator() -> None:
         if room(module) == "simulation":
             used = {room(name) for name, _ in names if name in MODULES}
             assert used <= {"simulation", "errors", "types"}, f"{module} imports from {used}"
+
+
+# What has an effect's name but is none: parameters of the node and of the signals.
+NAMESAKES = {
+    ("geomid_ros.session.configuration", "effort_gain"),
+    ("geomid_ros.session.session", "effort_gain"),
+    ("geomid_ros.session.session", "effort_delay"),
+}
+OF_EFFECTS = "geomid_ros.model.effects"
+
+
+def test_only_an_effect_knows_itself() -> None:
+    """Nobody asks for it by its name or by its class, but effects that have to do with it, and the list of all."""
+    known = {(name, node.value) for name, path in OUTSIDERS.items() for node in texts(path) if node.value in EFFECTS}
+    assert known == NAMESAKES
+    for name in OUTSIDERS:
+        classes = {other for other, _ in IMPORTS[name] if other.rpartition(".")[2] in EFFECTS}
+        assert not {other for other in classes if other.startswith(OF_EFFECTS)}, f"{name} imports {classes}"
+    for template in PACKAGE.rglob("*.j2"):
+        words = set(re.findall(r"\w+", template.read_text(encoding="utf-8")))
+        assert not {name for name in words & EFFECTS.keys() if "_" in name}, template
+
+
+OUTSIDERS = {
+    name: path for name, path in MODULES.items() if not name.startswith(OF_EFFECTS) and room(name) != "simulation"
+}
+
+
+def texts(path: Path) -> Iterator[ast.Constant]:
+    """The literal texts in a file."""
+    tree = ast.parse(path.read_text(encoding="utf-8"))
+    return (node for node in ast.walk(tree) if isinstance(node, ast.Constant) and isinstance(node.value, str))
 
 
 def test_the_lower_floors_need_neither_ros_nor_mujoco() -> None:

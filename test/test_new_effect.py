@@ -1,4 +1,8 @@
-"""A new effect is one file: the one that CONTRIBUTING.md shows, in a copy of the package, is identified and named."""
+"""A new effect of any kind is one file, and its name in the list: here in a copy of the package.
+
+The file that CONTRIBUTING.md shows and those of ``test/new_effects`` are put into it. What they describe is added to
+the messages of a simulated robot, by formulas of this file.
+"""
 
 from __future__ import annotations
 
@@ -8,48 +12,107 @@ import re
 import shutil
 import subprocess
 import sys
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 import yaml
 from commands.running import refused
-from files.recordings import BAGS, Recorded, altered
+from files.recordings import BAGS, Recorded, recorded, write_bag
 
-from geomid_ros.simulation import SimulationOptions, simulate
+from geomid_ros.simulation import WRIST_FRAME, SimulationOptions, simulate
+from geomid_ros.types import FloatArray
 
 ROOT = Path(__file__).parents[1]
+OTHERS = Path(__file__).parent / "new_effects"
 URDF = BAGS / "arm3.urdf"
-NAME, UNIT = "quadratic_drag", "N m s^2/rad^2"
-JOINT, DRAG = "joint2", 0.6
-ESTIMATED = f"viscous_friction,coulomb_friction,effort_offset,{NAME}"
+AXES = ("fx", "fy", "fz", "tx", "ty", "tz")
+WRENCH = f"/wrench:{WRIST_FRAME}:mounted"
+# Runs commands, whose arguments are lists in JSON, and prints what each printed.
+DRIVER = """
+import json, sys
+from click.testing import CliRunner
+from geomid_ros.commands.root import root
+for arguments in json.loads(sys.argv[1]):
+    result = CliRunner().invoke(root, arguments, catch_exceptions=False)
+    assert result.exit_code == 0, result.output
+    print(json.dumps(result.stdout))
+"""
+Planted = Callable[[FloatArray, FloatArray], FloatArray]
+"""What is added to the efforts ``(J,)`` or to the wrench ``(6,)``, from position and velocity ``(J,)``."""
 
 
 @dataclass(frozen=True)
-class Extended:
-    """A copy of the package with one file more, a bag with the drag in it, and where results go."""
+class Kind:
+    """A new effect with the true values of its parameters, at the ``place`` of that name."""
 
-    package: Path
-    bag: Path
-    out: Path
+    name: str
+    label: str
+    place: str
+    true: Mapping[str, float]
+    units: Mapping[str, str]
+    planted: Planted
+    sensor: bool = False
 
-    def geomid(self, command: str, out: str, *arguments: str | Path) -> dict[str, Any]:
-        """What a command prints as JSON."""
-        line = [command, self.bag, "--urdf", URDF, "--out", self.out / out, "--json", *arguments]
-        path = os.pathsep.join([str(self.package), os.environ.get("PYTHONPATH", "")]).rstrip(os.pathsep)
-        run = subprocess.run(
-            [sys.executable, "-m", "geomid_ros", *map(str, line)],
-            env=os.environ | {"PYTHONPATH": path},
-            cwd=self.package,
-            capture_output=True,
-            text=True,
-            check=False,
-            timeout=300,
-        )
-        assert run.returncode == 0, run.stderr
-        document: dict[str, Any] = json.loads(run.stdout)
-        return document
+    @property
+    def where(self) -> str:
+        """As tables say it."""
+        return f"at {self.place}" if self.place else "of the whole robot"
+
+
+def at_second(effort: Callable[[float], float]) -> Planted:
+    return lambda _, v: np.array([0.0, effort(v[1]), 0.0])
+
+
+CABLE = {"fx": 2.0, "fy": -1.0, "fz": 1.5, "tx": 0.1, "ty": 0.2, "tz": -0.15}
+SLIP = np.array([0.0, 1.0, -1.0])
+KINDS = {
+    "one joint": Kind(
+        "quadratic_drag",
+        "Drag of a fluid",
+        "joint2",
+        {"coefficient": 0.6},
+        {"coefficient": "N m s^2/rad^2"},
+        at_second(lambda v: 0.6 * v * abs(v)),
+    ),
+    "a constant": Kind(
+        "shear_thinning",
+        "A lubricant that grows thin",
+        "joint2",
+        {"coefficient": 3.0, "speed": 0.5},
+        {"coefficient": "N m s/rad", "speed": "rad/s"},
+        at_second(lambda v: 3.0 * v / (1.0 + (v / 0.5) ** 2)),
+    ),
+    "two joints": Kind(
+        "coaxial_friction",
+        "Friction between two shafts",
+        "joint2+joint3",
+        {"coefficient": 0.3},
+        {"coefficient": "N m s/rad"},
+        lambda _, v: 0.3 * (v[1] - v[2]) * SLIP,
+    ),
+    "whole robot": Kind(
+        "supply_sag",
+        "A supply that sags",
+        "",
+        {"coefficient": 0.2},
+        {"coefficient": "N m s^2/rad^2"},
+        lambda _, v: 0.2 * v * np.sqrt(v @ v),
+    ),
+    "sensor": Kind(
+        "cable_pull",
+        "A cable that pulls at the wrench sensor",
+        "/wrench",
+        CABLE,
+        {axis: "N/rad" if axis[0] == "f" else "N m/rad" for axis in CABLE},
+        lambda q, _: q[0] * np.array(list(CABLE.values())),
+        sensor=True,
+    ),
+}
 
 
 def recipe() -> tuple[Path, str]:
@@ -59,88 +122,190 @@ def recipe() -> tuple[Path, str]:
     return Path(path), text
 
 
-def with_drag(item: Recorded) -> Recorded:
-    """A message of joints, of which one is in a fluid."""
-    if item.topic != "/joint_states":
-        return item
-    joint = item.message.name.index(JOINT)
-    effort = item.message.effort.copy()
-    velocity = item.message.velocity[joint]
-    effort[joint] += DRAG * velocity * abs(velocity)
-    return item.changed(effort=effort)
-
-
 @pytest.fixture(scope="module")
-def extended(tmp_path_factory: pytest.TempPathFactory) -> Extended:
-    pytest.importorskip("mujoco")
-    folder = tmp_path_factory.mktemp("effect")
-    shutil.copytree(ROOT / "geomid_ros", folder / "package/geomid_ros")
+def package(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of a copy of the package, with a file more for each effect, and a line for each."""
+    folder = tmp_path_factory.mktemp("package")
+    shutil.copytree(ROOT / "geomid_ros", folder / "geomid_ros")
     path, text = recipe()
     assert not (ROOT / path).exists()
-    (folder / "package" / path).write_text(text, encoding="utf-8")
-    simulate(folder / "dry", SimulationOptions(robot="arm3", seed=8, duration=20.0, hide=()))
-    return Extended(folder / "package", altered(folder / "dry", folder / "bag", with_drag), folder)
+    (folder / path).write_text(text, encoding="utf-8")
+    for file in OTHERS.glob("*.py"):
+        shutil.copy(file, folder / path.parent)
+    names = [path.stem, *(file.stem for file in OTHERS.glob("*.py"))]
+    assert sorted(names) == sorted(kind.name for kind in KINDS.values())
+    listed = folder / path.parent / "__init__.py"
+    before, end, after = listed.read_text(encoding="utf-8").partition('    "wrench_offset",\n)')
+    lines = "".join(f'    "{name}",\n' for name in names)
+    assert end
+    listed.write_text(before + end.replace("\n)", f"\n{lines})") + after, encoding="utf-8")
+    return folder
 
 
 @pytest.fixture(scope="module")
-def found(extended: Extended) -> dict[str, Any]:
-    """What the gap workflow says."""
-    return extended.geomid("gap", "gap")
+def dry(tmp_path_factory: pytest.TempPathFactory) -> list[Recorded]:
+    """The messages of a robot without any effects."""
+    pytest.importorskip("mujoco")
+    bag = tmp_path_factory.mktemp("dry") / "bag"
+    simulate(bag, SimulationOptions(robot="arm3", seed=8, duration=14.0, hide=(), wrench_frame=WRIST_FRAME))
+    return recorded(bag)
 
 
-def coefficients(document: dict[str, Any]) -> dict[str, dict[str, Any]]:
-    """The drag's entries in an estimate, by joint."""
-    return {entry["joint"]: entry for entry in document["effects"] if entry["name"] == NAME}
+@dataclass(frozen=True)
+class Round:
+    """What the commands of the copied package made of a recording with an effect in it."""
+
+    kind: Kind
+    package: Path
+    folder: Path
+
+    @cached_property
+    def printed(self) -> dict[str, str]:
+        """What each command printed; all of them run one after the other, in one process."""
+        known = ("--model", self.folder / "gap/estimate.json")
+        commands = {
+            "gap": self._command("gap", "gap"),
+            "identify": self._command("identify", "identify", "--effects", f"effort_offset,{self.kind.name}"),
+            "again": self._command("gap", "again", *known),
+            "later": self._command("identify", "later", *known, "--effects", "effort_offset"),
+        }
+        path = os.pathsep.join([str(self.package), os.environ.get("PYTHONPATH", "")]).rstrip(os.pathsep)
+        run = subprocess.run(
+            [sys.executable, "-c", DRIVER, json.dumps(list(commands.values()))],
+            env=os.environ | {"PYTHONPATH": path},
+            cwd=self.package,
+            capture_output=True,
+            text=True,
+            check=False,
+            timeout=300,
+        )
+        assert run.returncode == 0, run.stderr
+        return dict(zip(commands, map(json.loads, run.stdout.splitlines()), strict=True))
+
+    def _command(self, command: str, out: str, *arguments: str | Path) -> list[str]:
+        wrench = ("--wrench", WRENCH) if self.kind.sensor else ()
+        return [
+            *map(str, (command, self.folder / "bag", "--urdf", URDF, "--out", self.folder / out, *wrench, *arguments))
+        ]
+
+    def document(self, out: str, name: str) -> dict[str, Any]:
+        """A file of results."""
+        assert self.printed
+        found: dict[str, Any] = json.loads((self.folder / out / name).read_text())
+        return found
+
+    def estimated(self, out: str) -> dict[str, dict[str, dict[str, Any]]]:
+        """The effect's parameters in an estimate, by its place: of one, or of several."""
+        document = self.document(out, "estimate.json")
+        ((first, *_),) = [list(self.kind.true)]
+        single = {e["joint"]: {first: e} for e in document["effects"] if e["name"] == self.kind.name}
+        several = {e["joint"]: e["parameters"] for e in document["added"] if e["effect"] == self.kind.name}
+        return single | several
+
+    def assert_true(self, parameters: Mapping[str, Mapping[str, Any]], *, constants: bool = True) -> None:
+        """Compare with what was planted."""
+        assert parameters.keys() == self.kind.true.keys()
+        for name, true in self.kind.true.items():
+            assert parameters[name]["unit"] == self.kind.units[name]
+            if constants or name != "speed":
+                assert abs(parameters[name]["value"] - true) < 0.06 * abs(true)
 
 
-def assert_is_the_drag(quantity: dict[str, Any]) -> None:
-    assert quantity["unit"] == UNIT
-    assert abs(quantity["value"] - DRAG) < min(3.0 * quantity["std"], 0.05 * DRAG)
+@pytest.fixture(scope="module", params=KINDS)
+def found(
+    request: pytest.FixtureRequest, package: Path, dry: list[Recorded], tmp_path_factory: pytest.TempPathFactory
+) -> Round:
+    kind, folder = KINDS[request.param], tmp_path_factory.mktemp("new")
+    states = {item.time: item.message for item in dry if item.topic == "/joint_states"}
+
+    def changed(item: Recorded) -> Recorded:
+        if item.topic != ("/wrench" if kind.sensor else "/joint_states") or item.time not in states:
+            return item
+        state = states[item.time]
+        order = [state.name.index(f"joint{number}") for number in (1, 2, 3)]
+        added = kind.planted(state.position[order], state.velocity[order])
+        if kind.sensor:
+            return item.changed(wrench=with_wrench(item.message.wrench, added))
+        effort = state.effort.copy()
+        effort[order] += added
+        return item.changed(effort=effort)
+
+    write_bag(folder / "bag", map(changed, dry))
+    return Round(kind, package, folder)
 
 
-def test_without_the_file_it_is_unknown(extended: Extended) -> None:
-    message = refused("identify", extended.bag, "--urdf", URDF, "--out", extended.out / "no", "--effects", NAME)
-    assert f"unknown effect '{NAME}'" in message
+def with_wrench(wrench: Any, added: FloatArray) -> Any:
+    parts = {part: getattr(wrench, part) for part in ("force", "torque")}
+    types = {part: type(vector) for part, vector in parts.items()}
+    sums = {
+        part: types[part](*(getattr(v, axis) + more for axis, more in zip("xyz", extra, strict=True)))
+        for (part, v), extra in zip(parts.items(), np.split(added, 2), strict=True)
+    }
+    return type(wrench)(**sums)
 
 
-def test_it_is_identified(extended: Extended) -> None:
-    estimate = extended.geomid("identify", "estimate", "--effects", ESTIMATED)
-    drags = coefficients(estimate)
-    assert len(drags) == 3
-    assert_is_the_drag(drags.pop(JOINT))
-    assert all(entry["value"] < 0.02 * DRAG for entry in drags.values())
-    assert (extended.out / "estimate/identification.png").is_file()
+def test_without_the_file_it_is_unknown(found: Round) -> None:
+    name = found.kind.name
+    message = refused("identify", found.folder / "bag", "--urdf", URDF, "--out", found.folder / "no", "--effects", name)
+    assert f"unknown effect '{name}'" in message
 
 
-def test_it_is_named(found: dict[str, Any]) -> None:
-    assert found["verdict"] == "named"
-    (finding,) = found["findings"]
-    assert (finding["effect"], finding["joint"], finding["confidence"]) == (NAME, JOINT, "confident")
-    assert finding["sentence"].startswith(f"Drag of a fluid at '{JOINT}': coefficient 0.")
-    (quantity,) = finding["parameters"].items()
-    assert quantity[0] == "coefficient"
-    assert_is_the_drag(quantity[1])
+def test_it_is_identified(found: Round) -> None:
+    """At each of its places, and at one of them it is there."""
+    estimated = found.estimated("identify")
+    found.assert_true(estimated.pop(found.kind.place), constants=False)
+    first, *_ = found.kind.true.items()
+    assert all(abs(parameters[first[0]]["value"]) < 0.05 * first[1] for parameters in estimated.values())
+    assert (found.folder / "identify/identification.png").is_file()
 
 
-def test_it_is_simulated_again(found: dict[str, Any]) -> None:
+def test_it_is_named(found: Round) -> None:
+    document = found.document("gap", "gap.json")
+    assert document["verdict"] == "named"
+    (finding,) = document["findings"]
+    place = finding["effect"], finding["joint"], finding["confidence"]
+    assert place == (found.kind.name, found.kind.place, "confident")
+    assert finding["sentence"].startswith(found.kind.label)
+    found.assert_true(finding["parameters"])
+
+
+def test_it_is_simulated_again(found: Round) -> None:
     """MJCF cannot say it, the sidecar does."""
-    before, after = (found["resimulated"][when][JOINT] for when in ("before", "after"))
-    assert before > 5.0 * after
-    assert after < 1.5
+    resimulated = found.document("gap", "gap.json")["resimulated"]
+    worst = {when: max(resimulated[when].values()) for when in ("before", "after")}
+    assert worst["before"] > 5.0 * worst["after"]
+    assert worst["after"] < 1.6
 
 
-@pytest.mark.usefixtures("found")
-def test_files_tell_it_and_a_later_run_starts_from_it(extended: Extended) -> None:
-    out = extended.out / "gap"
-    assert f"#   {NAME}: effort coefficient v |v|" in (out / "effects.yaml").read_text()
-    (entry,) = yaml.safe_load((out / "effects.yaml").read_text())["effects"]
-    assert (entry["effect"], entry["joint"], entry["urdf"], entry["mjcf"]) == (NAME, JOINT, [], [])
-    assert "Drag of a fluid" in (out / "report.html").read_text()
-    again = extended.geomid("identify", "again", "--model", out / "estimate.json", "--effects", "effort_offset")
-    assert list(coefficients(again)) == [JOINT]
-    assert_is_the_drag(coefficients(again)[JOINT])
+def test_files_tell_it(found: Round) -> None:
+    assert found.printed
+    sidecar = (found.folder / "gap/effects.yaml").read_text()
+    assert f"#   {found.kind.name}: " in sidecar
+    (entry,) = yaml.safe_load(sidecar)["effects"]
+    assert (entry["effect"], entry.get("joint", ""), entry["urdf"], entry["mjcf"]) == (
+        found.kind.name,
+        found.kind.place,
+        [],
+        [],
+    )
+    found.assert_true(entry["parameters"])
+    found.assert_true(found.estimated("gap")[found.kind.place])
 
 
-def test_it_is_not_identified_unless_asked_for(extended: Extended) -> None:
-    """The list of defaults is not what lies in the folder."""
-    assert not coefficients(extended.geomid("identify", "default"))
+def test_a_later_run_starts_from_it(found: Round) -> None:
+    again = found.document("again", "gap.json")
+    assert (again["verdict"], again["findings"]) == ("no gap", [])
+    found.assert_true(found.estimated("again")[found.kind.place])
+    assert list(found.estimated("later")) == [found.kind.place]
+    found.assert_true(found.estimated("later")[found.kind.place])
+
+
+def test_tables_and_pages_show_it(found: Round) -> None:
+    name = found.kind.name.replace("_", " ")
+    page = (found.folder / "gap/report.html").read_text() if found.printed else ""
+    assert found.kind.label.lower() in page.lower()
+    for command in ("gap", "identify", "later"):
+        text = " ".join(found.printed[command].lower().split())
+        first, _, second = name.partition(" ")
+        assert name in text or (first in text and second in text), command
+    assert found.kind.where in " ".join(found.printed["gap"].split())

@@ -19,7 +19,6 @@ from geomid_ros.model.effects import (
     Place,
     joints_of,
 )
-from geomid_ros.model.effects.coulomb_friction import SMOOTHINGS, CoulombFriction
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.types import FloatArray
 
@@ -35,9 +34,19 @@ class _Rest:
         return np.asarray(np.abs(motion.velocity) < STILL, dtype=np.float64)
 
 
-SIGN = JointColumn(CoulombFriction(SMOOTHINGS[0]))
+@dataclass(frozen=True)
+class _Direction:
+    """The direction of motion, smoothed over a speed [rad/s or m/s]."""
+
+    smoothing: float
+
+    def column(self, motion: JointMotion) -> FloatArray:
+        return np.tanh(motion.velocity / self.smoothing)
+
+
+SIGN = JointColumn(_Direction(0.003))
 """The direction of motion."""
-SMOOTH_SIGN = JointColumn(CoulombFriction(SMOOTHINGS[1]))
+SMOOTH_SIGN = JointColumn(_Direction(0.02))
 """The same, of friction that sets in slowly."""
 REST = JointColumn(_Rest())
 """The share of the filter's window in which the joint stands still."""

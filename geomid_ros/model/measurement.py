@@ -130,7 +130,8 @@ class MeasurementModel:
         name, sliding = self.places.name(place), self.places.slides(place)
         forms = effect.own
         if isinstance(place, AtSensor):
-            forms = tuple(form for form in forms if form.name in self._sensor(place.topic).axes)
+            by_axis = {form.name: form for form in forms}
+            forms = tuple(by_axis[axis] for axis in self._sensor(place.topic).axes)
         for index, form in enumerate(forms):
             yield Coefficient(
                 effect=effect,

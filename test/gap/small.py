@@ -12,7 +12,8 @@ from geomid_ros.gap.candidates import AnyCandidate, Candidate, CurveCandidate, C
 from geomid_ros.gap.evidence.design import Design
 from geomid_ros.gap.evidence.noise import Autoregression
 from geomid_ros.gap.fitting.prior import Prior
-from geomid_ros.model.effects import EFFECTS, AtJoint, Effect, OnLink, Payload
+from geomid_ros.model.effects import EFFECTS, AtJoint, Effect, OnLink
+from geomid_ros.model.effects.payload import Payload
 from geomid_ros.types import FloatArray
 
 ROWS, CHANNELS = 400, 2

@@ -242,3 +242,18 @@ def test_two_sensors_on_one_topic_are_refused() -> None:
     sensors = [WrenchSensor("/a", "FL_FOOT", "external"), WrenchSensor("/a", "FR_FOOT", "external")]
     with pytest.raises(InputError, match="/a"):
         MeasurementModel(robot, [], sensors)
+
+
+def test_an_effect_of_a_sensor_is_felt_at_the_axis_that_its_parameter_names() -> None:
+    """Whatever the order of the axes."""
+    robot = Robot(urdf("panda.urdf"), cuts=["panda_hand"])
+    sensor = WrenchSensor("/wrist", "panda_hand", "mounted", ("tz", "fx", "fy"))
+    model = MeasurementModel(robot, [identified_effect("wrench_offset")], [sensor])
+    offsets = {"fx": 3.0, "fy": -2.0, "tz": 0.5}
+    assert [c.parameter for c in model.coefficients] == ["tz", "fx", "fy"]
+    samples = random_samples(robot, seed=11, sensors=1)
+    shown = [*model.nominal_inertias, *(offsets[c.parameter] for c in model.coefficients)]
+    without = [*model.nominal_inertias, 0.0, 0.0, 0.0]
+    _, predicted = model.predict(samples, np.array(shown))
+    added = (predicted - model.predict(samples, np.array(without))[1])[:, -3:]
+    np.testing.assert_allclose(added, np.tile([0.5, 3.0, -2.0], (len(samples), 1)), atol=1e-9)

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cache, cached_property
 
 import numpy as np
 from scipy.interpolate import CubicSpline
@@ -14,7 +14,7 @@ from geomid_ros.gap.candidates import REST, SIGN, SMOOTH_SIGN
 from geomid_ros.model.columns import column_of, reached_joints
 from geomid_ros.model.dynamics import Dynamics
 from geomid_ros.model.effects import Effect, MotionEffect, Place, Situation, SituationEffect, joints_of
-from geomid_ros.model.effects.backlash import sides
+from geomid_ros.model.effects.situation import Derivatives, OfLoad
 from geomid_ros.model.measurement import MeasurementModel, Rows
 from geomid_ros.model.samples import Samples
 from geomid_ros.signals.kernels import filtered
@@ -94,9 +94,10 @@ class Records:
         """What a ``model`` with the gravity, inertias and effects of ``total`` says."""
         dynamics = Dynamics(model, total.inertias)
         joints, channels = len(model.robot.joints), len(model.channels)
+        loads = [dynamics.efforts(part) for part in self.dense]
         parts = [
-            _load_terms(part, index, dynamics, total, self.cutoff)
-            for part, index in zip(self.dense, self.chosen, strict=True)
+            _load_terms(part, index, load, total, self.cutoff)
+            for part, index, load in zip(self.dense, self.chosen, loads, strict=True)
         ]
         joined = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
         for name in ("predicted", "rate"):
@@ -112,8 +113,25 @@ class Records:
             by_gravity=sensitivity.by_gravity,
             gravity=total.straight_gravity,
             coefficients={(effect.name, place): values for effect, place, values in total.effects},
+            of_load=self._derivatives_of(loads),
             **joined,
         )
+
+    def _derivatives_of(self, loads: Sequence[FloatArray]) -> Callable[[OfLoad], Derivatives]:
+        """:attr:`Situation.of_load` for the stretches' dense ``loads (n, J)``."""
+
+        def of_load(function: OfLoad) -> Derivatives:
+            parts = []
+            for part, index, load in zip(self.dense, self.chosen, loads, strict=True):
+                period = _period(part)
+                smooth, _, _ = filtered(load, _SMOOTHER * self.cutoff, period)
+                layers = np.moveaxis(function(smooth, period), 2, 0)
+                derived = np.stack([filtered(layer, self.cutoff, period) for layer in layers], axis=3)
+                parts.append(derived[:, index])
+            value, rate, acceleration = np.concatenate(parts, axis=1)
+            return value, rate, acceleration
+
+        return cache(of_load)
 
 
 @dataclass(frozen=True, eq=False)
@@ -172,19 +190,15 @@ class TotalModel:
 
 
 def _load_terms(
-    part: Samples, index: IntArray, dynamics: Dynamics, total: TotalModel, cutoff: float
+    part: Samples, index: IntArray, load: FloatArray, total: TotalModel, cutoff: float
 ) -> dict[str, FloatArray]:
     period = _period(part)
-    load = dynamics.efforts(part)
     predicted = load + total.efforts(part)
     smooth = filtered(load, _SMOOTHER * cutoff, period)
-    sides_by_crossing = [filtered(each, cutoff, period) for each in np.moveaxis(sides(smooth[0], period), 2, 0)]
-    side = np.stack(sides_by_crossing, axis=3)
     terms = {
         "predicted": predicted,
         "rate": np.gradient(predicted, period, axis=0),
         **dict(zip(("load", "load_rate", "load_acceleration"), smooth, strict=True)),
-        **dict(zip(("side", "side_rate", "side_acceleration"), side, strict=True)),
     }
     return {name: values[index] for name, values in terms.items()}
 

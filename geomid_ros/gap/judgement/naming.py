@@ -29,7 +29,7 @@ def parameters(
     places = [found.place(term) for term in candidate.terms]
     covariance = found.covariance[np.ix_(places, places)]
     if isinstance(candidate.place, AtSensor):
-        return _of_sensor(model, candidate.place, values, covariance)
+        return _of_sensor(model, candidate.effect, candidate.place, values, covariance)
     sliding = model.places.slides(candidate.place)
     return candidate.effect.quantities(values, covariance, sliding=sliding, unsure=unsure, usual_load=usual_load)
 
@@ -64,13 +64,14 @@ def _of_body(body: FloatArray) -> FloatArray:
 
 
 def _of_sensor(
-    model: MeasurementModel, place: AtSensor, values: FloatArray, covariance: FloatArray
+    model: MeasurementModel, effect: Effect, place: AtSensor, values: FloatArray, covariance: FloatArray
 ) -> dict[str, Quantity]:
     """One parameter for each axis that the sensor measures."""
-    channels = [model.channels[channel] for channel in place.channels]
+    forms = {form.name: form for form in effect.own}
+    measured = [forms[model.channels[channel].axis] for channel in place.channels]
     return {
-        channel.axis: Quantity(float(value), float(np.sqrt(variance)), channel.unit)
-        for channel, value, variance in zip(channels, values, np.diag(covariance), strict=True)
+        form.name: Quantity(float(value), float(np.sqrt(variance)), form.units[0])
+        for form, value, variance in zip(measured, values, np.diag(covariance), strict=True)
     }
 
 

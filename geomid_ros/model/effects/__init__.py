@@ -1,10 +1,10 @@
-"""Physical effects, one file each: what is listed here is known everywhere."""
+"""Physical effects, one file each: what :data:`_FILES` lists is known everywhere."""
 
 from __future__ import annotations
 
+from importlib import import_module
+
 from geomid_ros.errors import unknown_name
-from geomid_ros.model.effects.backlash import Backlash
-from geomid_ros.model.effects.coulomb_friction import CoulombFriction
 from geomid_ros.model.effects.effect import (
     Effect,
     Hinge,
@@ -16,15 +16,8 @@ from geomid_ros.model.effects.effect import (
     SensorEffect,
     SituationEffect,
 )
-from geomid_ros.model.effects.effort_delay import EffortDelay
-from geomid_ros.model.effects.effort_gain import EffortGain
-from geomid_ros.model.effects.effort_offset import EffortOffset
-from geomid_ros.model.effects.gravity_tilt import GravityTilt
-from geomid_ros.model.effects.joint_elasticity import JointElasticity
 from geomid_ros.model.effects.known import KnownEffect, ModelEffect
-from geomid_ros.model.effects.load_friction import LoadFriction
 from geomid_ros.model.effects.parameters import ParameterForm, Quantity, Values
-from geomid_ros.model.effects.payload import Payload
 from geomid_ros.model.effects.places import (
     AtJoint,
     AtJoints,
@@ -36,12 +29,7 @@ from geomid_ros.model.effects.places import (
     joint_of,
     joints_of,
 )
-from geomid_ros.model.effects.rotor_inertia import RotorInertia
 from geomid_ros.model.effects.situation import JointMotion, Motion, Situation
-from geomid_ros.model.effects.spring import Spring
-from geomid_ros.model.effects.stribeck_friction import StribeckFriction
-from geomid_ros.model.effects.viscous_friction import ViscousFriction
-from geomid_ros.model.effects.wrench_offset import WrenchOffset
 
 __all__ = [
     "DEFAULT_EFFECTS",
@@ -82,6 +70,24 @@ __all__ = [
 DEFAULT_EFFECTS = ("viscous_friction", "coulomb_friction", "rotor_inertia", "effort_offset")
 """Names of the effects that are identified at every joint unless the user says otherwise."""
 
+_FILES = (
+    "viscous_friction",
+    "rotor_inertia",
+    "effort_offset",
+    "spring",
+    "coulomb_friction",
+    "stribeck_friction",
+    "load_friction",
+    "effort_gain",
+    "joint_elasticity",
+    "backlash",
+    "effort_delay",
+    "gravity_tilt",
+    "payload",
+    "wrench_offset",
+)
+"""The files of effects, in the order in which they are tried."""
+
 EFFECTS: dict[str, type[Effect]] = {}
 """All effects, by name, in the order in which they are tried."""
 
@@ -100,23 +106,11 @@ def register(effect: type[Effect]) -> type[Effect]:
     return effect
 
 
-for _effect in (
-    ViscousFriction,
-    RotorInertia,
-    EffortOffset,
-    Spring,
-    CoulombFriction,
-    StribeckFriction,
-    LoadFriction,
-    EffortGain,
-    JointElasticity,
-    Backlash,
-    EffortDelay,
-    GravityTilt,
-    Payload,
-    WrenchOffset,
-):
-    register(_effect)
+for _file in _FILES:
+    _module = import_module(f"geomid_ros.model.effects.{_file}")
+    for _class in vars(_module).values():
+        if isinstance(_class, type) and issubclass(_class, Effect) and _class.__module__ == _module.__name__:
+            register(_class)
 
 
 def effect_class(name: str) -> type[Effect]:

@@ -54,10 +54,11 @@ class Backlash(SituationEffect):
 
     def columns(self, situation: Situation, place: Place) -> FloatArray:
         joint = joint_of(place)
+        side, rate, acceleration = (each[:, joint, self.crossing, None] for each in situation.of_load(sides))
         moved = (
-            situation.by_position[:, :, joint] * situation.side[:, joint, self.crossing, None]
-            + situation.by_velocity[:, :, joint] * situation.side_rate[:, joint, self.crossing, None]
-            + situation.by_acceleration[:, :, joint] * situation.side_acceleration[:, joint, self.crossing, None]
+            situation.by_position[:, :, joint] * side
+            + situation.by_velocity[:, :, joint] * rate
+            + situation.by_acceleration[:, :, joint] * acceleration
         )
         result: FloatArray = -0.5 * moved[:, :, None]
         return result

@@ -9,7 +9,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import ClassVar, TypeAlias
+from typing import ClassVar, Self, TypeAlias
 
 import numpy as np
 
@@ -83,6 +83,8 @@ class Effect(ABC):
     # How it is fitted.
     count: ClassVar[int] = 1
     """How many coefficients its own columns have."""
+    constant: ClassVar[str] = ""
+    """The parameter that enters nonlinearly, a field of the instances, in which the :meth:`variants` differ."""
     absorbed: ClassVar[bool] = False
     """Whether what was found of it is built into the model (gravity, time, scale), and only its change is a column."""
     scales_measurement: ClassVar[bool] = False
@@ -95,8 +97,8 @@ class Effect(ABC):
 
     @property
     def scanned(self) -> float:
-        """The constant in which variants differ and which is one of the parameters; 0 if there is none."""
-        return 0.0
+        """What variants differ in, which must be above zero; 0 if there is nothing to choose."""
+        return float(getattr(self, self.constant)) if self.constant else 0.0
 
     @property
     def positives(self) -> int:
@@ -162,16 +164,16 @@ class Effect(ABC):
     def constants(
         self,
         found: Sequence[tuple[float, float]],  # noqa: ARG002
-        unsure: float,  # noqa: ARG002
+        unsure: float,
         usual_load: float,  # noqa: ARG002
     ) -> list[tuple[float, float]]:
         """Values and standard deviations of the parameters that are constants, from those ``found`` before."""
-        return []
+        return [(self.scanned, unsure * self.scanned)] if self.constant else []
 
     @classmethod
-    def from_values(cls, values: Values, usual_load: float = 0.0) -> Effect:  # noqa: ARG003
+    def from_values(cls, values: Values, usual_load: float = 0.0) -> Self:  # noqa: ARG003
         """The instance with the constants of these parameters."""
-        return cls()
+        return cls(**({cls.constant: values[cls.constant]} if cls.constant else {}))
 
     @classmethod
     def coefficients(cls, values: Values, usual_load: float = 0.0) -> dict[Effect, tuple[float, ...]]:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from typing import TypeAlias
 
 import numpy as np
 
@@ -38,6 +39,12 @@ class Motion:
         return int(self.position.shape[-1])
 
 
+OfLoad: TypeAlias = Callable[[FloatArray, float], FloatArray]
+"""Makes ``(n, J, K)`` of the gears' load ``(n, J)`` at all instants of a recording, which are one period [s] apart."""
+Derivatives: TypeAlias = tuple[FloatArray, FloatArray, FloatArray]
+"""Values and their first and second derivatives by time, filtered as the samples are, each ``(N, J, K)``."""
+
+
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Situation:
     """What a model says of N instants, J joints and C channels, of which the first J are the joints' efforts.
@@ -47,12 +54,11 @@ class Situation:
         predicted, rate: the channels' values, effects included, and their derivative by time ``(N, C)``.
         load, load_rate, load_acceleration: efforts that the gears transmit to the links (rigid bodies alone) and their
             derivatives by time ``(N, J)``.
-        side, side_rate, side_acceleration: the side of their play on which the gears are, -1 to 1, for each of K
-            :data:`geomid_ros.model.effects.backlash.CROSSINGS`, with its derivatives by time ``(N, J, K)``.
         by_position, by_velocity, by_acceleration: derivatives of the channels by the links' motion ``(N, C, J)``.
         by_gravity: derivatives of the channels by gravity in the base frame ``(N, C, 3)``.
         gravity: gravity in the frame of a base that stands straight ``(3,)`` [m/s^2].
         coefficients: those of the effects that the model has, by the effect's name and place.
+        of_load: what a function makes of the load's history, at the N instants.
     """
 
     sign: FloatArray
@@ -61,15 +67,13 @@ class Situation:
     load: FloatArray
     load_rate: FloatArray
     load_acceleration: FloatArray
-    side: FloatArray
-    side_rate: FloatArray
-    side_acceleration: FloatArray
     by_position: FloatArray
     by_velocity: FloatArray
     by_acceleration: FloatArray
     by_gravity: FloatArray
     gravity: FloatArray
     coefficients: Mapping[tuple[str, Place], FloatArray]
+    of_load: Callable[[OfLoad], Derivatives]
 
     def usual_load(self, place: Place) -> float:
         """Standard deviation of what the gear of a place's (first) joint transmits [N m or N]; 0 without a joint."""

@@ -1,6 +1,5 @@
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -38,6 +37,7 @@ class StribeckFriction(JointEffect):
         ParameterForm("speed", ("rad/s", "m/s"), above=0.0),
     )
     settled_by = "runs of this joint at constant speeds from creeping to fast"
+    constant = "speed"
     adds_up = False
     contains = "coulomb_friction"
     alike_one_way = "effort_offset"
@@ -46,11 +46,6 @@ class StribeckFriction(JointEffect):
     def variants(cls) -> tuple[Effect, ...]:
         """One for each of :data:`SPEEDS`, with the sharpest sign."""
         return tuple(cls(speed, SMOOTHINGS[0]) for speed in SPEEDS)
-
-    @property
-    def scanned(self) -> float:
-        """The speed."""
-        return self.speed
 
     @property
     def parts(self) -> tuple[Effect, ...]:
@@ -71,20 +66,6 @@ class StribeckFriction(JointEffect):
             -((motion.velocity / self.speed) ** 2)
         )
         return result
-
-    def constants(
-        self,
-        found: Sequence[tuple[float, float]],  # noqa: ARG002
-        unsure: float,
-        usual_load: float,  # noqa: ARG002
-    ) -> list[tuple[float, float]]:
-        """The speed."""
-        return [(self.speed, unsure * self.speed)]
-
-    @classmethod
-    def from_values(cls, values: Values, usual_load: float = 0.0) -> StribeckFriction:  # noqa: ARG003
-        """Of this speed."""
-        return cls(values["speed"])
 
     @classmethod
     def coefficients(cls, values: Values, usual_load: float = 0.0) -> dict[Effect, tuple[float, ...]]:  # noqa: ARG003
