@@ -139,3 +139,47 @@ def test_only_the_first_instants_count(model: MeasurementModel) -> None:
 def test_without_three_forces_there_is_nothing_to_compare(model: MeasurementModel) -> None:
     lonely = MeasurementModel(model.robot, (), model.sensors[1:])
     assert WrenchCheck(lonely, np.zeros(lonely.dimension)).ended
+
+
+def turned(degrees: float) -> FloatArray:
+    """A rotation about z, of forces that are mostly across it."""
+    angle = np.radians(degrees)
+    turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+    return np.block([[turn, np.zeros((2, 1))], [np.zeros((1, 2)), np.ones((1, 1))]])
+
+
+@pytest.mark.parametrize(
+    ("distort", "word"),
+    [
+        (40.0 * np.eye(3), ""),
+        (60.0 * np.eye(3), "unit"),
+        (0.025 * np.eye(3), ""),
+        (0.016 * np.eye(3), "unit"),
+        (turned(30.0), ""),
+        (turned(90.0), "frame"),
+        (60.0 * turned(90.0), "frame"),
+        (-60.0 * np.eye(3), "sign"),
+        (np.zeros((3, 3)), ""),
+    ],
+    ids=["40", "60", "1/40", "1/60", "30 degrees", "90 degrees", "60 and 90 degrees", "-60", "nothing"],
+)
+def test_what_a_payload_or_a_mounting_explains_is_no_fault(
+    distort: FloatArray, word: str, model: MeasurementModel
+) -> None:
+    problem = checked(model, distort, 60).problems.get("/wrist", "")
+    assert (word in problem) if word else not problem
+
+
+def test_forces_that_say_nothing_of_the_urdf_s_are_no_fault(model: MeasurementModel) -> None:
+    """Of noise alone neither sign nor frame nor unit can be told; what is not measured is left out."""
+    nominal = np.random.default_rng(7).standard_normal(model.dimension)
+    silent, holes = (rows(model, nominal, -np.eye(3), 200) for _ in range(2))
+    noise = 1e3 * np.random.default_rng(8).standard_normal(silent.targets.shape)
+    check = WrenchCheck(model, nominal)
+    check.add(Rows(silent.coefficients, noise))
+    assert check.problems == {}
+    holes.targets[::2] = np.nan
+    holes.targets[1::4, 3] = np.nan
+    check = WrenchCheck(model, nominal)
+    check.add(holes)
+    assert "sign" in check.problems["/wrist"]

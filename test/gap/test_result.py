@@ -1,0 +1,265 @@
+"""All that a run says, on one robot whose model has effects already."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from geomid_ros.errors import InputError
+from geomid_ros.estimation.estimate import LinksInformation
+from geomid_ros.gap import workflow
+from geomid_ros.gap.candidates import EffectTerm
+from geomid_ros.gap.evidence.record import Records
+from geomid_ros.gap.result import GapResult
+from geomid_ros.gap.workflow import GapSettings, find_gap
+from geomid_ros.model.effects import AtJoint, KnownEffect, Quantity
+from geomid_ros.model.effects.coulomb_friction import CoulombFriction
+from geomid_ros.model.effects.effort_offset import EffortOffset
+from geomid_ros.model.effects.viscous_friction import ViscousFriction
+from geomid_ros.model.measurement import MeasurementModel
+from geomid_ros.types import FloatArray
+
+from . import planted
+
+BARE = planted.model()
+MODEL = MeasurementModel(BARE.robot, (ViscousFriction(), EffortOffset()))
+JOINTS = BARE.robot.joint_names
+SEED = 81
+INERTIAS = planted.true_inertias(SEED, 0.1)
+RIGID = planted.rigid(INERTIAS)
+KNOWN, FOUND, LOAD = 0.3, 0.5, 0.08
+"""Viscous friction at the first joint, which the model has, and at the second, which it has not; friction by the load
+at the third, which it has as a tenth too little."""
+
+
+def efforts(q: FloatArray, v: FloatArray, a: FloatArray) -> FloatArray:
+    rigid = RIGID(q, v, a)
+    load_friction = LOAD * np.abs(rigid) * np.tanh(v / 0.003)
+    return rigid + np.array([KNOWN, FOUND, 0.0]) * v + np.array([0.0, 0.0, 1.0]) * load_friction
+
+
+def nominal(**coefficients: float) -> FloatArray:
+    """Of the model: only these are known."""
+    values = {f"{c.effect.name} {c.place_name}": np.nan for c in MODEL.coefficients}
+    values.update({f"viscous_friction {joint}": value for joint, value in coefficients.items()})
+    return np.append(np.full(len(MODEL.nominal_inertias), np.nan), list(values.values()))
+
+
+TRAIN, UNSEEN = planted.recording(efforts, SEED), planted.recording(efforts, SEED + 1000, 15.0)
+PROGRESS: list[tuple[str, float]] = []
+
+
+@pytest.fixture(scope="module")
+def result() -> GapResult:
+    beside = KnownEffect("load_friction", JOINTS[2], "", {"coefficient": Quantity(0.9 * LOAD, 0.01, "-")})
+    return find_gap(
+        MODEL,
+        [TRAIN],
+        [UNSEEN],
+        nominal=nominal(**{JOINTS[0]: KNOWN}),
+        beside=[beside],
+        progress=lambda what, share: PROGRESS.append((what, share)),
+    )
+
+
+def test_what_is_missing_is_named_and_what_is_known_is_fitted_anew(result: GapResult) -> None:
+    (finding,) = result.findings
+    assert (finding.effect, finding.joint, result.verdict) == ("viscous_friction", JOINTS[1], "named")
+    found = finding.parameters["coefficient"]
+    assert abs(found.value - FOUND) < 4.0 * found.std
+    coefficients = dict(zip(MODEL.coefficients, result.coefficients, strict=True))
+    known = [value for c, value in coefficients.items() if np.isfinite(value)]
+    assert known == [coefficients[MODEL.coefficients[0]]]
+    assert known[0] == pytest.approx(KNOWN, abs=0.01)
+
+
+def test_what_was_beside_the_coefficients_is_fitted_anew(result: GapResult) -> None:
+    (known,) = result.beside
+    assert (known.effect, known.joint) == ("load_friction", JOINTS[2])
+    found = known.parameters["coefficient"]
+    assert abs(found.value - LOAD) < 4.0 * found.std
+    assert found.std < 0.1 * LOAD
+
+
+def test_channels_have_names_and_units(result: GapResult) -> None:
+    assert result.channels == tuple(JOINTS)
+    assert result.units == ("N m",) * 3
+    assert result.bodies == BARE.body_names
+    np.testing.assert_allclose(result.floor, planted.NOISE, rtol=0.2)
+    assert result.seconds > 0.0
+
+
+def test_the_inertias_are_as_good_as_the_true_ones(result: GapResult) -> None:
+    _, q, v, a = planted.motion(SEED + 1000, 15.0)
+    off = planted.rigid(result.inertias)(q, v, a) - RIGID(q, v, a)
+    assert np.sqrt(np.mean(off**2)) < 0.5 * planted.NOISE
+
+
+def test_the_trace_is_of_unseen_data(result: GapResult) -> None:
+    """What the URDF with its known friction predicts, by the recursive algorithm; the final model is right."""
+    trace, (chosen,) = result.trace, Records.make([UNSEEN], planted.CUTOFF).chosen
+    np.testing.assert_array_equal(trace.stamps, UNSEEN.stamps[chosen])
+    np.testing.assert_array_equal(trace.measured, UNSEEN.effort[chosen])
+    _, q, v, a = (part[chosen] for part in planted.motion(SEED + 1000, 15.0))
+    np.testing.assert_array_equal(trace.position, q)
+    np.testing.assert_array_equal(trace.velocity, v)
+    before = planted.rigid(MODEL.nominal_inertias.reshape(-1, 10))(q, v, a)
+    np.testing.assert_allclose(trace.before[:, :2], before[:, :2] + np.array([KNOWN, 0.0]) * v[:, :2], atol=1e-9)
+    exact = efforts(q, v, a)
+    away = np.abs(v[:, 2]) > 0.1
+    assert np.sqrt(np.mean((trace.after - exact)[away] ** 2)) < planted.NOISE
+    np.testing.assert_array_equal(trace.load, np.abs(trace.after))
+    assert np.std((trace.inertias_only - exact)[:, 1]) > np.std((trace.after - exact)[:, 1])
+
+
+def test_gaps_are_root_mean_squares_of_the_trace_in_units_of_the_floor(result: GapResult) -> None:
+    """Of joints without dry friction, wherever they move."""
+    trace, records = result.trace, Records.make([UNSEEN], planted.CUTOFF)
+    usable = records.usable(BARE, records.rows(BARE).targets)
+    for predicted, gap in (
+        (trace.before, result.gap.before),
+        (trace.inertias_only, result.gap.inertias_only),
+        (trace.after, result.gap.after),
+    ):
+        left = trace.measured[:, 0][usable[:, 0]] - predicted[:, 0][usable[:, 0]]
+        assert gap[0] == pytest.approx(np.sqrt(np.mean(left**2)) / result.floor[0], rel=0.05)
+    assert np.all(result.gap.expected >= 1.0)
+    assert np.all(result.gap.expected < 1.1)
+    assert np.all(result.gap.after < 1.15 * result.gap.expected)
+
+
+def test_the_first_remainder_is_located(result: GapResult) -> None:
+    assert [entry.channel for entry in result.located] == list(JOINTS)
+    assert all(0.0 <= getattr(e, name) <= 1.0 for e in result.located for name in ("velocity", "position", "load"))
+    first = workflow.located(
+        BARE,
+        Records.make([TRAIN], planted.CUTOFF),
+        first_remainder(),
+        np.abs(Records.make([TRAIN], planted.CUTOFF).samples.effort - first_remainder()),
+    )
+    for mine, other in zip(first[:2], result.located[:2], strict=True):
+        np.testing.assert_allclose(
+            [mine.velocity, mine.position, mine.load, mine.time, mine.reversals],
+            [other.velocity, other.position, other.load, other.time, other.reversals],
+            atol=1e-6,
+        )
+
+
+def first_remainder() -> FloatArray:
+    """What the URDF with its known friction leaves, by the recursive algorithm; the third joint's load apart."""
+    (chosen,) = Records.make([TRAIN], planted.CUTOFF).chosen
+    _, q, v, a = (part[chosen] for part in planted.motion(SEED, 40.0))
+    urdf = planted.rigid(MODEL.nominal_inertias.reshape(-1, 10))(q, v, a)
+    return np.asarray(TRAIN.effort[chosen] - urdf - np.array([KNOWN, 0.0, 0.0]) * v)
+
+
+def test_the_ranking_begins_with_the_name(result: GapResult) -> None:
+    best, *others = result.ranking
+    assert (best.effect, best.joint, best.chosen) == ("viscous_friction", JOINTS[1], True)
+    assert best.gain == pytest.approx(result.findings[0].loss)
+    assert not any(other.chosen for other in others)
+
+
+def test_progress_goes_from_nothing_to_all(result: GapResult) -> None:
+    assert result.verdict
+    assert PROGRESS[0] == ("searching", 0.0)
+    assert PROGRESS[-1] == ("judging", 1.0)
+    for what in ("searching", "judging"):
+        shares = [share for name, share in PROGRESS if name == what]
+        assert shares == sorted(shares)
+        assert (shares[0], shares[-1]) == (0.0, 1.0)
+
+
+class TestPrior:
+    """What is known before, from what the user gives."""
+
+    def prior(self, values: FloatArray | None = None, deviations: FloatArray | None = None) -> workflow.Prior:
+        information = LinksInformation(np.eye(30), np.zeros(30))
+        return workflow._prior(MODEL, values, deviations, information, GapSettings(spread=0.3, identified_spread=0.04))
+
+    def test_of_a_bare_urdf_everything_is_a_guess(self) -> None:
+        prior = self.prior()
+        np.testing.assert_array_equal(prior.inertias, MODEL.nominal_inertias)
+        assert (prior.spread, prior.certainty, prior.terms, prior.known) == (0.3, 4.0, (), None)
+
+    def test_effects_alone_identify_no_link(self) -> None:
+        prior = self.prior(nominal(**{JOINTS[0]: 0.5}))
+        assert (prior.spread, prior.known) == (0.3, None)
+
+    def test_what_was_identified_is_hardly_wrong(self) -> None:
+        values = nominal()
+        values[:10] = 2.0 * MODEL.nominal_inertias[:10]
+        prior = self.prior(values)
+        np.testing.assert_array_equal(prior.inertias[:10], values[:10])
+        np.testing.assert_array_equal(prior.inertias[10:], MODEL.nominal_inertias[10:])
+        assert (prior.spread, prior.certainty) == (0.04, 400.0)
+        assert prior.known is not None
+
+    def test_effects_are_a_fifth_unsure_or_as_they_say_where_that_is_more(self) -> None:
+        """Those of no size are none."""
+        values = nominal(**{JOINTS[0]: 0.5, JOINTS[1]: -1e-4, JOINTS[2]: 0.0})
+        prior = self.prior(values)
+        assert prior.terms == tuple(EffectTerm(ViscousFriction(), AtJoint(joint)) for joint in (0, 1))
+        np.testing.assert_allclose(prior.values, [0.5, -1e-4])
+        np.testing.assert_allclose(prior.spreads, [0.1, 1e-3])
+        unsure = np.full(MODEL.dimension, np.nan)
+        unsure[len(MODEL.nominal_inertias)] = 0.4
+        np.testing.assert_allclose(self.prior(values, unsure).spreads, [0.4, 1e-3])
+
+
+def test_what_a_simulator_shows_stands_in_the_place_of_the_model(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its payloads on their links, its effects nearly certain, and nothing of other recordings."""
+    records = Records.make([TRAIN], planted.CUTOFF)
+    information = LinksInformation(np.eye(30), np.zeros(30))
+    given = workflow._prior(BARE, INERTIAS.ravel(), None, information, GapSettings())
+    assert given.known is not None
+    terms = (EffectTerm(ViscousFriction(), AtJoint(1)), EffectTerm(CoulombFriction(), AtJoint(2)))
+    shown = replace(given, terms=terms, values=np.array([2.0, 0.001]), spreads=np.ones(2), known=None)
+    asked = []
+
+    def analyse(_: object, __: object, prior: workflow.Prior, ___: object) -> object:
+        asked.append(prior)
+        return type("Analysis", (), {"names": workflow.unfitted(shown)})
+
+    monkeypatch.setattr(workflow, "analyse", analyse)
+    prior = workflow._as_simulated(BARE, records, given, lambda *_: None)
+    assert [own.known for own in asked] == [None]
+    np.testing.assert_allclose(prior.inertias, INERTIAS.ravel())
+    assert (prior.terms, prior.known, prior.spread, prior.certainty) == (terms, None, given.spread, given.certainty)
+    np.testing.assert_allclose(prior.values, [2.0, 0.001])
+    np.testing.assert_allclose(prior.spreads, [0.04, 1e-3])
+
+
+class TestRefusals:
+    def test_a_recording_needs_a_hundred_independent_instants(self) -> None:
+        """Two in a seventh of a second, or so."""
+        for seconds, refused in ((4.0, True), (7.0, False)):
+            records = Records.make([planted.recording(RIGID, 1, seconds)], planted.CUTOFF)
+            assert (len(records.samples) < 100) == refused
+            if refused:
+                with pytest.raises(InputError, match=f"too short: {len(records.samples)} independent"):
+                    workflow._check(BARE, records)
+            else:
+                workflow._check(BARE, records)
+        with pytest.raises(InputError, match="too short: 0 independent"):
+            workflow._check(BARE, Records.make([], planted.CUTOFF))
+
+    def test_something_has_to_be_measured(self) -> None:
+        nothing = replace(TRAIN, effort=np.full(TRAIN.effort.shape, np.nan))
+        with pytest.raises(InputError, match=r"no effort or wrench is measured.*joint1"):
+            workflow._check(BARE, Records.make([nothing], planted.CUTOFF))
+
+    def test_something_has_to_move(self) -> None:
+        effects = TRAIN.effects.copy()
+        place = TRAIN.columns.columns.index(workflow.REST)
+        effects[:, :, place] = 1.0
+        resting = Records.make([replace(TRAIN, effects=effects)], planted.CUTOFF)
+        with pytest.raises(InputError, match="no joint moves"):
+            workflow._check(BARE, resting)
+        with pytest.raises(InputError, match="nothing to judge on"):
+            workflow._check_held_out(BARE, resting)
+        one = effects.copy()
+        one[:, 1, place] = 0.0
+        workflow._check(BARE, Records.make([replace(TRAIN, effects=one)], planted.CUTOFF))

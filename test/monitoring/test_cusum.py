@@ -1,0 +1,189 @@
+"""The parts of the change detector: what is normal, how sure it is, and how fast it is forgotten."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+
+from geomid_ros.model.measurement import Channel, Rows
+from geomid_ros.monitoring.change_detection import BLOCK, ChangeDetector, _Cusum
+from geomid_ros.types import FloatArray
+
+COLUMNS = 4
+SECOND = 1_000_000_000  # [ns]
+LEARNT = 2  # blocks of 40 rows for eight rows per parameter, here 32
+NORMAL = 12  # blocks whose energies tell what is normal
+
+
+def cusum(forgetting_time: float = np.inf) -> _Cusum:
+    return _Cusum(Channel(name="joint", unit="N m", columns=np.arange(COLUMNS)), forgetting_time)
+
+
+class Source:
+    """Rows of one channel with white noise of standard deviation 1."""
+
+    def __init__(self, seed: int = 0) -> None:
+        self.rng = np.random.default_rng(seed)
+        self.parameters = self.rng.normal(size=COLUMNS)
+        self.first = 0
+
+    def block(self, own: _Cusum, size: float = 1.0, measured: int = BLOCK, step: int = 20_000_000) -> None:
+        coefficients = self.rng.normal(size=(BLOCK, COLUMNS))
+        targets = coefficients @ self.parameters + size * self.rng.normal(size=BLOCK)
+        targets[measured:] = np.nan
+        stamps = SECOND + step * np.arange(self.first, self.first + BLOCK)
+        own.judge(self.first, stamps, coefficients, targets)
+        self.first += BLOCK
+
+
+def with_energies(energies: FloatArray) -> _Cusum:
+    own = cusum()
+    own._energies.extend(energies.tolist())
+    return own
+
+
+def test_what_is_normal_is_known_after_enough_rows_and_blocks() -> None:
+    own, source, ready = cusum(), Source(), []
+    for _ in range(20):
+        source.block(own)
+        ready.append(own.ready)
+    assert ready.index(True) in (NORMAL, NORMAL + LEARNT - 1)
+    assert all(ready[ready.index(True) :])
+
+
+def test_the_normal_energy_is_the_variance_of_the_noise() -> None:
+    """Of recursive residuals, however few rows there are; a change of their size is a gap of that size."""
+    levels = []
+    for seed in range(30):
+        own, source = cusum(), Source(seed)
+        for _ in range(40):
+            source.block(own, 0.5)
+        levels.append(own._level)
+        assert own.gap.times_floor == pytest.approx(1.0, abs=0.4)
+    assert np.mean(levels) == pytest.approx(0.25, rel=0.03)
+    for _ in range(8):
+        source.block(own, 1.5)
+    assert own.gap.times_floor == pytest.approx(3.0, rel=0.15)
+    assert own.gap.since is not None
+
+
+def test_a_suspicion_begins_with_its_first_block_and_ends_without_a_trace() -> None:
+    own, source = cusum(), Source(3)
+    for _ in range(40):
+        source.block(own)
+    assert own.first_suspect is None
+    first, energies = source.first, len(own._energies)
+    source.block(own, 3.0)
+    assert own.first_suspect == first
+    assert own.gap.since is None, "one block is none"
+    assert len(own._energies) == energies
+    for _ in range(6):
+        source.block(own, 0.9)
+    assert own.first_suspect is None
+    assert len(own._energies) > energies
+
+
+def test_three_bad_blocks_are_a_gap_since_the_first() -> None:
+    own, source = cusum(), Source(4)
+    for _ in range(40):
+        source.block(own)
+    first = source.first
+    opened = []
+    for _ in range(5):
+        source.block(own, 10.0)
+        opened.append(own.gap.since is not None)
+    assert opened == [False, False, True, True, True]
+    assert own.gap.first == first
+    assert own.gap.since == SECOND + 20_000_000 * first
+    closed = []
+    for _ in range(6):
+        source.block(own)
+        closed.append(own.gap.since is None)
+    assert not closed[0]
+    assert closed[-1]
+
+
+@pytest.mark.parametrize(("measured", "judged"), [(BLOCK // 2 - 1, False), (BLOCK // 2, True)])
+def test_a_block_of_which_less_than_half_is_measured_says_nothing(measured: int, judged: bool) -> None:
+    own, source = cusum(), Source(5)
+    for _ in range(30):
+        source.block(own)
+    rows, energies = own._rows, list(own._energies)
+    source.block(own, measured=measured)
+    assert own._rows == rows + judged * measured
+    assert (list(own._energies) == energies) == (not judged)
+
+
+SHAPES = (4.0, 12.0)
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+def test_the_shape_is_that_of_the_energies_and_rather_too_small(shape: float) -> None:
+    """By four standard deviations of a variance or so, for few energies tell it roughly."""
+    rng = np.random.default_rng(1)
+    found = [with_energies(rng.gamma(shape, 2.0 / shape, 60))._shape(2.0) for _ in range(300)]
+    caution = 1.0 + 4.0 / np.sqrt(60)
+    assert np.median(found) == pytest.approx(shape / caution, rel=0.25)
+    assert np.mean(np.array(found) > shape) < 0.1
+
+
+def test_energies_that_belong_together_tell_less() -> None:
+    """Their long-run variance is (1 + r) / (1 - r) times their own; here half of that lies within three blocks."""
+    rng = np.random.default_rng(2)
+    white = rng.standard_normal((200, 160))
+    coloured = lfilter([np.sqrt(1.0 - 0.6**2)], [1.0, -0.6], white, axis=1)[:, 100:]
+    together, apart = (
+        np.median([with_energies(1.0 + 0.3 * row)._shape(1.0) for row in rows]) for rows in (coloured, white[:, 100:])
+    )
+    assert 0.3 < together / apart < 0.65
+    alternating = 1.0 + 0.3 * np.tile([1.0, -1.0], 30)
+    assert with_energies(alternating)._shape(1.0) == pytest.approx(1.0 / (0.09 * (1.0 + 4.0 / np.sqrt(60))))
+
+
+def test_no_block_tells_more_than_independent_rows_would() -> None:
+    for energies in (np.full(60, 2.0), 2.0 + 1e-6 * np.random.default_rng(3).standard_normal(60)):
+        assert with_energies(energies)._shape(2.0) == 0.5 * BLOCK
+
+
+@pytest.mark.parametrize(("forgetting", "step", "elapsed"), [(100.0, 20_000_000, 0.8), (50.0, 5 * SECOND, 40.0)])
+def test_what_is_normal_is_forgotten_by_the_time_that_passes(forgetting: float, step: int, elapsed: float) -> None:
+    """A pause counts as no more than a second; enough is kept to know what is normal."""
+    own = cusum(forgetting)
+    stamps = SECOND + step * np.arange(BLOCK)
+    first = own._remaining(stamps)
+    later = own._remaining(stamps + BLOCK * step)
+    least = 1.0 - BLOCK / (2.0 * 8 * COLUMNS)
+    assert later == pytest.approx(max(np.exp(-elapsed / forgetting), least))
+    assert first == pytest.approx(max(np.exp(-elapsed * (BLOCK - 1) / BLOCK / forgetting), least))
+    assert least > 0.3
+
+
+def test_who_does_not_forget_keeps_all() -> None:
+    own = cusum()
+    assert own._remaining(SECOND * np.arange(1, BLOCK + 1)) == 1.0
+    backwards = cusum(10.0)
+    backwards._remaining(SECOND * np.arange(101, BLOCK + 101))
+    assert backwards._remaining(np.arange(BLOCK)) == pytest.approx(1.0, abs=1e-6), "no time has passed"
+
+
+def test_noise_below_a_ten_thousandth_of_what_is_measured_is_rounding() -> None:
+    own, rng = cusum(), np.random.default_rng(6)
+    for block in range(30):
+        coefficients = rng.normal(size=(BLOCK, COLUMNS))
+        targets = 100.0 * coefficients @ np.ones(COLUMNS) + 1e-6 * rng.normal(size=BLOCK)
+        own.judge(block * BLOCK, SECOND + np.arange(block * BLOCK, (block + 1) * BLOCK), coefficients, targets)
+    assert own._level == pytest.approx((1e-4 * 200.0) ** 2, rel=0.1)
+
+
+def test_rows_that_nobody_judges_do_not_fill_the_memory() -> None:
+    """The last are kept: fifty megabytes, or a block."""
+    wide = ChangeDetector([Channel(name="joint", unit="N m", columns=np.arange(999))])
+    count = 50_000_000 // (8 * 1000)
+    rows = Rows(np.zeros((count + 70, 1, 1)), np.zeros((count + 70, 1)))
+    wide.add(5, np.arange(count + 70), rows)
+    assert len(wide._waiting) == count
+    assert wide._waiting[0][0] == 75
+    huge = ChangeDetector([Channel(name="joint", unit="N m", columns=np.array([10**9]))])
+    huge.add(0, np.arange(100), Rows(np.zeros((100, 1, 1)), np.zeros((100, 1))))
+    assert len(huge._waiting) == BLOCK
