@@ -14,8 +14,8 @@ from geomid_ros.estimation.estimate import LinksInformation
 from geomid_ros.gap.candidates import REST, Candidate, EffectTerm
 from geomid_ros.gap.evidence.record import Records
 from geomid_ros.gap.fitting.fit import unfitted
+from geomid_ros.gap.fitting.linearised_problem import LinearisedProblem, total_model
 from geomid_ros.gap.fitting.prior import Prior
-from geomid_ros.gap.fitting.stage import Stage, total_model
 from geomid_ros.gap.judgement import naming
 from geomid_ros.gap.judgement.held_out import HeldOut
 from geomid_ros.gap.judgement.locate import located
@@ -110,8 +110,8 @@ def find_gap(
     found = findings(bare, analysis, unseen)
     report("judging", 1.0)
     untouched = unfitted(prior)
-    stage = Stage(bare, records, total_model(bare, untouched))
-    first = stage.residual(stage.columns((), prior.terms), untouched)
+    problem = LinearisedProblem(bare, records, total_model(bare, untouched))
+    first = problem.residual(problem.columns((), prior.terms), untouched)
     return GapResult(
         verdict=verdict(analysis, unseen),
         findings=found,
@@ -202,7 +202,7 @@ def _with_beside(
     """The prior with the effects ``beside`` the model's coefficients, and each of these with its candidate."""
     if not beside:
         return prior, []
-    situation = Stage(model, records, total_model(model, unfitted(prior))).situation
+    situation = LinearisedProblem(model, records, total_model(model, unfitted(prior))).situation
     own, values = [], list(prior.values)
     for known in beside:
         cls, numbers = effect_class(known.effect), values_of(known)
@@ -221,7 +221,7 @@ def _with_beside(
 
 def _refitted(model: MeasurementModel, analysis: Analysis, candidate: Candidate, known: KnownEffect) -> KnownEffect:
     """An effect beside the model's coefficients with the size that was fitted."""
-    load = analysis.stage.situation.usual_load(candidate.place)
+    load = analysis.problem.situation.usual_load(candidate.place)
     return replace(known, parameters=naming.parameters(model, analysis.names, candidate, usual_load=load))
 
 
