@@ -43,6 +43,7 @@ FLOORS = {
 # Names from outside, and the rooms in which alone they may be imported.
 KEPT_IN = {"pinocchio": ("model",), "mujoco": ("simulation", "resimulation"), "rclpy": ("ros",)}
 COMPUTED = "(computed)"  # a name that is known only when the program runs: the player's message types
+MOST_POSITIONAL = 6
 ROS_SUFFIXES = ("_msgs", "_srvs", "_interfaces")
 
 
@@ -198,3 +199,15 @@ def test_the_lower_floors_need_neither_ros_nor_mujoco() -> None:
     command = [sys.executable, "-c", textwrap.dedent(script)]
     result = subprocess.run(command, capture_output=True, text=True, check=False, cwd=ROOT, timeout=120)
     assert result.stdout == "all imported\n", result.stderr
+
+
+@pytest.mark.parametrize("module", MODULES)
+def test_no_call_leaves_the_meaning_of_many_arguments_to_their_order(module: str) -> None:
+    tree = ast.parse(MODULES[module].read_text(encoding="utf-8"))
+    calls = (node for node in ast.walk(tree) if isinstance(node, ast.Call))
+    long = [
+        f"line {call.lineno}: {ast.unparse(call.func)}"
+        for call in calls
+        if sum(not isinstance(argument, ast.Starred) for argument in call.args) > MOST_POSITIONAL
+    ]
+    assert not long
