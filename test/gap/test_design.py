@@ -9,9 +9,10 @@ import pytest
 from geomid_ros.gap.candidates import Candidate, EffectTerm, Term
 from geomid_ros.gap.evidence.design import BLOCKS, Design, term_columns
 from geomid_ros.gap.evidence.noise import Autoregression
-from geomid_ros.model.effects import AtJoint, AtSensor, OnLink, OnRobot, Payload
+from geomid_ros.model.effects import AtJoint, AtSensor, OnLink, OnRobot
 from geomid_ros.model.effects.effort_gain import EffortGain
 from geomid_ros.model.effects.gravity_tilt import GravityTilt
+from geomid_ros.model.effects.payload import Payload
 from geomid_ros.model.effects.viscous_friction import ViscousFriction
 from geomid_ros.model.effects.wrench_offset import WrenchOffset
 from geomid_ros.model.measurement import MeasurementModel

@@ -10,7 +10,7 @@ import pytest
 
 from geomid_ros.gap.candidates import REST, SIGN, SMOOTH_SIGN
 from geomid_ros.gap.evidence.record import Records, TotalModel
-from geomid_ros.model.columns import Columns
+from geomid_ros.model.columns import Columns, JointColumn
 from geomid_ros.model.effects import AtJoint, AtJoints, Effect, OnRobot
 from geomid_ros.model.effects.coulomb_friction import CoulombFriction
 from geomid_ros.model.effects.effect import JointMotion, PairEffect
@@ -26,15 +26,16 @@ from . import planted
 
 MODEL = planted.model()
 CUTOFF = 5.0
+START = 1_700_000_000_000_000_000  # [ns] an ordinary day's clock
 
 
-def samples(count: int, rate: float = 100.0, start: int = 0, velocity: FloatArray | None = None) -> Samples:
+def samples(count: int, rate: float = 100.0, velocity: FloatArray | None = None) -> Samples:
     """Of three joints that turn with these velocities, with no columns of effects."""
     rates = np.ones((count, 3)) if velocity is None else velocity
     times = np.arange(count)[:, None] / rate
     nothing = np.zeros((count, 0))
     return Samples(
-        stamps=start + np.round(1e9 / rate * np.arange(count)).astype(np.int64),
+        stamps=START + np.round(1e9 / rate * np.arange(count)).astype(np.int64),
         position=times * rates,
         velocity=rates,
         acceleration=np.zeros((count, 3)),
@@ -150,8 +151,7 @@ def test_efforts_of_a_model_are_those_of_all_its_effects_of_motion() -> None:
     plain = samples(50, velocity=velocity)
     carried = np.random.default_rng(3).normal(size=(50, 3))
     coulomb = CoulombFriction(0.003)
-    part = replace(plain, effects=carried[:, :, None], columns=Columns((SIGN,)))
-    assert SIGN.function == coulomb
+    part = replace(plain, effects=carried[:, :, None], columns=Columns((JointColumn(coulomb),)))
     own = total(
         (coulomb, AtJoint(1), [0.3]),
         (coulomb, AtJoint(2), [0.1]),
