@@ -51,7 +51,7 @@ setup(
     },
     entry_points={
         "console_scripts": [
-            f"geomid = {NAME}.cli:main",
+            f"geomid = {NAME}.commands.root:main",
             f"geomid_node = {NAME}.ros.main:main",
         ],
     },

@@ -38,8 +38,7 @@ FLOORS = {
     "__init__": 9,
     "ros": 9,
     "commands": 10,
-    "cli": 11,
-    "__main__": 12,
+    "__main__": 11,
 }
 # Names from outside, and the rooms in which alone they may be imported.
 KEPT_IN = {"pinocchio": ("model",), "mujoco": ("simulation", "resimulation"), "rclpy": ("ros",)}

@@ -15,8 +15,7 @@ from geomid_ros.model.samples import Samples
 from geomid_ros.report.gap_page import GapPage, write_gap_page
 from geomid_ros.report.gap_words import verdict_sentence
 from geomid_ros.report.simulated_again import SimulatedAgain, position_units, simulated_again
-from geomid_ros.session.gap import find, gap_session
-from geomid_ros.session.gap_recordings import GapReader
+from geomid_ros.session.gap import GapReader, find, gap_session
 from geomid_ros.session.gap_simulation import nominal_inertias, simulate_again, without_findings, write_found
 from geomid_ros.session.recordings import Bags, Progress, Topics, silent
 from geomid_ros.session.session import Session

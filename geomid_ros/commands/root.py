@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from importlib import import_module
 from typing import Any
 
@@ -55,3 +56,11 @@ class _Group(click.Group):
 @click.version_option(geomid_ros.__version__, prog_name="geomid")
 def root() -> None:
     """Find a robot's true link inertias, from rosbags or while it runs."""
+
+
+def main() -> None:
+    """Entry point of ``geomid``."""
+    # The matrices are small: threads of the linear algebra library would only wait for each other. numpy reads this
+    # once, and none of the imports above loads it.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    root()

@@ -26,11 +26,20 @@ class Rival:
 class Finding:
     """A named effect.
 
-    ``joint``: the joint it acts at, the joint that moves the ``link`` of a payload, the topic of a wrench sensor, and
-    empty for the whole robot. ``separability``: share of the effect's columns, 0 to 1, outside the span of the inertias
-    and the other findings for this motion. ``loss``: how much worse the score is without it. ``share``: of the gap
-    that it closes. ``sentence`` says it in words; ``settled_by`` names the recording that would settle an ambiguity,
-    empty when there is none.
+    Attributes:
+        effect: its name.
+        joint: the joint it acts at, two as ``FIRST+SECOND``, the one that moves the link of a payload, the topic of a
+            wrench sensor; empty for the whole robot.
+        link: the link that carries a payload, else empty.
+        parameters: their values with standard deviations and units, by name.
+        confidence: how sure the name is.
+        rivals: other names for the same remainder.
+        separability: share of the effect's columns, 0 to 1, outside the span of the inertias and the other findings for
+            this motion.
+        loss: how much worse the score is without it.
+        share: of the gap that it closes.
+        sentence: all this in words.
+        settled_by: the recording that would settle an ambiguity, empty when there is none.
     """
 
     effect: str
@@ -58,9 +67,15 @@ class Unexplained:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Trace:
-    """Held-out data: ``stamps (N,)`` [ns], joints' ``position, velocity (N, joints)``, and by channel what was measured
-    and what the three models predict, ``(N, channels)``, NaN where not measured. ``load (N, channels)`` is the
-    magnitude of what the final model predicts."""
+    """Held-out data, and what the models predict of them.
+
+    Attributes:
+        stamps: ``(N,)`` [ns].
+        position, velocity: of the joints ``(N, J)``.
+        load: magnitude of what the final model predicts ``(N, C)``.
+        measured: ``(N, C)``, NaN where not measured.
+        before, inertias_only, after: what the three models predict ``(N, C)``.
+    """
 
     stamps: IntArray
     position: FloatArray
@@ -108,11 +123,25 @@ class Ranked:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class GapResult:
-    """The whole finding. ``channels`` name the rows of all per-channel arrays; ``units`` are theirs, ``floor`` is the
-    noise's standard deviation in them. ``inertias (bodies, 10)`` are those of the final model (pinocchio's order, about
-    the link's origin), payloads not included; ``bodies`` their links. ``coefficients`` are those of the effects that
-    the model had before, fitted anew, in its order, NaN where it had none or a finding's parameter is the whole;
-    ``beside`` are those that it had beside its coefficients, fitted anew, without those that cannot be."""
+    """The whole finding, of C channels.
+
+    Attributes:
+        verdict: in a word or two.
+        findings: the named effects, the one that matters most first.
+        unexplained: what no name explains.
+        channels, units: names and units of the rows of all per-channel arrays.
+        floor: the noise's standard deviation ``(C,)``.
+        gap: what the models leave of held-out data.
+        located: where each channel's first remainder lives.
+        ranking: all candidates, the best first.
+        trace: held-out data with predictions.
+        bodies, inertias: the identified links, and their parameters ``(bodies, 10)`` in the final model, payloads not
+            included (pinocchio's order, about the link's origin).
+        coefficients: those of the effects that the model had before, fitted anew, in its order; NaN where it had none
+            or a finding's parameter is the whole.
+        beside: the effects that it had beside its coefficients, fitted anew, without those that cannot be.
+        seconds: that the search took.
+    """
 
     verdict: Verdict
     findings: tuple[Finding, ...]

@@ -14,8 +14,8 @@ from geomid_ros.estimation.estimate import LinksInformation
 from geomid_ros.gap.candidates import REST, Candidate, EffectTerm
 from geomid_ros.gap.evidence.record import Records
 from geomid_ros.gap.fitting.fit import unfitted
+from geomid_ros.gap.fitting.linearised_problem import LinearisedProblem, total_model
 from geomid_ros.gap.fitting.prior import Prior
-from geomid_ros.gap.fitting.stage import Stage, total_model
 from geomid_ros.gap.judgement import naming
 from geomid_ros.gap.judgement.held_out import HeldOut
 from geomid_ros.gap.judgement.locate import located
@@ -34,9 +34,14 @@ CUTOFF = 8.0
 
 @dataclass(frozen=True)
 class GapSettings:
-    """``cutoff`` [Hz] of the pipeline that made the samples; ``spread``: usual size of the errors of link inertias, a
-    geodesic distance (about the relative standard deviation of a mass); ``identified_spread``: of those of a model that
-    was identified before, where nobody guesses."""
+    """What a user may decide about the gap workflow.
+
+    Attributes:
+        cutoff: of the pipeline that made the samples [Hz].
+        spread: usual size of the errors of link inertias, a geodesic distance (about the relative standard deviation of
+            a mass).
+        identified_spread: the same of a model that was identified before.
+    """
 
     cutoff: float = CUTOFF
     spread: float = 0.2
@@ -65,32 +70,37 @@ def find_gap(
     simulated: Sequence[Samples] = (),
     progress: Callable[[str, float], None] | None = None,
 ) -> GapResult:
-    """Where ``model`` and the measured ``train`` disagree, which effect it is, and what is left on ``held_out``.
+    """Find where a model and a measurement disagree, which effect that is, and what is left on unseen data.
 
-    ``model``: the robot, its wrench sensors, and the effects that are already part of the model (none for a bare URDF).
-    ``nominal (D,)``: the model's parameters (the URDF's inertias and no effects unless given, as
-    :func:`geomid_ros.estimation.estimator.nominal_parameters`; those of an estimate.json with ``--model``; NaN where
-    that has none). ``deviations (D,)``: their standard deviations where they are known, NaN elsewhere. ``known``: what
-    the recordings say that these were identified from, others than ``train``, of all links together. ``beside``: the
-    effects that the model has beside its coefficients, at joints, which depend on what it says of a motion.
-
-    ``train``, ``held_out``: one element per recording, or per part of one without a pause, in the order of time: all
-    the samples of a stretch in ONE :class:`Samples` (``Samples.concatenate`` what a pipeline collects), not batches.
-    Give the last 30 % of a bag, or other bags, as ``held_out``. Several motions alike in ``train`` (repeats in one bag
-    or in several) give the noise floor without a model. ``simulated``: recordings of the user's simulator under the
-    same commands, made in the same way; what they show as well as ``train`` is no gap.
-
-    The samples come from a pipeline made for the purpose::
+    The samples come from a pipeline made for the purpose, with a cutoff that the recordings' rate allows::
 
         SignalPipeline(
             robot.joint_names, ..., effect_columns=geomid_ros.gap.candidates.library_columns(model),
             settings=replace(signals, cutoff=settings.cutoff),
         )
 
-    with a cutoff that the recordings' rate allows.
+    Args:
+        model: the robot, its wrench sensors, and the effects that are already part of the model (none for a bare URDF).
+        train: what is fitted, one element per recording, or per part of one without a pause, in the order of time: all
+            samples of a stretch in ONE :class:`Samples`, not batches. Several motions alike (repeats in one bag or in
+            several) give the noise floor without a model.
+        held_out: what is judged on, in the same form: the last 30 % of a bag, or other bags.
+        settings: the cutoff of the samples, and how wrong inertias usually are.
+        nominal: the model's parameters ``(D,)``, NaN where they are not known: those of an ``estimate.json``. The
+            URDF's inertias and no effects unless given.
+        deviations: their standard deviations ``(D,)``, NaN where they are not known.
+        known: what other recordings than ``train``, from which they were identified, say of all links together.
+        beside: the effects that the model has beside its coefficients, as they depend on what it says of a motion.
+        simulated: recordings of the user's simulator under the same commands, in the same form; what they show as well
+            as ``train`` is no gap.
+        progress: called with what is being done and the finished share, 0 to 1.
 
-    ``progress`` is called with what is being done and the finished share, 0 to 1. Raises InputError when the data are
-    too short, without motion or without anything measured that the model predicts, the held-out ones too.
+    Returns:
+        the findings, and all that tables, pictures and files need of them.
+
+    Raises:
+        InputError: the data, or those held out, are too short, without motion, or nothing is measured that the model
+            predicts.
     """
     started = perf_counter()
     report = progress or _silent
@@ -110,8 +120,8 @@ def find_gap(
     found = findings(bare, analysis, unseen)
     report("judging", 1.0)
     untouched = unfitted(prior)
-    stage = Stage(bare, records, total_model(bare, untouched))
-    first = stage.residual(stage.columns((), prior.terms), untouched)
+    problem = LinearisedProblem(bare, records, total_model(bare, untouched))
+    first = problem.residual(problem.columns((), prior.terms), untouched)
     return GapResult(
         verdict=verdict(analysis, unseen),
         findings=found,
@@ -202,7 +212,7 @@ def _with_beside(
     """The prior with the effects ``beside`` the model's coefficients, and each of these with its candidate."""
     if not beside:
         return prior, []
-    situation = Stage(model, records, total_model(model, unfitted(prior))).situation
+    situation = LinearisedProblem(model, records, total_model(model, unfitted(prior))).situation
     own, values = [], list(prior.values)
     for known in beside:
         cls, numbers = effect_class(known.effect), values_of(known)
@@ -221,7 +231,7 @@ def _with_beside(
 
 def _refitted(model: MeasurementModel, analysis: Analysis, candidate: Candidate, known: KnownEffect) -> KnownEffect:
     """An effect beside the model's coefficients with the size that was fitted."""
-    load = analysis.stage.situation.usual_load(candidate.place)
+    load = analysis.problem.situation.usual_load(candidate.place)
     return replace(known, parameters=naming.parameters(model, analysis.names, candidate, usual_load=load))
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Protocol
 
 from geomid_ros.estimation.estimate import Estimate
-from geomid_ros.live.checkpointing import Checkpoints, CheckpointStatus
+from geomid_ros.live.saving import Checkpoints, CheckpointStatus
 from geomid_ros.live.solving_process import SolvingProcess
 from geomid_ros.live.worker import OnEstimate, OnSamples, Worker
 from geomid_ros.session.configuration import Configuration

@@ -62,7 +62,7 @@ class Dynamics:
                 self._joint_terms(q, v, a, index, derivatives, by_gravity)
             for sensor, carried, data in self._carried:
                 rows = layout.wrenches[sensor.topic]
-                terms = _wrench_terms(self._robot, carried, data, sensor.frame, q, v, a)
+                terms = _wrench_terms(self._robot, carried, data, sensor.frame, (q, v, a))
                 for target, term in zip((*derivatives, by_gravity), terms, strict=True):
                     target[index, rows] = term[sensor.axis_indices]
         return Sensitivity(derivatives[0], derivatives[1], derivatives[2], by_gravity)
@@ -90,9 +90,11 @@ def _gravity_effort(model: pin.Model, data: pin.Data, q: FloatArray, axis: int) 
 
 
 def _wrench_terms(
-    robot: Robot, model: pin.Model, data: pin.Data, frame: str, q: FloatArray, v: FloatArray, a: FloatArray
+    robot: Robot, model: pin.Model, data: pin.Data, frame: str, motion: tuple[FloatArray, FloatArray, FloatArray]
 ) -> Iterable[FloatArray]:
-    """Derivatives ``(6, joints)`` of a carried wrench by q, v and a, and ``(6, 3)`` by gravity: differences."""
+    """Derivatives ``(6, joints)`` of a carried wrench by the ``motion`` q, v and a, and ``(6, 3)`` by gravity:
+    differences."""
+    q, v, a = motion
 
     def wrench(q: FloatArray, v: FloatArray, a: FloatArray) -> FloatArray:
         return robot.carried_wrench(model, data, frame, q, v, a)

@@ -11,8 +11,8 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 
 from geomid_ros.estimation.estimate import QUANTITIES, Estimate, LinkEstimate
 from geomid_ros.estimation.identifier import STANDING_STILL
-from geomid_ros.live.checkpointing import CheckpointStatus
 from geomid_ros.live.gap_search import SearchStatus
+from geomid_ros.live.saving import CheckpointStatus
 from geomid_ros.live.status import Status
 from geomid_ros.model.channels import is_of
 from geomid_ros.monitoring.change_detection import ChannelGap

@@ -4,22 +4,31 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
 
 from geomid_ros.errors import InputError
+from geomid_ros.files.bags.bag import Bag
 from geomid_ros.files.models.results import read_estimate
 from geomid_ros.gap.candidates import library_columns
 from geomid_ros.gap.result import GapResult
 from geomid_ros.gap.workflow import CUTOFF, GapSettings, find_gap
 from geomid_ros.model.samples import Samples
+from geomid_ros.resimulation.resimulate import CUTOFF as SHARP_CUTOFF
 from geomid_ros.session.configuration import Configuration
-from geomid_ros.session.recordings import HELD_OUT, Progress, divided
+from geomid_ros.session.recordings import HELD_OUT, Bags, Progress, check_measured, divided, read_samples, silent
 from geomid_ros.session.session import Session
-from geomid_ros.signals.messages import JOINT_STATES, Accepted
+from geomid_ros.signals.messages import JOINT_STATES, Accepted, message_type, parse
 from geomid_ros.signals.pipeline import SignalPipeline
+from geomid_ros.types import FloatArray
 
+_LENGTHS = 0.1  # relative difference of two recordings of one motion
+_MOTIONS = 0.5  # of the larger one's standard deviation: a simulation lags and droops, but does the same
+_STILL = 0.02  # [rad, m] standard deviation of a joint that does not move
+_LONGEST_SHIFT = 2.0  # [s] between the beginnings of the two recordings and of the motion in them
+_STEP = 0.02  # [s]
 CUTOFF_PER_RATE = 0.4
 """The highest cutoff, as a share of the messages' rate."""
 MESSAGES_FOR_RATE = 64
@@ -125,3 +134,112 @@ def find_in_messages(session: Session, messages: Sequence[Accepted], progress: P
         )
     ((train, held_out),) = divided([samples], HELD_OUT)
     return find(session, Recordings(cutoff=cutoff, train=[train], held_out=[held_out]), progress)
+
+
+
+@dataclass(frozen=True)
+class GapReader:
+    """Reads bags for the gap workflow, with the settings of a session."""
+
+    session: Session
+    bags: Bags
+    progress: Progress = silent
+
+    def read(self, simulated: Sequence[Path]) -> Recordings:
+        """Read what is fitted and what is judged on.
+
+        Args:
+            simulated: recordings of the user's simulator, one for each fitted bag, or none.
+
+        Raises:
+            InputError: a bag cannot be used; it is named.
+        """
+        fitted, validate = self.bags.fitted, self.bags.validate
+        if simulated and len(simulated) != len(fitted):
+            raise InputError(
+                f"{len(simulated)} recordings of a simulator for {len(fitted)} bags: give --simulated once "
+                "for each bag, in their order"
+            )
+        cutoff = gap_cutoff(self.session, self._rate([*fitted, *validate, *simulated]))
+        whole = [self._whole(path, cutoff) for path in fitted]
+        twins = [self._whole(path, cutoff) for path in simulated]
+        for pair in zip(simulated, twins, fitted, whole, strict=False):
+            _check_twin(self.session, *pair)
+        parts = [part for samples in whole for part in divided([samples], self.bags.share)]
+        train, held_out = [early for early, _ in parts], [late for _, late in parts]
+        held_out += [self._whole(path, cutoff) for path in validate]
+        check_measured(self.session, train, fitted)
+        if not any(map(len, held_out)):
+            raise InputError(
+                "nothing to judge on: hold out a part of the bags with --hold-out, or name others with --validate"
+            )
+        held_out = [samples for samples in held_out if len(samples)]
+        return Recordings(cutoff=cutoff, train=train, held_out=held_out, simulated=twins)
+
+    def sharp(self, topic: str = "") -> list[Samples]:
+        """Read what is judged on, one element per bag, with as high a cutoff as its rate allows.
+
+        Args:
+            topic: read the joints' set-points on this topic instead of the joint states.
+        """
+        shares = [(path, share) for path, share in self.bags.shares if share > 0.0]
+        cutoff = min(SHARP_CUTOFF, CUTOFF_PER_RATE * self._rate([*self.bags.fitted, *self.bags.validate]))
+        parts = [divided([self._whole(path, cutoff, topic)], share) for path, share in shares]
+        return [late for ((_, late),) in parts]
+
+    def _whole(self, path: Path, cutoff: float, topic: str = "") -> Samples:
+        pipeline = gap_pipeline(self.session, cutoff)
+        topics = self.bags.topics
+        topics = replace(topics, joint_states=topic, joint_option="--command") if topic else topics
+        with Bag(path) as bag:
+            return Samples.concatenate(list(read_samples(bag, self.session, pipeline, topics, self.progress)))
+
+    def _rate(self, paths: Sequence[Path]) -> float:
+        """Joint messages per second at the beginning of the slowest bag."""
+        return min(rate(self._first_stamps(path)) for path in paths)
+
+    def _first_stamps(self, path: Path) -> list[int]:
+        with Bag(path) as bag:
+            topic = bag.find_topic(self.bags.topics.joint_states, message_type(JOINT_STATES), "--joint-topic")
+            return [parse(JOINT_STATES, m).stamp for _, _, m in islice(bag.messages([topic]), MESSAGES_FOR_RATE)]
+
+
+def _check_twin(session: Session, simulated: Path, twin: Samples, recorded: Path, measured: Samples) -> None:
+    """Refuse a simulator's recording of another motion than the measured one, naming both and what differs."""
+    check_measured(session, [twin], [simulated])
+    lengths = [float(samples.stamps[-1] - samples.stamps[0]) * 1e-9 for samples in (twin, measured)]
+    if abs(lengths[0] - lengths[1]) > _LENGTHS * max(lengths):
+        raise InputError(
+            f"{simulated}: {lengths[0]:.1f} s of simulation for the {lengths[1]:.1f} s of {recorded}. Record the "
+            "simulator under the same commands, from their beginning to their end"
+        )
+    difference = _differences(_on_a_grid(twin), _on_a_grid(measured))
+    spread = np.maximum(np.maximum(np.std(twin.position, axis=0), np.std(measured.position, axis=0)), _STILL)
+    worst = int(np.argmax(difference / spread))
+    if difference[worst] > _MOTIONS * spread[worst]:
+        raise InputError(
+            f"{simulated}: joint '{session.robot.joint_names[worst]}' moves otherwise than in {recorded}, by "
+            f"{difference[worst]:.2g} on average where it moves by {spread[worst]:.2g}. Record the simulator under the "
+            "same commands, from the same pose"
+        )
+
+
+def _on_a_grid(samples: Samples) -> FloatArray:
+    """Positions ``(N, joints)`` every ``_STEP`` from the first sample on."""
+    times = (samples.stamps - samples.stamps[0]) * 1e-9
+    grid = np.arange(0.0, times[-1] + 1e-9, _STEP)
+    return np.stack([np.interp(grid, times, np.unwrap(column)) for column in samples.position.T], axis=1)
+
+
+def _differences(a: FloatArray, b: FloatArray) -> FloatArray:
+    """Root mean square difference of positions ``(joints,)`` at the shift at which all are most alike."""
+    most = round(_LONGEST_SHIFT / _STEP)
+    shifts = [shift for shift in range(-most, most + 1) if abs(shift) < min(len(a), len(b))]
+    found = [_rms(a[max(shift, 0) :], b[max(-shift, 0) :]) for shift in shifts]
+    return found[int(np.argmin([np.sum(rms**2) for rms in found]))]
+
+
+def _rms(a: FloatArray, b: FloatArray) -> FloatArray:
+    count = min(len(a), len(b))
+    rms: FloatArray = np.sqrt(np.mean((a[:count] - b[:count]) ** 2, axis=0))
+    return rms

@@ -125,12 +125,12 @@ class TestFirstNoise:
             curve(0, "time", "drift").terms[0]: {0: smooth},
         }
         residual = np.column_stack([left, np.zeros(self.COUNT)])
-        stage: Any = SimpleNamespace(
+        problem: Any = SimpleNamespace(
             residual=lambda *_: residual, records=SimpleNamespace(segment=np.zeros(self.COUNT, dtype=int))
         )
         valid = np.ones((self.COUNT, 2), dtype=bool)
         valid[self.COUNT // 2] = False
-        return analysis._flexible_noise(stage, columns, None, valid)[0]  # type: ignore[arg-type]
+        return analysis._flexible_noise(problem, columns, None, valid)[0]  # type: ignore[arg-type]
 
     @pytest.mark.parametrize("memory", [0.0, 0.7])
     def test_an_effect_at_its_joint_is_no_noise(self, memory: float) -> None:

@@ -7,7 +7,7 @@ from scipy.interpolate import CubicSpline
 
 from geomid_ros.gap.evidence.record import Records
 from geomid_ros.gap.fitting.fit import unfitted
-from geomid_ros.gap.fitting.stage import Stage, total_model
+from geomid_ros.gap.fitting.linearised_problem import LinearisedProblem, total_model
 from geomid_ros.model.effects import AtJoint, OnRobot
 from geomid_ros.model.effects.effort_delay import EffortDelay
 from geomid_ros.model.effects.effort_gain import EffortGain
@@ -22,30 +22,30 @@ JOINT = 1
 
 
 @pytest.fixture(scope="module")
-def stage() -> Stage:
+def problem() -> LinearisedProblem:
     model = planted.model()
     inertias = planted.true_inertias(5, 0.2)
     records = Records.make([planted.recording(planted.rigid(inertias), 5, noise=0.0)], planted.CUTOFF)
-    return Stage(model, records, total_model(model, unfitted(planted.prior(inertias))))
+    return LinearisedProblem(model, records, total_model(model, unfitted(planted.prior(inertias))))
 
 
-def efforts(stage: Stage, moved: tuple[FloatArray, FloatArray, FloatArray] | None = None) -> FloatArray:
-    samples = stage.records.samples
+def efforts(problem: LinearisedProblem, moved: tuple[FloatArray, FloatArray, FloatArray] | None = None) -> FloatArray:
+    samples = problem.records.samples
     exact = (samples.position, samples.velocity, samples.acceleration)
-    return planted.rigid(stage.total.inertias)(*(moved or exact))
+    return planted.rigid(problem.total.inertias)(*(moved or exact))
 
 
 def agree(column: FloatArray, expected: FloatArray, share: float) -> None:
     assert np.linalg.norm(column - expected) < share * np.linalg.norm(expected)
 
 
-def test_tilt(stage: Stage) -> None:
-    columns = GravityTilt().columns(stage.situation, OnRobot())
-    samples, step = stage.records.samples, 1e-5
+def test_tilt(problem: LinearisedProblem) -> None:
+    columns = GravityTilt().columns(problem.situation, OnRobot())
+    samples, step = problem.records.samples, 1e-5
     for axis in range(2):
-        turned = pin.exp3(step * np.eye(3)[axis]).T @ stage.model.robot.gravity
-        tilted = planted.rigid(stage.total.inertias, turned)
-        difference = tilted(samples.position, samples.velocity, samples.acceleration) - efforts(stage)
+        turned = pin.exp3(step * np.eye(3)[axis]).T @ problem.model.robot.gravity
+        tilted = planted.rigid(problem.total.inertias, turned)
+        difference = tilted(samples.position, samples.velocity, samples.acceleration) - efforts(problem)
         agree(columns[:, :, axis], difference / step, 1e-4)
 
 
@@ -56,37 +56,37 @@ def test_turned_gravity_is_that_of_the_turned_base() -> None:
     np.testing.assert_allclose(found, expected, atol=1e-12)
 
 
-def test_elasticity(stage: Stage) -> None:
+def test_elasticity(problem: LinearisedProblem) -> None:
     """The link is behind the motor by the gear's effort times the compliance, at every instant."""
     compliance = 1e-6
     times, *exact = planted.motion(5, 40.0)
-    dynamics = planted.rigid(stage.total.inertias)
+    dynamics = planted.rigid(problem.total.inertias)
     load = dynamics(*exact)[:, JOINT]
     bent = [part.copy() for part in exact]
     for part in bent:
         part[:, JOINT] -= compliance * load
         load = np.gradient(load, times, edge_order=2)
-    (chosen,) = stage.records.chosen
+    (chosen,) = problem.records.chosen
     expected = (dynamics(*bent) - dynamics(*exact))[chosen] / compliance
-    agree(JointElasticity().columns(stage.situation, AtJoint(JOINT))[20:-20, :, 0], expected[20:-20], 0.05)
+    agree(JointElasticity().columns(problem.situation, AtJoint(JOINT))[20:-20, :, 0], expected[20:-20], 0.05)
 
 
-def test_delay(stage: Stage) -> None:
+def test_delay(problem: LinearisedProblem) -> None:
     delay = 1e-3
     times, *exact = planted.motion(5, 40.0)
-    whole = planted.rigid(stage.total.inertias)(*exact)
-    (chosen,) = stage.records.chosen
+    whole = planted.rigid(problem.total.inertias)(*exact)
+    (chosen,) = problem.records.chosen
     late = CubicSpline(times, whole)(times - delay)
-    column = EffortDelay().columns(stage.situation, OnRobot())[:, :, 0]
+    column = EffortDelay().columns(problem.situation, OnRobot())[:, :, 0]
     agree(column, ((late - whole) / delay)[chosen], 0.05)
 
 
-def test_gain_and_load_friction(stage: Stage) -> None:
-    gain = EffortGain().columns(stage.situation, AtJoint(JOINT))[:, :, 0]
-    friction = LoadFriction().columns(stage.situation, AtJoint(JOINT))[:, :, 0]
-    true = efforts(stage)[:, JOINT]
+def test_gain_and_load_friction(problem: LinearisedProblem) -> None:
+    gain = EffortGain().columns(problem.situation, AtJoint(JOINT))[:, :, 0]
+    friction = LoadFriction().columns(problem.situation, AtJoint(JOINT))[:, :, 0]
+    true = efforts(problem)[:, JOINT]
     agree(gain[:, JOINT], true, 1e-9)
     assert not np.any(gain[:, JOINT - 1])
-    fast = np.abs(stage.records.samples.velocity[:, JOINT]) > 0.05
-    expected = np.abs(true) * np.sign(stage.records.samples.velocity[:, JOINT])
+    fast = np.abs(problem.records.samples.velocity[:, JOINT]) > 0.05
+    expected = np.abs(true) * np.sign(problem.records.samples.velocity[:, JOINT])
     agree(friction[fast, JOINT], expected[fast], 0.05)

@@ -7,7 +7,7 @@ from geomid_ros.gap.candidates import Candidate
 from geomid_ros.gap.evidence.noise import Autoregression
 from geomid_ros.gap.evidence.record import Records
 from geomid_ros.gap.fitting.fit import fit, unfitted
-from geomid_ros.gap.fitting.stage import Stage, total_model
+from geomid_ros.gap.fitting.linearised_problem import LinearisedProblem, total_model
 from geomid_ros.gap.judgement.confidence import generalises
 from geomid_ros.model.samples import Samples
 
@@ -19,9 +19,9 @@ VISCOUS = next(c for c in library.candidates(MODEL) if c.name == "viscous_fricti
 
 
 def survives(samples: Samples, candidate: Candidate) -> bool:
-    stage = Stage(MODEL, Records.make([samples], planted.CUTOFF), total_model(MODEL, unfitted(PRIOR)))
+    problem = LinearisedProblem(MODEL, Records.make([samples], planted.CUTOFF), total_model(MODEL, unfitted(PRIOR)))
     noise = (Autoregression.white(),) * len(MODEL.channels)
-    design = stage.design(stage.columns([candidate], ()), noise)
+    design = problem.design(problem.columns([candidate], ()), noise)
     return generalises(design, fit(design, PRIOR, [candidate]), candidate)
 
 

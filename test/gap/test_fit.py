@@ -13,7 +13,7 @@ from geomid_ros.gap.evidence.design import Design
 from geomid_ros.gap.evidence.noise import Autoregression
 from geomid_ros.gap.evidence.record import Records
 from geomid_ros.gap.fitting.fit import JointFit, fit, unfitted
-from geomid_ros.gap.fitting.stage import Stage, total_model
+from geomid_ros.gap.fitting.linearised_problem import LinearisedProblem, total_model
 from geomid_ros.gap.search.score_test import improvement
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.types import FloatArray
@@ -30,8 +30,10 @@ def designed(*seeds: int, friction: float = SMALL) -> Design:
     """Of recordings of one robot, whose second joint has this friction."""
     rigid = planted.rigid(planted.true_inertias(7, 0.2))
     samples = [planted.recording(lambda q, v, a: rigid(q, v, a) + [0.0, friction, 0.0] * v, seed) for seed in seeds]
-    stage = Stage(MODEL, Records.make(samples, planted.CUTOFF), total_model(MODEL, unfitted(planted.prior())))
-    return stage.design(stage.columns(CANDIDATES, ()), WHITE)
+    problem = LinearisedProblem(
+        MODEL, Records.make(samples, planted.CUTOFF), total_model(MODEL, unfitted(planted.prior()))
+    )
+    return problem.design(problem.columns(CANDIDATES, ()), WHITE)
 
 
 @pytest.fixture(scope="module")
@@ -119,14 +121,14 @@ def test_a_payload_is_reached_from_afar() -> None:
     ball = centre @ centre * np.eye(3) - np.outer(centre, centre) + 1e-3 * np.eye(3)
     rows, columns = pseudo_inertia.INERTIA_ENTRIES
     loaded[-1] += 0.8 * np.concatenate([[1.0], centre, ball[rows, columns]])
-    stage = Stage(
+    problem = LinearisedProblem(
         MODEL,
         Records.make([planted.recording(planted.rigid(loaded), 9)], planted.CUTOFF),
         total_model(MODEL, unfitted(planted.prior())),
     )
     precise = replace(planted.prior(), inertias=inertias[list(MODEL.identified)].ravel(), spread=1e-3, certainty=1e4)
     payload = next(c for c in CANDIDATES if c.payload == len(MODEL.identified) - 1)
-    found = fit(stage.design(stage.columns([payload], ()), WHITE), precise, [payload])
+    found = fit(problem.design(problem.columns([payload], ()), WHITE), precise, [payload])
     body = pseudo_inertia.to_parameters(found.point.pseudo_inertias)[-1]
     stds = np.sqrt(np.diag(found.covariance)[found.manifold.link(found.manifold.links - 1)])
     assert np.all(np.abs(body[:4] - 0.8 * np.array([1.0, *centre])) < 3.0 * stds[:4])

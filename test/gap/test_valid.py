@@ -7,7 +7,7 @@ import pytest
 
 from geomid_ros.gap.evidence.record import Records
 from geomid_ros.gap.fitting.fit import unfitted
-from geomid_ros.gap.fitting.stage import Stage, total_model
+from geomid_ros.gap.fitting.linearised_problem import LinearisedProblem, total_model
 from geomid_ros.model.effects import AtJoint, identified_effect
 from geomid_ros.types import BoolArray
 
@@ -23,7 +23,7 @@ def valid(joint: int, level: float, floor: float = 1.0) -> BoolArray:
     records = Records.make([planted.recording(planted.rigid(inertias), 2)], planted.CUTOFF)
     friction = (identified_effect("coulomb_friction"), AtJoint(joint), np.array([level]))
     total = replace(total_model(model, unfitted(planted.prior(inertias))), effects=(friction,))
-    return Stage(model, records, total, floor * FLOOR).valid
+    return LinearisedProblem(model, records, total, floor * FLOOR).valid
 
 
 def test_without_friction_all_that_moves_counts() -> None:

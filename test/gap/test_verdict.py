@@ -34,7 +34,7 @@ def analysis_with(judged: Judged, **own: Any) -> Any:
 
 
 def moving(forward: float) -> Any:
-    """A stage whose second joint moves forward at this share of the instants that are used, and back at all others."""
+    """One whose second joint moves forward at this share of the instants that are used, and back at all others."""
     count = 1000
     signs, valid = np.ones((2 * count, 3)), np.ones((2 * count, 3), dtype=bool)
     signs[round(forward * count) :, 1] = -1.0
@@ -47,8 +47,8 @@ def moving(forward: float) -> Any:
     ("forward", "expected"), [(0.02, True), (0.08, False), (0.5, False), (0.92, False), (0.98, True), (1.0, True)]
 )
 def test_a_joint_that_hardly_ever_moves_to_the_other_side_moves_one_way(forward: float, expected: bool) -> None:
-    assert moves_one_way(SimpleNamespace(stage=moving(forward)), 1) == expected  # type: ignore[arg-type]
-    assert moves_one_way(SimpleNamespace(stage=moving(forward)), 0)  # type: ignore[arg-type]
+    assert moves_one_way(SimpleNamespace(problem=moving(forward)), 1) == expected  # type: ignore[arg-type]
+    assert moves_one_way(SimpleNamespace(problem=moving(forward)), 0)  # type: ignore[arg-type]
 
 
 def rivals(name: Candidate, others: dict[AnyCandidate, float], forward: float = 0.5) -> list[tuple[str, str, float]]:
@@ -57,7 +57,7 @@ def rivals(name: Candidate, others: dict[AnyCandidate, float], forward: float = 
     judged = Judged(name=name, others=[beside])
     fits = [Fit(score, np.ones(3), (beside, other)) for other, score in others.items()]
     analysis = analysis_with(judged, rivals=lambda _, __: fits)
-    analysis.stage = moving(forward)
+    analysis.problem = moving(forward)
     return [(r.effect, r.joint, r.loss) for r in verdict._rivals(MODEL, analysis, name)]
 
 

@@ -23,7 +23,7 @@ from geometry_msgs.msg import InertiaStamped
 from geomid_ros.estimation.estimator import WarmStart
 from geomid_ros.files.checkpoints.checkpoint import Checkpoint, decoded
 from geomid_ros.files.checkpoints.checkpoint_folder import CheckpointFolder
-from geomid_ros.live.checkpointing import Checkpoints
+from geomid_ros.live.saving import Checkpoints
 from geomid_ros.live.worker import Worker
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.session import Session

@@ -46,16 +46,16 @@ def _joint_frame(element: Element, source: str) -> JointFrame:
         limit = element.find("limit")
         lower, upper, effort = (_limit(limit, key, where) for key in ("lower", "upper", "effort"))
     return JointFrame(
-        name,
-        kind == "prismatic",
-        element.find("parent").get("link", ""),  # type: ignore[union-attr]  # the tree was checked
-        element.find("child").get("link", ""),  # type: ignore[union-attr]
-        np.array(position),
-        Rotation.from_euler("xyz", angles),
-        axis / np.linalg.norm(axis) if np.any(axis) else axis,
-        lower,
-        upper,
-        effort if effort > 0.0 else math.inf,
+        name=name,
+        slides=kind == "prismatic",
+        parent=element.find("parent").get("link", ""),  # type: ignore[union-attr]  # the tree was checked
+        child=element.find("child").get("link", ""),  # type: ignore[union-attr]
+        position=np.array(position),
+        rotation=Rotation.from_euler("xyz", angles),
+        axis=axis / np.linalg.norm(axis) if np.any(axis) else axis,
+        lower=lower,
+        upper=upper,
+        effort=effort if effort > 0.0 else math.inf,
     )
 
 

@@ -33,8 +33,13 @@ _SMOOTHER = 0.5  # the load, differentiated twice, is smoothed to this share of 
 
 @dataclass(frozen=True, eq=False)
 class Records:
-    """Stretches of samples without a pause. ``dense``: as given; ``chosen``: the indices of the rows that are used,
-    away from the ends; ``cutoff`` of the filter that made them."""
+    """Stretches of samples without a pause.
+
+    Attributes:
+        dense: the samples as given.
+        chosen: the indices of the rows that are used, away from the ends.
+        cutoff: of the filter that made the samples [Hz].
+    """
 
     dense: tuple[Samples, ...]
     chosen: tuple[IntArray, ...]
@@ -136,8 +141,13 @@ class Records:
 
 @dataclass(frozen=True, eq=False)
 class TotalModel:
-    """A whole model: ``inertias (bodies, 10)`` of all bodies with their payloads; its ``effects``, each at a place with
-    its coefficients ``(k,)``; and gravity ``(3,)`` in the frame of a base that stands straight [m/s^2]."""
+    """A whole model.
+
+    Attributes:
+        inertias: of all bodies with their payloads ``(bodies, 10)``.
+        effects: each at a place with its coefficients ``(k,)``.
+        straight_gravity: gravity ``(3,)`` in the frame of a base that stands straight [m/s^2].
+    """
 
     inertias: FloatArray
     effects: tuple[tuple[Effect, Place, FloatArray], ...]

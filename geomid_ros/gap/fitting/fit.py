@@ -40,11 +40,18 @@ _SPREADS = (0.03, 0.8)
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class JointFit:
-    """The minimum for some ``chosen`` candidates.
+    """The minimum for some candidates.
 
-    ``score``: minus twice the log marginal likelihood, with the parameters' penalty; ``squares (C,)`` whitened sums
-    of squares; ``information`` the Hessian ``(D, D)`` of half the score in tangent coordinates, ``jacobian (D, D)`` of
-    the parameters by them; ``spread`` of the links; ``inflation`` of the variances of what other recordings say.
+    Attributes:
+        chosen: the candidates.
+        terms: the coefficients that were fitted: those of the model, then those of the candidates.
+        point, manifold: the D parameters: inertias of links and payloads, then the coefficients.
+        score: minus twice the log marginal likelihood, with the parameters' penalty.
+        squares: whitened sums of squares ``(C,)``.
+        information: Hessian ``(D, D)`` of half the score in tangent coordinates.
+        spread: of the links' errors, a geodesic distance.
+        inflation: factor on the variances of what other recordings say.
+        products: of all columns and the target, ``(C, D + 1, D + 1)``.
     """
 
     chosen: tuple[AnyCandidate, ...]

@@ -27,9 +27,15 @@ _CERTAINTY = 4.0
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Prior:
-    """What is known before: the inertias ``(10 links,)``, the usual spread of their errors, and the effects that the
-    model already has: their terms, values and spreads ``(k,)``. ``certainty``: how many directions of inertial error
-    the usual spread counts as much as. ``known``: what other recordings say of the links."""
+    """What is known before the fit.
+
+    Attributes:
+        inertias: the links' parameters ``(10 links,)``.
+        spread: the usual size of their errors, a geodesic distance.
+        terms, values, spreads: the coefficients ``(k,)`` of the effects that the model already has.
+        certainty: how many directions of inertial error the usual spread counts as much as.
+        known: what other recordings say of the links.
+    """
 
     inertias: FloatArray
     spread: float

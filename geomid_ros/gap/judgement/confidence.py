@@ -200,8 +200,8 @@ def is_identified(analysis: Analysis) -> bool:
 
 def moves_one_way(analysis: Analysis, joint: int) -> bool:
     """Whether a joint hardly ever moves to the other side at the instants that are used."""
-    stage = analysis.stage
-    signs = stage.records.samples.column(SIGN)[stage.valid[:, joint], joint]
+    problem = analysis.problem
+    signs = problem.records.samples.column(SIGN)[problem.valid[:, joint], joint]
     return float(min(np.mean(signs > 0.0), np.mean(signs < 0.0))) < LEAST_OTHER_WAY
 
 

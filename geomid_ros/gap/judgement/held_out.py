@@ -8,8 +8,8 @@ import numpy as np
 
 from geomid_ros.gap.evidence.record import Records
 from geomid_ros.gap.fitting.fit import JointFit, unfitted
+from geomid_ros.gap.fitting.linearised_problem import LinearisedProblem, total_model
 from geomid_ros.gap.fitting.prior import Prior
-from geomid_ros.gap.fitting.stage import Stage, total_model
 from geomid_ros.gap.judgement.locate import located
 from geomid_ros.gap.result import Gap, Located, Trace
 from geomid_ros.gap.search.analysis import Analysis
@@ -26,7 +26,7 @@ class HeldOut:
         self._records = records
         self._prior = prior
         self._analysis = analysis
-        self._last = self._stage(analysis.names)
+        self._last = self._problem(analysis.names)
         self._untouched = unfitted(prior)
         self._residuals: dict[JointFit, FloatArray] = {}
 
@@ -74,13 +74,13 @@ class HeldOut:
         """Root mean square of what a fit leaves ``(C,)``, in units of the floor; NaN where nothing is measured."""
         return self._times_floor(self._residual(found))
 
-    def _stage(self, found: JointFit) -> Stage:
-        return Stage(self._model, self._records, total_model(self._model, found), self._analysis.floor)
+    def _problem(self, found: JointFit) -> LinearisedProblem:
+        return LinearisedProblem(self._model, self._records, total_model(self._model, found), self._analysis.floor)
 
     def _residual(self, found: JointFit) -> FloatArray:
         if found not in self._residuals:
-            stage = self._last if found is self._analysis.names else self._stage(found)
-            self._residuals[found] = stage.residual(stage.columns(found.chosen, self._prior.terms), found)
+            problem = self._last if found is self._analysis.names else self._problem(found)
+            self._residuals[found] = problem.residual(problem.columns(found.chosen, self._prior.terms), found)
         return self._residuals[found]
 
     def _times_floor(self, residual: FloatArray) -> FloatArray:

@@ -29,7 +29,7 @@ def _finding(model: MeasurementModel, analysis: Analysis, candidate: Candidate, 
     rivals = _rivals(model, analysis, candidate)
     joint, link = model.places.name(candidate.place), naming.link_name(model, candidate)
     close = [(EFFECTS[rival.effect](), rival.joint) for rival in rivals if rival.loss < CONFIDENT_RIVAL]
-    load = analysis.stage.situation.usual_load(candidate.place) if candidate.scanned else 0.0
+    load = analysis.problem.situation.usual_load(candidate.place) if candidate.scanned else 0.0
     parameters = naming.parameters(model, whole, candidate, _scanned_std(analysis, candidate), load)
     evidence = Evidence(model=model, analysis=analysis, unseen=unseen, candidate=candidate, rivals=rivals, loss=loss)
     confidence = evidence.confidence(parameters)

@@ -13,8 +13,8 @@ from geomid_ros.gap.evidence.curves import Curves
 from geomid_ros.gap.evidence.noise import Autoregression, noise_by_repeats, runs_of
 from geomid_ros.gap.evidence.record import Records, TotalModel
 from geomid_ros.gap.fitting.fit import JointFit, unfitted
+from geomid_ros.gap.fitting.linearised_problem import LinearisedProblem, total_model
 from geomid_ros.gap.fitting.prior import Prior
-from geomid_ros.gap.fitting.stage import Stage, total_model
 from geomid_ros.gap.search.beam_search import Search
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.types import BoolArray, FloatArray
@@ -30,11 +30,11 @@ Columns = dict[Term, dict[int, FloatArray]]
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Analysis:
-    """Where the search ended: the last ``stage`` with its ``columns`` and ``search``; the fit with ``names`` alone,
+    """Where the search ended: the last ``problem`` with its ``columns`` and ``search``; the fit with ``names`` alone,
     with curves for what they leave (``whole``), and without either (``bare``); each channel's ``noise``, its standard
     deviation ``floor (C,)``, from repeats of a motion if there are any."""
 
-    stage: Stage
+    problem: LinearisedProblem
     columns: Columns
     search: Search
     curves: Curves
@@ -50,22 +50,22 @@ def analyse(
 ) -> Analysis:
     """Find the set of names that explains the records best."""
     total = total_model(model, unfitted(prior))
-    stage = Stage(model, records, total)
-    curves = Curves(model, records, stage.situation)
+    problem = LinearisedProblem(model, records, total)
+    curves = Curves(model, records, problem.situation)
     has = {(term.effect.name, term.place) for term in prior.terms if isinstance(term, EffectTerm)}
     names = [c for c in library.candidates(model) if c.effect.adds_up or c.group not in has]
-    columns = stage.columns(names, prior.terms, curves)
+    columns = problem.columns(names, prior.terms, curves)
     noise = (Autoregression.white(),) * len(model.channels)
-    bare = Search(stage.design(columns, noise), prior, names).fit([])
-    noise = _flexible_noise(stage, columns, bare, stage.valid)
+    bare = Search(problem.design(columns, noise), prior, names).fit([])
+    noise = _flexible_noise(problem, columns, bare, problem.valid)
     floor: FloatArray | None = None
     chosen: Sequence[AnyCandidate] = ()
     before: JointFit | None = None
     for attempt in range(_ROUNDS):
         progress("searching", attempt / _ROUNDS)
-        stage = Stage(model, records, total_model(model, bare) if attempt == 0 else total, floor)
-        columns = stage.columns(names, prior.terms, curves)
-        search = Search(stage.design(columns, noise), prior, names, curves.candidates)
+        problem = LinearisedProblem(model, records, total_model(model, bare) if attempt == 0 else total, floor)
+        columns = problem.columns(names, prior.terms, curves)
+        search = Search(problem.design(columns, noise), prior, names, curves.candidates)
         found = search.without_absurd(search.fit(chosen))
         final = attempt == _ROUNDS - 1
         if final or _near(total_model(model, found), total):
@@ -79,16 +79,16 @@ def analyse(
         chosen = found.chosen
         if last:
             break
-        residual = stage.residual(columns, found)
-        floor = _typical_size(residual, stage.valid)
-        noise = _noise(residual, stage.valid, records)
+        residual = problem.residual(columns, found)
+        floor = _typical_size(residual, problem.valid)
+        noise = _noise(residual, problem.valid, records)
     progress("searching", 1.0)
-    residual = stage.residual(columns, whole)
+    residual = problem.residual(columns, whole)
     repeats = noise_by_repeats(model, records)
     counts = search.design.counts
     freedom = 1.0 - whole.parameters_by_channel(search.design) / np.where(counts > 0.0, counts, np.nan)
     return Analysis(
-        stage=stage,
+        problem=problem,
         columns=columns,
         search=search,
         curves=curves,
@@ -96,7 +96,7 @@ def analyse(
         names=found,
         whole=whole,
         noise=noise,
-        floor=repeats.floor(_root_mean_square(residual, stage.valid) / np.sqrt(freedom)),
+        floor=repeats.floor(_root_mean_square(residual, problem.valid) / np.sqrt(freedom)),
     )
 
 
@@ -143,9 +143,11 @@ def _same(before: JointFit | None, found: JointFit) -> bool:
     return all(abs(before.value(term) - found.value(term)) < _SETTLED * stds[found.place(term)] for term in shared)
 
 
-def _flexible_noise(stage: Stage, columns: Columns, bare: JointFit, valid: BoolArray) -> tuple[Autoregression, ...]:
+def _flexible_noise(
+    problem: LinearisedProblem, columns: Columns, bare: JointFit, valid: BoolArray
+) -> tuple[Autoregression, ...]:
     """First noise: what the motions of each channel's own joint and the whole robot's effects leave of the residual."""
-    residual = stage.residual(columns, bare)
+    residual = problem.residual(columns, bare)
     left = np.full(residual.shape, np.nan)
     for channel in range(residual.shape[1]):
         chosen = valid[:, channel]
@@ -154,7 +156,7 @@ def _flexible_noise(stage: Stage, columns: Columns, bare: JointFit, valid: BoolA
         matrix = matrix / np.maximum(np.linalg.norm(matrix, axis=0), 1e-12)
         solution = np.linalg.lstsq(matrix, residual[chosen, channel], rcond=1e-6)[0]
         left[chosen, channel] = residual[chosen, channel] - matrix @ solution
-    return _noise(left, valid, stage.records)
+    return _noise(left, valid, problem.records)
 
 
 def _noise(residual: FloatArray, valid: BoolArray, records: Records) -> tuple[Autoregression, ...]:

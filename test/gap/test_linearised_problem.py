@@ -13,8 +13,8 @@ from geomid_ros.gap.candidates import EffectTerm, Term
 from geomid_ros.gap.evidence.noise import Autoregression
 from geomid_ros.gap.evidence.record import Records
 from geomid_ros.gap.fitting.fit import JointFit, fit, unfitted
+from geomid_ros.gap.fitting.linearised_problem import LinearisedProblem, total_model
 from geomid_ros.gap.fitting.prior import Prior
-from geomid_ros.gap.fitting.stage import Stage, total_model
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.geometry.manifold import Point
 from geomid_ros.model.effects import AtJoint, Effect, OnRobot
@@ -61,9 +61,9 @@ def said(values: dict[Term, float]) -> JointFit:
 
 def residual(samples: Samples, at: dict[Term, float], found: dict[Term, float]) -> np.ndarray:
     """Of a model with the coefficients ``found``, linearised at others."""
-    stage = Stage(MODEL, Records.make([samples], planted.CUTOFF), total_model(MODEL, said(at)))
+    problem = LinearisedProblem(MODEL, Records.make([samples], planted.CUTOFF), total_model(MODEL, said(at)))
     own = said(found)
-    return stage.residual(stage.columns((), own.terms), own)
+    return problem.residual(problem.columns((), own.terms), own)
 
 
 def with_efforts(samples: Samples, scale: Sequence[float], joints: Sequence[float], offset: Sequence[float]) -> Samples:
@@ -91,13 +91,13 @@ def test_a_gain_is_the_whole_gain_wherever_it_is_linearised(at: float) -> None:
 
 def test_a_gain_that_is_built_in_scales_all_columns_but_its_own() -> None:
     samples = exact()
-    stage = Stage(MODEL, Records.make([samples], planted.CUTOFF), total_model(MODEL, said({GAIN: 0.25})))
-    columns = stage.columns((), (VISCOUS, OFFSET, GAIN))
-    np.testing.assert_allclose(columns[VISCOUS][1], 1.25 * stage.records.samples.velocity[:, 1])
+    problem = LinearisedProblem(MODEL, Records.make([samples], planted.CUTOFF), total_model(MODEL, said({GAIN: 0.25})))
+    columns = problem.columns((), (VISCOUS, OFFSET, GAIN))
+    np.testing.assert_allclose(columns[VISCOUS][1], 1.25 * problem.records.samples.velocity[:, 1])
     np.testing.assert_allclose(columns[OFFSET][2], 1.0)
-    plain = Stage(MODEL, stage.records, total_model(MODEL, said({}))).rows
-    np.testing.assert_allclose(stage.rows.coefficients, np.array([1.0, 1.25, 1.0])[:, None] * plain.coefficients)
-    np.testing.assert_allclose(columns[GAIN][1], stage.situation.predicted[:, 1])
+    plain = LinearisedProblem(MODEL, problem.records, total_model(MODEL, said({}))).rows
+    np.testing.assert_allclose(problem.rows.coefficients, np.array([1.0, 1.25, 1.0])[:, None] * plain.coefficients)
+    np.testing.assert_allclose(columns[GAIN][1], problem.situation.predicted[:, 1])
 
 
 @pytest.mark.parametrize(("at", "share"), [(0.03, 1e-4), (0.027, 3e-3), (0.0, 0.1)])
@@ -124,13 +124,13 @@ def test_a_delay_is_the_whole_delay_up_to_second_order(at: float, share: float) 
 
 
 def test_the_total_model_has_every_payload_on_its_link_and_coefficients_in_order() -> None:
-    stage = Stage(MODEL, Records.make([exact()], planted.CUTOFF), total_model(MODEL, said({})))
+    problem = LinearisedProblem(MODEL, Records.make([exact()], planted.CUTOFF), total_model(MODEL, said({})))
     prior = Prior(
         inertias=INERTIAS.ravel(), spread=0.2, terms=TILT, values=np.array([0.01, 0.02]),
         spreads=np.ones(2), certainty=4.0,
     )  # fmt: skip
     white = (Autoregression.white(),) * 3
-    found = fit(stage.design(stage.columns([PAYLOAD], prior.terms), white), prior, [PAYLOAD])
+    found = fit(problem.design(problem.columns([PAYLOAD], prior.terms), white), prior, [PAYLOAD])
     bodies = pseudo_inertia.to_parameters(found.point.pseudo_inertias)
     total = total_model(MODEL, found)
     links = [*bodies[:2], bodies[2] + bodies[3]]
@@ -158,18 +158,18 @@ def perturbed(found: JointFit, place: int, step: float) -> JointFit:
 def test_the_variance_of_a_prediction_is_that_of_its_parameters() -> None:
     """By differences of what the model leaves when one parameter after the other is another; of a payload, too."""
     records = Records.make([planted.recording(RIGID, 3, SECONDS)], planted.CUTOFF)
-    stage = Stage(MODEL, records, total_model(MODEL, said({VISCOUS: 0.1})))
+    problem = LinearisedProblem(MODEL, records, total_model(MODEL, said({VISCOUS: 0.1})))
     prior = Prior(
         inertias=INERTIAS.ravel(), spread=0.2, terms=(VISCOUS,), values=np.array([0.1]), spreads=np.array([0.1]),
         certainty=4.0,
     )  # fmt: skip
-    columns = stage.columns([PAYLOAD], prior.terms)
-    found = fit(stage.design(columns, (Autoregression.white(),) * 3), prior, [PAYLOAD])
-    here, step = stage.residual(columns, found), 1e-6
+    columns = problem.columns([PAYLOAD], prior.terms)
+    found = fit(problem.design(columns, (Autoregression.white(),) * 3), prior, [PAYLOAD])
+    here, step = problem.residual(columns, found), 1e-6
     places = range(found.manifold.dimension)
-    slopes = [(here - stage.residual(columns, perturbed(found, place, step))) / step for place in places]
+    slopes = [(here - problem.residual(columns, perturbed(found, place, step))) / step for place in places]
     expected = np.einsum("dnc,de,enc->nc", slopes, found.covariance, slopes)
-    np.testing.assert_allclose(stage.variance(columns, found), expected, rtol=1e-4)
+    np.testing.assert_allclose(problem.variance(columns, found), expected, rtol=1e-4)
 
 
 class Rough(ViscousFriction):
@@ -188,13 +188,13 @@ def test_friction_of_several_effects_at_a_joint_adds_up() -> None:
         (Rough(), AtJoint(joint), np.array([size])) for joint, size in ((0, 0.2), (0, -0.3), (2, 0.1))
     ]
     total = replace(total_model(MODEL, said({VISCOUS: 0.4})), effects=tuple(rough))
-    stage = Stage(MODEL, records, total)
-    np.testing.assert_allclose(stage._dry_friction, np.tile([0.5, 0.0, 0.1], (len(records.samples), 1)))
+    problem = LinearisedProblem(MODEL, records, total)
+    np.testing.assert_allclose(problem._dry_friction, np.tile([0.5, 0.0, 0.1], (len(records.samples), 1)))
 
 
 def test_without_a_floor_no_friction_makes_an_instant_unsure() -> None:
     records = Records.make([exact()], planted.CUTOFF)
     total = replace(total_model(MODEL, said({})), effects=((Rough(), AtJoint(0), np.array([9.0])),))
-    free, bounded = Stage(MODEL, records, total), Stage(MODEL, records, total, np.full(3, 0.01))
+    free, bounded = LinearisedProblem(MODEL, records, total), LinearisedProblem(MODEL, records, total, np.full(3, 0.01))
     np.testing.assert_array_equal(free.valid, records.usable(MODEL, free.rows.targets))
     assert np.count_nonzero(bounded.valid[:, 0]) < np.count_nonzero(free.valid[:, 0])

@@ -37,7 +37,7 @@ def total_model(model: MeasurementModel, found: JointFit) -> TotalModel:
     return TotalModel(inertias, effects, model.robot.gravity)
 
 
-class Stage:
+class LinearisedProblem:
     """Records under a model linearised at ``total``.
 
     An effect that is absorbed (a tilt, delay or gain) is not added as its column: the gravity is turned, the efforts
