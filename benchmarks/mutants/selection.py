@@ -32,7 +32,7 @@ class Selection:
     def make(root: Path, folders: Sequence[str]) -> Selection:
         """Run all tests of the folders once. Raises RuntimeError if one of them fails."""
         data = root / ".coverage"
-        options = ["-q", "-vv", "--durations=0", "-n", "2", "-p", "no:cacheprovider", "--cov=geomid_ros"]
+        options = ["-vv", "--durations=0", "-n", "2", "-p", "no:cacheprovider", "--cov=geomid_ros"]
         command = [sys.executable, "-m", "pytest", *options, "--cov-context=test", "--cov-report=", *folders]
         ended = subprocess.run(  # noqa: S603 a command of ours
             command, cwd=root, env=environment(root), capture_output=True, text=True, check=False

@@ -26,15 +26,16 @@ from . import planted
 
 MODEL = planted.model()
 CUTOFF = 5.0
+START = 1_700_000_000_000_000_000  # [ns] an ordinary day's clock
 
 
-def samples(count: int, rate: float = 100.0, start: int = 0, velocity: FloatArray | None = None) -> Samples:
+def samples(count: int, rate: float = 100.0, velocity: FloatArray | None = None) -> Samples:
     """Of three joints that turn with these velocities, with no columns of effects."""
     rates = np.ones((count, 3)) if velocity is None else velocity
     times = np.arange(count)[:, None] / rate
     nothing = np.zeros((count, 0))
     return Samples(
-        stamps=start + np.round(1e9 / rate * np.arange(count)).astype(np.int64),
+        stamps=START + np.round(1e9 / rate * np.arange(count)).astype(np.int64),
         position=times * rates,
         velocity=rates,
         acceleration=np.zeros((count, 3)),
