@@ -1,6 +1,8 @@
 """The joint fit on designs of random columns: its objective, its uncertainty, and what is known before."""
 
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -8,22 +10,27 @@ from scipy.optimize import minimize_scalar
 from scipy.stats import chi2
 
 from geomid_ros.estimation.estimate import LinksInformation
-from geomid_ros.gap.candidates import Candidate
+from geomid_ros.gap.candidates import Candidate, EffectTerm
 from geomid_ros.gap.evidence.design import Design
 from geomid_ros.gap.fitting import prior as before
 from geomid_ros.gap.fitting.fit import JointFit, fit, unfitted
 from geomid_ros.gap.fitting.prior import Prior
 from geomid_ros.gap.fitting.profile_objective import ProfileObjective, StraightManifold
 from geomid_ros.gap.judgement.confidence import generalises
+from geomid_ros.gap.judgement.naming import parameters
 from geomid_ros.gap.search.score_test import improvement
 from geomid_ros.geometry import pseudo_inertia, spd
+from geomid_ros.model.effects import AtSensor
+from geomid_ros.model.effects.wrench_offset import WrenchOffset
 from geomid_ros.types import FloatArray
 
+from .planted import model
 from .small import CHANNELS, LINK, PAYLOAD, PRIOR, ROWS, Recording, at
 
 VISCOUS, OFFSET, ELSEWHERE = at("viscous_friction", 0), at("effort_offset", 0), at("viscous_friction", 1)
 COULOMB = at("coulomb_friction", 0)
 NAMES = (VISCOUS, OFFSET, ELSEWHERE)
+MODEL = model()
 TERM = VISCOUS.terms[0]
 STEP = 1e-5
 
@@ -360,9 +367,7 @@ class TestOtherRecordings:
         rows = before.known_rows(replace(self.KNOWN, residuals=np.zeros(12)), 10)
         manifold = StraightManifold(1, 0, np.zeros(0))
         point = manifold.point(LINK)
-        sure, unsure = (
-            before.inflation_of(rows, manifold, point, point, size * np.eye(10)) for size in (1e9, 1e-3)
-        )
+        sure, unsure = (before.inflation_of(rows, manifold, point, point, size * np.eye(10)) for size in (1e9, 1e-3))
         assert sure == 1.0
         normals = manifold.whiten(point, rows[:, :-1])
         assert unsure == pytest.approx((1e3 * np.sum(normals**2) + 4.0) / (12 + 4.0))
@@ -422,3 +427,55 @@ def test_what_stays_the_same_is_known() -> None:
     told = fit(design, replace(PRIOR, known=sharp), [])
     np.testing.assert_allclose(told.point.parameters, 1.1 * LINK, rtol=1e-3, atol=1e-4)
     assert told.inflation == 1.0
+
+
+def test_a_payload_s_parameters_are_as_sure_as_its_body() -> None:
+    """By differences of mass, centre and central inertia with each of the body's ten parameters."""
+    design = Recording(2, []).design({}, 1.4 * LINK)
+    found = fit(design, replace(PRIOR, spread=1e-3, certainty=1e6), [PAYLOAD])
+    quantities = parameters(MODEL, found, PAYLOAD)
+    body = np.asarray(pseudo_inertia.to_parameters(found.point.pseudo_inertias))[1]
+
+    def said(values: FloatArray) -> FloatArray:
+        rows, columns = pseudo_inertia.INERTIA_ENTRIES
+        central = pseudo_inertia.central_inertia(values)[rows, columns]
+        return np.concatenate([values[:1], values[1:4] / values[0], central])
+
+    step = 1e-6
+    slopes = np.array([(said(body + d) - said(body - d)) / (2.0 * step) for d in step * np.eye(10)]).T
+    stds = np.sqrt(np.diag(slopes @ found.covariance[10:20, 10:20] @ slopes.T))
+    assert list(quantities) == [form.name for form in PAYLOAD.effect.parameters]
+    np.testing.assert_allclose([q.value for q in quantities.values()], said(body))
+    np.testing.assert_allclose([q.std for q in quantities.values()], stds, rtol=1e-3)
+    assert [q.unit for q in quantities.values()] == ["kg", *["m"] * 3, *["kg m^2"] * 6]
+
+
+def test_parameters_of_a_spring_are_as_sure_as_its_coefficients_together() -> None:
+    spring = at("spring", 0)
+    design = Recording(2, [ELSEWHERE, spring]).design(dict(zip(spring.terms, (2.0, -0.6), strict=True)))
+    found = fit(design, PRIOR, [ELSEWHERE, spring])
+    quantities = parameters(MODEL, found, spring)
+    places = [found.place(term) for term in spring.terms]
+    covariance = found.covariance[np.ix_(places, places)]
+    stiffness, offset = (found.value(term) for term in spring.terms)
+    slope = np.array([offset / stiffness**2, -1.0 / stiffness])
+    assert quantities["stiffness"].std == pytest.approx(np.sqrt(covariance[0, 0]))
+    assert quantities["equilibrium"].value == pytest.approx(-offset / stiffness)
+    assert quantities["equilibrium"].std == pytest.approx(np.sqrt(slope @ covariance @ slope))
+
+
+def test_a_sensor_s_offset_has_a_parameter_for_each_axis_with_its_unit() -> None:
+    place = AtSensor("/wrench", (3, 4))
+    own: Any = SimpleNamespace(
+        channels=[*MODEL.channels, SimpleNamespace(axis="fx", unit="N"), SimpleNamespace(axis="tz", unit="N m")]
+    )
+    terms = tuple(EffectTerm(WrenchOffset(), place, index) for index in range(2))
+    values = dict(zip(terms, (3.0, -0.5), strict=True))
+    found: Any = SimpleNamespace(
+        value=values.__getitem__, place=[None, *terms].index, covariance=np.diag([9.0, 0.25, 0.01])
+    )
+    quantities = parameters(own, found, Candidate(WrenchOffset(), place, terms, 2.0))
+    assert {name: (q.value, q.std, q.unit) for name, q in quantities.items()} == {
+        "fx": (3.0, 0.5, "N"),
+        "tz": (-0.5, 0.1, "N m"),
+    }
