@@ -7,6 +7,7 @@ import subprocess
 import sys
 import textwrap
 from collections.abc import Iterator
+from functools import cache
 from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
@@ -73,7 +74,10 @@ def imported(path: Path) -> Iterator[tuple[str, bool]]:
             yield str(node.args[0].value) if isinstance(node.args[0], ast.Constant) else COMPUTED, at_once
 
 
-IMPORTS = {name: list(imported(path)) for name, path in MODULES.items()}
+@cache
+def imports() -> dict[str, list[tuple[str, bool]]]:
+    """What every module imports: see :func:`imported`."""
+    return {name: list(imported(path)) for name, path in MODULES.items()}
 
 
 def room(module: str) -> str:
@@ -89,14 +93,14 @@ def test_every_room_is_on_a_floor() -> None:
 @pytest.mark.parametrize("module", MODULES)
 def test_a_room_imports_from_its_own_floor_and_lower_ones(module: str) -> None:
     own = FLOORS.get(room(module), -1)
-    for name, _ in IMPORTS[module]:
+    for name, _ in imports()[module]:
         if name.split(".")[0] == PACKAGE.name and room(name):
             assert name in MODULES, f"{module} imports {name}, which does not exist"
             assert FLOORS[room(name)] <= own, f"{module} on floor {own} imports {name}"
 
 
 def test_there_are_no_circles() -> None:
-    graph = {module: {name for name, _ in names if name in MODULES} for module, names in IMPORTS.items()}
+    graph = {module: {name for name, _ in names if name in MODULES} for module, names in imports().items()}
     try:
         list(TopologicalSorter(graph).static_order())
     except CycleError as error:
@@ -105,7 +109,7 @@ def test_there_are_no_circles() -> None:
 
 @pytest.mark.parametrize("module", MODULES)
 def test_what_comes_from_outside_stays_in_its_room(module: str) -> None:
-    for name, at_once in IMPORTS[module]:
+    for name, at_once in imports()[module]:
         top = name.split(".")[0]
         keepers = ("ros",) if top.endswith(ROS_SUFFIXES) or top == COMPUTED else KEPT_IN.get(top)
         assert keepers is None or room(module) in keepers, f"{module} imports {name}"
@@ -114,7 +118,7 @@ def test_what_comes_from_outside_stays_in_its_room(module: str) -> None:
 
 def test_the_simulator_shares_no_code_with_the_estimator() -> None:
     """Else a mistake on both sides of the comparison would go unseen."""
-    for module, names in IMPORTS.items():
+    for module, names in imports().items():
         if room(module) == "simulation":
             used = {room(name) for name, _ in names if name in MODULES}
             assert used <= {"simulation", "errors", "types"}, f"{module} imports from {used}"

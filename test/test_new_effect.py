@@ -26,6 +26,15 @@ JOINT, DRAG = "joint2", 0.6
 ESTIMATED = f"viscous_friction,coulomb_friction,effort_offset,{NAME}"
 
 
+# One process for all, as to import the package takes longer than any.
+RUN = """
+import sys
+from geomid_ros.commands.root import root
+for line in sys.stdin:
+    root.main(line.rstrip("\\n").split("\\t"), standalone_mode=False)
+"""
+
+
 @dataclass(frozen=True)
 class Extended:
     """A copy of the package with one file more, a bag with the drag in it, and where results go."""
@@ -34,12 +43,16 @@ class Extended:
     bag: Path
     out: Path
 
-    def geomid(self, command: str, out: str, *arguments: str | Path) -> dict[str, Any]:
-        """What a command prints as JSON."""
-        line = [command, self.bag, "--urdf", URDF, "--out", self.out / out, "--json", *arguments]
+    def geomid(self, *lines: tuple[str | Path, ...]) -> list[dict[str, Any]]:
+        """What commands, each with the name of its folder and its arguments, print as JSON, one after the other."""
+        given = [
+            [command, self.bag, "--urdf", URDF, "--out", self.out / out, "--json", *arguments]
+            for command, out, *arguments in lines
+        ]
         path = os.pathsep.join([str(self.package), os.environ.get("PYTHONPATH", "")]).rstrip(os.pathsep)
         run = subprocess.run(
-            [sys.executable, "-m", "geomid_ros", *map(str, line)],
+            [sys.executable, "-c", RUN],
+            input="".join("\t".join(map(str, line)) + "\n" for line in given),
             env=os.environ | {"PYTHONPATH": path},
             cwd=self.package,
             capture_output=True,
@@ -48,8 +61,13 @@ class Extended:
             timeout=300,
         )
         assert run.returncode == 0, run.stderr
-        document: dict[str, Any] = json.loads(run.stdout)
-        return document
+        documents, text = [], run.stdout
+        while text := text.lstrip():
+            document, end = json.JSONDecoder().raw_decode(text)
+            documents.append(document)
+            text = text[end:]
+        assert len(documents) == len(lines), run.stdout
+        return documents
 
 
 def recipe() -> tuple[Path, str]:
@@ -83,9 +101,21 @@ def extended(tmp_path_factory: pytest.TempPathFactory) -> Extended:
 
 
 @pytest.fixture(scope="module")
-def found(extended: Extended) -> dict[str, Any]:
+def said(extended: Extended) -> dict[str, dict[str, Any]]:
+    """What the commands say, by their folders."""
+    lines: list[tuple[str | Path, ...]] = [
+        ("gap", "gap"),
+        ("identify", "estimate", "--effects", ESTIMATED),
+        ("identify", "again", "--model", extended.out / "gap/estimate.json", "--effects", "effort_offset"),
+        ("identify", "default"),
+    ]
+    return {str(line[1]): document for line, document in zip(lines, extended.geomid(*lines), strict=True)}
+
+
+@pytest.fixture(scope="module")
+def found(said: dict[str, dict[str, Any]]) -> dict[str, Any]:
     """What the gap workflow says."""
-    return extended.geomid("gap", "gap")
+    return said["gap"]
 
 
 def coefficients(document: dict[str, Any]) -> dict[str, dict[str, Any]]:
@@ -103,9 +133,8 @@ def test_without_the_file_it_is_unknown(extended: Extended) -> None:
     assert f"unknown effect '{NAME}'" in message
 
 
-def test_it_is_identified(extended: Extended) -> None:
-    estimate = extended.geomid("identify", "estimate", "--effects", ESTIMATED)
-    drags = coefficients(estimate)
+def test_it_is_identified(extended: Extended, said: dict[str, dict[str, Any]]) -> None:
+    drags = coefficients(said["estimate"])
     assert len(drags) == 3
     assert_is_the_drag(drags.pop(JOINT))
     assert all(entry["value"] < 0.02 * DRAG for entry in drags.values())
@@ -129,18 +158,17 @@ def test_it_is_simulated_again(found: dict[str, Any]) -> None:
     assert after < 1.5
 
 
-@pytest.mark.usefixtures("found")
-def test_files_tell_it_and_a_later_run_starts_from_it(extended: Extended) -> None:
+def test_files_tell_it_and_a_later_run_starts_from_it(extended: Extended, said: dict[str, dict[str, Any]]) -> None:
     out = extended.out / "gap"
     assert f"#   {NAME}: effort coefficient v |v|" in (out / "effects.yaml").read_text()
     (entry,) = yaml.safe_load((out / "effects.yaml").read_text())["effects"]
     assert (entry["effect"], entry["joint"], entry["urdf"], entry["mjcf"]) == (NAME, JOINT, [], [])
     assert "Drag of a fluid" in (out / "report.html").read_text()
-    again = extended.geomid("identify", "again", "--model", out / "estimate.json", "--effects", "effort_offset")
-    assert list(coefficients(again)) == [JOINT]
-    assert_is_the_drag(coefficients(again)[JOINT])
+    again = coefficients(said["again"])
+    assert list(again) == [JOINT]
+    assert_is_the_drag(again[JOINT])
 
 
-def test_it_is_not_identified_unless_asked_for(extended: Extended) -> None:
+def test_it_is_not_identified_unless_asked_for(said: dict[str, dict[str, Any]]) -> None:
     """The list of defaults is not what lies in the folder."""
-    assert not coefficients(extended.geomid("identify", "default"))
+    assert not coefficients(said["default"])
