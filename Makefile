@@ -6,8 +6,10 @@ VENV ?= .venv$(addprefix -,$(filter-out python3,$(notdir $(PYTHON))))
 BIN := $(VENV)/bin
 PIP_INSTALL := $(BIN)/python -m pip install -qq --disable-pip-version-check
 # Tests of the node wait for it most of the time: more of them than there are processors run side by side.
-PYTEST_ARGS ?= --numprocesses 4 --dist loadscope
+PYTEST_ARGS ?= --numprocesses 3 --dist loadscope
 BENCH_ARGS ?=
+# The tests start many processes: what is compiled is kept, or each would compile it anew.
+unexport PYTHONDONTWRITEBYTECODE
 
 .PHONY: help demo test quick lint docs bench colcon clean
 
@@ -20,8 +22,9 @@ demo: $(VENV)/.run-ready ## Set up, then run the demonstration
 test: lint ## Set up, then run the static checks and the tests
 	$(BIN)/python -m pytest $(PYTEST_ARGS)
 
-quick: lint ## Set up, then run the static checks and the tests without ROS, simulations and processes
-	$(BIN)/python -m pytest -m "not slow" --numprocesses 2 --dist loadscope
+quick: $(VENV)/.test-ready ## Set up, then run ruff and the first case of every test that needs no ROS and no simulation
+	$(BIN)/ruff check
+	$(BIN)/python -m pytest --one-case $(addprefix test/,geometry model signals estimation gap)
 
 lint: $(VENV)/.test-ready ## Set up, then run ruff and mypy
 	$(BIN)/ruff check

@@ -8,6 +8,20 @@ import pytest
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 
+def pytest_addoption(parser: pytest.Parser) -> None:
+    """For ``make quick``."""
+    parser.addoption("--one-case", action="store_true", help="run every parametrized test with its first case only")
+
+
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Leave out what ``--one-case`` says."""
+    if config.getoption("--one-case"):
+        first = {item.nodeid.partition("[")[0]: item for item in reversed(items)}
+        chosen = set(first.values())
+        config.hook.pytest_deselected(items=[item for item in items if item not in chosen])
+        items[:] = [item for item in items if item in chosen]
+
+
 def pytest_sessionstart(session: pytest.Session) -> None:
     """Compile the kernels once, before every worker would for itself."""
     if session.config.getoption("numprocesses", None):

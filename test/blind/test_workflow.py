@@ -35,11 +35,11 @@ WRIST = ("--wrench", f"/wrench:{WRIST_FRAME}:mounted")
 PAYLOAD = Hiding(replace(ARM7, seed=14), (Hidden("payload", "tool", 1.5),))
 
 
-def recorded(hiding: Hiding, folder: Path) -> Path:
-    """A robot's description, and two recordings of it: ``one`` to find what is hidden in, an ``other`` to judge on."""
+def recorded(hiding: Hiding, folder: Path, *more: str) -> Path:
+    """A robot's description, and recordings of it: ``one`` and ``more`` to find in, an ``other`` to judge on."""
     pytest.importorskip("mujoco")
     options = replace(hiding.options, hide=hiding.hide)
-    for index, name in enumerate(("one", "other")):
+    for index, name in enumerate(("one", "other", *more)):
         simulate(folder / name, replace(options, motion_seed=100 + index))
     (folder / "robot.urdf").write_text(robot_description(options.robot))
     return folder
@@ -60,7 +60,7 @@ def test_it_is_named(case: str, tmp_path: Path) -> None:
 @pytest.fixture(scope="module")
 def loaded(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Recordings of an arm with a payload."""
-    return recorded(PAYLOAD, tmp_path_factory.mktemp("payload"))
+    return recorded(PAYLOAD, tmp_path_factory.mktemp("payload"), "two")
 
 
 def test_a_payload_on_an_identified_robot_is_named(loaded: Path, tmp_path: Path) -> None:
@@ -68,11 +68,12 @@ def test_a_payload_on_an_identified_robot_is_named(loaded: Path, tmp_path: Path)
     simulate(tmp_path / "before", replace(PAYLOAD.options, motion_seed=99))
     robot = ["--urdf", loaded / "robot.urdf", *WRIST]
     done("identify", tmp_path / "before", *robot, "--effects", "none", "--out", tmp_path / "known")
-    check_named(*found(loaded, tmp_path / "out", *WRIST, "--model", tmp_path / "known/estimate.json"))
+    model = ("--model", tmp_path / "known/estimate.json")
+    check_named(*found(loaded, tmp_path / "out", loaded / "two", *WRIST, *model))
 
 
 def test_a_payload_beside_unsure_inertias_is_not_told_for_sure(loaded: Path, tmp_path: Path) -> None:
-    document, _ = found(loaded, tmp_path / "out", *WRIST)
+    document, _ = found(loaded, tmp_path / "out", loaded / "two", *WRIST)
     (finding,) = document["findings"]
     assert (finding["effect"], finding["confidence"]) == ("payload", "ambiguous")
     assert finding["settled_by"]

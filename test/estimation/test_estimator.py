@@ -185,7 +185,7 @@ def test_a_warm_start_from_half_of_the_data_reaches_the_minimum_of_all(name: str
 
 @pytest.mark.parametrize("objective", ["residual", "geodesic"])
 def test_the_result_is_determined_by_the_rows(objective: str) -> None:
-    case = arm("arm7", 4, seconds=10)
+    case = arm("arm7", 4, seconds=4)
     one, two = (solved(case, objective=objective) for _ in range(2))
     np.testing.assert_array_equal(one.parameters, two.parameters)
     for a, b in zip(one.links, two.links, strict=True):
