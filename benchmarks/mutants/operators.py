@@ -45,7 +45,7 @@ _WITHOUT_EFFECT = {"strict", "optimize"}  # keywords that check or hasten a call
 _NOT_CODE = {"annotation", "returns", "decorator_list", "type_comment"}
 
 
-@dataclass(frozen=True, order=True)
+@dataclass(frozen=True, order=True, kw_only=True)
 class Mutant:
     """A fault: the text from ``start`` to before ``stop`` of a file, in bytes, reads ``new`` instead of ``old``.
 
@@ -74,11 +74,11 @@ def mutants(path: str, source: str) -> list[list[Mutant]]:
     found = []
     for first, node, changed in _changes(ast.parse(source), 1):
         begin, end = starts[node.lineno - 1] + node.col_offset, starts[node.end_lineno - 1] + node.end_col_offset
+        place = {"path": path, "lines": (first, node.end_lineno), "line": node.lineno, "start": begin, "stop": end}
         old = source.encode()[begin:end].decode()
         texts = dict.fromkeys(text for text in changed if text not in (old, f"({old})"))
         if texts:
-            lines = first, node.end_lineno
-            found.append([Mutant(path, lines, node.lineno, begin, end, old, text) for text in texts])
+            found.append([Mutant(**place, old=old, new=text) for text in texts])
     return found
 
 

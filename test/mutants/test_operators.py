@@ -1,6 +1,7 @@
 """Planted faults: each changes one place of a program, and nothing that is no program."""
 
 import ast
+from dataclasses import replace
 
 import pytest
 
@@ -91,9 +92,9 @@ def test_tests_that_run_the_line_come_first_and_others_of_their_files_after() ->
     selection.seconds.update({"a::slow": 5.0, "a::quick": 1.0, "b::runs": 2.0, "b::other": 0.1, "c::no": 0.1})
     selection.lines["f.py", 3] = {"a::slow", "b::runs"}
     selection.files["f.py"] = {"a::slow", "b::runs", "c::no"}
-    mutant = Mutant("f.py", (2, 4), 3, 0, 1, "a", "b")
+    mutant = Mutant(path="f.py", lines=(2, 4), line=3, start=0, stop=1, old="a", new="b")
     order = ["b::runs", "a::slow", "b::other", "a::quick"]
     assert selection.tests(mutant, 100.0) == order
     assert selection.tests(mutant, 7.05) == order[:2]
-    at_import = Mutant("f.py", (9, 9), 9, 0, 1, "a", "b")
+    at_import = replace(mutant, lines=(9, 9))
     assert set(selection.tests(at_import, 100.0)) == set(selection.seconds)

@@ -109,3 +109,14 @@ def test_an_effort_that_is_nearly_always_the_same_is_taken(share: float) -> None
     other = 0.1 + 0.2 * np.sin(40.0 * places)
     assert not np.any(refused(np.where(places < share, 1.0, other), 100.0))
     assert np.any(refused(np.where(places < 0.5, 1.0, other), 100.0))
+
+
+@pytest.mark.parametrize(("rate", "longest"), [(10.0, 6), (100.0, 6), (1000.0, 50)])
+def test_an_effort_that_is_the_largest_for_a_moment_is_taken(rate: float, longest: int) -> None:
+    """For six messages, and for fifty milliseconds; it comes there at once, from far below, while the joint moves."""
+    low = 0.3 * curve(rate / 50.0, rate, 1.0)
+    for count, expected in ((longest - 1, False), (2 * longest, True)):
+        pulses = np.concatenate([np.concatenate([low + 1e-3 * lap, np.full(count, 1.0), low]) for lap in range(3)])
+        found = refused(pulses, rate)
+        assert np.any(found) == expected
+        assert not np.any(found & (pulses < 1.0))
