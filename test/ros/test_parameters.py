@@ -61,7 +61,7 @@ def test_a_node_that_is_refused_is_gone_at_once(stage: Stage, monkeypatch: pytes
         raise InputError("refused")
 
     names = stage.observer.node.get_node_names
-    monkeypatch.setattr("geomid_ros.ros.node.read_parameters", refuse)
+    monkeypatch.setattr("geomid_ros.ros.node._read_parameters", refuse)
     rclpy.init(domain_id=stage.domain, signal_handler_options=SignalHandlerOptions.NO)
     try:
         with pytest.raises(InputError, match="refused") as kept:
