@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from copy import copy
 from dataclasses import dataclass
 from itertools import chain
 from types import MappingProxyType
@@ -20,7 +21,8 @@ from geomid_ros.geometry.manifold import ParameterManifold
 from geomid_ros.model.channels import Channel, ChannelLayout, wrench_channel
 from geomid_ros.model.columns import Columns, column_of, reached_joints
 from geomid_ros.model.effect_places import EffectPlaces
-from geomid_ros.model.effects import AtSensor, IdentifiedEffect, MotionEffect, Place, Quantity
+from geomid_ros.model.effects import AtSensor, IdentifiedEffect, LoadEffect, MotionEffect, Place, Quantity, joint_of
+from geomid_ros.model.moving import REST, SIGN
 from geomid_ros.model.robot import Robot
 from geomid_ros.model.samples import Samples
 from geomid_ros.model.sensors import WORLD_FRAMES, WrenchSensor
@@ -29,7 +31,8 @@ from geomid_ros.types import FloatArray, IntArray
 
 @dataclass(frozen=True, kw_only=True)
 class Coefficient:
-    """One of an effect's coefficients at a place, the one of ``index``, which is the ``parameter`` of that name."""
+    """One of an effect's coefficients at a place, the one of ``index``, which is the ``parameter`` of that name;
+    ``optional``: whether it may be left out."""
 
     effect: IdentifiedEffect
     place: Place
@@ -37,11 +40,12 @@ class Coefficient:
     place_name: str
     parameter: str
     unit: str
+    optional: bool = False
 
     @property
     def positive(self) -> bool:
         """Whether it lives on P(1)."""
-        return self.index < self.effect.positives
+        return self.effect.positive if isinstance(self.effect, MotionEffect) else self.index < self.effect.positives
 
     def parameters(self, value: float, std: float) -> dict[str, Quantity]:
         """Its effect's parameters: the one that it is, and the constants."""
@@ -70,6 +74,7 @@ class MeasurementModel:
         sensors: Sequence[WrenchSensor] = (),
         links: Sequence[str] | None = None,
         local_effects: Mapping[str, Sequence[IdentifiedEffect]] = MappingProxyType({}),
+        candidates: Sequence[IdentifiedEffect] = (),
     ) -> None:
         """A model of a robot.
 
@@ -79,6 +84,7 @@ class MeasurementModel:
             sensors: the wrench sensors.
             links: the bodies to identify (all unless given); the others keep their URDF's inertia.
             local_effects: act only at the place by whose name they are given.
+            candidates: may act at every place of their kind where none of the same name is known.
 
         Raises:
             InputError: for a link or sensor that does not fit the robot, or where nothing measured can be predicted.
@@ -89,9 +95,10 @@ class MeasurementModel:
         self.identified = self._identified_bodies(links)
         self._common = tuple(effects)
         self._local = local_effects
+        self._candidates = tuple(candidates)
         self._check_sensors()
         self.layout = ChannelLayout.of(len(robot.joints) if self._efforts_usable else 0, self._row_sensors)
-        topics = [sensor.topic for sensor in self.mounted]
+        topics = [sensor.topic for sensor in self._row_sensors]
         self.places = EffectPlaces(robot, self.body_names, topics, self.layout)
         self.coefficients = self._coefficients()
         self.channels = (*self._joint_channels(), *self._wrench_channels())
@@ -110,7 +117,7 @@ class MeasurementModel:
         return tuple(index for index, name in enumerate(names) if links is None or name in links)
 
     def _coefficients(self) -> tuple[Coefficient, ...]:
-        effects = dict.fromkeys([*self._common, *chain.from_iterable(self._local.values())])
+        effects = dict.fromkeys([*self._common, *chain.from_iterable(self._local.values()), *self._candidates])
         found = [
             coefficient
             for effect in effects
@@ -124,7 +131,8 @@ class MeasurementModel:
         """Whether an effect is in the model at a place: one that is known there, or one that every place has unless it
         is known there with other constants."""
         local = self._local.get(place, ())
-        return effect in local or (effect in self._common and effect.name not in {other.name for other in local})
+        everywhere = effect in self._common or effect in self._candidates
+        return effect in local or (everywhere and effect.name not in {other.name for other in local})
 
     def _coefficients_at(self, effect: IdentifiedEffect, place: Place) -> Iterator[Coefficient]:
         name, sliding = self.places.name(place), self.places.slides(place)
@@ -140,6 +148,7 @@ class MeasurementModel:
                 place_name=name,
                 parameter=form.name,
                 unit=form.units[sliding],
+                optional=effect not in self._common and effect not in self._local.get(name, ()),
             )
 
     def _sensor(self, topic: str) -> WrenchSensor:
@@ -197,7 +206,14 @@ class MeasurementModel:
     def with_gravity(self, gravity: FloatArray) -> MeasurementModel:
         """The same model under another ``gravity (3,)`` in the base frame [m/s^2]."""
         robot = self.robot.with_gravity(gravity)
-        return MeasurementModel(robot, self._common, self.sensors, self._links, self._local)
+        return MeasurementModel(robot, self._common, self.sensors, self._links, self._local, self._candidates)
+
+    def with_coefficients(self, chosen: Sequence[int]) -> MeasurementModel:
+        """The same model with these of its coefficients alone."""
+        model = copy(self)
+        model.coefficients = tuple(self.coefficients[index] for index in chosen)
+        model.channels = (*model._joint_channels(), *model._wrench_channels())
+        return model
 
     @property
     def dimension(self) -> int:
@@ -332,14 +348,21 @@ class MeasurementModel:
         for index in known:
             targets -= bodies[:, :, index] @ self.robot.bodies[index].parameters
         coefficients = np.concatenate([inertial, np.zeros((count, len(self.channels), len(self.coefficients)))], axis=2)
+        nominal = np.array([body.parameters for body in self.robot.bodies])
+        loads = np.einsum("njbk,bk->nj", bodies[:, self.layout.efforts], nominal)
         for column, coefficient in enumerate(self.coefficients, inertial.shape[2]):
-            for channel, values in self._columns_by_channel(samples, coefficient).items():
+            for channel, values in self._columns_by_channel(samples, loads, coefficient).items():
                 coefficients[:, channel, column] = values
         return Rows(coefficients, targets)
 
-    def _columns_by_channel(self, samples: Samples, coefficient: Coefficient) -> dict[int, FloatArray]:
-        """What a unit of a coefficient adds to the channels ``(N,)``."""
+    def _columns_by_channel(
+        self, samples: Samples, loads: FloatArray, coefficient: Coefficient
+    ) -> dict[int, FloatArray]:
+        """What a unit of a coefficient adds to the channels ``(N,)``, under the gears' nominal ``loads (N, joints)``."""
         effect, place = coefficient.effect, coefficient.place
+        if isinstance(effect, LoadEffect):
+            joint = joint_of(place)
+            return {joint: effect.column(loads[:, joint], samples.column(SIGN)[:, joint])}
         if isinstance(effect, MotionEffect):
             own = samples.column(column_of(effect, place))
             return {joint: own[:, joint] for joint in reached_joints(place, len(self.layout.efforts))}
@@ -349,8 +372,9 @@ class MeasurementModel:
 
     @property
     def columns(self) -> Columns:
-        """The columns of the effects, as samples carry them."""
-        return Columns.of(column_of(c.effect, c.place) for c in self.coefficients if isinstance(c.effect, MotionEffect))
+        """The columns of the effects, and of what tells how joints move, as samples carry them."""
+        own = [column_of(c.effect, c.place) for c in self.coefficients if isinstance(c.effect, MotionEffect)]
+        return Columns.of([*own, *((SIGN, REST) if self.layout.efforts else ())])
 
     def predict(self, samples: Samples, parameters: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Measured and predicted values of every channel, each ``(N, channels)``, at parameters ``(D,)``."""

@@ -62,7 +62,9 @@ class Session:
         )
         effects = configuration.effects
         local = self.loaded.local_effects(effects)
-        self.model = MeasurementModel(self.robot, effects, sensors, configuration.links, local)
+        self.model = MeasurementModel(
+            self.robot, effects, sensors, configuration.links, local, configuration.candidates
+        )
         self.identifier = Identifier(
             self.model,
             configuration.estimator([channel.name for channel in self.model.channels]),

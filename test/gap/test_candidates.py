@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
+from geomid_ros.model.moving import REST, SIGN, SMOOTH_SIGN
 from geomid_ros.gap import candidates as library
-from geomid_ros.gap.candidates import REST, SIGN, SMOOTH_SIGN, Candidate, EffectTerm
+from geomid_ros.gap.candidates import Candidate, EffectTerm
 from geomid_ros.model.effects import EFFECTS, AtJoint, JointMotion, OnLink, OnRobot
 from geomid_ros.model.effects.backlash import CROSSINGS
 from geomid_ros.model.effects.coulomb_friction import SMOOTHINGS

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from geomid_ros.errors import InputError
-from geomid_ros.gap.candidates import REST
+from geomid_ros.model.moving import REST
 from geomid_ros.gap.evidence.record import Records
 from geomid_ros.gap.workflow import find_gap
 from geomid_ros.model.measurement import MeasurementModel

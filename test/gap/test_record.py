@@ -8,7 +8,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from geomid_ros.gap.candidates import REST, SIGN, SMOOTH_SIGN
+from geomid_ros.model.moving import REST, SIGN, SMOOTH_SIGN
 from geomid_ros.gap.evidence.record import Records, TotalModel
 from geomid_ros.model.columns import Columns, JointColumn
 from geomid_ros.model.effects import AtJoint, AtJoints, Effect, OnRobot

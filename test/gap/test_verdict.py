@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from geomid_ros.gap.candidates import SIGN, AnyCandidate, Candidate
+from geomid_ros.model.moving import SIGN
+from geomid_ros.gap.candidates import AnyCandidate, Candidate
 from geomid_ros.gap.judgement import verdict
 from geomid_ros.gap.judgement.confidence import moves_one_way
 from geomid_ros.gap.judgement.locate import located, share, strongest

@@ -27,7 +27,7 @@ from geomid_ros.gap.fitting.prior import (
     known_rows,
     usual_payload,
 )
-from geomid_ros.gap.fitting.profile_objective import ProfileObjective, StraightManifold
+from geomid_ros.estimation.profile_objective import ProfileObjective, StraightManifold
 from geomid_ros.geometry.manifold import ParameterManifold, Point
 from geomid_ros.types import FloatArray
 

@@ -10,6 +10,7 @@ from geomid_ros.model.effects.effect import (
     Hinge,
     IdentifiedEffect,
     JointEffect,
+    LoadEffect,
     MotionEffect,
     PairEffect,
     RobotEffect,
@@ -43,6 +44,7 @@ __all__ = [
     "JointEffect",
     "JointMotion",
     "KnownEffect",
+    "LoadEffect",
     "ModelEffect",
     "Motion",
     "MotionEffect",
@@ -67,8 +69,19 @@ __all__ = [
     "values_of",
 ]
 
-DEFAULT_EFFECTS = ("viscous_friction", "coulomb_friction", "rotor_inertia", "effort_offset")
-"""Names of the effects that are identified at every joint unless the user says otherwise."""
+DEFAULT_EFFECTS = ("viscous_friction", "coulomb_friction", "rotor_inertia", "effort_offset", "wrench_offset")
+"""Names of the effects that are identified at every joint and wrench sensor unless the user says otherwise."""
+
+DEFAULT_CANDIDATES = (
+    "load_friction",
+    "stribeck_friction",
+    "quadratic_friction",
+    "spring",
+    "coupled_viscous_friction",
+    "coupled_coulomb_friction",
+    "coupled_rotor_inertia",
+)
+"""Names of the effects that are identified where held-out data ask for them, unless the user says otherwise."""
 
 _FILES = (
     "viscous_friction",
@@ -85,6 +98,8 @@ _FILES = (
     "gravity_tilt",
     "payload",
     "wrench_offset",
+    "quadratic_friction",
+    "coupled_motor",
 )
 """The files of effects, in the order in which they are tried."""
 
@@ -109,7 +124,8 @@ def register(effect: type[Effect]) -> type[Effect]:
 for _file in _FILES:
     _module = import_module(f"geomid_ros.model.effects.{_file}")
     for _class in vars(_module).values():
-        if isinstance(_class, type) and issubclass(_class, Effect) and _class.__module__ == _module.__name__:
+        own = isinstance(_class, type) and _class.__module__ == _module.__name__
+        if own and issubclass(_class, Effect) and hasattr(_class, "name"):
             register(_class)
 
 
@@ -127,10 +143,8 @@ def values_of(known: ModelEffect) -> dict[str, float]:
 
 
 def identifiable() -> dict[str, IdentifiedEffect]:
-    """The effects that can be identified along with the inertias, by name: linear in their coefficients, and not made
-    of others."""
-    instances = {name: cls() for name, cls in EFFECTS.items() if issubclass(cls, IdentifiedEffect)}
-    return {name: effect for name, effect in instances.items() if effect.parts == (effect,)}
+    """The effects that can be identified along with the inertias, by name: linear in their coefficients."""
+    return {name: cls() for name, cls in EFFECTS.items() if issubclass(cls, IdentifiedEffect)}
 
 
 def identified_effect(name: str) -> IdentifiedEffect:

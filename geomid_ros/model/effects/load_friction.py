@@ -2,14 +2,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from geomid_ros.model.effects.effect import SituationEffect
+from geomid_ros.model.effects.effect import LoadEffect
 from geomid_ros.model.effects.parameters import ParameterForm, Values
-from geomid_ros.model.effects.places import Place, joint_of
-from geomid_ros.model.effects.situation import Situation
 from geomid_ros.types import FloatArray
 
 
-class LoadFriction(SituationEffect):
+class LoadFriction(LoadEffect):
     """Friction in proportion to the effort that the gear transmits: effort ``c |tau| sign(v)``."""
 
     name = "load_friction"
@@ -27,11 +25,8 @@ class LoadFriction(SituationEffect):
         """Whether nothing of the effort would pass."""
         return bool(abs(coefficients[0]) > 1.0)
 
-    def columns(self, situation: Situation, place: Place) -> FloatArray:
-        joint = joint_of(place)
-        columns = np.zeros((*situation.predicted.shape, 1))
-        columns[:, joint, 0] = np.abs(situation.load[:, joint]) * situation.sign[:, joint]
-        return columns
+    def column(self, load: FloatArray, sign: FloatArray) -> FloatArray:
+        return np.abs(load) * sign
 
     @classmethod
     def dry_friction(cls, coefficient: float, load: FloatArray) -> FloatArray:

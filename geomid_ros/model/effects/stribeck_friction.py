@@ -13,6 +13,7 @@ from geomid_ros.types import FloatArray
 
 SPEEDS = tuple(float(speed) for speed in np.geomspace(0.03, 0.6, 25).round(4))
 """[rad/s or m/s] to choose Stribeck's speed from."""
+_TRIED = (0.03, 0.06, 0.12, 0.25, 0.5)  # [rad/s or m/s]
 _LARGEST_EXCESS = 4.0  # of the friction of a fast joint
 
 
@@ -47,14 +48,24 @@ class StribeckFriction(JointEffect):
         """One for each of :data:`SPEEDS`, with the sharpest sign."""
         return tuple(cls(speed, SMOOTHINGS[0]) for speed in SPEEDS)
 
+    @classmethod
+    def trials(cls) -> tuple[Effect, ...]:
+        """Some speeds, with the smooth sign that :class:`CoulombFriction` has by itself."""
+        return tuple(cls(speed) for speed in _TRIED)
+
     @property
     def parts(self) -> tuple[Effect, ...]:
         """Coulomb friction, and the excess."""
         return CoulombFriction(self.smoothing), self
 
     @property
+    def positive(self) -> bool:
+        """An excess below zero is dry friction that sets in gradually."""
+        return False
+
+    @property
     def positives(self) -> int:
-        """Level and excess."""
+        """Level and excess, to be called by this name."""
         return 2
 
     def is_absurd(self, coefficients: FloatArray) -> bool:
