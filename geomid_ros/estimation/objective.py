@@ -86,8 +86,7 @@ class GeodesicObjective:
     @cached_property
     def set_aside(self) -> BoolArray:
         """Rows that take no part because Proposition 2 gives them no projection from the prior, ``(N,)``."""
-        result: BoolArray = self._at_prior[1] != projection.ROOT
-        return result
+        return np.asarray(self._at_prior[1] != projection.ROOT)
 
     @cached_property
     def value_at_prior(self) -> float:

@@ -173,5 +173,4 @@ def _fitted_effects(
     fitted = halves[: len(chosen)]
     fitted[~positive] -= halves[len(chosen) :]
     column_sizes = np.maximum(np.linalg.norm(regressor, axis=0) / np.sqrt(count), _LEAST_MOTION)
-    result: FloatArray = np.where(positive, np.maximum(fitted, _LEAST_SHARE * size / column_sizes), fitted)
-    return result
+    return np.asarray(np.where(positive, np.maximum(fitted, _LEAST_SHARE * size / column_sizes), fitted))

@@ -224,8 +224,7 @@ class RowSummary:
 
 def usable(coefficients: FloatArray, targets: FloatArray) -> BoolArray:
     """Which rows ``(N, D)`` have a target ``(N,)`` and coefficients that are numbers: a single NaN would spoil all."""
-    result: BoolArray = np.isfinite(targets) & np.all(np.isfinite(coefficients), axis=1)
-    return result
+    return np.asarray(np.isfinite(targets) & np.all(np.isfinite(coefficients), axis=1))
 
 
 def _checked(factor: FloatArray, channel: Channel) -> FloatArray:

@@ -132,15 +132,13 @@ def error_covariance(
         trust * (inverse @ _root(known)),
         inverse * (weights * spreads),
     )
-    result: FloatArray = np.sum([part @ part.T for part in parts], axis=0)
-    return result
+    return np.asarray(np.sum([part @ part.T for part in parts], axis=0))
 
 
 def _root(information: FloatArray) -> FloatArray:
     """A matrix that times its transpose is ``information``; eigenvalues that rounding made negative are zero."""
     values, vectors = np.linalg.eigh(information)
-    result: FloatArray = vectors * np.sqrt(np.maximum(values, 0.0))
-    return result
+    return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)))
 
 
 def _inverse(information: FloatArray, weights: FloatArray) -> FloatArray:
@@ -148,8 +146,7 @@ def _inverse(information: FloatArray, weights: FloatArray) -> FloatArray:
     units = np.sqrt(weights)
     values, vectors = np.linalg.eigh(information / np.outer(units, units))
     vectors = vectors / units[:, None]
-    result: FloatArray = (vectors / (1.0 + np.maximum(values, 0.0))) @ vectors.T
-    return result
+    return np.asarray((vectors / (1.0 + np.maximum(values, 0.0))) @ vectors.T)
 
 
 def variance_inflation(

@@ -266,5 +266,4 @@ def _links(analysis: Analysis) -> FloatArray:
     """Inertias of the identified links, without payloads."""
     found = analysis.names
     count = found.manifold.links - len(found.bodies)
-    links: FloatArray = pseudo_inertia.to_parameters(found.point.pseudo_inertias[:count])
-    return links
+    return pseudo_inertia.to_parameters(found.point.pseudo_inertias[:count])

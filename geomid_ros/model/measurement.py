@@ -306,8 +306,7 @@ class MeasurementModel:
         return np.concatenate(rows), np.concatenate(targets)
 
     def _of(self, sensor: WrenchSensor, wrenches: FloatArray) -> FloatArray:
-        result: FloatArray = wrenches[self.sensors.index(sensor)]
-        return result
+        return np.asarray(wrenches[self.sensors.index(sensor)])
 
     def _total_external(self, wrenches: FloatArray) -> FloatArray:
         """Sum of the external wrenches, in the frame of the first."""

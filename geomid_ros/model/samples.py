@@ -65,8 +65,7 @@ class Samples:
     def column(self, column: Column) -> FloatArray:
         """One of the effects' columns ``(N, joints)``."""
         if column in self.columns.columns:
-            values: FloatArray = self.effects[:, :, self.columns.columns.index(column)]
-            return values
+            return self.effects[:, :, self.columns.columns.index(column)]
         return column.values(self.motion)
 
     def select(self, index: AnyArray | slice) -> Samples:

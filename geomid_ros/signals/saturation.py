@@ -80,8 +80,7 @@ class SaturationDetector:
         if not long.any():
             return long
         seldom = self._at_largest < _MOSTLY * self._messages
-        result: BoolArray = long & self._moved & moving & seldom & (stamp - self._largest_since >= _SHORTEST)
-        return result
+        return long & self._moved & moving & seldom & (stamp - self._largest_since >= _SHORTEST)
 
     def _learn(self, effort: FloatArray, size: FloatArray, stamp: int, last: FloatArray) -> None:
         """Learn how large efforts become, and in which steps. ``stamp`` is that of the ``last`` efforts."""

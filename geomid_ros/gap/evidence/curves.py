@@ -80,8 +80,7 @@ class Curves:
         """Piecewise linear functions that add up to 1, ``(N, count)``."""
         low, high = self._knots[kind, joint]
         place = np.clip((values - low) / max(high - low, 1e-12), 0.0, 1.0) * (count - 1)
-        hats: FloatArray = np.maximum(0.0, 1.0 - np.abs(place[:, None] - np.arange(count)))
-        return hats
+        return np.asarray(np.maximum(0.0, 1.0 - np.abs(place[:, None] - np.arange(count))))
 
 
 def _time_in_stretch(records: Records) -> FloatArray:

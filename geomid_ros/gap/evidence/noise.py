@@ -121,8 +121,7 @@ class Repeats:
         by chance is too small.
         """
         sure = self.noise * (1.0 + _SURE / np.sqrt(2.0 * np.maximum(self.counts, 1.0))) < remainder
-        floor: FloatArray = np.where(sure | np.isnan(remainder), self.noise, remainder)
-        return floor
+        return np.where(sure | np.isnan(remainder), self.noise, remainder)
 
 
 def noise_by_repeats(model: MeasurementModel, records: Records) -> Repeats:
@@ -180,8 +179,7 @@ def _lowest(three: FloatArray) -> tuple[float, float]:
 
 
 def _seconds(part: Samples) -> FloatArray:
-    seconds: FloatArray = (part.stamps - part.stamps[0]) * 1e-9
-    return seconds
+    return np.asarray((part.stamps - part.stamps[0]) * 1e-9)
 
 
 def _measured(model: MeasurementModel, part: Samples) -> FloatArray:

@@ -216,8 +216,7 @@ def _load_terms(
 def _unsettled(part: Samples) -> FloatArray:
     sharp, smooth = part.column(SIGN), part.column(SMOOTH_SIGN)
     reach = 2 * round(_REVERSAL / _period(part)) + 1
-    differences: FloatArray = maximum_filter1d(np.abs(sharp - smooth), reach, axis=0)
-    return differences
+    return np.asarray(maximum_filter1d(np.abs(sharp - smooth), reach, axis=0))
 
 
 def _advanced(part: Samples, seconds: float) -> Samples:

@@ -83,15 +83,13 @@ class JointFit:
     @property
     def covariance(self) -> FloatArray:
         """Of the parameters ``(D, D)``."""
-        result: FloatArray = self.jacobian @ self.inverse @ self.jacobian.T
-        return result
+        return self.jacobian @ self.inverse @ self.jacobian.T
 
     def parameters_by_channel(self, design: Design) -> FloatArray:
         """How many parameters each channel determined, ``(C,)``: the trace of its share of the information."""
         weights = design.counts / self.squares
         traces = np.einsum("cij,ji->c", self.products[:, :-1, :-1], self.covariance)
-        result: FloatArray = weights * traces
-        return result
+        return np.asarray(weights * traces)
 
     def value(self, term: Term) -> float:
         """A coefficient."""

@@ -82,8 +82,7 @@ class LinearisedProblem:
         own = np.einsum("njj->nj", by_acceleration[:, :joints])
         shares = by_acceleration / np.maximum(own, 1e-12)[:, None]
         uncertain = np.max(shares * (self._dry_friction * self.records.unsettled)[:, None], axis=2)
-        usable: BoolArray = valid & (uncertain < _FRICTION_ERROR * self._floor)
-        return usable
+        return np.asarray(valid & (uncertain < _FRICTION_ERROR * self._floor))
 
     @cached_property
     def _dry_friction(self) -> FloatArray:
@@ -136,5 +135,4 @@ class LinearisedProblem:
             for channel, column in columns[term].items():
                 own[:, channel, place] = column
         jacobian = np.concatenate([coefficients, *again, own], axis=2)
-        variance: FloatArray = np.einsum("ncd,de,nce->nc", jacobian, found.covariance, jacobian, optimize=True)
-        return variance
+        return np.asarray(np.einsum("ncd,de,nce->nc", jacobian, found.covariance, jacobian, optimize=True))

@@ -178,8 +178,7 @@ class Evidence:
         known[whole.manifold.inertial] = 0.0
         known[: len(search.prior.inertias)] = search.prior.inertias
         vector = np.append(known, -1.0)
-        squares: FloatArray = np.einsum("cij,i,j->c", whole.products, vector, vector)
-        return squares
+        return np.asarray(np.einsum("cij,i,j->c", whole.products, vector, vector))
 
     @property
     def _rise(self) -> float:
@@ -220,8 +219,7 @@ def is_open(unseen: HeldOut) -> BoolArray:
 def _is_above(unseen: HeldOut, times: float) -> BoolArray:
     # A standard deviation from n values is itself uncertain by 1 / sqrt(2 n), relative.
     reached = times * (1.0 + 2.0 / np.sqrt(2.0 * np.maximum(unseen.counts, 1.0))) * unseen.gap.expected
-    above: BoolArray = np.nan_to_num(unseen.gap.after) >= np.nan_to_num(reached, nan=np.inf)
-    return above
+    return np.nan_to_num(unseen.gap.after) >= np.nan_to_num(reached, nan=np.inf)
 
 
 def generalises(design: Design, found: JointFit, candidate: AnyCandidate) -> bool:

@@ -52,8 +52,7 @@ def _moved(found: JointFit, rows: slice, direction: int, place: int) -> FloatArr
     tangent[rows.start + direction] = _STEP
     ends = [found.manifold.exp(found.point, sign * tangent).pseudo_inertias[place] for sign in (1.0, -1.0)]
     ahead, behind = (_of_body(pseudo_inertia.to_parameters(end)) for end in ends)
-    result: FloatArray = (ahead - behind) / (2.0 * _STEP)
-    return result
+    return (ahead - behind) / (2.0 * _STEP)
 
 
 def _of_body(body: FloatArray) -> FloatArray:

@@ -177,8 +177,7 @@ def _typical_size(residual: FloatArray, valid: BoolArray) -> FloatArray:
 
 def _root_mean_square(residual: FloatArray, valid: BoolArray) -> FloatArray:
     squares = [np.mean(values[used] ** 2) if np.any(used) else np.nan for values, used in _by_channel(residual, valid)]
-    deviation: FloatArray = np.sqrt(np.array(squares))
-    return deviation
+    return np.asarray(np.sqrt(np.array(squares)))
 
 
 def _by_channel(residual: FloatArray, valid: BoolArray) -> Iterable[tuple[FloatArray, BoolArray]]:

@@ -60,8 +60,7 @@ class Backlash(SituationEffect):
             + situation.by_velocity[:, :, joint] * rate
             + situation.by_acceleration[:, :, joint] * acceleration
         )
-        result: FloatArray = -0.5 * moved[:, :, None]
-        return result
+        return -0.5 * moved[:, :, None]
 
     def constants(
         self, found: Sequence[tuple[float, float]], unsure: float, usual_load: float

@@ -296,8 +296,7 @@ class MotionEffect(Effect):
         """All of it, unless the MJCF says it."""
         if any(form.mjcf for form in self.parameters):
             return 0.0
-        result: FloatArray = values[self.own[0].name] * self.efforts(motion, place)
-        return result
+        return values[self.own[0].name] * self.efforts(motion, place)
 
 
 class JointEffect(MotionEffect):

@@ -31,8 +31,7 @@ class EffortGain(SituationEffect):
         return bool(abs(coefficients[0]) > 0.5)
 
     def linearised_at(self, coefficients: FloatArray) -> FloatArray:
-        result: FloatArray = np.clip(coefficients, *_USED)
-        return result
+        return np.clip(coefficients, *_USED)
 
     def columns(self, situation: Situation, place: Place) -> FloatArray:
         joint = joint_of(place)

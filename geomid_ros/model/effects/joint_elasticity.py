@@ -39,8 +39,7 @@ class JointElasticity(SituationEffect):
             + situation.by_velocity[:, :, joint] * situation.load_rate[:, joint, None]
             + situation.by_acceleration[:, :, joint] * situation.load_acceleration[:, joint, None]
         )
-        result: FloatArray = -moved[:, :, None]
-        return result
+        return -moved[:, :, None]
 
     def transformed(self, coefficients: FloatArray) -> tuple[FloatArray, FloatArray]:
         """The stiffness."""

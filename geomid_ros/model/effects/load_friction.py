@@ -36,8 +36,7 @@ class LoadFriction(SituationEffect):
     @classmethod
     def dry_friction(cls, coefficient: float, load: FloatArray) -> FloatArray:
         """In proportion to the load."""
-        result: FloatArray = abs(coefficient) * np.abs(load)
-        return result
+        return abs(coefficient) * np.abs(load)
 
     @classmethod
     def friction_by_load(cls, values: Values) -> float:

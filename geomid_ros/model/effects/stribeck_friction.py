@@ -62,10 +62,7 @@ class StribeckFriction(JointEffect):
         return bool(coefficients[1] > _LARGEST_EXCESS * coefficients[0])
 
     def column(self, motion: JointMotion) -> FloatArray:
-        result: FloatArray = CoulombFriction(self.smoothing).column(motion) * np.exp(
-            -((motion.velocity / self.speed) ** 2)
-        )
-        return result
+        return CoulombFriction(self.smoothing).column(motion) * np.exp(-((motion.velocity / self.speed) ** 2))
 
     @classmethod
     def coefficients(cls, values: Values, usual_load: float = 0.0) -> dict[Effect, tuple[float, ...]]:  # noqa: ARG003
@@ -89,5 +86,4 @@ class StribeckFriction(JointEffect):
     def unsaid_efforts(self, values: Values, motion: Motion, place: Place) -> FloatArray:
         """What the motion takes off the excess, which :meth:`holding_friction` counts as friction."""
         full = values["excess"] * CoulombFriction(self.smoothing).efforts(motion, place)
-        result: FloatArray = full * np.expm1(-((motion.velocity / self.speed) ** 2))
-        return result
+        return full * np.expm1(-((motion.velocity / self.speed) ** 2))
