@@ -54,7 +54,7 @@ def first_sigmas(summary: RowSummary, dimension: int) -> FloatArray:
 def _least_residual(factor: FloatArray) -> tuple[float, int]:
     """Norm of the least-squares residual of ``[A b]``, and the rank of A, in which rounding does not count."""
     sizes = np.linalg.norm(factor[:, :-1], axis=0)
-    some = sizes > _ROUNDING_COLUMN * np.max(sizes)
+    some = sizes > _ROUNDING_COLUMN * np.max(sizes, initial=0.0)
     regressor = factor[:, :-1][:, some] / sizes[some]
     solution, _, rank, _ = np.linalg.lstsq(regressor, factor[:, -1], rcond=_ROUNDING)
     return float(np.linalg.norm(factor[:, -1] - regressor @ solution)), int(rank)
