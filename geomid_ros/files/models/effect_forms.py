@@ -10,7 +10,7 @@ import numpy as np
 
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.model.effects import EFFECTS, KnownEffect, ModelEffect, Quantity, effect_class, identifiable, values_of
-from geomid_ros.model.effects.parameters import COM_ENTRIES, INERTIA_ENTRIES
+from geomid_ros.model.effects.parameters import COM_ENTRIES
 from geomid_ros.types import FloatArray
 
 
@@ -32,16 +32,14 @@ def joint_attributes(effect: str, known: Mapping[str, float], element: str) -> d
     return {attribute: known[name] for name, (own, _, attribute) in places if own == element}
 
 
-def inertia_matrix(payload: Mapping[str, float]) -> FloatArray:
-    """Inertia ``(3, 3)`` [kg m^2] of a payload about its centre of mass, from its values."""
-    xx, xy, yy, xz, yz, zz = (payload[name] for name in INERTIA_ENTRIES)
-    return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+def payload_quantities(payload: Mapping[str, float]) -> FloatArray:
+    """A payload's values as quantities ``(10,)``, see :func:`~geomid_ros.geometry.pseudo_inertia.quantities_of`."""
+    return np.array([payload[name] for name in ("mass", *COM_ENTRIES, *pseudo_inertia.INERTIA_NAMES)])
 
 
 def payload_parameters(payload: Mapping[str, float]) -> FloatArray:
     """Inertial parameters ``(10,)`` of a payload about its link's origin, from its values."""
-    centre = np.array([payload[name] for name in COM_ENTRIES])
-    return pseudo_inertia.assemble(np.array(payload["mass"]), centre, inertia_matrix(payload))
+    return pseudo_inertia.parameters_of(payload_quantities(payload))
 
 
 def turned_gravity(gravity: FloatArray, effects: Iterable[ModelEffect]) -> FloatArray:

@@ -31,6 +31,7 @@ class Backlash(SituationEffect):
     )
     settled_by = "slow motions in which the load of this joint changes its sign"
     first_order = True
+    largest = 0.2  # [rad]
     adds_up = False
 
     @classmethod
@@ -48,19 +49,10 @@ class Backlash(SituationEffect):
         """The gap."""
         return 1
 
-    def is_absurd(self, coefficients: FloatArray) -> bool:
-        """Whether the play is wider than 0.2 rad."""
-        return bool(abs(coefficients[0]) > 0.2)
-
     def columns(self, situation: Situation, place: Place) -> FloatArray:
         joint = joint_of(place)
-        side, rate, acceleration = (each[:, joint, self.crossing, None] for each in situation.of_load(sides))
-        moved = (
-            situation.by_position[:, :, joint] * side
-            + situation.by_velocity[:, :, joint] * rate
-            + situation.by_acceleration[:, :, joint] * acceleration
-        )
-        return -0.5 * moved[:, :, None]
+        side, rate, acceleration = (each[:, joint, self.crossing] for each in situation.of_load(sides))
+        return 0.5 * situation.behind(joint, side, rate, acceleration)
 
     def constants(
         self, found: Sequence[tuple[float, float]], unsure: float, usual_load: float

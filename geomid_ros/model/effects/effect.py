@@ -87,6 +87,8 @@ class Effect(ABC):
     """The parameter that enters nonlinearly, a field of the instances, in which the :meth:`variants` differ."""
     absorbed: ClassVar[bool] = False
     """Whether what was found of it is built into the model (gravity, time, scale), and only its change is a column."""
+    largest: ClassVar[float] = np.inf
+    """The largest coefficient, its sign apart, of a robot that works."""
     scales_measurement: ClassVar[bool] = False
     """Whether it acts on what is measured after everything else."""
 
@@ -116,9 +118,9 @@ class Effect(ABC):
         first = self.parts.index(self)
         return self.parameters[first : first + self.count]
 
-    def is_absurd(self, coefficients: FloatArray) -> bool:  # noqa: ARG002
+    def is_absurd(self, coefficients: FloatArray) -> bool:
         """Whether no robot that works has it with these ``coefficients (k,)``, signs apart."""
-        return False
+        return bool(np.any(np.abs(coefficients) > self.largest))
 
     def linearised_at(self, coefficients: FloatArray) -> FloatArray:
         """The ``coefficients (k,)`` at which columns may be computed."""

@@ -8,8 +8,6 @@ from dataclasses import dataclass
 from typing import TypeAlias
 
 COM_ENTRIES = ("com_x", "com_y", "com_z")
-INERTIA_ENTRIES = ("ixx", "ixy", "iyy", "ixz", "iyz", "izz")
-"""In pinocchio's order."""
 EFFORT = ("N m", "N")
 
 Values: TypeAlias = Mapping[str, float]

@@ -75,6 +75,21 @@ class Situation:
     coefficients: Mapping[tuple[str, Place], FloatArray]
     of_load: Callable[[OfLoad], Derivatives]
 
+    def column_of(self, joints: int | slice, efforts: FloatArray) -> FloatArray:
+        """A column ``(N, C, 1)`` of which only the ``efforts`` of these joints are not zero."""
+        column = np.zeros((*self.predicted.shape, 1))
+        column[:, joints, 0] = efforts
+        return column
+
+    def behind(self, joint: int, moved: FloatArray, rate: FloatArray, acceleration: FloatArray) -> FloatArray:
+        """The column ``(N, C, 1)`` of a joint's link that is behind the measured position by ``moved (N,)``, whose
+        derivatives by time are ``rate`` and ``acceleration``."""
+        return -(
+            self.by_position[:, :, joint, None] * moved[:, None, None]
+            + self.by_velocity[:, :, joint, None] * rate[:, None, None]
+            + self.by_acceleration[:, :, joint, None] * acceleration[:, None, None]
+        )
+
     def usual_load(self, place: Place) -> float:
         """Standard deviation of what the gear of a place's (first) joint transmits [N m or N]; 0 without a joint."""
         return float(np.std(self.load[:, joints_of(place)[0]])) if joints_of(place) else 0.0
