@@ -111,15 +111,8 @@ class Robot:
             model, name = self._model.joints[index], self._model.names[index]
             if model.nv != 1:
                 raise InputError(f"{self.source}: joint '{name}' is {types[name]}; only joints of one axis can be read")
-            joints.append(
-                Joint(
-                    name,
-                    model.idx_q,
-                    model.idx_v,
-                    model.nq == 2,
-                    "N" if types[name] == "prismatic" else "N m",
-                )
-            )
+            unit = "N" if types[name] == "prismatic" else "N m"
+            joints.append(Joint(name, model.idx_q, model.idx_v, model.nq == 2, unit))
         return tuple(joints)
 
     def _bodies(self, cuts: Sequence[str]) -> tuple[Body, ...]:
@@ -285,28 +278,9 @@ class Robot:
         for index in bodies:
             joints[self.bodies[index].joint] += self.bodies[index].to_joint @ inertias[index]
         for index in range(model.njoints):
-            model.inertias[index] = (
-                pin.Inertia.FromDynamicParameters(joints[index]) if joints[index, 0] > 0.0 else (pin.Inertia.Zero())
-            )
+            massive = joints[index, 0] > 0.0
+            model.inertias[index] = pin.Inertia.FromDynamicParameters(joints[index]) if massive else pin.Inertia.Zero()
         return model
-
-    def carried_wrench(
-        self, model: pin.Model, data: pin.Data, frame: str, q: FloatArray, v: FloatArray, a: FloatArray
-    ) -> FloatArray:
-        """Wrench ``(6,)`` that moves all massive bodies of ``model``, in the frame of the link ``frame``, at or after
-        which they all are."""
-        pin.rnea(model, data, q, v, a)
-        at = model.frames[model.getFrameId(frame, pin.BODY)]
-        if at.parentJoint == 0:
-            moved = [j for j in range(1, model.njoints) if model.parents[j] == 0]
-            total = pin.Force.Zero()
-            for joint in moved:
-                total += data.oMi[joint].act(data.f[joint])
-            own = model.inertias[0]
-            total += pin.Force(own.mass * -model.gravity.linear, np.cross(own.mass * own.lever, -model.gravity.linear))
-        else:
-            total = data.f[at.parentJoint]
-        return np.array(at.placement.actInv(total).vector)
 
 
 def _build(urdf: str, floating_base: bool, source: str) -> pin.Model:

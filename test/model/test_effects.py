@@ -33,7 +33,7 @@ WRITTEN = {
 
 
 def test_every_file_is_known() -> None:
-    contracts = {"__init__", "effect", "known", "parameters", "places", "situation"}
+    contracts = {"__init__", "effect", "parameters", "places", "situation"}
     files = {path.stem for path in Path(effects.__file__).parent.glob("*.py")} - contracts
     assert {cls.__module__.rpartition(".")[2] for cls in EFFECTS.values()} == files
     assert files == set(EFFECTS)

@@ -13,7 +13,7 @@ from geomid_ros.estimation.estimate import LinkEstimate
 from geomid_ros.files.disk import read_text
 from geomid_ros.files.models.effect_forms import is_body, joint_attributes, payload_quantities
 from geomid_ros.geometry import pseudo_inertia
-from geomid_ros.model.effects import ModelEffect, values_of
+from geomid_ros.model.effects import KnownEffect, values_of
 from geomid_ros.model.urdf_tree import MOST_BYTES
 from geomid_ros.types import FloatArray
 
@@ -69,7 +69,7 @@ def _inertial(mass: float, com: FloatArray, inertia: FloatArray) -> bytes:
     ).encode()
 
 
-def with_effects(urdf: str, effects: Iterable[ModelEffect]) -> str:
+def with_effects(urdf: str, effects: Iterable[KnownEffect]) -> str:
     """``urdf`` with the effects that a URDF can say; every other character of it is kept.
 
     What an effect says of a joint's ``<dynamics>`` is added up there; a payload becomes a link that is fixed to the one
@@ -102,7 +102,7 @@ def _dynamics(data: bytes, joint: _Span, numbers: Mapping[str, float]) -> _Edit:
     return _insertion(data, joint, element)
 
 
-def _payload(effect: ModelEffect, links: Mapping[str, _Span], joints: Mapping[str, _Span]) -> bytes:
+def _payload(effect: KnownEffect, links: Mapping[str, _Span], joints: Mapping[str, _Span]) -> bytes:
     name = f"{effect.link}_payload"
     while name in links or name in joints:
         name += "_"

@@ -109,13 +109,9 @@ class Records:
             of_joints, joined[name] = joined[name], np.zeros((len(self.samples), channels))
             if model.layout.efforts:
                 joined[name][:, :joints] = of_joints
-        sensitivity = dynamics.sensitivity(self.samples)
         return Situation(
             sign=self.samples.column(SIGN),
-            by_position=sensitivity.by_position,
-            by_velocity=sensitivity.by_velocity,
-            by_acceleration=sensitivity.by_acceleration,
-            by_gravity=sensitivity.by_gravity,
+            **vars(dynamics.sensitivity(self.samples)),
             gravity=total.straight_gravity,
             coefficients={(effect.name, place): values for effect, place, values in total.effects},
             of_load=self._derivatives_of(loads),

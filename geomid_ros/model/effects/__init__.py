@@ -16,8 +16,7 @@ from geomid_ros.model.effects.effect import (
     SensorEffect,
     SituationEffect,
 )
-from geomid_ros.model.effects.known import KnownEffect, ModelEffect
-from geomid_ros.model.effects.parameters import ParameterForm, Quantity, Values
+from geomid_ros.model.effects.parameters import KnownEffect, ParameterForm, Quantity, Values
 from geomid_ros.model.effects.places import (
     AtJoint,
     AtJoints,
@@ -43,7 +42,6 @@ __all__ = [
     "JointEffect",
     "JointMotion",
     "KnownEffect",
-    "ModelEffect",
     "Motion",
     "MotionEffect",
     "OnLink",
@@ -120,7 +118,7 @@ def effect_class(name: str) -> type[Effect]:
     return EFFECTS[name]
 
 
-def values_of(known: ModelEffect) -> dict[str, float]:
+def values_of(known: KnownEffect) -> dict[str, float]:
     """An effect's parameters without their units; what may be left out is zero."""
     optional = {form.name: 0.0 for form in effect_class(known.effect).parameters if form.optional}
     return optional | {name: quantity.value for name, quantity in known.parameters.items()}

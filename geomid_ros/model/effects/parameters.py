@@ -38,6 +38,24 @@ ByEffect: TypeAlias = Mapping[str, Quantities]
 """The parameters of several effects at one place, by the effects' names."""
 
 
+@dataclass(frozen=True)
+class KnownEffect:
+    """An effect with the values of its parameters: what was found, or what is read of it from a file.
+
+    Attributes:
+        effect: its name.
+        joint: the joint it acts at, two as ``FIRST+SECOND``, the one that moves the link of a payload, or the topic of
+            a wrench sensor; empty for the whole robot.
+        link: the link that carries a payload, else empty.
+        parameters: their values with standard deviations and units, by name.
+    """
+
+    effect: str
+    joint: str
+    link: str
+    parameters: Quantities
+
+
 def without(found: ByEffect, name: str) -> ByEffect:
     """All effects but one."""
     return {other: parameters for other, parameters in found.items() if other != name}

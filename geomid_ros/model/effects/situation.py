@@ -45,8 +45,19 @@ Derivatives: TypeAlias = tuple[FloatArray, FloatArray, FloatArray]
 """Values and their first and second derivatives by time, filtered as the samples are, each ``(N, J, K)``."""
 
 
+@dataclass(frozen=True, eq=False)
+class Sensitivity:
+    """Derivatives of C channels at N instants by the links' motion, ``(N, C, J)``, and by gravity in the base frame,
+    ``(N, C, 3)``."""
+
+    by_position: FloatArray
+    by_velocity: FloatArray
+    by_acceleration: FloatArray
+    by_gravity: FloatArray
+
+
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Situation:
+class Situation(Sensitivity):
     """What a model says of N instants, J joints and C channels, of which the first J are the joints' efforts.
 
     Attributes:
@@ -54,8 +65,6 @@ class Situation:
         predicted, rate: the channels' values, effects included, and their derivative by time ``(N, C)``.
         load, load_rate, load_acceleration: efforts that the gears transmit to the links (rigid bodies alone) and their
             derivatives by time ``(N, J)``.
-        by_position, by_velocity, by_acceleration: derivatives of the channels by the links' motion ``(N, C, J)``.
-        by_gravity: derivatives of the channels by gravity in the base frame ``(N, C, 3)``.
         gravity: gravity in the frame of a base that stands straight ``(3,)`` [m/s^2].
         coefficients: those of the effects that the model has, by the effect's name and place.
         of_load: what a function makes of the load's history, at the N instants.
@@ -67,10 +76,6 @@ class Situation:
     load: FloatArray
     load_rate: FloatArray
     load_acceleration: FloatArray
-    by_position: FloatArray
-    by_velocity: FloatArray
-    by_acceleration: FloatArray
-    by_gravity: FloatArray
     gravity: FloatArray
     coefficients: Mapping[tuple[str, Place], FloatArray]
     of_load: Callable[[OfLoad], Derivatives]
