@@ -161,16 +161,11 @@ def estimate(
         parameters=solution.point.parameters,
         channels=tuple(channel.name for channel in model.channels),
         sigmas=frozen(sigmas),
-        rms_nominal=frozen(summary.rms(nominal_parameters(model))),
+        rms_nominal=frozen(summary.rms(model.nominal_parameters)),
         rms=frozen(summary.rms(solution.point.parameters)),
         information=links_information(manifold, prior_point, solution.point, measured, known, found),
         known=_known(known, manifold, solution.point, found),
     )
-
-
-def nominal_parameters(model: MeasurementModel) -> FloatArray:
-    """The nominal model ``(D,)``: the URDF's inertias and no effects."""
-    return np.concatenate([model.nominal_inertias, np.zeros(len(model.coefficients))])
 
 
 def _configured_sigmas(model: MeasurementModel, settings: EstimatorSettings) -> FloatArray:

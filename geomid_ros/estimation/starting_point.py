@@ -89,7 +89,7 @@ def prior_parameters(model: MeasurementModel, summary: RowSummary, given: FloatA
     Raises:
         InputError: ``given`` is no point of the model's manifold.
     """
-    parameters = np.concatenate([model.nominal_inertias, np.zeros(len(model.coefficients))])
+    parameters = model.nominal_parameters
     first = len(model.nominal_inertias)
     if given is not None:
         _check_possible(given, model)

@@ -8,7 +8,7 @@ coefficients, then the real ones.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import chain
 from types import MappingProxyType
@@ -131,7 +131,8 @@ class MeasurementModel:
         forms = effect.own
         if isinstance(place, AtSensor):
             by_axis = {form.name: form for form in forms}
-            forms = tuple(by_axis[axis] for axis in self._sensor(place.topic).axes)
+            axes = next(sensor.axes for sensor in self.sensors if sensor.topic == place.topic)
+            forms = tuple(by_axis[axis] for axis in axes)
         for index, form in enumerate(forms):
             yield Coefficient(
                 effect=effect,
@@ -141,9 +142,6 @@ class MeasurementModel:
                 parameter=form.name,
                 unit=form.units[sliding],
             )
-
-    def _sensor(self, topic: str) -> WrenchSensor:
-        return next(sensor for sensor in self.sensors if sensor.topic == topic)
 
     def _check_sensors(self) -> None:
         for sensor in self.sensors:
@@ -219,31 +217,31 @@ class MeasurementModel:
         """The URDF's parameters of the identified bodies, ``(10 bodies,)``."""
         return np.array([self.robot.bodies[index].parameters for index in self.identified]).ravel()
 
+    @property
+    def nominal_parameters(self) -> FloatArray:
+        """The nominal model ``(D,)``: the URDF's inertias and no effects."""
+        return np.append(self.nominal_inertias, np.zeros(len(self.coefficients)))
+
     def manifold(self, scales: FloatArray) -> ParameterManifold:
         """The manifold of the parameters, with the scales of the real coefficients."""
         return ParameterManifold(len(self.identified), self.positives, scales)
 
-    def _columns(self, bodies: Sequence[int], acts: Callable[[Place], bool]) -> IntArray:
-        """Parameters of these bodies, and of the effects at places where they act on a channel."""
+    def _reached(self, place: Place) -> tuple[int, ...]:
+        """The channels at which an effect at a place is felt."""
+        return place.channels if isinstance(place, AtSensor) else reached_joints(place, len(self.layout.efforts))
+
+    def _columns(self, channel: int, bodies: Sequence[int]) -> IntArray:
+        """The parameters that a channel depends on: those of these bodies, and of the effects that reach it."""
         columns = [10 * place + k for place, body in enumerate(self.identified) if body in bodies for k in range(10)]
         first = 10 * len(self.identified)
-        columns += [first + k for k, coefficient in enumerate(self.coefficients) if acts(coefficient.place)]
+        columns += [first + k for k, c in enumerate(self.coefficients) if channel in self._reached(c.place)]
         return np.array(columns, dtype=np.int64)
 
     def _joint_channels(self) -> list[Channel]:
-        children = {joint.name: joint.child for joint in self.robot.tree.joints}
-        count = len(self.layout.efforts)
+        carried = {joint.name: self.robot.subtree(joint.child) for joint in self.robot.tree.joints}
         return [
-            Channel(
-                name=joint.name,
-                unit=joint.unit,
-                columns=self._columns(
-                    self.robot.subtree(children[joint.name]),
-                    lambda place, index=index: index in reached_joints(place, count),  # type: ignore[misc]
-                ),
-                joint=index,
-            )
-            for index, joint in enumerate(self.robot.joints[:count])
+            Channel(name=joint.name, unit=joint.unit, columns=self._columns(index, carried[joint.name]), joint=index)
+            for index, joint in zip(self.layout.efforts, self.robot.joints, strict=False)
         ]
 
     def _wrench_channels(self) -> list[Channel]:
@@ -251,10 +249,7 @@ class MeasurementModel:
             Channel(
                 name=wrench_channel(sensor.topic, axis),
                 unit="N" if axis[0] == "f" else "N m",
-                columns=self._columns(
-                    self._loaded_bodies(sensor),
-                    lambda place, index=index: isinstance(place, AtSensor) and index in place.channels,  # type: ignore[misc]
-                ),
+                columns=self._columns(index, self._loaded_bodies(sensor)),
                 topic=sensor.topic,
                 axis=axis,
             )
@@ -332,19 +327,19 @@ class MeasurementModel:
             targets -= bodies[:, :, index] @ self.robot.bodies[index].parameters
         coefficients = np.concatenate([inertial, np.zeros((count, len(self.channels), len(self.coefficients)))], axis=2)
         for column, coefficient in enumerate(self.coefficients, inertial.shape[2]):
-            for channel, values in self._columns_by_channel(samples, coefficient).items():
+            by_channel = self.columns_of(samples, coefficient.effect, coefficient.place, coefficient.index)
+            for channel, values in by_channel.items():
                 coefficients[:, channel, column] = values
         return Rows(coefficients, targets)
 
-    def _columns_by_channel(self, samples: Samples, coefficient: Coefficient) -> dict[int, FloatArray]:
-        """What a unit of a coefficient adds to the channels ``(N,)``."""
-        effect, place = coefficient.effect, coefficient.place
+    def columns_of(self, samples: Samples, effect: IdentifiedEffect, place: Place, index: int) -> dict[int, FloatArray]:
+        """What a unit of an effect's coefficient of this index adds to each channel that it reaches, ``(N,)``."""
+        channels = self._reached(place)
         if isinstance(effect, MotionEffect):
             own = samples.column(column_of(effect, place))
-            return {joint: own[:, joint] for joint in reached_joints(place, len(self.layout.efforts))}
-        channels = place.channels if isinstance(place, AtSensor) else ()
-        columns = effect.columns(samples.motion, [self.channels[channel].axis for channel in channels])
-        return {channel: columns[:, row, coefficient.index] for row, channel in enumerate(channels)}
+            return {joint: own[:, joint] for joint in channels}
+        columns = effect.columns(samples.motion, [self.channels[channel].axis for channel in channels])[:, :, index]
+        return {channel: column for channel, column in zip(channels, columns.T, strict=True) if np.any(column)}
 
     @property
     def columns(self) -> Columns:

@@ -61,7 +61,7 @@ def test_what_can_be_identified_is_linear_in_coefficients_of_its_own() -> None:
         assert effect.name == name
         if not isinstance(effect, SensorEffect):
             (form,) = effect.parameters
-            assert (effect.units, effect.positive) == (form.units, form.above == 0.0)
+            assert (effect.own, effect.positives) == ((form,), int(form.above == 0.0))
 
 
 @pytest.mark.parametrize("effect", OF_JOINTS.values(), ids=OF_JOINTS)

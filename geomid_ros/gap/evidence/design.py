@@ -10,10 +10,8 @@ import numpy as np
 from geomid_ros.gap.candidates import AnyCandidate, EffectTerm, Term
 from geomid_ros.gap.evidence.noise import Autoregression, runs_of
 from geomid_ros.gap.evidence.record import Records
-from geomid_ros.model.columns import column_of, reached_joints
-from geomid_ros.model.effects import AtSensor, MotionEffect, SensorEffect, Situation, SituationEffect
+from geomid_ros.model.effects import IdentifiedEffect, Situation, SituationEffect
 from geomid_ros.model.measurement import MeasurementModel
-from geomid_ros.model.samples import Samples
 from geomid_ros.types import BoolArray, FloatArray
 
 Columns = Mapping[Term, Mapping[int, FloatArray]]  # of each term, by channel: (N,)
@@ -26,30 +24,12 @@ def term_columns(
     long, is asked for only when a term needs it."""
     found: dict[Term, dict[int, FloatArray]] = {}
     for term in terms:
-        if isinstance(term, EffectTerm):
-            found[term] = _columns(model, records.samples, term, situation)
+        if isinstance(term, EffectTerm) and isinstance(term.effect, SituationEffect):
+            columns = term.effect.columns(situation(), term.place)[:, :, term.index]
+            found[term] = {channel: column for channel, column in enumerate(columns.T) if np.any(column)}
+        elif isinstance(term, EffectTerm) and isinstance(term.effect, IdentifiedEffect):
+            found[term] = model.columns_of(records.samples, term.effect, term.place, term.index)
     return found
-
-
-def _columns(
-    model: MeasurementModel, samples: Samples, term: EffectTerm, situation: Callable[[], Situation]
-) -> dict[int, FloatArray]:
-    effect, place = term.effect, term.place
-    if isinstance(effect, MotionEffect):
-        joints = reached_joints(place, len(model.layout.efforts))
-        return {joint: samples.column(column_of(effect, place))[:, joint] for joint in joints}
-    if isinstance(effect, SituationEffect):
-        return _reached(effect.columns(situation(), place)[:, :, term.index], range(len(model.channels)))
-    if isinstance(effect, SensorEffect) and isinstance(place, AtSensor):
-        axes = [model.channels[channel].axis for channel in place.channels]
-        return _reached(effect.columns(samples.motion, axes)[:, :, term.index], place.channels)
-    return {}
-
-
-def _reached(values: FloatArray, channels: Sequence[int]) -> dict[int, FloatArray]:
-    """The columns of ``values (N, channels)`` that are not zero, by channel."""
-    used = np.flatnonzero(np.any(values != 0.0, axis=0)).tolist()
-    return {channels[place]: values[:, place] for place in used}
 
 
 BLOCKS = 8  # of time, for cross-validation

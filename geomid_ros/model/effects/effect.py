@@ -275,20 +275,10 @@ class MotionEffect(Effect):
     """
 
     @property
-    def positive(self) -> bool:
-        """Whether the coefficient lives on P(1) (it cannot change sign, the metric is dc^2/c^2), not on a real line: a
-        parameter that must be above zero does."""
-        return self.parameters[0].above == 0.0
-
-    @property
     def positives(self) -> int:
-        """1 if it is positive."""
-        return int(self.positive)
-
-    @property
-    def units(self) -> tuple[str, str]:
-        """Units of the coefficient at a revolute and at a prismatic joint."""
-        return self.own[0].units
+        """1 if the coefficient lives on P(1) (it cannot change sign, the metric is dc^2/c^2), 0 if on a real line: a
+        parameter that must be above zero does the former."""
+        return int(self.parameters[0].above == 0.0)
 
     @abstractmethod
     def efforts(self, motion: Motion, place: Place) -> FloatArray:
