@@ -205,16 +205,16 @@ def prior_spreads(rows: Fold, from_prior: FloatArray, groups: Sequence[Parameter
     return spreads
 
 
-def physical_sensitivity(manifold: ParameterManifold, point: Point) -> FloatArray:
+def physical_sensitivity(manifold: ParameterManifold, point: Point, step: float = _STEP) -> FloatArray:
     """Derivative ``(links, 10, 10)`` of each link's quantities (:func:`pseudo_inertia.quantities_of`) by its ten
-    tangent coordinates, by central differences along geodesics."""
+    tangent coordinates, by central differences of this ``step`` along geodesics."""
     derivative = np.empty((manifold.links, 10, 10))
     for k in range(10):
         tangent = np.zeros(manifold.dimension)
-        tangent[k : manifold.inertial.stop : 10] = _STEP
+        tangent[k : manifold.inertial.stop : 10] = step
         ends = np.array([manifold.exp(point, sign * tangent).pseudo_inertias for sign in (1.0, -1.0)])
         ahead, behind = pseudo_inertia.quantities_of(pseudo_inertia.to_parameters(ends))
-        derivative[:, :, k] = (ahead - behind) / (2.0 * _STEP)
+        derivative[:, :, k] = (ahead - behind) / (2.0 * step)
     return derivative
 
 

@@ -22,7 +22,6 @@ from geomid_ros.gap.judgement.locate import located
 from geomid_ros.gap.judgement.verdict import findings, ranking, unexplained, verdict
 from geomid_ros.gap.result import GapResult
 from geomid_ros.gap.search.analysis import Analysis, analyse
-from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.model.effects import KnownEffect, effect_class, values_of
 from geomid_ros.model.measurement import Coefficient, MeasurementModel
 from geomid_ros.model.samples import Samples
@@ -134,7 +133,7 @@ def find_gap(
         ranking=ranking(bare, analysis),
         trace=unseen.trace,
         bodies=bare.body_names,
-        inertias=_links(analysis),
+        inertias=analysis.names.inertias,
         coefficients=_coefficients(model, prior, analysis),
         beside=tuple(
             _refitted(bare, analysis, candidate, known)
@@ -260,10 +259,3 @@ def _coefficients(model: MeasurementModel, prior: Prior, analysis: Analysis) -> 
     terms = [_term(coefficient) for coefficient in model.coefficients]
     own = [term in prior.terms and term not in said for term in terms]
     return np.array([analysis.names.value(term) if kept else np.nan for term, kept in zip(terms, own, strict=True)])
-
-
-def _links(analysis: Analysis) -> FloatArray:
-    """Inertias of the identified links, without payloads."""
-    found = analysis.names
-    count = found.manifold.links - len(found.bodies)
-    return pseudo_inertia.to_parameters(found.point.pseudo_inertias[:count])

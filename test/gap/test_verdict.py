@@ -212,7 +212,7 @@ def test_a_remainder_is_located_by_what_it_depends_on() -> None:
     rng = np.random.default_rng(8)
     position, velocity = rng.uniform(-1.0, 1.0, (2, 3000, 3))
     load = rng.uniform(0.0, 5.0, (3000, 3))
-    samples = SimpleNamespace(stamps=np.arange(3000) * 10_000_000, position=position, velocity=velocity)
+    samples = SimpleNamespace(seconds=np.arange(3000) * 0.01, position=position, velocity=velocity)
     residual = np.column_stack([(load[:, 0] - 2.5) ** 2 - 2.0, np.sin(3.0 * position[:, 1]), np.sign(velocity[:, 2])])
     found = located(MODEL, SimpleNamespace(samples=samples), residual, load)  # type: ignore[arg-type]
     assert [entry.channel for entry in found] == list(JOINTS)
@@ -226,9 +226,7 @@ def test_a_remainder_is_located_by_what_it_depends_on() -> None:
 
 def test_a_wrench_depends_on_load_and_time_alone() -> None:
     channels = (SimpleNamespace(name="wrench/fx", joint=None),)
-    samples = SimpleNamespace(
-        stamps=np.arange(500) * 10_000_000, position=np.zeros((500, 0)), velocity=np.zeros((500, 0))
-    )
+    samples = SimpleNamespace(seconds=np.arange(500) * 0.01, position=np.zeros((500, 0)), velocity=np.zeros((500, 0)))
     load = np.random.default_rng(1).uniform(size=(500, 1))
     model, records = SimpleNamespace(channels=channels), SimpleNamespace(samples=samples)
     (found,) = located(model, records, load - 0.5, load)  # type: ignore[arg-type]

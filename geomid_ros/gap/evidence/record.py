@@ -218,7 +218,7 @@ def _unsettled(part: Samples) -> FloatArray:
 def _advanced(part: Samples, seconds: float) -> Samples:
     if seconds == 0.0:
         return part
-    times = (part.stamps - part.stamps[0]) * 1e-9
+    times = part.seconds
     effort = np.full(part.effort.shape, np.nan)
     for joint, measured in enumerate(np.isfinite(part.effort).T):
         if np.count_nonzero(measured) > 1:

@@ -28,6 +28,7 @@ from geomid_ros.gap.fitting.prior import (
     usual_payload,
 )
 from geomid_ros.gap.fitting.profile_objective import ProfileObjective, StraightManifold
+from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.geometry.manifold import ParameterManifold, Point
 from geomid_ros.types import FloatArray
 
@@ -69,6 +70,19 @@ class JointFit:
     def bodies(self) -> list[int]:
         """Links that carry a payload."""
         return [c.payload for c in self.chosen if c.payload is not None]
+
+    @property
+    def inertias(self) -> FloatArray:
+        """Parameters ``(links, 10)`` of the links without their payloads."""
+        return pseudo_inertia.to_parameters(self.point.pseudo_inertias[: self.manifold.links - len(self.bodies)])
+
+    @property
+    def loaded_inertias(self) -> FloatArray:
+        """The same with their payloads."""
+        inertias = self.inertias
+        for carrier, payload in zip(self.bodies, self.point.pseudo_inertias[len(inertias) :], strict=True):
+            inertias[carrier] += pseudo_inertia.to_parameters(payload)
+        return inertias
 
     @cached_property
     def inverse(self) -> FloatArray:
@@ -134,7 +148,7 @@ def _fit(
     scales = _scales(products, design, bodies, len(terms))
     manifold = StraightManifold(len(prior.inertias) // 10 + len(bodies), 0, scales)
     known = _known(manifold, prior, bodies)
-    first = 10 * (len(prior.inertias) // 10)
+    first = len(prior.inertias)
     weights = np.full(manifold.dimension, 1e-6)
     weights[first : manifold.inertial.stop] = SPREAD_OF_PAYLOADS**-2
     held = slice(manifold.real.start, manifold.real.start + len(prior.terms))

@@ -6,6 +6,7 @@ from collections.abc import Collection, Mapping
 
 import numpy as np
 
+from geomid_ros.estimation.uncertainty import physical_sensitivity
 from geomid_ros.gap.candidates import Candidate
 from geomid_ros.gap.fitting.fit import JointFit
 from geomid_ros.gap.result import Confidence
@@ -37,29 +38,13 @@ def parameters(
 def _of_payload(found: JointFit, effect: Effect, link: int) -> dict[str, Quantity]:
     place = found.manifold.links - len(found.bodies) + found.bodies.index(link)
     rows = found.manifold.link(place)
-    values = _of_body(pseudo_inertia.to_parameters(found.point.pseudo_inertias[place]))
-    derivative = np.array([_moved(found, rows, k, place) for k in range(10)]).T
-    covariance = derivative @ found.inverse[rows, rows] @ derivative.T
-    stds = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    values = pseudo_inertia.quantities_of(pseudo_inertia.to_parameters(found.point.pseudo_inertias[place]))
+    derivative = physical_sensitivity(found.manifold, found.point, _STEP)[place]
+    stds = np.sqrt(np.maximum(np.diag(derivative @ found.inverse[rows, rows] @ derivative.T), 0.0))
     return {
         form.name: Quantity(float(value), float(std), form.units[0])
         for form, value, std in zip(effect.parameters, values, stds, strict=True)
     }
-
-
-def _moved(found: JointFit, rows: slice, direction: int, place: int) -> FloatArray:
-    tangent = np.zeros(found.manifold.dimension)
-    tangent[rows.start + direction] = _STEP
-    ends = [found.manifold.exp(found.point, sign * tangent).pseudo_inertias[place] for sign in (1.0, -1.0)]
-    ahead, behind = (_of_body(pseudo_inertia.to_parameters(end)) for end in ends)
-    return (ahead - behind) / (2.0 * _STEP)
-
-
-def _of_body(body: FloatArray) -> FloatArray:
-    """Mass, centre of mass, and inertia about it."""
-    rows, columns = pseudo_inertia.INERTIA_ENTRIES
-    central = pseudo_inertia.central_inertia(body)
-    return np.concatenate([body[:1], pseudo_inertia.centre_of_mass(body), central[rows, columns]])
 
 
 def _of_sensor(

@@ -107,17 +107,11 @@ def verdict(analysis: Analysis, unseen: HeldOut) -> Verdict:
 def ranking(model: MeasurementModel, analysis: Analysis) -> tuple[Ranked, ...]:
     """Chosen names by what they are worth, then the others by what the score test says of them."""
     whole, search = analysis.whole, analysis.search
-    names = [c for c in whole.chosen if isinstance(c, Candidate)]
-    chosen = [
-        Ranked(
-            c.name,
-            model.places.name(c.place),
-            search.without(whole, c).score - whole.score,
-            improvement(search.design, search.without(whole, c), c)[1],
-            True,
-        )
-        for c in names
-    ]
+    chosen = []
+    for c in (c for c in whole.chosen if isinstance(c, Candidate)):
+        rest = search.without(whole, c)
+        _, separability = improvement(search.design, rest, c)
+        chosen.append(Ranked(c.name, model.places.name(c.place), rest.score - whole.score, separability, True))
     others = [
         Ranked(t.candidate.name, model.places.name(t.candidate.place), t.gain, t.separability, False)
         for t in search.ranked(whole)

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -160,25 +161,21 @@ def _flexible_noise(
 
 
 def _noise(residual: FloatArray, valid: BoolArray, records: Records) -> tuple[Autoregression, ...]:
-    runs = [
-        runs_of(valid[:, channel] & np.isfinite(residual[:, channel]), records.segment)
-        for channel in range(residual.shape[1])
-    ]
-    return tuple(Autoregression.fit(residual[:, channel], runs[channel]) for channel in range(residual.shape[1]))
+    used = valid & np.isfinite(residual)
+    channels = zip(residual.T, used.T, strict=True)
+    return tuple(Autoregression.fit(values, runs_of(own, records.segment)) for values, own in channels)
 
 
 def _typical_size(residual: FloatArray, valid: BoolArray) -> FloatArray:
     """Of each channel ``(C,)``: the standard deviation that the median size would have if it were Gaussian."""
-    sizes = [
-        np.median(np.abs(values[used])) if np.any(used) else np.nan for values, used in _by_channel(residual, valid)
-    ]
-    return np.array(sizes) / _MEDIAN_OF_GAUSSIAN
+    return _by_channel(lambda values: np.median(np.abs(values)), residual, valid) / _MEDIAN_OF_GAUSSIAN
 
 
 def _root_mean_square(residual: FloatArray, valid: BoolArray) -> FloatArray:
-    squares = [np.mean(values[used] ** 2) if np.any(used) else np.nan for values, used in _by_channel(residual, valid)]
-    return np.asarray(np.sqrt(np.array(squares)))
+    return np.sqrt(_by_channel(lambda values: np.mean(values**2), residual, valid))
 
 
-def _by_channel(residual: FloatArray, valid: BoolArray) -> Iterable[tuple[FloatArray, BoolArray]]:
-    return zip(residual.T, valid.T, strict=True)
+def _by_channel(function: Callable[[FloatArray], Any], residual: FloatArray, valid: BoolArray) -> FloatArray:
+    """A function of each channel's valid values ``(C,)``, NaN where there are none."""
+    channels = zip(residual.T, valid.T, strict=True)
+    return np.array([function(values[used]) if np.any(used) else np.nan for values, used in channels])
