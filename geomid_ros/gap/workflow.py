@@ -243,14 +243,7 @@ def _as_simulated(
     inertias = total_model(model, found).inertias[list(model.identified)].ravel()
     values = np.array([found.value(term) for term in found.terms])
     spreads = np.maximum(_SPREAD_OF_SIMULATED * np.abs(values), _LEAST_SPREAD)
-    return Prior(
-        inertias=inertias,
-        spread=prior.spread,
-        terms=found.terms,
-        values=values,
-        spreads=spreads,
-        certainty=prior.certainty,
-    )
+    return replace(prior, inertias=inertias, terms=found.terms, values=values, spreads=spreads, known=None)
 
 
 def _coefficients(model: MeasurementModel, prior: Prior, analysis: Analysis) -> FloatArray:

@@ -21,6 +21,7 @@ from geomid_ros.model.channels import Channel, ChannelLayout, wrench_channel
 from geomid_ros.model.columns import Columns, column_of, reached_joints
 from geomid_ros.model.effect_places import EffectPlaces
 from geomid_ros.model.effects import AtSensor, IdentifiedEffect, MotionEffect, Place, Quantity
+from geomid_ros.model.effects.parameters import quantities
 from geomid_ros.model.robot import Robot
 from geomid_ros.model.samples import Samples
 from geomid_ros.model.sensors import WORLD_FRAMES, WrenchSensor
@@ -47,9 +48,8 @@ class Coefficient:
         """Its effect's parameters: the one that it is, and the constants."""
         own = {self.parameter: Quantity(value, std, self.unit)}
         constants = self.effect.constants([(value, std)], math.nan, 0.0)
-        forms = self.effect.parameters[-len(constants) :] if constants else ()
         sliding = self.effect.parameters[0].units[0] != self.unit
-        return own | {f.name: Quantity(*c, f.units[sliding]) for f, c in zip(forms, constants, strict=True)}
+        return own | quantities(self.effect.parameters[-len(constants) :], constants, sliding=sliding)
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,8 +85,13 @@ class MeasurementModel:
         """
         self.robot = robot
         self.sensors = tuple(sensors)
+        self.mounted = [sensor for sensor in sensors if sensor.role == "mounted"]
+        """The sensors inside the chain, in the order of their channels."""
+        self._external = [sensor for sensor in sensors if sensor.role == "external"]
         self._links = links
         self.identified = self._identified_bodies(links)
+        self.body_names = tuple(robot.bodies[index].name for index in self.identified)
+        """Names of the identified bodies."""
         self._common = tuple(effects)
         self._local = local_effects
         self._check_sensors()
@@ -94,6 +99,10 @@ class MeasurementModel:
         topics = [sensor.topic for sensor in self.mounted]
         self.places = EffectPlaces(robot, self.body_names, topics, self.layout)
         self.coefficients = self._coefficients()
+        self.positives = sum(coefficient.positive for coefficient in self.coefficients)
+        """How many of the effects' coefficients are positive; they come first."""
+        self.dimension = 10 * len(self.identified) + len(self.coefficients)
+        """D, the number of parameters."""
         self.channels = (*self._joint_channels(), *self._wrench_channels())
         if not self.channels:
             raise InputError(
@@ -173,20 +182,11 @@ class MeasurementModel:
             )
 
     @property
-    def _external(self) -> list[WrenchSensor]:
-        return [sensor for sensor in self.sensors if sensor.role == "external"]
-
-    @property
     def _efforts_usable(self) -> bool:
         """Whether all loads that reach the joints are known: not those of a force plate, which rest on some link, nor
         those of a floating base without sensors."""
         on_robot = all(self.robot.is_on_robot(s.frame) and len(s.axes) == 6 for s in self._external)
         return on_robot and (not self.robot.floating_base or bool(self._external))
-
-    @property
-    def mounted(self) -> list[WrenchSensor]:
-        """The sensors inside the chain, in the order of their channels."""
-        return [sensor for sensor in self.sensors if sensor.role == "mounted"]
 
     def without_effects(self) -> MeasurementModel:
         """The same channels and bodies, with no effects."""
@@ -196,21 +196,6 @@ class MeasurementModel:
         """The same model under another ``gravity (3,)`` in the base frame [m/s^2]."""
         robot = self.robot.with_gravity(gravity)
         return MeasurementModel(robot, self._common, self.sensors, self._links, self._local)
-
-    @property
-    def dimension(self) -> int:
-        """D, the number of parameters."""
-        return 10 * len(self.identified) + len(self.coefficients)
-
-    @property
-    def positives(self) -> int:
-        """How many of the effects' coefficients are positive; they come first."""
-        return sum(coefficient.positive for coefficient in self.coefficients)
-
-    @property
-    def body_names(self) -> tuple[str, ...]:
-        """Names of the identified bodies."""
-        return tuple(self.robot.bodies[index].name for index in self.identified)
 
     @property
     def nominal_inertias(self) -> FloatArray:

@@ -46,13 +46,12 @@ class Curves:
 
     def columns(self, records: Records, situation: Situation) -> dict[Term, dict[int, FloatArray]]:
         """Columns of all curves' terms."""
-        found: dict[Term, dict[int, FloatArray]] = {}
-        joints = {candidate.joint for candidate in self.candidates}
-        for joint in sorted(joints):
-            for _, name, matrix in self._matrices(records, situation, joint):
-                for index in range(matrix.shape[1]):
-                    found[CurveTerm(joint, name, index)] = {joint: matrix[:, index]}
-        return found
+        return {
+            CurveTerm(joint, name, index): {joint: column}
+            for joint in sorted({candidate.joint for candidate in self.candidates})
+            for _, name, matrix in self._matrices(records, situation, joint)
+            for index, column in enumerate(matrix.T)
+        }
 
     def _matrices(self, records: Records, situation: Situation, joint: int) -> Iterator[tuple[str, str, FloatArray]]:
         samples, sign = records.samples, situation.sign[:, joint]

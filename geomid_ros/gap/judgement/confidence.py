@@ -82,10 +82,13 @@ class Evidence:
     def _others(self) -> list[Rival]:
         """The rivals but for one that contains the name: that fits as well by nature, but better only where needed."""
         open_here = bool(np.any(is_open(self.unseen)[list(joints_of(self.candidate.place))]))
-        return [rival for rival in self.rivals if not self._contains(rival) or rival.loss < 0.0 or open_here]
-
-    def _contains(self, rival: Rival) -> bool:
-        return EFFECTS[rival.effect].contains == self.candidate.name and rival.joint == self.joint
+        return [
+            rival
+            for rival in self.rivals
+            if (EFFECTS[rival.effect].contains, rival.joint) != (self.candidate.name, self.joint)
+            or rival.loss < 0.0
+            or open_here
+        ]
 
     @property
     def _rests_on_prior(self) -> bool:

@@ -46,12 +46,11 @@ class HeldOut:
         samples, measured = self._records.samples, self._records.rows(self._model).targets
         fits = (self._untouched, self._analysis.bare, self._analysis.names)
         before, middle, after = (measured - self._residual(found) for found in fits)
-        load = np.abs(after)
         return Trace(
             stamps=samples.stamps,
             position=samples.position,
             velocity=samples.velocity,
-            load=load,
+            load=np.abs(after),
             measured=measured,
             before=before,
             inertias_only=middle,

@@ -12,6 +12,7 @@ from geomid_ros.gap.fitting.fit import JointFit
 from geomid_ros.gap.result import Confidence
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.model.effects import AtSensor, Effect, OnLink, Quantity
+from geomid_ros.model.effects.parameters import quantities
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.types import FloatArray
 
@@ -41,10 +42,7 @@ def _of_payload(found: JointFit, effect: Effect, link: int) -> dict[str, Quantit
     values = pseudo_inertia.quantities_of(pseudo_inertia.to_parameters(found.point.pseudo_inertias[place]))
     derivative = physical_sensitivity(found.manifold, found.point, _STEP)[place]
     stds = np.sqrt(np.maximum(np.diag(derivative @ found.inverse[rows, rows] @ derivative.T), 0.0))
-    return {
-        form.name: Quantity(float(value), float(std), form.units[0])
-        for form, value, std in zip(effect.parameters, values, stds, strict=True)
-    }
+    return quantities(effect.parameters, zip(values, stds, strict=True))
 
 
 def _of_sensor(
@@ -53,10 +51,7 @@ def _of_sensor(
     """One parameter for each axis that the sensor measures."""
     forms = {form.name: form for form in effect.own}
     measured = [forms[model.channels[channel].axis] for channel in place.channels]
-    return {
-        form.name: Quantity(float(value), float(np.sqrt(variance)), form.units[0])
-        for form, value, variance in zip(measured, values, np.diag(covariance), strict=True)
-    }
+    return quantities(measured, zip(values, np.sqrt(np.diag(covariance)), strict=True))
 
 
 def link_name(model: MeasurementModel, candidate: Candidate) -> str:

@@ -13,7 +13,16 @@ from typing import ClassVar, Self, TypeAlias
 
 import numpy as np
 
-from geomid_ros.model.effects.parameters import ByEffect, ParameterForm, Quantities, Quantity, Values, without
+from geomid_ros.model.effects.parameters import (
+    ByEffect,
+    ParameterForm,
+    Quantities,
+    Quantity,
+    Values,
+    ValueStd,
+    quantities,
+    without,
+)
 from geomid_ros.model.effects.places import Place, PlaceKind, joint_of, joints_of
 from geomid_ros.model.effects.situation import JointMotion, Motion, Situation
 from geomid_ros.types import FloatArray
@@ -157,18 +166,9 @@ class Effect(ABC):
         values, jacobian = self.transformed(coefficients)
         stds = np.sqrt(np.maximum(np.einsum("ij,jk,ik->i", jacobian, covariance, jacobian), 0.0))
         found = [(float(value), float(std)) for value, std in zip(values, stds, strict=True)]
-        found += self.constants(found, unsure, usual_load)
-        return {
-            form.name: Quantity(value, std, form.units[sliding])
-            for form, (value, std) in zip(self.parameters, found, strict=False)
-        }
+        return quantities(self.parameters, [*found, *self.constants(found, unsure, usual_load)], sliding=sliding)
 
-    def constants(
-        self,
-        found: Sequence[tuple[float, float]],  # noqa: ARG002
-        unsure: float,
-        usual_load: float,  # noqa: ARG002
-    ) -> list[tuple[float, float]]:
+    def constants(self, found: Sequence[ValueStd], unsure: float, usual_load: float) -> list[ValueStd]:  # noqa: ARG002
         """Values and standard deviations of the parameters that are constants, from those ``found`` before."""
         return [(self.scanned, unsure * self.scanned)] if self.constant else []
 

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import TypeAlias
 
 COM_ENTRIES = ("com_x", "com_y", "com_z")
 EFFORT = ("N m", "N")
 
+ValueStd: TypeAlias = tuple[float, float]
+"""A parameter's value and standard deviation."""
 Values: TypeAlias = Mapping[str, float]
 """Values of an effect's parameters by name."""
 
@@ -36,6 +38,17 @@ Quantities: TypeAlias = Mapping[str, Quantity]
 """An effect's parameters by name."""
 ByEffect: TypeAlias = Mapping[str, Quantities]
 """The parameters of several effects at one place, by the effects' names."""
+
+
+def quantities(
+    forms: Iterable[ParameterForm], found: Iterable[ValueStd], *, sliding: bool = False
+) -> dict[str, Quantity]:
+    """The first of some parameters by name, from their values and standard deviations; ``sliding``: at a prismatic
+    joint."""
+    return {
+        form.name: Quantity(float(value), float(std), form.units[sliding])
+        for form, (value, std) in zip(forms, found, strict=False)
+    }
 
 
 @dataclass(frozen=True)
