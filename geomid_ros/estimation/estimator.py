@@ -260,10 +260,7 @@ def _effects(
     shares = [found.from_data(slice(column, column + 1)) for column in range(first, manifold.dimension)]
     return tuple(
         EffectEstimate(
-            name=c.effect.name,
-            joint=c.place_name,
-            parameters=c.parameters(float(value), float(s)),
-            from_data=share,
+            name=c.effect.name, joint=c.place_name, parameters=c.parameters(float(value), float(s)), from_data=share
         )
         for c, value, s, share in zip(model.coefficients, point.parameters[first:], std, shares, strict=True)
     )

@@ -151,12 +151,7 @@ def _check_possible(given: FloatArray, model: MeasurementModel) -> None:
 
 
 def _fitted_effects(
-    model: MeasurementModel,
-    factor: FloatArray,
-    count: float,
-    columns: IntArray,
-    parameters: FloatArray,
-    size: float,
+    model: MeasurementModel, factor: FloatArray, count: float, columns: IntArray, parameters: FloatArray, size: float
 ) -> FloatArray:
     """Coefficients of the effects among the ``columns`` of channels with the ``factor (rows, k + 1)`` of ``count``
     rows, whose measured values have this ``size``."""

@@ -107,12 +107,7 @@ def _sum(folds: Sequence[Fold], dimension: int) -> Fold:
 
 
 def error_covariance(
-    measured: FloatArray,
-    known: FloatArray,
-    trust: float,
-    weights: FloatArray,
-    factors: FloatArray,
-    spreads: FloatArray,
+    measured: FloatArray, known: FloatArray, trust: float, weights: FloatArray, factors: FloatArray, spreads: FloatArray
 ) -> FloatArray:
     """Covariance ``(D, D)`` of the estimate's error ``H^-1 (noise + W error of the prior)``.
 

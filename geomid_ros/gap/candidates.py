@@ -9,16 +9,7 @@ from typing import TypeAlias
 import numpy as np
 
 from geomid_ros.model.columns import Columns, JointColumn, column_of
-from geomid_ros.model.effects import (
-    EFFECTS,
-    AtSensor,
-    Effect,
-    JointMotion,
-    MotionEffect,
-    OnLink,
-    Place,
-    joints_of,
-)
+from geomid_ros.model.effects import EFFECTS, AtSensor, Effect, JointMotion, MotionEffect, OnLink, Place, joints_of
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.types import FloatArray
 

@@ -144,12 +144,7 @@ class MeasurementModel:
             forms = tuple(by_axis[axis] for axis in axes)
         for index, form in enumerate(forms):
             yield Coefficient(
-                effect=effect,
-                place=place,
-                index=index,
-                place_name=name,
-                parameter=form.name,
-                unit=form.units[sliding],
+                effect=effect, place=place, index=index, place_name=name, parameter=form.name, unit=form.units[sliding]
             )
 
     def _check_sensors(self) -> None:

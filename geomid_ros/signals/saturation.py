@@ -42,12 +42,7 @@ class SaturationDetector:
         self._moved = np.zeros(self._joints, dtype=np.bool_)  # while its effort has been the largest
 
     def saturated(
-        self,
-        stamp: int,
-        effort: FloatArray,
-        velocity: FloatArray,
-        moving: bool,
-        before: tuple[int, FloatArray] | None,
+        self, stamp: int, effort: FloatArray, velocity: FloatArray, moving: bool, before: tuple[int, FloatArray] | None
     ) -> BoolArray:
         """Take a message.
 

@@ -21,7 +21,6 @@ from geomid_ros.model.effects.parameters import (
     Values,
     ValueStd,
     quantities,
-    without,
 )
 from geomid_ros.model.effects.places import Place, PlaceKind, joint_of, joints_of
 from geomid_ros.model.effects.situation import JointMotion, Motion, Situation
@@ -197,7 +196,7 @@ class Effect(ABC):
         if cls.name not in found or cls.corrected_in_samples:
             return known, found
         own = {form.name: found[cls.name][form.name] for form in cls().own if form.name in found[cls.name]}
-        return {**known, **own}, without(found, cls.name)
+        return {**known, **own}, {name: other for name, other in found.items() if name != cls.name}
 
     @classmethod
     def together(cls, first: Quantities, second: Quantities) -> Quantities:

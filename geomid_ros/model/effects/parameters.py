@@ -69,11 +69,6 @@ class KnownEffect:
     parameters: Quantities
 
 
-def without(found: ByEffect, name: str) -> ByEffect:
-    """All effects but one."""
-    return {other: parameters for other, parameters in found.items() if other != name}
-
-
 @dataclass(frozen=True)
 class ParameterForm:
     """What a parameter is, apart from its value.

@@ -6,7 +6,7 @@ import numpy as np
 
 from geomid_ros.model.effects.coulomb_friction import SMOOTHINGS, CoulombFriction
 from geomid_ros.model.effects.effect import Effect, JointEffect
-from geomid_ros.model.effects.parameters import EFFORT, ByEffect, ParameterForm, Quantities, Values, without
+from geomid_ros.model.effects.parameters import EFFORT, ByEffect, ParameterForm, Quantities, Values
 from geomid_ros.model.effects.places import Place
 from geomid_ros.model.effects.situation import JointMotion, Motion
 from geomid_ros.types import FloatArray
@@ -76,7 +76,8 @@ class StribeckFriction(JointEffect):
         if not {cls.name, CoulombFriction.name} <= found.keys():
             return known, found
         own, left = super().refined(known, found)
-        return {**own, **left[CoulombFriction.name]}, without(left, CoulombFriction.name)
+        level = left[CoulombFriction.name]
+        return {**own, **level}, {name: other for name, other in left.items() if other is not level}
 
     @classmethod
     def holding_friction(cls, values: Values) -> float:
