@@ -55,7 +55,7 @@ class Records:
                     continue
                 period = _period(stretch)
                 step = max(1, round(1.0 / (THIN * cutoff * period)))
-                margin = _half(cutoff, period)
+                margin = round(0.5 / (cutoff * period)) + 1  # derivatives by time would reach beyond the ends
                 index = np.arange(margin, len(stretch) - margin, step)
                 if len(index) > 2:
                     dense.append(stretch)
@@ -88,8 +88,7 @@ class Records:
     def unsettled(self) -> FloatArray:
         """By how much two models of dry friction of level 1 differ ``(N, joints)``: much near reversals, where friction
         depends on the past."""
-        parts = [_unsettled(part)[index] for part, index in zip(self.dense, self.chosen, strict=True)]
-        return np.concatenate(parts)
+        return np.concatenate([_unsettled(part)[index] for part, index in zip(self.dense, self.chosen, strict=True)])
 
     def rows(self, model: MeasurementModel) -> Rows:
         """Rows of the inertias alone."""
@@ -226,11 +225,6 @@ def _advanced(part: Samples, seconds: float) -> Samples:
             beside_gaps = np.interp(times + seconds, times, measured.astype(np.float64)) < 1.0
             effort[:, joint] = np.where(beside_gaps, np.nan, known)
     return replace(part, effort=effort)
-
-
-def _half(cutoff: float, period: float) -> int:
-    """Samples at each end whose derivatives by time would reach beyond."""
-    return round(0.5 / (cutoff * period)) + 1
 
 
 def _period(part: Samples) -> float:

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from geomid_ros.gap import candidates as library
-from geomid_ros.gap.candidates import AnyCandidate, CurveCandidate, CurveTerm, EffectTerm, Term
+from geomid_ros.gap.candidates import CurveCandidate, CurveTerm, EffectTerm, Term
 from geomid_ros.gap.evidence.curves import Curves
 from geomid_ros.gap.evidence.noise import Autoregression, noise_by_repeats, runs_of
 from geomid_ros.gap.evidence.record import Records, TotalModel
@@ -54,35 +54,30 @@ def analyse(
     problem = LinearisedProblem(model, records, total)
     curves = Curves(model, records, problem.situation)
     has = {(term.effect.name, term.place) for term in prior.terms if isinstance(term, EffectTerm)}
-    names = [c for c in library.candidates(model) if c.effect.adds_up or c.group not in has]
-    columns = problem.columns(names, prior.terms, curves)
+    tried = [c for c in library.candidates(model) if c.effect.adds_up or c.group not in has]
+    columns = problem.columns(tried, prior.terms, curves)
     noise = (Autoregression.white(),) * len(model.channels)
-    bare = Search(problem.design(columns, noise), prior, names).fit([])
+    bare = Search(problem.design(columns, noise), prior, tried).fit([])
     noise = _flexible_noise(problem, columns, bare, problem.valid)
     floor: FloatArray | None = None
-    chosen: Sequence[AnyCandidate] = ()
     before: JointFit | None = None
     for attempt in range(_ROUNDS):
         progress("searching", attempt / _ROUNDS)
         problem = LinearisedProblem(model, records, total_model(model, bare) if attempt == 0 else total, floor)
-        columns = problem.columns(names, prior.terms, curves)
-        search = Search(problem.design(columns, noise), prior, names, curves.candidates)
-        found = search.without_absurd(search.fit(chosen))
+        columns = problem.columns(tried, prior.terms, curves)
+        search = Search(problem.design(columns, noise), prior, tried, curves.candidates)
+        found = search.without_absurd(search.fit(before.chosen if before else ()))
         final = attempt == _ROUNDS - 1
         if final or _near(total_model(model, found), total):
             found = search.without_absurd(search.settle(search.prune(found), to_the_end=final))
-        whole = found
         total = total_model(model, found)
-        last = final or _same(before, found)
-        before = found
-        if last:
-            found, whole = _with_and_without_curves(search, found)
-        chosen = found.chosen
-        if last:
+        if final or _same(before, found):
             break
+        before = found
         residual = problem.residual(columns, found)
         floor = _typical_size(residual, problem.valid)
         noise = _noise(residual, problem.valid, records)
+    names, whole = _with_and_without_curves(search, found)
     progress("searching", 1.0)
     residual = problem.residual(columns, whole)
     repeats = noise_by_repeats(model, records)
@@ -94,7 +89,7 @@ def analyse(
         search=search,
         curves=curves,
         bare=search.fit([]),
-        names=found,
+        names=names,
         whole=whole,
         noise=noise,
         floor=repeats.floor(_root_mean_square(residual, problem.valid) / np.sqrt(freedom)),
