@@ -134,8 +134,7 @@ class _QuadraticModel:
 
     @cached_property
     def _eigen(self) -> tuple[FloatArray, FloatArray]:
-        eigenvalues, basis = np.linalg.eigh(self._hessian)
-        return eigenvalues, basis
+        return np.linalg.eigh(self._hessian)
 
 
 def cyclic(objective: Objective, start: Point, tolerance: float = 1e-8, max_steps: int = 20000) -> Solution:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 from scipy.optimize import nnls
+from scipy.sparse.csgraph import connected_components
 
 from geomid_ros.errors import InputError
 from geomid_ros.estimation.summary import RowSummary, joined
@@ -112,15 +113,11 @@ def prior_parameters(model: MeasurementModel, summary: RowSummary, given: FloatA
 def _sharing_effects(model: MeasurementModel) -> list[list[int]]:
     """The channels with effects, those together that share one."""
     first = len(model.nominal_inertias)
-    groups: list[tuple[list[int], set[int]]] = []
-    for index, channel in enumerate(model.channels):
-        own = {int(column) for column in channel.columns if column >= first}
-        sharing = [group for group in groups if group[1] & own]
-        groups = [group for group in groups if not group[1] & own]
-        if own:
-            members = [member for group in sharing for member in group[0]]
-            groups.append(([*members, index], own.union(*(group[1] for group in sharing))))
-    return [members for members, _ in groups]
+    columns = range(first, model.dimension)
+    has = np.array([np.isin(columns, channel.columns) for channel in model.channels])
+    _, label = connected_components(has @ has.T)
+    with_effects = np.any(has, axis=1)
+    return [np.flatnonzero(with_effects & (label == group)).tolist() for group in np.unique(label[with_effects])]
 
 
 def _together(columns: list[IntArray], factors: list[FloatArray], sizes: FloatArray) -> tuple[IntArray, FloatArray]:

@@ -129,7 +129,7 @@ def find_gap(
         units=tuple(channel.unit for channel in bare.channels),
         floor=analysis.floor,
         gap=unseen.gap,
-        located=located(bare, records, first, np.abs(records.rows(bare).targets - first)),
+        located=located(bare, records, first, np.abs(bare.rows(records.samples).targets - first)),
         ranking=ranking(bare, analysis),
         trace=unseen.trace,
         bodies=bare.body_names,
@@ -155,7 +155,7 @@ def _check(model: MeasurementModel, records: Records) -> None:
             f"too short: {len(records.samples) if records.dense else 0} independent instants at the filter's cutoff, "
             f"at least {_FEWEST_ROWS} are needed; record half a minute of motion"
         )
-    targets = records.rows(model).targets
+    targets = model.rows(records.samples).targets
     if not np.any(np.isfinite(targets)):
         names = ", ".join(channel.name for channel in model.channels)
         raise InputError(f"no effort or wrench is measured: at least one of these channels is needed: {names}")
@@ -165,7 +165,7 @@ def _check(model: MeasurementModel, records: Records) -> None:
 
 def _check_held_out(model: MeasurementModel, held: Records) -> None:
     """Refuse held-out data that judge nothing."""
-    if not held.dense or not np.any(held.usable(model, held.rows(model).targets)):
+    if not held.dense or not np.any(held.usable(model, model.rows(held.samples).targets)):
         raise InputError(
             "nothing to judge on: in the data that are held out no joint whose effort is measured moves, and no wrench "
             "is measured, or they are too short; hold out more (--hold-out), or a recording in motion (--validate)"

@@ -114,9 +114,7 @@ class Sampler:
         self._waiting.clear()
 
     def _open_streams(self, grid: Grid) -> None:
-        def joint_segment() -> JointSegment:
-            return JointSegment(grid, len(self._continuous), self._effect_columns)
-
+        joint_segment = partial(JointSegment, grid, len(self._continuous), self._effect_columns)
         self._joint_stream = Stream(self._max_gap, joint_segment)
         self._streams = {JOINT_STATES: self._joint_stream}
         self._streams |= {topic: Stream(self._max_gap, partial(VectorSegment, grid)) for topic in self._wrenches}

@@ -38,14 +38,12 @@ BLOCKS = 8  # of time, for cross-validation
 @dataclass(frozen=True, eq=False)
 class ChannelProducts:
     """Products ``(K + 1, K + 1)`` of a channel's K whitened columns and of its target (the last but for a zero row for
-    what does not reach the channel), and those of each block of time; ``place`` of each term, ``count`` of rows,
-    ``inertial`` columns first."""
+    what does not reach the channel), and those of each block of time; ``place`` of each term, ``count`` of rows."""
 
     products: FloatArray
     blocks: FloatArray
     place: Mapping[Term, int]
     count: int
-    inertial: int
 
     def gather(self, terms: Sequence[Term]) -> list[int]:
         """Places of terms; those that are absent stand at the zero row."""
@@ -78,7 +76,7 @@ class Design:
             white = noise[channel].whiten(stacked, runs)
             blocks = np.array([np.pad(part.T @ part, ((0, 1), (0, 1))) for part in np.array_split(white, BLOCKS)])
             place = {term: coefficients.shape[2] + index for index, term in enumerate(terms)}
-            channels.append(ChannelProducts(np.sum(blocks, axis=0), blocks, place, len(white), coefficients.shape[2]))
+            channels.append(ChannelProducts(np.sum(blocks, axis=0), blocks, place, len(white)))
         return Design(tuple(channels), coefficients.shape[2])
 
     @property

@@ -15,7 +15,7 @@ from geomid_ros.model.columns import column_of, reached_joints
 from geomid_ros.model.dynamics import Dynamics
 from geomid_ros.model.effects import Effect, MotionEffect, Place, Situation, SituationEffect, joints_of
 from geomid_ros.model.effects.situation import Derivatives, OfLoad
-from geomid_ros.model.measurement import MeasurementModel, Rows
+from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.samples import Samples
 from geomid_ros.signals.kernels import filtered
 from geomid_ros.types import BoolArray, FloatArray, IntArray
@@ -89,10 +89,6 @@ class Records:
         """By how much two models of dry friction of level 1 differ ``(N, joints)``: much near reversals, where friction
         depends on the past."""
         return np.concatenate([_unsettled(part)[index] for part, index in zip(self.dense, self.chosen, strict=True)])
-
-    def rows(self, model: MeasurementModel) -> Rows:
-        """Rows of the inertias alone."""
-        return model.rows(self.samples)
 
     def situation(self, model: MeasurementModel, total: TotalModel) -> Situation:
         """What a ``model`` with the gravity, inertias and effects of ``total`` says."""

@@ -58,7 +58,7 @@ class LinearisedProblem:
     @cached_property
     def rows(self) -> Rows:
         """Rows of the inertias, with the targets changed."""
-        rows = self.records.rows(self.model)
+        rows = self.model.rows(self.records.samples)
         targets = rows.targets.copy()
         for effect, place, coefficients in self.total.absorbed:
             targets += effect.columns(self.situation, place) @ coefficients

@@ -31,18 +31,15 @@ Columns = dict[Term, dict[int, FloatArray]]
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Analysis:
-    """Where the search ended: the last ``problem`` with its ``columns`` and ``search``; the fit with ``names`` alone,
-    with curves for what they leave (``whole``), and without either (``bare``); each channel's ``noise``, its standard
-    deviation ``floor (C,)``, from repeats of a motion if there are any."""
+    """Where the search ended: the last ``problem`` and ``search``; the fit with ``names`` alone, with curves for what
+    they leave (``whole``), and without either (``bare``); the standard deviation of each channel's noise, ``floor
+    (C,)``, from repeats of a motion if there are any."""
 
     problem: LinearisedProblem
-    columns: Columns
     search: Search
-    curves: Curves
     bare: JointFit
     names: JointFit
     whole: JointFit
-    noise: tuple[Autoregression, ...]
     floor: FloatArray
 
 
@@ -85,13 +82,10 @@ def analyse(
     freedom = 1.0 - whole.parameters_by_channel(search.design) / np.where(counts > 0.0, counts, np.nan)
     return Analysis(
         problem=problem,
-        columns=columns,
         search=search,
-        curves=curves,
         bare=search.fit([]),
         names=names,
         whole=whole,
-        noise=noise,
         floor=repeats.floor(_root_mean_square(residual, problem.valid) / np.sqrt(freedom)),
     )
 
