@@ -99,11 +99,8 @@ def estimate_uncertainty(
 
 
 def _sum(folds: Sequence[Fold], dimension: int) -> Fold:
-    gradient, information = np.zeros(dimension), np.zeros((dimension, dimension))
-    for fold in folds:
-        gradient += fold.gradient
-        information += fold.information
-    return Fold(gradient, information)
+    gradient = sum((fold.gradient for fold in folds), np.zeros(dimension))
+    return Fold(gradient, sum((fold.information for fold in folds), np.zeros((dimension, dimension))))
 
 
 def error_covariance(

@@ -151,7 +151,7 @@ class MeasurementModel:
         for sensor in self.sensors:
             if sensor.role == "mounted":
                 self._check_mounted(sensor)
-            elif not self.robot.is_on_robot(sensor.frame):
+            elif sensor.frame not in self.robot.tree.links:
                 world = WORLD_FRAMES if self.robot.floating_base else ()
                 if sensor.frame not in world:
                     raise unknown_name("frame of an external wrench", sensor.frame, (*self.robot.tree.links, *world))
@@ -163,7 +163,7 @@ class MeasurementModel:
             raise InputError("of several external wrench sensors each must measure all six axes: their loads are added")
 
     def _check_mounted(self, sensor: WrenchSensor) -> None:
-        if not self.robot.is_on_robot(sensor.frame):
+        if sensor.frame not in self.robot.tree.links:
             raise unknown_name("frame of a mounted wrench sensor", sensor.frame, self.robot.tree.links)
         if not self.robot.is_divided_at(sensor.frame):
             raise InputError(
@@ -180,7 +180,7 @@ class MeasurementModel:
     def _efforts_usable(self) -> bool:
         """Whether all loads that reach the joints are known: not those of a force plate, which rest on some link, nor
         those of a floating base without sensors."""
-        on_robot = all(self.robot.is_on_robot(s.frame) and len(s.axes) == 6 for s in self._external)
+        on_robot = all(s.frame in self.robot.tree.links and len(s.axes) == 6 for s in self._external)
         return on_robot and (not self.robot.floating_base or bool(self._external))
 
     def without_effects(self) -> MeasurementModel:

@@ -168,10 +168,6 @@ class Robot:
                 "the two others; correct the <inertial> in the URDF"
             )
 
-    def is_on_robot(self, frame: str) -> bool:
-        """Whether ``frame`` is a link of the URDF (and not the world)."""
-        return frame in self.tree.links
-
     def is_divided_at(self, link: str) -> bool:
         """Whether the body of ``link`` begins there: it moves relative to its parent, or it is one of the cuts."""
         return link in self._heads
@@ -227,7 +223,7 @@ class Robot:
 
     def placement(self, frame: str) -> pin.SE3:
         """Placement of a link's frame in the world after :meth:`update_motion`; the identity for the world itself."""
-        if not self.is_on_robot(frame):
+        if frame not in self.tree.links:
             return pin.SE3.Identity()
         pinocchio_frame = self._model.frames[self._model.getFrameId(frame, pin.BODY)]
         return self._data.oMi[pinocchio_frame.parentJoint] * pinocchio_frame.placement

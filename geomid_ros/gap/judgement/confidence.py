@@ -72,7 +72,10 @@ class Evidence:
             return "tentative"
         if self.candidate.payload is not None and _may_weigh_nothing(parameters["mass"]):
             return "tentative"
-        return "confident" if self._sure or self._generalises else "tentative"
+        # Where the floor is reached the score can be trusted; else it takes errors of the model for noise.
+        design, whole = self.analysis.search.design, self.analysis.whole
+        sure = self._sure or (generalises(design, whole, self.candidate) and self._predicts)
+        return "confident" if sure else "tentative"
 
     @property
     def _is_ambiguous(self) -> bool:
@@ -135,11 +138,6 @@ class Evidence:
     @property
     def _is_hidden_by_others(self) -> bool:
         return self.share < CONFIDENT_SHARE and not (self._sure and self.loss > CONFIDENT_IN_THE_SHADE)
-
-    @property
-    def _generalises(self) -> bool:
-        """Where the floor is reached the score can be trusted; else it takes errors of the model for noise."""
-        return generalises(self.analysis.search.design, self.analysis.whole, self.candidate) and self._predicts
 
     @property
     def _largest_gear_loss(self) -> float:
