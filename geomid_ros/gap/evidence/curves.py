@@ -22,13 +22,14 @@ class Curves:
 
     def __init__(self, model: MeasurementModel, records: Records, situation: Situation) -> None:
         self._model = model
-        self._knots: dict[tuple[str, int], tuple[float, float]] = {}
-        joints = len(model.layout.efforts)
-        for joint in range(joints):
-            for kind, values in self._variables(records, situation, joint).items():
-                self._knots[kind, joint] = knots(values)
+        joints = model.layout.efforts
+        self._knots = {
+            (kind, joint): knots(values)
+            for joint in joints
+            for kind, values in self._variables(records, situation, joint).items()
+        }
         self._times = (int(records.samples.stamps[0]), int(records.samples.stamps[-1]))
-        self.candidates = [c for joint in range(joints) for c in self._candidates(records, situation, joint)]
+        self.candidates = [c for joint in joints for c in self._candidates(records, situation, joint)]
 
     @staticmethod
     def _variables(records: Records, situation: Situation, joint: int) -> dict[str, FloatArray]:

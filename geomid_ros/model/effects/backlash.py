@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from geomid_ros.model.effects.effect import Effect, Hinge, SituationEffect
-from geomid_ros.model.effects.parameters import ParameterForm, Values, ValueStd
+from geomid_ros.model.effects.parameters import Found, ParameterForm, Values
 from geomid_ros.model.effects.places import Place, joint_of
 from geomid_ros.model.effects.situation import Situation
 from geomid_ros.types import FloatArray
@@ -54,7 +54,7 @@ class Backlash(SituationEffect):
         side, rate, acceleration = (each[:, joint, self.crossing] for each in situation.of_load(sides))
         return 0.5 * situation.behind(joint, side, rate, acceleration)
 
-    def constants(self, found: Sequence[ValueStd], unsure: float, usual_load: float) -> list[ValueStd]:
+    def constants(self, found: Sequence[Found], unsure: float, usual_load: float) -> list[Found]:
         """The drag, against which the usual load crosses the gap in the time that was scanned."""
         ((gap, std),) = found
         drag = usual_load * self.scanned / gap

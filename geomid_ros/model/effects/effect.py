@@ -13,15 +13,7 @@ from typing import ClassVar, Self, TypeAlias
 
 import numpy as np
 
-from geomid_ros.model.effects.parameters import (
-    ByEffect,
-    ParameterForm,
-    Quantities,
-    Quantity,
-    Values,
-    ValueStd,
-    quantities,
-)
+from geomid_ros.model.effects.parameters import ByEffect, Found, ParameterForm, Quantities, Quantity, Values, quantities
 from geomid_ros.model.effects.places import Place, PlaceKind, joint_of, joints_of
 from geomid_ros.model.effects.situation import JointMotion, Motion, Situation
 from geomid_ros.types import FloatArray
@@ -167,7 +159,7 @@ class Effect(ABC):
         found = [(float(value), float(std)) for value, std in zip(values, stds, strict=True)]
         return quantities(self.parameters, [*found, *self.constants(found, unsure, usual_load)], sliding=sliding)
 
-    def constants(self, found: Sequence[ValueStd], unsure: float, usual_load: float) -> list[ValueStd]:  # noqa: ARG002
+    def constants(self, found: Sequence[Found], unsure: float, usual_load: float) -> list[Found]:  # noqa: ARG002
         """Values and standard deviations of the parameters that are constants, from those ``found`` before."""
         return [(self.scanned, unsure * self.scanned)] if self.constant else []
 

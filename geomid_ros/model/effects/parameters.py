@@ -10,7 +10,7 @@ from typing import TypeAlias
 COM_ENTRIES = ("com_x", "com_y", "com_z")
 EFFORT = ("N m", "N")
 
-ValueStd: TypeAlias = tuple[float, float]
+Found: TypeAlias = tuple[float, float]
 """A parameter's value and standard deviation."""
 Values: TypeAlias = Mapping[str, float]
 """Values of an effect's parameters by name."""
@@ -40,9 +40,7 @@ ByEffect: TypeAlias = Mapping[str, Quantities]
 """The parameters of several effects at one place, by the effects' names."""
 
 
-def quantities(
-    forms: Iterable[ParameterForm], found: Iterable[ValueStd], *, sliding: bool = False
-) -> dict[str, Quantity]:
+def quantities(forms: Iterable[ParameterForm], found: Iterable[Found], *, sliding: bool = False) -> dict[str, Quantity]:
     """The first of some parameters by name, from their values and standard deviations; ``sliding``: at a prismatic
     joint."""
     return {
