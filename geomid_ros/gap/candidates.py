@@ -133,11 +133,6 @@ class Candidate:
         return self.effect.positives
 
     @property
-    def scanned(self) -> float:
-        """The value of the constant that is scanned, 0 for an effect without one."""
-        return self.effect.scanned
-
-    @property
     def group(self) -> tuple[str, Place]:
         """Name and place: candidates of one group are the same effect with other constants."""
         return self.name, self.place

@@ -22,7 +22,8 @@ from .judged import CANDIDATES, JOINTS, MODEL, PAYLOAD, Fit, Judged, curve, name
 
 COULOMB, SPRING = named("coulomb_friction"), named("spring")
 STRIBECK = sorted(
-    (c for c in CANDIDATES if c.name == "stribeck_friction" and c.joint == 1), key=lambda candidate: candidate.scanned
+    (c for c in CANDIDATES if c.name == "stribeck_friction" and c.joint == 1),
+    key=lambda candidate: candidate.effect.scanned,
 )
 
 
@@ -87,7 +88,7 @@ def test_a_scanned_constant_is_as_sure_as_the_curvature_of_the_score_says(std: f
 
     def fit(chosen: Sequence[Candidate], _: Fit) -> Fit:
         (candidate,) = chosen
-        return Fit(5.0 + float(np.log(candidate.scanned / middle.scanned) / std) ** 2, np.ones(3))
+        return Fit(5.0 + float(np.log(candidate.effect.scanned / middle.effect.scanned) / std) ** 2, np.ones(3))
 
     analysis = analysis_with(judged, fit=fit, neighbours=lambda _: [STRIBECK[9], STRIBECK[11]])
     step = np.log(SPEEDS[1] / SPEEDS[0])
@@ -101,7 +102,7 @@ def test_a_scanned_constant_is_unsure_by_itself_where_the_score_says_nothing() -
     for around, slope in ((both[:1], 1.0), (both, 0.0), (both, -3.0)):
 
         def fit(chosen: Sequence[Candidate], _: Fit, slope: float = slope) -> Fit:
-            return Fit(slope * float(np.log(chosen[0].scanned / middle.scanned)) ** 2, np.ones(3))
+            return Fit(slope * float(np.log(chosen[0].effect.scanned / middle.effect.scanned)) ** 2, np.ones(3))
 
         own = {"fit": fit, "neighbours": lambda _, around=around: around}
         assert verdict._scanned_std(analysis_with(Judged(name=middle), **own), middle) == 1.0

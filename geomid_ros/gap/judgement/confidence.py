@@ -70,8 +70,8 @@ class Evidence:
             return "ambiguous"
         if self._is_weak or self._is_small or self._is_beside_unexplained or self._is_hidden_by_others:
             return "tentative"
-        if self.candidate.payload is not None and _may_weigh_nothing(parameters["mass"]):
-            return "tentative"
+        if self.candidate.payload is not None and not parameters["mass"].value > _SURE_OF_MASS * parameters["mass"].std:
+            return "tentative"  # it may weigh nothing
         # Where the floor is reached the score can be trusted; else it takes errors of the model for noise.
         design, whole = self.analysis.search.design, self.analysis.whole
         sure = self._sure or (generalises(design, whole, self.candidate) and self._predicts)
@@ -187,10 +187,6 @@ class Evidence:
         whole = self.analysis.whole
         without = self.analysis.search.without(whole, self.candidate)
         return float(np.sqrt(np.max(without.squares / whole.squares)))
-
-
-def _may_weigh_nothing(mass: Quantity) -> bool:
-    return not mass.value > _SURE_OF_MASS * mass.std
 
 
 def is_identified(analysis: Analysis) -> bool:
