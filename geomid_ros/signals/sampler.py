@@ -148,9 +148,8 @@ class Sampler:
 
     def _samples(self, grid: Grid, instants: range) -> Samples:
         count, joints = len(instants), len(self._continuous)
-        value, first, second = (
-            part.reshape(count, 3, joints) for part in self._joint_stream.segment.filtered(instants)
-        )
+        parts = self._joint_stream.segment.filtered(instants)
+        value, first, second = (part.reshape(count, 3, joints) for part in parts)
         position = value[:, 0]
         position[:, self._continuous] = np.remainder(position[:, self._continuous] + np.pi, 2.0 * np.pi) - np.pi
         velocity, acceleration = self._velocity.choose(value[:, 1], first[:, 1], first[:, 0], second[:, 0])

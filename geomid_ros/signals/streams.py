@@ -252,8 +252,8 @@ class PoseSegment(Segment):
         return range(-(-self._stamps[1] // period) + half, self._stamps[-2] // period + 1 - half)
 
     def filtered(self, instants: range) -> tuple[FloatArray, FloatArray, FloatArray]:
-        results = [self._filtered_at(instant) for instant in instants]
-        poses, velocities, accelerations = (np.array(part) for part in zip(*results, strict=True))
+        parts = zip(*map(self._filtered_at, instants), strict=True)
+        poses, velocities, accelerations = (np.array(part) for part in parts)
         return poses, velocities, accelerations
 
     def _filtered_at(self, instant: int) -> tuple[FloatArray, FloatArray, FloatArray]:

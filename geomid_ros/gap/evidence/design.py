@@ -97,11 +97,8 @@ class Design:
 
     def gather_blocks(self, bodies: Sequence[int], terms: Sequence[Term]) -> FloatArray:
         """The same for each block of time ``(C, blocks, n, n)``."""
-        found = []
-        for channel in self.channels:
-            index = self._places(channel, bodies, terms)
-            found.append(channel.blocks[:, index][:, :, index])
-        return np.array(found)
+        indices = [self._places(channel, bodies, terms) for channel in self.channels]
+        return np.array([c.blocks[:, index][:, :, index] for c, index in zip(self.channels, indices, strict=True)])
 
     def _places(self, channel: ChannelProducts, bodies: Sequence[int], terms: Sequence[Term]) -> list[int]:
         again = [10 * body + k for body in bodies for k in range(10)]

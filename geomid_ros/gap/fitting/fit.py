@@ -179,14 +179,13 @@ def _fit(
     score = 2.0 * found.value + _cost_of_spread(hessian[:first, :first], spread, prior)
     score += priors.cost_of_inflation(rows, inflation)
     score += sum(c.penalty for c in chosen) * float(np.log(np.max(counts, initial=1.0)))
-    squares = trusted.squares(point)
     return JointFit(
         chosen=tuple(chosen),
         terms=terms,
         point=point,
         manifold=manifold,
         score=score,
-        squares=squares,
+        squares=trusted.squares(point),
         information=hessian,
         spread=spread,
         inflation=inflation,
