@@ -10,26 +10,12 @@ import numpy as np
 from scipy.fft import dct
 
 from geomid_ros.errors import InputError, unknown_name
+from geomid_ros.estimation import starting_point, uncertainty
 from geomid_ros.estimation.estimate import QUANTITIES, EffectEstimate, Estimate, LinkEstimate, WeighedEstimate
 from geomid_ros.estimation.gamma import PAPER, choose_gamma
 from geomid_ros.estimation.objective import GeodesicObjective, ResidualObjective, residual_objective, trust_in_known
 from geomid_ros.estimation.solvers import SOLVERS, trust_region
-from geomid_ros.estimation.starting_point import (
-    channel_sizes,
-    first_sigmas,
-    prior_parameters,
-    scales_of_reals,
-    usual_spreads,
-)
 from geomid_ros.estimation.summary import RowSummary
-from geomid_ros.estimation.uncertainty import (
-    Fold,
-    ParameterGroup,
-    Uncertainty,
-    estimate_uncertainty,
-    links_information,
-    physical_sensitivity,
-)
 from geomid_ros.geometry import pseudo_inertia, spd
 from geomid_ros.geometry.manifold import ParameterManifold, Point
 from geomid_ros.model.measurement import MeasurementModel
@@ -115,12 +101,12 @@ def estimate(
     begin = time.perf_counter()
     if summary.rows == 0:
         raise InputError("no usable rows: nothing was measured, or the robot never moved")
-    sizes = channel_sizes(summary, model.dimension)
-    manifold = model.manifold(scales_of_reals(model, sizes))
-    prior_point = manifold.point(prior_parameters(model, summary, prior))
+    sizes = starting_point.channel_sizes(summary, model.dimension)
+    manifold = model.manifold(starting_point.scales_of_reals(model, sizes))
+    prior_point = manifold.point(starting_point.prior_parameters(model, summary, prior))
     known = weighed_rows(model, settings.known)
     configured = _configured_sigmas(model, settings)
-    sigmas = np.where(np.isfinite(configured), configured, first_sigmas(summary, model.dimension))
+    sigmas = np.where(np.isfinite(configured), configured, starting_point.first_sigmas(summary, model.dimension))
     gamma = warm.gamma if warm else settings.gamma
     if gamma is None and settings.objective == "geodesic":
         gamma = PAPER
@@ -140,7 +126,7 @@ def estimate(
         prior_weights = geodesic.prior_weights
         solution = SOLVERS[settings.solver](geodesic, solution.point, tolerance, settings.max_steps)
     folds = _folds(summary, sigmas, manifold, solution.point)
-    found = estimate_uncertainty(
+    found = uncertainty.estimate_uncertainty(
         folds,
         _rows_at(manifold, solution.point, known.rows, known.targets),
         trust_in_known(objective.prior_weight),
@@ -161,16 +147,11 @@ def estimate(
         parameters=solution.point.parameters,
         channels=tuple(channel.name for channel in model.channels),
         sigmas=frozen(sigmas),
-        rms_nominal=frozen(summary.rms(nominal_parameters(model))),
+        rms_nominal=frozen(summary.rms(model.nominal_parameters)),
         rms=frozen(summary.rms(solution.point.parameters)),
-        information=links_information(manifold, prior_point, solution.point, measured, known, found),
+        information=uncertainty.links_information(manifold, prior_point, solution.point, measured, known, found),
         known=_known(known, manifold, solution.point, found),
     )
-
-
-def nominal_parameters(model: MeasurementModel) -> FloatArray:
-    """The nominal model ``(D,)``: the URDF's inertias and no effects."""
-    return np.concatenate([model.nominal_inertias, np.zeros(len(model.coefficients))])
 
 
 def _configured_sigmas(model: MeasurementModel, settings: EstimatorSettings) -> FloatArray:
@@ -200,32 +181,34 @@ def _geodesic_objective(objective: ResidualObjective) -> GeodesicObjective:
     )
 
 
-def _folds(summary: RowSummary, sigmas: FloatArray, manifold: ParameterManifold, point: Point) -> list[Fold]:
+def _folds(
+    summary: RowSummary, sigmas: FloatArray, manifold: ParameterManifold, point: Point
+) -> list[uncertainty.Fold]:
     """The folds that have rows."""
     contents = (summary.compressed(sigmas, manifold.dimension, [fold]) for fold in range(summary.folds))
     return [_rows_at(manifold, point, rows, targets) for rows, targets in contents if len(rows)]
 
 
-def _rows_at(manifold: ParameterManifold, point: Point, rows: FloatArray, targets: FloatArray) -> Fold:
+def _rows_at(manifold: ParameterManifold, point: Point, rows: FloatArray, targets: FloatArray) -> uncertainty.Fold:
     normals = manifold.whiten(point, rows)
-    return Fold((rows @ point.parameters - targets) @ normals, normals.T @ normals)
+    return uncertainty.Fold((rows @ point.parameters - targets) @ normals, normals.T @ normals)
 
 
-def _parameter_groups(model: MeasurementModel, manifold: ParameterManifold) -> list[ParameterGroup]:
+def _parameter_groups(model: MeasurementModel, manifold: ParameterManifold) -> list[uncertainty.ParameterGroup]:
     """The links' coordinates, and each effect's at all joints."""
-    first, usual = manifold.inertial.stop, usual_spreads(manifold)
+    first, usual = manifold.inertial.stop, starting_point.usual_spreads(manifold)
     names = np.array([coefficient.effect.name for coefficient in model.coefficients])
     effects = [first + np.flatnonzero(names == name) for name in dict.fromkeys(names)]
-    return [ParameterGroup(columns, float(usual[columns[0]])) for columns in (np.arange(first), *effects)]
+    return [uncertainty.ParameterGroup(columns, float(usual[columns[0]])) for columns in (np.arange(first), *effects)]
 
 
 def _links(
-    model: MeasurementModel, manifold: ParameterManifold, prior: Point, point: Point, found: Uncertainty
+    model: MeasurementModel, manifold: ParameterManifold, prior: Point, point: Point, found: uncertainty.Uncertainty
 ) -> tuple[LinkEstimate, ...]:
     parameters = pseudo_inertia.to_parameters(point.pseudo_inertias)
     values = pseudo_inertia.quantities_of(parameters)
     central = pseudo_inertia.central_inertia(parameters)
-    sensitivity = physical_sensitivity(manifold, point)
+    sensitivity = uncertainty.physical_sensitivity(manifold, point)
     distances = spd.distance(prior.pseudo_inertias, point.pseudo_inertias)
     ratios = spd.relative_eigenvalues(prior.pseudo_inertias, point.pseudo_inertias)[:, 0]
     links = []
@@ -257,7 +240,7 @@ def _links(
 
 
 def _effects(
-    model: MeasurementModel, manifold: ParameterManifold, point: Point, found: Uncertainty
+    model: MeasurementModel, manifold: ParameterManifold, point: Point, found: uncertainty.Uncertainty
 ) -> tuple[EffectEstimate, ...]:
     first = manifold.inertial.stop
     _, diagonal = manifold.jacobian(point)
@@ -265,17 +248,14 @@ def _effects(
     shares = [found.from_data(slice(column, column + 1)) for column in range(first, manifold.dimension)]
     return tuple(
         EffectEstimate(
-            name=c.effect.name,
-            joint=c.place_name,
-            parameters=c.parameters(float(value), float(s)),
-            from_data=share,
+            name=c.effect.name, joint=c.place_name, parameters=c.parameters(float(value), float(s)), from_data=share
         )
         for c, value, s, share in zip(model.coefficients, point.parameters[first:], std, shares, strict=True)
     )
 
 
 def _known(
-    known: WeighedRows, manifold: ParameterManifold, point: Point, found: Uncertainty
+    known: WeighedRows, manifold: ParameterManifold, point: Point, found: uncertainty.Uncertainty
 ) -> tuple[WeighedEstimate, ...]:
     normals = manifold.whiten(point, known.rows)
     stds = np.sqrt(np.einsum("ki,ij,kj->k", normals, found.covariance, normals))

@@ -152,15 +152,12 @@ class RowSummary:
         copy = RowSummary(self.channels, self.folds, self._block, self._forgetting_time)
         copy._instants, copy._time = self._instants, self._time
         copy.rows, copy.weight = self.rows, self.weight
-        copy._summaries = [[replace(part) for part in fold] for fold in self._parts_by_fold()]
+        copy._summaries = [[replace(part) for part in fold] for fold in zip(*self.parts(), strict=True)]
         return copy
-
-    def _parts_by_fold(self) -> list[list[ChannelSummary]]:
-        return [list(fold) for fold in zip(*self.parts(), strict=True)]
 
     def state(self) -> SummaryState:
         """The state, everything added so far included."""
-        folds = self._parts_by_fold()
+        folds = list(zip(*self.parts(), strict=True))
         counts = np.array([[part.count for part in fold] for fold in folds])
         factors = tuple(tuple(part.factor for part in fold) for fold in folds)
         return SummaryState(self._instants, self._time, self.rows, self.weight, counts, factors)
@@ -224,8 +221,7 @@ class RowSummary:
 
 def usable(coefficients: FloatArray, targets: FloatArray) -> BoolArray:
     """Which rows ``(N, D)`` have a target ``(N,)`` and coefficients that are numbers: a single NaN would spoil all."""
-    result: BoolArray = np.isfinite(targets) & np.all(np.isfinite(coefficients), axis=1)
-    return result
+    return np.asarray(np.isfinite(targets) & np.all(np.isfinite(coefficients), axis=1))
 
 
 def _checked(factor: FloatArray, channel: Channel) -> FloatArray:

@@ -9,16 +9,7 @@ from typing import TypeAlias
 import numpy as np
 
 from geomid_ros.model.columns import Columns, JointColumn, column_of
-from geomid_ros.model.effects import (
-    EFFECTS,
-    AtSensor,
-    Effect,
-    JointMotion,
-    MotionEffect,
-    OnLink,
-    Place,
-    joints_of,
-)
+from geomid_ros.model.effects import EFFECTS, AtSensor, Effect, JointMotion, MotionEffect, OnLink, Place, joints_of
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.types import FloatArray
 
@@ -58,7 +49,6 @@ def library_columns(model: MeasurementModel) -> Columns:
     found = [
         column_of(effect, place)
         for cls in EFFECTS.values()
-        if issubclass(cls, MotionEffect)
         for effect in cls.variants()
         if isinstance(effect, MotionEffect)
         for place in model.places.of(effect)
@@ -143,11 +133,6 @@ class Candidate:
         return self.effect.positives
 
     @property
-    def scanned(self) -> float:
-        """The value of the constant that is scanned, 0 for an effect without one."""
-        return self.effect.scanned
-
-    @property
     def group(self) -> tuple[str, Place]:
         """Name and place: candidates of one group are the same effect with other constants."""
         return self.name, self.place
@@ -181,21 +166,19 @@ AnyCandidate: TypeAlias = Candidate | CurveCandidate
 
 def candidates(model: MeasurementModel) -> list[Candidate]:
     """All names for a robot with its sensors."""
-    found = [candidate for cls in EFFECTS.values() for candidate in _candidates_of(cls, model)]
+    found = [
+        Candidate.of(effect, place, scout=not effect.scanned or index % _SCOUTS == 0)
+        for cls in EFFECTS.values()
+        for index, effect in enumerate(cls.variants())
+        for place in model.places.of(effect)
+    ]
     return sorted(found, key=_order)
 
 
 def _order(candidate: Candidate) -> tuple[int, int]:
     """Joint by joint; then the whole robot, payloads, sensors."""
-    kinds = ("joint", "joints", "robot", "link", "sensor")
-    kind = kinds.index(candidate.effect.place)
+    kind = ("joint", "joints", "robot", "link", "sensor").index(candidate.effect.place)
     return kind, candidate.joint or 0 if kind == 0 else 0
-
-
-def _candidates_of(cls: type[Effect], model: MeasurementModel) -> Iterator[Candidate]:
-    for index, effect in enumerate(cls.variants()):
-        for place in model.places.of(effect):
-            yield Candidate.of(effect, place, scout=not effect.scanned or index % _SCOUTS == 0)
 
 
 def _terms(effect: Effect, place: Place) -> Iterator[EffectTerm]:

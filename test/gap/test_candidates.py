@@ -78,8 +78,8 @@ def test_the_order_is_joint_by_joint_then_the_robot_then_links() -> None:
 def test_every_fourth_of_many_constants_is_a_scout(name: str, count: int) -> None:
     own = named(name, 0)
     assert [candidate.scout for candidate in own] == [place % 4 == 0 for place in range(count)]
-    assert [candidate.scanned for candidate in own] == sorted(candidate.scanned for candidate in own)
-    assert all(candidate.scout for candidate in ALL if not candidate.scanned)
+    assert [candidate.effect.scanned for candidate in own] == sorted(candidate.effect.scanned for candidate in own)
+    assert all(candidate.scout for candidate in ALL if not candidate.effect.scanned)
 
 
 def one(name: str, joint: int | None = None) -> Candidate:

@@ -92,7 +92,7 @@ def test_the_information_is_that_of_gaussian_rows() -> None:
     of_known = own.known[:, :-1].T @ own.known[:, :-1]
     expected = jacobian.T @ (of_rows + of_known) @ jacobian
     np.testing.assert_allclose(own.evaluate(start).information, expected, rtol=1e-9, atol=1e-9)
-    assert (own.scale, own.prior_weight) == (CHANNELS * ROWS, 1.0)
+    assert own.scale == CHANNELS * ROWS
 
 
 def test_no_sum_of_squares_is_less_than_the_least() -> None:

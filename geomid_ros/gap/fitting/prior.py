@@ -56,8 +56,7 @@ def _ball(mass: float, centre: FloatArray) -> FloatArray:
     pseudo = mass * np.diag([_PAYLOAD_SIZE**2] * 3 + [1.0])
     pseudo[:3, :3] += mass * np.outer(centre, centre)
     pseudo[:3, 3] = pseudo[3, :3] = mass * centre
-    result: FloatArray = pseudo_inertia.to_parameters(pseudo)
-    return result
+    return pseudo_inertia.to_parameters(pseudo)
 
 
 def centred_payloads(objective: ProfileObjective, point: Point, payloads: int) -> Point:

@@ -17,27 +17,21 @@ class LoadFriction(SituationEffect):
     meaning = "effort coefficient |tau| sign(v)"
     parameters = (ParameterForm("coefficient", ("-", "-"), above=0.0, below=1.0),)
     settled_by = "the same motion with a known payload and without"
+    largest = 1.0  # nothing of the effort would pass
 
     @property
     def positives(self) -> int:
         """It is no motor."""
         return 1
 
-    def is_absurd(self, coefficients: FloatArray) -> bool:
-        """Whether nothing of the effort would pass."""
-        return bool(abs(coefficients[0]) > 1.0)
-
     def columns(self, situation: Situation, place: Place) -> FloatArray:
         joint = joint_of(place)
-        columns = np.zeros((*situation.predicted.shape, 1))
-        columns[:, joint, 0] = np.abs(situation.load[:, joint]) * situation.sign[:, joint]
-        return columns
+        return situation.column_of(joint, np.abs(situation.load[:, joint]) * situation.sign[:, joint])
 
     @classmethod
     def dry_friction(cls, coefficient: float, load: FloatArray) -> FloatArray:
         """In proportion to the load."""
-        result: FloatArray = abs(coefficient) * np.abs(load)
-        return result
+        return abs(coefficient) * np.abs(load)
 
     @classmethod
     def friction_by_load(cls, values: Values) -> float:
