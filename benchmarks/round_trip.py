@@ -18,7 +18,7 @@ from rich.table import Table
 
 import geomid_ros
 from geomid_ros.files.models.loaded_model import LoadedModel
-from geomid_ros.model.effects import EFFECTS, ModelEffect, Quantity
+from geomid_ros.model.effects import EFFECTS, KnownEffect, Quantity
 from geomid_ros.model.sensors import WrenchSensor
 from geomid_ros.session.gap_simulation import write_found
 from geomid_ros.simulation import EFFECTS as HIDEABLE
@@ -57,7 +57,7 @@ class Planted:
         """The same."""
         return [WrenchSensor.parse(text) for text in self.wrench]
 
-    def is_at(self, found: ModelEffect) -> bool:
+    def is_at(self, found: KnownEffect) -> bool:
         """Whether an effect that was found is this one."""
         place = found.link if self.is_payload else found.joint
         return (found.effect, place) == (self.effect, self.place)

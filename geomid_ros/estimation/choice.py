@@ -203,7 +203,9 @@ class _Fit:
         """By how much each of other ``columns`` would improve the likelihood, by the score test; 0 for a coefficient
         that would have a sign that it cannot have."""
         products = np.einsum("c,fcij->ij", self.weights, self.rows.products)
-        slopes = products[np.ix_(columns, [*self.columns, self.rows.size])] @ np.append(self.point.parameters, -1.0)
+        slopes = products[np.ix_(columns, np.append(self.columns, self.rows.size))] @ np.append(
+            self.point.parameters, -1.0
+        )
         shared = self.objective.manifold.whiten(self.point, products[np.ix_(columns, self.columns)])
         squares = np.diag(products)[columns]
         left = squares - np.sum((shared @ np.linalg.inv(self.hessian)) * shared, axis=1)

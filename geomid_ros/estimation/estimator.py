@@ -10,21 +10,13 @@ import numpy as np
 from scipy.fft import dct
 
 from geomid_ros.errors import InputError, unknown_name
-from geomid_ros.estimation.estimate import QUANTITIES, EffectEstimate, Estimate, LinkEstimate, WeighedEstimate
+from geomid_ros.estimation import starting_point, uncertainty
 from geomid_ros.estimation.choice import choose
-from geomid_ros.estimation.fit import Fit, Problem, fit, subproblem
+from geomid_ros.estimation.estimate import QUANTITIES, EffectEstimate, Estimate, LinkEstimate, WeighedEstimate
+from geomid_ros.estimation.fit import INDEPENDENT, Fit, Problem, fit, subproblem
 from geomid_ros.estimation.objective import GeodesicObjective, ResidualObjective
 from geomid_ros.estimation.solvers import SOLVERS
-from geomid_ros.estimation.starting_point import usual_spreads
 from geomid_ros.estimation.summary import RowSummary
-from geomid_ros.estimation.uncertainty import (
-    Fold,
-    ParameterGroup,
-    Uncertainty,
-    estimate_uncertainty,
-    links_information,
-    physical_sensitivity,
-)
 from geomid_ros.geometry import pseudo_inertia, spd
 from geomid_ros.geometry.manifold import ParameterManifold, Point
 from geomid_ros.model.measurement import MeasurementModel
@@ -33,7 +25,6 @@ from geomid_ros.types import FloatArray, IntArray, frozen
 
 OBJECTIVES = ("residual", "geodesic")
 _ROUNDING = 1e-9
-_ROWS_PER_CUTOFF = 2.67  # periods: the filter leaves nothing above 1.5 times the cutoff
 # A quantity is called identifiable when the data at least halved the standard deviation that the prior alone leaves.
 _IDENTIFIABLE = 0.5
 
@@ -43,8 +34,8 @@ class EstimatorSettings:
     """How to solve. Raises InputError for values that cannot be.
 
     Attributes:
-        gamma: Weight of the prior as a share of the rows' (the paper's is 0.01), the same for all links; None to find it
-            for each link from the data.
+        gamma: Weight of the prior as a share of the rows' (the paper's is 0.01), the same for all links; None to find
+            that of each link from the data.
         sigma: Standard deviations by channel name where they are known; others are estimated from the residuals.
         objective: ``residual`` (Remark 3) or ``geodesic`` (19).
         solver: Of the geodesic objective: ``trust_region`` or ``cyclic``.
@@ -128,7 +119,7 @@ def estimate(
 
 def _independent(summary: RowSummary, cutoff: float) -> float:
     """The share of the rows that counts."""
-    return float(np.clip(_ROWS_PER_CUTOFF * cutoff * summary.period, 0.0, 1.0)) or 1.0
+    return float(np.clip(INDEPENDENT * cutoff * summary.period, 0.0, 1.0)) or 1.0
 
 
 def _estimate(
@@ -147,7 +138,7 @@ def _estimate(
         solution = SOLVERS[settings.solver](geodesic, solution.point, tolerance, settings.max_steps)
     measured = problem.rows(fitted.sigmas)
     folds = _folds(summary, fitted.sigmas, manifold, solution.point)
-    found = estimate_uncertainty(
+    found = uncertainty.estimate_uncertainty(
         folds,
         _rows_at(manifold, solution.point, known.rows, known.targets),
         1.0 / problem.independent,
@@ -170,16 +161,11 @@ def _estimate(
         parameters=frozen(parameters),
         channels=tuple(channel.name for channel in model.channels),
         sigmas=frozen(fitted.sigmas[: len(model.channels)]),
-        rms_nominal=frozen(summary.rms(nominal_parameters(model))),
+        rms_nominal=frozen(summary.rms(model.nominal_parameters)),
         rms=frozen(summary.rms(solution.point.parameters)),
-        information=links_information(manifold, prior_point, solution.point, measured, known, found),
+        information=uncertainty.links_information(manifold, prior_point, solution.point, measured, known, found),
         known=_known(known, manifold, solution.point, found),
     )
-
-
-def nominal_parameters(model: MeasurementModel) -> FloatArray:
-    """The nominal model ``(D,)``: the URDF's inertias and no effects."""
-    return np.concatenate([model.nominal_inertias, np.zeros(len(model.coefficients))])
 
 
 def _configured_sigmas(model: MeasurementModel, settings: EstimatorSettings) -> FloatArray:
@@ -209,32 +195,34 @@ def _geodesic_objective(objective: ResidualObjective) -> GeodesicObjective:
     )
 
 
-def _folds(summary: RowSummary, sigmas: FloatArray, manifold: ParameterManifold, point: Point) -> list[Fold]:
+def _folds(
+    summary: RowSummary, sigmas: FloatArray, manifold: ParameterManifold, point: Point
+) -> list[uncertainty.Fold]:
     """The folds that have rows."""
     contents = (summary.compressed(sigmas, manifold.dimension, [fold]) for fold in range(summary.folds))
     return [_rows_at(manifold, point, rows, targets) for rows, targets in contents if len(rows)]
 
 
-def _rows_at(manifold: ParameterManifold, point: Point, rows: FloatArray, targets: FloatArray) -> Fold:
+def _rows_at(manifold: ParameterManifold, point: Point, rows: FloatArray, targets: FloatArray) -> uncertainty.Fold:
     normals = manifold.whiten(point, rows)
-    return Fold((rows @ point.parameters - targets) @ normals, normals.T @ normals)
+    return uncertainty.Fold((rows @ point.parameters - targets) @ normals, normals.T @ normals)
 
 
-def _parameter_groups(model: MeasurementModel, manifold: ParameterManifold) -> list[ParameterGroup]:
+def _parameter_groups(model: MeasurementModel, manifold: ParameterManifold) -> list[uncertainty.ParameterGroup]:
     """The links' coordinates, and each effect's at all joints."""
-    first, usual = manifold.inertial.stop, usual_spreads(manifold)
+    first, usual = manifold.inertial.stop, starting_point.usual_spreads(manifold)
     names = np.array([coefficient.effect.name for coefficient in model.coefficients])
     effects = [first + np.flatnonzero(names == name) for name in dict.fromkeys(names)]
-    return [ParameterGroup(columns, float(usual[columns[0]])) for columns in (np.arange(first), *effects)]
+    return [uncertainty.ParameterGroup(columns, float(usual[columns[0]])) for columns in (np.arange(first), *effects)]
 
 
 def _links(
-    model: MeasurementModel, manifold: ParameterManifold, prior: Point, point: Point, found: Uncertainty
+    model: MeasurementModel, manifold: ParameterManifold, prior: Point, point: Point, found: uncertainty.Uncertainty
 ) -> tuple[LinkEstimate, ...]:
     parameters = pseudo_inertia.to_parameters(point.pseudo_inertias)
     values = pseudo_inertia.quantities_of(parameters)
     central = pseudo_inertia.central_inertia(parameters)
-    sensitivity = physical_sensitivity(manifold, point)
+    sensitivity = uncertainty.physical_sensitivity(manifold, point)
     distances = spd.distance(prior.pseudo_inertias, point.pseudo_inertias)
     ratios = spd.relative_eigenvalues(prior.pseudo_inertias, point.pseudo_inertias)[:, 0]
     links = []
@@ -266,7 +254,7 @@ def _links(
 
 
 def _effects(
-    model: MeasurementModel, manifold: ParameterManifold, point: Point, found: Uncertainty
+    model: MeasurementModel, manifold: ParameterManifold, point: Point, found: uncertainty.Uncertainty
 ) -> tuple[EffectEstimate, ...]:
     first = manifold.inertial.stop
     _, diagonal = manifold.jacobian(point)
@@ -274,17 +262,14 @@ def _effects(
     shares = [found.from_data(slice(column, column + 1)) for column in range(first, manifold.dimension)]
     return tuple(
         EffectEstimate(
-            name=c.effect.name,
-            joint=c.place_name,
-            parameters=c.parameters(float(value), float(s)),
-            from_data=share,
+            name=c.effect.name, joint=c.place_name, parameters=c.parameters(float(value), float(s)), from_data=share
         )
         for c, value, s, share in zip(model.coefficients, point.parameters[first:], std, shares, strict=True)
     )
 
 
 def _known(
-    known: WeighedRows, manifold: ParameterManifold, point: Point, found: Uncertainty
+    known: WeighedRows, manifold: ParameterManifold, point: Point, found: uncertainty.Uncertainty
 ) -> tuple[WeighedEstimate, ...]:
     normals = manifold.whiten(point, known.rows)
     stds = np.sqrt(np.einsum("ki,ij,kj->k", normals, found.covariance, normals))

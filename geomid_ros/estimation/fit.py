@@ -31,6 +31,8 @@ from geomid_ros.types import FloatArray, IntArray
 
 CERTAINTY = 20.0
 """The usual spread counts as much as the directions of two links."""
+INDEPENDENT = 2.67
+"""Independent rows per period of the filter's cutoff, which leaves nothing above 1.5 times this frequency."""
 _ROUNDS = 30
 _SETTLED = 1e-3  # relative change of standard deviations and spreads
 _COARSE = 1e-6

@@ -113,7 +113,8 @@ class Identifier:
         weighed_rows(model, self._task.settings.known)
         self._lock = threading.Lock()
         self._held = 0
-        self._instants = 0
+        self.instants = 0
+        """How many instants had new rows so far: the number of the next one."""
         self._begin_anew()
 
     def _begin_anew(self) -> None:
@@ -149,9 +150,11 @@ class Identifier:
                 else:
                     moving[index] = True
                     targets = np.where(measured, rows.targets[index], np.nan)
-                    self._recent.append(Instant(self._instants, rows.coefficients[index], targets, elapsed, unsettled[index]))
-                    self._instants += 1
-                    self._settle_before(self._instants - self._held)
+                    self._recent.append(
+                        Instant(self.instants, rows.coefficients[index], targets, elapsed, unsettled[index])
+                    )
+                    self.instants += 1
+                    self._settle_before(self.instants - self._held)
         return samples.stamps[moving], Rows(rows.coefficients[moving], rows.targets[moving])
 
     def _unsettled(self, samples: Samples) -> BoolArray:
@@ -174,7 +177,7 @@ class Identifier:
         """Hold so many last instants (none at first), whose rows can still be left out; settle earlier ones."""
         with self._lock:
             self._held = instants
-            self._settle_before(self._instants - instants)
+            self._settle_before(self.instants - instants)
 
     def settle(self, before: int) -> None:
         """Keep the rows of instants ``before`` this number for good; a thread that adds meanwhile hardly waits."""
@@ -224,11 +227,6 @@ class Identifier:
     @property
     def _taken(self) -> int:
         return self._summary.rows + self._recent.rows
-
-    @property
-    def instants(self) -> int:
-        """How many instants had new rows so far: the number of the next one."""
-        return self._instants
 
     @property
     def counts(self) -> RowCounts:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
@@ -48,23 +49,17 @@ class Objective(Protocol):
     def scale(self) -> float:
         """The natural size of a gradient: the sum of all weights."""
 
-    @property
-    def prior_weight(self) -> float:
-        """The factor of the squared distance to the prior."""
-
     def evaluate(self, point: Point) -> Evaluation:
         """Value, gradient and Hessian at ``point``."""
 
 
 @dataclass(frozen=True, eq=False)
-class GeodesicObjective:
-    """(19) for the rows of ``rows . parameters = targets``.
-
-    A row whose hyperplane has no projection from the prior is set aside.
+class _WeightedObjective(ABC):
+    """What the two objectives have in common.
 
     Attributes:
         manifold: Where the parameters live.
-        rows, targets, sigmas: ``(N, D)``, ``(N,)`` and standard deviations ``(N,)``.
+        rows, targets, sigmas: ``(N, D)``, ``(N,)`` and standard deviations ``(N,)`` of ``rows . parameters = targets``.
         prior: The point that distances are measured from.
         gamma: Weight of the prior as a share of the sum of the rows' weights.
         confidence: Multiplies gamma: one number, or one per coordinate ``(D,)``, equal within a block.
@@ -78,6 +73,20 @@ class GeodesicObjective:
     gamma: float
     confidence: FloatArray | float = field(default=1.0, kw_only=True)
 
+    @property
+    @abstractmethod
+    def prior_weight(self) -> float:
+        """The factor of the squared distance to the prior."""
+
+    @cached_property
+    def prior_weights(self) -> FloatArray:
+        """The same by coordinate, ``(D,)``."""
+        return frozen(self.prior_weight * self.confidence * np.ones(self.manifold.dimension))
+
+
+class GeodesicObjective(_WeightedObjective):
+    """(19) for the rows; one whose hyperplane has no projection from the prior is set aside."""
+
     @cached_property
     def weights(self) -> FloatArray:
         """Remark 2: ``w_i = a_i^T M^-1 a_i / sigma_i^2`` with M the metric at the prior; 0 for rows set aside."""
@@ -86,8 +95,7 @@ class GeodesicObjective:
     @cached_property
     def set_aside(self) -> BoolArray:
         """Rows that take no part because Proposition 2 gives them no projection from the prior, ``(N,)``."""
-        result: BoolArray = self._at_prior[1] != projection.ROOT
-        return result
+        return np.asarray(self._at_prior[1] != projection.ROOT)
 
     @cached_property
     def value_at_prior(self) -> float:
@@ -113,11 +121,6 @@ class GeodesicObjective:
     def prior_weight(self) -> float:
         """The factor of the squared distance to the prior in (19)."""
         return float(self.gamma * np.sum(self.weights))
-
-    @cached_property
-    def prior_weights(self) -> FloatArray:
-        """The same by coordinate, ``(D,)``."""
-        return frozen(self.prior_weight * self.confidence * np.ones(self.manifold.dimension))
 
     @cached_property
     def scale(self) -> float:
@@ -148,24 +151,15 @@ class GeodesicObjective:
         )
 
 
-@dataclass(frozen=True, eq=False)
-class ResidualObjective:
+class ResidualObjective(_WeightedObjective):
     """Remark 3: ``sum (a_i . parameters - b_i)^2 / sigma_i^2 + gamma sum(w) d(Phi, Phi_0)^2``, weights as in (19).
 
     Near the prior, and where residuals are small against the measured values, it agrees with (19) to first order. It
     differs in two ways that matter far from there: it has no rows to set aside, and it does not reward what makes
     distances short, large masses above all (scale all parameters: a row's residual grows in proportion, the
     distance to its hyperplane does not). It depends on the rows only through their least-squares content, so that
-    compressed rows lose nothing. Attributes are those of :class:`GeodesicObjective`.
+    compressed rows lose nothing.
     """
-
-    manifold: ParameterManifold
-    rows: FloatArray
-    targets: FloatArray
-    sigmas: FloatArray
-    prior: Point
-    gamma: float
-    confidence: FloatArray | float = field(default=1.0, kw_only=True)
 
     @cached_property
     def scale(self) -> float:
@@ -177,11 +171,6 @@ class ResidualObjective:
     def prior_weight(self) -> float:
         """The factor of the squared distance to the prior."""
         return self.gamma / (1.0 + self.gamma) * self.scale
-
-    @cached_property
-    def prior_weights(self) -> FloatArray:
-        """The factors ``(D,)`` of the squared distance to the prior, by coordinate."""
-        return frozen(self.prior_weight * self.confidence * np.ones(self.manifold.dimension))
 
     def evaluate(self, point: Point) -> Evaluation:
         """Half of the objective at ``point`` with its derivatives in the tangent coordinates there."""

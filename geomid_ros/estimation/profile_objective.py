@@ -50,16 +50,10 @@ class ProfileObjective:
         """Number of all rows."""
         return float(np.sum(self.counts))
 
-    @property
-    def prior_weight(self) -> float:
-        """The least weight of a coordinate."""
-        return float(np.min(self.weights))
-
     def squares(self, point: Point) -> FloatArray:
         """Sums of squares ``(C,)`` of the channels at ``point``, at least ``least (C,)``."""
         vector = np.append(point.parameters, -1.0)
-        squares: FloatArray = np.maximum((self.products @ vector) @ vector, self.least)
-        return squares
+        return np.asarray(np.maximum((self.products @ vector) @ vector, self.least))
 
     def evaluate(self, point: Point) -> Evaluation:
         """Value, gradient, information and Hessian along straight lines at ``point``."""

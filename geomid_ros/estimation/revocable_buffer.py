@@ -38,9 +38,6 @@ class _LeftOut:
     begin: int
     end: float = np.inf
 
-    def has(self, instant: Instant) -> bool:
-        return self.begin <= instant.number < self.end
-
 
 class RevocableBuffer:
     """A queue of instants. Which of their rows are left out can change until they leave it."""
@@ -73,8 +70,7 @@ class RevocableBuffer:
         instant, rejected = self._judged(self._instants.popleft())
         self.rows -= _rows(instant)
         self.rejected -= rejected
-        if any(left.end <= instant.number for left in self._left_out):
-            self._left_out = tuple(left for left in self._left_out if left.end > instant.number)
+        self._left_out = tuple(left for left in self._left_out if left.end > instant.number)
         return instant, rejected
 
     def leave_out(self, reason: str, channels: Sequence[int], begin: int) -> bool:
@@ -88,12 +84,8 @@ class RevocableBuffer:
 
     def take_again(self, reason: str, begin: int) -> bool:
         """Use what is left out for this reason, from the instant of this number on; False if there is nothing."""
-        return self._change(
-            [
-                replace(left, end=begin) if left.reason == reason and left.end == np.inf else left
-                for left in self._left_out
-            ]
-        )
+        same = [left for left in self._left_out if left.reason == reason and left.end == np.inf]
+        return self._change([replace(left, end=begin) if left in same else left for left in self._left_out])
 
     def _change(self, left_out: Sequence[_LeftOut]) -> bool:
         before, self._left_out = self._left_out, tuple(left_out)
@@ -115,7 +107,7 @@ class RevocableBuffer:
             return instant, rejected
         targets = instant.targets.copy()
         for left in self._left_out:
-            if left.has(instant):
+            if left.begin <= instant.number < left.end:
                 channels = list(left.channels)
                 rejected[left.reason] += int(np.count_nonzero(np.isfinite(targets[channels])))
                 targets[channels] = np.nan

@@ -100,9 +100,8 @@ def _minimiser_of_remark_3(objective: GeodesicObjective) -> Point:
     """Roughly, as a start: from the rows' least-squares content, by a Cholesky factor, which is the fastest way."""
     whitened = np.column_stack([objective.rows, objective.targets]) / objective.sigmas[:, None]
     products = whitened.T @ whitened
-    factor = np.linalg.cholesky(products + _JITTER * np.diag(np.diag(products) + np.finfo(float).tiny)).T.astype(
-        np.float64
-    )
+    jitter = _JITTER * np.diag(np.diag(products) + np.finfo(float).tiny)
+    factor = np.linalg.cholesky(products + jitter).T.astype(np.float64)
     content = ResidualObjective(
         objective.manifold, factor[:, :-1], factor[:, -1], np.ones(len(factor)), objective.prior, objective.gamma
     )

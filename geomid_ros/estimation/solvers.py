@@ -121,8 +121,7 @@ class _QuadraticModel:
                 damping = 0.5 * (low + high)
                 low, high = (damping, high) if length(damping) > radius else (low, damping)
             damping = high
-        step: FloatArray = -(basis @ (components / (eigenvalues + damping)))
-        return step
+        return -(basis @ (components / (eigenvalues + damping)))
 
     @cached_property
     def _newton_step(self) -> FloatArray | None:
@@ -131,13 +130,11 @@ class _QuadraticModel:
             factor = cho_factor(self._hessian)
         except LinAlgError:
             return None
-        step: FloatArray = -cho_solve(factor, self._gradient)
-        return step
+        return np.asarray(-cho_solve(factor, self._gradient))
 
     @cached_property
     def _eigen(self) -> tuple[FloatArray, FloatArray]:
-        eigenvalues, basis = np.linalg.eigh(self._hessian)
-        return eigenvalues, basis
+        return np.linalg.eigh(self._hessian)
 
 
 def cyclic(objective: Objective, start: Point, tolerance: float = 1e-8, max_steps: int = 20000) -> Solution:

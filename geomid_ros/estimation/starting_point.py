@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 from scipy.optimize import nnls
+from scipy.sparse.csgraph import connected_components
 
 from geomid_ros.errors import InputError
 from geomid_ros.estimation.summary import RowSummary, joined
@@ -54,7 +55,7 @@ def first_sigmas(summary: RowSummary, dimension: int) -> FloatArray:
 def _least_residual(factor: FloatArray) -> tuple[float, int]:
     """Norm of the least-squares residual of ``[A b]``, and the rank of A, in which rounding does not count."""
     sizes = np.linalg.norm(factor[:, :-1], axis=0)
-    some = sizes > _ROUNDING_COLUMN * np.max(sizes)
+    some = sizes > _ROUNDING_COLUMN * np.max(sizes, initial=0.0)
     regressor = factor[:, :-1][:, some] / sizes[some]
     solution, _, rank, _ = np.linalg.lstsq(regressor, factor[:, -1], rcond=_ROUNDING)
     return float(np.linalg.norm(factor[:, -1] - regressor @ solution)), int(rank)
@@ -95,7 +96,7 @@ def prior_parameters(model: MeasurementModel, summary: RowSummary, given: FloatA
     Raises:
         InputError: ``given`` is no point of the model's manifold.
     """
-    parameters = np.concatenate([model.nominal_inertias, np.zeros(len(model.coefficients))])
+    parameters = model.nominal_parameters
     first = len(model.nominal_inertias)
     if given is not None:
         _check_possible(given, model)
@@ -119,15 +120,11 @@ def prior_parameters(model: MeasurementModel, summary: RowSummary, given: FloatA
 def _sharing_effects(model: MeasurementModel) -> list[list[int]]:
     """The channels with effects, those together that share one."""
     first = len(model.nominal_inertias)
-    groups: list[tuple[list[int], set[int]]] = []
-    for index, channel in enumerate(model.channels):
-        own = {int(column) for column in channel.columns if column >= first}
-        sharing = [group for group in groups if group[1] & own]
-        groups = [group for group in groups if not group[1] & own]
-        if own:
-            members = [member for group in sharing for member in group[0]]
-            groups.append(([*members, index], own.union(*(group[1] for group in sharing))))
-    return [members for members, _ in groups]
+    columns = range(first, model.dimension)
+    has = np.array([np.isin(columns, channel.columns) for channel in model.channels])
+    _, label = connected_components(has @ has.T)
+    with_effects = np.any(has, axis=1)
+    return [np.flatnonzero(with_effects & (label == group)).tolist() for group in np.unique(label[with_effects])]
 
 
 def _together(columns: list[IntArray], factors: list[FloatArray], sizes: FloatArray) -> tuple[IntArray, FloatArray]:
@@ -158,12 +155,7 @@ def _check_possible(given: FloatArray, model: MeasurementModel) -> None:
 
 
 def _fitted_effects(
-    model: MeasurementModel,
-    factor: FloatArray,
-    count: float,
-    columns: IntArray,
-    parameters: FloatArray,
-    size: float,
+    model: MeasurementModel, factor: FloatArray, count: float, columns: IntArray, parameters: FloatArray, size: float
 ) -> FloatArray:
     """Coefficients of the effects among the ``columns`` of channels with the ``factor (rows, k + 1)`` of ``count``
     rows, whose measured values have this ``size``."""
@@ -180,5 +172,4 @@ def _fitted_effects(
     fitted = halves[: len(chosen)]
     fitted[~positive] -= halves[len(chosen) :]
     column_sizes = np.maximum(np.linalg.norm(regressor, axis=0) / np.sqrt(count), _LEAST_MOTION)
-    result: FloatArray = np.where(positive, np.maximum(fitted, _LEAST_SHARE * size / column_sizes), fitted)
-    return result
+    return np.asarray(np.where(positive, np.maximum(fitted, _LEAST_SHARE * size / column_sizes), fitted))

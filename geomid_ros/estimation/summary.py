@@ -169,30 +169,27 @@ class RowSummary:
 
     def with_columns(self, channels: Sequence[Channel], chosen: IntArray) -> RowSummary:
         """A copy in which only the ``chosen`` of the D parameters are left; ``channels`` are those of what is left."""
-        copy = RowSummary(channels, self.folds, self._block, self._forgetting_time)
-        copy._instants, copy._time = self._instants, self._time
-        copy.rows, copy.weight = self.rows, self.weight
-        kept = [[*np.flatnonzero(np.isin(group.columns, chosen)).tolist(), -1] for group in self.groups]
-        copy._summaries = [
-            [replace(part, factor=part.factor[:, columns]) for part, columns in zip(fold, kept, strict=True)]
-            for fold in self._parts_by_fold()
-        ]
+        copy = self._copy(channels)
+        for index, group in enumerate(self.groups):
+            kept = [*np.flatnonzero(np.isin(group.columns, chosen)).tolist(), -1]
+            for fold in copy._summaries:  # noqa: SLF001 its own
+                fold[index].factor = fold[index].factor[:, kept]
         return copy
 
     def snapshot(self) -> RowSummary:
         """A copy that later additions do not change."""
-        copy = RowSummary(self.channels, self.folds, self._block, self._forgetting_time)
+        return self._copy(self.channels)
+
+    def _copy(self, channels: Sequence[Channel]) -> RowSummary:
+        copy = RowSummary(channels, self.folds, self._block, self._forgetting_time)
         copy._instants, copy._time = self._instants, self._time
         copy.rows, copy.weight = self.rows, self.weight
-        copy._summaries = [[replace(part) for part in fold] for fold in self._parts_by_fold()]
+        copy._summaries = [[replace(part) for part in fold] for fold in zip(*self.parts(), strict=True)]
         return copy
-
-    def _parts_by_fold(self) -> list[list[ChannelSummary]]:
-        return [list(fold) for fold in zip(*self.parts(), strict=True)]
 
     def state(self) -> SummaryState:
         """The state, everything added so far included."""
-        folds = self._parts_by_fold()
+        folds = list(zip(*self.parts(), strict=True))
         counts = np.array([[part.count for part in fold] for fold in folds])
         factors = tuple(tuple(part.factor for part in fold) for fold in folds)
         return SummaryState(self._instants, self._time, self.rows, self.weight, counts, factors)
@@ -226,7 +223,7 @@ class RowSummary:
             errors.flat[index] = sum(part.squared_error(parameters[channel.columns]) for part in parts)
             counts.flat[index] = sum(part.count for part in parts)
         total = np.sum(counts, axis=0)
-        return np.sqrt(np.sum(errors, axis=0) / np.where(total > 0.0, total, np.nan))
+        return np.asarray(np.sqrt(np.sum(errors, axis=0) / np.where(total > 0.0, total, np.nan)))
 
     def compressed(
         self, sigmas: FloatArray, dimension: int, folds: Sequence[int] | None = None
@@ -261,8 +258,7 @@ def compressed(
 
 def usable(coefficients: FloatArray, targets: FloatArray) -> BoolArray:
     """Which rows ``(N, D)`` have a target ``(N,)`` and coefficients that are numbers: a single NaN would spoil all."""
-    result: BoolArray = np.isfinite(targets) & np.all(np.isfinite(coefficients), axis=1)
-    return result
+    return np.asarray(np.isfinite(targets) & np.all(np.isfinite(coefficients), axis=1))
 
 
 def _checked(factor: FloatArray, channel: Channel) -> FloatArray:

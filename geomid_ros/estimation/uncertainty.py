@@ -99,20 +99,12 @@ def estimate_uncertainty(
 
 
 def _sum(folds: Sequence[Fold], dimension: int) -> Fold:
-    gradient, information = np.zeros(dimension), np.zeros((dimension, dimension))
-    for fold in folds:
-        gradient += fold.gradient
-        information += fold.information
-    return Fold(gradient, information)
+    gradient = sum((fold.gradient for fold in folds), np.zeros(dimension))
+    return Fold(gradient, sum((fold.information for fold in folds), np.zeros((dimension, dimension))))
 
 
 def error_covariance(
-    measured: FloatArray,
-    known: FloatArray,
-    trust: float,
-    weights: FloatArray,
-    factors: FloatArray,
-    spreads: FloatArray,
+    measured: FloatArray, known: FloatArray, trust: float, weights: FloatArray, factors: FloatArray, spreads: FloatArray
 ) -> FloatArray:
     """Covariance ``(D, D)`` of the estimate's error ``H^-1 (noise + W error of the prior)``.
 
@@ -132,15 +124,13 @@ def error_covariance(
         trust * (inverse @ _root(known)),
         inverse * (weights * spreads),
     )
-    result: FloatArray = np.sum([part @ part.T for part in parts], axis=0)
-    return result
+    return np.asarray(np.sum([part @ part.T for part in parts], axis=0))
 
 
 def _root(information: FloatArray) -> FloatArray:
     """A matrix that times its transpose is ``information``; eigenvalues that rounding made negative are zero."""
     values, vectors = np.linalg.eigh(information)
-    result: FloatArray = vectors * np.sqrt(np.maximum(values, 0.0))
-    return result
+    return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)))
 
 
 def _inverse(information: FloatArray, weights: FloatArray) -> FloatArray:
@@ -148,8 +138,7 @@ def _inverse(information: FloatArray, weights: FloatArray) -> FloatArray:
     units = np.sqrt(weights)
     values, vectors = np.linalg.eigh(information / np.outer(units, units))
     vectors = vectors / units[:, None]
-    result: FloatArray = (vectors / (1.0 + np.maximum(values, 0.0))) @ vectors.T
-    return result
+    return np.asarray((vectors / (1.0 + np.maximum(values, 0.0))) @ vectors.T)
 
 
 def variance_inflation(
@@ -208,16 +197,16 @@ def prior_spreads(rows: Fold, from_prior: FloatArray, groups: Sequence[Parameter
     return spreads
 
 
-def physical_sensitivity(manifold: ParameterManifold, point: Point) -> FloatArray:
+def physical_sensitivity(manifold: ParameterManifold, point: Point, step: float = _STEP) -> FloatArray:
     """Derivative ``(links, 10, 10)`` of each link's quantities (:func:`pseudo_inertia.quantities_of`) by its ten
-    tangent coordinates, by central differences along geodesics."""
+    tangent coordinates, by central differences of this ``step`` along geodesics."""
     derivative = np.empty((manifold.links, 10, 10))
     for k in range(10):
         tangent = np.zeros(manifold.dimension)
-        tangent[k : manifold.inertial.stop : 10] = _STEP
+        tangent[k : manifold.inertial.stop : 10] = step
         ends = np.array([manifold.exp(point, sign * tangent).pseudo_inertias for sign in (1.0, -1.0)])
         ahead, behind = pseudo_inertia.quantities_of(pseudo_inertia.to_parameters(ends))
-        derivative[:, :, k] = (ahead - behind) / (2.0 * _STEP)
+        derivative[:, :, k] = (ahead - behind) / (2.0 * step)
     return derivative
 
 

@@ -6,21 +6,10 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import TypeAlias
 
-import numpy as np
-
 from geomid_ros.model.columns import Columns, column_of
-from geomid_ros.model.effects import (
-    EFFECTS,
-    AtSensor,
-    Effect,
-    MotionEffect,
-    OnLink,
-    Place,
-    joints_of,
-)
+from geomid_ros.model.effects import EFFECTS, AtSensor, Effect, MotionEffect, OnLink, Place, joints_of
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.moving import REST, SIGN, SMOOTH_SIGN
-from geomid_ros.types import FloatArray
 
 _SCOUTS = 4  # one of so many scanned constants is tried before its name is chosen
 _PAYLOAD_PENALTY = 4.0  # mass and centre; what is said of its inertia is little
@@ -32,7 +21,6 @@ def library_columns(model: MeasurementModel) -> Columns:
     found = [
         column_of(effect, place)
         for cls in EFFECTS.values()
-        if issubclass(cls, MotionEffect)
         for effect in cls.variants()
         if isinstance(effect, MotionEffect)
         for place in model.places.of(effect)
@@ -117,11 +105,6 @@ class Candidate:
         return self.effect.positives
 
     @property
-    def scanned(self) -> float:
-        """The value of the constant that is scanned, 0 for an effect without one."""
-        return self.effect.scanned
-
-    @property
     def group(self) -> tuple[str, Place]:
         """Name and place: candidates of one group are the same effect with other constants."""
         return self.name, self.place
@@ -155,21 +138,19 @@ AnyCandidate: TypeAlias = Candidate | CurveCandidate
 
 def candidates(model: MeasurementModel) -> list[Candidate]:
     """All names for a robot with its sensors."""
-    found = [candidate for cls in EFFECTS.values() for candidate in _candidates_of(cls, model)]
+    found = [
+        Candidate.of(effect, place, scout=not effect.scanned or index % _SCOUTS == 0)
+        for cls in EFFECTS.values()
+        for index, effect in enumerate(cls.variants())
+        for place in model.places.of(effect)
+    ]
     return sorted(found, key=_order)
 
 
 def _order(candidate: Candidate) -> tuple[int, int]:
     """Joint by joint; then the whole robot, payloads, sensors."""
-    kinds = ("joint", "joints", "robot", "link", "sensor")
-    kind = kinds.index(candidate.effect.place)
+    kind = ("joint", "joints", "robot", "link", "sensor").index(candidate.effect.place)
     return kind, candidate.joint or 0 if kind == 0 else 0
-
-
-def _candidates_of(cls: type[Effect], model: MeasurementModel) -> Iterator[Candidate]:
-    for index, effect in enumerate(cls.variants()):
-        for place in model.places.of(effect):
-            yield Candidate.of(effect, place, scout=not effect.scanned or index % _SCOUTS == 0)
 
 
 def _terms(effect: Effect, place: Place) -> Iterator[EffectTerm]:

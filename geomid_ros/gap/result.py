@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Literal, TypeAlias
 
-from geomid_ros.model.effects import KnownEffect, Quantity
+from geomid_ros.model.effects import KnownEffect
 from geomid_ros.types import FloatArray, IntArray
 
 Confidence: TypeAlias = Literal["confident", "tentative", "ambiguous"]
@@ -23,15 +22,10 @@ class Rival:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Finding:
+class Finding(KnownEffect):
     """A named effect.
 
     Attributes:
-        effect: its name.
-        joint: the joint it acts at, two as ``FIRST+SECOND``, the one that moves the link of a payload, the topic of a
-            wrench sensor; empty for the whole robot.
-        link: the link that carries a payload, else empty.
-        parameters: their values with standard deviations and units, by name.
         confidence: how sure the name is.
         rivals: other names for the same remainder.
         separability: share of the effect's columns, 0 to 1, outside the span of the inertias and the other findings for
@@ -42,10 +36,6 @@ class Finding:
         settled_by: the recording that would settle an ambiguity, empty when there is none.
     """
 
-    effect: str
-    joint: str
-    link: str
-    parameters: Mapping[str, Quantity]
     confidence: Confidence
     rivals: tuple[Rival, ...]
     separability: float

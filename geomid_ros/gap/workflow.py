@@ -22,7 +22,6 @@ from geomid_ros.gap.judgement.locate import located
 from geomid_ros.gap.judgement.verdict import findings, ranking, unexplained, verdict
 from geomid_ros.gap.result import GapResult
 from geomid_ros.gap.search.analysis import Analysis, analyse
-from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.model.effects import KnownEffect, effect_class, values_of
 from geomid_ros.model.measurement import Coefficient, MeasurementModel
 from geomid_ros.model.moving import REST
@@ -131,11 +130,11 @@ def find_gap(
         units=tuple(channel.unit for channel in bare.channels),
         floor=analysis.floor,
         gap=unseen.gap,
-        located=located(bare, records, first, np.abs(records.rows(bare).targets - first)),
+        located=located(bare, records, first, np.abs(bare.rows(records.samples).targets - first)),
         ranking=ranking(bare, analysis),
         trace=unseen.trace,
         bodies=bare.body_names,
-        inertias=_links(analysis),
+        inertias=analysis.names.inertias,
         coefficients=_coefficients(model, prior, analysis),
         beside=tuple(
             _refitted(bare, analysis, candidate, known)
@@ -157,7 +156,7 @@ def _check(model: MeasurementModel, records: Records) -> None:
             f"too short: {len(records.samples) if records.dense else 0} independent instants at the filter's cutoff, "
             f"at least {_FEWEST_ROWS} are needed; record half a minute of motion"
         )
-    targets = records.rows(model).targets
+    targets = model.rows(records.samples).targets
     if not np.any(np.isfinite(targets)):
         names = ", ".join(channel.name for channel in model.channels)
         raise InputError(f"no effort or wrench is measured: at least one of these channels is needed: {names}")
@@ -167,7 +166,7 @@ def _check(model: MeasurementModel, records: Records) -> None:
 
 def _check_held_out(model: MeasurementModel, held: Records) -> None:
     """Refuse held-out data that judge nothing."""
-    if not held.dense or not np.any(held.usable(model, held.rows(model).targets)):
+    if not held.dense or not np.any(held.usable(model, model.rows(held.samples).targets)):
         raise InputError(
             "nothing to judge on: in the data that are held out no joint whose effort is measured moves, and no wrench "
             "is measured, or they are too short; hold out more (--hold-out), or a recording in motion (--validate)"
@@ -245,14 +244,7 @@ def _as_simulated(
     inertias = total_model(model, found).inertias[list(model.identified)].ravel()
     values = np.array([found.value(term) for term in found.terms])
     spreads = np.maximum(_SPREAD_OF_SIMULATED * np.abs(values), _LEAST_SPREAD)
-    return Prior(
-        inertias=inertias,
-        spread=prior.spread,
-        terms=found.terms,
-        values=values,
-        spreads=spreads,
-        certainty=prior.certainty,
-    )
+    return replace(prior, inertias=inertias, terms=found.terms, values=values, spreads=spreads, known=None)
 
 
 def _coefficients(model: MeasurementModel, prior: Prior, analysis: Analysis) -> FloatArray:
@@ -261,11 +253,3 @@ def _coefficients(model: MeasurementModel, prior: Prior, analysis: Analysis) -> 
     terms = [_term(coefficient) for coefficient in model.coefficients]
     own = [term in prior.terms and term not in said for term in terms]
     return np.array([analysis.names.value(term) if kept else np.nan for term, kept in zip(terms, own, strict=True)])
-
-
-def _links(analysis: Analysis) -> FloatArray:
-    """Inertias of the identified links, without payloads."""
-    found = analysis.names
-    count = found.manifold.links - len(found.bodies)
-    links: FloatArray = pseudo_inertia.to_parameters(found.point.pseudo_inertias[:count])
-    return links

@@ -98,29 +98,20 @@ class ParameterManifold:
         inertial = parameters[self.inertial].reshape(self.links, symmetric.SIZE)
         return Point(pseudo_inertia.from_parameters(inertial), parameters[self.positive], parameters[self.real])
 
-    def _split(self, tangent: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        matrices = symmetric.to_matrix(tangent[self.inertial].reshape(self.links, symmetric.SIZE))
-        return matrices, tangent[self.positive], tangent[self.real]
-
     def exp(self, base: Point, tangent: FloatArray) -> Point:
         """The end of the geodesic (7) leaving ``base`` with tangent coordinates ``(D,)``."""
-        matrices, positive, real = self._split(tangent)
+        matrices = symmetric.to_matrix(tangent[self.inertial].reshape(self.links, symmetric.SIZE))
         return Point(
             spd.congruence(base.root, spd.sym_exp(matrices)),
-            base.positives * np.exp(positive),
-            base.reals + self.scales * real,
+            base.positives * np.exp(tangent[self.positive]),
+            base.reals + self.scales * tangent[self.real],
         )
 
     def log(self, base: Point, point: Point) -> FloatArray:
         """Tangent coordinates ``(D,)`` at ``base`` of the geodesic to ``point`` (8)."""
         whitened = spd.spd_log(spd.congruence(base.inverse_root, point.pseudo_inertias))
-        return np.concatenate(
-            [
-                symmetric.to_vector(whitened).ravel(),
-                np.log(point.positives / base.positives),
-                (point.reals - base.reals) / self.scales,
-            ]
-        )
+        positive, real = np.log(point.positives / base.positives), (point.reals - base.reals) / self.scales
+        return np.concatenate([symmetric.to_vector(whitened).ravel(), positive, real])
 
     def distance(self, a: Point, b: Point) -> float:
         """Geodesic distance: the root of the sum of the blocks' squared distances (9)."""

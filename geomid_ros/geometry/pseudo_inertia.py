@@ -32,8 +32,7 @@ def inertia_matrix(entries: FloatArray) -> FloatArray:
 
 def inertia_entries(matrix: FloatArray) -> FloatArray:
     """The six entries ``(..., 6)`` of symmetric matrices ``(..., 3, 3)``: the inverse of :func:`inertia_matrix`."""
-    entries: FloatArray = matrix[(..., *INERTIA_ENTRIES)]
-    return entries
+    return matrix[(..., *INERTIA_ENTRIES)]
 
 
 def rotational_inertia(parameters: FloatArray) -> FloatArray:
@@ -43,8 +42,7 @@ def rotational_inertia(parameters: FloatArray) -> FloatArray:
 
 def _trace_complement(matrix: FloatArray, share: float) -> FloatArray:
     trace = np.trace(matrix, axis1=-2, axis2=-1)[..., None, None]
-    result: FloatArray = share * trace * np.eye(3) - matrix
-    return result
+    return np.asarray(share * trace * np.eye(3) - matrix)
 
 
 def from_parameters(parameters: FloatArray) -> FloatArray:
@@ -93,14 +91,12 @@ def parameter_transform(rotation: FloatArray, translation: FloatArray) -> FloatA
     """The matrix ``(10, 10)`` that takes parameters from frame b, placed in frame a by ``rotation (3, 3)`` and
     ``translation (3,)``, to frame a."""
     factor = change_of_frame(rotation, translation)
-    transform: FloatArray = to_parameters(factor @ from_parameters(np.eye(SIZE)) @ factor.T).T
-    return transform
+    return to_parameters(factor @ from_parameters(np.eye(SIZE)) @ factor.T).T
 
 
 def centre_of_mass(parameters: FloatArray) -> FloatArray:
     """Centre of mass ``(..., 3)`` in the link frame [m], of parameters ``(..., 10)``."""
-    centre: FloatArray = parameters[..., 1:4] / parameters[..., :1]
-    return centre
+    return parameters[..., 1:4] / parameters[..., :1]
 
 
 def central_inertia(parameters: FloatArray) -> FloatArray:

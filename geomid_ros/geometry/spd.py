@@ -19,8 +19,7 @@ from geomid_ros.types import FloatArray
 
 def _apply_to_eigenvalues(function: Callable[[FloatArray], FloatArray], matrix: FloatArray) -> FloatArray:
     values, vectors = np.linalg.eigh(matrix)
-    result: FloatArray = (vectors * function(values)[..., None, :]) @ np.swapaxes(vectors, -1, -2)
-    return result
+    return np.asarray((vectors * function(values)[..., None, :]) @ np.swapaxes(vectors, -1, -2))
 
 
 def sym_exp(matrix: FloatArray) -> FloatArray:
@@ -45,8 +44,7 @@ def spd_inv_sqrt(matrix: FloatArray) -> FloatArray:
 
 def congruence(factor: FloatArray, matrix: FloatArray) -> FloatArray:
     """The group action ``G * P = G P G^T`` of GL(n), for stacks."""
-    result: FloatArray = factor @ matrix @ np.swapaxes(factor, -1, -2)
-    return result
+    return factor @ matrix @ np.swapaxes(factor, -1, -2)
 
 
 def relative_eigenvalues(base: FloatArray, point: FloatArray) -> FloatArray:
@@ -56,8 +54,7 @@ def relative_eigenvalues(base: FloatArray, point: FloatArray) -> FloatArray:
 
 def distance(a: FloatArray, b: FloatArray) -> FloatArray:
     """Geodesic distance (9), ``sqrt(sum log^2 eig(a^-1 b))``, shape ``(...)``."""
-    result: FloatArray = np.sqrt(np.sum(np.log(relative_eigenvalues(a, b)) ** 2, axis=-1))
-    return result
+    return np.asarray(np.sqrt(np.sum(np.log(relative_eigenvalues(a, b)) ** 2, axis=-1)))
 
 
 def half_squared_distance_hessian(log: FloatArray) -> FloatArray:
@@ -75,5 +72,4 @@ def half_squared_distance_hessian(log: FloatArray) -> FloatArray:
     outer = v[..., symmetric.ROWS, :, None] * v[..., symmetric.COLUMNS, None, :]
     basis = symmetric.to_vector(0.5 * (outer + np.swapaxes(outer, -1, -2)))
     basis *= np.where(symmetric.ROWS == symmetric.COLUMNS, 1.0, np.sqrt(2.0))[:, None]
-    hessian: FloatArray = np.swapaxes(basis, -1, -2) @ (entries[..., None] * basis)
-    return hessian
+    return np.swapaxes(basis, -1, -2) @ (entries[..., None] * basis)

@@ -18,8 +18,7 @@ _SCALE = np.where(ROWS == COLUMNS, 1.0, np.sqrt(2.0))
 
 def to_vector(matrix: FloatArray) -> FloatArray:
     """Coordinates ``(..., 10)`` of symmetric matrices ``(..., 4, 4)``."""
-    vector: FloatArray = matrix[..., ROWS, COLUMNS] * _SCALE
-    return vector
+    return matrix[..., ROWS, COLUMNS] * _SCALE
 
 
 def to_matrix(vector: FloatArray) -> FloatArray:

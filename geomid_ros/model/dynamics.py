@@ -2,28 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from dataclasses import dataclass
+from collections.abc import Iterator
 
 import numpy as np
 import pinocchio as pin
 
+from geomid_ros.model.effects.situation import Sensitivity
 from geomid_ros.model.measurement import MeasurementModel
-from geomid_ros.model.robot import Robot
 from geomid_ros.model.samples import Samples
 from geomid_ros.types import FloatArray
 
 _STEP = 1e-5
-
-
-@dataclass(frozen=True, eq=False)
-class Sensitivity:
-    """Derivatives of C channels at N instants by the joints' motion, ``(N, C, J)``, and by gravity, ``(N, C, 3)``."""
-
-    by_position: FloatArray
-    by_velocity: FloatArray
-    by_acceleration: FloatArray
-    by_gravity: FloatArray
 
 
 class Dynamics:
@@ -53,64 +42,67 @@ class Dynamics:
 
     def sensitivity(self, samples: Samples) -> Sensitivity:
         """Derivatives of all channels at N instants."""
-        count, joints = len(samples), len(self._robot.joints)
-        channels, layout = len(self._model.channels), self._model.layout
-        derivatives = [np.zeros((count, channels, joints)) for _ in range(3)]
-        by_gravity = np.zeros((count, channels, 3))
-        for index, (q, v, a) in enumerate(zip(*self._robot.configuration(samples), strict=True)):
+        joints, layout = len(self._robot.joints), self._model.layout
+        found = [np.zeros((len(samples), len(self._model.channels), width)) for width in (joints, joints, joints, 3)]
+        for index, motion in enumerate(zip(*self._robot.configuration(samples), strict=True)):
             if layout.efforts:
-                self._joint_terms(q, v, a, index, derivatives, by_gravity)
+                for target, term in zip(found, self._effort_terms(*motion), strict=True):
+                    target[index, :joints] = term
             for sensor, carried, data in self._carried:
-                rows = layout.wrenches[sensor.topic]
-                terms = _wrench_terms(self._robot, carried, data, sensor.frame, (q, v, a))
-                for target, term in zip((*derivatives, by_gravity), terms, strict=True):
-                    target[index, rows] = term[sensor.axis_indices]
-        return Sensitivity(derivatives[0], derivatives[1], derivatives[2], by_gravity)
+                for target, term in zip(found, self._wrench_terms(carried, data, sensor.frame, *motion), strict=True):
+                    target[index, layout.wrenches[sensor.topic]] = term[sensor.axis_indices]
+        return Sensitivity(*found)
 
-    def _joint_terms(
-        self, q: FloatArray, v: FloatArray, a: FloatArray, index: int, targets: list[FloatArray], by_gravity: FloatArray
-    ) -> None:
-        joints = np.ix_(self._robot.velocity_rows, self._robot.velocity_rows)
+    def _effort_terms(self, q: FloatArray, v: FloatArray, a: FloatArray) -> Iterator[FloatArray]:
+        """Derivatives ``(joints, joints)`` of the efforts by q, v and a, and ``(joints, 3)`` by gravity."""
+        rows = self._robot.velocity_rows
         terms = pin.computeRNEADerivatives(self._whole, self._data, q, v, a)
-        for target, term in zip(targets, terms, strict=True):
-            target[index, : len(self._robot.joints)] = term[joints]
-        mass = terms[2][joints]
-        targets[2][index, : len(mass)] = np.triu(mass) + np.triu(mass, 1).T
-        for axis in range(3):
-            still = _gravity_effort(self._whole, self._data, q, axis)
-            by_gravity[index, : len(mass), axis] = still[self._robot.velocity_rows]
+        by_position, by_velocity, mass = (term[np.ix_(rows, rows)] for term in terms)
+        yield from (by_position, by_velocity, np.triu(mass) + np.triu(mass, 1).T)
+        still = [pin.computeGeneralizedGravity(self._whole, self._data, q)[rows] for _ in _unit_gravities(self._whole)]
+        yield np.array(still).T
+
+    def _wrench_terms(
+        self, model: pin.Model, data: pin.Data, frame: str, q: FloatArray, v: FloatArray, a: FloatArray
+    ) -> Iterator[FloatArray]:
+        """Derivatives ``(6, joints)`` of a carried wrench by q, v and a, and ``(6, 3)`` by gravity: differences."""
+
+        def wrench(q: FloatArray, v: FloatArray, a: FloatArray) -> FloatArray:
+            return _carried_wrench(model, data, frame, q, v, a)
+
+        steps = [_STEP * unit for unit in np.eye(model.nv)[self._robot.velocity_rows]]
+        still = np.zeros(model.nv)
+        yield np.array(
+            [wrench(pin.integrate(model, q, s), v, a) - wrench(pin.integrate(model, q, -s), v, a) for s in steps]
+        ).T / (2.0 * _STEP)
+        yield np.array([wrench(q, v + s, a) - wrench(q, v - s, a) for s in steps]).T / (2.0 * _STEP)
+        # Acceleration and gravity enter linearly.
+        yield np.array([wrench(q, v, a + s) - wrench(q, v, a) for s in steps]).T / _STEP
+        yield np.array([wrench(q, still, still) for _ in _unit_gravities(model)]).T
 
 
-def _gravity_effort(model: pin.Model, data: pin.Data, q: FloatArray, axis: int) -> FloatArray:
+def _unit_gravities(model: pin.Model) -> Iterator[None]:
+    """Set the model's gravity to each unit vector in turn, and at the end to what it was."""
     gravity = model.gravity.linear.copy()
-    model.gravity.linear = np.eye(3)[axis]
-    effort = np.array(pin.computeGeneralizedGravity(model, data, q))
-    model.gravity.linear = gravity
-    return effort
-
-
-def _wrench_terms(
-    robot: Robot, model: pin.Model, data: pin.Data, frame: str, motion: tuple[FloatArray, FloatArray, FloatArray]
-) -> Iterable[FloatArray]:
-    """Derivatives ``(6, joints)`` of a carried wrench by the ``motion`` q, v and a, and ``(6, 3)`` by gravity:
-    differences."""
-    q, v, a = motion
-
-    def wrench(q: FloatArray, v: FloatArray, a: FloatArray) -> FloatArray:
-        return robot.carried_wrench(model, data, frame, q, v, a)
-
-    steps = [_STEP * unit for unit in np.eye(model.nv)[robot.velocity_rows]]
-    still = np.zeros(model.nv)
-    yield np.array(
-        [wrench(pin.integrate(model, q, s), v, a) - wrench(pin.integrate(model, q, -s), v, a) for s in steps]
-    ).T / (2.0 * _STEP)
-    yield np.array([wrench(q, v + s, a) - wrench(q, v - s, a) for s in steps]).T / (2.0 * _STEP)
-    # Acceleration and gravity enter linearly.
-    yield np.array([wrench(q, v, a + s) - wrench(q, v, a) for s in steps]).T / _STEP
-    gravity = model.gravity.linear.copy()
-    columns = []
     for unit in np.eye(3):
         model.gravity.linear = unit
-        columns.append(wrench(q, still, still))
+        yield
     model.gravity.linear = gravity
-    yield np.array(columns).T
+
+
+def _carried_wrench(
+    model: pin.Model, data: pin.Data, frame: str, q: FloatArray, v: FloatArray, a: FloatArray
+) -> FloatArray:
+    """Wrench ``(6,)`` that moves all massive bodies of ``model``, in the frame of the link ``frame``, at or after which
+    they all are."""
+    pin.rnea(model, data, q, v, a)
+    at = model.frames[model.getFrameId(frame, pin.BODY)]
+    total = data.f[at.parentJoint]
+    if at.parentJoint == 0:
+        total = pin.Force.Zero()
+        for joint in range(1, model.njoints):
+            if model.parents[joint] == 0:
+                total += data.oMi[joint].act(data.f[joint])
+        own = model.inertias[0]
+        total += pin.Force(own.mass * -model.gravity.linear, np.cross(own.mass * own.lever, -model.gravity.linear))
+    return np.array(at.placement.actInv(total).vector)

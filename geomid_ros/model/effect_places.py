@@ -14,7 +14,7 @@ from geomid_ros.model.robot import Robot
 
 @dataclass(frozen=True)
 class EffectPlaces:
-    """The places on a ``robot``, of which the ``links`` are identified and the sensors of the ``topics`` are predicted."""
+    """The places on a ``robot``: on ``links`` that are identified, at sensors of ``topics`` that are predicted."""
 
     robot: Robot
     links: Sequence[str]

@@ -8,7 +8,7 @@ coefficients, then the real ones.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass
 from itertools import chain
@@ -21,7 +21,17 @@ from geomid_ros.geometry.manifold import ParameterManifold
 from geomid_ros.model.channels import Channel, ChannelLayout, wrench_channel
 from geomid_ros.model.columns import Columns, column_of, reached_joints
 from geomid_ros.model.effect_places import EffectPlaces
-from geomid_ros.model.effects import AtSensor, IdentifiedEffect, LoadEffect, MotionEffect, Place, Quantity, joint_of
+from geomid_ros.model.effects import (
+    AtSensor,
+    IdentifiedEffect,
+    LoadEffect,
+    MotionEffect,
+    Place,
+    Quantity,
+    SensorEffect,
+    joint_of,
+)
+from geomid_ros.model.effects.parameters import quantities
 from geomid_ros.model.moving import REST, SIGN
 from geomid_ros.model.robot import Robot
 from geomid_ros.model.samples import Samples
@@ -45,15 +55,14 @@ class Coefficient:
     @property
     def positive(self) -> bool:
         """Whether it lives on P(1)."""
-        return self.effect.positive if isinstance(self.effect, MotionEffect) else self.index < self.effect.positives
+        return self.index < self.effect.own_positives
 
     def parameters(self, value: float, std: float) -> dict[str, Quantity]:
         """Its effect's parameters: the one that it is, and the constants."""
         own = {self.parameter: Quantity(value, std, self.unit)}
         constants = self.effect.constants([(value, std)], math.nan, 0.0)
-        forms = self.effect.parameters[-len(constants) :] if constants else ()
         sliding = self.effect.parameters[0].units[0] != self.unit
-        return own | {f.name: Quantity(*c, f.units[sliding]) for f, c in zip(forms, constants, strict=True)}
+        return own | quantities(self.effect.parameters[-len(constants) :], constants, sliding=sliding)
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,8 +100,13 @@ class MeasurementModel:
         """
         self.robot = robot
         self.sensors = tuple(sensors)
+        self.mounted = [sensor for sensor in sensors if sensor.role == "mounted"]
+        """The sensors inside the chain, in the order of their channels."""
+        self._external = [sensor for sensor in sensors if sensor.role == "external"]
         self._links = links
         self.identified = self._identified_bodies(links)
+        self.body_names = tuple(robot.bodies[index].name for index in self.identified)
+        """Names of the identified bodies."""
         self._common = tuple(effects)
         self._local = local_effects
         self._candidates = tuple(candidates)
@@ -101,7 +115,11 @@ class MeasurementModel:
         topics = [sensor.topic for sensor in self._row_sensors]
         self.places = EffectPlaces(robot, self.body_names, topics, self.layout)
         self.coefficients = self._coefficients()
-        self.channels = (*self._joint_channels(), *self._wrench_channels())
+        self.positives = sum(coefficient.positive for coefficient in self.coefficients)
+        """How many of the effects' coefficients are positive; they come first."""
+        self.dimension = 10 * len(self.identified) + len(self.coefficients)
+        """D, the number of parameters."""
+        self.channels = self._channels()
         if not self.channels:
             raise InputError(
                 "nothing that is measured can be predicted: joint efforts need every external wrench sensor to be on a "
@@ -139,7 +157,8 @@ class MeasurementModel:
         forms = effect.own
         if isinstance(place, AtSensor):
             by_axis = {form.name: form for form in forms}
-            forms = tuple(by_axis[axis] for axis in self._sensor(place.topic).axes)
+            axes = next(sensor.axes for sensor in self.sensors if sensor.topic == place.topic)
+            forms = tuple(by_axis[axis] for axis in axes)
         for index, form in enumerate(forms):
             yield Coefficient(
                 effect=effect,
@@ -151,14 +170,11 @@ class MeasurementModel:
                 optional=effect not in self._common and effect not in self._local.get(name, ()),
             )
 
-    def _sensor(self, topic: str) -> WrenchSensor:
-        return next(sensor for sensor in self.sensors if sensor.topic == topic)
-
     def _check_sensors(self) -> None:
         for sensor in self.sensors:
             if sensor.role == "mounted":
                 self._check_mounted(sensor)
-            elif not self.robot.is_on_robot(sensor.frame):
+            elif sensor.frame not in self.robot.tree.links:
                 world = WORLD_FRAMES if self.robot.floating_base else ()
                 if sensor.frame not in world:
                     raise unknown_name("frame of an external wrench", sensor.frame, (*self.robot.tree.links, *world))
@@ -170,7 +186,7 @@ class MeasurementModel:
             raise InputError("of several external wrench sensors each must measure all six axes: their loads are added")
 
     def _check_mounted(self, sensor: WrenchSensor) -> None:
-        if not self.robot.is_on_robot(sensor.frame):
+        if sensor.frame not in self.robot.tree.links:
             raise unknown_name("frame of a mounted wrench sensor", sensor.frame, self.robot.tree.links)
         if not self.robot.is_divided_at(sensor.frame):
             raise InputError(
@@ -184,20 +200,11 @@ class MeasurementModel:
             )
 
     @property
-    def _external(self) -> list[WrenchSensor]:
-        return [sensor for sensor in self.sensors if sensor.role == "external"]
-
-    @property
     def _efforts_usable(self) -> bool:
         """Whether all loads that reach the joints are known: not those of a force plate, which rest on some link, nor
         those of a floating base without sensors."""
-        on_robot = all(self.robot.is_on_robot(s.frame) and len(s.axes) == 6 for s in self._external)
+        on_robot = all(s.frame in self.robot.tree.links and len(s.axes) == 6 for s in self._external)
         return on_robot and (not self.robot.floating_base or bool(self._external))
-
-    @property
-    def mounted(self) -> list[WrenchSensor]:
-        """The sensors inside the chain, in the order of their channels."""
-        return [sensor for sensor in self.sensors if sensor.role == "mounted"]
 
     def without_effects(self) -> MeasurementModel:
         """The same channels and bodies, with no effects."""
@@ -212,54 +219,44 @@ class MeasurementModel:
         """The same model with these of its coefficients alone."""
         model = copy(self)
         model.coefficients = tuple(self.coefficients[index] for index in chosen)
-        model.channels = (*model._joint_channels(), *model._wrench_channels())
+        model.positives = sum(coefficient.positive for coefficient in model.coefficients)
+        model.dimension = 10 * len(self.identified) + len(model.coefficients)
+        model.channels = model._channels()  # noqa: SLF001 its own
         return model
-
-    @property
-    def dimension(self) -> int:
-        """D, the number of parameters."""
-        return 10 * len(self.identified) + len(self.coefficients)
-
-    @property
-    def positives(self) -> int:
-        """How many of the effects' coefficients are positive; they come first."""
-        return sum(coefficient.positive for coefficient in self.coefficients)
-
-    @property
-    def body_names(self) -> tuple[str, ...]:
-        """Names of the identified bodies."""
-        return tuple(self.robot.bodies[index].name for index in self.identified)
 
     @property
     def nominal_inertias(self) -> FloatArray:
         """The URDF's parameters of the identified bodies, ``(10 bodies,)``."""
         return np.array([self.robot.bodies[index].parameters for index in self.identified]).ravel()
 
+    @property
+    def nominal_parameters(self) -> FloatArray:
+        """The nominal model ``(D,)``: the URDF's inertias and no effects."""
+        return np.append(self.nominal_inertias, np.zeros(len(self.coefficients)))
+
     def manifold(self, scales: FloatArray) -> ParameterManifold:
         """The manifold of the parameters, with the scales of the real coefficients."""
         return ParameterManifold(len(self.identified), self.positives, scales)
 
-    def _columns(self, bodies: Sequence[int], acts: Callable[[Place], bool]) -> IntArray:
-        """Parameters of these bodies, and of the effects at places where they act on a channel."""
+    def _reached(self, place: Place) -> tuple[int, ...]:
+        """The channels at which an effect at a place is felt."""
+        return place.channels if isinstance(place, AtSensor) else reached_joints(place, len(self.layout.efforts))
+
+    def _columns(self, channel: int, bodies: Sequence[int]) -> IntArray:
+        """The parameters that a channel depends on: those of these bodies, and of the effects that reach it."""
         columns = [10 * place + k for place, body in enumerate(self.identified) if body in bodies for k in range(10)]
         first = 10 * len(self.identified)
-        columns += [first + k for k, coefficient in enumerate(self.coefficients) if acts(coefficient.place)]
+        columns += [first + k for k, c in enumerate(self.coefficients) if channel in self._reached(c.place)]
         return np.array(columns, dtype=np.int64)
 
+    def _channels(self) -> tuple[Channel, ...]:
+        return (*self._joint_channels(), *self._wrench_channels())
+
     def _joint_channels(self) -> list[Channel]:
-        children = {joint.name: joint.child for joint in self.robot.tree.joints}
-        count = len(self.layout.efforts)
+        carried = {joint.name: self.robot.subtree(joint.child) for joint in self.robot.tree.joints}
         return [
-            Channel(
-                name=joint.name,
-                unit=joint.unit,
-                columns=self._columns(
-                    self.robot.subtree(children[joint.name]),
-                    lambda place, index=index: index in reached_joints(place, count),  # type: ignore[misc]
-                ),
-                joint=index,
-            )
-            for index, joint in enumerate(self.robot.joints[:count])
+            Channel(name=joint.name, unit=joint.unit, columns=self._columns(index, carried[joint.name]), joint=index)
+            for index, joint in zip(self.layout.efforts, self.robot.joints, strict=False)
         ]
 
     def _wrench_channels(self) -> list[Channel]:
@@ -267,10 +264,7 @@ class MeasurementModel:
             Channel(
                 name=wrench_channel(sensor.topic, axis),
                 unit="N" if axis[0] == "f" else "N m",
-                columns=self._columns(
-                    self._loaded_bodies(sensor),
-                    lambda place, index=index: isinstance(place, AtSensor) and index in place.channels,  # type: ignore[misc]
-                ),
+                columns=self._columns(index, self._loaded_bodies(sensor)),
                 topic=sensor.topic,
                 axis=axis,
             )
@@ -322,8 +316,7 @@ class MeasurementModel:
         return np.concatenate(rows), np.concatenate(targets)
 
     def _of(self, sensor: WrenchSensor, wrenches: FloatArray) -> FloatArray:
-        result: FloatArray = wrenches[self.sensors.index(sensor)]
-        return result
+        return np.asarray(wrenches[self.sensors.index(sensor)])
 
     def _total_external(self, wrenches: FloatArray) -> FloatArray:
         """Sum of the external wrenches, in the frame of the first."""
@@ -351,24 +344,26 @@ class MeasurementModel:
         nominal = np.array([body.parameters for body in self.robot.bodies])
         loads = np.einsum("njbk,bk->nj", bodies[:, self.layout.efforts], nominal)
         for column, coefficient in enumerate(self.coefficients, inertial.shape[2]):
-            for channel, values in self._columns_by_channel(samples, loads, coefficient).items():
+            effect, place = coefficient.effect, coefficient.place
+            if isinstance(effect, LoadEffect):
+                joint = joint_of(place)
+                values = effect.column(loads[:, joint], samples.column(SIGN)[:, joint])
+                coefficients[:, joint, column] = values
+                continue
+            for channel, values in self.columns_of(samples, effect, place, coefficient.index).items():
                 coefficients[:, channel, column] = values
         return Rows(coefficients, targets)
 
-    def _columns_by_channel(
-        self, samples: Samples, loads: FloatArray, coefficient: Coefficient
+    def columns_of(
+        self, samples: Samples, effect: MotionEffect | SensorEffect, place: Place, index: int
     ) -> dict[int, FloatArray]:
-        """What a unit of a coefficient adds to the channels ``(N,)``, under the gears' nominal ``loads (N, joints)``."""
-        effect, place = coefficient.effect, coefficient.place
-        if isinstance(effect, LoadEffect):
-            joint = joint_of(place)
-            return {joint: effect.column(loads[:, joint], samples.column(SIGN)[:, joint])}
+        """What a unit of an effect's coefficient of this index adds to each channel that it reaches, ``(N,)``."""
+        channels = self._reached(place)
         if isinstance(effect, MotionEffect):
             own = samples.column(column_of(effect, place))
-            return {joint: own[:, joint] for joint in reached_joints(place, len(self.layout.efforts))}
-        channels = place.channels if isinstance(place, AtSensor) else ()
-        columns = effect.columns(samples.motion, [self.channels[channel].axis for channel in channels])
-        return {channel: columns[:, row, coefficient.index] for row, channel in enumerate(channels)}
+            return {joint: own[:, joint] for joint in channels}
+        columns = effect.columns(samples.motion, [self.channels[channel].axis for channel in channels])[:, :, index]
+        return {channel: column for channel, column in zip(channels, columns.T, strict=True) if np.any(column)}
 
     @property
     def columns(self) -> Columns:

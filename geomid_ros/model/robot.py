@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from copy import copy
 from dataclasses import dataclass
 
 import numpy as np
@@ -78,7 +79,6 @@ class Robot:
         self.source = source
         self.urdf = urdf
         self.floating_base = floating_base
-        self.cuts = tuple(cuts)
         self.gravity = frozen(gravity)
         self.tree = urdf_tree.parse(urdf, source)
         self._first_joint = 2 if floating_base else 1
@@ -86,8 +86,14 @@ class Robot:
         self._model = self._without_locked(_build(urdf_tree.without_shapes(urdf, source), floating_base, source))
         self._model.gravity.linear = self.gravity
         self._data = self._model.createData()
+        self.name = str(self._model.name)
+        """The robot's name in its URDF."""
         self.joints = self._moving_joints()
-        self.bodies = self._bodies(cuts)
+        self.joint_names = tuple(joint.name for joint in self.joints)
+        """Names of the moving joints, in the order of all joint arrays."""
+        self.bodies = self._bodies(set(cuts))
+        self.body_names = tuple(body.name for body in self.bodies)
+        """Names of the bodies, in the order of the parameters."""
         if not self.bodies:
             raise InputError(f"{source}: no moving link has a mass; there is nothing to identify")
         self.velocity_rows = [joint.v for joint in self.joints]
@@ -111,26 +117,18 @@ class Robot:
             model, name = self._model.joints[index], self._model.names[index]
             if model.nv != 1:
                 raise InputError(f"{self.source}: joint '{name}' is {types[name]}; only joints of one axis can be read")
-            joints.append(
-                Joint(
-                    name,
-                    model.idx_q,
-                    model.idx_v,
-                    model.nq == 2,
-                    "N" if types[name] == "prismatic" else "N m",
-                )
-            )
+            unit = "N" if types[name] == "prismatic" else "N m"
+            joints.append(Joint(name, model.idx_q, model.idx_v, model.nq == 2, unit))
         return tuple(joints)
 
-    def _bodies(self, cuts: Sequence[str]) -> tuple[Body, ...]:
-        for link in cuts:
-            if link not in self.tree.links:
-                raise unknown_name("link", link, self.tree.links)
+    def _bodies(self, cuts: set[str]) -> tuple[Body, ...]:
+        for link in sorted(cuts.difference(self.tree.links)):
+            raise unknown_name("link", link, self.tree.links)
         fixed = {joint.child for joint in self.tree.joints if self._is_fixed(joint)}
         if not self.floating_base:
             fixed.add(self.tree.root)
-        self._heads = [link for link in self.tree.links if link not in fixed or link in set(cuts)]
-        bodies = [self._body(head, set(cuts)) for head in self._heads]
+        self._heads = [link for link in self.tree.links if link not in fixed or link in cuts]
+        bodies = [self._body(head, cuts) for head in self._heads]
         return tuple(sorted((body for body in bodies if body is not None), key=lambda body: body.joint))
 
     def _is_fixed(self, joint: urdf_tree.UrdfJoint) -> bool:
@@ -169,25 +167,6 @@ class Robot:
                 f"({parameters[0]:.3g} kg) must be positive and each principal moment of inertia less than the sum of "
                 "the two others; correct the <inertial> in the URDF"
             )
-
-    @property
-    def name(self) -> str:
-        """The robot's name in its URDF."""
-        return str(self._model.name)
-
-    @property
-    def joint_names(self) -> tuple[str, ...]:
-        """Names of the moving joints, in the order of all joint arrays."""
-        return tuple(joint.name for joint in self.joints)
-
-    @property
-    def body_names(self) -> tuple[str, ...]:
-        """Names of the bodies, in the order of the parameters."""
-        return tuple(body.name for body in self.bodies)
-
-    def is_on_robot(self, frame: str) -> bool:
-        """Whether ``frame`` is a link of the URDF (and not the world)."""
-        return frame in self.tree.links
 
     def is_divided_at(self, link: str) -> bool:
         """Whether the body of ``link`` begins there: it moves relative to its parent, or it is one of the cuts."""
@@ -244,7 +223,7 @@ class Robot:
 
     def placement(self, frame: str) -> pin.SE3:
         """Placement of a link's frame in the world after :meth:`update_motion`; the identity for the world itself."""
-        if not self.is_on_robot(frame):
+        if frame not in self.tree.links:
             return pin.SE3.Identity()
         pinocchio_frame = self._model.frames[self._model.getFrameId(frame, pin.BODY)]
         return self._data.oMi[pinocchio_frame.parentJoint] * pinocchio_frame.placement
@@ -269,14 +248,12 @@ class Robot:
 
     def with_gravity(self, gravity: FloatArray) -> Robot:
         """The same robot under another ``gravity (3,)`` in the base (world) frame [m/s^2]."""
-        return Robot(
-            self.urdf,
-            floating_base=self.floating_base,
-            cuts=self.cuts,
-            locked_joints=sorted(self._locked),
-            gravity=gravity,
-            source=self.source,
-        )
+        robot: Robot = copy(self)
+        robot.gravity = frozen(gravity)
+        robot._model = self._model.copy()
+        robot._model.gravity.linear = robot.gravity
+        robot._data = robot._model.createData()
+        return robot
 
     def with_inertias(self, inertias: FloatArray, bodies: Iterable[int]) -> pin.Model:
         """A copy of pinocchio's model with ``inertias (all bodies, 10)`` of the listed bodies; all else is massless."""
@@ -285,28 +262,9 @@ class Robot:
         for index in bodies:
             joints[self.bodies[index].joint] += self.bodies[index].to_joint @ inertias[index]
         for index in range(model.njoints):
-            model.inertias[index] = (
-                pin.Inertia.FromDynamicParameters(joints[index]) if joints[index, 0] > 0.0 else (pin.Inertia.Zero())
-            )
+            massive = joints[index, 0] > 0.0
+            model.inertias[index] = pin.Inertia.FromDynamicParameters(joints[index]) if massive else pin.Inertia.Zero()
         return model
-
-    def carried_wrench(
-        self, model: pin.Model, data: pin.Data, frame: str, q: FloatArray, v: FloatArray, a: FloatArray
-    ) -> FloatArray:
-        """Wrench ``(6,)`` that moves all massive bodies of ``model``, in the frame of the link ``frame``, at or after
-        which they all are."""
-        pin.rnea(model, data, q, v, a)
-        at = model.frames[model.getFrameId(frame, pin.BODY)]
-        if at.parentJoint == 0:
-            moved = [j for j in range(1, model.njoints) if model.parents[j] == 0]
-            total = pin.Force.Zero()
-            for joint in moved:
-                total += data.oMi[joint].act(data.f[joint])
-            own = model.inertias[0]
-            total += pin.Force(own.mass * -model.gravity.linear, np.cross(own.mass * own.lever, -model.gravity.linear))
-        else:
-            total = data.f[at.parentJoint]
-        return np.array(at.placement.actInv(total).vector)
 
 
 def _build(urdf: str, floating_base: bool, source: str) -> pin.Model:

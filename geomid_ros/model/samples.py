@@ -58,6 +58,11 @@ class Samples:
         return {name: values for name, values in vars(self).items() if name != "columns"}
 
     @property
+    def seconds(self) -> FloatArray:
+        """Time since the first sample ``(N,)`` [s]."""
+        return np.asarray((self.stamps - self.stamps[0]) * 1e-9)
+
+    @property
     def motion(self) -> Motion:
         """The joints' motion."""
         return Motion(self.position, self.velocity, self.acceleration)
@@ -65,8 +70,7 @@ class Samples:
     def column(self, column: Column) -> FloatArray:
         """One of the effects' columns ``(N, joints)``."""
         if column in self.columns.columns:
-            values: FloatArray = self.effects[:, :, self.columns.columns.index(column)]
-            return values
+            return self.effects[:, :, self.columns.columns.index(column)]
         return column.values(self.motion)
 
     def select(self, index: AnyArray | slice) -> Samples:

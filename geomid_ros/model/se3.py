@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pinocchio as pin
+from scipy.spatial.transform import Rotation
 
 from geomid_ros.types import FloatArray
 
@@ -12,25 +13,13 @@ _SMALL_ANGLE = 0.1
 
 def relative_log(reference: FloatArray, poses: FloatArray) -> FloatArray:
     """``log(reference^-1 pose)`` of each of ``poses (N, 7)``, ``(N, 6)`` as (linear, angular)."""
-    vector, scalar = _relative_quaternions(reference[3:], poses[:, 3:])
-    sine = np.linalg.norm(vector, axis=1)
-    angle = 2.0 * np.arctan2(sine, scalar)
-    stretch = np.divide(angle, sine, out=np.full(len(poses), 2.0), where=sine > 0.0)
-    angular = stretch[:, None] * vector
-    rotation = pin.XYZQUATToSE3(reference).rotation
-    displacement = (poses[:, :3] - reference[:3]) @ rotation
+    back = Rotation.from_quat(reference[3:]).inv()
+    angular = (back * Rotation.from_quat(poses[:, 3:])).as_rotvec()
+    displacement = back.apply(poses[:, :3] - reference[:3])
     across = np.cross(angular, displacement)
-    linear = displacement - 0.5 * across + _second_coefficient(angle)[:, None] * np.cross(angular, across)
+    coefficient = _second_coefficient(np.linalg.norm(angular, axis=1))
+    linear = displacement - 0.5 * across + coefficient[:, None] * np.cross(angular, across)
     return np.hstack([linear, angular])
-
-
-def _relative_quaternions(reference: FloatArray, quaternions: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Vector ``(N, 3)`` and non-negative scalar part ``(N,)`` of ``reference^-1 quaternions (N, 4)``."""
-    u, w = reference[:3], reference[3]
-    vector = w * quaternions[:, :3] - quaternions[:, 3:] * u - np.cross(u, quaternions[:, :3])
-    scalar = w * quaternions[:, 3] + quaternions[:, :3] @ u
-    sign = np.where(scalar < 0.0, -1.0, 1.0)
-    return sign[:, None] * vector, sign * scalar
 
 
 def _second_coefficient(angle: FloatArray) -> FloatArray:

@@ -45,15 +45,13 @@ def polyhedron(vertices: FloatArray, triangles: IntArray) -> FloatArray:
     volumes = np.linalg.det(corners[:, :3, :3] - corners[:, 3:, :3]) / 6.0
     weighted = volumes[:, None, None] * corners / 20.0
     total = corners.sum(axis=1)
-    moments: FloatArray = np.einsum("tki,tkj->ij", weighted, corners) + (volumes / 20.0 * total.T) @ total
-    return moments
+    return np.asarray(np.einsum("tki,tkj->ij", weighted, corners) + (volumes / 20.0 * total.T) @ total)
 
 
 def moved(moments: FloatArray, placement: FloatArray) -> FloatArray:
     """Moments ``(4, 4)`` after an affine map ``(4, 4)`` of homogeneous coordinates: a motion, a scale, a mirror."""
     stretch = abs(float(np.linalg.det(placement[:3, :3])))
-    result: FloatArray = stretch * placement @ moments @ placement.T
-    return result
+    return stretch * placement @ moments @ placement.T
 
 
 def volume(moments: FloatArray) -> float:

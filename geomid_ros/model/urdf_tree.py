@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections import Counter
 from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
@@ -209,11 +210,9 @@ def _joint(element: Element, source: str) -> UrdfJoint:
 
 
 def _refuse_duplicates(names: Iterable[str], kind: str, source: str) -> None:
-    seen: set[str] = set()
-    for name in names:
-        if name in seen:
+    for name, count in Counter(names).items():
+        if count > 1:
             raise InputError(f"{source}: two {kind}s are named '{name}'")
-        seen.add(name)
 
 
 def inertial_parameters(link: Element, source: str) -> FloatArray | None:

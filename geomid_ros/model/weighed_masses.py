@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import takewhile
+from itertools import chain, takewhile
 
 import numpy as np
 
@@ -108,11 +108,9 @@ def _body(robot: Robot, link: str) -> int:
 
 def _carrier(robot: Robot, link: str) -> str | None:
     """The body that a link is part of, with a mass or without."""
-    for body in robot.bodies:
-        if link in body.merged:
-            return body.name
+    merged = (body.name for body in robot.bodies if link in body.merged)
     fixed = takewhile(lambda joint: joint.type == "fixed", robot.tree.joints_above(link))
-    return next((joint.parent for joint in fixed if joint.parent in robot.body_names), None)
+    return next(chain(merged, (joint.parent for joint in fixed if joint.parent in robot.body_names)), None)
 
 
 def _known_mass(model: MeasurementModel, given: WeighedMass, bodies: Sequence[int]) -> float:

@@ -69,7 +69,8 @@ class ChangeDetector:
         instant = 8 * len(channels) * max((int(np.max(c.columns, initial=0)) + 2 for c in channels), default=1)
         most = max(BLOCK, _MOST_WAITING // instant)
         self._waiting: deque[tuple[int, int, FloatArray, FloatArray]] = deque(maxlen=most)
-        self._gaps: tuple[ChannelGap, ...] = ()
+        self.gaps: tuple[ChannelGap, ...] = ()
+        """The monitored channels as of the last block."""
         self.judged = 0
         """The number of the first instant that is not judged yet."""
 
@@ -93,7 +94,7 @@ class ChangeDetector:
         rows = Rows(np.array(coefficients), np.array(targets))
         for index, channel in enumerate(self._channels):
             channel.judge(numbers[0], np.array(stamps), rows.coefficients[:, index], rows.targets[:, index])
-        self._gaps = tuple(channel.gap for channel in self._channels if channel.ready)
+        self.gaps = tuple(channel.gap for channel in self._channels if channel.ready)
         self.judged = numbers[-1] + 1
         return True
 
@@ -107,11 +108,6 @@ class ChangeDetector:
         begin = min([self.judged, *(first for first in suspect if first is not None)])
         # A change in the last rows of a block does not show there.
         return max(begin - BLOCK, self.judged - _MOST_SUSPECT * BLOCK)
-
-    @property
-    def gaps(self) -> tuple[ChannelGap, ...]:
-        """The monitored channels as of the last block."""
-        return self._gaps
 
 
 class _Cusum:

@@ -49,17 +49,13 @@ class WrenchCheck:
         }
         self._count = 0
         self._products = {topic: np.zeros((6, 6)) for topic in self._forces}
-        self._problems: dict[str, str] = {}
+        self.problems: dict[str, str] = {}
+        """What is wrong with each sensor that is not as declared, by its topic."""
 
     @property
     def ended(self) -> bool:
         """Whether the sensors have been judged, or there are none to judge."""
         return self._count >= _ENOUGH or not self._forces
-
-    @property
-    def problems(self) -> dict[str, str]:
-        """What is wrong with each sensor that is not as declared, by its topic."""
-        return self._problems
 
     def add(self, rows: Rows) -> None:
         """Take rows of instants in motion, until there are enough."""
@@ -73,7 +69,7 @@ class WrenchCheck:
             self._products[topic] += both.T @ both
         if self._count >= _ENOUGH:
             judged = {topic: _judged(products) for topic, products in self._products.items()}
-            self._problems = {topic: problem for topic, problem in judged.items() if problem}
+            self.problems = {topic: problem for topic, problem in judged.items() if problem}
 
 
 def _judged(products: FloatArray) -> str:

@@ -16,7 +16,7 @@ from geomid_ros.files.disk import write_text
 from geomid_ros.gap.result import Finding, GapResult, Located
 from geomid_ros.geometry import pseudo_inertia, spd
 from geomid_ros.model.channels import is_of
-from geomid_ros.model.effects import ModelEffect
+from geomid_ros.model.effects import KnownEffect
 from geomid_ros.report import gap_words
 from geomid_ros.report.gap_figures import (
     AFTER,
@@ -62,7 +62,7 @@ class GapPage:
     result: GapResult
     nominal: FloatArray
     rigid: FloatArray
-    known: Sequence[ModelEffect] = ()
+    known: Sequence[KnownEffect] = ()
     simulated: Sequence[SimulatedAgain] = ()
     not_simulated: str = ""
 
@@ -255,7 +255,7 @@ def _motion(again: SimulatedAgain, joint: int) -> Picture:
 # --- The model file ---
 
 
-def _old(known: Sequence[ModelEffect], finding: Finding, parameter: str) -> str:
+def _old(known: Sequence[KnownEffect], finding: Finding, parameter: str) -> str:
     """What the model said of a finding's parameter before."""
     for effect in known:
         if (effect.effect, effect.joint) == (finding.effect, finding.joint) and parameter in effect.parameters:

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from geomid_ros.gap.result import Confidence, Finding, GapResult, Ranked, Rival, Unexplained
-from geomid_ros.model.effects import ModelEffect, Quantity
+from geomid_ros.model.effects import KnownEffect, Quantity
 from geomid_ros.types import FloatArray
 
 NONE = "n/a"
@@ -55,7 +55,7 @@ def place(joint: str, link: str = "") -> str:
     return f"on {link}" if link else f"at {joint}" if joint else "of the whole robot"
 
 
-def title(entry: ModelEffect | Rival | Ranked) -> str:
+def title(entry: KnownEffect | Rival | Ranked) -> str:
     """An effect with where it acts."""
     return f"{headline(entry.effect)} {place(entry.joint, getattr(entry, 'link', ''))}"
 

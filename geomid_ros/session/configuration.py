@@ -130,7 +130,15 @@ class Configuration:
         self.source = source
         own = {name: value for name, value in (values or {}).items() if not name.startswith(_OF_ROS)}
         self._values = {name: self._checked(name, value) for name, value in own.items()}
-        _ = self.effects, self.candidates, self.sensors, self.gravity, self.buffer, self.signals(()), self._estimator({})
+        _ = (
+            self.effects,
+            self.candidates,
+            self.sensors,
+            self.gravity,
+            self.buffer,
+            self.signals(()),
+            self._estimator({}),
+        )
 
     @staticmethod
     def read(path: Path) -> Configuration:
@@ -291,7 +299,12 @@ class Configuration:
         return self._naming_source(
             "",
             lambda: EstimatorSettings(
-                self["gamma"] or None, sigma or None, self["objective"], self["solver"], known=self._known, cutoff=self["filter.cutoff"]
+                self["gamma"] or None,
+                sigma or None,
+                self["objective"],
+                self["solver"],
+                known=self._known,
+                cutoff=self["filter.cutoff"],
             ),
         )
 

@@ -136,7 +136,6 @@ def find_in_messages(session: Session, messages: Sequence[Accepted], progress: P
     return find(session, Recordings(cutoff=cutoff, train=[train], held_out=[held_out]), progress)
 
 
-
 @dataclass(frozen=True)
 class GapReader:
     """Reads bags for the gap workflow, with the settings of a session."""

@@ -13,7 +13,7 @@ import numpy as np
 from geomid_ros.errors import InputError
 from geomid_ros.files.models.gap_model import ModelFiles, model_files, write_model
 from geomid_ros.gap.result import GapResult
-from geomid_ros.model.effects import ModelEffect
+from geomid_ros.model.effects import KnownEffect
 from geomid_ros.model.samples import Samples
 from geomid_ros.resimulation.closed_loop import ClosedLoop, closed_loop
 from geomid_ros.resimulation.noise import Noise
@@ -113,7 +113,7 @@ def _simulated(
     )
 
 
-def _write(folder: Path, session: Session, inertias: FloatArray, effects: Sequence[ModelEffect]) -> list[Path]:
+def _write(folder: Path, session: Session, inertias: FloatArray, effects: Sequence[KnownEffect]) -> list[Path]:
     by_name = dict(zip(session.model.body_names, inertias, strict=True))
     gravity = session.configuration.gravity
     return write_model(folder, session.model, session.urdf, by_name, effects, gravity)

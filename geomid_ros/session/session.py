@@ -11,7 +11,7 @@ import numpy as np
 
 from geomid_ros.errors import InputError
 from geomid_ros.estimation.estimate import Estimate
-from geomid_ros.estimation.estimator import WarmStart, nominal_parameters
+from geomid_ros.estimation.estimator import WarmStart
 from geomid_ros.estimation.identifier import Identifier
 from geomid_ros.files.checkpoints.checkpoint import Checkpoint
 from geomid_ros.files.disk import write_text
@@ -105,7 +105,7 @@ class Session:
     @property
     def nominal_parameters(self) -> FloatArray:
         """The URDF's parameters ``(D,)``: its inertias and no effects."""
-        return nominal_parameters(self.model)
+        return self.model.nominal_parameters
 
     def new_pipeline(
         self,

@@ -27,8 +27,7 @@ class RejectedError(Exception):
 
 def plausible(values: FloatArray) -> BoolArray:
     """False for NaN, infinity and numbers that no robot measures."""
-    result: BoolArray = np.abs(values) < _LARGEST_NUMBER
-    return result
+    return np.abs(values) < _LARGEST_NUMBER
 
 
 class JointReader:

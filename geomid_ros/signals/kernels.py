@@ -76,8 +76,7 @@ def _low_pass(cutoff: float, half: int) -> FloatArray:
     The same as scipy.signal.firwin, whose import takes as long as a quarter of the node's start.
     """
     taps = np.sinc(2.0 * cutoff * np.arange(-half, half + 1)) * np.kaiser(2 * half + 1, _KAISER_BETA)
-    result: FloatArray = taps / np.sum(taps)
-    return result
+    return np.asarray(taps / np.sum(taps))
 
 
 def cubic_weights(nodes: FloatArray, times: FloatArray) -> FloatArray:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import operator
 import threading
 from collections import Counter
 from collections.abc import Mapping
@@ -34,13 +35,11 @@ class Account:
 
     def since(self, before: Account) -> Account:
         """What was counted since the account was ``before``."""
-        return Account(
-            accepted=self.accepted - before.accepted,
-            rejected=self.rejected - before.rejected,
-            dropped=self.dropped - before.dropped,
-            noted=self.noted - before.noted,
-            lost=self.lost - before.lost,
-        )
+        return Account(*map(operator.sub, vars(self).values(), vars(before).values()))
+
+    def plus(self, other: Account) -> Account:
+        """What both have counted."""
+        return Account(*map(operator.add, vars(self).values(), vars(other).values()))
 
 
 class Ledger:
@@ -65,12 +64,7 @@ class Ledger:
             if any(account.accepted or account.rejected for account in self._topics.values()):
                 return
             for topic, before in accounts.items():
-                account = self._account(topic)
-                account.accepted += before.accepted
-                account.lost += before.lost
-                account.rejected.update(before.rejected)
-                account.dropped.update(before.dropped)
-                account.noted.update(before.noted)
+                self._topics[topic] = self._account(topic).plus(before)
 
     def accept(self, topic: str) -> None:
         """Count a message that is used."""

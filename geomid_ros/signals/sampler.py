@@ -114,9 +114,7 @@ class Sampler:
         self._waiting.clear()
 
     def _open_streams(self, grid: Grid) -> None:
-        def joint_segment() -> JointSegment:
-            return JointSegment(grid, len(self._continuous), self._effect_columns)
-
+        joint_segment = partial(JointSegment, grid, len(self._continuous), self._effect_columns)
         self._joint_stream = Stream(self._max_gap, joint_segment)
         self._streams = {JOINT_STATES: self._joint_stream}
         self._streams |= {topic: Stream(self._max_gap, partial(VectorSegment, grid)) for topic in self._wrenches}
@@ -150,9 +148,8 @@ class Sampler:
 
     def _samples(self, grid: Grid, instants: range) -> Samples:
         count, joints = len(instants), len(self._continuous)
-        value, first, second = (
-            part.reshape(count, 3, joints) for part in self._joint_stream.segment.filtered(instants)
-        )
+        parts = self._joint_stream.segment.filtered(instants)
+        value, first, second = (part.reshape(count, 3, joints) for part in parts)
         position = value[:, 0]
         position[:, self._continuous] = np.remainder(position[:, self._continuous] + np.pi, 2.0 * np.pi) - np.pi
         velocity, acceleration = self._velocity.choose(value[:, 1], first[:, 1], first[:, 0], second[:, 0])

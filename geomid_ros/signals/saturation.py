@@ -42,12 +42,7 @@ class SaturationDetector:
         self._moved = np.zeros(self._joints, dtype=np.bool_)  # while its effort has been the largest
 
     def saturated(
-        self,
-        stamp: int,
-        effort: FloatArray,
-        velocity: FloatArray,
-        moving: bool,
-        before: tuple[int, FloatArray] | None,
+        self, stamp: int, effort: FloatArray, velocity: FloatArray, moving: bool, before: tuple[int, FloatArray] | None
     ) -> BoolArray:
         """Take a message.
 
@@ -80,8 +75,7 @@ class SaturationDetector:
         if not long.any():
             return long
         seldom = self._at_largest < _MOSTLY * self._messages
-        result: BoolArray = long & self._moved & moving & seldom & (stamp - self._largest_since >= _SHORTEST)
-        return result
+        return long & self._moved & moving & seldom & (stamp - self._largest_since >= _SHORTEST)
 
     def _learn(self, effort: FloatArray, size: FloatArray, stamp: int, last: FloatArray) -> None:
         """Learn how large efforts become, and in which steps. ``stamp`` is that of the ``last`` efforts."""

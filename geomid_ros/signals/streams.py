@@ -136,8 +136,7 @@ class _GridValues:
         values = self.values[instants.start - half - self.first : instants[-1] + half + 1 - self.first, :columns]
         windows = np.lib.stride_tricks.sliding_window_view(values, 2 * half + 1, axis=0)[:: instants.step]
         # Without BLAS: its rounding depends on how many instants are asked for at once.
-        result: FloatArray = np.einsum("kl,ncl->knc", kernels, windows)
-        return result
+        return np.asarray(np.einsum("kl,ncl->knc", kernels, windows))
 
     def inside(self, half: int) -> range:
         """Instants with ``half`` neighbours on both sides."""
@@ -217,9 +216,8 @@ class JointSegment(VectorSegment):
 
     def effects(self, instants: range) -> FloatArray:
         """Filtered columns ``(N, joints, effects)`` at ``instants`` (all ready)."""
-        (columns,) = self._columns_on_grid.correlated(instants, self._grid.kernels[:1])
-        result: FloatArray = columns.reshape(len(instants), self._joints, -1)
-        return result
+        columns = self._columns_on_grid.correlated(instants, self._grid.kernels[:1])
+        return columns.reshape(len(instants), self._joints, -1)
 
     def drop_before(self, instant: int) -> None:
         self._columns_on_grid.drop_before(instant - self._grid.half)
@@ -254,8 +252,8 @@ class PoseSegment(Segment):
         return range(-(-self._stamps[1] // period) + half, self._stamps[-2] // period + 1 - half)
 
     def filtered(self, instants: range) -> tuple[FloatArray, FloatArray, FloatArray]:
-        results = [self._filtered_at(instant) for instant in instants]
-        poses, velocities, accelerations = (np.array(part) for part in zip(*results, strict=True))
+        parts = zip(*map(self._filtered_at, instants), strict=True)
+        poses, velocities, accelerations = (np.array(part) for part in parts)
         return poses, velocities, accelerations
 
     def _filtered_at(self, instant: int) -> tuple[FloatArray, FloatArray, FloatArray]:

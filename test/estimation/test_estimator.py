@@ -12,6 +12,10 @@ from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.estimation.estimator import EstimatorSettings, WarmStart
 from geomid_ros.estimation.identifier import Identifier
 from geomid_ros.geometry import pseudo_inertia, spd
+from geomid_ros.model.effects import DEFAULT_EFFECTS, identifiable
+from geomid_ros.model.measurement import MeasurementModel
+from geomid_ros.model.robot import Robot
+from geomid_ros.model.sensors import WrenchSensor
 from geomid_ros.types import FloatArray
 
 from .arms import Case, arm
@@ -238,3 +242,23 @@ def test_the_truth_is_as_likely_as_the_information_on_the_links_says(name: str, 
     rank = int(np.sum(np.abs(np.diag(known.rows)) > 1e-6 * np.max(known.rows)))
     assert links / 3 < rank < links
     assert abs(float(off @ off) / rank - 1.0) < 4.0 * np.sqrt(2.0 / rank)
+
+
+def test_a_wrench_sensor_that_feels_no_identified_link_tells_nothing() -> None:
+    """It carries the tool alone, whose inertia is the URDF's."""
+    case = arm("arm3", 0, noise=NOISE)
+    robot = Robot(case.model.robot.urdf, cuts=("wrist_ft",))
+    effects = [identifiable()[name] for name in DEFAULT_EFFECTS]
+    wrenches = np.random.default_rng(1).normal(size=(len(case.samples), 1, 6))
+    sensor = WrenchSensor("/wrench", "wrist_ft", "mounted")
+    with_it = replace(
+        case,
+        model=MeasurementModel(robot, effects, (sensor,), links=("link2", "link3")),
+        samples=replace(case.samples, wrenches=wrenches),
+    )
+    without = replace(case, model=MeasurementModel(robot, effects, links=("link2", "link3")))
+    found, expected = solved(with_it), solved(without)
+    assert found.gamma == expected.gamma
+    np.testing.assert_allclose(found.parameters, expected.parameters, rtol=1e-6, atol=1e-9)
+    np.testing.assert_allclose(found.sigmas[:3], expected.sigmas)
+    np.testing.assert_array_equal(found.rms[3:], found.rms_nominal[3:])

@@ -8,7 +8,6 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from geomid_ros.files.models.effect_forms import inertia_matrix
 from geomid_ros.files.models.urdf import read_urdf, with_effects
 from geomid_ros.model.robot import Robot
 
@@ -72,7 +71,8 @@ def test_a_payload_is_a_link_of_its_own() -> None:
     before = Robot(ARM).bodies[-1].parameters
     loaded = Robot(after)
     assert loaded.bodies[-1].merged[-1] == "tool_payload"
-    body = pin.Inertia(PAYLOAD["mass"], np.array([PAYLOAD[f"com_{axis}"] for axis in "xyz"]), inertia_matrix(PAYLOAD))
+    inertia = np.array([[PAYLOAD["i" + "".join(sorted(row + column))] for column in "xyz"] for row in "xyz"])
+    body = pin.Inertia(PAYLOAD["mass"], np.array([PAYLOAD[f"com_{axis}"] for axis in "xyz"]), inertia)
     frames = pin.buildModelFromXML(ARM)
     head = frames.frames[frames.getFrameId(loaded.bodies[-1].name)].placement
     tool = frames.frames[frames.getFrameId("tool")].placement

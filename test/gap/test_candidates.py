@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from geomid_ros.model.moving import REST, SIGN, SMOOTH_SIGN
 from geomid_ros.gap import candidates as library
 from geomid_ros.gap.candidates import Candidate, EffectTerm
 from geomid_ros.model.effects import EFFECTS, AtJoint, JointMotion, OnLink, OnRobot
@@ -11,6 +10,7 @@ from geomid_ros.model.effects.backlash import CROSSINGS
 from geomid_ros.model.effects.coulomb_friction import SMOOTHINGS
 from geomid_ros.model.effects.stribeck_friction import SPEEDS
 from geomid_ros.model.measurement import MeasurementModel
+from geomid_ros.model.moving import REST, SIGN, SMOOTH_SIGN
 from geomid_ros.model.robot import Robot
 from geomid_ros.model.sensors import WrenchSensor
 
@@ -79,8 +79,8 @@ def test_the_order_is_joint_by_joint_then_the_robot_then_links() -> None:
 def test_every_fourth_of_many_constants_is_a_scout(name: str, count: int) -> None:
     own = named(name, 0)
     assert [candidate.scout for candidate in own] == [place % 4 == 0 for place in range(count)]
-    assert [candidate.scanned for candidate in own] == sorted(candidate.scanned for candidate in own)
-    assert all(candidate.scout for candidate in ALL if not candidate.scanned)
+    assert [candidate.effect.scanned for candidate in own] == sorted(candidate.effect.scanned for candidate in own)
+    assert all(candidate.scout for candidate in ALL if not candidate.effect.scanned)
 
 
 def one(name: str, joint: int | None = None) -> Candidate:

@@ -1,5 +1,6 @@
 """Products of whitened columns, against the columns themselves."""
 
+from dataclasses import fields
 from types import SimpleNamespace
 from typing import Any
 
@@ -9,7 +10,7 @@ import pytest
 from geomid_ros.gap.candidates import Candidate, EffectTerm, Term
 from geomid_ros.gap.evidence.design import BLOCKS, Design, term_columns
 from geomid_ros.gap.evidence.noise import Autoregression
-from geomid_ros.model.effects import AtJoint, AtSensor, OnLink, OnRobot
+from geomid_ros.model.effects import AtJoint, AtSensor, OnLink, OnRobot, Situation
 from geomid_ros.model.effects.effort_gain import EffortGain
 from geomid_ros.model.effects.gravity_tilt import GravityTilt
 from geomid_ros.model.effects.payload import Payload
@@ -120,9 +121,9 @@ class TestColumns:
         motion = planted.recording(planted.rigid(planted.true_inertias(1, 0.1)), 1, 2.0).select(slice(self.COUNT))
         by_gravity = np.zeros((self.COUNT, 5, 3))
         by_gravity[:, 1:4, 1] = self.PREDICTED[:, 1:4]
-        situation: Any = SimpleNamespace(
-            predicted=self.PREDICTED, by_gravity=by_gravity, gravity=np.array([0.0, 0.0, -9.81]), coefficients={}
-        )
+        said = {"predicted": self.PREDICTED, "by_gravity": by_gravity, "gravity": np.array([0.0, 0.0, -9.81])}
+        unsaid: dict[str, Any] = dict.fromkeys(field.name for field in fields(Situation))
+        situation = Situation(**{**unsaid, **said, "coefficients": {}})
         records: Any = SimpleNamespace(samples=motion)
         return term_columns(self.MODEL, records, terms, lambda: situation)
 

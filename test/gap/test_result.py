@@ -117,7 +117,7 @@ def test_the_trace_is_of_unseen_data(result: GapResult) -> None:
 def test_gaps_are_root_mean_squares_of_the_trace_in_units_of_the_floor(result: GapResult) -> None:
     """Of joints without dry friction, wherever they move."""
     trace, records = result.trace, Records.make([UNSEEN], planted.CUTOFF)
-    usable = records.usable(BARE, records.rows(BARE).targets)
+    usable = records.usable(BARE, BARE.rows(records.samples).targets)
     for predicted, gap in (
         (trace.before, result.gap.before),
         (trace.inertias_only, result.gap.inertias_only),

@@ -10,12 +10,12 @@ from scipy.optimize import minimize_scalar
 from scipy.stats import chi2
 
 from geomid_ros.estimation.estimate import LinksInformation
+from geomid_ros.estimation.profile_objective import ProfileObjective, StraightManifold
 from geomid_ros.gap.candidates import Candidate, EffectTerm
 from geomid_ros.gap.evidence.design import Design
 from geomid_ros.gap.fitting import prior as before
 from geomid_ros.gap.fitting.fit import JointFit, fit, unfitted
 from geomid_ros.gap.fitting.prior import Prior
-from geomid_ros.estimation.profile_objective import ProfileObjective, StraightManifold
 from geomid_ros.gap.judgement.confidence import generalises
 from geomid_ros.gap.judgement.naming import parameters
 from geomid_ros.gap.search.score_test import improvement
@@ -92,7 +92,7 @@ def test_the_information_is_that_of_gaussian_rows() -> None:
     of_known = own.known[:, :-1].T @ own.known[:, :-1]
     expected = jacobian.T @ (of_rows + of_known) @ jacobian
     np.testing.assert_allclose(own.evaluate(start).information, expected, rtol=1e-9, atol=1e-9)
-    assert (own.scale, own.prior_weight) == (CHANNELS * ROWS, 1.0)
+    assert own.scale == CHANNELS * ROWS
 
 
 def test_no_sum_of_squares_is_less_than_the_least() -> None:

@@ -30,7 +30,7 @@ def test_without_friction_all_that_moves_counts() -> None:
     model = planted.model()
     inertias = planted.true_inertias(2, 0.1)
     records = Records.make([planted.recording(planted.rigid(inertias), 2)], planted.CUTOFF)
-    np.testing.assert_array_equal(valid(1, 0.0), records.usable(model, records.rows(model).targets))
+    np.testing.assert_array_equal(valid(1, 0.0), records.usable(model, model.rows(records.samples).targets))
 
 
 @pytest.mark.parametrize("joint", [0, 1, 2])

@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from geomid_ros.model.moving import SIGN
 from geomid_ros.gap.candidates import AnyCandidate, Candidate
 from geomid_ros.gap.judgement import verdict
 from geomid_ros.gap.judgement.confidence import moves_one_way
@@ -18,12 +17,14 @@ from geomid_ros.gap.result import Located, Unexplained
 from geomid_ros.gap.search.beam_search import Trial
 from geomid_ros.model.effects import EFFECTS, Quantity
 from geomid_ros.model.effects.stribeck_friction import SPEEDS
+from geomid_ros.model.moving import SIGN
 
 from .judged import CANDIDATES, JOINTS, MODEL, PAYLOAD, Fit, Judged, curve, named
 
 COULOMB, SPRING = named("coulomb_friction"), named("spring")
 STRIBECK = sorted(
-    (c for c in CANDIDATES if c.name == "stribeck_friction" and c.joint == 1), key=lambda candidate: candidate.scanned
+    (c for c in CANDIDATES if c.name == "stribeck_friction" and c.joint == 1),
+    key=lambda candidate: candidate.effect.scanned,
 )
 
 
@@ -88,7 +89,7 @@ def test_a_scanned_constant_is_as_sure_as_the_curvature_of_the_score_says(std: f
 
     def fit(chosen: Sequence[Candidate], _: Fit) -> Fit:
         (candidate,) = chosen
-        return Fit(5.0 + float(np.log(candidate.scanned / middle.scanned) / std) ** 2, np.ones(3))
+        return Fit(5.0 + float(np.log(candidate.effect.scanned / middle.effect.scanned) / std) ** 2, np.ones(3))
 
     analysis = analysis_with(judged, fit=fit, neighbours=lambda _: [STRIBECK[9], STRIBECK[11]])
     step = np.log(SPEEDS[1] / SPEEDS[0])
@@ -102,7 +103,7 @@ def test_a_scanned_constant_is_unsure_by_itself_where_the_score_says_nothing() -
     for around, slope in ((both[:1], 1.0), (both, 0.0), (both, -3.0)):
 
         def fit(chosen: Sequence[Candidate], _: Fit, slope: float = slope) -> Fit:
-            return Fit(slope * float(np.log(chosen[0].scanned / middle.scanned)) ** 2, np.ones(3))
+            return Fit(slope * float(np.log(chosen[0].effect.scanned / middle.effect.scanned)) ** 2, np.ones(3))
 
         own = {"fit": fit, "neighbours": lambda _, around=around: around}
         assert verdict._scanned_std(analysis_with(Judged(name=middle), **own), middle) == 1.0
@@ -213,7 +214,7 @@ def test_a_remainder_is_located_by_what_it_depends_on() -> None:
     rng = np.random.default_rng(8)
     position, velocity = rng.uniform(-1.0, 1.0, (2, 3000, 3))
     load = rng.uniform(0.0, 5.0, (3000, 3))
-    samples = SimpleNamespace(stamps=np.arange(3000) * 10_000_000, position=position, velocity=velocity)
+    samples = SimpleNamespace(seconds=np.arange(3000) * 0.01, position=position, velocity=velocity)
     residual = np.column_stack([(load[:, 0] - 2.5) ** 2 - 2.0, np.sin(3.0 * position[:, 1]), np.sign(velocity[:, 2])])
     found = located(MODEL, SimpleNamespace(samples=samples), residual, load)  # type: ignore[arg-type]
     assert [entry.channel for entry in found] == list(JOINTS)
@@ -227,9 +228,7 @@ def test_a_remainder_is_located_by_what_it_depends_on() -> None:
 
 def test_a_wrench_depends_on_load_and_time_alone() -> None:
     channels = (SimpleNamespace(name="wrench/fx", joint=None),)
-    samples = SimpleNamespace(
-        stamps=np.arange(500) * 10_000_000, position=np.zeros((500, 0)), velocity=np.zeros((500, 0))
-    )
+    samples = SimpleNamespace(seconds=np.arange(500) * 0.01, position=np.zeros((500, 0)), velocity=np.zeros((500, 0)))
     load = np.random.default_rng(1).uniform(size=(500, 1))
     model, records = SimpleNamespace(channels=channels), SimpleNamespace(samples=samples)
     (found,) = located(model, records, load - 0.5, load)  # type: ignore[arg-type]

@@ -33,7 +33,7 @@ WRITTEN = {
 
 
 def test_every_file_is_known() -> None:
-    contracts = {"__init__", "effect", "known", "parameters", "places", "situation"}
+    contracts = {"__init__", "effect", "parameters", "places", "situation"}
     files = {path.stem for path in Path(effects.__file__).parent.glob("*.py")} - contracts
     assert {cls.__module__.rpartition(".")[2] for cls in EFFECTS.values()} == files
     assert files == set(EFFECTS)
@@ -61,7 +61,7 @@ def test_what_can_be_identified_is_linear_in_coefficients_of_its_own() -> None:
         assert effect.name == name
         if not isinstance(effect, SensorEffect):
             (form,) = effect.parameters
-            assert (effect.units, effect.positive) == (form.units, form.above == 0.0)
+            assert (effect.own, effect.positives) == ((form,), int(form.above == 0.0))
 
 
 @pytest.mark.parametrize("effect", OF_JOINTS.values(), ids=OF_JOINTS)

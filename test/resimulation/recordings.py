@@ -12,7 +12,7 @@ from geomid_ros.files.models.gap_model import ModelFiles
 from geomid_ros.files.models.mjcf import mjcf
 from geomid_ros.files.models.sidecar import write_sidecar
 from geomid_ros.files.models.urdf import read_urdf
-from geomid_ros.model.effects import ModelEffect
+from geomid_ros.model.effects import KnownEffect
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.robot import Robot
 from geomid_ros.model.samples import Samples
@@ -79,7 +79,7 @@ def recording(added: Added = nothing, *, noise: float = 1.0, duration: float = 2
     return with_values(still, effort=effort, wrenches=SENSOR.sign * wrench[:, None])
 
 
-def files(folder: Path, name: str, effects: Iterable[ModelEffect] = (), robot: Robot = MODEL.robot) -> ModelFiles:
+def files(folder: Path, name: str, effects: Iterable[KnownEffect] = (), robot: Robot = MODEL.robot) -> ModelFiles:
     """The arm with these effects, written."""
     effects = list(effects)
     found = ModelFiles(folder / f"{name}.xml", folder / f"{name}.yaml")

@@ -9,17 +9,17 @@ from typing import Any
 import numpy as np
 
 from geomid_ros.geometry import pseudo_inertia
-from geomid_ros.model.effects import EFFECTS, KnownEffect, ModelEffect, Quantity, effect_class, identifiable, values_of
-from geomid_ros.model.effects.parameters import COM_ENTRIES, INERTIA_ENTRIES
+from geomid_ros.model.effects import EFFECTS, KnownEffect, Quantity, effect_class, identifiable, values_of
+from geomid_ros.model.effects.parameters import COM_ENTRIES
 from geomid_ros.types import FloatArray
 
 
-def is_body(effect: ModelEffect) -> bool:
+def is_body(effect: KnownEffect) -> bool:
     """Whether it is a body that a link carries."""
     return effect_class(effect.effect).place == "link"
 
 
-def is_coefficient(effect: ModelEffect) -> bool:
+def is_coefficient(effect: KnownEffect) -> bool:
     """Whether it is one number at a joint that is identified along with the inertias."""
     return effect.effect in identifiable() and len(EFFECTS[effect.effect].parameters) == 1
 
@@ -32,26 +32,24 @@ def joint_attributes(effect: str, known: Mapping[str, float], element: str) -> d
     return {attribute: known[name] for name, (own, _, attribute) in places if own == element}
 
 
-def inertia_matrix(payload: Mapping[str, float]) -> FloatArray:
-    """Inertia ``(3, 3)`` [kg m^2] of a payload about its centre of mass, from its values."""
-    xx, xy, yy, xz, yz, zz = (payload[name] for name in INERTIA_ENTRIES)
-    return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+def payload_quantities(payload: Mapping[str, float]) -> FloatArray:
+    """A payload's values as quantities ``(10,)``, see :func:`~geomid_ros.geometry.pseudo_inertia.quantities_of`."""
+    return np.array([payload[name] for name in ("mass", *COM_ENTRIES, *pseudo_inertia.INERTIA_NAMES)])
 
 
 def payload_parameters(payload: Mapping[str, float]) -> FloatArray:
     """Inertial parameters ``(10,)`` of a payload about its link's origin, from its values."""
-    centre = np.array([payload[name] for name in COM_ENTRIES])
-    return pseudo_inertia.assemble(np.array(payload["mass"]), centre, inertia_matrix(payload))
+    return pseudo_inertia.parameters_of(payload_quantities(payload))
 
 
-def turned_gravity(gravity: FloatArray, effects: Iterable[ModelEffect]) -> FloatArray:
+def turned_gravity(gravity: FloatArray, effects: Iterable[KnownEffect]) -> FloatArray:
     """Gravity ``(3,)`` in the base frame, from that of a base that stands straight."""
     for effect in effects:
         gravity = effect_class(effect.effect).turned_gravity(gravity, values_of(effect))
     return gravity
 
 
-def combined(effects: Iterable[ModelEffect]) -> list[KnownEffect]:
+def combined(effects: Iterable[KnownEffect]) -> list[KnownEffect]:
     """Effects of which none is there twice at a place; see
     :meth:`~geomid_ros.model.effects.Effect.together`."""
     found: dict[tuple[str, str], KnownEffect] = {}
@@ -64,7 +62,7 @@ def combined(effects: Iterable[ModelEffect]) -> list[KnownEffect]:
     return list(found.values())
 
 
-def continued(estimated: Sequence[KnownEffect], known: Sequence[ModelEffect]) -> list[KnownEffect]:
+def continued(estimated: Sequence[KnownEffect], known: Sequence[KnownEffect]) -> list[KnownEffect]:
     """The effects of a model that began with ``known`` ones, after coefficients were ``estimated``.
 
     The estimated ones are as they are, or bring those known effects up to date that consist of them; what was not
@@ -81,7 +79,7 @@ def continued(estimated: Sequence[KnownEffect], known: Sequence[ModelEffect]) ->
     return [*(effect for effect in left.values() if is_coefficient(effect)), *combined([*refined, *of_place])]
 
 
-def _refined(effect: ModelEffect, left: dict[tuple[str, str], KnownEffect]) -> KnownEffect:
+def _refined(effect: KnownEffect, left: dict[tuple[str, str], KnownEffect]) -> KnownEffect:
     """An effect brought up to date, which takes away from what is ``left`` what belongs to it."""
     here = {name: found.parameters for (name, joint), found in left.items() if joint == effect.joint}
     parameters, others = effect_class(effect.effect).refined(effect.parameters, here)
@@ -97,7 +95,7 @@ def coefficient(name: str, joint: str, quantity: Quantity) -> KnownEffect:
     return KnownEffect(name, joint, "", {form.name: quantity})
 
 
-def effect_entry(effect: ModelEffect) -> dict[str, Any]:
+def effect_entry(effect: KnownEffect) -> dict[str, Any]:
     """An effect with its place and parameters, as :func:`geomid_ros.files.models.sidecar.effect_of` reads it."""
     return {
         "effect": effect.effect,
@@ -107,7 +105,7 @@ def effect_entry(effect: ModelEffect) -> dict[str, Any]:
     }
 
 
-def coefficient_entry(effect: ModelEffect) -> dict[str, Any]:
+def coefficient_entry(effect: KnownEffect) -> dict[str, Any]:
     """An effect of one coefficient at a joint, as ``estimate.json`` has it."""
     (quantity,) = effect.parameters.values()
     return {"name": effect.effect, "joint": effect.joint, **_quantity(quantity)}

@@ -19,7 +19,7 @@ from geomid_ros.files.models.results import FORMAT, write_estimate
 from geomid_ros.files.models.sidecar import write_sidecar
 from geomid_ros.files.models.urdf import Inertia, with_effects, with_inertials
 from geomid_ros.geometry import pseudo_inertia
-from geomid_ros.model.effects import ModelEffect
+from geomid_ros.model.effects import KnownEffect
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.types import FloatArray
 
@@ -39,7 +39,7 @@ def write_model(
     model: MeasurementModel,
     urdf: str,
     inertias: Mapping[str, FloatArray],
-    effects: Iterable[ModelEffect],
+    effects: Iterable[KnownEffect],
     gravity: FloatArray,
 ) -> list[Path]:
     """Write the model with ``inertias (10,)`` of identified bodies by name and all of its ``effects`` into ``folder``;
@@ -70,7 +70,7 @@ def _inertia(parameters: FloatArray) -> Inertia:
 
 
 def _estimate(
-    bodies: Mapping[str, Inertia], merged: Mapping[str, Sequence[str]], effects: Sequence[ModelEffect]
+    bodies: Mapping[str, Inertia], merged: Mapping[str, Sequence[str]], effects: Sequence[KnownEffect]
 ) -> dict[str, Any]:
     return {
         "format": FORMAT,

@@ -31,7 +31,6 @@ from geomid_ros.model.effects import (
     Effect,
     IdentifiedEffect,
     KnownEffect,
-    ModelEffect,
     Quantity,
     SituationEffect,
     effect_class,
@@ -52,7 +51,7 @@ class LoadedModel:
 
     source: str = ""
     inertias: Mapping[str, FloatArray] | None = None
-    effects: tuple[ModelEffect, ...] = ()
+    effects: tuple[KnownEffect, ...] = ()
     known: LinksInformation | None = None
     merged: Mapping[str, frozenset[str]] = field(default_factory=dict)
 
@@ -104,7 +103,7 @@ class LoadedModel:
         return f"{self.source}: {', '.join(names)}: not predicted, only simulated with the MJCF" if names else ""
 
     @property
-    def beside_inertias(self) -> list[ModelEffect]:
+    def beside_inertias(self) -> list[KnownEffect]:
         """The effects without payloads, which are in the inertias of :meth:`parameters`."""
         return [known for known in self.effects if not is_body(known)]
 
@@ -117,7 +116,7 @@ class LoadedModel:
             if not effect_class(known.effect).corrected_in_samples
         ]
 
-    def _behind_gain(self, known: ModelEffect) -> KnownEffect:
+    def _behind_gain(self, known: KnownEffect) -> KnownEffect:
         """An effect as efforts show it that were divided by their gain."""
         own = values_of(known)
         behind = effect_class(known.effect).behind_gain(own, self._gains.get(known.joint, 1.0))
@@ -246,7 +245,7 @@ class LoadedModel:
         return total
 
 
-def _is_beside(known: ModelEffect) -> bool:
+def _is_beside(known: KnownEffect) -> bool:
     cls = effect_class(known.effect)
     return issubclass(cls, SituationEffect) and not cls.corrected_in_samples and not cls.absorbed
 

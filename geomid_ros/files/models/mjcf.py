@@ -22,7 +22,7 @@ from geomid_ros.files.models.effect_forms import (
 )
 from geomid_ros.files.models.joint_frames import JointFrame, joint_frames
 from geomid_ros.geometry import pseudo_inertia
-from geomid_ros.model.effects import EFFECTS, Hinge, ModelEffect, values_of
+from geomid_ros.model.effects import EFFECTS, Hinge, KnownEffect, values_of
 from geomid_ros.model.robot import Robot
 from geomid_ros.model.sensors import WrenchSensor
 from geomid_ros.types import FloatArray
@@ -41,7 +41,7 @@ _MASSLESS = 1e-12  # [kg, kg m^2] MuJoCo wants everything that moves to have a m
 def mjcf(
     robot: Robot,
     inertias: Mapping[str, FloatArray],
-    effects: Iterable[ModelEffect] = (),
+    effects: Iterable[KnownEffect] = (),
     sensors: Sequence[WrenchSensor] = (),
     gravity: FloatArray | None = None,
 ) -> str:
@@ -66,7 +66,7 @@ class _Writer:
     """One robot on its way into an MJCF."""
 
     def __init__(
-        self, robot: Robot, inertias: Mapping[str, FloatArray], effects: Iterable[ModelEffect], gravity: FloatArray
+        self, robot: Robot, inertias: Mapping[str, FloatArray], effects: Iterable[KnownEffect], gravity: FloatArray
     ) -> None:
         self._robot = robot
         self._bodies = {body.name: inertias.get(body.name, body.parameters) for body in robot.bodies}

@@ -24,7 +24,7 @@ from geomid_ros.files.models.effect_forms import (
 )
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.geometry.manifold import ParameterManifold
-from geomid_ros.model.effects import KnownEffect, ModelEffect
+from geomid_ros.model.effects import KnownEffect
 from geomid_ros.types import FloatArray
 
 FORMAT = 1
@@ -42,7 +42,7 @@ def estimate_document(
     estimate: Estimate,
     rows_rejected: Mapping[str, int],
     held_out: FloatArray | None = None,
-    known: Sequence[ModelEffect] = (),
+    known: Sequence[KnownEffect] = (),
 ) -> dict[str, Any]:
     """The document of an estimate.
 
@@ -103,7 +103,7 @@ def estimate_document(
     }
 
 
-def model_effects(estimate: Estimate, known: Sequence[ModelEffect]) -> list[KnownEffect]:
+def model_effects(estimate: Estimate, known: Sequence[KnownEffect]) -> list[KnownEffect]:
     """All effects of the model with an estimate that began with the ``known`` ones, as files have them."""
     found = combined(KnownEffect(effect.name, effect.joint, "", effect.parameters) for effect in estimate.effects)
     return continued(found, known)

@@ -33,7 +33,6 @@ from geomid_ros.files.parameter_file import read_yaml
 from geomid_ros.model.effects import (
     EFFECTS,
     KnownEffect,
-    ModelEffect,
     ParameterForm,
     PlaceKind,
     Quantity,
@@ -58,7 +57,7 @@ class Sidecar:
     effects: tuple[KnownEffect, ...]
 
 
-def write_sidecar(path: Path, robot: str, effects: Iterable[ModelEffect]) -> None:
+def write_sidecar(path: Path, robot: str, effects: Iterable[KnownEffect]) -> None:
     """Write the sidecar of a robot."""
     entries = [_entry(effect) for effect in effects]
     document = {"format": FORMAT, "robot": robot, "effects": entries}
@@ -68,7 +67,7 @@ def write_sidecar(path: Path, robot: str, effects: Iterable[ModelEffect]) -> Non
     write_text(path, _HEADER + meanings + text)
 
 
-def _entry(effect: ModelEffect) -> dict[str, Any]:
+def _entry(effect: KnownEffect) -> dict[str, Any]:
     forms = effect_class(effect.effect).parameters
     place = {"joint": effect.joint, "link": effect.link}
     return {

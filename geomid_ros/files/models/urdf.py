@@ -9,13 +9,11 @@ from pathlib import Path
 from typing import TypeAlias
 from xml.parsers import expat
 
-import numpy as np
-
 from geomid_ros.estimation.estimate import LinkEstimate
 from geomid_ros.files.disk import read_text
-from geomid_ros.files.models.effect_forms import inertia_matrix, is_body, joint_attributes
-from geomid_ros.model.effects import ModelEffect, values_of
-from geomid_ros.model.effects.parameters import COM_ENTRIES
+from geomid_ros.files.models.effect_forms import is_body, joint_attributes, payload_quantities
+from geomid_ros.geometry import pseudo_inertia
+from geomid_ros.model.effects import KnownEffect, values_of
 from geomid_ros.model.urdf_tree import MOST_BYTES
 from geomid_ros.types import FloatArray
 
@@ -71,7 +69,7 @@ def _inertial(mass: float, com: FloatArray, inertia: FloatArray) -> bytes:
     ).encode()
 
 
-def with_effects(urdf: str, effects: Iterable[ModelEffect]) -> str:
+def with_effects(urdf: str, effects: Iterable[KnownEffect]) -> str:
     """``urdf`` with the effects that a URDF can say; every other character of it is kept.
 
     What an effect says of a joint's ``<dynamics>`` is added up there; a payload becomes a link that is fixed to the one
@@ -104,13 +102,12 @@ def _dynamics(data: bytes, joint: _Span, numbers: Mapping[str, float]) -> _Edit:
     return _insertion(data, joint, element)
 
 
-def _payload(effect: ModelEffect, links: Mapping[str, _Span], joints: Mapping[str, _Span]) -> bytes:
+def _payload(effect: KnownEffect, links: Mapping[str, _Span], joints: Mapping[str, _Span]) -> bytes:
     name = f"{effect.link}_payload"
     while name in links or name in joints:
         name += "_"
-    payload = values_of(effect)
-    com = np.array([payload[key] for key in COM_ENTRIES])
-    inertial = _inertial(payload["mass"], com, inertia_matrix(payload)).decode()
+    payload = payload_quantities(values_of(effect))
+    inertial = _inertial(payload[0], payload[1:4], pseudo_inertia.inertia_matrix(payload[4:])).decode()
     return (
         f'  <link name="{name}">\n    {inertial}\n  </link>\n  <joint name="{name}" type="fixed">\n'
         f'    <parent link="{effect.link}"/>\n    <child link="{name}"/>\n  </joint>\n'

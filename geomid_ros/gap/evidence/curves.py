@@ -22,13 +22,14 @@ class Curves:
 
     def __init__(self, model: MeasurementModel, records: Records, situation: Situation) -> None:
         self._model = model
-        self._knots: dict[tuple[str, int], FloatArray] = {}
-        joints = len(model.layout.efforts)
-        for joint in range(joints):
-            for kind, values in self._variables(records, situation, joint).items():
-                self._knots[kind, joint] = np.quantile(values, [0.005, 0.995])
+        joints = model.layout.efforts
+        self._knots = {
+            (kind, joint): knots(values)
+            for joint in joints
+            for kind, values in self._variables(records, situation, joint).items()
+        }
         self._times = (int(records.samples.stamps[0]), int(records.samples.stamps[-1]))
-        self.candidates = [c for joint in range(joints) for c in self._candidates(records, situation, joint)]
+        self.candidates = [c for joint in joints for c in self._candidates(records, situation, joint)]
 
     @staticmethod
     def _variables(records: Records, situation: Situation, joint: int) -> dict[str, FloatArray]:
@@ -46,21 +47,21 @@ class Curves:
 
     def columns(self, records: Records, situation: Situation) -> dict[Term, dict[int, FloatArray]]:
         """Columns of all curves' terms."""
-        found: dict[Term, dict[int, FloatArray]] = {}
-        joints = {candidate.joint for candidate in self.candidates}
-        for joint in sorted(joints):
-            for _, name, matrix in self._matrices(records, situation, joint):
-                for index in range(matrix.shape[1]):
-                    found[CurveTerm(joint, name, index)] = {joint: matrix[:, index]}
-        return found
+        return {
+            CurveTerm(joint, name, index): {joint: column}
+            for joint in sorted({candidate.joint for candidate in self.candidates})
+            for _, name, matrix in self._matrices(records, situation, joint)
+            for index, column in enumerate(matrix.T)
+        }
 
     def _matrices(self, records: Records, situation: Situation, joint: int) -> Iterator[tuple[str, str, FloatArray]]:
         samples, sign = records.samples, situation.sign[:, joint]
         position = samples.position[:, joint]
         for kind, values in self._variables(records, situation, joint).items():
-            yield kind, f"{kind} curve", self._hats(kind, joint, values, 8)
+            ends = self._knots[kind, joint]
+            yield kind, f"{kind} curve", hats(values, ends, 8)
             if kind != VELOCITY:
-                yield kind, f"friction by {kind}", sign[:, None] * self._hats(kind, joint, values, 5)
+                yield kind, f"friction by {kind}", sign[:, None] * hats(values, ends, 5)
         for waves in _PERIODS:
             yield POSITION, f"wave {waves}", np.stack([np.sin(waves * position), np.cos(waves * position)], axis=1)
         time = (samples.stamps - self._times[0]) / max(self._times[1] - self._times[0], 1)
@@ -76,12 +77,18 @@ class Curves:
                 sums = (np.sin(q + position), np.cos(q + position), np.sin(q - position), np.cos(q - position))
                 yield name, f"{name} and position", np.stack([np.sin(q), np.cos(q), *sums], axis=1)
 
-    def _hats(self, kind: str, joint: int, values: FloatArray, count: int) -> FloatArray:
-        """Piecewise linear functions that add up to 1, ``(N, count)``."""
-        low, high = self._knots[kind, joint]
-        place = np.clip((values - low) / max(high - low, 1e-12), 0.0, 1.0) * (count - 1)
-        hats: FloatArray = np.maximum(0.0, 1.0 - np.abs(place[:, None] - np.arange(count)))
-        return hats
+
+def knots(values: FloatArray) -> tuple[float, float]:
+    """Where the first and the last knot of curves of a variable lie, with these ``values (N,)``."""
+    low, high = np.quantile(values, [0.005, 0.995])
+    return float(low), float(high)
+
+
+def hats(values: FloatArray, ends: tuple[float, float], count: int) -> FloatArray:
+    """Piecewise linear functions of a variable with knots between two ends, which add up to 1, ``(N, count)``."""
+    low, high = ends
+    place = np.clip((values - low) / max(high - low, 1e-12), 0.0, 1.0) * (count - 1)
+    return np.asarray(np.maximum(0.0, 1.0 - np.abs(place[:, None] - np.arange(count))))
 
 
 def _time_in_stretch(records: Records) -> FloatArray:

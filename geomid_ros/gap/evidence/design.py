@@ -10,10 +10,8 @@ import numpy as np
 from geomid_ros.gap.candidates import AnyCandidate, EffectTerm, Term
 from geomid_ros.gap.evidence.noise import Autoregression, runs_of
 from geomid_ros.gap.evidence.record import Records
-from geomid_ros.model.columns import column_of, reached_joints
-from geomid_ros.model.effects import AtSensor, MotionEffect, SensorEffect, Situation, SituationEffect
+from geomid_ros.model.effects import MotionEffect, SensorEffect, Situation, SituationEffect
 from geomid_ros.model.measurement import MeasurementModel
-from geomid_ros.model.samples import Samples
 from geomid_ros.types import BoolArray, FloatArray
 
 Columns = Mapping[Term, Mapping[int, FloatArray]]  # of each term, by channel: (N,)
@@ -26,30 +24,12 @@ def term_columns(
     long, is asked for only when a term needs it."""
     found: dict[Term, dict[int, FloatArray]] = {}
     for term in terms:
-        if isinstance(term, EffectTerm):
-            found[term] = _columns(model, records.samples, term, situation)
+        if isinstance(term, EffectTerm) and isinstance(term.effect, SituationEffect):
+            columns = term.effect.columns(situation(), term.place)[:, :, term.index]
+            found[term] = {channel: column for channel, column in enumerate(columns.T) if np.any(column)}
+        elif isinstance(term, EffectTerm) and isinstance(term.effect, MotionEffect | SensorEffect):
+            found[term] = model.columns_of(records.samples, term.effect, term.place, term.index)
     return found
-
-
-def _columns(
-    model: MeasurementModel, samples: Samples, term: EffectTerm, situation: Callable[[], Situation]
-) -> dict[int, FloatArray]:
-    effect, place = term.effect, term.place
-    if isinstance(effect, MotionEffect):
-        joints = reached_joints(place, len(model.layout.efforts))
-        return {joint: samples.column(column_of(effect, place))[:, joint] for joint in joints}
-    if isinstance(effect, SituationEffect):
-        return _reached(effect.columns(situation(), place)[:, :, term.index], range(len(model.channels)))
-    if isinstance(effect, SensorEffect) and isinstance(place, AtSensor):
-        axes = [model.channels[channel].axis for channel in place.channels]
-        return _reached(effect.columns(samples.motion, axes)[:, :, term.index], place.channels)
-    return {}
-
-
-def _reached(values: FloatArray, channels: Sequence[int]) -> dict[int, FloatArray]:
-    """The columns of ``values (N, channels)`` that are not zero, by channel."""
-    used = np.flatnonzero(np.any(values != 0.0, axis=0)).tolist()
-    return {channels[place]: values[:, place] for place in used}
 
 
 BLOCKS = 8  # of time, for cross-validation
@@ -58,14 +38,12 @@ BLOCKS = 8  # of time, for cross-validation
 @dataclass(frozen=True, eq=False)
 class ChannelProducts:
     """Products ``(K + 1, K + 1)`` of a channel's K whitened columns and of its target (the last but for a zero row for
-    what does not reach the channel), and those of each block of time; ``place`` of each term, ``count`` of rows,
-    ``inertial`` columns first."""
+    what does not reach the channel), and those of each block of time; ``place`` of each term, ``count`` of rows."""
 
     products: FloatArray
     blocks: FloatArray
     place: Mapping[Term, int]
     count: int
-    inertial: int
 
     def gather(self, terms: Sequence[Term]) -> list[int]:
         """Places of terms; those that are absent stand at the zero row."""
@@ -98,7 +76,7 @@ class Design:
             white = noise[channel].whiten(stacked, runs)
             blocks = np.array([np.pad(part.T @ part, ((0, 1), (0, 1))) for part in np.array_split(white, BLOCKS)])
             place = {term: coefficients.shape[2] + index for index, term in enumerate(terms)}
-            channels.append(ChannelProducts(np.sum(blocks, axis=0), blocks, place, len(white), coefficients.shape[2]))
+            channels.append(ChannelProducts(np.sum(blocks, axis=0), blocks, place, len(white)))
         return Design(tuple(channels), coefficients.shape[2])
 
     @property
@@ -119,11 +97,8 @@ class Design:
 
     def gather_blocks(self, bodies: Sequence[int], terms: Sequence[Term]) -> FloatArray:
         """The same for each block of time ``(C, blocks, n, n)``."""
-        found = []
-        for channel in self.channels:
-            index = self._places(channel, bodies, terms)
-            found.append(channel.blocks[:, index][:, :, index])
-        return np.array(found)
+        indices = [self._places(channel, bodies, terms) for channel in self.channels]
+        return np.array([c.blocks[:, index][:, :, index] for c, index in zip(self.channels, indices, strict=True)])
 
     def _places(self, channel: ChannelProducts, bodies: Sequence[int], terms: Sequence[Term]) -> list[int]:
         again = [10 * body + k for body in bodies for k in range(10)]

@@ -121,8 +121,7 @@ class Repeats:
         by chance is too small.
         """
         sure = self.noise * (1.0 + _SURE / np.sqrt(2.0 * np.maximum(self.counts, 1.0))) < remainder
-        floor: FloatArray = np.where(sure | np.isnan(remainder), self.noise, remainder)
-        return floor
+        return np.where(sure | np.isnan(remainder), self.noise, remainder)
 
 
 def noise_by_repeats(model: MeasurementModel, records: Records) -> Repeats:
@@ -138,7 +137,7 @@ def noise_by_repeats(model: MeasurementModel, records: Records) -> Repeats:
         known = np.all(np.isfinite(values[0]), axis=0) & np.all(np.isfinite(values[1]), axis=0)
         if delay is None or not np.any(known):
             continue
-        times, others = _seconds(first), _seconds(second)
+        times, others = first.seconds, second.seconds
         both = (times + delay >= others[0]) & (times + delay <= others[-1])
         again = CubicSpline(others, values[1][:, known])(times[both] + delay)
         squares[known] += 0.5 * np.sum((again - values[0][both][:, known]) ** 2, axis=0)
@@ -150,7 +149,7 @@ def noise_by_repeats(model: MeasurementModel, records: Records) -> Repeats:
 def repeated_after(first: Samples, second: Samples) -> float | None:
     """What to add to the time since the beginning of one stretch [s] to find its positions in another one, or later in
     the same one; None if the motion is not repeated."""
-    step = float(np.median(np.diff(_seconds(first))))
+    step = float(np.median(np.diff(first.seconds)))
     centre = np.mean(first.position, axis=0)
     a, b = first.position - centre, second.position - centre
     size = float(np.sum(np.mean(a**2, axis=0)))
@@ -177,11 +176,6 @@ def _lowest(three: FloatArray) -> tuple[float, float]:
     bend = before - 2.0 * here + after
     offset = 0.5 * (before - after) / bend if bend > 0.0 else 0.0
     return max(here - 0.25 * (before - after) * offset, 0.0), offset
-
-
-def _seconds(part: Samples) -> FloatArray:
-    seconds: FloatArray = (part.stamps - part.stamps[0]) * 1e-9
-    return seconds
 
 
 def _measured(model: MeasurementModel, part: Samples) -> FloatArray:

@@ -10,17 +10,17 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 from scipy.ndimage import maximum_filter1d
 
+from geomid_ros.estimation.fit import INDEPENDENT
 from geomid_ros.model.columns import column_of, reached_joints
 from geomid_ros.model.dynamics import Dynamics
 from geomid_ros.model.effects import Effect, MotionEffect, Place, Situation, SituationEffect, joints_of
 from geomid_ros.model.effects.situation import Derivatives, OfLoad
-from geomid_ros.model.measurement import MeasurementModel, Rows
+from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.moving import SIGN, SMOOTH_SIGN, moves_one_way
 from geomid_ros.model.samples import Samples
 from geomid_ros.signals.kernels import filtered
 from geomid_ros.types import BoolArray, FloatArray, IntArray
 
-THIN = 2.67  # rows per cutoff period: the filter leaves nothing above 1.5 times the cutoff, so few are enough
 # Between two guesses of how friction changes its sign it is unknown; what happens there lasts so long, either way [s].
 _REVERSAL = 0.03
 _FEWEST = 3  # samples of a stretch
@@ -50,8 +50,8 @@ class Records:
                 if len(stretch) < _FEWEST:
                     continue
                 period = _period(stretch)
-                step = max(1, round(1.0 / (THIN * cutoff * period)))
-                margin = _half(cutoff, period)
+                step = max(1, round(1.0 / (INDEPENDENT * cutoff * period)))
+                margin = round(0.5 / (cutoff * period)) + 1  # derivatives by time would reach beyond the ends
                 index = np.arange(margin, len(stretch) - margin, step)
                 if len(index) > 2:
                     dense.append(stretch)
@@ -83,12 +83,7 @@ class Records:
     def unsettled(self) -> FloatArray:
         """By how much two models of dry friction of level 1 differ ``(N, joints)``: much near reversals, where friction
         depends on the past."""
-        parts = [_unsettled(part)[index] for part, index in zip(self.dense, self.chosen, strict=True)]
-        return np.concatenate(parts)
-
-    def rows(self, model: MeasurementModel) -> Rows:
-        """Rows of the inertias alone."""
-        return model.rows(self.samples)
+        return np.concatenate([_unsettled(part)[index] for part, index in zip(self.dense, self.chosen, strict=True)])
 
     def situation(self, model: MeasurementModel, total: TotalModel) -> Situation:
         """What a ``model`` with the gravity, inertias and effects of ``total`` says."""
@@ -104,13 +99,9 @@ class Records:
             of_joints, joined[name] = joined[name], np.zeros((len(self.samples), channels))
             if model.layout.efforts:
                 joined[name][:, :joints] = of_joints
-        sensitivity = dynamics.sensitivity(self.samples)
         return Situation(
             sign=self.samples.column(SIGN),
-            by_position=sensitivity.by_position,
-            by_velocity=sensitivity.by_velocity,
-            by_acceleration=sensitivity.by_acceleration,
-            by_gravity=sensitivity.by_gravity,
+            **vars(dynamics.sensitivity(self.samples)),
             gravity=total.straight_gravity,
             coefficients={(effect.name, place): values for effect, place, values in total.effects},
             of_load=self._derivatives_of(loads),
@@ -211,14 +202,13 @@ def _load_terms(
 def _unsettled(part: Samples) -> FloatArray:
     sharp, smooth = part.column(SIGN), part.column(SMOOTH_SIGN)
     reach = 2 * round(_REVERSAL / _period(part)) + 1
-    differences: FloatArray = maximum_filter1d(np.abs(sharp - smooth), reach, axis=0)
-    return differences
+    return np.asarray(maximum_filter1d(np.abs(sharp - smooth), reach, axis=0))
 
 
 def _advanced(part: Samples, seconds: float) -> Samples:
     if seconds == 0.0:
         return part
-    times = (part.stamps - part.stamps[0]) * 1e-9
+    times = part.seconds
     effort = np.full(part.effort.shape, np.nan)
     for joint, measured in enumerate(np.isfinite(part.effort).T):
         if np.count_nonzero(measured) > 1:
@@ -226,11 +216,6 @@ def _advanced(part: Samples, seconds: float) -> Samples:
             beside_gaps = np.interp(times + seconds, times, measured.astype(np.float64)) < 1.0
             effort[:, joint] = np.where(beside_gaps, np.nan, known)
     return replace(part, effort=effort)
-
-
-def _half(cutoff: float, period: float) -> int:
-    """Samples at each end whose derivatives by time would reach beyond."""
-    return round(0.5 / (cutoff * period)) + 1
 
 
 def _period(part: Samples) -> float:

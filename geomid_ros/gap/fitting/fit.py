@@ -14,20 +14,13 @@ from functools import cached_property
 
 import numpy as np
 
+from geomid_ros.estimation.profile_objective import ProfileObjective, StraightManifold
 from geomid_ros.estimation.solvers import trust_region
 from geomid_ros.gap.candidates import AnyCandidate, Term
 from geomid_ros.gap.evidence.design import Design
-from geomid_ros.gap.fitting.prior import (
-    SPREAD_OF_PAYLOADS,
-    Prior,
-    centred_payloads,
-    contradiction,
-    cost_of_inflation,
-    inflation_of,
-    known_rows,
-    usual_payload,
-)
-from geomid_ros.estimation.profile_objective import ProfileObjective, StraightManifold
+from geomid_ros.gap.fitting import prior as priors
+from geomid_ros.gap.fitting.prior import Prior
+from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.geometry.manifold import ParameterManifold, Point
 from geomid_ros.types import FloatArray
 
@@ -70,6 +63,19 @@ class JointFit:
         """Links that carry a payload."""
         return [c.payload for c in self.chosen if c.payload is not None]
 
+    @property
+    def inertias(self) -> FloatArray:
+        """Parameters ``(links, 10)`` of the links without their payloads."""
+        return pseudo_inertia.to_parameters(self.point.pseudo_inertias[: self.manifold.links - len(self.bodies)])
+
+    @property
+    def loaded_inertias(self) -> FloatArray:
+        """The same with their payloads."""
+        inertias = self.inertias
+        for carrier, payload in zip(self.bodies, self.point.pseudo_inertias[len(inertias) :], strict=True):
+            inertias[carrier] += pseudo_inertia.to_parameters(payload)
+        return inertias
+
     @cached_property
     def inverse(self) -> FloatArray:
         """Inverse of the information ``(D, D)``."""
@@ -83,15 +89,13 @@ class JointFit:
     @property
     def covariance(self) -> FloatArray:
         """Of the parameters ``(D, D)``."""
-        result: FloatArray = self.jacobian @ self.inverse @ self.jacobian.T
-        return result
+        return self.jacobian @ self.inverse @ self.jacobian.T
 
     def parameters_by_channel(self, design: Design) -> FloatArray:
         """How many parameters each channel determined, ``(C,)``: the trace of its share of the information."""
         weights = design.counts / self.squares
         traces = np.einsum("cij,ji->c", self.products[:, :-1, :-1], self.covariance)
-        result: FloatArray = weights * traces
-        return result
+        return np.asarray(weights * traces)
 
     def value(self, term: Term) -> float:
         """A coefficient."""
@@ -118,9 +122,9 @@ def fit(
     if prior.known is None or spread is not None:
         return _fit(design, prior, chosen, start, spread)
     alone = _fit(design, replace(prior, known=None), chosen, start)
-    rows = known_rows(prior.known, alone.manifold.dimension)
+    rows = priors.known_rows(prior.known, alone.manifold.dimension)
     off = alone.point.parameters - _known(alone.manifold, prior, alone.bodies).parameters
-    loose = replace(alone, inflation=contradiction(rows, off))
+    loose = replace(alone, inflation=priors.contradiction(rows, off))
     return min((_fit(design, prior, chosen, first) for first in (start, loose)), key=lambda found: found.score)
 
 
@@ -136,12 +140,12 @@ def _fit(
     scales = _scales(products, design, bodies, len(terms))
     manifold = StraightManifold(len(prior.inertias) // 10 + len(bodies), 0, scales)
     known = _known(manifold, prior, bodies)
-    first = 10 * (len(prior.inertias) // 10)
+    first = len(prior.inertias)
     weights = np.full(manifold.dimension, 1e-6)
-    weights[first : manifold.inertial.stop] = SPREAD_OF_PAYLOADS**-2
+    weights[first : manifold.inertial.stop] = priors.SPREAD_OF_PAYLOADS**-2
     held = slice(manifold.real.start, manifold.real.start + len(prior.terms))
     weights[held] = (scales[: len(prior.terms)] / prior.spreads) ** 2
-    rows = known_rows(prior.known, manifold.dimension)
+    rows = priors.known_rows(prior.known, manifold.dimension)
     counts, least = design.counts, _LEAST_SHARE * design.target_squares + 1e-300
     afresh = start is None or set(bodies) != set(start.bodies)
     inflation = 1.0 if fixed or start is None else start.inflation
@@ -156,7 +160,7 @@ def _fit(
         )
 
     if afresh and bodies:
-        point = centred_payloads(objective(spread, inflation), point, len(bodies))
+        point = priors.centred_payloads(objective(spread, inflation), point, len(bodies))
     for _ in range(_ROUNDS):
         trusted = objective(spread, inflation)
         solution = trust_region(trusted, point, _TOLERANCE, _STEPS)
@@ -166,23 +170,22 @@ def _fit(
         hessian = solution.evaluation.information + np.diag(trusted.weights)
         before = np.array([spread, inflation])
         spread = _spread(manifold, point, known, hessian, first, prior)
-        inflation = inflation_of(rows, manifold, point, known, hessian)
+        inflation = priors.inflation_of(rows, manifold, point, known, hessian)
         if np.all(np.abs(np.log([spread, inflation] / before)) < 0.05):
             break
     trusted = objective(spread, inflation)
     found = trusted.evaluate(point)
     hessian = found.information + np.diag(trusted.weights)
     score = 2.0 * found.value + _cost_of_spread(hessian[:first, :first], spread, prior)
-    score += cost_of_inflation(rows, inflation)
+    score += priors.cost_of_inflation(rows, inflation)
     score += sum(c.penalty for c in chosen) * float(np.log(np.max(counts, initial=1.0)))
-    squares = trusted.squares(point)
     return JointFit(
         chosen=tuple(chosen),
         terms=terms,
         point=point,
         manifold=manifold,
         score=score,
-        squares=squares,
+        squares=trusted.squares(point),
         information=hessian,
         spread=spread,
         inflation=inflation,
@@ -221,7 +224,7 @@ def _scales(products: FloatArray, design: Design, bodies: Sequence[int], terms: 
 
 def _known(manifold: ParameterManifold, prior: Prior, bodies: Sequence[int]) -> Point:
     links = prior.inertias.reshape(-1, 10)
-    payloads = [usual_payload(links, body) for body in bodies]
+    payloads = [priors.usual_payload(links, body) for body in bodies]
     reals = np.zeros(len(manifold.scales))
     reals[: len(prior.values)] = prior.values
     return manifold.point(np.concatenate([prior.inertias, *payloads, reals]))

@@ -13,7 +13,6 @@ from geomid_ros.gap.evidence.design import Design, term_columns
 from geomid_ros.gap.evidence.noise import Autoregression
 from geomid_ros.gap.evidence.record import Records, TotalModel
 from geomid_ros.gap.fitting.fit import JointFit
-from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.model.effects import Effect, Place, Situation, joints_of
 from geomid_ros.model.measurement import MeasurementModel, Rows
 from geomid_ros.types import BoolArray, FloatArray
@@ -24,11 +23,7 @@ _FRICTION_ERROR = 0.7  # of the noise: where dry friction is less sure than this
 def total_model(model: MeasurementModel, found: JointFit) -> TotalModel:
     """The whole model that a joint fit says."""
     inertias = np.array([body.parameters for body in model.robot.bodies])
-    links = pseudo_inertia.to_parameters(found.point.pseudo_inertias)
-    for place, body in enumerate(model.identified):
-        inertias[body] = links[place]
-    for place, carrier in enumerate(found.bodies):
-        inertias[model.identified[carrier]] += links[len(model.identified) + place]
+    inertias[list(model.identified)] = found.loaded_inertias
     grouped: dict[tuple[Effect, Place], list[float]] = {}
     for term in found.terms:
         if isinstance(term, EffectTerm):
@@ -63,7 +58,7 @@ class LinearisedProblem:
     @cached_property
     def rows(self) -> Rows:
         """Rows of the inertias, with the targets changed."""
-        rows = self.records.rows(self.model)
+        rows = self.model.rows(self.records.samples)
         targets = rows.targets.copy()
         for effect, place, coefficients in self.total.absorbed:
             targets += effect.columns(self.situation, place) @ coefficients
@@ -82,8 +77,7 @@ class LinearisedProblem:
         own = np.einsum("njj->nj", by_acceleration[:, :joints])
         shares = by_acceleration / np.maximum(own, 1e-12)[:, None]
         uncertain = np.max(shares * (self._dry_friction * self.records.unsettled)[:, None], axis=2)
-        usable: BoolArray = valid & (uncertain < _FRICTION_ERROR * self._floor)
-        return usable
+        return np.asarray(valid & (uncertain < _FRICTION_ERROR * self._floor))
 
     @cached_property
     def _dry_friction(self) -> FloatArray:
@@ -116,12 +110,7 @@ class LinearisedProblem:
     def residual(self, columns: dict[Term, dict[int, FloatArray]], found: JointFit) -> FloatArray:
         """Measured less predicted ``(N, C)``; of a delayed channel at the moment at which it was true."""
         rows = self.rows
-        links = pseudo_inertia.to_parameters(found.point.pseudo_inertias)
-        count = len(self.model.identified)
-        inertias = links[:count].copy()
-        for place, carrier in enumerate(found.bodies):
-            inertias[carrier] += links[count + place]
-        residual: FloatArray = rows.targets - rows.coefficients @ inertias.ravel()
+        residual: FloatArray = rows.targets - rows.coefficients @ found.loaded_inertias.ravel()
         for term in found.terms:
             for channel, column in columns[term].items():
                 residual[:, channel] -= found.value(term) * column
@@ -136,5 +125,4 @@ class LinearisedProblem:
             for channel, column in columns[term].items():
                 own[:, channel, place] = column
         jacobian = np.concatenate([coefficients, *again, own], axis=2)
-        variance: FloatArray = np.einsum("ncd,de,nce->nc", jacobian, found.covariance, jacobian, optimize=True)
-        return variance
+        return np.asarray(np.einsum("ncd,de,nce->nc", jacobian, found.covariance, jacobian, optimize=True))

@@ -10,8 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from geomid_ros.estimation.estimate import LinksInformation
-from geomid_ros.gap.candidates import Term
 from geomid_ros.estimation.profile_objective import ProfileObjective
+from geomid_ros.gap.candidates import Term
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.geometry.manifold import ParameterManifold, Point
 from geomid_ros.types import FloatArray
@@ -56,8 +56,7 @@ def _ball(mass: float, centre: FloatArray) -> FloatArray:
     pseudo = mass * np.diag([_PAYLOAD_SIZE**2] * 3 + [1.0])
     pseudo[:3, :3] += mass * np.outer(centre, centre)
     pseudo[:3, 3] = pseudo[3, :3] = mass * centre
-    result: FloatArray = pseudo_inertia.to_parameters(pseudo)
-    return result
+    return pseudo_inertia.to_parameters(pseudo)
 
 
 def centred_payloads(objective: ProfileObjective, point: Point, payloads: int) -> Point:

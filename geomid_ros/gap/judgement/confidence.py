@@ -71,9 +71,12 @@ class Evidence:
             return "ambiguous"
         if self._is_weak or self._is_small or self._is_beside_unexplained or self._is_hidden_by_others:
             return "tentative"
-        if self.candidate.payload is not None and _may_weigh_nothing(parameters["mass"]):
-            return "tentative"
-        return "confident" if self._sure or self._generalises else "tentative"
+        if self.candidate.payload is not None and not parameters["mass"].value > _SURE_OF_MASS * parameters["mass"].std:
+            return "tentative"  # it may weigh nothing
+        # Where the floor is reached the score can be trusted; else it takes errors of the model for noise.
+        design, whole = self.analysis.search.design, self.analysis.whole
+        sure = self._sure or (generalises(design, whole, self.candidate) and self._predicts)
+        return "confident" if sure else "tentative"
 
     @property
     def _is_ambiguous(self) -> bool:
@@ -83,10 +86,13 @@ class Evidence:
     def _others(self) -> list[Rival]:
         """The rivals but for one that contains the name: that fits as well by nature, but better only where needed."""
         open_here = bool(np.any(is_open(self.unseen)[list(joints_of(self.candidate.place))]))
-        return [rival for rival in self.rivals if not self._contains(rival) or rival.loss < 0.0 or open_here]
-
-    def _contains(self, rival: Rival) -> bool:
-        return EFFECTS[rival.effect].contains == self.candidate.name and rival.joint == self.joint
+        return [
+            rival
+            for rival in self.rivals
+            if (EFFECTS[rival.effect].contains, rival.joint) != (self.candidate.name, self.joint)
+            or rival.loss < 0.0
+            or open_here
+        ]
 
     @property
     def _rests_on_prior(self) -> bool:
@@ -135,11 +141,6 @@ class Evidence:
         return self.share < CONFIDENT_SHARE and not (self._sure and self.loss > CONFIDENT_IN_THE_SHADE)
 
     @property
-    def _generalises(self) -> bool:
-        """Where the floor is reached the score can be trusted; else it takes errors of the model for noise."""
-        return generalises(self.analysis.search.design, self.analysis.whole, self.candidate) and self._predicts
-
-    @property
     def _largest_gear_loss(self) -> float:
         """Of the other names, those that are known to first order only; 0 if there are none."""
         whole, search = self.analysis.whole, self.analysis.search
@@ -179,8 +180,7 @@ class Evidence:
         known[whole.manifold.inertial] = 0.0
         known[: len(search.prior.inertias)] = search.prior.inertias
         vector = np.append(known, -1.0)
-        squares: FloatArray = np.einsum("cij,i,j->c", whole.products, vector, vector)
-        return squares
+        return np.asarray(np.einsum("cij,i,j->c", whole.products, vector, vector))
 
     @property
     def _rise(self) -> float:
@@ -188,10 +188,6 @@ class Evidence:
         whole = self.analysis.whole
         without = self.analysis.search.without(whole, self.candidate)
         return float(np.sqrt(np.max(without.squares / whole.squares)))
-
-
-def _may_weigh_nothing(mass: Quantity) -> bool:
-    return not mass.value > _SURE_OF_MASS * mass.std
 
 
 def is_identified(analysis: Analysis) -> bool:
@@ -221,8 +217,7 @@ def is_open(unseen: HeldOut) -> BoolArray:
 def _is_above(unseen: HeldOut, times: float) -> BoolArray:
     # A standard deviation from n values is itself uncertain by 1 / sqrt(2 n), relative.
     reached = times * (1.0 + 2.0 / np.sqrt(2.0 * np.maximum(unseen.counts, 1.0))) * unseen.gap.expected
-    above: BoolArray = np.nan_to_num(unseen.gap.after) >= np.nan_to_num(reached, nan=np.inf)
-    return above
+    return np.nan_to_num(unseen.gap.after) >= np.nan_to_num(reached, nan=np.inf)
 
 
 def generalises(design: Design, found: JointFit, candidate: AnyCandidate) -> bool:

@@ -43,15 +43,14 @@ class HeldOut:
     @cached_property
     def trace(self) -> Trace:
         """The measured values and the predictions."""
-        samples, measured = self._records.samples, self._records.rows(self._model).targets
+        samples, measured = self._records.samples, self._model.rows(self._records.samples).targets
         fits = (self._untouched, self._analysis.bare, self._analysis.names)
         before, middle, after = (measured - self._residual(found) for found in fits)
-        load = np.abs(after)
         return Trace(
             stamps=samples.stamps,
             position=samples.position,
             velocity=samples.velocity,
-            load=load,
+            load=np.abs(after),
             measured=measured,
             before=before,
             inertias_only=middle,
@@ -67,8 +66,7 @@ class HeldOut:
     @cached_property
     def counts(self) -> FloatArray:
         """Number of independent instants of each channel ``(C,)``."""
-        counts: FloatArray = np.sum(self._last.valid, axis=0, dtype=np.float64)
-        return counts
+        return np.asarray(np.sum(self._last.valid, axis=0, dtype=np.float64))
 
     def times_floor(self, found: JointFit) -> FloatArray:
         """Root mean square of what a fit leaves ``(C,)``, in units of the floor; NaN where nothing is measured."""
@@ -86,5 +84,4 @@ class HeldOut:
     def _times_floor(self, residual: FloatArray) -> FloatArray:
         squares = np.sum(np.where(self._last.valid, residual, 0.0) ** 2, axis=0)
         counts = np.where(self.counts > 0.0, self.counts, np.nan)
-        times: FloatArray = np.sqrt(squares / counts) / self._analysis.floor
-        return times
+        return np.asarray(np.sqrt(squares / counts) / self._analysis.floor)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from geomid_ros.gap.evidence.curves import hats, knots
 from geomid_ros.gap.evidence.record import Records
 from geomid_ros.gap.result import Located
 from geomid_ros.model.measurement import MeasurementModel
@@ -15,23 +16,15 @@ _KNOTS = 12
 def located(model: MeasurementModel, records: Records, residual: FloatArray, load: FloatArray) -> tuple[Located, ...]:
     """For each channel of ``residual (N, C)``; a wrench channel has no joint, only load and time."""
     samples = records.samples
-    time = (samples.stamps - samples.stamps[0]) * 1e-9
     found = []
     for index, channel in enumerate(model.channels):
         values = residual[:, index]
         own = channel.joint is not None
         velocity = samples.velocity[:, index] if own else np.zeros(len(values))
         position = samples.position[:, index] if own else np.zeros(len(values))
-        found.append(
-            Located(
-                channel.name,
-                share(values, velocity),
-                share(values, position),
-                share(values, load[:, index]),
-                share(values, time),
-                share(values, np.tanh(velocity / max(0.05 * float(np.std(velocity)), 1e-9))),
-            )
-        )
+        reversals = np.tanh(velocity / max(0.05 * float(np.std(velocity)), 1e-9))
+        variables = (velocity, position, load[:, index], samples.seconds, reversals)
+        found.append(Located(channel.name, *(share(values, variable) for variable in variables)))
     return tuple(found)
 
 
@@ -49,9 +42,7 @@ def share(values: FloatArray, variable: FloatArray) -> float:
     values, variable = values[usable], variable[usable]
     if len(values) <= _KNOTS or np.ptp(variable) == 0.0:
         return 0.0
-    low, high = np.quantile(variable, [0.005, 0.995])
-    place = np.clip((variable - low) / max(high - low, 1e-12), 0.0, 1.0) * (_KNOTS - 1)
-    hats = np.maximum(0.0, 1.0 - np.abs(place[:, None] - np.arange(_KNOTS)))
-    solution, _, rank, _ = np.linalg.lstsq(hats, values, rcond=1e-9)
-    left = float(np.sum((values - hats @ solution) ** 2)) / (len(values) - int(rank))
+    curves = hats(variable, knots(variable), _KNOTS)
+    solution, _, rank, _ = np.linalg.lstsq(curves, values, rcond=1e-9)
+    left = float(np.sum((values - curves @ solution) ** 2)) / (len(values) - int(rank))
     return float(np.clip(1.0 - left / max(float(np.mean(values**2)), 1e-300), 0.0, 1.0))

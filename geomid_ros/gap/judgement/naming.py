@@ -6,11 +6,13 @@ from collections.abc import Collection, Mapping
 
 import numpy as np
 
+from geomid_ros.estimation.uncertainty import physical_sensitivity
 from geomid_ros.gap.candidates import Candidate
 from geomid_ros.gap.fitting.fit import JointFit
 from geomid_ros.gap.result import Confidence
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.model.effects import AtSensor, Effect, OnLink, Quantity
+from geomid_ros.model.effects.parameters import quantities
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.types import FloatArray
 
@@ -37,30 +39,10 @@ def parameters(
 def _of_payload(found: JointFit, effect: Effect, link: int) -> dict[str, Quantity]:
     place = found.manifold.links - len(found.bodies) + found.bodies.index(link)
     rows = found.manifold.link(place)
-    values = _of_body(pseudo_inertia.to_parameters(found.point.pseudo_inertias[place]))
-    derivative = np.array([_moved(found, rows, k, place) for k in range(10)]).T
-    covariance = derivative @ found.inverse[rows, rows] @ derivative.T
-    stds = np.sqrt(np.maximum(np.diag(covariance), 0.0))
-    return {
-        form.name: Quantity(float(value), float(std), form.units[0])
-        for form, value, std in zip(effect.parameters, values, stds, strict=True)
-    }
-
-
-def _moved(found: JointFit, rows: slice, direction: int, place: int) -> FloatArray:
-    tangent = np.zeros(found.manifold.dimension)
-    tangent[rows.start + direction] = _STEP
-    ends = [found.manifold.exp(found.point, sign * tangent).pseudo_inertias[place] for sign in (1.0, -1.0)]
-    ahead, behind = (_of_body(pseudo_inertia.to_parameters(end)) for end in ends)
-    result: FloatArray = (ahead - behind) / (2.0 * _STEP)
-    return result
-
-
-def _of_body(body: FloatArray) -> FloatArray:
-    """Mass, centre of mass, and inertia about it."""
-    rows, columns = pseudo_inertia.INERTIA_ENTRIES
-    central = pseudo_inertia.central_inertia(body)
-    return np.concatenate([body[:1], pseudo_inertia.centre_of_mass(body), central[rows, columns]])
+    values = pseudo_inertia.quantities_of(pseudo_inertia.to_parameters(found.point.pseudo_inertias[place]))
+    derivative = physical_sensitivity(found.manifold, found.point, _STEP)[place]
+    stds = np.sqrt(np.maximum(np.diag(derivative @ found.inverse[rows, rows] @ derivative.T), 0.0))
+    return quantities(effect.parameters, zip(values, stds, strict=True))
 
 
 def _of_sensor(
@@ -69,10 +51,7 @@ def _of_sensor(
     """One parameter for each axis that the sensor measures."""
     forms = {form.name: form for form in effect.own}
     measured = [forms[model.channels[channel].axis] for channel in place.channels]
-    return {
-        form.name: Quantity(float(value), float(np.sqrt(variance)), form.units[0])
-        for form, value, variance in zip(measured, values, np.diag(covariance), strict=True)
-    }
+    return quantities(measured, zip(values, np.sqrt(np.diag(covariance)), strict=True))
 
 
 def link_name(model: MeasurementModel, candidate: Candidate) -> str:

@@ -29,7 +29,7 @@ def _finding(model: MeasurementModel, analysis: Analysis, candidate: Candidate, 
     rivals = _rivals(model, analysis, candidate)
     joint, link = model.places.name(candidate.place), naming.link_name(model, candidate)
     close = [(EFFECTS[rival.effect](), rival.joint) for rival in rivals if rival.loss < CONFIDENT_RIVAL]
-    load = analysis.problem.situation.usual_load(candidate.place) if candidate.scanned else 0.0
+    load = analysis.problem.situation.usual_load(candidate.place) if candidate.effect.scanned else 0.0
     parameters = naming.parameters(model, whole, candidate, _scanned_std(analysis, candidate), load)
     evidence = Evidence(model=model, analysis=analysis, unseen=unseen, candidate=candidate, rivals=rivals, loss=loss)
     confidence = evidence.confidence(parameters)
@@ -51,7 +51,7 @@ def _finding(model: MeasurementModel, analysis: Analysis, candidate: Candidate, 
 def _scanned_std(analysis: Analysis, candidate: Candidate) -> float:
     """Standard deviation of the logarithm of a scanned constant, from the curvature of the score over its neighbours; 1
     where that says nothing, 0 for a name without one."""
-    if not candidate.scanned:
+    if not candidate.effect.scanned:
         return 0.0
     search, whole = analysis.search, analysis.whole
     around = search.neighbours(candidate)
@@ -59,7 +59,7 @@ def _scanned_std(analysis: Analysis, candidate: Candidate) -> float:
         return 1.0
     scanned = [around[0], candidate, around[1]]
     rest = [c for c in whole.chosen if c is not candidate]
-    logs = np.log([c.scanned for c in scanned])
+    logs = np.log([c.effect.scanned for c in scanned])
     scores = [search.fit([*rest, c], whole).score for c in scanned]
     curvature = 2.0 * float(np.polyfit(logs - logs[1], scores, 2)[0])  # the score is minus twice a log likelihood
     step = 0.5 * float(logs[2] - logs[0])
@@ -107,17 +107,11 @@ def verdict(analysis: Analysis, unseen: HeldOut) -> Verdict:
 def ranking(model: MeasurementModel, analysis: Analysis) -> tuple[Ranked, ...]:
     """Chosen names by what they are worth, then the others by what the score test says of them."""
     whole, search = analysis.whole, analysis.search
-    names = [c for c in whole.chosen if isinstance(c, Candidate)]
-    chosen = [
-        Ranked(
-            c.name,
-            model.places.name(c.place),
-            search.without(whole, c).score - whole.score,
-            improvement(search.design, search.without(whole, c), c)[1],
-            True,
-        )
-        for c in names
-    ]
+    chosen = []
+    for c in (c for c in whole.chosen if isinstance(c, Candidate)):
+        rest = search.without(whole, c)
+        _, separability = improvement(search.design, rest, c)
+        chosen.append(Ranked(c.name, model.places.name(c.place), rest.score - whole.score, separability, True))
     others = [
         Ranked(t.candidate.name, model.places.name(t.candidate.place), t.gain, t.separability, False)
         for t in search.ranked(whole)

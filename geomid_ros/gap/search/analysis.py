@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from geomid_ros.gap import candidates as library
-from geomid_ros.gap.candidates import AnyCandidate, CurveCandidate, CurveTerm, EffectTerm, Term
+from geomid_ros.gap.candidates import CurveCandidate, CurveTerm, EffectTerm, Term
 from geomid_ros.gap.evidence.curves import Curves
 from geomid_ros.gap.evidence.noise import Autoregression, noise_by_repeats, runs_of
 from geomid_ros.gap.evidence.record import Records, TotalModel
@@ -30,18 +31,15 @@ Columns = dict[Term, dict[int, FloatArray]]
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Analysis:
-    """Where the search ended: the last ``problem`` with its ``columns`` and ``search``; the fit with ``names`` alone,
-    with curves for what they leave (``whole``), and without either (``bare``); each channel's ``noise``, its standard
-    deviation ``floor (C,)``, from repeats of a motion if there are any."""
+    """Where the search ended: the last ``problem`` and ``search``; the fit with ``names`` alone, with curves for what
+    they leave (``whole``), and without either (``bare``); the standard deviation of each channel's noise, ``floor
+    (C,)``, from repeats of a motion if there are any."""
 
     problem: LinearisedProblem
-    columns: Columns
     search: Search
-    curves: Curves
     bare: JointFit
     names: JointFit
     whole: JointFit
-    noise: tuple[Autoregression, ...]
     floor: FloatArray
 
 
@@ -53,35 +51,30 @@ def analyse(
     problem = LinearisedProblem(model, records, total)
     curves = Curves(model, records, problem.situation)
     has = {(term.effect.name, term.place) for term in prior.terms if isinstance(term, EffectTerm)}
-    names = [c for c in library.candidates(model) if c.effect.adds_up or c.group not in has]
-    columns = problem.columns(names, prior.terms, curves)
+    tried = [c for c in library.candidates(model) if c.effect.adds_up or c.group not in has]
+    columns = problem.columns(tried, prior.terms, curves)
     noise = (Autoregression.white(),) * len(model.channels)
-    bare = Search(problem.design(columns, noise), prior, names).fit([])
+    bare = Search(problem.design(columns, noise), prior, tried).fit([])
     noise = _flexible_noise(problem, columns, bare, problem.valid)
     floor: FloatArray | None = None
-    chosen: Sequence[AnyCandidate] = ()
     before: JointFit | None = None
     for attempt in range(_ROUNDS):
         progress("searching", attempt / _ROUNDS)
         problem = LinearisedProblem(model, records, total_model(model, bare) if attempt == 0 else total, floor)
-        columns = problem.columns(names, prior.terms, curves)
-        search = Search(problem.design(columns, noise), prior, names, curves.candidates)
-        found = search.without_absurd(search.fit(chosen))
+        columns = problem.columns(tried, prior.terms, curves)
+        search = Search(problem.design(columns, noise), prior, tried, curves.candidates)
+        found = search.without_absurd(search.fit(before.chosen if before else ()))
         final = attempt == _ROUNDS - 1
         if final or _near(total_model(model, found), total):
             found = search.without_absurd(search.settle(search.prune(found), to_the_end=final))
-        whole = found
         total = total_model(model, found)
-        last = final or _same(before, found)
-        before = found
-        if last:
-            found, whole = _with_and_without_curves(search, found)
-        chosen = found.chosen
-        if last:
+        if final or _same(before, found):
             break
+        before = found
         residual = problem.residual(columns, found)
         floor = _typical_size(residual, problem.valid)
         noise = _noise(residual, problem.valid, records)
+    names, whole = _with_and_without_curves(search, found)
     progress("searching", 1.0)
     residual = problem.residual(columns, whole)
     repeats = noise_by_repeats(model, records)
@@ -89,13 +82,10 @@ def analyse(
     freedom = 1.0 - whole.parameters_by_channel(search.design) / np.where(counts > 0.0, counts, np.nan)
     return Analysis(
         problem=problem,
-        columns=columns,
         search=search,
-        curves=curves,
         bare=search.fit([]),
-        names=found,
+        names=names,
         whole=whole,
-        noise=noise,
         floor=repeats.floor(_root_mean_square(residual, problem.valid) / np.sqrt(freedom)),
     )
 
@@ -160,26 +150,21 @@ def _flexible_noise(
 
 
 def _noise(residual: FloatArray, valid: BoolArray, records: Records) -> tuple[Autoregression, ...]:
-    runs = [
-        runs_of(valid[:, channel] & np.isfinite(residual[:, channel]), records.segment)
-        for channel in range(residual.shape[1])
-    ]
-    return tuple(Autoregression.fit(residual[:, channel], runs[channel]) for channel in range(residual.shape[1]))
+    used = valid & np.isfinite(residual)
+    channels = zip(residual.T, used.T, strict=True)
+    return tuple(Autoregression.fit(values, runs_of(own, records.segment)) for values, own in channels)
 
 
 def _typical_size(residual: FloatArray, valid: BoolArray) -> FloatArray:
     """Of each channel ``(C,)``: the standard deviation that the median size would have if it were Gaussian."""
-    sizes = [
-        np.median(np.abs(values[used])) if np.any(used) else np.nan for values, used in _by_channel(residual, valid)
-    ]
-    return np.array(sizes) / _MEDIAN_OF_GAUSSIAN
+    return _by_channel(lambda values: np.median(np.abs(values)), residual, valid) / _MEDIAN_OF_GAUSSIAN
 
 
 def _root_mean_square(residual: FloatArray, valid: BoolArray) -> FloatArray:
-    squares = [np.mean(values[used] ** 2) if np.any(used) else np.nan for values, used in _by_channel(residual, valid)]
-    deviation: FloatArray = np.sqrt(np.array(squares))
-    return deviation
+    return np.sqrt(_by_channel(lambda values: np.mean(values**2), residual, valid))
 
 
-def _by_channel(residual: FloatArray, valid: BoolArray) -> Iterable[tuple[FloatArray, BoolArray]]:
-    return zip(residual.T, valid.T, strict=True)
+def _by_channel(function: Callable[[FloatArray], Any], residual: FloatArray, valid: BoolArray) -> FloatArray:
+    """A function of each channel's valid values ``(C,)``, NaN where there are none."""
+    channels = zip(residual.T, valid.T, strict=True)
+    return np.array([function(values[used]) if np.any(used) else np.nan for values, used in channels])

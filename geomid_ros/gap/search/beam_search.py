@@ -187,9 +187,9 @@ class Search:
 
     def neighbours(self, candidate: AnyCandidate) -> list[Candidate]:
         """The same name with the next smaller and the next larger of its scanned constant, where there are such."""
-        if not isinstance(candidate, Candidate) or not candidate.scanned:
+        if not isinstance(candidate, Candidate) or not candidate.effect.scanned:
             return []
-        alike = sorted((c for c in self.candidates if c.group == candidate.group), key=lambda c: c.scanned)
+        alike = sorted((c for c in self.candidates if c.group == candidate.group), key=lambda c: c.effect.scanned)
         place = alike.index(candidate)
         return [*alike[max(place - 1, 0) : place], *alike[place + 1 : place + 2]]
 

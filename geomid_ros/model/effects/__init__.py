@@ -5,69 +5,32 @@ from __future__ import annotations
 from importlib import import_module
 
 from geomid_ros.errors import unknown_name
-from geomid_ros.model.effects.effect import (
-    Effect,
-    Hinge,
-    IdentifiedEffect,
-    JointEffect,
-    LoadEffect,
-    MotionEffect,
-    PairEffect,
-    RobotEffect,
-    SensorEffect,
-    SituationEffect,
-)
-from geomid_ros.model.effects.known import KnownEffect, ModelEffect
-from geomid_ros.model.effects.parameters import ParameterForm, Quantity, Values
-from geomid_ros.model.effects.places import (
-    AtJoint,
-    AtJoints,
-    AtSensor,
-    OnLink,
-    OnRobot,
-    Place,
-    PlaceKind,
-    joint_of,
-    joints_of,
-)
-from geomid_ros.model.effects.situation import JointMotion, Motion, Situation
-
-__all__ = [
-    "DEFAULT_EFFECTS",
-    "EFFECTS",
-    "AtJoint",
-    "AtJoints",
-    "AtSensor",
-    "Effect",
-    "Hinge",
-    "IdentifiedEffect",
-    "JointEffect",
-    "JointMotion",
-    "KnownEffect",
-    "LoadEffect",
-    "ModelEffect",
-    "Motion",
-    "MotionEffect",
-    "OnLink",
-    "OnRobot",
-    "PairEffect",
-    "ParameterForm",
-    "Place",
-    "PlaceKind",
-    "Quantity",
-    "RobotEffect",
-    "SensorEffect",
-    "Situation",
-    "SituationEffect",
-    "Values",
-    "effect_class",
-    "identifiable",
-    "identified_effect",
-    "joint_of",
-    "joints_of",
-    "register",
-    "values_of",
-]
+from geomid_ros.model.effects.effect import Effect as Effect
+from geomid_ros.model.effects.effect import Hinge as Hinge
+from geomid_ros.model.effects.effect import IdentifiedEffect as IdentifiedEffect
+from geomid_ros.model.effects.effect import JointEffect as JointEffect
+from geomid_ros.model.effects.effect import LoadEffect as LoadEffect
+from geomid_ros.model.effects.effect import MotionEffect as MotionEffect
+from geomid_ros.model.effects.effect import PairEffect as PairEffect
+from geomid_ros.model.effects.effect import RobotEffect as RobotEffect
+from geomid_ros.model.effects.effect import SensorEffect as SensorEffect
+from geomid_ros.model.effects.effect import SituationEffect as SituationEffect
+from geomid_ros.model.effects.parameters import KnownEffect as KnownEffect
+from geomid_ros.model.effects.parameters import ParameterForm as ParameterForm
+from geomid_ros.model.effects.parameters import Quantity as Quantity
+from geomid_ros.model.effects.parameters import Values as Values
+from geomid_ros.model.effects.places import AtJoint as AtJoint
+from geomid_ros.model.effects.places import AtJoints as AtJoints
+from geomid_ros.model.effects.places import AtSensor as AtSensor
+from geomid_ros.model.effects.places import OnLink as OnLink
+from geomid_ros.model.effects.places import OnRobot as OnRobot
+from geomid_ros.model.effects.places import Place as Place
+from geomid_ros.model.effects.places import PlaceKind as PlaceKind
+from geomid_ros.model.effects.places import joint_of as joint_of
+from geomid_ros.model.effects.places import joints_of as joints_of
+from geomid_ros.model.effects.situation import JointMotion as JointMotion
+from geomid_ros.model.effects.situation import Motion as Motion
+from geomid_ros.model.effects.situation import Situation as Situation
 
 DEFAULT_EFFECTS = ("viscous_friction", "coulomb_friction", "rotor_inertia", "effort_offset", "wrench_offset")
 """Names of the effects that are identified at every joint and wrench sensor unless the user says otherwise."""
@@ -136,7 +99,7 @@ def effect_class(name: str) -> type[Effect]:
     return EFFECTS[name]
 
 
-def values_of(known: ModelEffect) -> dict[str, float]:
+def values_of(known: KnownEffect) -> dict[str, float]:
     """An effect's parameters without their units; what may be left out is zero."""
     optional = {form.name: 0.0 for form in effect_class(known.effect).parameters if form.optional}
     return optional | {name: quantity.value for name, quantity in known.parameters.items()}

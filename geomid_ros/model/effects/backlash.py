@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from geomid_ros.model.effects.effect import Effect, Hinge, SituationEffect
-from geomid_ros.model.effects.parameters import ParameterForm, Values
+from geomid_ros.model.effects.parameters import Found, ParameterForm, Values
 from geomid_ros.model.effects.places import Place, joint_of
 from geomid_ros.model.effects.situation import Situation
 from geomid_ros.types import FloatArray
@@ -31,6 +31,7 @@ class Backlash(SituationEffect):
     )
     settled_by = "slow motions in which the load of this joint changes its sign"
     first_order = True
+    largest = 0.2  # [rad]
     adds_up = False
 
     @classmethod
@@ -48,24 +49,12 @@ class Backlash(SituationEffect):
         """The gap."""
         return 1
 
-    def is_absurd(self, coefficients: FloatArray) -> bool:
-        """Whether the play is wider than 0.2 rad."""
-        return bool(abs(coefficients[0]) > 0.2)
-
     def columns(self, situation: Situation, place: Place) -> FloatArray:
         joint = joint_of(place)
-        side, rate, acceleration = (each[:, joint, self.crossing, None] for each in situation.of_load(sides))
-        moved = (
-            situation.by_position[:, :, joint] * side
-            + situation.by_velocity[:, :, joint] * rate
-            + situation.by_acceleration[:, :, joint] * acceleration
-        )
-        result: FloatArray = -0.5 * moved[:, :, None]
-        return result
+        side, rate, acceleration = (each[:, joint, self.crossing] for each in situation.of_load(sides))
+        return 0.5 * situation.behind(joint, side, rate, acceleration)
 
-    def constants(
-        self, found: Sequence[tuple[float, float]], unsure: float, usual_load: float
-    ) -> list[tuple[float, float]]:
+    def constants(self, found: Sequence[Found], unsure: float, usual_load: float) -> list[Found]:
         """The drag, against which the usual load crosses the gap in the time that was scanned."""
         ((gap, std),) = found
         drag = usual_load * self.scanned / gap

@@ -36,8 +36,7 @@ class CoulombFriction(JointEffect):
         return tuple(cls(smoothing) for smoothing in SMOOTHINGS)
 
     def column(self, motion: JointMotion) -> FloatArray:
-        result: FloatArray = np.tanh(motion.velocity / self.smoothing)
-        return result
+        return np.tanh(motion.velocity / self.smoothing)
 
     @classmethod
     def dry_friction(cls, coefficient: float, load: FloatArray) -> FloatArray:

@@ -13,7 +13,7 @@ from typing import ClassVar, Self, TypeAlias
 
 import numpy as np
 
-from geomid_ros.model.effects.parameters import ByEffect, ParameterForm, Quantities, Quantity, Values, without
+from geomid_ros.model.effects.parameters import ByEffect, Found, ParameterForm, Quantities, Quantity, Values, quantities
 from geomid_ros.model.effects.places import Place, PlaceKind, joint_of, joints_of
 from geomid_ros.model.effects.situation import JointMotion, Motion, Situation
 from geomid_ros.types import FloatArray
@@ -87,6 +87,8 @@ class Effect(ABC):
     """The parameter that enters nonlinearly, a field of the instances, in which the :meth:`variants` differ."""
     absorbed: ClassVar[bool] = False
     """Whether what was found of it is built into the model (gravity, time, scale), and only its change is a column."""
+    largest: ClassVar[float] = np.inf
+    """The largest coefficient, its sign apart, of a robot that works."""
     scales_measurement: ClassVar[bool] = False
     """Whether it acts on what is measured after everything else."""
 
@@ -111,6 +113,11 @@ class Effect(ABC):
         return 0
 
     @property
+    def own_positives(self) -> int:
+        """How many of those of its own columns cannot, where they are identified along with the inertias."""
+        return self.positives
+
+    @property
     def parts(self) -> tuple[Effect, ...]:
         """The effects of one coefficient that it is made of, in the order of its coefficients."""
         return (self,)
@@ -121,9 +128,9 @@ class Effect(ABC):
         first = self.parts.index(self)
         return self.parameters[first : first + self.count]
 
-    def is_absurd(self, coefficients: FloatArray) -> bool:  # noqa: ARG002
+    def is_absurd(self, coefficients: FloatArray) -> bool:
         """Whether no robot that works has it with these ``coefficients (k,)``, signs apart."""
-        return False
+        return bool(np.any(np.abs(coefficients) > self.largest))
 
     def linearised_at(self, coefficients: FloatArray) -> FloatArray:
         """The ``coefficients (k,)`` at which columns may be computed."""
@@ -160,18 +167,9 @@ class Effect(ABC):
         values, jacobian = self.transformed(coefficients)
         stds = np.sqrt(np.maximum(np.einsum("ij,jk,ik->i", jacobian, covariance, jacobian), 0.0))
         found = [(float(value), float(std)) for value, std in zip(values, stds, strict=True)]
-        found += self.constants(found, unsure, usual_load)
-        return {
-            form.name: Quantity(value, std, form.units[sliding])
-            for form, (value, std) in zip(self.parameters, found, strict=False)
-        }
+        return quantities(self.parameters, [*found, *self.constants(found, unsure, usual_load)], sliding=sliding)
 
-    def constants(
-        self,
-        found: Sequence[tuple[float, float]],  # noqa: ARG002
-        unsure: float,
-        usual_load: float,  # noqa: ARG002
-    ) -> list[tuple[float, float]]:
+    def constants(self, found: Sequence[Found], unsure: float, usual_load: float) -> list[Found]:  # noqa: ARG002
         """Values and standard deviations of the parameters that are constants, from those ``found`` before."""
         return [(self.scanned, unsure * self.scanned)] if self.constant else []
 
@@ -200,7 +198,7 @@ class Effect(ABC):
         if cls.name not in found or cls.corrected_in_samples:
             return known, found
         own = {form.name: found[cls.name][form.name] for form in cls().own if form.name in found[cls.name]}
-        return {**known, **own}, without(found, cls.name)
+        return {**known, **own}, {name: other for name, other in found.items() if name != cls.name}
 
     @classmethod
     def together(cls, first: Quantities, second: Quantities) -> Quantities:
@@ -278,20 +276,10 @@ class MotionEffect(Effect):
     """
 
     @property
-    def positive(self) -> bool:
-        """Whether the coefficient lives on P(1) (it cannot change sign, the metric is dc^2/c^2), not on a real line: a
-        parameter that must be above zero does."""
-        return self.parameters[0].above == 0.0
-
-    @property
     def positives(self) -> int:
-        """1 if it is positive."""
-        return int(self.positive)
-
-    @property
-    def units(self) -> tuple[str, str]:
-        """Units of the coefficient at a revolute and at a prismatic joint."""
-        return self.own[0].units
+        """1 if the coefficient lives on P(1) (it cannot change sign, the metric is dc^2/c^2), 0 if on a real line: a
+        parameter that must be above zero does the former."""
+        return int(self.parameters[0].above == 0.0)
 
     @abstractmethod
     def efforts(self, motion: Motion, place: Place) -> FloatArray:
@@ -301,8 +289,7 @@ class MotionEffect(Effect):
         """All of it, unless the MJCF says it."""
         if any(form.mjcf for form in self.parameters):
             return 0.0
-        result: FloatArray = values[self.own[0].name] * self.efforts(motion, place)
-        return result
+        return values[self.own[0].name] * self.efforts(motion, place)
 
 
 class JointEffect(MotionEffect):
@@ -385,9 +372,7 @@ class LoadEffect(SituationEffect):
     def columns(self, situation: Situation, place: Place) -> FloatArray:
         """Those of the one joint."""
         joint = joint_of(place)
-        columns = np.zeros((*situation.predicted.shape, 1))
-        columns[:, joint, 0] = self.column(situation.load[:, joint], situation.sign[:, joint])
-        return columns
+        return situation.column_of(joint, self.column(situation.load[:, joint], situation.sign[:, joint]))
 
 
 IdentifiedEffect: TypeAlias = MotionEffect | SensorEffect | LoadEffect

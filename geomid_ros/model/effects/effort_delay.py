@@ -1,7 +1,5 @@
 from __future__ import annotations
 
-import numpy as np
-
 from geomid_ros.model.effects.effect import SituationEffect
 from geomid_ros.model.effects.parameters import ParameterForm, Values
 from geomid_ros.model.effects.places import Place
@@ -20,17 +18,12 @@ class EffortDelay(SituationEffect):
     place = "robot"
     far = (2e-3,)
     absorbed = True
+    largest = 0.2  # [s]
     corrected_in_samples = True
 
-    def is_absurd(self, coefficients: FloatArray) -> bool:
-        """Whether it is longer than a fifth of a second."""
-        return bool(abs(coefficients[0]) > 0.2)
-
     def columns(self, situation: Situation, place: Place) -> FloatArray:  # noqa: ARG002  # all joints alike
-        joints = situation.load.shape[1]
-        columns = np.zeros((*situation.predicted.shape, 1))
-        columns[:, :joints, 0] = -situation.rate[:, :joints]
-        return columns
+        joints = slice(situation.load.shape[1])
+        return situation.column_of(joints, -situation.rate[:, joints])
 
     @classmethod
     def effort_lag(cls, values: Values) -> float:

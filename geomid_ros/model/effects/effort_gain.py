@@ -23,22 +23,16 @@ class EffortGain(SituationEffect):
     adds_up = False
     like_a_payload = True
     absorbed = True
+    largest = 0.5  # more would show half or twice the effort
     scales_measurement = True
     corrected_in_samples = True
 
-    def is_absurd(self, coefficients: FloatArray) -> bool:
-        """Whether it shows half or twice the effort."""
-        return bool(abs(coefficients[0]) > 0.5)
-
     def linearised_at(self, coefficients: FloatArray) -> FloatArray:
-        result: FloatArray = np.clip(coefficients, *_USED)
-        return result
+        return np.clip(coefficients, *_USED)
 
     def columns(self, situation: Situation, place: Place) -> FloatArray:
         joint = joint_of(place)
-        columns = np.zeros((*situation.predicted.shape, 1))
-        columns[:, joint, 0] = situation.predicted[:, joint]
-        return columns
+        return situation.column_of(joint, situation.predicted[:, joint])
 
     def transformed(self, coefficients: FloatArray) -> tuple[FloatArray, FloatArray]:
         """The gain."""

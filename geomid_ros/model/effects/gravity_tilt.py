@@ -35,8 +35,7 @@ class GravityTilt(SituationEffect):
         tilt = situation.coefficients.get((self.name, place), np.zeros(2))
         ends = [[_turned(situation.gravity, tilt + sign * step) for sign in (1, -1)] for step in _STEP * np.eye(2)]
         slopes = np.array([(ahead - behind) / (2.0 * _STEP) for ahead, behind in ends])
-        result: FloatArray = situation.by_gravity @ slopes.T
-        return result
+        return np.asarray(situation.by_gravity @ slopes.T)
 
     @classmethod
     def turned_gravity(cls, gravity: FloatArray, values: Values) -> FloatArray:
@@ -50,9 +49,8 @@ def _turned(gravity: FloatArray, tilt: FloatArray) -> FloatArray:
     if angle == 0.0:
         return gravity
     axis = np.append(tilt, 0.0) / angle
-    turned: FloatArray = (
+    return np.asarray(
         np.cos(angle) * gravity
         - np.sin(angle) * np.cross(axis, gravity)
         + (1.0 - np.cos(angle)) * (axis @ gravity) * axis
     )
-    return turned

@@ -22,25 +22,17 @@ class JointElasticity(SituationEffect):
     adds_up = False
     like_a_payload = True
     first_order = True
+    largest = 1.0  # [rad/(N m)]
 
     @property
     def positives(self) -> int:
         """The compliance."""
         return 1
 
-    def is_absurd(self, coefficients: FloatArray) -> bool:
-        """Whether it gives more than 1 rad per N m."""
-        return bool(abs(coefficients[0]) > 1.0)
-
     def columns(self, situation: Situation, place: Place) -> FloatArray:
         joint = joint_of(place)
-        moved = (
-            situation.by_position[:, :, joint] * situation.load[:, joint, None]
-            + situation.by_velocity[:, :, joint] * situation.load_rate[:, joint, None]
-            + situation.by_acceleration[:, :, joint] * situation.load_acceleration[:, joint, None]
-        )
-        result: FloatArray = -moved[:, :, None]
-        return result
+        loads = (situation.load, situation.load_rate, situation.load_acceleration)
+        return situation.behind(joint, *(load[:, joint] for load in loads))
 
     def transformed(self, coefficients: FloatArray) -> tuple[FloatArray, FloatArray]:
         """The stiffness."""

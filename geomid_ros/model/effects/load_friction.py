@@ -15,15 +15,12 @@ class LoadFriction(LoadEffect):
     meaning = "effort coefficient |tau| sign(v)"
     parameters = (ParameterForm("coefficient", ("-", "-"), above=0.0, below=1.0),)
     settled_by = "the same motion with a known payload and without"
+    largest = 1.0  # nothing of the effort would pass
 
     @property
     def positives(self) -> int:
         """It is no motor."""
         return 1
-
-    def is_absurd(self, coefficients: FloatArray) -> bool:
-        """Whether nothing of the effort would pass."""
-        return bool(abs(coefficients[0]) > 1.0)
 
     def column(self, load: FloatArray, sign: FloatArray) -> FloatArray:
         return np.abs(load) * sign
@@ -31,8 +28,7 @@ class LoadFriction(LoadEffect):
     @classmethod
     def dry_friction(cls, coefficient: float, load: FloatArray) -> FloatArray:
         """In proportion to the load."""
-        result: FloatArray = abs(coefficient) * np.abs(load)
-        return result
+        return abs(coefficient) * np.abs(load)
 
     @classmethod
     def friction_by_load(cls, values: Values) -> float:

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import TypeAlias
 
 COM_ENTRIES = ("com_x", "com_y", "com_z")
-INERTIA_ENTRIES = ("ixx", "ixy", "iyy", "ixz", "iyz", "izz")
-"""In pinocchio's order."""
 EFFORT = ("N m", "N")
 
+Found: TypeAlias = tuple[float, float]
+"""A parameter's value and standard deviation."""
 Values: TypeAlias = Mapping[str, float]
 """Values of an effect's parameters by name."""
 
@@ -40,9 +40,31 @@ ByEffect: TypeAlias = Mapping[str, Quantities]
 """The parameters of several effects at one place, by the effects' names."""
 
 
-def without(found: ByEffect, name: str) -> ByEffect:
-    """All effects but one."""
-    return {other: parameters for other, parameters in found.items() if other != name}
+def quantities(forms: Iterable[ParameterForm], found: Iterable[Found], *, sliding: bool = False) -> dict[str, Quantity]:
+    """The first of some parameters by name, from their values and standard deviations; ``sliding``: at a prismatic
+    joint."""
+    return {
+        form.name: Quantity(float(value), float(std), form.units[sliding])
+        for form, (value, std) in zip(forms, found, strict=False)
+    }
+
+
+@dataclass(frozen=True)
+class KnownEffect:
+    """An effect with the values of its parameters: what was found, or what is read of it from a file.
+
+    Attributes:
+        effect: its name.
+        joint: the joint it acts at, two as ``FIRST+SECOND``, the one that moves the link of a payload, or the topic of
+            a wrench sensor; empty for the whole robot.
+        link: the link that carries a payload, else empty.
+        parameters: their values with standard deviations and units, by name.
+    """
+
+    effect: str
+    joint: str
+    link: str
+    parameters: Quantities
 
 
 @dataclass(frozen=True)

@@ -1,7 +1,8 @@
 from __future__ import annotations
 
+from geomid_ros.geometry.pseudo_inertia import INERTIA_NAMES
 from geomid_ros.model.effects.effect import Effect
-from geomid_ros.model.effects.parameters import COM_ENTRIES, INERTIA_ENTRIES, ParameterForm
+from geomid_ros.model.effects.parameters import COM_ENTRIES, ParameterForm
 
 _URDF, _MJCF = "link/inertial", "body/inertial"
 
@@ -15,7 +16,7 @@ class Payload(Effect):
     parameters = (
         ParameterForm("mass", ("kg", "kg"), above=0.0, urdf=_URDF, mjcf=_MJCF),
         *(ParameterForm(name, ("m", "m"), urdf=_URDF, mjcf=_MJCF) for name in COM_ENTRIES),
-        *(ParameterForm(name, ("kg m^2", "kg m^2"), optional=True, urdf=_URDF, mjcf=_MJCF) for name in INERTIA_ENTRIES),
+        *(ParameterForm(name, ("kg m^2", "kg m^2"), optional=True, urdf=_URDF, mjcf=_MJCF) for name in INERTIA_NAMES),
     )
     said_first = 4
     settled_by = "the same motion with and without what the link carries, or a wrench sensor that carries the link"

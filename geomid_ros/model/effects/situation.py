@@ -45,8 +45,19 @@ Derivatives: TypeAlias = tuple[FloatArray, FloatArray, FloatArray]
 """Values and their first and second derivatives by time, filtered as the samples are, each ``(N, J, K)``."""
 
 
+@dataclass(frozen=True, eq=False)
+class Sensitivity:
+    """Derivatives of C channels at N instants by the links' motion, ``(N, C, J)``, and by gravity in the base frame,
+    ``(N, C, 3)``."""
+
+    by_position: FloatArray
+    by_velocity: FloatArray
+    by_acceleration: FloatArray
+    by_gravity: FloatArray
+
+
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Situation:
+class Situation(Sensitivity):
     """What a model says of N instants, J joints and C channels, of which the first J are the joints' efforts.
 
     Attributes:
@@ -54,8 +65,6 @@ class Situation:
         predicted, rate: the channels' values, effects included, and their derivative by time ``(N, C)``.
         load, load_rate, load_acceleration: efforts that the gears transmit to the links (rigid bodies alone) and their
             derivatives by time ``(N, J)``.
-        by_position, by_velocity, by_acceleration: derivatives of the channels by the links' motion ``(N, C, J)``.
-        by_gravity: derivatives of the channels by gravity in the base frame ``(N, C, 3)``.
         gravity: gravity in the frame of a base that stands straight ``(3,)`` [m/s^2].
         coefficients: those of the effects that the model has, by the effect's name and place.
         of_load: what a function makes of the load's history, at the N instants.
@@ -67,13 +76,24 @@ class Situation:
     load: FloatArray
     load_rate: FloatArray
     load_acceleration: FloatArray
-    by_position: FloatArray
-    by_velocity: FloatArray
-    by_acceleration: FloatArray
-    by_gravity: FloatArray
     gravity: FloatArray
     coefficients: Mapping[tuple[str, Place], FloatArray]
     of_load: Callable[[OfLoad], Derivatives]
+
+    def column_of(self, joints: int | slice, efforts: FloatArray) -> FloatArray:
+        """A column ``(N, C, 1)`` of which only the ``efforts`` of these joints are not zero."""
+        column = np.zeros((*self.predicted.shape, 1))
+        column[:, joints, 0] = efforts
+        return column
+
+    def behind(self, joint: int, moved: FloatArray, rate: FloatArray, acceleration: FloatArray) -> FloatArray:
+        """The column ``(N, C, 1)`` of a joint's link that is behind the measured position by ``moved (N,)``, whose
+        derivatives by time are ``rate`` and ``acceleration``."""
+        return -(
+            self.by_position[:, :, joint, None] * moved[:, None, None]
+            + self.by_velocity[:, :, joint, None] * rate[:, None, None]
+            + self.by_acceleration[:, :, joint, None] * acceleration[:, None, None]
+        )
 
     def usual_load(self, place: Place) -> float:
         """Standard deviation of what the gear of a place's (first) joint transmits [N m or N]; 0 without a joint."""

@@ -29,9 +29,9 @@ class Spring(JointEffect):
     like_a_payload = True
 
     @property
-    def positive(self) -> bool:
-        """As it is found; a file may say a spring that pushes away."""
-        return True
+    def positives(self) -> int:
+        """The stiffness, as it is found; a file may say a spring that pushes away."""
+        return 1
 
     @property
     def parts(self) -> tuple[Effect, ...]:

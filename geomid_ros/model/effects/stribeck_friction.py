@@ -6,7 +6,7 @@ import numpy as np
 
 from geomid_ros.model.effects.coulomb_friction import SMOOTHINGS, CoulombFriction
 from geomid_ros.model.effects.effect import Effect, JointEffect
-from geomid_ros.model.effects.parameters import EFFORT, ByEffect, ParameterForm, Quantities, Values, without
+from geomid_ros.model.effects.parameters import EFFORT, ByEffect, ParameterForm, Quantities, Values
 from geomid_ros.model.effects.places import Place
 from geomid_ros.model.effects.situation import JointMotion, Motion
 from geomid_ros.types import FloatArray
@@ -59,24 +59,21 @@ class StribeckFriction(JointEffect):
         return CoulombFriction(self.smoothing), self
 
     @property
-    def positive(self) -> bool:
-        """An excess below zero is dry friction that sets in gradually."""
-        return False
+    def positives(self) -> int:
+        """Level and excess."""
+        return 2
 
     @property
-    def positives(self) -> int:
-        """Level and excess, to be called by this name."""
-        return 2
+    def own_positives(self) -> int:
+        """None: an excess below zero is dry friction that sets in gradually, if not Stribeck's."""
+        return 0
 
     def is_absurd(self, coefficients: FloatArray) -> bool:
         """Whether the excess is many times the level."""
         return bool(coefficients[1] > _LARGEST_EXCESS * coefficients[0])
 
     def column(self, motion: JointMotion) -> FloatArray:
-        result: FloatArray = CoulombFriction(self.smoothing).column(motion) * np.exp(
-            -((motion.velocity / self.speed) ** 2)
-        )
-        return result
+        return CoulombFriction(self.smoothing).column(motion) * np.exp(-((motion.velocity / self.speed) ** 2))
 
     @classmethod
     def coefficients(cls, values: Values, usual_load: float = 0.0) -> dict[Effect, tuple[float, ...]]:  # noqa: ARG003
@@ -90,7 +87,8 @@ class StribeckFriction(JointEffect):
         if not {cls.name, CoulombFriction.name} <= found.keys():
             return known, found
         own, left = super().refined(known, found)
-        return {**own, **left[CoulombFriction.name]}, without(left, CoulombFriction.name)
+        level = left[CoulombFriction.name]
+        return {**own, **level}, {name: other for name, other in left.items() if other is not level}
 
     @classmethod
     def holding_friction(cls, values: Values) -> float:
@@ -100,5 +98,4 @@ class StribeckFriction(JointEffect):
     def unsaid_efforts(self, values: Values, motion: Motion, place: Place) -> FloatArray:
         """What the motion takes off the excess, which :meth:`holding_friction` counts as friction."""
         full = values["excess"] * CoulombFriction(self.smoothing).efforts(motion, place)
-        result: FloatArray = full * np.expm1(-((motion.velocity / self.speed) ** 2))
-        return result
+        return full * np.expm1(-((motion.velocity / self.speed) ** 2))
