@@ -23,7 +23,7 @@ from geomid_ros.model.samples import Samples
 from geomid_ros.types import FloatArray
 
 BAGS = Path(__file__).parents[2] / "bags"
-ALL_EFFECTS = DEFAULT_EFFECTS
+ALL_EFFECTS = ("viscous_friction", "coulomb_friction", "rotor_inertia", "effort_offset")
 COULOMB_SPEED = 0.02
 
 
