@@ -53,6 +53,11 @@ class Identification:
         nothing was held out. NaN where nothing was measured."""
         return self._by_channel(self.estimate.rms if self.held_out_rms is None else self.held_out_rms)
 
+    @property
+    def warnings(self) -> list[str]:
+        """What makes the result doubtful, in sentences."""
+        return self.session.warnings(self.estimate)
+
     @cached_property
     def rms_nominal(self) -> dict[str, float]:
         """The same of the URDF: its inertias and no effects."""

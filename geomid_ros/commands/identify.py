@@ -67,8 +67,6 @@ def identify(
         click.echo(json.dumps(found.document, indent=2))
     else:
         _print(found)
-        if found.session.loaded.not_predicted:
-            click.echo(f"\n{found.session.loaded.not_predicted}")
         click.echo(f"\nWritten: {', '.join(map(str, files))}")
 
 
@@ -82,6 +80,8 @@ def _print(found: geomid_ros.Identification) -> None:
     console = results_console()
     estimate = found.estimate
     state = "converged" if estimate.converged else f"NOT converged ({estimate.reason})"
+    for warning in found.warnings:
+        console.print(f"[bold]Warning:[/bold] {escape(warning)}", highlight=False)
     console.print(
         f"{estimate.rows_accepted} rows, {state} in {estimate.seconds:.1f} s, prior's weight {estimate.gamma:.1e}",
         highlight=False,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import compress
 
@@ -24,6 +25,7 @@ from geomid_ros.model.weighed_masses import WeighedMass, WeighedRows, weighed_ro
 from geomid_ros.types import FloatArray, IntArray, frozen
 
 OBJECTIVES = ("residual", "geodesic")
+_FAR = 2.0  # times the usual distance
 _ROUNDING = 1e-9
 # A quantity is called identifiable when the data at least halved the standard deviation that the prior alone leaves.
 _IDENTIFIABLE = 0.5
@@ -165,7 +167,19 @@ def _estimate(
         rms=frozen(summary.rms(solution.point.parameters)),
         information=uncertainty.links_information(manifold, prior_point, solution.point, measured, known, found),
         known=_known(known, manifold, solution.point, found),
+        warnings=tuple(_run_away(model, fitted, solution.point)),
     )
+
+
+def _run_away(model: MeasurementModel, fitted: Fit, point: Point) -> Iterator[str]:
+    """A sentence for each link that left its prior by far more than links usually do."""
+    spreads, pairs = fitted.spreads, zip(fitted.problem.prior_point.pseudo_inertias, point.pseudo_inertias, strict=True)
+    for name, spread, (prior, found) in zip(model.body_names, spreads, pairs, strict=True):
+        if spread > _FAR * starting_point.USUAL_SPREAD_OF_LINKS:
+            yield (
+                f"link '{name}' is far from what was known of it: {found[3, 3]:.3g} kg instead of {prior[3, 3]:.3g}; if "
+                "it cannot be so, it has swallowed an effect that the model lacks"
+            )
 
 
 def _configured_sigmas(model: MeasurementModel, settings: EstimatorSettings) -> FloatArray:
