@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import errno
+import json
 import os
 import tempfile
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 from geomid_ros.errors import GeomidError, InputError
 
@@ -19,6 +22,11 @@ def write_text(path: Path, text: str) -> None:
     except UnicodeEncodeError as error:
         raise GeomidError(f"{path}: cannot be written ({error})") from error
     write_bytes(path, content)
+
+
+def write_json(path: Path, document: Mapping[str, Any]) -> None:
+    """Write a document as indented JSON. Raises GeomidError naming the file."""
+    write_text(path, json.dumps(document, indent=2, allow_nan=False) + "\n")
 
 
 def write_bytes(path: Path, content: bytes) -> None:
