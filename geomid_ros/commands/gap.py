@@ -14,7 +14,7 @@ from rich.markup import escape
 from rich.table import Table
 
 import geomid_ros
-from geomid_ros.commands.options import URDF, out_option, recording_options
+from geomid_ros.commands.options import OUT, URDF, recording_options
 from geomid_ros.commands.progress import progress_bar
 from geomid_ros.commands.tables import number_columns, plain_table, results_console
 from geomid_ros.gap.result import GapResult
@@ -39,7 +39,7 @@ _AFTER, _INERTIAS, _BEFORE = "█", "▓", "░"
     help="What your simulator did under the commands of a bag; one for each of BAGS, in their order.",
 )
 @click.option("--command", help="Topic of the joints' set-points (JointState), to simulate in closed loop.")
-@out_option("geomid_gap")
+@click.option("--out", default=Path("geomid_gap"), **OUT)
 @click.option("--json", "as_json", is_flag=True, help="Print gap.json instead of tables.")
 def gap(
     bags: tuple[Path, ...], urdf: Path | None, model: Path | None, out: Path, as_json: bool, **options: Any

@@ -13,7 +13,7 @@ from rich.markup import escape
 from rich.table import Table
 
 import geomid_ros
-from geomid_ros.commands.options import URDF, out_option, recording_options
+from geomid_ros.commands.options import OUT, URDF, recording_options
 from geomid_ros.commands.progress import progress_bar
 from geomid_ros.commands.tables import number_columns, plain_table, results_console
 from geomid_ros.estimation.estimate import QUANTITIES, EffectEstimate, Estimate, LinkEstimate
@@ -35,7 +35,7 @@ from geomid_ros.report import gap_words
     metavar="LINK=MASS:STD",
     help="A mass that was weighed, of a link, of LINK+LINK together, or total; may be repeated.",
 )
-@out_option("geomid_out")
+@click.option("--out", default=Path("geomid_out"), **OUT)
 @click.option("--json", "as_json", is_flag=True, help="Print estimate.json instead of tables.")
 def identify(
     bags: tuple[Path, ...],

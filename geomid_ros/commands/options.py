@@ -8,12 +8,11 @@ from typing import Any
 import click
 
 URDF: dict[str, Any] = {"type": click.Path(path_type=Path), "help": "The robot's description."}
-
-
-def out_option(folder: str) -> Any:
-    """The option that says where results go, ``folder`` by default."""
-    kind = click.Path(path_type=Path, file_okay=False)
-    return click.option("--out", type=kind, default=Path(folder), show_default=True, help="Folder for results.")
+OUT: dict[str, Any] = {
+    "type": click.Path(path_type=Path, file_okay=False),
+    "show_default": True,
+    "help": "Folder for results.",
+}
 
 
 def recording_options(command: Any) -> Any:
