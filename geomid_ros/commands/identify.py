@@ -38,13 +38,7 @@ from geomid_ros.report import gap_words
 @click.option("--out", default=Path("geomid_out"), **OUT)
 @click.option("--json", "as_json", is_flag=True, help="Print estimate.json instead of tables.")
 def identify(
-    bags: tuple[Path, ...],
-    urdf: Path,
-    effects: str | None,
-    links: str | None,
-    out: Path,
-    as_json: bool,
-    **options: Any,
+    bags: tuple[Path, ...], urdf: Path, effects: str | None, links: str | None, out: Path, as_json: bool, **options: Any
 ) -> None:
     """Identify link inertias from rosbags.
 

@@ -105,10 +105,7 @@ def _simulated(stretch: Stretch, errors: Errors, before: WrittenRobot, after: Wr
     first, last = WindowSimulation(before, windows), WindowSimulation(after, windows)
     of_first, of_last = first.run(), last.run()
     trace = WindowTrace(
-        stretch.times[windows.samples],
-        stretch.samples.velocity[windows.samples],
-        of_first.velocity,
-        of_last.velocity,
+        stretch.times[windows.samples], stretch.samples.velocity[windows.samples], of_first.velocity, of_last.velocity
     )
     return _Run(
         errors.of(windows, first.instants, before, of_first),

@@ -116,8 +116,7 @@ class Inputs:
         self, kind: type, name: str, callback: Callable[..., None], qos: QoSProfile, raw: bool = False
     ) -> Subscription:
         events = SubscriptionEventCallbacks(
-            message_lost=partial(self._on_lost, name),
-            incompatible_qos=partial(self._on_incompatible, name),
+            message_lost=partial(self._on_lost, name), incompatible_qos=partial(self._on_incompatible, name)
         )
         options = QoSOverridingOptions.with_default_policies()
         try:

@@ -160,11 +160,7 @@ class GeomidNode(Node):
 
     def _publish_diagnostics(self) -> None:
         self._supervisor.restart_what_hangs()
-        array = self._diagnostics.array(
-            self._status(),
-            self._search.status,
-            self._supervisor.checkpoints,
-        )
+        array = self._diagnostics.array(self._status(), self._search.status, self._supervisor.checkpoints)
         array.header.stamp = self.get_clock().now().to_msg()
         self._diagnostic_arrays.publish(array)
 
