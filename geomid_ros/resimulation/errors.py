@@ -83,8 +83,7 @@ class Errors:
 
 def _mean(windows: Windows, instants: FloatArray, values: FloatArray) -> FloatArray:
     """Of ``values (N, K)`` at the instants of each window, ``(W, K)``."""
-    mean: FloatArray = interpolated(windows.stretch.times, values, instants).mean(axis=1)
-    return mean
+    return np.asarray(interpolated(windows.stretch.times, values, instants).mean(axis=1))
 
 
 def root_mean_square(parts: Sequence[FloatArray]) -> FloatArray:

@@ -131,5 +131,4 @@ def _judged_joints(parts: Sequence[Stretch]) -> BoolArray:
     """Whether each joint's motion follows from what was measured ``(J,)``: it moves, and its effort is known."""
     measured = np.all([np.all(np.isfinite(part.samples.effort), axis=0) for part in parts], axis=0)
     moves = np.max([np.ptp(part.samples.position, axis=0) for part in parts], axis=0) > _STILL
-    judged: BoolArray = measured & moves
-    return judged
+    return np.asarray(measured & moves)

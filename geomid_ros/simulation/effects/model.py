@@ -37,10 +37,9 @@ def rotation(x: float, y: float) -> FloatArray:
     """Rotation matrix ``(3, 3)`` of the rotation vector (x, y, 0) [rad]."""
     cross = np.array([[0.0, 0.0, y], [0.0, 0.0, -x], [-y, x, 0.0]])
     angle = np.hypot(x, y)
-    turn: FloatArray = (
+    return np.asarray(
         np.eye(3) + np.sinc(angle / np.pi) * cross + 0.5 * np.sinc(0.5 * angle / np.pi) ** 2 * cross @ cross
     )
-    return turn
 
 
 MODEL = by_name(_viscous_friction, _rotor_inertia, _spring, _joint_elasticity, _gravity_tilt)
