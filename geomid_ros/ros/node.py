@@ -177,11 +177,8 @@ class GeomidNode(Node):
         )
 
     def _missing_clock(self) -> list[str]:
-        simulated = self.get_parameter("use_sim_time").value
-        return ["use_sim_time is set, but nothing comes on /clock"] if simulated and not self._now() else []
-
-    def _now(self) -> int:
-        return int(self.get_clock().now().nanoseconds)
+        missing = self.get_parameter("use_sim_time").value and not self.get_clock().now().nanoseconds
+        return ["use_sim_time is set, but nothing comes on /clock"] if missing else []
 
     def _set_active(self, active: bool) -> tuple[bool, str]:
         self._active = active

@@ -8,7 +8,6 @@ from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path, PurePath
 from tempfile import TemporaryDirectory
-from types import TracebackType
 from typing import Any, Self
 
 from rosbags.typesys import Stores, get_typestore
@@ -51,9 +50,7 @@ class Bag:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self._stack.close()
 
     @property
@@ -104,9 +101,8 @@ class Bag:
             try:
                 yield topic, time, _typestore.deserialize_cdr(data, kind)
             except Exception as error:  # whatever bytes of another form make the code for this type raise
-                raise InputError(
-                    f"{where} is not a valid {kind} ({_first_line(error)}); {count} before it are"
-                ) from error
+                reason = (str(error).splitlines() or [type(error).__name__])[0]
+                raise InputError(f"{where} is not a valid {kind} ({reason}); {count} before it are") from error
 
     def raw_messages(self, topics: Collection[str]) -> Iterator[tuple[str, int, bytes]]:
         """Topic, time of recording [ns] and serialised message of everything on ``topics``."""
@@ -124,10 +120,6 @@ class Bag:
         except ValueError as error:
             where = f"message on {message.topic} at {message.time} ns"
             raise InputError(f"{self.path}: {where} cannot be unpacked, {error}") from error
-
-
-def _first_line(error: BaseException) -> str:
-    return (str(error).splitlines() or [type(error).__name__])[0]
 
 
 @dataclass(frozen=True)
