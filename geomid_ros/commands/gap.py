@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Iterator
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -136,17 +137,9 @@ def _channels_table(result: GapResult) -> Table:
 
 def _bar(before: float, inertias: float, after: float, end: float) -> str:
     """Three bars in one line, the shortest in front."""
-    lengths = sorted(
-        (_length(value, end), mark) for value, mark in ((after, _AFTER), (inertias, _INERTIAS), (before, _BEFORE))
-    )
-    return "".join(
-        mark * (length - shorter) for (length, mark), shorter in zip(lengths, _shorter(lengths), strict=True)
-    )
-
-
-def _shorter(lengths: list[tuple[int, str]]) -> Iterator[int]:
-    yield 0
-    yield from (length for length, _ in lengths[:-1])
+    bars = ((after, _AFTER), (inertias, _INERTIAS), (before, _BEFORE))
+    lengths = sorted((_length(value, end), mark) for value, mark in bars)
+    return "".join(mark * (length - shorter) for (shorter, _), (length, mark) in pairwise([(0, ""), *lengths]))
 
 
 def _length(value: float, end: float) -> int:

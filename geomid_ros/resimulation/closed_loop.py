@@ -201,8 +201,8 @@ def _simulated_effort(part: _Commanded, controller: FittedController, robot: Wri
 def _effort(part: _Commanded, controller: FittedController, position: FloatArray, velocity: FloatArray) -> FloatArray:
     """The controller's efforts at the samples ``(N, J)``."""
     proportional = controller.stiffness * (part.position - position)
-    effort: FloatArray = part.feedforward + controller.constant + proportional
-    return effort + controller.damping * (part.velocity - velocity)
+    damping = controller.damping * (part.velocity - velocity)
+    return part.feedforward + controller.constant + proportional + damping
 
 
 def _driving(
