@@ -56,11 +56,9 @@ class Bag:
     @property
     def topics(self) -> dict[str, str | None]:
         """Message type of each topic; None where there are several."""
-        kinds: dict[str, set[str]] = {}
-        for storage in self._storages:
-            for topic, kind in storage.counts:
-                kinds.setdefault(topic, set()).add(kind)
-        return {topic: found.pop() if len(found) == 1 else None for topic, found in kinds.items()}
+        found = dict.fromkeys(topic_and_kind for storage in self._storages for topic_and_kind in storage.counts)
+        kinds = Counter(topic for topic, _ in found)
+        return {topic: kind if kinds[topic] == 1 else None for topic, kind in found}
 
     @property
     def start(self) -> int:
@@ -84,11 +82,8 @@ class Bag:
 
     def count(self, topics: Collection[str]) -> int:
         """How many messages the topics have."""
-        counts: Counter[str] = Counter()
-        for storage in self._storages:
-            for (topic, _), count in storage.counts.items():
-                counts[topic] += count
-        return sum(counts[topic] for topic in topics)
+        counts = (item for storage in self._storages for item in storage.counts.items())
+        return sum(count for (topic, _), count in counts if topic in topics)
 
     def messages(self, topics: Collection[str]) -> Iterator[tuple[str, int, Any]]:
         """Topic, time of recording [ns] and message of everything on ``topics``, in the order of recording."""
@@ -106,8 +101,7 @@ class Bag:
 
     def raw_messages(self, topics: Collection[str]) -> Iterator[tuple[str, int, bytes]]:
         """Topic, time of recording [ns] and serialised message of everything on ``topics``."""
-        for topic, time, _, data in self._raw_messages(topics):
-            yield topic, time, data
+        return ((topic, time, data) for topic, time, _, data in self._raw_messages(topics))
 
     def _raw_messages(self, topics: Collection[str]) -> Iterator[RawMessage]:
         for storage in self._storages:
