@@ -9,7 +9,8 @@ from typing import Any
 
 from geomid_ros.api.arguments import Config, PathLike, Paths, Texts, configuration, description, paths
 from geomid_ros.errors import InputError
-from geomid_ros.files.models.gap_results import gap_document, write_gap
+from geomid_ros.files.disk import write_json
+from geomid_ros.files.models.gap_results import gap_document
 from geomid_ros.gap.result import Finding, GapResult, Verdict
 from geomid_ros.model.samples import Samples
 from geomid_ros.report.gap_page import GapPage, write_gap_page
@@ -99,7 +100,7 @@ class Gap:
         """
         folder = Path(folder)
         files = write_found(folder, self.session, self.result)
-        write_gap(folder / "gap.json", self.document)
+        write_json(folder / "gap.json", self.document)
         return [self.report(folder / "report.html", progress=progress), folder / "gap.json", *files]
 
     def __repr__(self) -> str:

@@ -14,6 +14,7 @@ from rich.live import Live
 from rich.table import Table
 
 import geomid_ros
+from geomid_ros.commands.options import OUT
 from geomid_ros.commands.progress import progress_bar
 from geomid_ros.errors import InputError
 from geomid_ros.files.models.results import read_estimate
@@ -31,13 +32,7 @@ _WRENCH = {
 
 
 @click.command()
-@click.option(
-    "--out",
-    type=click.Path(path_type=Path, file_okay=False),
-    default=Path("geomid_out/demo"),
-    show_default=True,
-    help="Folder for results.",
-)
+@click.option("--out", default=Path("geomid_out/demo"), **OUT)
 @click.option("--rate", default=1.0, show_default=True, type=click.FloatRange(0.1, 10.0), help="Times real time.")
 def demo(out: Path, rate: float) -> None:
     """Watch a robot's inertias being identified live.

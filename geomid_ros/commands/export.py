@@ -16,11 +16,7 @@ from geomid_ros.exports.payload import attached, chosen, difference, each_link
 @click.command()
 @click.argument("model", metavar="FROM", type=click.Path(path_type=Path))
 @click.option(
-    "--for",
-    "tool",
-    required=True,
-    type=click.Choice([*CONTROLLERS, *DESCRIPTIONS]),
-    help="Who is to read it.",
+    "--for", "tool", required=True, type=click.Choice([*CONTROLLERS, *DESCRIPTIONS]), help="Who is to read it."
 )
 @click.option(
     "--frame",

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Iterator
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +15,7 @@ from rich.markup import escape
 from rich.table import Table
 
 import geomid_ros
-from geomid_ros.commands.options import URDF, recording_options
+from geomid_ros.commands.options import OUT, URDF, recording_options
 from geomid_ros.commands.progress import progress_bar
 from geomid_ros.commands.tables import number_columns, plain_table, results_console
 from geomid_ros.gap.result import GapResult
@@ -39,13 +40,7 @@ _AFTER, _INERTIAS, _BEFORE = "█", "▓", "░"
     help="What your simulator did under the commands of a bag; one for each of BAGS, in their order.",
 )
 @click.option("--command", help="Topic of the joints' set-points (JointState), to simulate in closed loop.")
-@click.option(
-    "--out",
-    type=click.Path(path_type=Path, file_okay=False),
-    default=Path("geomid_gap"),
-    show_default=True,
-    help="Folder for results.",
-)
+@click.option("--out", default=Path("geomid_gap"), **OUT)
 @click.option("--json", "as_json", is_flag=True, help="Print gap.json instead of tables.")
 def gap(
     bags: tuple[Path, ...], urdf: Path | None, model: Path | None, out: Path, as_json: bool, **options: Any
@@ -144,17 +139,9 @@ def _channels_table(result: GapResult) -> Table:
 
 def _bar(before: float, inertias: float, after: float, end: float) -> str:
     """Three bars in one line, the shortest in front."""
-    lengths = sorted(
-        (_length(value, end), mark) for value, mark in ((after, _AFTER), (inertias, _INERTIAS), (before, _BEFORE))
-    )
-    return "".join(
-        mark * (length - shorter) for (length, mark), shorter in zip(lengths, _shorter(lengths), strict=True)
-    )
-
-
-def _shorter(lengths: list[tuple[int, str]]) -> Iterator[int]:
-    yield 0
-    yield from (length for length, _ in lengths[:-1])
+    bars = ((after, _AFTER), (inertias, _INERTIAS), (before, _BEFORE))
+    lengths = sorted((_length(value, end), mark) for value, mark in bars)
+    return "".join(mark * (length - shorter) for (shorter, _), (length, mark) in pairwise([(0, ""), *lengths]))
 
 
 def _length(value: float, end: float) -> int:

@@ -13,7 +13,7 @@ from rich.markup import escape
 from rich.table import Table
 
 import geomid_ros
-from geomid_ros.commands.options import URDF, recording_options
+from geomid_ros.commands.options import OUT, URDF, recording_options
 from geomid_ros.commands.progress import progress_bar
 from geomid_ros.commands.tables import number_columns, plain_table, results_console
 from geomid_ros.estimation.estimate import QUANTITIES, EffectEstimate, Estimate, LinkEstimate
@@ -35,22 +35,10 @@ from geomid_ros.report import gap_words
     metavar="LINK=MASS:STD",
     help="A mass that was weighed, of a link, of LINK+LINK together, or total; may be repeated.",
 )
-@click.option(
-    "--out",
-    type=click.Path(path_type=Path, file_okay=False),
-    default=Path("geomid_out"),
-    show_default=True,
-    help="Folder for results.",
-)
+@click.option("--out", default=Path("geomid_out"), **OUT)
 @click.option("--json", "as_json", is_flag=True, help="Print estimate.json instead of tables.")
 def identify(
-    bags: tuple[Path, ...],
-    urdf: Path,
-    effects: str | None,
-    links: str | None,
-    out: Path,
-    as_json: bool,
-    **options: Any,
+    bags: tuple[Path, ...], urdf: Path, effects: str | None, links: str | None, out: Path, as_json: bool, **options: Any
 ) -> None:
     """Identify link inertias from rosbags.
 

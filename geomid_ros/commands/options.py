@@ -8,6 +8,11 @@ from typing import Any
 import click
 
 URDF: dict[str, Any] = {"type": click.Path(path_type=Path), "help": "The robot's description."}
+OUT: dict[str, Any] = {
+    "type": click.Path(path_type=Path, file_okay=False),
+    "show_default": True,
+    "help": "Folder for results.",
+}
 
 
 def recording_options(command: Any) -> Any:

@@ -13,10 +13,9 @@ from geomid_ros.commands.progress import progress_bar
 from geomid_ros.commands.tables import number_columns, plain_table, results_console
 from geomid_ros.errors import InputError, unknown_name
 from geomid_ros.files.disk import write_text
-from geomid_ros.files.models.urdf import Inertia, read_urdf, with_inertials
+from geomid_ros.files.models.urdf import inertia_of, read_urdf, with_inertials
 from geomid_ros.files.shapes.meshes import MeshFinder
 from geomid_ros.files.shapes.shapes import ShapeReader
-from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.model import shapes
 from geomid_ros.model.robot import Robot
 from geomid_ros.model.samples import Samples
@@ -84,7 +83,7 @@ def prior(urdf: Path, mass: float, keep: str | None, package_path: dict[str, Pat
     solids = _solids(reader, {name: link for name, link in robot.links.items() if name not in kept})
     robot.check_staying(solids)
     result = shape_prior(robot.inertials, solids, mass, str(urdf))
-    inertias = _inertias(result)
+    inertias = {link.name: inertia_of(link.parameters) for link in result.links if link.parameters is not None}
     written = with_inertials(text, inertias)
     write_text(out, written)
     _print(result, kept)
@@ -113,19 +112,6 @@ def _solids(reader: ShapeReader, links: dict[str, Element]) -> dict[str, Solid]:
             if solid := reader.solid(link):
                 solids[name] = solid
     return solids
-
-
-def _inertias(result: ShapePrior) -> dict[str, Inertia]:
-    """The new inertials by link."""
-    return {
-        link.name: (
-            link.mass,
-            pseudo_inertia.centre_of_mass(link.parameters),
-            pseudo_inertia.central_inertia(link.parameters),
-        )
-        for link in result.links
-        if link.parameters is not None
-    }
 
 
 def _warnings(result: ShapePrior, tree: UrdfTree) -> Iterator[str]:

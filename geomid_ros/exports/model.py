@@ -65,8 +65,7 @@ class Model:
 
     def placement(self, link: str, frame: str) -> FloatArray:
         """The homogeneous matrix ``(4, 4)`` from a link's coordinates to those of the link ``frame``."""
-        result: FloatArray = np.linalg.inv(self.placements[frame]) @ self.placements[link]
-        return result
+        return np.linalg.inv(self.placements[frame]) @ self.placements[link]
 
     def check_link(self, link: str, kind: str) -> None:
         """Raise InputError if there is no such link."""

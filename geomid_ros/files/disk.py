@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import errno
+import json
 import os
 import tempfile
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 from geomid_ros.errors import GeomidError, InputError
 
@@ -19,6 +22,11 @@ def write_text(path: Path, text: str) -> None:
     except UnicodeEncodeError as error:
         raise GeomidError(f"{path}: cannot be written ({error})") from error
     write_bytes(path, content)
+
+
+def write_json(path: Path, document: Mapping[str, Any]) -> None:
+    """Write a document as indented JSON. Raises GeomidError naming the file."""
+    write_text(path, json.dumps(document, indent=2, allow_nan=False) + "\n")
 
 
 def write_bytes(path: Path, content: bytes) -> None:
@@ -73,22 +81,23 @@ def read_bytes(path: Path, what: str, most_bytes: int) -> bytes:
     try:
         if not path.is_file():
             raise InputError(f"{path}: no regular file, as a {what} is")
-        with path.open("rb") as file:
-            data = file.read(most_bytes + 1)
+        return _bounded(path, what, most_bytes)
     except OSError as error:
         raise InputError(f"{path}: the {what} cannot be read ({error})") from error
-    if len(data) > most_bytes:
-        raise InputError(f"{path}: larger than {most_bytes / 1e6:g} MB, not a {what}")
-    return data
 
 
 def read_text(path: Path, what: str, most_bytes: int) -> str:
     """The text of a UTF-8 file, with the line ends it has; ``what`` it is for messages. Raises InputError naming it."""
     try:
-        with path.open("rb") as file:
-            data = file.read(most_bytes + 1)
-        if len(data) > most_bytes:
-            raise InputError(f"{path}: larger than {most_bytes / 1e6:g} MB, not a {what}")
-        return data.decode()
+        return _bounded(path, what, most_bytes).decode()
     except (OSError, UnicodeDecodeError) as error:
         raise InputError(f"{path}: the {what} cannot be read ({error})") from error
+
+
+def _bounded(path: Path, what: str, most_bytes: int) -> bytes:
+    """The content of a file. Raises OSError, or InputError if it is larger."""
+    with path.open("rb") as file:
+        data = file.read(most_bytes + 1)
+    if len(data) > most_bytes:
+        raise InputError(f"{path}: larger than {most_bytes / 1e6:g} MB, not a {what}")
+    return data

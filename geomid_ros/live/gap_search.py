@@ -10,6 +10,7 @@ from typing import Any
 from geomid_ros.errors import InputError
 from geomid_ros.files.models.gap_results import FORMAT, gap_document
 from geomid_ros.gap.result import GapResult
+from geomid_ros.live.daemon import start_daemon
 from geomid_ros.report.gap_words import verdict_sentence
 from geomid_ros.session.gap import find_in_messages
 from geomid_ros.session.session import Session
@@ -43,20 +44,15 @@ class GapSearch:
     def __init__(self, on_end: Callable[[SearchStatus], None]) -> None:
         """``on_end(status)`` is called in the search's thread when a search ends, unless it was closed before."""
         self._on_end = on_end
-        self._status: SearchStatus | None = None
+        self.status: SearchStatus | None = None  # of the present or the last search
         self._thread: threading.Thread | None = None
         self._lock = threading.Lock()  # held while on_end is called
         self._closed = False
 
     @property
-    def status(self) -> SearchStatus | None:
-        """The state of the present or the last search; None before the first."""
-        return self._status
-
-    @property
     def running(self) -> bool:
         """Whether a search is going on."""
-        return self._status is not None and self._status.stage != ""
+        return self.status is not None and self.status.stage != ""
 
     def start(self, make_session: Callable[[], Session], messages: Sequence[Accepted]) -> None:
         """Begin a search.
@@ -66,11 +62,7 @@ class GapSearch:
             messages: what the pipeline of another session has accepted.
         """
         self._progress("beginning", 0.0)
-        # A daemon: the process may end while it computes.
-        self._thread = threading.Thread(
-            target=self._run, args=(make_session, messages), name="geomid-gap-search", daemon=True
-        )
-        self._thread.start()
+        self._thread = start_daemon("gap-search", self._run, make_session, messages)
 
     def close(self) -> None:
         """End, without calling ``on_end``."""
@@ -91,10 +83,10 @@ class GapSearch:
             status = SearchStatus(f"no finding: {type(error).__name__}: {error}")
         with self._lock:
             if not self._closed:
-                self._status = status
+                self.status = status
                 self._on_end(status)
 
     def _progress(self, stage: str, share: float) -> None:
         if self._closed:
             raise _EndedError
-        self._status = SearchStatus(f"looking: {stage}, {100.0 * share:.0f} %", stage)
+        self.status = SearchStatus(f"looking: {stage}, {100.0 * share:.0f} %", stage)

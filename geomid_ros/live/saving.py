@@ -18,6 +18,7 @@ from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.files.checkpoints.checkpoint import Checkpoint
 from geomid_ros.files.checkpoints.checkpoint_folder import CheckpointFolder, Restored
 from geomid_ros.live.activity import Activity
+from geomid_ros.live.daemon import start_daemon
 from geomid_ros.session.session import Session
 
 _PATIENCE = 0.4  # [s] for the last checkpoint
@@ -72,11 +73,7 @@ class Checkpoints:
             return
         self._restored = kept.restore(session.restore)
         self._rows = session.identifier.rows
-        # A daemon: the process may end while a slow disk is waited for.
-        self._thread = threading.Thread(
-            target=self._write_repeatedly, args=(kept,), name="geomid-checkpoints", daemon=True
-        )
-        self._thread.start()
+        self._thread = start_daemon("checkpoints", self._write_repeatedly, kept)
 
     @property
     def restored(self) -> Checkpoint | None:
@@ -174,19 +171,13 @@ class Saving:
             result: the estimate, or why there is none.
             done: is called in the thread with whether that succeeded, and a sentence.
         """
-        self._in_background(lambda: done(self._save(session, result)))
+        start_daemon("saving", lambda: done(self._save(session, result)))
 
     def save_last(self, session: Session, estimate: Estimate, patience: float) -> str:
         """Save, unless it takes longer than ``patience`` [s]. Returns a sentence on how that went."""
         answers: list[Answer] = []
-        self._in_background(lambda: answers.append(self._save(session, estimate))).join(patience)
+        start_daemon("saving", lambda: answers.append(self._save(session, estimate))).join(patience)
         return answers[0][1] if answers else f"{self._folder} is too slow to save the last estimate"
-
-    def _in_background(self, act: Callable[[], None]) -> threading.Thread:
-        # A daemon: the process may end while a slow disk is waited for.
-        thread = threading.Thread(target=act, name="geomid-saving", daemon=True)
-        thread.start()
-        return thread
 
     def _save(self, session: Session, result: Estimate | GeomidError) -> Answer:
         if isinstance(result, GeomidError):

@@ -15,7 +15,8 @@ from geomid_ros.errors import GeomidError
 from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.estimation.estimator import WarmStart
 from geomid_ros.live.activity import Activity
-from geomid_ros.monitoring.change_detection import ChangeDetector, ChannelGap
+from geomid_ros.live.daemon import start_daemon
+from geomid_ros.monitoring.change_detection import ChangeDetector
 from geomid_ros.monitoring.wrench_sensors import changed_sensors, sensor_channels
 from geomid_ros.session.session import Session
 from geomid_ros.signals.ledger import count_reason
@@ -45,13 +46,13 @@ class Solver:
         self._sensors = sensor_channels(session.model)
         self._on_estimate = on_estimate
         self._lock = threading.Lock()  # held, briefly, for all that follows
-        self._estimate: Estimate | None = None
-        self._problem = ""
+        self.estimate: Estimate | None = None  # the last one
+        self.problem = ""  # why the last try gave no new estimate
         self._failures: Counter[str] = Counter()
         self._epoch = 0  # a result of an earlier one is thrown away
-        self._solves = 0
+        self.solves = 0  # estimates made so far
         self._solved_rows = 0
-        self._changed: tuple[str, ...] = ()
+        self.changed_sensors: tuple[str, ...] = ()  # topics of those whose rows are left out
         self._asking: list[Done] = []
         self.detector = self._new_detector()
         self._start()
@@ -59,11 +60,7 @@ class Solver:
     def _start(self) -> None:
         self.activity = Activity()
         self._requests: queue.SimpleQueue[Done | None] = queue.SimpleQueue()
-        # A daemon: the process may end while it computes.
-        self._thread = threading.Thread(
-            target=self._solve_repeatedly, args=(self.activity, self._requests), name="geomid-solver", daemon=True
-        )
-        self._thread.start()
+        self._thread = start_daemon("solver", self._solve_repeatedly, self.activity, self._requests)
 
     def restart(self) -> None:
         """Give up what the thread is doing, and begin another thread. Those who wait for it get an error."""
@@ -101,9 +98,9 @@ class Solver:
 
     def _begin_anew(self) -> None:
         self.detector = self._new_detector()
-        self._changed = ()
-        self._estimate = None
-        self._problem = ""
+        self.changed_sensors = ()
+        self.estimate = None
+        self.problem = ""
         self._solve_afresh()
 
     def _solve_afresh(self) -> None:
@@ -113,35 +110,10 @@ class Solver:
         self._solved_rows = 0
 
     @property
-    def estimate(self) -> Estimate | None:
-        """The last estimate."""
-        return self._estimate
-
-    @property
-    def solves(self) -> int:
-        """Estimates made so far."""
-        return self._solves
-
-    @property
-    def problem(self) -> str:
-        """Why the last try gave no new estimate."""
-        return self._problem
-
-    @property
     def failures(self) -> Counter[str]:
         """Exceptions in the solver, by what they said."""
         with self._lock:
             return self._failures.copy()
-
-    @property
-    def gaps(self) -> tuple[ChannelGap, ...]:
-        """Of the monitored channels."""
-        return self.detector.gaps
-
-    @property
-    def changed_sensors(self) -> tuple[str, ...]:
-        """Topics of the wrench sensors whose rows are left out, as they are no longer what they were."""
-        return self._changed
 
     def _new_detector(self) -> ChangeDetector:
         return ChangeDetector(self._session.model.channels, self._session.configuration.buffer.forgetting_time)
@@ -188,7 +160,7 @@ class Solver:
         with self._lock:
             if detector is not self.detector:  # all was forgotten meanwhile
                 return
-            self._changed = tuple(changed or ())
+            self.changed_sensors = tuple(changed or ())
             for topic, channels in self._sensors.items():
                 reason = f"wrench changed: {topic}"
                 if changed is None:  # nothing is wrong with the sensor
@@ -204,7 +176,7 @@ class Solver:
         """Where to start; None, which chooses the prior's weight anew, when that was chosen for other data."""
         with self._lock:
             warm = self._session.warm
-            if warm is None or self._problem or self._session.identifier.outgrown(warm.rows):
+            if warm is None or self.problem or self._session.identifier.outgrown(warm.rows):
                 return None
             return warm
 
@@ -220,7 +192,7 @@ class Solver:
                 self._fail(error)
             with self._lock:
                 if epoch == self._epoch:
-                    self._problem = f"no estimate: {error}"
+                    self.problem = f"no estimate: {error}"
             return error if isinstance(error, GeomidError) else GeomidError(str(error))
         return estimate
 
@@ -234,13 +206,13 @@ class Solver:
         with self._lock:
             if epoch != self._epoch:
                 return False
-            self._solves += 1
+            self.solves += 1
             self._solved_rows = rows
-            if not estimate.converged and self._estimate is not None and self._estimate.converged:
-                self._problem = f"no new estimate: {estimate.reason}"
+            if not estimate.converged and self.estimate is not None and self.estimate.converged:
+                self.problem = f"no new estimate: {estimate.reason}"
                 return False
-            self._problem = ""
-            self._estimate = estimate
+            self.problem = ""
+            self.estimate = estimate
             chosen = rows if warm is None else warm.rows
             self._session.warm = WarmStart(estimate.parameters, chosen)
             return True

@@ -59,12 +59,7 @@ class Supervisor:
         self._restarts = 0
         self._hung = ""
         self._checkpoints: Checkpoints | None = None
-        self._worker: Worker | None = None
-
-    @property
-    def worker(self) -> Worker | None:
-        """The present one."""
-        return self._worker
+        self.worker: Worker | None = None  # the present one
 
     @property
     def problem(self) -> str:
@@ -89,10 +84,10 @@ class Supervisor:
         session = Session(urdf, self._configuration, source, self._ledger)
         if self._solving:
             session.identifier.solve_with(self._solving.solve)
-        if self._worker is not None:
-            self._worker.close()
+        if self.worker is not None:
+            self.worker.close()
         self._restore(session)
-        self._worker = Worker(session, self._configuration["solve_period"], self._on_samples, self._on_estimate)
+        self.worker = Worker(session, self._configuration["solve_period"], self._on_samples, self._on_estimate)
         self._log.info(f"identifying {len(session.model.body_names)} links from {len(session.model.channels)} channels")
         for warning in session.warnings():
             self._log.warning(warning)
@@ -105,7 +100,7 @@ class Supervisor:
             return
         folder = Path(self._configuration["checkpoint.folder"]).resolve()
         self._checkpoints = Checkpoints(session, folder, self._configuration["checkpoint.period"])
-        if self._checkpoints.restored is not None and self._worker is None:
+        if self._checkpoints.restored is not None and self.worker is None:
             self._ledger.restore(self._checkpoints.restored.accounts)
         status = self._checkpoints.status
         if status.error or status.warning:
@@ -116,15 +111,15 @@ class Supervisor:
     def reset(self) -> None:
         """Forget all rows, and that threads hung."""
         self._restarts, self._hung = 0, ""
-        if self._worker is not None:
-            self._worker.reset()
+        if self.worker is not None:
+            self.worker.reset()
 
     def restart_what_hangs(self) -> None:
         """Restart the solver if it hangs; if the intake does, replace the worker, whose rows are lost."""
-        if self._worker is None:
+        if self.worker is None:
             return
-        intake = self._worker.activity.current[1] > HANGING
-        solver = self._worker.solver.activity.current[1] > HANGING
+        intake = self.worker.activity.current[1] > HANGING
+        solver = self.worker.solver.activity.current[1] > HANGING
         if not solver and not intake:
             return
         what = "the intake of messages" if intake else "the solver"
@@ -134,9 +129,9 @@ class Supervisor:
         self._restarts += 1
         self._hung = f"{what} hung and was restarted, {self._restarts} of at most {MOST_RESTARTS} times"
         if intake:
-            self.build(self._worker.session.urdf, "robot_description")
+            self.build(self.worker.session.urdf, "robot_description")
         else:
-            self._worker.solver.restart()
+            self.worker.solver.restart()
 
     def close(self, save: Callable[[Session, Estimate, float], None]) -> None:
         """End the threads, after saving the last estimate.
@@ -146,12 +141,12 @@ class Supervisor:
                 take: at once, as nobody may have the time to wait for a solver at work, and again if that has found
                 another.
         """
-        if self._worker is None:
+        if self.worker is None:
             return
         end = time.monotonic() + _PATIENCE
-        saved = self._save_last(self._worker, save, None, end)
-        self._worker.close(max(0.0, end - time.monotonic()))
-        self._save_last(self._worker, save, saved, end)
+        saved = self._save_last(self.worker, save, None, end)
+        self.worker.close(max(0.0, end - time.monotonic()))
+        self._save_last(self.worker, save, saved, end)
         if self._checkpoints is not None:
             self._checkpoints.close()
 

@@ -14,6 +14,7 @@ import numpy as np
 
 from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.live.activity import Activity
+from geomid_ros.live.daemon import start_daemon
 from geomid_ros.live.solver import SOLVING, Done, Solver
 from geomid_ros.live.status import Status
 from geomid_ros.model.measurement import Rows
@@ -48,14 +49,8 @@ class _Reset:
     """All rows are to be forgotten."""
 
 
-@dataclass(frozen=True)
-class _FinalEstimate:
-    """``done`` waits for an estimate from all messages so far."""
-
-    done: Done
-
-
-_Task: TypeAlias = _Received | _Reset | _FinalEstimate
+_Task: TypeAlias = _Received | _Reset | Done
+"""``Done`` waits for an estimate from all messages so far."""
 
 
 class Worker:
@@ -84,9 +79,7 @@ class Worker:
         self._begin_check()
         self._last_taken = time.perf_counter()  # when the message that the intake took last was received, or later
         self._inbox: queue.SimpleQueue[_Task | None] = queue.SimpleQueue()
-        # A daemon: the process may end while it computes.
-        self._intake = threading.Thread(target=self._take_messages, name="geomid-intake", daemon=True)
-        self._intake.start()
+        self._intake = start_daemon("intake", self._take_messages)
 
     def close(self, patience: float | None = None) -> None:
         """Stop both threads. Waiting messages and a solve are finished first, unless that takes longer than
@@ -124,14 +117,14 @@ class Worker:
 
     def final_estimate(self, done: Done) -> None:
         """Solve from scratch for all messages so far. ``done`` is called with the result, in the solver's thread."""
-        self._put(_FinalEstimate(done))
+        self._put(done)
 
     def recent_messages(self) -> list[Accepted]:
         """The messages that the session remembers; after a gap has opened, only those since then.
 
         Before and after it are two robots, and no one effect explains both.
         """
-        begin = max((gap.since + _TRANSITION for gap in self.solver.gaps if gap.since is not None), default=0)
+        begin = max((gap.since + _TRANSITION for gap in self.solver.detector.gaps if gap.since is not None), default=0)
         return [message for message in self.session.recent.entries() if message.stamp >= begin]
 
     @property
@@ -163,7 +156,7 @@ class Worker:
             accounts=self.ledger.topics,
             joints=len(self.session.robot.joint_names),
             unmeasured=pipeline.unmeasured if self.session.model.layout.efforts else (),
-            gaps=self.solver.gaps,
+            gaps=self.solver.detector.gaps,
             estimate=self.solver.estimate,
             changed_sensors=self.solver.changed_sensors,
         )
@@ -186,7 +179,7 @@ class Worker:
         limit = self._longest_solve if what == SOLVING else _LONG
         return f"{what} takes {seconds:.0f} s so far, more than {limit:g} s" if seconds > limit else ""
 
-    def _put(self, task: _Reset | _FinalEstimate) -> None:
+    def _put(self, task: _Reset | Done) -> None:
         if self._inbox.empty():
             self._last_taken = time.perf_counter()
         self._inbox.put(task)
@@ -201,12 +194,12 @@ class Worker:
     def _do(self, task: _Task) -> None:
         if isinstance(task, _Reset):
             self._forget()
-        elif isinstance(task, _FinalEstimate):
-            self.solver.ask(task.done)
-        else:
+        elif isinstance(task, _Received):
             self._last_taken = task.time
             with self.activity.doing(task.message.topic):
                 self._take(task.message, task.time)
+        else:
+            self.solver.ask(task)
 
     def _take(self, message: Message, received: float) -> None:
         """Push a message into the pipeline, and the rows that it completes into the identifier."""

@@ -55,21 +55,17 @@ def _bodies(session: Session, estimate: Estimate, pose: Samples) -> list[BodyDra
     robot = session.robot
     frames = robot.link_frames(pose)
     nominal = session.model.nominal_inertias.reshape(-1, 10)
-    drawings = []
-    for index, link in enumerate(estimate.links):
-        rotation, origin = frames[link.name]
-        parent = robot.parent_body(link.name)
-        drawings.append(
-            BodyDrawing(
-                link.name,
-                origin,
-                frames[parent][1] if parent else None,
-                _ellipsoid(nominal[index], rotation, origin),
-                _ellipsoid(link.parameters, rotation, origin),
-                link.from_data,
-            )
+    return [
+        BodyDrawing(
+            link.name,
+            frames[link.name][1],
+            frames[parent][1] if (parent := robot.parent_body(link.name)) else None,
+            _ellipsoid(nominal[index], *frames[link.name]),
+            _ellipsoid(link.parameters, *frames[link.name]),
+            link.from_data,
         )
-    return drawings
+        for index, link in enumerate(estimate.links)
+    ]
 
 
 def _ellipsoid(parameters: FloatArray, rotation: FloatArray, origin: FloatArray) -> Ellipsoid:

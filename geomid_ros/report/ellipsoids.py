@@ -168,8 +168,7 @@ def bounds(view: View, points: FloatArray, solids: Sequence[Ellipsoid]) -> tuple
 
 def half_widths(view: View, solid: Ellipsoid) -> FloatArray:
     """Half the extent of the ellipsoid on the picture, ``(2,)`` [m]."""
-    halves: FloatArray = np.linalg.norm(view.sphere_map(solid)[:2], axis=1)
-    return halves
+    return np.asarray(np.linalg.norm(view.sphere_map(solid)[:2], axis=1))
 
 
 def floor_below(points: FloatArray, solids: Sequence[Ellipsoid]) -> tuple[FloatArray, float]:

@@ -158,10 +158,8 @@ class _Bars:
 
     @staticmethod
     def of_motion(again: SimulatedAgain) -> _Bars:
-        kinds = ("before", "after")
-        return _Bars.over(
-            [(name, "", {kind: again.errors[kind][name] for kind in kinds}) for name in again.errors["before"]]
-        )
+        names, kinds = again.errors["before"], ("before", "after")
+        return _Bars.over([(name, "", {kind: again.errors[kind][name] for kind in kinds}) for name in names])
 
     @staticmethod
     def over(rows: Sequence[tuple[str, str, Mapping[str, float]]]) -> _Bars:
@@ -272,9 +270,8 @@ def _links(page: GapPage) -> Iterator[dict[str, Any]]:
 
 
 def _body(parameters: FloatArray) -> dict[str, Any]:
-    inertia = pseudo_inertia.central_inertia(parameters)
     return {
         "mass": float(parameters[0]),
         "com": np.round(1e3 * pseudo_inertia.centre_of_mass(parameters), 1) + 0.0,  # no minus before a zero
-        "inertia": np.diag(inertia),
+        "inertia": np.diag(pseudo_inertia.central_inertia(parameters)),
     }

@@ -107,5 +107,4 @@ def _outline(parameters: FloatArray, placed: PlacedLink, view: FloatArray) -> Fl
     values, vectors = np.linalg.eigh(flat @ flat.T)
     angles = np.linspace(0.0, 2.0 * np.pi, _DIRECTIONS)
     circle = np.sqrt(np.maximum(values, 0.0))[:, None] * np.array([np.cos(angles), np.sin(angles)])
-    outline: FloatArray = centre[:2, None] + vectors @ circle
-    return outline
+    return np.asarray(centre[:2, None] + vectors @ circle)

@@ -196,8 +196,7 @@ def _thinned(times: FloatArray, values: FloatArray, clock: _Clock) -> tuple[Floa
 
 def _long(steps: FloatArray) -> BoolArray:
     """Which steps in time are pauses rather than the ordinary distance of samples."""
-    longer: BoolArray = steps > 5.0 * np.median(steps)
-    return longer
+    return steps > 5.0 * np.median(steps)
 
 
 def _extremes(values: FloatArray) -> IntArray:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -104,11 +104,5 @@ def _ends_repeated(times: FloatArray) -> FloatArray:
 
 def _in_a_row(times: Sequence[FloatArray]) -> FloatArray:
     """Times of recordings, each after the one before."""
-    return np.concatenate(list(_shifted(times)))
-
-
-def _shifted(times: Sequence[FloatArray]) -> Iterator[FloatArray]:
-    start = 0.0
-    for part in times:
-        yield part - part[0] + start
-        start += float(part[-1] - part[0])
+    starts = np.cumsum([0.0, *(part[-1] - part[0] for part in times[:-1])])
+    return np.concatenate([part - part[0] + start for part, start in zip(times, starts, strict=True)])

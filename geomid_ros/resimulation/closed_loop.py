@@ -166,8 +166,7 @@ def _neighbours(columns: FloatArray, period: float) -> FloatArray:
     """``columns (N, K)`` shortly before and after, side by side; at the ends, the ends."""
     shifts = [round(sign * separation / period) for separation in _SEPARATIONS for sign in (-1, 1)]
     places = np.arange(len(columns))[:, None] + np.array(shifts)
-    neighbours: FloatArray = columns[np.clip(places, 0, len(columns) - 1)].reshape(len(columns), -1)
-    return neighbours
+    return np.asarray(columns[np.clip(places, 0, len(columns) - 1)].reshape(len(columns), -1))
 
 
 def _true_time(stretch: Stretch, robot: WrittenRobot) -> FloatArray:
@@ -202,8 +201,8 @@ def _simulated_effort(part: _Commanded, controller: FittedController, robot: Wri
 def _effort(part: _Commanded, controller: FittedController, position: FloatArray, velocity: FloatArray) -> FloatArray:
     """The controller's efforts at the samples ``(N, J)``."""
     proportional = controller.stiffness * (part.position - position)
-    effort: FloatArray = part.feedforward + controller.constant + proportional
-    return effort + controller.damping * (part.velocity - velocity)
+    damping = controller.damping * (part.velocity - velocity)
+    return part.feedforward + controller.constant + proportional + damping
 
 
 def _driving(

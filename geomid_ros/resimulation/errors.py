@@ -41,8 +41,8 @@ class Errors:
         return np.concatenate([np.zeros(0, dtype=bool), *columns])
 
     def _measured(self, stretch: Stretch, sensor: WrenchSensor) -> FloatArray:
-        measured: FloatArray = stretch.samples.wrenches[:, self._all_sensors.index(sensor), sensor.axis_indices]
-        return sensor.sign * measured
+        measured = stretch.samples.wrenches[:, self._all_sensors.index(sensor), sensor.axis_indices]
+        return np.asarray(sensor.sign * measured)
 
     def of(self, windows: Windows, instants: FloatArray, robot: WrittenRobot, simulated: Simulated) -> FloatArray:
         """Measured minus simulated."""
@@ -70,25 +70,19 @@ class Errors:
             noise = self._noise.at(simulation.instants, random.uniform(0.0, self._noise.duration))
             disturbed = simulation.run(noise[..., : self._joints] / robot.gain)
             velocity = disturbed.velocity[:, -1] - undisturbed.velocity[:, -1]
-            sensed = [
-                (robot.wrench(disturbed.sensed, sensor) - robot.wrench(undisturbed.sensed, sensor))[
-                    :, sensor.axis_indices
-                ]
-                for sensor in self._sensors
-            ]
-            changes.append(np.hstack([velocity, *sensed]))
+            change = disturbed.sensed - undisturbed.sensed
+            wrenches = [robot.wrench(change, sensor)[:, sensor.axis_indices] for sensor in self._sensors]
+            changes.append(np.hstack([velocity, *wrenches]))
             changes[-1][:, self._joints :] -= noise[..., self._joints :].mean(axis=1)
         return np.concatenate(changes)
 
 
 def _mean(windows: Windows, instants: FloatArray, values: FloatArray) -> FloatArray:
     """Of ``values (N, K)`` at the instants of each window, ``(W, K)``."""
-    mean: FloatArray = interpolated(windows.stretch.times, values, instants).mean(axis=1)
-    return mean
+    return np.asarray(interpolated(windows.stretch.times, values, instants).mean(axis=1))
 
 
 def root_mean_square(parts: Sequence[FloatArray]) -> FloatArray:
     """Of parts ``(N, K)``, each column ``(K,)``; infinite where a simulation diverged."""
     values = np.concatenate(parts)
-    size = np.sqrt(np.mean(np.where(np.isfinite(values), values, np.inf) ** 2, axis=0))
-    return np.asarray(size)
+    return np.asarray(np.sqrt(np.mean(np.where(np.isfinite(values), values, np.inf) ** 2, axis=0)))

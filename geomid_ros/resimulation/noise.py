@@ -42,8 +42,7 @@ class Noise:
         first = np.floor(place).astype(np.int64)
         share = (place - first)[..., None]
         count = len(self.values)
-        mixed: FloatArray = (1.0 - share) * self.values[first % count] + share * self.values[(first + 1) % count]
-        return mixed
+        return (1.0 - share) * self.values[first % count] + share * self.values[(first + 1) % count]
 
     def only(self, names: Sequence[str]) -> Noise:
         """The noise of these channels; none where it is not known."""

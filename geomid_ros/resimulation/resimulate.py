@@ -105,10 +105,7 @@ def _simulated(stretch: Stretch, errors: Errors, before: WrittenRobot, after: Wr
     first, last = WindowSimulation(before, windows), WindowSimulation(after, windows)
     of_first, of_last = first.run(), last.run()
     trace = WindowTrace(
-        stretch.times[windows.samples],
-        stretch.samples.velocity[windows.samples],
-        of_first.velocity,
-        of_last.velocity,
+        stretch.times[windows.samples], stretch.samples.velocity[windows.samples], of_first.velocity, of_last.velocity
     )
     return _Run(
         errors.of(windows, first.instants, before, of_first),
@@ -134,5 +131,4 @@ def _judged_joints(parts: Sequence[Stretch]) -> BoolArray:
     """Whether each joint's motion follows from what was measured ``(J,)``: it moves, and its effort is known."""
     measured = np.all([np.all(np.isfinite(part.samples.effort), axis=0) for part in parts], axis=0)
     moves = np.max([np.ptp(part.samples.position, axis=0) for part in parts], axis=0) > _STILL
-    judged: BoolArray = measured & moves
-    return judged
+    return np.asarray(measured & moves)

@@ -42,5 +42,4 @@ def interpolated(times: FloatArray, values: FloatArray, at: FloatArray) -> Float
     Columns that are not measured throughout are zero.
     """
     spline = CubicSpline(times, np.where(np.all(np.isfinite(values), axis=0), values, 0.0))
-    result: FloatArray = spline(at)
-    return result
+    return np.asarray(spline(at))

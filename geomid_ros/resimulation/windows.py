@@ -44,8 +44,7 @@ class Windows:
     @property
     def samples(self) -> IntArray:
         """Indices of each window's samples behind its start ``(W, intervals)``."""
-        result: IntArray = self.starts[:, None] + 1 + np.arange(self.intervals)
-        return result
+        return self.starts[:, None] + 1 + np.arange(self.intervals)
 
     def substeps(self, step: float) -> int:
         """Number of integration steps, none longer than ``step`` [s], from one sample to the next."""

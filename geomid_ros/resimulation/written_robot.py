@@ -148,8 +148,7 @@ class WrittenRobot:
         this motion, ``(..., J)`` each."""
         friction = self.unsaid_friction(true_effort, motion)
         follows = self.prescribed
-        driven: FloatArray = np.where(follows, self.prescribed_effort(motion.acceleration), true_effort - friction)
-        return driven
+        return np.where(follows, self.prescribed_effort(motion.acceleration), true_effort - friction)
 
     def unsaid_friction(self, true_effort: FloatArray, motion: Motion) -> FloatArray:
         """Friction ``(..., J)`` that only the sidecar says: what Stribeck's takes off at speed, what the load adds, and
@@ -169,18 +168,15 @@ class WrittenRobot:
         arriving = true_effort - known - np.where(self.prescribed, 0.0, model.dof_armature[dofs]) * motion.acceleration
         along = np.sign(arriving) * sign
         passed = np.abs(arriving) / (1.0 + self._load_friction * along)
-        unsaid: FloatArray = by_motion + self._load_friction * (passed - self._usual_load) * sign
-        return unsaid
+        return np.asarray(by_motion + self._load_friction * (passed - self._usual_load) * sign)
 
     def true_effort(self, measured: FloatArray) -> FloatArray:
         """What the motors supply where the effort sensors show ``measured (..., J)``, delays apart."""
-        true: FloatArray = (measured - self.offset) / self.gain
-        return true
+        return (measured - self.offset) / self.gain
 
     def measured_effort(self, true: FloatArray) -> FloatArray:
         """What the effort sensors show where the motors supply ``true (..., J)``, delays apart."""
-        measured: FloatArray = self.gain * true + self.offset
-        return measured
+        return self.gain * true + self.offset
 
     def wrench(self, sensed: FloatArray, sensor: WrenchSensor) -> FloatArray:
         """The true wrench at a mounted sensor, its sign reversed if it is ``(..., 6)``, of all ``sensed (...,
@@ -203,8 +199,7 @@ class WrittenRobot:
         stiffness = np.where(elastic, self.model.jnt_stiffness[gears], 1.0)
         play = np.where(elastic, 0.0, self.model.jnt_range[gears, 1])
         efforts = self._gear_efforts(samples)
-        deflections: FloatArray = np.where(elastic, -efforts / stiffness, -play * np.sign(efforts))
-        return deflections
+        return np.where(elastic, -efforts / stiffness, -play * np.sign(efforts))
 
     def _gear_efforts(self, samples: Samples) -> FloatArray:
         """Efforts ``(N, gears)`` that the hinges of ``gears`` transmit while the joints move and nothing gives."""

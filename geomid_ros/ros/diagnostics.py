@@ -57,12 +57,9 @@ class Diagnostics:
 
 
 def _status(name: str, level: bytes, message: str, values: Mapping[str, object]) -> DiagnosticStatus:
-    pairs = [KeyValue(key=key, value=_text(value)) for key, value in values.items()]
+    texts = {key: f"{value:.6g}" if isinstance(value, float) else str(value) for key, value in values.items()}
+    pairs = [KeyValue(key=key, value=text) for key, text in texts.items()]
     return DiagnosticStatus(name=name, hardware_id="geomid", level=level, message=message, values=pairs)
-
-
-def _text(value: object) -> str:
-    return f"{value:.6g}" if isinstance(value, float) else str(value)
 
 
 def _link(node: str, link: LinkEstimate) -> DiagnosticStatus:

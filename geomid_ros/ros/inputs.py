@@ -75,7 +75,8 @@ class Inputs:
         type_name = message_type(name)
 
         def take_or_drop(data: bytes, info: dict[str, Any]) -> None:
-            ambiguous = self._ambiguous(entry)
+            # Not the node's count, which would copy the graph for every message.
+            ambiguous = not entry.several and entry.subscription.get_publisher_count() > 1
             self._count_missing(entry, None if ambiguous else info["publication_sequence_number"])
             if ambiguous:
                 self._ledger.drop(name, "several publishers")
@@ -116,8 +117,7 @@ class Inputs:
         self, kind: type, name: str, callback: Callable[..., None], qos: QoSProfile, raw: bool = False
     ) -> Subscription:
         events = SubscriptionEventCallbacks(
-            message_lost=partial(self._on_lost, name),
-            incompatible_qos=partial(self._on_incompatible, name),
+            message_lost=partial(self._on_lost, name), incompatible_qos=partial(self._on_incompatible, name)
         )
         options = QoSOverridingOptions.with_default_policies()
         try:
@@ -148,10 +148,6 @@ class Inputs:
 
     def _on_incompatible(self, name: str, event: Any) -> None:
         self._policies[name] = qos_policy_name_from_kind(event.last_policy_kind).lower()
-
-    def _ambiguous(self, entry: _Input) -> bool:
-        # Not the node's count, which would copy the graph for every message.
-        return not entry.several and entry.subscription.get_publisher_count() > 1
 
     @property
     def problems(self) -> tuple[str, ...]:

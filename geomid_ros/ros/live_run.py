@@ -10,7 +10,6 @@ import tempfile
 import time
 from collections.abc import Iterator
 from pathlib import Path
-from types import TracebackType
 from typing import Self
 
 import rclpy
@@ -61,9 +60,7 @@ class LiveRun:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         for process in (self._player, self._node):
             process.send_signal(signal.SIGINT)
         for process in (self._player, self._node):
@@ -82,11 +79,6 @@ class LiveRun:
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
         stream = next(status for status in message.status if status.name.endswith(": stream"))
         self.diagnostics = {pair.key: pair.value for pair in stream.values}
-
-    @property
-    def node_process(self) -> int:
-        """The id of the node's process."""
-        return self._node.pid
 
     def watch(self) -> Iterator[dict[str, float]]:
         """Yield the links' masses [kg] several times a second, until the bag is played and the estimate saved."""

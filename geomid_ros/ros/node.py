@@ -160,11 +160,7 @@ class GeomidNode(Node):
 
     def _publish_diagnostics(self) -> None:
         self._supervisor.restart_what_hangs()
-        array = self._diagnostics.array(
-            self._status(),
-            self._search.status,
-            self._supervisor.checkpoints,
-        )
+        array = self._diagnostics.array(self._status(), self._search.status, self._supervisor.checkpoints)
         array.header.stamp = self.get_clock().now().to_msg()
         self._diagnostic_arrays.publish(array)
 
@@ -181,11 +177,8 @@ class GeomidNode(Node):
         )
 
     def _missing_clock(self) -> list[str]:
-        simulated = self.get_parameter("use_sim_time").value
-        return ["use_sim_time is set, but nothing comes on /clock"] if simulated and not self._now() else []
-
-    def _now(self) -> int:
-        return int(self.get_clock().now().nanoseconds)
+        missing = self.get_parameter("use_sim_time").value and not self.get_clock().now().nanoseconds
+        return ["use_sim_time is set, but nothing comes on /clock"] if missing else []
 
     def _set_active(self, active: bool) -> tuple[bool, str]:
         self._active = active

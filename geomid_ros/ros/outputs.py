@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
 
 import numpy as np
 from builtin_interfaces.msg import Time
@@ -57,7 +56,8 @@ class Outputs:
         for link in estimate.links:
             self._inertias.publish(_inertia(link, stamp))
         self._identified.publish(String(data=with_identified_inertias(session.urdf, estimate.links)))
-        self._ellipsoids.publish(_markers(estimate.links, stamp))
+        markers = [_marker(index, link, stamp) for index, link in enumerate(estimate.links)]
+        self._ellipsoids.publish(MarkerArray(markers=markers))
 
     def finding(self, status: SearchStatus) -> None:
         """Publish the result of a search for a gap."""
@@ -95,12 +95,8 @@ def _predicted(robot: Robot, samples: Samples, index: int, efforts: FloatArray) 
     return message
 
 
-def _markers(links: Sequence[LinkEstimate], stamp: int) -> MarkerArray:
-    """The links' equivalent ellipsoids in their frames, from blue (from the prior) to orange (from the data)."""
-    return MarkerArray(markers=[_marker(index, link, stamp) for index, link in enumerate(links)])
-
-
 def _marker(index: int, link: LinkEstimate, stamp: int) -> Marker:
+    """A link's equivalent ellipsoid in its frame, from blue (from the prior) to orange (from the data)."""
     semi_axes, axes = pseudo_inertia.equivalent_ellipsoid(link.parameters)
     axes[:, 2] = np.cross(axes[:, 0], axes[:, 1])  # eigenvectors may be left-handed
     marker = Marker(ns="identified", id=index, type=Marker.SPHERE, action=Marker.ADD, frame_locked=True)

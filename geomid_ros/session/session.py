@@ -14,9 +14,9 @@ from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.estimation.estimator import WarmStart
 from geomid_ros.estimation.identifier import Identifier
 from geomid_ros.files.checkpoints.checkpoint import Checkpoint
-from geomid_ros.files.disk import write_text
+from geomid_ros.files.disk import write_json, write_text
 from geomid_ros.files.models.loaded_model import LoadedModel
-from geomid_ros.files.models.results import estimate_document, write_estimate
+from geomid_ros.files.models.results import estimate_document
 from geomid_ros.files.models.urdf import with_identified_inertias
 from geomid_ros.model.columns import Columns
 from geomid_ros.model.measurement import MeasurementModel
@@ -193,5 +193,5 @@ class Session:
         """Write ``estimate.json`` and ``identified.urdf`` into ``folder``; returns their paths."""
         document, description = folder / "estimate.json", folder / "identified.urdf"
         write_text(description, self.identified_urdf(estimate))
-        write_estimate(document, self.document(estimate, held_out))
+        write_json(document, self.document(estimate, held_out))
         return [document, description]

@@ -199,8 +199,7 @@ def _kinematics(robot: Element) -> str:
         if part.tag in _KINEMATIC:
             copy = SubElement(tree, part.tag, part.attrib)
             copy.extend(child for tag in _KINEMATIC[part.tag] if (child := part.find(tag)) is not None)
-    kinematics: str = ElementTree.tostring(tree, encoding="unicode")
-    return kinematics
+    return ElementTree.tostring(tree, encoding="unicode")
 
 
 def _child(element: Element, tag: str) -> Element:

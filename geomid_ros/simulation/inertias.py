@@ -44,8 +44,7 @@ def _body(name: str, pseudo: FloatArray) -> LinkInertia:
 
 def _swap_moments(matrix: FloatArray, share: float) -> FloatArray:
     """Second moment from rotational inertia (``share`` 1/2) and back (``share`` 1)."""
-    swapped: FloatArray = share * np.trace(matrix) * np.eye(3) - matrix
-    return swapped
+    return np.asarray(share * np.trace(matrix) * np.eye(3) - matrix)
 
 
 def set_inertia(mujoco: Any, element: Any, body: LinkInertia) -> None:

@@ -3,29 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, fields
 
 from geomid_ros.errors import InputError, unknown_name
 from geomid_ros.simulation.hidden import Hidden
 
 _POSITIVE = ("duration", "rate", "motion_period", "motion_range", "motion_speed", "longest_step")
-_NOT_NEGATIVE = (
-    "inertia_error",
-    "viscous_friction",
-    "coulomb_friction",
-    "rotor_inertia",
-    "effort_offset",
-    "position_noise",
-    "velocity_noise",
-    "effort_noise",
-    "force_noise",
-    "torque_noise",
-    "noise_time",
-    "position_step",
-    "effort_step",
-    "wrench_lag",
-)
 _LONGEST_STEP = 1e-3  # dry friction stops a joint within a few milliseconds
 _STIFF_STEP = 2e-4  # a light rotor behind a gear that gives
 _STIFF = {"joint_elasticity", "backlash"}
@@ -114,7 +98,8 @@ class SimulationOptions:
 
     def __post_init__(self) -> None:
         self._require(_POSITIVE, "above 0", lambda value: value > 0.0)
-        self._require(_NOT_NEGATIVE, "at least 0", lambda value: value >= 0.0)
+        others = [field.name for field in fields(self) if field.type == "float" and field.name not in _POSITIVE]
+        self._require(others, "at least 0", lambda value: value >= 0.0)
         self._require(_SHARES, "at most 1", lambda value: value <= 1.0)
         self._require(("longest_step",), f"at most {_LONGEST_STEP}", lambda value: value <= _LONGEST_STEP)
         self._require(("motion_harmonics",), "at least 1", lambda value: value >= 1)
@@ -126,7 +111,7 @@ class SimulationOptions:
         if self.samples < 2:
             raise InputError(f"{self.duration} s at {self.rate} Hz are fewer than 2 samples; lengthen the duration.")
 
-    def _require(self, names: tuple[str, ...], requirement: str, holds: Callable[[float], bool]) -> None:
+    def _require(self, names: Iterable[str], requirement: str, holds: Callable[[float], bool]) -> None:
         for name in names:
             value = getattr(self, name)
             if not (math.isfinite(value) and holds(value)):

@@ -63,18 +63,15 @@ class Plant(Simulator):
         if self._forces:
             data.qfrc_applied[:] = -self._needed(position, velocity)
         self._mujoco.mj_forwardSkip(self._model, data, self._mujoco.mjtStage.mjSTAGE_NONE, 1)
-        acceleration: FloatArray = data.qacc.copy()
-        return acceleration
+        return np.array(data.qacc)
 
     def effort(self) -> FloatArray:
-        effort: FloatArray = self._data.qfrc_actuator[self.driven]
-        return effort
+        return np.asarray(self._data.qfrc_actuator[self.driven])
 
     def wrench(self) -> FloatArray:
         self._mujoco.mj_rnePostConstraint(self._model, self._data)
         self._mujoco.mj_sensorAcc(self._model, self._data)
-        wrench: FloatArray = self._data.sensordata.copy()
-        return wrench
+        return np.array(self._data.sensordata)
 
     def inverse_dynamics(self, position: FloatArray, velocity: FloatArray, acceleration: FloatArray) -> FloatArray:
         data = self._data
@@ -83,8 +80,7 @@ class Plant(Simulator):
         data.qacc[:] = acceleration
         self._model.dof_frictionloss[:] = 0.0
         self._mujoco.mj_inverse(self._model, data)
-        effort: FloatArray = data.qfrc_inverse + self._needed(position, velocity)
-        return effort
+        return np.asarray(data.qfrc_inverse + self._needed(position, velocity))
 
     def inertia_matrix(self, position: FloatArray) -> FloatArray:
         self._data.qpos[:] = position

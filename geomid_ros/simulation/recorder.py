@@ -31,12 +31,11 @@ class Controller:
 
     def effort(self, half_step: int, position: FloatArray, velocity: FloatArray) -> FloatArray:
         """Commanded efforts ``(n,)`` at the instant ``half_step / 2`` steps after the start."""
-        wanted: FloatArray = (
+        return np.asarray(
             self.feedforward[half_step]
             + self.stiffness * (self.setpoints.position[half_step] - position)
             + self.damping * (self.setpoints.velocity[half_step] - velocity)
         )
-        return wanted
 
 
 def tuned_controller(
@@ -104,8 +103,7 @@ class ClosedLoop:
 
 def _weighted(stages: list[FloatArray]) -> FloatArray:
     first, second, third, fourth = stages
-    mean: FloatArray = (first + 2.0 * (second + third) + fourth) / 6.0
-    return mean
+    return (first + 2.0 * (second + third) + fourth) / 6.0
 
 
 @dataclass(frozen=True)

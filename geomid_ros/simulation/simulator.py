@@ -8,8 +8,7 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 
 from geomid_ros.simulation.effects.effect import TrueEffect
-from geomid_ros.simulation.effects.forces import FORCES, Places
-from geomid_ros.simulation.effects.friction import FRICTION
+from geomid_ros.simulation.effects.forces import FORCES, FRICTION, Places
 from geomid_ros.simulation.effects.structure import GEARS, play_name, wound
 from geomid_ros.types import FloatArray, IntArray
 

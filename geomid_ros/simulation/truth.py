@@ -48,8 +48,7 @@ def contributions(trace: RunTrace, robot: TrueRobot, options: SimulationOptions)
 
 
 def _rms(values: FloatArray) -> FloatArray:
-    root: FloatArray = np.sqrt(np.mean(values**2, axis=0))
-    return root
+    return np.asarray(np.sqrt(np.mean(values**2, axis=0)))
 
 
 def write_truth(path: Path, robot: TrueRobot, options: SimulationOptions, added: Mapping[str, FloatArray]) -> None:

@@ -9,7 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from geomid_ros.files.models.gap_results import gap_document, write_gap
+from geomid_ros.files.disk import write_json
+from geomid_ros.files.models.gap_results import gap_document
 from geomid_ros.files.models.sidecar import effect_of
 from geomid_ros.model.effects import Quantity
 
@@ -22,7 +23,7 @@ KEYS = {"format", "verdict", "findings", "unexplained", "gap", "floor", "resimul
 def test_what_was_found_is_in_it(tmp_path: Path) -> None:
     result = gap_result("ambiguous", JOINTS)
     errors = {"before": {"hip": 7.5}, "after": {"hip": 1.25}}
-    write_gap(tmp_path / "gap.json", gap_document(result, {"windows": errors}))
+    write_json(tmp_path / "gap.json", gap_document(result, {"windows": errors}))
     document = json.loads((tmp_path / "gap.json").read_text())
     assert document.keys() == KEYS
     assert document["verdict"] == "named"

@@ -14,10 +14,11 @@ from model.robots import Reference, random_samples
 
 from geomid_ros.errors import InputError
 from geomid_ros.estimation.estimate import EffectEstimate
+from geomid_ros.files.disk import write_json
 from geomid_ros.files.models.effect_forms import combined, payload_parameters, turned_gravity
 from geomid_ros.files.models.gap_model import write_model
 from geomid_ros.files.models.loaded_model import LoadedModel
-from geomid_ros.files.models.results import estimate_document, write_estimate
+from geomid_ros.files.models.results import estimate_document
 from geomid_ros.files.models.urdf import read_urdf
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.model.effects import KnownEffect
@@ -213,7 +214,7 @@ def test_nothing_is_known_without_a_model() -> None:
 )
 def test_what_cannot_be_used_is_named(tmp_path: Path, added: Any, message: str) -> None:
     document = estimate_document(estimate_of(link_estimate("link3", ("tool",))), {})
-    write_estimate(tmp_path / "estimate.json", json.loads(json.dumps(document)) | {"added": added})
+    write_json(tmp_path / "estimate.json", json.loads(json.dumps(document)) | {"added": added})
     with pytest.raises(InputError, match=rf"estimate\.json: {message}"):
         Session(ARM, Configuration({"model": str(tmp_path / "estimate.json")}, "test"), "arm3.urdf")
 
@@ -222,7 +223,7 @@ def test_information_stands_where_the_links_of_the_robot_stand(tmp_path: Path) -
     """Whatever their order in the file; of links that are not looked for it needs to say nothing."""
     names = ["link2", "link3", "link1"]
     found = estimate_of(*(link_estimate(name, merged) for name, merged in zip(names, [(), ("tool",), ()], strict=True)))
-    write_estimate(tmp_path / "estimate.json", estimate_document(found, {}))
+    write_json(tmp_path / "estimate.json", estimate_document(found, {}))
     values = {"model": str(tmp_path / "estimate.json")}
     all_links = Session(ARM, Configuration(values, "test"), "arm3.urdf")
     some = Session(ARM, Configuration(values | {"links": ["link1", "link3"]}, "test"), "arm3.urdf")
@@ -236,7 +237,7 @@ def test_information_stands_where_the_links_of_the_robot_stand(tmp_path: Path) -
 
 def test_information_that_took_other_links_for_known_is_left(tmp_path: Path) -> None:
     found = estimate_of(link_estimate("link3", ("tool",)), link_estimate("link1"))
-    write_estimate(tmp_path / "estimate.json", estimate_document(found, {}))
+    write_json(tmp_path / "estimate.json", estimate_document(found, {}))
     session = Session(ARM, Configuration({"model": str(tmp_path / "estimate.json")}, "test"), "arm3.urdf")
     assert session.loaded.information(session.model) is None
 
@@ -257,5 +258,5 @@ def write_model_and_load(tmp_path: Path, effects: list[KnownEffect]) -> Session:
         }
         for e in combined(effects)
     ]
-    write_estimate(tmp_path / "estimate.json", document | {"added": entries})
+    write_json(tmp_path / "estimate.json", document | {"added": entries})
     return Session(ARM, Configuration({"model": str(tmp_path / "estimate.json")}, "test"), "arm3.urdf")

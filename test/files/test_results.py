@@ -13,12 +13,12 @@ import pytest
 
 from geomid_ros.errors import InputError
 from geomid_ros.estimation.estimate import EffectEstimate
+from geomid_ros.files.disk import write_json
 from geomid_ros.files.models.results import (
     estimate_document,
     known_inertias,
     known_information,
     read_estimate,
-    write_estimate,
 )
 from geomid_ros.files.models.urdf import read_urdf
 from geomid_ros.model.effects import Quantity
@@ -83,7 +83,7 @@ def test_nothing_held_out_is_null() -> None:
 
 def test_round_trip(tmp_path: Path) -> None:
     path = tmp_path / "out/estimate.json"
-    write_estimate(path, document())
+    write_json(path, document())
     assert read_estimate(path) == document()
     assert json.loads(path.read_text()) == document()
     known = known_inertias(read_estimate(path), str(path))
@@ -103,7 +103,7 @@ def test_the_estimate_of_many_links_can_be_read_again(tmp_path: Path) -> None:
     """What is said of all together grows with the square of their number: of very many nothing is."""
     for count, said in ((100, True), (101, False)):
         many = estimate_of(*(link_estimate(f"link{number}") for number in range(count)))
-        write_estimate(tmp_path / "many.json", estimate_document(many, {}))
+        write_json(tmp_path / "many.json", estimate_document(many, {}))
         read = read_estimate(tmp_path / "many.json")
         assert (known_information(read, known_inertias(read, "many.json"), "many.json") is not None) is said
 
@@ -115,7 +115,7 @@ def session_from(model: Path) -> Session:
 
 def test_an_estimate_is_started_from(tmp_path: Path) -> None:
     path = tmp_path / "estimate.json"
-    write_estimate(path, document())
+    write_json(path, document())
     prior = session_from(path).identifier._task.prior
     assert prior is not None
     link1, link2, link3 = prior[:30].reshape(3, 10)

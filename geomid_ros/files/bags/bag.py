@@ -8,7 +8,6 @@ from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path, PurePath
 from tempfile import TemporaryDirectory
-from types import TracebackType
 from typing import Any, Self
 
 from rosbags.typesys import Stores, get_typestore
@@ -51,19 +50,15 @@ class Bag:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self._stack.close()
 
     @property
     def topics(self) -> dict[str, str | None]:
         """Message type of each topic; None where there are several."""
-        kinds: dict[str, set[str]] = {}
-        for storage in self._storages:
-            for topic, kind in storage.counts:
-                kinds.setdefault(topic, set()).add(kind)
-        return {topic: found.pop() if len(found) == 1 else None for topic, found in kinds.items()}
+        found = dict.fromkeys(topic_and_kind for storage in self._storages for topic_and_kind in storage.counts)
+        kinds = Counter(topic for topic, _ in found)
+        return {topic: kind if kinds[topic] == 1 else None for topic, kind in found}
 
     @property
     def start(self) -> int:
@@ -87,11 +82,8 @@ class Bag:
 
     def count(self, topics: Collection[str]) -> int:
         """How many messages the topics have."""
-        counts: Counter[str] = Counter()
-        for storage in self._storages:
-            for (topic, _), count in storage.counts.items():
-                counts[topic] += count
-        return sum(counts[topic] for topic in topics)
+        counts = (item for storage in self._storages for item in storage.counts.items())
+        return sum(count for (topic, _), count in counts if topic in topics)
 
     def messages(self, topics: Collection[str]) -> Iterator[tuple[str, int, Any]]:
         """Topic, time of recording [ns] and message of everything on ``topics``, in the order of recording."""
@@ -104,14 +96,12 @@ class Bag:
             try:
                 yield topic, time, _typestore.deserialize_cdr(data, kind)
             except Exception as error:  # whatever bytes of another form make the code for this type raise
-                raise InputError(
-                    f"{where} is not a valid {kind} ({_first_line(error)}); {count} before it are"
-                ) from error
+                reason = (str(error).splitlines() or [type(error).__name__])[0]
+                raise InputError(f"{where} is not a valid {kind} ({reason}); {count} before it are") from error
 
     def raw_messages(self, topics: Collection[str]) -> Iterator[tuple[str, int, bytes]]:
         """Topic, time of recording [ns] and serialised message of everything on ``topics``."""
-        for topic, time, _, data in self._raw_messages(topics):
-            yield topic, time, data
+        return ((topic, time, data) for topic, time, _, data in self._raw_messages(topics))
 
     def _raw_messages(self, topics: Collection[str]) -> Iterator[RawMessage]:
         for storage in self._storages:
@@ -124,10 +114,6 @@ class Bag:
         except ValueError as error:
             where = f"message on {message.topic} at {message.time} ns"
             raise InputError(f"{self.path}: {where} cannot be unpacked, {error}") from error
-
-
-def _first_line(error: BaseException) -> str:
-    return (str(error).splitlines() or [type(error).__name__])[0]
 
 
 @dataclass(frozen=True)

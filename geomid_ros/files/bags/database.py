@@ -43,8 +43,8 @@ class Database:
         self._path = path
         self._size = path.stat().st_size
         self._topics: dict[int, tuple[str, str]] = {}
-        self._counts: dict[tuple[str, str], int] = {}
-        self._first: int | None = None
+        self.counts: dict[tuple[str, str], int] = {}  # of messages, by topic and type
+        self.start: int | None = None  # [ns] when the first message was recorded
         self._steps = 0
         header = self._header()
         # Immutable: SQLite neither locks the file nor looks for a journal beside it.
@@ -66,16 +66,6 @@ class Database:
     def close(self) -> None:
         """Close the file."""
         self._database.close()
-
-    @property
-    def counts(self) -> dict[tuple[str, str], int]:
-        """How many messages there are, by topic and type."""
-        return dict(self._counts)
-
-    @property
-    def start(self) -> int | None:
-        """When the first message was recorded [ns]."""
-        return self._first
 
     def messages(self, topics: Collection[str]) -> Iterator[RawMessage]:
         """Everything on ``topics`` in the order of recording."""
@@ -159,12 +149,12 @@ class Database:
             if not all(isinstance(text, str) for text in (name, kind, encoding)):
                 raise FaultError("a topic's name or type is no text")
             self._topics[identity] = name, kind if encoding == "cdr" else f"{kind} in {encoding}"
-        self._counts = dict.fromkeys(self._topics.values(), 0)
+        self.counts = dict.fromkeys(self._topics.values(), 0)
         for identity, count, first in self._query("SELECT topic_id, count(*), min(timestamp) FROM messages GROUP BY 1"):
             if identity in self._topics:
-                self._counts[self._topics[identity]] += count
+                self.counts[self._topics[identity]] += count
             if isinstance(first, int):
-                self._first = first if self._first is None else min(self._first, first)
+                self.start = first if self.start is None else min(self.start, first)
 
     def _part(self) -> Part:
         """The part that can be read in the order of writing, while row numbers rise: damaged pages may lead back to

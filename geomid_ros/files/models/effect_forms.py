@@ -115,6 +115,11 @@ def _quantity(quantity: Quantity) -> dict[str, Any]:
     return {"value": finite(quantity.value), "unit": quantity.unit, "std": finite(quantity.std)}
 
 
+def by_channel(channels: Sequence[str], values: FloatArray) -> dict[str, float | None]:
+    """Values by the names of their channels; what is no number is null."""
+    return {name: finite(value) for name, value in zip(channels, values, strict=True)}
+
+
 def finite(value: float) -> float | None:
     """A number as JSON can have it: None for what is not finite."""
     return float(value) if math.isfinite(value) else None

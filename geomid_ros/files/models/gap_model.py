@@ -12,13 +12,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from geomid_ros.files.disk import write_text
+from geomid_ros.files.disk import write_json, write_text
 from geomid_ros.files.models.effect_forms import coefficient_entry, combined, effect_entry, is_coefficient
 from geomid_ros.files.models.mjcf import mjcf
-from geomid_ros.files.models.results import FORMAT, write_estimate
+from geomid_ros.files.models.results import FORMAT, link_entry
 from geomid_ros.files.models.sidecar import write_sidecar
-from geomid_ros.files.models.urdf import Inertia, with_effects, with_inertials
-from geomid_ros.geometry import pseudo_inertia
+from geomid_ros.files.models.urdf import Inertia, inertia_of, with_effects, with_inertials
 from geomid_ros.model.effects import KnownEffect
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.types import FloatArray
@@ -49,10 +48,10 @@ def write_model(
     :func:`~geomid_ros.files.models.effect_forms.combined`.
     """
     effects = combined(effects)
-    bodies = {name: _inertia(parameters) for name, parameters in inertias.items()}
+    bodies = {name: inertia_of(parameters) for name, parameters in inertias.items()}
     merged = {body.name: body.merged for body in model.robot.bodies if body.name in bodies}
     removed = [name for names in merged.values() for name in names]
-    write_estimate(folder / ESTIMATE, _estimate(bodies, merged, effects))
+    write_json(folder / ESTIMATE, _estimate(bodies, merged, effects))
     write_text(folder / URDF, with_effects(with_inertials(urdf, bodies, removed), effects))
     write_text(folder / MJCF, mjcf(model.robot, inertias, effects, model.sensors, gravity))
     write_sidecar(folder / EFFECTS_FILE, model.robot.name, effects)
@@ -64,26 +63,12 @@ def model_files(folder: Path) -> ModelFiles:
     return ModelFiles(folder / MJCF, folder / EFFECTS_FILE)
 
 
-def _inertia(parameters: FloatArray) -> Inertia:
-    centre = pseudo_inertia.centre_of_mass(parameters)
-    return float(parameters[0]), centre, pseudo_inertia.central_inertia(parameters)
-
-
 def _estimate(
     bodies: Mapping[str, Inertia], merged: Mapping[str, Sequence[str]], effects: Sequence[KnownEffect]
 ) -> dict[str, Any]:
     return {
         "format": FORMAT,
-        "links": [
-            {
-                "name": name,
-                "merged": list(merged[name]),
-                "mass": mass,
-                "com": com.tolist(),
-                "inertia": inertia.tolist(),
-            }
-            for name, (mass, com, inertia) in bodies.items()
-        ],
+        "links": [link_entry(name, merged[name], inertia) for name, inertia in bodies.items()],
         "effects": [coefficient_entry(effect) for effect in effects if is_coefficient(effect)],
         "added": [effect_entry(effect) for effect in effects if not is_coefficient(effect)],
     }

@@ -27,14 +27,10 @@ Numbers that do not exist (a channel without measurements, say) are null.
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Any, TypeAlias
 
-from geomid_ros.files.disk import write_text
-from geomid_ros.files.models.effect_forms import effect_entry, finite
-from geomid_ros.files.models.results import by_channel
+from geomid_ros.files.models.effect_forms import by_channel, effect_entry, finite
 from geomid_ros.gap.result import Finding, GapResult
 
 FORMAT = 1
@@ -79,8 +75,3 @@ def _finding(finding: Finding) -> dict[str, Any]:
         "sentence": finding.sentence,
         "settled_by": finding.settled_by,
     }
-
-
-def write_gap(path: Path, document: Mapping[str, Any]) -> None:
-    """Write a gap's document."""
-    write_text(path, json.dumps(document, indent=2, allow_nan=False) + "\n")

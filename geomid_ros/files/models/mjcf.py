@@ -14,12 +14,7 @@ from xml.etree.ElementTree import Element, SubElement, indent, tostring
 
 import numpy as np
 
-from geomid_ros.files.models.effect_forms import (
-    is_body,
-    joint_attributes,
-    payload_parameters,
-    turned_gravity,
-)
+from geomid_ros.files.models.effect_forms import is_body, joint_attributes, payload_parameters, turned_gravity
 from geomid_ros.files.models.joint_frames import JointFrame, joint_frames
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.model.effects import EFFECTS, Hinge, KnownEffect, values_of

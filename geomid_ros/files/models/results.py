@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import base64
 import json
-import math
 import reprlib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -14,14 +13,16 @@ import numpy as np
 
 from geomid_ros.errors import InputError
 from geomid_ros.estimation.estimate import FINEST, Estimate, LinksInformation
-from geomid_ros.files.disk import read_text, write_text
+from geomid_ros.files.disk import read_text
 from geomid_ros.files.models.effect_forms import (
+    by_channel,
     coefficient_entry,
     combined,
     continued,
     effect_entry,
     is_coefficient,
 )
+from geomid_ros.files.models.urdf import Inertia
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.geometry.manifold import ParameterManifold
 from geomid_ros.model.effects import KnownEffect
@@ -67,17 +68,9 @@ def estimate_document(
             "rejected": {reason: count for reason, count in sorted(rows_rejected.items()) if count},
         },
         "links": [
-            {
-                "name": link.name,
-                "merged": list(link.merged),
-                "mass": link.mass,
-                "com": link.com.tolist(),
-                "inertia": link.inertia.tolist(),
-                "std": {
-                    "mass": link.std_mass,
-                    "com": link.std_com.tolist(),
-                    "inertia": link.std_inertia.tolist(),
-                },
+            link_entry(link.name, link.merged, (link.mass, link.com, link.inertia))
+            | {
+                "std": _inertia_entries(link.std_mass, link.std_com, link.std_inertia),
                 "distance_from_prior": link.distance_from_prior,
                 "from_data": link.from_data,
                 "min_eigenvalue_ratio": link.min_eigenvalue_ratio,
@@ -103,6 +96,15 @@ def estimate_document(
     }
 
 
+def link_entry(name: str, merged: Sequence[str], inertia: Inertia) -> dict[str, Any]:
+    """A link with its inertia and the fixed links that are merged into it."""
+    return {"name": name, "merged": list(merged)} | _inertia_entries(*inertia)
+
+
+def _inertia_entries(mass: float, com: FloatArray, inertia: FloatArray) -> dict[str, Any]:
+    return {"mass": mass, "com": com.tolist(), "inertia": inertia.tolist()}
+
+
 def model_effects(estimate: Estimate, known: Sequence[KnownEffect]) -> list[KnownEffect]:
     """All effects of the model with an estimate that began with the ``known`` ones, as files have them."""
     found = combined(KnownEffect(effect.name, effect.joint, "", effect.parameters) for effect in estimate.effects)
@@ -121,16 +123,6 @@ def _together(estimate: Estimate) -> dict[str, Any]:
 def _packed(numbers: FloatArray) -> str:
     """Little-endian numbers of four bytes in base64: seven digits do, and nobody reads so many."""
     return base64.b64encode(numbers.astype(_PACKED).tobytes()).decode()
-
-
-def by_channel(channels: Sequence[str], values: FloatArray) -> dict[str, float | None]:
-    """Values by the names of their channels; what is no number is null."""
-    return {name: float(value) if math.isfinite(value) else None for name, value in zip(channels, values, strict=True)}
-
-
-def write_estimate(path: Path, document: Mapping[str, Any]) -> None:
-    """Write an estimate's document."""
-    write_text(path, json.dumps(document, indent=2, allow_nan=False) + "\n")
 
 
 def read_estimate(path: Path) -> dict[str, Any]:
@@ -223,10 +215,6 @@ def _inertia(link: Mapping[str, Any], source: str) -> FloatArray:
         raise InputError(f"{source}: a link lacks a valid mass, com or inertia ({error})") from error
     usable = all(np.all(np.abs(part) < _LARGEST) for part in parts)
     parameters = pseudo_inertia.assemble(*parts) if usable else np.zeros(10)
-    if not _is_body(parameters):
+    if not np.linalg.eigvalsh(pseudo_inertia.from_parameters(parameters))[0] > 0.0:
         raise InputError(f"{source}: the inertia of link '{name}' belongs to no body that can exist")
     return parameters
-
-
-def _is_body(parameters: FloatArray) -> bool:
-    return bool(np.linalg.eigvalsh(pseudo_inertia.from_parameters(parameters))[0] > 0.0)

@@ -30,14 +30,7 @@ import yaml
 from geomid_ros.errors import InputError, unknown_name
 from geomid_ros.files.disk import write_text
 from geomid_ros.files.parameter_file import read_yaml
-from geomid_ros.model.effects import (
-    EFFECTS,
-    KnownEffect,
-    ParameterForm,
-    PlaceKind,
-    Quantity,
-    effect_class,
-)
+from geomid_ros.model.effects import EFFECTS, KnownEffect, ParameterForm, PlaceKind, Quantity, effect_class
 
 FORMAT = 1
 _MOST_EFFECTS = 10_000

@@ -39,6 +39,12 @@ def read_urdf(path: Path) -> str:
     return read_text(path, "robot description", MOST_BYTES)
 
 
+def inertia_of(parameters: FloatArray) -> Inertia:
+    """The inertia of a body with parameters ``(10,)``."""
+    centre = pseudo_inertia.centre_of_mass(parameters)
+    return float(parameters[0]), centre, pseudo_inertia.central_inertia(parameters)
+
+
 def with_identified_inertias(urdf: str, links: Sequence[LinkEstimate]) -> str:
     """``urdf`` with the inertials of the identified bodies; every other character of it is kept.
 

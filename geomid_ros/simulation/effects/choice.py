@@ -31,9 +31,8 @@ def chosen_effects(options: SimulationOptions, robot: Description) -> tuple[True
         return tuple(effect for joint in robot.joints for effect in _everyday(options, joint, numbers))
     effects: list[TrueEffect] = []
     for index, request in enumerate(options.hide):
-        effects.append(
-            _asked_for(request, robot, options, effects, generator(options.seed, RandomStream.HIDDEN, index))
-        )
+        numbers = generator(options.seed, RandomStream.HIDDEN, index)
+        effects.append(_asked_for(request, robot, options, effects, numbers))
     return tuple(effects)
 
 

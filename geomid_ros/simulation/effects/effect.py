@@ -1,9 +1,18 @@
-"""One physical effect."""
+"""One physical effect, and tables of functions by effects' names."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from typing import Any, TypeAlias, TypeVar
+
+Parameters: TypeAlias = Mapping[str, float]
+_Function = TypeVar("_Function", bound=Callable[..., Any])
+
+
+def by_name(*functions: _Function) -> dict[str, _Function]:
+    """Functions by the effects that they are named after."""
+    return {function.__name__.removeprefix("_"): function for function in functions}
 
 
 @dataclass(frozen=True)
@@ -16,6 +25,6 @@ class TrueEffect:
 
     name: str
     joint: str
-    parameters: Mapping[str, float]
+    parameters: Parameters
     link: str = ""
     other: str = ""

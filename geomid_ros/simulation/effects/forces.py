@@ -1,14 +1,13 @@
-"""Efforts that depend on the state: what the motors have to supply on top."""
+"""Efforts that depend on the state: dry friction, and what the motors have to supply on top."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 
+from geomid_ros.simulation.effects.effect import Parameters, by_name
 from geomid_ros.types import FloatArray
-
-Parameters = Mapping[str, float]
 
 
 @dataclass(frozen=True)
@@ -58,9 +57,32 @@ def _backlash(
         needed[at.play] += side * max(force, 0.0)
 
 
-FORCES: dict[str, Force] = {
-    "cogging": _cogging,
-    "cable_force": _cable_force,
-    "joint_coupling": _joint_coupling,
-    "backlash": _backlash,
-}
+FORCES: dict[str, Force] = by_name(_cogging, _cable_force, _joint_coupling, _backlash)
+
+Level = Callable[[Parameters, float, float, float], float]
+"""Magnitude [N m] of dry friction from the parameters, the joint's position, its velocity and its motor's effort.
+
+Within about 0.03 rad/s of standstill, friction is whatever stops the joint."""
+
+
+def _coulomb_friction(parameters: Parameters, _position: float, _velocity: float, _effort: float) -> float:
+    return parameters["level"]
+
+
+def _stribeck_friction(parameters: Parameters, _position: float, velocity: float, _effort: float) -> float:
+    excess = parameters["excess"] * math.exp(-((velocity / parameters["speed"]) ** 2))
+    return parameters["level"] + excess
+
+
+def _load_friction(parameters: Parameters, _position: float, velocity: float, effort: float) -> float:
+    """``c |tau|`` of the effort tau that is passed on: the motor's is ``tau + c |tau| sign(v)``, solved for tau."""
+    passed = abs(effort) / (1.0 + parameters["coefficient"] * math.copysign(1.0, effort * velocity))
+    return parameters["coefficient"] * passed
+
+
+def _position_friction(parameters: Parameters, position: float, _velocity: float, _effort: float) -> float:
+    wave = math.sin(parameters["cycles"] * position + parameters["phase"])
+    return parameters["level"] * (1.0 + parameters["modulation"] * wave)
+
+
+FRICTION: dict[str, Level] = by_name(_coulomb_friction, _stribeck_friction, _load_friction, _position_friction)

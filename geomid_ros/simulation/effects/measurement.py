@@ -5,16 +5,14 @@ The table is in the order in which they apply: a late signal is scaled, then off
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 
 import numpy as np
 
-from geomid_ros.simulation.effects.effect import TrueEffect
+from geomid_ros.simulation.effects.effect import Parameters, TrueEffect, by_name
 from geomid_ros.simulation.trace import RunTrace
 from geomid_ros.types import FloatArray
-
-Parameters = Mapping[str, float]
 
 
 def _effort_delay(trace: RunTrace, _: int, parameters: Parameters) -> RunTrace:
@@ -45,13 +43,7 @@ def _with_effort(trace: RunTrace, joint: int, column: FloatArray) -> RunTrace:
     return replace(trace, effort=effort)
 
 
-MEASURED: dict[str, Callable[[RunTrace, int, Parameters], RunTrace]] = {
-    "effort_delay": _effort_delay,
-    "effort_gain": _effort_gain,
-    "effort_offset": _effort_offset,
-    "drift": _drift,
-    "wrench_offset": _wrench_offset,
-}
+MEASURED = by_name(_effort_delay, _effort_gain, _effort_offset, _drift, _wrench_offset)
 
 
 def sensed(trace: RunTrace, joints: Sequence[str], effects: Iterable[TrueEffect]) -> RunTrace:

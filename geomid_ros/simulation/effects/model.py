@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
 
+from geomid_ros.simulation.effects.effect import Parameters, by_name
 from geomid_ros.simulation.effects.forces import Places
 from geomid_ros.types import FloatArray
-
-Parameters = Mapping[str, float]
 
 
 def _viscous_friction(model: Any, at: Places, parameters: Parameters) -> None:
@@ -39,16 +37,9 @@ def rotation(x: float, y: float) -> FloatArray:
     """Rotation matrix ``(3, 3)`` of the rotation vector (x, y, 0) [rad]."""
     cross = np.array([[0.0, 0.0, y], [0.0, 0.0, -x], [-y, x, 0.0]])
     angle = np.hypot(x, y)
-    turn: FloatArray = (
+    return np.asarray(
         np.eye(3) + np.sinc(angle / np.pi) * cross + 0.5 * np.sinc(0.5 * angle / np.pi) ** 2 * cross @ cross
     )
-    return turn
 
 
-MODEL: dict[str, Callable[[Any, Places, Parameters], None]] = {
-    "viscous_friction": _viscous_friction,
-    "rotor_inertia": _rotor_inertia,
-    "spring": _spring,
-    "joint_elasticity": _joint_elasticity,
-    "gravity_tilt": _gravity_tilt,
-}
+MODEL = by_name(_viscous_friction, _rotor_inertia, _spring, _joint_elasticity, _gravity_tilt)

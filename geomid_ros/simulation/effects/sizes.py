@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from inspect import isfunction
 
 import numpy as np
 
@@ -40,61 +41,61 @@ def _sign(rng: np.random.Generator) -> float:
     return -1.0 if rng.uniform() < 0.5 else 1.0
 
 
-def _viscous_friction(site: Site, rng: np.random.Generator) -> dict[str, float]:
+def viscous_friction(site: Site, rng: np.random.Generator) -> dict[str, float]:
     """Effort c v: ``coefficient`` [N m s/rad], 1 to 10 % of E at V."""
     return {"coefficient": _between(0.01, 0.1, rng) * site.joint.effort / site.joint.velocity}
 
 
-def _coulomb_friction(site: Site, rng: np.random.Generator) -> dict[str, float]:
+def coulomb_friction(site: Site, rng: np.random.Generator) -> dict[str, float]:
     """``level`` [N m], 1 to 8 % of E."""
     return {"level": _between(0.01, 0.08, rng) * site.joint.effort}
 
 
-def _stribeck_friction(site: Site, rng: np.random.Generator) -> dict[str, float]:
+def stribeck_friction(site: Site, rng: np.random.Generator) -> dict[str, float]:
     """Dry friction of ``level + excess exp(-(v/speed)^2)`` [N m, rad/s]."""
     level = _between(0.01, 0.06, rng) * site.joint.effort
     speed = _between(0.03, 0.12, rng) * site.joint.velocity
     return {"level": level, "excess": rng.uniform(0.4, 1.2) * level, "speed": speed}
 
 
-def _load_friction(_: Site, rng: np.random.Generator) -> dict[str, float]:
+def load_friction(_: Site, rng: np.random.Generator) -> dict[str, float]:
     """Dry friction of ``coefficient`` [-] times the magnitude of the effort that the gear passes on."""
     return {"coefficient": _between(0.03, 0.15, rng)}
 
 
-def _rotor_inertia(site: Site, rng: np.random.Generator) -> dict[str, float]:
+def rotor_inertia(site: Site, rng: np.random.Generator) -> dict[str, float]:
     """``inertia`` [kg m^2] as the joint feels it; the bare rotor reaches V at E in 1 to 6 ms."""
     return {"inertia": _between(1e-3, 6e-3, rng) * site.joint.effort / site.joint.velocity}
 
 
-def _spring(site: Site, rng: np.random.Generator) -> dict[str, float]:
+def spring(site: Site, rng: np.random.Generator) -> dict[str, float]:
     """Effort k (q - q0): ``stiffness`` [N m/rad], 4 to 30 % of E at the end of the range; ``equilibrium`` [rad]."""
     stiffness = _between(0.04, 0.3, rng) * site.joint.effort / site.joint.half_range
     return {"stiffness": stiffness, "equilibrium": site.joint.centre + rng.uniform(-0.5, 0.5) * site.joint.half_range}
 
 
-def _effort_offset(site: Site, rng: np.random.Generator) -> dict[str, float]:
+def effort_offset(site: Site, rng: np.random.Generator) -> dict[str, float]:
     """Measured minus true effort: ``offset`` [N m], 1 to 5 % of E."""
     return {"offset": _sign(rng) * _between(0.01, 0.05, rng) * site.joint.effort}
 
 
-def _effort_gain(_: Site, rng: np.random.Generator) -> dict[str, float]:
+def effort_gain(_: Site, rng: np.random.Generator) -> dict[str, float]:
     """Measured by true effort: ``gain`` [-], 4 to 20 % off."""
     return {"gain": 1.0 + _sign(rng) * _between(0.04, 0.2, rng)}
 
 
-def _gravity_tilt(_: Site, rng: np.random.Generator) -> dict[str, float]:
+def gravity_tilt(_: Site, rng: np.random.Generator) -> dict[str, float]:
     """Rotation vector of the base, ``tilt_x``, ``tilt_y`` [rad], together half a degree to five."""
     angle, direction = math.radians(_between(0.5, 5.0, rng)), rng.uniform(0.0, 2.0 * math.pi)
     return {"tilt_x": angle * math.cos(direction), "tilt_y": angle * math.sin(direction)}
 
 
-def _effort_delay(_: Site, rng: np.random.Generator) -> dict[str, float]:
+def effort_delay(_: Site, rng: np.random.Generator) -> dict[str, float]:
     """How late the measured efforts are, ``delay`` [s], 2 to 12 ms of either sign."""
     return {"delay": _sign(rng) * _between(0.002, 0.012, rng)}
 
 
-def _payload(site: Site, rng: np.random.Generator) -> dict[str, float]:
+def payload(site: Site, rng: np.random.Generator) -> dict[str, float]:
     """A box: ``mass`` [kg], ``com_*`` [m] in the link frame, ``i**`` [kg m^2] about its centre in the link's axes."""
     mass = site.given.get("mass", _between(0.02, 0.08, rng) * site.strongest / 9.81 / 0.5)
     x, y, z = rng.uniform(-0.1, 0.1, 3).tolist()
@@ -104,13 +105,13 @@ def _payload(site: Site, rng: np.random.Generator) -> dict[str, float]:
     return {"mass": mass, "com_x": x, "com_y": y, "com_z": z, **moments, "ixy": 0.0, "ixz": 0.0, "iyz": 0.0}
 
 
-def _joint_elasticity(site: Site, rng: np.random.Generator) -> dict[str, float]:
+def joint_elasticity(site: Site, rng: np.random.Generator) -> dict[str, float]:
     """Gear ``stiffness`` [N m/rad], wound up by 0.01 to 0.05 rad at E, with ``damping`` and a light rotor."""
     stiffness = site.given.get("stiffness", site.joint.effort / _between(0.01, 0.05, rng))
     return {"stiffness": stiffness, **_light_rotor(site, stiffness)}
 
 
-def _backlash(site: Site, rng: np.random.Generator) -> dict[str, float]:
+def backlash(site: Site, rng: np.random.Generator) -> dict[str, float]:
     """Play of ``gap`` [rad], 3 to 20 mrad, between flanks of some ``stiffness`` and ``damping``, with a light rotor."""
     gap = site.given.get("gap", _between(0.003, 0.02, rng))
     stiffness = site.given.get("stiffness", site.joint.effort / (0.2 * gap))
@@ -122,20 +123,20 @@ def _light_rotor(site: Site, stiffness: float) -> dict[str, float]:
     return {"damping": math.sqrt(stiffness * rotor), "rotor_inertia": rotor}
 
 
-def _wrench_offset(_: Site, rng: np.random.Generator) -> dict[str, float]:
+def wrench_offset(_: Site, rng: np.random.Generator) -> dict[str, float]:
     """Measured minus true wrench in the sensor's axes, ``fx`` to ``fz`` [N], ``tx`` to ``tz`` [N m]."""
     force = [_sign(rng) * _between(0.5, 5.0, rng) for _ in range(3)]
     torque = [_sign(rng) * _between(0.02, 0.3, rng) for _ in range(3)]
     return dict(zip(("fx", "fy", "fz", "tx", "ty", "tz"), force + torque, strict=True))
 
 
-def _cogging(site: Site, rng: np.random.Generator) -> dict[str, float]:
+def cogging(site: Site, rng: np.random.Generator) -> dict[str, float]:
     """Effort A sin(cycles q + phase): ``amplitude`` [N m], 1 to 6 % of E, some ``cycles`` per turn."""
     amplitude = _between(0.01, 0.06, rng) * site.joint.effort
     return {"amplitude": amplitude, "cycles": float(rng.integers(5, 21)), "phase": rng.uniform(0.0, 2.0 * math.pi)}
 
 
-def _cable_force(site: Site, rng: np.random.Generator) -> dict[str, float]:
+def cable_force(site: Site, rng: np.random.Generator) -> dict[str, float]:
     """A cable over pulleys on two joints, stretched by w = q + ratio q_other - start where that is above 0: efforts
     k w and ratio k w; ``stiffness`` k [N m/rad], 8 to 40 % of E of the weaker joint over half the range, ``ratio`` [-],
     ``start`` [rad]."""
@@ -145,41 +146,26 @@ def _cable_force(site: Site, rng: np.random.Generator) -> dict[str, float]:
     return {"stiffness": stiffness, "ratio": ratio, "start": site.joint.centre + ratio * site.other.centre + slack}
 
 
-def _drift(site: Site, rng: np.random.Generator) -> dict[str, float]:
+def drift(site: Site, rng: np.random.Generator) -> dict[str, float]:
     """Measured minus true effort grows from 0 at ``rate`` [N m/s], 1 to 6 % of E in half a minute."""
     return {"rate": _sign(rng) * _between(0.01, 0.06, rng) * site.joint.effort / 30.0}
 
 
-def _position_friction(site: Site, rng: np.random.Generator) -> dict[str, float]:
+def position_friction(site: Site, rng: np.random.Generator) -> dict[str, float]:
     """Dry friction of ``level (1 + modulation sin(cycles q + phase))`` [N m]: a bent shaft, an uneven seal."""
     level, modulation = _between(0.02, 0.08, rng) * site.joint.effort, rng.uniform(0.6, 1.0)
     cycles, phase = float(rng.integers(1, 4)), rng.uniform(0.0, 2.0 * math.pi)
     return {"level": level, "modulation": modulation, "cycles": cycles, "phase": phase}
 
 
-def _joint_coupling(site: Site, rng: np.random.Generator) -> dict[str, float]:
+def joint_coupling(site: Site, rng: np.random.Generator) -> dict[str, float]:
     """Effort c v_other, as of a differential wrist: ``coefficient`` [N m s/rad], 2 to 10 % of E at V."""
     return {"coefficient": _sign(rng) * _between(0.02, 0.1, rng) * site.joint.effort / site.joint.velocity}
 
 
 SIZES: dict[str, Size] = {
-    "viscous_friction": _viscous_friction,
-    "coulomb_friction": _coulomb_friction,
-    "stribeck_friction": _stribeck_friction,
-    "load_friction": _load_friction,
-    "rotor_inertia": _rotor_inertia,
-    "spring": _spring,
-    "effort_offset": _effort_offset,
-    "effort_gain": _effort_gain,
-    "gravity_tilt": _gravity_tilt,
-    "effort_delay": _effort_delay,
-    "payload": _payload,
-    "joint_elasticity": _joint_elasticity,
-    "backlash": _backlash,
-    "wrench_offset": _wrench_offset,
-    "cogging": _cogging,
-    "cable_force": _cable_force,
-    "drift": _drift,
-    "position_friction": _position_friction,
-    "joint_coupling": _joint_coupling,
+    name: size
+    for name, size in globals().items()
+    if isfunction(size) and size.__module__ == __name__ and not name.startswith("_")
 }
+"""Of every effect, which has a public function here."""
