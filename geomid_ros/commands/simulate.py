@@ -39,6 +39,12 @@ Hide a physical effect, alone or with others (repeat the option):
 @click.option("--duration", default=_DEFAULT.duration, show_default=True, help="Seconds.")
 @click.option("--rate", default=_DEFAULT.rate, show_default=True, help="Messages per second.")
 @click.option("--seed", default=_DEFAULT.seed, show_default=True, help="Fixes the robot, its motion and the noise.")
+@click.option(
+    "--realistic",
+    is_flag=True,
+    help="A robot as robots are: friction that slips before it slides, cogging, ripple, gains a few per cent off, "
+    "steps of encoders, stamps that jitter, lost messages.",
+)
 @click.option("--motion-seed", type=int, help="Another motion and noise of the same robot.")
 @click.option(
     "--motion",

@@ -41,6 +41,9 @@ class SimulationOptions:
     Robot:
         robot: a shipped robot's name, or the path of a ``.urdf`` file (the nominal model; it goes into the bag).
         seed: fixes the robot (inertias, effects, joint order) and, unless ``motion_seed`` is given, the recording.
+        realistic: a robot as robots are, see ``simulation/realistic``: true inertias, friction, motors and sensors are
+            drawn from the seed, so that ``inertia_error``, what is said of effects and noise below, and the resolutions
+            do not count, but those of the wrench.
         motion_seed: fixes the motion and the sensors' noise; vary it to record the same robot again.
 
     Recording:
@@ -79,6 +82,7 @@ class SimulationOptions:
 
     robot: str = "arm7"
     seed: int = 1
+    realistic: bool = False
     motion_seed: int | None = None
 
     duration: float = 12.0
