@@ -59,8 +59,8 @@ def _line(case: RealisticJudgement) -> str:
     late = " WRONG DELAY" if case.false_delay else ""
     return (
         f"{case.seed} {case.situation} ({case.robot}): {' '.join(case.hidden)}, shows {case.shown:.1f} -> {verdict}"
-        f"{wrong}{late}; sure: {', '.join(sure) or 'nothing'}, others: {len(case.named) - len(sure)} | {case.verdict} | "
-        f"after {case.after:.2f}, simulated {case.resimulated:.2f} | {case.seconds:.0f} s"
+        f"{wrong}{late}; sure: {', '.join(sure) or 'nothing'}, others: {len(case.named) - len(sure)} | {case.verdict}"
+        f" | after {case.after:.2f}, simulated {case.resimulated:.2f} | {case.seconds:.0f} s"
     )
 
 
