@@ -10,6 +10,7 @@ import click
 from geomid_ros.commands.progress import progress_bar
 from geomid_ros.simulation import (
     EFFECTS,
+    LINK_MASS,
     MOTIONS,
     NOTHING,
     WRIST_FRAME,
@@ -29,6 +30,7 @@ Hide a physical effect, alone or with others (repeat the option):
   --hide coulomb_friction:joint2=4.5          its first parameter
   --hide spring:joint2=stiffness=20,equilibrium=0.3
   --hide payload:tool=mass=1.2                at a link
+  --hide {LINK_MASS}:tool=1.2                   a link's mass times 1.2 (--realistic)
   --hide {NOTHING}                              no effect at all."""
 
 

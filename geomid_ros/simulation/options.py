@@ -26,6 +26,19 @@ _NOT_NEGATIVE = (
     "effort_step",
     "wrench_lag",
 )
+_DRAWN = (  # of a realistic robot
+    "inertia_error",
+    "viscous_friction",
+    "coulomb_friction",
+    "rotor_inertia",
+    "effort_offset",
+    "position_noise",
+    "velocity_noise",
+    "effort_noise",
+    "noise_time",
+    "position_step",
+    "effort_step",
+)
 _LONGEST_STEP = 1e-3  # dry friction stops a joint within a few milliseconds
 _STIFF_STEP = 2e-4  # a light rotor behind a gear that gives
 _STIFF = {"joint_elasticity", "backlash"}
@@ -42,8 +55,7 @@ class SimulationOptions:
         robot: a shipped robot's name, or the path of a ``.urdf`` file (the nominal model; it goes into the bag).
         seed: fixes the robot (inertias, effects, joint order) and, unless ``motion_seed`` is given, the recording.
         realistic: a robot as robots are, see ``simulation/realistic``: true inertias, friction, motors and sensors are
-            drawn from the seed, so that ``inertia_error``, what is said of effects and noise below, and the resolutions
-            do not count, but those of the wrench.
+            drawn from the seed, and options that describe them are refused.
         motion_seed: fixes the motion and the sensors' noise; vary it to record the same robot again.
 
     Recording:
@@ -127,6 +139,9 @@ class SimulationOptions:
             self._require(("motion_seed",), "at least 0", lambda value: value >= 0)
         if self.motion not in MOTIONS:
             raise unknown_name("motion", self.motion, MOTIONS)
+        for name in _DRAWN if self.realistic else ():
+            if getattr(self, name) != getattr(type(self), name):
+                raise InputError(f"a realistic robot draws its {name} from the seed; leave the option out.")
         if self.samples < 2:
             raise InputError(f"{self.duration} s at {self.rate} Hz are fewer than 2 samples; lengthen the duration.")
 
