@@ -28,7 +28,15 @@ pytest.importorskip("mujoco")
 
 FOLDER = Path(__file__).parents[2] / "benchmarks" / "blind" / "realistic"
 SHORT = SimulationOptions(
-    robot="arm3", seed=6, motion_seed=1, realistic=True, duration=6.0, rate=125.0, hide=(), motion_period=4.0
+    robot="arm3",
+    seed=6,
+    motion_seed=1,
+    realistic=True,
+    duration=6.0,
+    rate=125.0,
+    hide=(),
+    motion_period=4.0,
+    longest_step=1e-3,
 )
 
 

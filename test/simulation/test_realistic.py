@@ -68,13 +68,14 @@ def test_before_it_slides_it_is_a_spring() -> None:
 
 
 def test_it_never_drives() -> None:
-    """``F v >= d/dt (stiffness z^2 / 2)`` for every state within the bristles' reach: drawn robots are passive."""
+    """``F v >= d/dt (stiffness z^2 / 2)`` for every state that can be reached, also where a joint is torn from rest,
+    its bristles still bent: drawn robots are passive."""
     for seed in range(20):
         friction = build_realistic(replace(OPTIONS, robot="arm7", seed=seed)).friction
         rng = np.random.default_rng(seed)
         for velocity in np.exp(rng.uniform(np.log(1e-4), np.log(3.0), (200, 1))) * rng.choice([-1.0, 1.0], (200, 7)):
             dry = friction.sliding(velocity)
-            z = rng.uniform(-1.0, 1.0, 7) * dry / friction.stiffness
+            z = rng.uniform(-1.0, 1.0, 7) * friction.sliding(np.zeros(7)) / friction.stiffness
             rate = velocity - np.abs(velocity) * friction.stiffness * z / dry
             assert (friction.force(z, velocity, dry) * velocity - friction.stiffness * z * rate >= -1e-12).all()
 
@@ -138,10 +139,10 @@ def unseen(truth: dict[str, Any], effort: FloatArray, position: FloatArray) -> F
 
 
 def test_steps_are_short_enough() -> None:
-    """Steps an eighth as long change the efforts by far less than the sensors' noise."""
+    """Steps an eighth as long change the efforts by a hundredth of the sensors' noise; Euler's would by four."""
     usual, short = (replace(OPTIONS, duration=1.5, longest_step=step) for step in (5e-4, 6.25e-5))
     coarse, fine = (record(robot(), closed_loop(robot(), options), options).effort for options in (usual, short))
-    assert (np.sqrt(np.mean((fine - coarse) ** 2, axis=0)) < 0.05 * robot().sensors.effort_noise).all()
+    assert (np.sqrt(np.mean((fine - coarse) ** 2, axis=0)) < 0.015 * robot().sensors.effort_noise).all()
 
 
 def test_the_joints_slip_before_they_slide() -> None:

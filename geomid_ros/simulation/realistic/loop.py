@@ -24,11 +24,11 @@ class Memory:
 
 @dataclass(frozen=True, eq=False)
 class RealisticLoop(ClosedLoop):
-    """A realistic robot under control, in steps of second order with one evaluation each.
+    """A realistic robot under control, in steps with one evaluation each.
 
-    Rigid bodies advance by the method of Beeman and Schofield. The bristles follow their own equation exactly, at the
-    speed of the middle of the step: in fast sliding they settle within much less than a step, which no explicit method
-    would bear.
+    Rigid bodies advance by the method of Beeman and Schofield, of second order. The bristles follow their own equation
+    exactly, at the step's mean speed and the dry friction of its beginning: in fast sliding they settle within much
+    less than a step, which no explicit method would bear.
     """
 
     robot: Plant

@@ -30,7 +30,6 @@ LINK_MASS = "link_mass"
 """The hidden change that only realistic robots know: ``factor`` times the mass and inertia of the ``link``."""
 
 _CAD_ERROR = (0.1, 0.3)
-_PASSIVE = 9.0  # of (level / speed): with less damping the bristles never drive a joint
 _WAVES = ((8, 40), (60, 200))  # per turn: of the magnets, of the gear
 
 
@@ -143,7 +142,7 @@ def _friction(joints: Sequence[JointLimits], rotors: dict[str, float], rng: np.r
         excess=rng.uniform(0.1, 0.5, n) * level,
         speed=speed,
         stiffness=stiffness,
-        damping=np.minimum(np.sqrt(stiffness * rotor), _PASSIVE * level / speed),
+        damping=np.sqrt(stiffness * rotor),
         viscous=0.03 * rng.uniform(0.5, 1.5, n) * limit / top,
     )
 
