@@ -177,8 +177,8 @@ def _run_away(model: MeasurementModel, fitted: Fit, point: Point) -> Iterator[st
     for name, spread, (prior, found) in zip(model.body_names, spreads, pairs, strict=True):
         if spread > _FAR * starting_point.USUAL_SPREAD_OF_LINKS:
             yield (
-                f"link '{name}' is far from what was known of it: {found[3, 3]:.3g} kg instead of {prior[3, 3]:.3g}; if "
-                "it cannot be so, it has swallowed an effect that the model lacks"
+                f"link '{name}' is far from what was known of it: {found[3, 3]:.3g} kg instead of {prior[3, 3]:.3g}; "
+                "if it cannot be so, it has swallowed an effect that the model lacks"
             )
 
 

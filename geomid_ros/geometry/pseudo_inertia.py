@@ -121,8 +121,8 @@ def is_body(parameters: FloatArray) -> bool:
 
 
 def nearest_body(parameters: FloatArray) -> FloatArray:
-    """The body ``(10,)`` with the mass (above zero) and the centre of mass of these parameters, and second moments about
-    it that are at least those of a steel ball of this mass: nothing in a robot is denser."""
+    """The body ``(10,)`` with the mass (above zero) and the centre of mass of these parameters, and with second moments
+    about it that are at least those of a steel ball of this mass: nothing in a robot is denser."""
     mass = parameters[0]
     values, axes = np.linalg.eigh(_trace_complement(central_inertia(parameters), 0.5))
     least = mass * least_gyration(mass) ** 2

@@ -176,8 +176,8 @@ class Robot:
         change = np.max(np.abs(repaired - parameters)[4:])
         self.repaired[head] = (
             f"the URDF's inertia of link '{head}'{merged} belongs to no body that can exist; taken with its mass and "
-            f"centre of mass, and moments that are larger by up to {change:.2g} kg m^2 (a radius of gyration of at least "
-            f"{1e3 * pseudo_inertia.least_gyration(mass):.2g} mm)"
+            f"centre of mass, and moments that are larger by up to {change:.2g} kg m^2 (a radius of gyration of at "
+            f"least {1e3 * pseudo_inertia.least_gyration(mass):.2g} mm)"
         )
         return repaired
 

@@ -12,7 +12,7 @@ from geomid_ros.errors import InputError, unknown_name
 from geomid_ros.simulation.description import Description, JointLimits, LinkInertia, read_description
 from geomid_ros.simulation.effects.choice import chosen_effects
 from geomid_ros.simulation.effects.effect import TrueEffect
-from geomid_ros.simulation.effects.friction import FRICTION
+from geomid_ros.simulation.effects.forces import FRICTION
 from geomid_ros.simulation.effects.structure import GEARS
 from geomid_ros.simulation.hidden import Hidden
 from geomid_ros.simulation.inertias import perturbed
