@@ -43,7 +43,7 @@ def standard(name: str, seed: int) -> tuple[Case, Estimate]:
 
 
 def warm_start(found: Estimate) -> WarmStart:
-    return WarmStart(found.parameters, found.gamma)
+    return WarmStart(found.parameters)
 
 
 def rms(values: FloatArray) -> float:

@@ -48,13 +48,17 @@ def weighted(coefficients: FloatArray, targets: FloatArray, channel: int, x: Flo
 
 
 def content(found: RowSummary, x: FloatArray, folds: list[int] | None = None) -> FloatArray:
-    """``|Ax - b|^2`` of each channel."""
-    return np.array(
-        [
-            sum(part.squared_error(x[channel.columns]) for part in parts)
-            for channel, parts in zip(found.channels, found.parts(folds), strict=True)
-        ]
-    )
+    """``|Ax - b|^2`` of each channel, in both of its groups."""
+    return np.sum(by_group(found, x, folds), axis=0)
+
+
+def by_group(found: RowSummary, x: FloatArray, folds: list[int] | None = None) -> FloatArray:
+    """``|Ax - b|^2`` of each channel's settled rows and of its unsettled ones ``(2, channels)``."""
+    errors = [
+        sum(part.squared_error(x[channel.columns]) for part in parts)
+        for channel, parts in zip(found.groups, found.parts(folds), strict=True)
+    ]
+    return np.reshape(errors, (2, -1))
 
 
 @SEEDS
@@ -207,7 +211,7 @@ def test_memory_is_bounded() -> None:
             found.add(row, target)
             most = max(most, sum(len(channel) for fold in found._waiting for channel in fold))
     assert most < 2 * len(CHANNELS) * RowSummary._CHUNK
-    for channel, parts in zip(CHANNELS, found.parts(), strict=True):
+    for channel, parts in zip(found.groups, found.parts(), strict=True):
         for part in parts:
             columns = len(channel.columns) + 1
             assert part.factor.shape[0] <= columns
