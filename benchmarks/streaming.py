@@ -12,7 +12,7 @@ import numpy as np
 from benchmarks.measuring import in_fresh_process, resident
 from benchmarks.report import Report
 from geomid_ros.estimation.estimator import EstimatorSettings
-from geomid_ros.estimation.gamma import PAPER
+from geomid_ros.estimation.rows import PAPER
 from geomid_ros.estimation.identifier import Identifier
 from geomid_ros.estimation.objective import residual_objective
 from geomid_ros.estimation.solvers import trust_region

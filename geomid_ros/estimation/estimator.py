@@ -112,16 +112,25 @@ def estimate(
         gamma=settings.gamma,
         independent=_independent(summary, settings.cutoff),
     )
-    columns = choose(whole) if warm is None else np.flatnonzero(warm.parameters)
+    columns = choose(whole) if warm is None else _kept(model, warm)
     problem = subproblem(whole, columns)
     start = None if warm is None else problem.manifold.point(warm.parameters[columns])
     found = fit(problem, start, tolerance=settings.tolerance, max_steps=settings.max_steps)
     return _estimate(problem, columns, model, found, settings, begin)
 
 
+def _kept(model: MeasurementModel, warm: WarmStart) -> IntArray:
+    """The parameters that are not left out, by their columns."""
+    optional = [coefficient.optional for coefficient in model.coefficients]
+    first = model.dimension - len(optional)
+    return np.flatnonzero(np.append(np.full(first, True), ~np.array(optional, dtype=bool)) | (warm.parameters != 0.0))
+
+
 def _independent(summary: RowSummary, cutoff: float) -> float:
-    """The share of the rows that counts."""
-    return float(np.clip(INDEPENDENT * cutoff * summary.period, 0.0, 1.0)) or 1.0
+    """The share of the rows that counts; all of rows that have no times, or that no filter made."""
+    if not (np.isfinite(cutoff) and summary.period > 0.0):
+        return 1.0
+    return min(INDEPENDENT * cutoff * summary.period, 1.0)
 
 
 def _estimate(
@@ -155,7 +164,7 @@ def _estimate(
         reason=solution.reason,
         seconds=time.perf_counter() - begin,
         steps=solution.steps,
-        gamma=objective.gamma,
+        gamma=fitted.gamma,
         rows_accepted=summary.rows,
         rows_set_aside=set_aside,
         links=_links(model, manifold, prior_point, solution.point, found),

@@ -33,9 +33,8 @@ CERTAINTY = 20.0
 """The usual spread counts as much as the directions of two links."""
 INDEPENDENT = 2.67
 """Independent rows per period of the filter's cutoff, which leaves nothing above 1.5 times this frequency."""
-_ROUNDS = 30
-_SETTLED = 1e-3  # relative change of standard deviations and spreads
-_COARSE = 1e-6
+_ROUNDS = 60
+_SETTLED = 1e-7  # relative change of standard deviations and spreads, which falls to about a third in a round
 _LEAST_GRADIENT = 1e-14  # relative to the sum of the weights; rounding allows no less
 
 
@@ -108,9 +107,11 @@ class Problem:
         """
         columns = np.array([len(group.columns) for group in self.summary.groups])
         found = np.sqrt(self.squares(parameters) / np.maximum(self.counts, 1.0))
-        sigmas = np.where(self.counts > columns, np.maximum(found, self.least_sigmas), self.least_sigmas)
+        telling = self.counts > columns
+        sigmas = np.where(telling, np.maximum(found, self.least_sigmas), self.least_sigmas)
         settled, unsettled = np.split(sigmas, 2)
-        return self._with_given(np.concatenate([settled, np.maximum(settled, unsettled)]))
+        least = np.where(telling[: len(settled)], settled, 0.0)
+        return self._with_given(np.concatenate([settled, np.maximum(least, unsettled)]))
 
     def _with_given(self, sigmas: FloatArray) -> FloatArray:
         given = np.resize(self.sigmas, len(sigmas))
@@ -132,6 +133,7 @@ class Fit:
         solution: where it ended.
         sigmas: standard deviations ``(groups,)``.
         spreads: of the prior's errors ``(links,)``, geodesic distances.
+        gamma: the links' weight in the prior as a share of the measured rows'.
     """
 
     problem: Problem
@@ -139,6 +141,7 @@ class Fit:
     solution: Solution
     sigmas: FloatArray
     spreads: FloatArray
+    gamma: float
 
     @property
     def point(self) -> Point:
@@ -150,8 +153,8 @@ def fit(
     problem: Problem,
     start: Point | None = None,
     *,
-    tolerance: float = _COARSE,
-    max_steps: int = 100,
+    tolerance: float,
+    max_steps: int,
 ) -> Fit:
     """Fit all parameters, the noise of each group and the spread of each link.
 
@@ -159,14 +162,14 @@ def fit(
         problem: what is fitted.
         start: where to start; the prior unless given.
         tolerance: largest geodesic distance of the result from the minimum.
-        max_steps: of the solver.
+        max_steps: of the solver, for each noise and spreads.
     """
     point = start or problem.prior_point
     spreads = np.full(problem.manifold.links, USUAL_SPREAD_OF_LINKS)
     sigmas = problem.noise(point.parameters) if start is not None else problem.first_noise
     for _ in range(_ROUNDS):
         objective = _objective(problem, sigmas, spreads)
-        point = trust_region(objective, point, _gradient(objective, _COARSE), max_steps).point
+        point = trust_region(objective, point, _gradient(objective, tolerance), max_steps).point
         before = np.concatenate([sigmas, spreads])
         sigmas = problem.noise(point.parameters)
         if problem.gamma is None:
@@ -175,7 +178,8 @@ def fit(
             break
     objective = _objective(problem, sigmas, spreads)
     solution = trust_region(objective, point, _gradient(objective, tolerance), max_steps)
-    return Fit(problem=problem, objective=objective, solution=solution, sigmas=sigmas, spreads=spreads)
+    gamma = problem.gamma or objective.prior_weight / _measured_weight(problem, sigmas)
+    return Fit(problem=problem, objective=objective, solution=solution, sigmas=sigmas, spreads=spreads, gamma=gamma)
 
 
 def _gradient(objective: ResidualObjective, tolerance: float) -> float:
@@ -188,13 +192,12 @@ def _objective(problem: Problem, sigmas: FloatArray, spreads: FloatArray) -> Res
     """The objective for this noise and these spreads of the links."""
     manifold, prior = problem.manifold, problem.prior_point
     measured = problem.rows(sigmas)
-    total = float(np.sum(row_weights(manifold, prior, measured[0], np.ones(len(measured[0])))))
     usual = usual_spreads(manifold)
     usual[manifold.inertial] = np.repeat(spreads, 10)
     # Of the rows only a share counts: in units of all of them the prior, and what was weighed, are as much heavier.
     weights = usual**-2.0 / problem.independent
     if problem.gamma is not None:
-        weights = problem.gamma * total * (USUAL_SPREAD_OF_LINKS / usual) ** 2
+        weights = problem.gamma * _measured_weight(problem, sigmas) * (USUAL_SPREAD_OF_LINKS / usual) ** 2
     factor = np.sqrt(max(1.0, 1.0 / problem.independent))
     rows = np.concatenate([measured[0], factor * problem.known.rows])
     targets = np.concatenate([measured[1], factor * problem.known.targets])
@@ -204,6 +207,12 @@ def _objective(problem: Problem, sigmas: FloatArray, spreads: FloatArray) -> Res
     return ResidualObjective(
         manifold, rows, targets, ones, prior, max(links / every, np.finfo(float).tiny), confidence=weights / links
     )
+
+
+def _measured_weight(problem: Problem, sigmas: FloatArray) -> float:
+    """The sum of the measured rows' weights."""
+    rows, _ = problem.rows(sigmas)
+    return float(np.sum(row_weights(problem.manifold, problem.prior_point, rows, np.ones(len(rows)))))
 
 
 def _spreads(problem: Problem, objective: ResidualObjective, point: Point) -> FloatArray:

@@ -7,13 +7,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from geomid_ros.errors import InputError, unknown_name
-from geomid_ros.estimation.gamma import PAPER
 from geomid_ros.estimation.objective import GeodesicObjective, ResidualObjective
 from geomid_ros.estimation.solvers import SOLVERS, Solution, trust_region
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.geometry.manifold import ParameterManifold, Point
 from geomid_ros.types import BoolArray, FloatArray, frozen
 
+PAPER = 1e-2
+"""The paper's weight of the prior, as a share of the rows'."""
 _START_TOLERANCE = 1e-4
 _JITTER = 1e-10  # relative, with which any matrix of products has a Cholesky factor
 _LEAST_GRADIENT = 1e-14  # relative to the sum of the weights; rounding allows no less

@@ -56,7 +56,7 @@ PARAMETERS = (
     Parameter("model", "", "estimate.json of an earlier run to start from instead of the URDF's inertias"),
     Parameter("links", _NONE, "moving links to identify; empty: all that have a mass"),
     Parameter("known", _NONE, "masses that were weighed, as LINK=MASS:STD, LINK+LINK=MASS:STD or total=MASS:STD [kg]"),
-    Parameter("effects", list(DEFAULT_EFFECTS), f"effects identified at every joint: {', '.join(DEFAULT_EFFECTS)}"),
+    Parameter("effects", list(DEFAULT_EFFECTS), "effects identified at every joint and wrench sensor"),
     Parameter("candidates", list(DEFAULT_CANDIDATES), "effects identified where held-out data ask for them"),
     Parameter("floating_base", False, "the base moves; its pose is read from the topic odom"),
     Parameter("locked_joints", _NONE, "joints of the URDF that never move and are in no message, taken as at zero"),
