@@ -16,6 +16,7 @@ from geomid_ros.estimation.choice import choose
 from geomid_ros.estimation.estimate import QUANTITIES, EffectEstimate, Estimate, LinkEstimate, WeighedEstimate
 from geomid_ros.estimation.fit import INDEPENDENT, Fit, Problem, fit, subproblem
 from geomid_ros.estimation.objective import GeodesicObjective, ResidualObjective
+from geomid_ros.estimation.rows import OBJECTIVES
 from geomid_ros.estimation.solvers import SOLVERS
 from geomid_ros.estimation.summary import RowSummary
 from geomid_ros.geometry import pseudo_inertia, spd
@@ -24,7 +25,6 @@ from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.weighed_masses import WeighedMass, WeighedRows, weighed_rows
 from geomid_ros.types import FloatArray, IntArray, frozen
 
-OBJECTIVES = ("residual", "geodesic")
 _FAR = 2.0  # times the usual distance
 _ROUNDING = 1e-9
 # A quantity is called identifiable when the data at least halved the standard deviation that the prior alone leaves.
