@@ -140,7 +140,8 @@ def identify(
         urdf: path or text of the robot description.
         config: the node's parameter file (YAML), or parameters by their full names.
         model: an estimate.json to start from.
-        effects: names of the effects to identify at every joint, ``[]`` for none; None for the configured ones.
+        effects: names of the effects to identify everywhere and no others, ``[]`` for none; None for the configured
+            ones, and those that held-out data ask for.
         links: names of the only links to identify; None for the configured ones.
         known: masses that were weighed, as ``LINK=MASS:STD``, ``LINK+LINK=MASS:STD`` or ``total=MASS:STD`` [kg].
         floating_base: whether the base moves; its pose is read from ``odom_topic``.
@@ -155,7 +156,8 @@ def identify(
         InputError: a file, an argument or the data cannot be used; the message names it and says what to do.
     """
     chosen: dict[str, Any] = {"known": texts(known)} if known else {}
-    chosen |= {name: texts(given) for name, given in (("effects", effects), ("links", links)) if given is not None}
+    chosen |= {"links": texts(links)} if links is not None else {}
+    chosen |= {"effects": texts(effects), "candidates": []} if effects is not None else {}
     parameters = configuration(config, model=model, floating_base=floating_base, wrench=wrench, **chosen)
     text, source = description(urdf)
     session = Session(text, parameters, source)

@@ -27,7 +27,7 @@ from geomid_ros.report import gap_words
 @click.argument("bags", nargs=-1, required=True, type=click.Path(path_type=Path))
 @click.option("--urdf", required=True, **URDF)
 @recording_options
-@click.option("--effects", help="Identify these effects, separated by commas; 'none' for none.")
+@click.option("--effects", help="Identify these effects alone, separated by commas; 'none' for none.")
 @click.option("--links", help="Identify only these links, separated by commas.")
 @click.option(
     "--known",
