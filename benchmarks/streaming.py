@@ -12,9 +12,9 @@ import numpy as np
 from benchmarks.measuring import in_fresh_process, resident
 from benchmarks.report import Report
 from geomid_ros.estimation.estimator import EstimatorSettings
-from geomid_ros.estimation.rows import PAPER
 from geomid_ros.estimation.identifier import Identifier
 from geomid_ros.estimation.objective import residual_objective
+from geomid_ros.estimation.rows import PAPER
 from geomid_ros.estimation.solvers import trust_region
 from geomid_ros.estimation.starting_point import channel_sizes, prior_parameters, scales_of_reals
 from geomid_ros.files.models.urdf import read_urdf

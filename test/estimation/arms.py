@@ -16,7 +16,7 @@ import pinocchio as pin
 from geometry import bodies
 
 from geomid_ros.geometry import pseudo_inertia
-from geomid_ros.model.effects import DEFAULT_EFFECTS, identifiable, joint_of
+from geomid_ros.model.effects import identifiable, joint_of
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.robot import Robot
 from geomid_ros.model.samples import Samples

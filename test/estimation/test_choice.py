@@ -73,9 +73,7 @@ def load(case: Case) -> FloatArray:
 def planted(name: str, joint: int, effect: str, seed: int = 0) -> Case:
     """An arm with this effect beside the usual ones, whose model may have any of the candidates."""
     case = arm(name, seed, noise=NOISE)
-    model = MeasurementModel(
-        case.model.robot, case.model._common, candidates=Configuration().candidates  # noqa: SLF001
-    )
+    model = MeasurementModel(case.model.robot, case.model._common, candidates=Configuration().candidates)
     measured = case.samples.effort + (added(effect, joint, case, case.noiseless) if effect else 0.0)
     return replace(case.with_efforts(measured), model=model)
 
@@ -93,8 +91,11 @@ def chosen(found: Estimate) -> list[EffectEstimate]:
 @pytest.mark.parametrize(
     ("name", "joint", "effect"),
     # Joints 2 and 3 of the small arm are parallel.
-    [(name, joint - (name == "arm3" and effect == "coupled_rotor_inertia"), effect)
-    for name, joint in (("arm3", 1), ("arm7", 3)) for effect in DEFAULT_CANDIDATES],
+    [
+        (name, joint - (name == "arm3" and effect == "coupled_rotor_inertia"), effect)
+        for name, joint in (("arm3", 1), ("arm7", 3))
+        for effect in DEFAULT_CANDIDATES
+    ],
 )
 def test_a_planted_effect_is_found_where_it_is(name: str, joint: int, effect: str) -> None:
     case = planted(name, joint, effect)
@@ -176,7 +177,7 @@ def columns(case: Case, *more: tuple[str, int]) -> IntArray:
 @pytest.mark.parametrize("effect", ["load_friction", "quadratic_friction", "spring"])
 def test_the_marginal_likelihood_rises_with_a_planted_effect_and_falls_with_others(effect: str) -> None:
     case = planted("arm3", 1, effect)
-    rows = choice._Rows(problem(case))  # noqa: SLF001
+    rows = choice._Rows(problem(case))
     without = rows.fit(columns(case))
     scores = {
         (name, joint): rows.fit(columns(case, (name, joint)), without).score
@@ -195,7 +196,7 @@ def test_the_marginal_likelihood_rises_with_a_planted_effect_and_falls_with_othe
 def test_errors_of_one_step_are_those_of_fits_without_a_fold(name: str) -> None:
     """To first order: what holding a fold out adds to its errors."""
     case = planted(name, 1, "")
-    fitted = choice._Rows(problem(case)).fit(columns(case))  # noqa: SLF001
+    fitted = choice._Rows(problem(case)).fit(columns(case))
     own = np.append(fitted.columns, fitted.rows.size)
     products = fitted.rows.products[:, :, own[:, None], own]
     inside = np.array([squares(fold, fitted.point.parameters) for fold in products])
