@@ -54,9 +54,10 @@ class Spring(JointEffect):
     @classmethod
     def coefficients(cls, values: Values, usual_load: float = 0.0) -> dict[Effect, tuple[float, ...]]:  # noqa: ARG003
         """The stiffness, and the offset of a spring that rests elsewhere than at zero."""
-        rest = values["equilibrium"]
-        offset = {EffortOffset(): (-values["stiffness"] * rest,)} if rest else {}
-        return {cls(): (values["stiffness"],), **offset}
+        found: dict[Effect, tuple[float, ...]] = {cls(): (values["stiffness"],)}
+        if values["equilibrium"]:
+            found[EffortOffset()] = (-values["stiffness"] * values["equilibrium"],)
+        return found
 
     @classmethod
     def refined(cls, known: Quantities, found: ByEffect) -> tuple[Quantities, ByEffect]:

@@ -79,8 +79,10 @@ class StribeckFriction(JointEffect):
     def coefficients(cls, values: Values, usual_load: float = 0.0) -> dict[Effect, tuple[float, ...]]:  # noqa: ARG003
         """The level, if there is one, is Coulomb friction, the excess its own."""
         own = cls.from_values(values)
-        level = {CoulombFriction(own.smoothing): (values["level"],)} if values["level"] else {}
-        return {**level, own: (values["excess"],)}
+        found: dict[Effect, tuple[float, ...]] = {own: (values["excess"],)}
+        if values["level"]:
+            found[CoulombFriction(own.smoothing)] = (values["level"],)
+        return found
 
     @classmethod
     def refined(cls, known: Quantities, found: ByEffect) -> tuple[Quantities, ByEffect]:
