@@ -116,6 +116,18 @@ def test_a_motor_that_turns_parallel_joints_is_an_inertia_of_the_outer_link() ->
     np.testing.assert_allclose(found.rms, NOISE, rtol=0.1)
 
 
+@pytest.mark.parametrize(
+    ("effect", "size"), [("load_friction", 1.5), ("spring", -3.0), ("coupled_viscous_friction", -0.7)]
+)
+def test_what_no_robot_has_is_not_taken(effect: str, size: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    """However well it explains the data: more friction than load, a spring or a friction that pushes away."""
+    monkeypatch.setitem(SIZES, effect, size)
+    planted.cache_clear()
+    found = identifier(planted("arm3", 1, effect)).solve()
+    assert effect not in {one.name for one in chosen(found)}
+    planted.cache_clear()
+
+
 def test_hardly_anything_is_taken_where_there_is_nothing() -> None:
     """A gain of 12 is one in 400 for a single candidate by chance, before held-out blocks are asked."""
     cases = [("arm3", 1, seed) for seed in range(6)] + [("arm7", 3, seed) for seed in range(2)]
