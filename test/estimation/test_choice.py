@@ -120,7 +120,7 @@ def test_a_motor_that_turns_parallel_joints_is_an_inertia_of_the_outer_link() ->
     ("effect", "size"), [("load_friction", 1.5), ("spring", -3.0), ("coupled_viscous_friction", -0.7)]
 )
 def test_what_no_robot_has_is_not_taken(effect: str, size: float, monkeypatch: pytest.MonkeyPatch) -> None:
-    """However well it explains the data: more friction than load, a spring or a friction that pushes away."""
+    """However well it explains the data: more friction than load, or a spring that pushes away."""
     monkeypatch.setitem(SIZES, effect, size)
     planted.cache_clear()
     found = identifier(planted("arm3", 1, effect)).solve()
