@@ -79,6 +79,12 @@ class _Rows:
         """Whether a coefficient cannot be negative."""
         return self.problem.model.coefficients[column - self.first].positive
 
+    def allows(self, column: int, value: float) -> bool:
+        """Whether a coefficient can have this value."""
+        coefficient = self.problem.model.coefficients[column - self.first]
+        form = coefficient.effect.own[coefficient.index]
+        return form.above < value < form.below and (value > 0.0 or not coefficient.positive)
+
     def mechanism(self, column: int) -> tuple[str, Place]:
         """What there is once at a place, whatever constants it has."""
         coefficient = self.problem.model.coefficients[column - self.first]
@@ -191,12 +197,12 @@ class _Fit:
 
     @property
     def possible(self) -> bool:
-        """Whether no optional coefficient is negative that cannot be."""
+        """Whether all optional coefficients are in their ranges."""
         rows = self.rows
         return all(
-            value > 0.0
+            rows.allows(column, value)
             for column, value in zip(self.columns, self.point.parameters, strict=True)
-            if column >= rows.first and rows.optional(column) and rows.positive(column)
+            if column >= rows.first and rows.optional(column)
         )
 
     def gains(self, columns: IntArray) -> FloatArray:

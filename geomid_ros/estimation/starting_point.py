@@ -27,8 +27,6 @@ _ROUNDING_COLUMN = 1e-12
 # of e, for they are a first fit that absorbs what the inertias cannot explain; real ones a fifth of what their channel
 # measures.
 USUAL_SPREAD_OF_LINKS = 0.2
-# No prior is more certain than this.
-LEAST_PRIOR_SPREAD = 0.1
 _USUAL_SPREAD_OF_POSITIVES = 1.0
 _USUAL_SPREAD_OF_REALS = 0.2
 

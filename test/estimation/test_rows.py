@@ -211,5 +211,5 @@ def test_remark_3_has_no_rows_to_set_aside_and_minimises_residuals() -> None:
 
 
 def test_an_unknown_objective_is_refused() -> None:
-    with pytest.raises(InputError, match="objective 'entropy'.*residual"):
+    with pytest.raises(InputError, match="objective 'entropy'"):
         solve_rows(np.eye(1, 10), np.ones(1), np.ones(1), ROD, objective="entropy")

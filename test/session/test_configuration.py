@@ -11,7 +11,7 @@ import pytest
 import yaml
 
 from geomid_ros.errors import InputError
-from geomid_ros.model.effects import DEFAULT_EFFECTS
+from geomid_ros.model.effects import DEFAULT_CANDIDATES, DEFAULT_EFFECTS
 from geomid_ros.model.sensors import WrenchSensor
 from geomid_ros.session.configuration import PARAMETERS, Configuration, find_parameter
 
@@ -127,6 +127,18 @@ class TestValues:
         names = ["rotor_inertia", "effort_offset", "rotor_inertia"]
         assert [effect.name for effect in Configuration({"effects": names}).effects] == names[:2]
 
+    def test_candidates_are_tried_with_some_constants_and_not_where_they_are_identified_anyway(self) -> None:
+        assert {effect.name for effect in Configuration().candidates} == set(DEFAULT_CANDIDATES)
+        configuration = Configuration({"effects": ["spring", "coulomb_friction"], "candidates": ["spring"]})
+        assert configuration.candidates == []
+        several = Configuration({"candidates": ["stribeck_friction"]}).candidates
+        assert len(several) == len(set(several)) > 1
+        assert Configuration({"candidates": [""]}).candidates == []
+
+    def test_effects_bring_what_they_consist_of(self) -> None:
+        names = [effect.name for effect in Configuration({"effects": ["spring", "stribeck_friction"]}).effects]
+        assert names == ["spring", "effort_offset", "coulomb_friction", "stribeck_friction"]
+
     def test_gains_by_joint_stand_beside_the_common_one(self, tmp_path: Path) -> None:
         configuration = read(tmp_path, "effort_gain: 2\njoint:\n  left.elbow:\n    effort_gain: -13.6")
         gains = configuration.signals(["left.elbow", "wrist"]).effort_gain
@@ -187,6 +199,8 @@ MISTAKES: dict[str, tuple[str, str]] = {
     "too large": ("forgetting_time: 2.0e+6", r"forgetting_time is 2e\+06, expected a number from 0 to 1e\+06"),
     "gravity in the plane": ("gravity: [0, -9.81]", "gravity has 2 entries, expected 3"),
     "effect": ("effects: [friction]", r"effects: unknown effect 'friction'.*coulomb_friction"),
+    "candidate": ("candidates: [sprng]", r"candidates: unknown effect 'sprng'. Did you mean 'spring'\?"),
+    "candidate that cannot be identified": ("candidates: [backlash]", "candidates: unknown effect 'backlash'"),
     "objective": ("objective: residuals", r"unknown objective 'residuals'. Did you mean 'residual'\?"),
     "solver": ("solver: newton", "unknown solver 'newton'.*cyclic"),
     "channel": ("sigma:\n  elbo: 1", r"sigma: unknown channel 'elbo'. Did you mean 'elbow'\?"),

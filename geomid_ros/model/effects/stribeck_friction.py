@@ -33,7 +33,7 @@ class StribeckFriction(JointEffect):
     label = "Stribeck friction"
     meaning = "effort sign(v) (level + excess exp(-(v/speed)^2))"
     parameters = (
-        ParameterForm("level", EFFORT, above=0.0, urdf="dynamics/friction", mjcf="joint/frictionloss"),
+        ParameterForm("level", EFFORT, above=0.0, optional=True, urdf="dynamics/friction", mjcf="joint/frictionloss"),
         ParameterForm("excess", EFFORT),  # the coefficient: positive and in units as the level
         ParameterForm("speed", ("rad/s", "m/s"), above=0.0),
     )
@@ -77,9 +77,12 @@ class StribeckFriction(JointEffect):
 
     @classmethod
     def coefficients(cls, values: Values, usual_load: float = 0.0) -> dict[Effect, tuple[float, ...]]:  # noqa: ARG003
-        """The level is Coulomb friction, the excess its own."""
+        """The level, if there is one, is Coulomb friction, the excess its own."""
         own = cls.from_values(values)
-        return {CoulombFriction(own.smoothing): (values["level"],), own: (values["excess"],)}
+        found: dict[Effect, tuple[float, ...]] = {own: (values["excess"],)}
+        if values["level"]:
+            found[CoulombFriction(own.smoothing)] = (values["level"],)
+        return found
 
     @classmethod
     def refined(cls, known: Quantities, found: ByEffect) -> tuple[Quantities, ByEffect]:
