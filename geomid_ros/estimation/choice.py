@@ -18,7 +18,6 @@ import numpy as np
 from geomid_ros.estimation.fit import CERTAINTY, Problem
 from geomid_ros.estimation.profile_objective import ProfileObjective, StraightManifold
 from geomid_ros.estimation.solvers import trust_region
-from geomid_ros.estimation.starting_point import USUAL_SPREAD_OF_LINKS
 from geomid_ros.geometry.manifold import Point
 from geomid_ros.model.effects import Place
 from geomid_ros.types import FloatArray, IntArray
@@ -122,7 +121,7 @@ class _Rows:
         manifold = StraightManifold(self.first // 10, 0, scales)
         inertias = self.problem.prior[: self.first]
         prior = manifold.point(np.concatenate([inertias, np.zeros(len(scales))]))
-        spreads = np.full(manifold.links, USUAL_SPREAD_OF_LINKS)
+        spreads = self.problem.usual
         point = prior
         if start is not None:
             known = np.zeros(self.size)
@@ -152,7 +151,7 @@ class _Rows:
             hessian = solution.evaluation.information + np.diag(trusted.weights)
             unsure = np.diag(np.linalg.inv(hessian))[manifold.inertial]
             errors = np.sum((manifold.log(prior, point)[manifold.inertial] ** 2 + unsure).reshape(-1, 10), axis=1)
-            spreads = np.sqrt((errors + CERTAINTY * USUAL_SPREAD_OF_LINKS**2) / (10.0 + CERTAINTY))
+            spreads = np.sqrt((errors + CERTAINTY * self.problem.usual**2) / (10.0 + CERTAINTY))
             if np.all(np.abs(np.log(spreads / before)) < _SETTLED):
                 break
         return _Fit(self, columns, point, objective(spreads), spreads)
@@ -171,7 +170,7 @@ class _Fit:
     @cached_property
     def firm(self) -> _Fit:
         """The fit of the same parameters with links that keep the usual spread; this one, if they do here."""
-        loose = bool(np.any(self.spreads > _LOOSE * USUAL_SPREAD_OF_LINKS))
+        loose = bool(np.any(self.spreads > _LOOSE * self.rows.problem.usual))
         return self.rows.fit(self.columns, firm=True) if loose else self
 
     @cached_property
@@ -184,7 +183,7 @@ class _Fit:
         """Minus twice the logarithm of the marginal likelihood, with a penalty for each coefficient."""
         links = self.objective.manifold.inertial
         _, volume = np.linalg.slogdet(self.hessian[links, links])
-        relative = self.spreads / USUAL_SPREAD_OF_LINKS
+        relative = self.spreads / self.rows.problem.usual
         width = 20.0 * float(np.sum(np.log(self.spreads)))
         width += CERTAINTY * float(np.sum(relative**-2 + 2.0 * np.log(relative)))
         penalty = len(self.columns) * float(np.log(max(np.max(self.rows.counts), 1.0)))

@@ -84,6 +84,7 @@ def estimate(
     settings: EstimatorSettings = EstimatorSettings(),
     prior: FloatArray | None = None,
     warm: WarmStart | None = None,
+    spreads: FloatArray | None = None,
 ) -> Estimate:
     """Choose which optional effects there are, and solve for all parameters from the summarised rows.
 
@@ -96,6 +97,7 @@ def estimate(
         settings: How to solve.
         prior: ``(D,)``, instead of the URDF's inertias and the fitted start of the effects; NaN for not known.
         warm: Where to start; without it the result depends on nothing but the rows.
+        spreads: Usual spreads ``(links,)`` of the links' priors, geodesic distances; those of a CAD file unless given.
 
     Raises:
         InputError: Nothing was measured, or settings or prior do not fit the model.
@@ -111,6 +113,7 @@ def estimate(
         sigmas=_configured_sigmas(model, settings),
         gamma=settings.gamma,
         independent=_independent(summary, settings.cutoff),
+        usual=np.full(len(model.identified), starting_point.USUAL_SPREAD_OF_LINKS) if spreads is None else spreads,
     )
     columns = choose(whole) if warm is None else _kept(model, warm)
     problem = subproblem(whole, columns)
@@ -183,8 +186,8 @@ def _estimate(
 def _run_away(model: MeasurementModel, fitted: Fit, point: Point) -> Iterator[str]:
     """A sentence for each link that left its prior by far more than links usually do."""
     spreads, pairs = fitted.spreads, zip(fitted.problem.prior_point.pseudo_inertias, point.pseudo_inertias, strict=True)
-    for name, spread, (prior, found) in zip(model.body_names, spreads, pairs, strict=True):
-        if spread > _FAR * starting_point.USUAL_SPREAD_OF_LINKS:
+    for name, spread, usual, (prior, found) in zip(model.body_names, spreads, fitted.problem.usual, pairs, strict=True):
+        if spread > _FAR * usual:
             yield (
                 f"link '{name}' is far from what was known of it: {found[3, 3]:.3g} kg instead of {prior[3, 3]:.3g}; "
                 "if it cannot be so, it has swallowed an effect that the model lacks"

@@ -50,6 +50,7 @@ class Problem:
         sigmas: standard deviations by channel where they are given ``(channels,)``, else NaN.
         gamma: the prior's weight as a share of the rows', if it is given.
         independent: share of the rows that counts: filtered rows are not independent.
+        usual: usual spreads of the links' priors ``(links,)``.
     """
 
     model: MeasurementModel
@@ -59,6 +60,7 @@ class Problem:
     sigmas: FloatArray
     gamma: float | None
     independent: float
+    usual: FloatArray
 
     @cached_property
     def manifold(self) -> ParameterManifold:
@@ -165,7 +167,7 @@ def fit(
         max_steps: of the solver, for each noise and spreads.
     """
     point = start or problem.prior_point
-    spreads = np.full(problem.manifold.links, USUAL_SPREAD_OF_LINKS)
+    spreads = problem.usual
     sigmas = problem.noise(point.parameters) if start is not None else problem.first_noise
     for _ in range(_ROUNDS):
         objective = _objective(problem, sigmas, spreads)
@@ -222,7 +224,7 @@ def _spreads(problem: Problem, objective: ResidualObjective, point: Point) -> Fl
     information = objective.evaluate(point).information + np.diag(objective.prior_weights)
     unsure = np.diag(np.linalg.inv(problem.independent * information))[links]
     errors = manifold.log(problem.prior_point, point)[links] ** 2 + unsure
-    squares = np.sum(errors.reshape(-1, 10), axis=1) + CERTAINTY * USUAL_SPREAD_OF_LINKS**2
+    squares = np.sum(errors.reshape(-1, 10), axis=1) + CERTAINTY * problem.usual**2
     spreads: FloatArray = np.sqrt(squares / (10.0 + CERTAINTY))
     return spreads
 

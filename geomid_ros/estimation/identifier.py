@@ -134,9 +134,13 @@ class Identifier:
         with self._lock:
             self._begin_anew()
 
-    def add(self, samples: Samples) -> tuple[IntArray, Rows]:
-        """Take samples, in the order of time; returns stamps and rows of those that are not standing still."""
+    def add(self, samples: Samples, without: slice = slice(0)) -> tuple[IntArray, Rows]:
+        """Take samples, in the order of time; returns stamps and rows of those that are not standing still.
+
+        ``without``: parameters of a body that the robot did not carry then.
+        """
         rows = self.model.rows(samples)
+        rows.coefficients[:, :, without] = 0.0
         moving = np.zeros(len(samples), dtype=bool)
         unsettled = self._unsettled(samples)
         with self._lock:

@@ -215,6 +215,15 @@ class MeasurementModel:
         robot = self.robot.with_gravity(gravity)
         return MeasurementModel(robot, self._common, self.sensors, self._links, self._local, self._candidates)
 
+    def with_carried(self, link: str) -> MeasurementModel:
+        """The same model with one body more, the last, which moves with the identified ``link`` and has its frame."""
+        model = copy(self)
+        model.identified = (*self.identified, self.identified[self.body_names.index(link)])
+        model.body_names = (*self.body_names, f"payload of {link}")
+        model.dimension = self.dimension + 10
+        model.channels = model._channels()  # noqa: SLF001 its own
+        return model
+
     def with_coefficients(self, chosen: Sequence[int]) -> MeasurementModel:
         """The same model with these of its coefficients alone."""
         model = copy(self)

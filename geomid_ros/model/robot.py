@@ -241,6 +241,21 @@ class Robot:
         pinocchio_frame = self._model.frames[self._model.getFrameId(frame, pin.BODY)]
         return self._data.oMi[pinocchio_frame.parentJoint] * pinocchio_frame.placement
 
+    def carrier(self, frame: str) -> str:
+        """The body that a link is fixed to. Raises InputError for a link that there is not, or that does not move."""
+        if frame not in self.tree.links:
+            raise unknown_name("link", frame, self.tree.links)
+        joint = self._model.frames[self._model.getFrameId(frame, pin.BODY)].parentJoint
+        found = [body.name for body in self.bodies if body.joint == joint]
+        if not found:
+            raise InputError(f"{self.source}: link '{frame}' is fixed to no moving link with a mass")
+        return found[-1]
+
+    def fixed_placement(self, link: str, frame: str) -> FloatArray:
+        """The homogeneous matrix ``(4, 4)`` from a link's coordinates to those of ``frame``, which is fixed to it."""
+        own, other = (self._model.frames[self._model.getFrameId(name, pin.BODY)].placement for name in (link, frame))
+        return np.asarray((other.inverse() * own).homogeneous)
+
     def link_frames(self, pose: Samples) -> dict[str, tuple[FloatArray, FloatArray]]:
         """Rotation ``(3, 3)`` and origin ``(3,)`` in the world of every link's frame, at the one sample ``pose``."""
         (q,), (v,), (a,) = self.configuration(pose)
