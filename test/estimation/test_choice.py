@@ -116,9 +116,7 @@ def test_a_motor_that_turns_parallel_joints_is_an_inertia_of_the_outer_link() ->
     np.testing.assert_allclose(found.rms, NOISE, rtol=0.1)
 
 
-@pytest.mark.parametrize(
-    ("effect", "size"), [("load_friction", 1.5), ("spring", -3.0), ("coupled_viscous_friction", -0.7)]
-)
+@pytest.mark.parametrize(("effect", "size"), [("load_friction", 1.5), ("spring", -3.0)])
 def test_what_no_robot_has_is_not_taken(effect: str, size: float, monkeypatch: pytest.MonkeyPatch) -> None:
     """However well it explains the data: more friction than load, or a spring that pushes away."""
     monkeypatch.setitem(SIZES, effect, size)
