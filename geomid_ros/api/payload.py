@@ -86,9 +86,10 @@ def weigh_payload(
     session = Session(text, parameters, source)
     robot = session.robot
     link = session.model.body_names[-1] if frame is None else robot.carrier(frame)
-    recordings = [_all(session, bags, Topics(joint_topic, odom_topic), progress) for bags in (empty, loaded)]
+    topics = Topics(joint_topic, odom_topic)
+    before, after = (_all(session, bags, topics, progress) for bags in (empty, loaded))
     progress("solving", 0.0)
-    weighed = weigh(session, *recordings, link, gain)
+    weighed = weigh(session, before, after, link, gain)
     own = frame or link
     return Payload(frame=own, weighed=weighed, inertial=_seen_from(session, weighed, own))
 

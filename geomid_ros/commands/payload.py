@@ -41,7 +41,7 @@ def payload(empty: Path, loaded: Path, urdf: Path, controller: str | None, as_js
     """Weigh what a robot carries.
 
     Compares two recordings (folders, or .mcap and .db3 files) in which all joints move: EMPTY without the payload and
-    LOADED with it. Prints its mass, centre of mass and inertia in the axes of the flange, with the interval of the mass.
+    LOADED with it. Prints mass, centre of mass and inertia in the axes of the flange, with the interval of the mass.
     """
     with progress_bar() as progress:
         found = geomid_ros.weigh_payload(empty, loaded, urdf, progress=progress, **options)
