@@ -135,7 +135,7 @@ def package(tmp_path_factory: pytest.TempPathFactory) -> Path:
     names = [path.stem, *(file.stem for file in OTHERS.glob("*.py"))]
     assert sorted(names) == sorted(kind.name for kind in KINDS.values())
     listed = folder / path.parent / "__init__.py"
-    before, end, after = listed.read_text(encoding="utf-8").partition('    "wrench_offset",\n)')
+    before, end, after = listed.read_text(encoding="utf-8").partition('    "coupled_motor",\n)')
     lines = "".join(f'    "{name}",\n' for name in names)
     assert end
     listed.write_text(before + end.replace("\n)", f"\n{lines})") + after, encoding="utf-8")

@@ -40,7 +40,7 @@ def choose(problem: Problem) -> IntArray:
     every = range(problem.model.dimension)
     optional = [column for column in every if column >= rows.first and rows.optional(column)]
     base = np.setdiff1d(every, optional)
-    if not optional:
+    if not optional or not rows.enough:
         return base
     chosen = rows.fit(base)
     settled: set[tuple[str, Place]] = set()  # what was taken or refused
@@ -69,6 +69,12 @@ class _Rows:
     def size(self) -> int:
         """Number of parameters."""
         return self.problem.model.dimension
+
+    @property
+    def enough(self) -> bool:
+        """Whether some channel has more independent rows than unknowns: fewer ask for nothing."""
+        columns = [len(channel.columns) for channel in self.problem.model.channels]
+        return bool(np.any(self.counts > columns))
 
     def optional(self, column: int) -> bool:
         """Whether a coefficient may be left out."""
