@@ -72,12 +72,12 @@ CABLE = {"fx": 2.0, "fy": -1.0, "fz": 1.5, "tx": 0.1, "ty": 0.2, "tz": -0.15}
 SLIP = np.array([0.0, 1.0, -1.0])
 KINDS = {
     "one joint": Kind(
-        "quadratic_drag",
+        "cubic_drag",
         "Drag of a fluid",
         "joint2",
         {"coefficient": 0.6},
-        {"coefficient": "N m s^2/rad^2"},
-        at_second(lambda v: 0.6 * v * abs(v)),
+        {"coefficient": "N m s^3/rad^3"},
+        at_second(lambda v: 0.6 * v**3),
     ),
     "a constant": Kind(
         "shear_thinning",
@@ -92,8 +92,8 @@ KINDS = {
         "Friction between two shafts",
         "joint2+joint3",
         {"coefficient": 0.3},
-        {"coefficient": "N m s/rad"},
-        lambda _, v: 0.3 * (v[1] - v[2]) * SLIP,
+        {"coefficient": "N m s^2/rad^2"},
+        lambda _, v: 0.3 * (v[1] - v[2]) * abs(v[1] - v[2]) * SLIP,
     ),
     "whole robot": Kind(
         "supply_sag",

@@ -128,6 +128,7 @@ class ModelTarget:
         effects = [
             {"name": c.effect.name, "joint": c.place_name, "value": 0.1, "std": 0.01, "unit": c.unit}
             for c in session.model.coefficients
+            if len(c.effect.parameters) == 1
         ]
         added = [entry for entry in effect_entries() if entry["link"] != "tool"]
         whole = {"format": 1, "links": links, "effects": effects, "added": added, "information": information}

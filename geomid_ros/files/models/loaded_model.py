@@ -31,6 +31,7 @@ from geomid_ros.model.effects import (
     Effect,
     IdentifiedEffect,
     KnownEffect,
+    LoadEffect,
     Quantity,
     SituationEffect,
     effect_class,
@@ -247,7 +248,8 @@ class LoadedModel:
 
 def _is_beside(known: KnownEffect) -> bool:
     cls = effect_class(known.effect)
-    return issubclass(cls, SituationEffect) and not cls.corrected_in_samples and not cls.absorbed
+    identified = issubclass(cls, LoadEffect) or cls.corrected_in_samples or cls.absorbed
+    return issubclass(cls, SituationEffect) and not identified
 
 
 def _merged(document: Mapping[str, Any], source: str) -> dict[str, frozenset[str]]:
