@@ -72,12 +72,12 @@ CABLE = {"fx": 2.0, "fy": -1.0, "fz": 1.5, "tx": 0.1, "ty": 0.2, "tz": -0.15}
 SLIP = np.array([0.0, 1.0, -1.0])
 KINDS = {
     "one joint": Kind(
-        "cubic_drag",
-        "Drag of a fluid",
+        "gear_ripple",
+        "Ripple of a gear",
         "joint2",
-        {"coefficient": 0.6},
-        {"coefficient": "N m s^3/rad^3"},
-        at_second(lambda v: 0.6 * v**3),
+        {"amplitude": 0.6},
+        {"amplitude": "N m"},
+        lambda q, _: np.array([0.0, 0.6 * np.sin(5.0 * q[1]), 0.0]),
     ),
     "a constant": Kind(
         "shear_thinning",
