@@ -22,8 +22,8 @@ from geomid_ros.types import FloatArray, IntArray
 BLOCK = 40
 """Rows that are judged together: five periods of the filter's cutoff, where the messages are frequent enough."""
 LATE = 2 * BLOCK
-"""Rows before a suspect block that may be bad, too: a change in the last rows of a block does not show there, and hardly
-in the next where an offset may explain it."""
+"""Rows before a suspect block that may be bad, too: a change in the last rows of a block does not show there, and
+hardly in the next where an offset may explain it."""
 FALSE_ALARMS = 1e-7
 """The largest share of all blocks that open a gap of a channel whose noise is what it was."""
 _MOST_WAITING = 50_000_000  # bytes
