@@ -8,7 +8,7 @@ coefficients, then the real ones.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass
 from itertools import chain
@@ -30,6 +30,7 @@ from geomid_ros.model.effects import (
     Quantity,
     SensorEffect,
     joint_of,
+    joints_of,
 )
 from geomid_ros.model.effects.parameters import quantities
 from geomid_ros.model.moving import REST, SIGN
@@ -84,6 +85,7 @@ class MeasurementModel:
         links: Sequence[str] | None = None,
         local_effects: Mapping[str, Sequence[IdentifiedEffect]] = MappingProxyType({}),
         candidates: Sequence[IdentifiedEffect] = (),
+        behind_gear: Collection[str] = (),
     ) -> None:
         """A model of a robot.
 
@@ -93,6 +95,7 @@ class MeasurementModel:
             sensors: the wrench sensors.
             links: the bodies to identify (all unless given); the others keep their URDF's inertia.
             local_effects: act only at the place by whose name they are given.
+            behind_gear: names of the joints whose efforts are measured behind the gear, where a motor is not felt.
             candidates: may act at every place of their kind where none of the same name is known.
 
         Raises:
@@ -110,6 +113,7 @@ class MeasurementModel:
         self._common = tuple(effects)
         self._local = local_effects
         self._candidates = tuple(candidates)
+        self._behind_gear = frozenset(behind_gear)
         self._check_sensors()
         self.layout = ChannelLayout.of(len(robot.joints) if self._efforts_usable else 0, self._row_sensors)
         topics = [sensor.topic for sensor in self._row_sensors]
@@ -140,7 +144,7 @@ class MeasurementModel:
             coefficient
             for effect in effects
             for place in self.places.of(effect)
-            if self._acts(effect, self.places.name(place))
+            if self._acts(effect, self.places.name(place)) and self._is_felt(effect, place)
             for coefficient in self._coefficients_at(effect, place)
         ]
         return tuple(sorted(found, key=lambda coefficient: not coefficient.positive))
@@ -151,6 +155,11 @@ class MeasurementModel:
         local = self._local.get(place, ())
         everywhere = effect in self._common or effect in self._candidates
         return effect in local or (everywhere and effect.name not in {other.name for other in local})
+
+    def _is_felt(self, effect: IdentifiedEffect, place: Place) -> bool:
+        """Whether the sensors are on that side of the gear on which an effect acts."""
+        joints = {self.robot.joint_names[joint] for joint in joints_of(place)}
+        return not effect.before_gear or self._behind_gear.isdisjoint(joints)
 
     def _coefficients_at(self, effect: IdentifiedEffect, place: Place) -> Iterator[Coefficient]:
         name, sliding = self.places.name(place), self.places.slides(place)
@@ -213,7 +222,9 @@ class MeasurementModel:
     def with_gravity(self, gravity: FloatArray) -> MeasurementModel:
         """The same model under another ``gravity (3,)`` in the base frame [m/s^2]."""
         robot = self.robot.with_gravity(gravity)
-        return MeasurementModel(robot, self._common, self.sensors, self._links, self._local, self._candidates)
+        return MeasurementModel(
+            robot, self._common, self.sensors, self._links, self._local, self._candidates, self._behind_gear
+        )
 
     def with_carried(self, link: str) -> MeasurementModel:
         """The same model with one body more, the last, which moves with the identified ``link`` and has its frame."""

@@ -47,6 +47,7 @@ class Parameter:
 
 # ROS cannot tell the type of an empty list: one empty string stands for it.
 _NONE = [""]
+_SIDES = ("motor", "link")
 # Parameters that every node has, by the beginning of their names: not ours to check.
 _OF_ROS = ("use_sim_time", "qos_overrides.", "start_type_description_service")
 _KINDS = {bool: "true or false", float: "a number", str: "a text"}
@@ -71,6 +72,8 @@ PARAMETERS = (
     Parameter("merge_joint_states", False, "joint_states has several publishers, each with some of the joints"),
     Parameter("effort_gain", 1.0, "factor from messages' efforts to N m (or N); negative reverses the sign", -1e6, 1e6),
     Parameter("joint.*.effort_gain", 1.0, "the same for one joint", -1e6, 1e6),
+    Parameter("effort_side", "motor", "where efforts are measured: motor (currents), or link (behind the gear)"),
+    Parameter("joint.*.effort_side", "motor", "the same for one joint"),
     Parameter("filter.cutoff", 5.0, "cutoff of the zero-phase low-pass on all signals [Hz]", 0.05, 500.0),
     Parameter("filter.period", 0.0, "period of the time grid [s]; 0: that of the first joint messages", 0.0, 1.0),
     Parameter("filter.max_gap", 0.5, "a longer pause of a topic starts a new segment [s]", 0.001, 60.0),
@@ -132,6 +135,7 @@ class Configuration:
         self._values = {name: self._checked(name, value) for name, value in own.items()}
         _ = (
             self.effects,
+            self.behind_gear(()),
             self.candidates,
             self.sensors,
             self.gravity,
@@ -268,6 +272,14 @@ class Configuration:
                 frame_id=value("frame_id"),
             ),
         )
+
+    def behind_gear(self, joints: Sequence[str]) -> frozenset[str]:
+        """Those of the joints whose efforts are measured behind the gear. Raises InputError for another side."""
+        own = self._under("joint", ".effort_side")
+        for side in (self["effort_side"], *own.values()):
+            if side not in _SIDES:
+                raise InputError(f"{self.source}: {unknown_name('effort_side', side, _SIDES)}")
+        return frozenset(joint for joint in joints if own.get(joint, self["effort_side"]) == "link")
 
     def signals(self, joints: Sequence[str]) -> SignalSettings:
         """Settings of the signal pipeline for a robot with these joints."""

@@ -63,7 +63,13 @@ class Session:
         effects = configuration.effects
         local = self.loaded.local_effects(effects)
         self.model = MeasurementModel(
-            self.robot, effects, sensors, configuration.links, local, configuration.candidates
+            self.robot,
+            effects,
+            sensors,
+            configuration.links,
+            local,
+            candidates=configuration.candidates,
+            behind_gear=configuration.behind_gear(self.robot.joint_names),
         )
         self.identifier = Identifier(
             self.model,

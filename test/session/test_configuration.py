@@ -14,6 +14,7 @@ from geomid_ros.errors import InputError
 from geomid_ros.model.effects import DEFAULT_CANDIDATES, DEFAULT_EFFECTS
 from geomid_ros.model.sensors import WrenchSensor
 from geomid_ros.session.configuration import PARAMETERS, Configuration, find_parameter
+from geomid_ros.session.session import Session
 
 FILE = Path(__file__).parents[2] / "config/geomid.yaml"
 KEY = re.compile(r"^( *)(# )?( *)([a-z_0-9.]+):( \S.*)?$")
@@ -277,3 +278,22 @@ def test_values_given_later_win_and_are_checked() -> None:
     assert (changed["gamma"], changed["links"]) == (0.25, ["a"])
     with pytest.raises(InputError, match="node: gamma is 'x'"):
         configuration.with_values({"gamma": "x"})
+
+
+def test_behind_the_gear_no_motor_is_felt() -> None:
+    """At joints whose efforts are measured there neither the own rotor nor one that turns two joints is a parameter."""
+    values = {"joint.joint2.effort_side": "link", "candidates": ["coupled_rotor_inertia", "spring"]}
+    model = Session((FILE.parents[1] / "bags/arm3.urdf").read_text(), Configuration(values), "arm3.urdf").model
+    places = {(c.effect.name, c.place_name) for c in model.coefficients}
+    rotors = {place for name, place in places if name == "rotor_inertia"}
+    assert rotors == {"joint1", "joint3"}
+    assert not [place for name, place in places if name == "coupled_rotor_inertia"], "joint2 is of every pair"
+    assert ("spring", "joint2") in places
+    everywhere = Configuration({"effort_side": "link", "joint.joint1.effort_side": "motor"})
+    assert everywhere.behind_gear(["joint1", "joint2"]) == {"joint2"}
+
+
+@pytest.mark.parametrize("key", ["effort_side", "joint.joint1.effort_side"])
+def test_another_side_is_refused(key: str) -> None:
+    with pytest.raises(InputError, match="unknown effort_side 'gear'"):
+        Configuration({key: "gear"})

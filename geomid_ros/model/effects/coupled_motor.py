@@ -23,6 +23,7 @@ class _CoupledMotor(PairEffect):
     ratio: float = 1.0
 
     adds_up = False
+    before_gear = True
     settled_by: ClassVar[str] = "a motion of either joint alone, and of both together"
 
     @classmethod

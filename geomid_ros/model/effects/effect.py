@@ -74,6 +74,8 @@ class Effect(ABC):
     """Whether its columns are known to first order only, so that smaller effects may be what is left of it."""
     far: ClassVar[tuple[float, ...]] = ()
     """Changes of its coefficients after which the columns of all effects are others; empty if none does that."""
+    before_gear: ClassVar[bool] = False
+    """Whether it acts on the motor's side alone, so that a sensor behind the gear does not feel it."""
     turns_gravity: ClassVar[bool] = False
     """Whether it turns gravity, which wrench sensors feel, too."""
     adds_up: ClassVar[bool] = True
