@@ -113,7 +113,7 @@ def estimate(
         sigmas=_configured_sigmas(model, settings),
         gamma=settings.gamma,
         independent=_independent(summary, settings.cutoff),
-        usual=np.full(len(model.identified), starting_point.USUAL_SPREAD_OF_LINKS) if spreads is None else spreads,
+        given_spreads=spreads,
     )
     columns = choose(whole) if warm is None else _kept(model, warm)
     problem = subproblem(whole, columns)

@@ -50,7 +50,7 @@ class Problem:
         sigmas: standard deviations by channel where they are given ``(channels,)``, else NaN.
         gamma: the prior's weight as a share of the rows', if it is given.
         independent: share of the rows that counts: filtered rows are not independent.
-        usual: usual spreads of the links' priors ``(links,)``.
+        given_spreads: usual spreads of the links' priors ``(links,)``, if they are not those of CAD files.
     """
 
     model: MeasurementModel
@@ -60,7 +60,14 @@ class Problem:
     sigmas: FloatArray
     gamma: float | None
     independent: float
-    usual: FloatArray
+    given_spreads: FloatArray | None = None
+
+    @cached_property
+    def usual(self) -> FloatArray:
+        """The usual spreads of the links' priors ``(links,)``."""
+        if self.given_spreads is not None:
+            return self.given_spreads
+        return np.full(self.manifold.links, USUAL_SPREAD_OF_LINKS)
 
     @cached_property
     def manifold(self) -> ParameterManifold:

@@ -48,10 +48,10 @@ def solve_rows(
     sigmas: FloatArray,
     prior: FloatArray,
     gamma: float | None = None,
-    objective: str = "geodesic",
     solver: str = "trust_region",
     max_steps: int = 20000,
     tolerance: float = 1e-8,
+    objective: str = "geodesic",
 ) -> RowsSolution:
     """Minimise (19), or the objective of Remark 3, for ``rows . parameters = targets``.
 
@@ -65,11 +65,11 @@ def solve_rows(
         prior: Parameters ``(links, 10)`` of bodies that can exist.
         gamma: Weight of the prior as a share of the sum of the rows' weights; None to choose it by held-out rows, see
             :func:`choose_gamma`.
-        objective: ``geodesic`` for (19), ``residual`` for Remark 3.
         solver: Of (19). ``trust_region``, which starts from the minimiser of Remark 3 where that is lower, or
             ``cyclic``, the paper's alternation.
         max_steps: Of the solver.
         tolerance: Largest geodesic distance of the result from the minimum.
+        objective: ``geodesic`` for (19), ``residual`` for Remark 3.
 
     Raises:
         InputError: Shapes do not fit, numbers are not finite, the prior belongs to no body, or there is no such

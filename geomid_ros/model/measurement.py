@@ -11,6 +11,7 @@ import math
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import chain
 from types import MappingProxyType
 
@@ -72,6 +73,17 @@ class Rows:
 
     coefficients: FloatArray
     targets: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class _Carried:
+    """The entries of rows that samples with these ``columns`` carry: the row's channel and parameter, and the column's
+    place."""
+
+    columns: Columns
+    channels: IntArray
+    parameters: IntArray
+    places: IntArray
 
 
 class MeasurementModel:
@@ -229,6 +241,7 @@ class MeasurementModel:
     def with_carried(self, link: str) -> MeasurementModel:
         """The same model with one body more, the last, which moves with the identified ``link`` and has its frame."""
         model = copy(self)
+        model.__dict__.pop("_carried", None)
         model.identified = (*self.identified, self.identified[self.body_names.index(link)])
         model.body_names = (*self.body_names, f"payload of {link}")
         model.dimension = self.dimension + 10
@@ -238,6 +251,7 @@ class MeasurementModel:
     def with_coefficients(self, chosen: Sequence[int]) -> MeasurementModel:
         """The same model with these of its coefficients alone."""
         model = copy(self)
+        model.__dict__.pop("_carried", None)
         model.coefficients = tuple(self.coefficients[index] for index in chosen)
         model.positives = sum(coefficient.positive for coefficient in model.coefficients)
         model.dimension = 10 * len(self.identified) + len(model.coefficients)
@@ -363,7 +377,12 @@ class MeasurementModel:
         coefficients = np.concatenate([inertial, np.zeros((count, len(self.channels), len(self.coefficients)))], axis=2)
         nominal = np.array([body.parameters for body in self.robot.bodies])
         loads = np.einsum("njbk,bk->nj", bodies[:, self.layout.efforts], nominal)
+        carried = self._carried if samples.columns == self._carried.columns else None
+        if carried is not None:
+            coefficients[:, carried.channels, carried.parameters] = samples.effects[:, carried.channels, carried.places]
         for column, coefficient in enumerate(self.coefficients, inertial.shape[2]):
+            if carried is not None and isinstance(coefficient.effect, MotionEffect):
+                continue
             effect, place = coefficient.effect, coefficient.place
             if isinstance(effect, LoadEffect):
                 joint = joint_of(place)
@@ -373,6 +392,19 @@ class MeasurementModel:
             for channel, values in self.columns_of(samples, effect, place, coefficient.index).items():
                 coefficients[:, channel, column] = values
         return Rows(coefficients, targets)
+
+    @cached_property
+    def _carried(self) -> _Carried:
+        """Where samples with this model's columns carry those of its effects of motion."""
+        columns = self.columns
+        entries = [
+            (joint, parameter, columns.place[column_of(c.effect, c.place)])
+            for parameter, c in enumerate(self.coefficients, 10 * len(self.identified))
+            if isinstance(c.effect, MotionEffect)
+            for joint in self._reached(c.place)
+        ]
+        channels, parameters, places = np.array(entries, dtype=np.int64).reshape(-1, 3).T
+        return _Carried(columns, channels, parameters, places)
 
     def columns_of(
         self, samples: Samples, effect: MotionEffect | SensorEffect, place: Place, index: int

@@ -177,7 +177,7 @@ def test_the_weight_that_is_chosen_predicts_fresh_rows_nearly_as_well_as_the_bes
 
     def error(gamma: float | None) -> float:
         rows, targets, sigmas = case.rows[fitted], case.targets[fitted], case.sigmas[fitted]
-        found = solve_rows(rows, targets, sigmas, case.prior_table, gamma, objective, tolerance=1e-5)
+        found = solve_rows(rows, targets, sigmas, case.prior_table, gamma, tolerance=1e-5, objective=objective)
         assert gamma is None or found.gamma == gamma
         left = case.rows[fresh] @ found.parameters.ravel() - case.targets[fresh]
         return float(np.sqrt(np.mean((left / case.sigmas[fresh]) ** 2)))
@@ -194,7 +194,7 @@ def test_few_rows_leave_the_weight_to_the_paper() -> None:
 def test_remark_3_has_no_rows_to_set_aside_and_minimises_residuals() -> None:
     """Its minimum is where the residuals' pull and the prior's cancel, by finite differences along geodesics."""
     case = problem(2, LINKS, count=40)
-    found = solve_rows(case.rows, case.targets, case.sigmas, case.prior_table, 1e-2, "residual")
+    found = solve_rows(case.rows, case.targets, case.sigmas, case.prior_table, 1e-2, objective="residual")
     assert not np.any(found.set_aside)
     manifold, point = case.manifold, case.manifold.point(found.parameters.ravel())
     whitened = manifold.whiten(case.prior, case.rows / case.sigmas[:, None])
