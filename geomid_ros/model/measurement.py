@@ -235,7 +235,13 @@ class MeasurementModel:
         """The same model under another ``gravity (3,)`` in the base frame [m/s^2]."""
         robot = self.robot.with_gravity(gravity)
         return MeasurementModel(
-            robot, self._common, self.sensors, self._links, self._local, self._candidates, self._behind_gear
+            robot,
+            self._common,
+            self.sensors,
+            self._links,
+            self._local,
+            candidates=self._candidates,
+            behind_gear=self._behind_gear,
         )
 
     def with_carried(self, link: str) -> MeasurementModel:
