@@ -130,7 +130,7 @@ def _follow(session: Session, before: Samples, after: Samples) -> _Course:
     every = round(_EVERY / (1e-9 * float(after.stamps[1] - after.stamps[0])))
     for begin in range(0, len(after) - every, every):
         identifier.add(after.select(slice(begin, begin + every)))
-        warm = WarmStart(estimate.parameters, estimate.gamma)
+        warm = WarmStart(estimate.parameters)
         if identifier.outgrown(chosen):
             warm, chosen = None, identifier.rows
         estimate = identifier.solve(warm)

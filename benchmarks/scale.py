@@ -15,7 +15,7 @@ from benchmarks.peers import method
 from benchmarks.problem import Problem, Rows
 from benchmarks.report import Report
 from benchmarks.simulated_person import simulated_person
-from geomid_ros.estimation.gamma import PAPER
+from geomid_ros.estimation.rows import PAPER
 
 _METHODS = ("trust_region (19)", "trust_region (19), rows compressed", "residual (Remark 3)")
 _INSTANTS = (1_000, 10_000, 100_000)  # three rows each

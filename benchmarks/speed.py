@@ -18,8 +18,7 @@ from benchmarks.problem import Problem
 from benchmarks.report import Report
 from benchmarks.simulated_person import simulated_person
 from geomid_ros.estimation.estimator import WarmStart
-from geomid_ros.estimation.gamma import PAPER
-from geomid_ros.estimation.rows import solve_rows
+from geomid_ros.estimation.rows import PAPER, solve_rows
 from geomid_ros.estimation.solvers import cyclic, trust_region
 from geomid_ros.files.bags.bag import Bag
 from geomid_ros.files.models.urdf import read_urdf
@@ -146,7 +145,7 @@ def _warm_update() -> float:
     session.identifier.add(samples.select(slice(instants)))
     cold = session.identifier.solve()
     session.identifier.add(samples.select(slice(instants, instants + _NEW_INSTANTS)))
-    warm = WarmStart(cold.parameters, cold.gamma)
+    warm = WarmStart(cold.parameters)
     return best_of(lambda: session.identifier.solve(warm))
 
 

@@ -12,15 +12,14 @@ import numpy as np
 from benchmarks.measuring import in_fresh_process, resident
 from benchmarks.report import Report
 from geomid_ros.estimation.estimator import EstimatorSettings
-from geomid_ros.estimation.gamma import PAPER
 from geomid_ros.estimation.identifier import Identifier
-from geomid_ros.estimation.objective import residual_objective
+from geomid_ros.estimation.objective import ResidualObjective
+from geomid_ros.estimation.rows import PAPER
 from geomid_ros.estimation.solvers import trust_region
-from geomid_ros.estimation.starting_point import channel_sizes, prior_parameters, scales_of_reals
+from geomid_ros.estimation.starting_point import USUAL_SPREAD_OF_LINKS, prior_parameters, scales_of_reals, usual_spreads
 from geomid_ros.files.models.urdf import read_urdf
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.samples import Samples
-from geomid_ros.model.weighed_masses import weighed_rows
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.session import Session
 from geomid_ros.types import FloatArray
@@ -31,7 +30,8 @@ _AT_ONCE = 100  # instants
 _RATE = 40.0  # Hz
 _TONES = 5
 _NOISE = 0.2  # N m
-_SETTINGS = EstimatorSettings(gamma=PAPER)
+# Given, so that all rows of a channel weigh the same.
+_SETTINGS = EstimatorSettings(gamma=PAPER, sigma={f"joint{number}": _NOISE for number in range(1, 8)})
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,7 +90,7 @@ def _stream(count: int) -> _Stream:
 
 
 def _model() -> MeasurementModel:
-    return Session(read_urdf(_URDF), Configuration(), _URDF.name).model
+    return Session(read_urdf(_URDF), Configuration({"candidates": []}), _URDF.name).model
 
 
 def _recording(model: MeasurementModel, count: int) -> Iterator[Samples]:
@@ -123,13 +123,15 @@ def _distance_to_batch(streamed: FloatArray) -> tuple[float, float]:
         coefficients.append(made.coefficients.reshape(-1, model.dimension))
         targets.append(made.targets.ravel())
     summary = identifier.snapshot()
-    manifold = model.manifold(scales_of_reals(model, channel_sizes(summary, model.dimension)))
+    manifold = model.manifold(scales_of_reals(model, summary))
     prior = manifold.point(prior_parameters(model, summary, None))
     sigmas = np.resize(identifier.solve().sigmas, sum(map(len, targets)))
     rows = np.concatenate(coefficients)
     rows /= sigmas[:, None]
-    objective = residual_objective(
-        manifold, (rows, np.concatenate(targets) / sigmas), weighed_rows(model, ()), prior, PAPER
+    confidence = (USUAL_SPREAD_OF_LINKS / usual_spreads(manifold)) ** 2
+    ones = np.ones(len(rows))
+    objective = ResidualObjective(
+        manifold, rows, np.concatenate(targets) / sigmas, ones, prior, PAPER, confidence=confidence
     )
     found = trust_region(objective, prior, _SETTINGS.tolerance * PAPER, _SETTINGS.max_steps)
     return manifold.distance(manifold.point(streamed), found.point), resident("VmHWM")

@@ -23,6 +23,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from geomid_ros.api.gap import Gap, find_gap
     from geomid_ros.api.identify import Identification, identify
+    from geomid_ros.api.payload import Payload, weigh_payload
     from geomid_ros.errors import GeomidError, InputError
     from geomid_ros.estimation.rows import RowsSolution, solve_rows
     from geomid_ros.model.effects import Effect, JointEffect, JointMotion, ParameterForm, register
@@ -38,16 +39,19 @@ __all__ = [
     "JointEffect",
     "JointMotion",
     "ParameterForm",
+    "Payload",
     "RowsSolution",
     "find_gap",
     "identify",
     "register",
     "solve_rows",
+    "weigh_payload",
 ]
 
 _NAMES = {
     "geomid_ros.api.gap": ("Gap", "find_gap"),
     "geomid_ros.api.identify": ("Identification", "identify"),
+    "geomid_ros.api.payload": ("Payload", "weigh_payload"),
     "geomid_ros.errors": ("GeomidError", "InputError"),
     "geomid_ros.estimation.rows": ("RowsSolution", "solve_rows"),
     "geomid_ros.model.effects": ("Effect", "JointEffect", "JointMotion", "ParameterForm", "register"),

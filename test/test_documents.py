@@ -12,7 +12,7 @@ DOCUMENTS = ("README.md", "CONTRIBUTING.md", "SECURITY.md", "docs/reference.md")
 FOLDERS = "geomid_ros|test|config|launch|security|bags|docs|benchmarks|examples"
 HIDDEN = {"robots"}  # a room's folder of data
 # What the recipe in CONTRIBUTING.md makes.
-PLANNED = {"geomid_ros/model/effects/quadratic_drag.py"}
+PLANNED = {"geomid_ros/model/effects/gear_ripple.py"}
 
 
 def text_of(document: str) -> str:

@@ -72,12 +72,12 @@ CABLE = {"fx": 2.0, "fy": -1.0, "fz": 1.5, "tx": 0.1, "ty": 0.2, "tz": -0.15}
 SLIP = np.array([0.0, 1.0, -1.0])
 KINDS = {
     "one joint": Kind(
-        "quadratic_drag",
-        "Drag of a fluid",
+        "gear_ripple",
+        "Ripple of a gear",
         "joint2",
-        {"coefficient": 0.6},
-        {"coefficient": "N m s^2/rad^2"},
-        at_second(lambda v: 0.6 * v * abs(v)),
+        {"amplitude": 0.6},
+        {"amplitude": "N m"},
+        lambda q, _: np.array([0.0, 0.6 * np.sin(5.0 * q[1]), 0.0]),
     ),
     "a constant": Kind(
         "shear_thinning",
@@ -92,8 +92,8 @@ KINDS = {
         "Friction between two shafts",
         "joint2+joint3",
         {"coefficient": 0.3},
-        {"coefficient": "N m s/rad"},
-        lambda _, v: 0.3 * (v[1] - v[2]) * SLIP,
+        {"coefficient": "N m s^2/rad^2"},
+        lambda _, v: 0.3 * (v[1] - v[2]) * abs(v[1] - v[2]) * SLIP,
     ),
     "whole robot": Kind(
         "supply_sag",
@@ -135,7 +135,7 @@ def package(tmp_path_factory: pytest.TempPathFactory) -> Path:
     names = [path.stem, *(file.stem for file in OTHERS.glob("*.py"))]
     assert sorted(names) == sorted(kind.name for kind in KINDS.values())
     listed = folder / path.parent / "__init__.py"
-    before, end, after = listed.read_text(encoding="utf-8").partition('    "wrench_offset",\n)')
+    before, end, after = listed.read_text(encoding="utf-8").partition('    "coupled_motor",\n)')
     lines = "".join(f'    "{name}",\n' for name in names)
     assert end
     listed.write_text(before + end.replace("\n)", f"\n{lines})") + after, encoding="utf-8")

@@ -18,21 +18,29 @@ from typing import Any
 from benchmarks.blind.case import KINDS
 from benchmarks.blind.figures import draw_matrix, figures, print_matrix
 from benchmarks.blind.judging import Judgement, judge
+from benchmarks.blind.realistic.bench import run_realistic
 from benchmarks.blind.running import outcome
 
 
 def main() -> None:
     """Run the cases that are not finished yet, and report on all."""
     arguments = _parsed()
+    if arguments.realistic:
+        run_realistic(arguments.seeds, arguments.out or Path("out/realistic"), arguments.jobs)
+    else:
+        _run_clean(arguments, arguments.out or Path("out/blind"))
+
+
+def _run_clean(arguments: argparse.Namespace, out: Path) -> None:
     cases = [(kind, seed) for seed in arguments.seeds for kind in arguments.kinds]
     judged = []
-    for number, document in enumerate(_outcomes(cases, arguments.out, arguments.jobs), 1):
+    for number, document in enumerate(_outcomes(cases, out, arguments.jobs), 1):
         line, judgement = _told(document)
         print(f"[{number}/{len(cases)}] {line}", flush=True)
         judged += [judgement] if judgement else []
     judged.sort(key=lambda case: (case.kind, case.seed))
     if judged:
-        _report(judged, arguments.out)
+        _report(judged, out)
 
 
 def _parsed() -> argparse.Namespace:
@@ -46,8 +54,11 @@ def _parsed() -> argparse.Namespace:
     )
     parser.add_argument("--kinds", type=_kinds, default=KINDS, help=f"of {','.join(KINDS)} (all)")
     parser.add_argument("--jobs", type=int, default=2, help="processes (%(default)s)")
+    parser.add_argument("--out", type=Path, help="folder; finished cases are kept (out/blind, or out/realistic)")
     parser.add_argument(
-        "--out", type=Path, default=Path("out/blind"), help="folder; finished cases are kept (%(default)s)"
+        "--realistic",
+        action="store_true",
+        help="robots as robots are: each seed is one, recorded before and after a change; --kinds does not count",
     )
     return parser.parse_args()
 

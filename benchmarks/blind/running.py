@@ -78,13 +78,13 @@ def _run(case: Case, folder: Path) -> dict[str, Any]:
     if case.unloaded:
         known = folder / "unloaded"
         bags = [str(folder / name) for name in _names("unloaded", case.unloaded)]
-        if trouble := _command(["identify", *bags, *robot, "--effects", "none", "--out", str(known)])[1]:
+        if trouble := command(["identify", *bags, *robot, "--effects", "none", "--out", str(known)])[1]:
             return {"error": trouble}
         robot += ["--model", str(known / "estimate.json")]
     bags = [str(folder / name) for name in _names("training", case.training)]
     begin, spent = time.perf_counter(), _spent()
     arguments = ["gap", *bags, "--validate", str(folder / "held_out"), *robot, "--out", str(folder / "gap"), "--json"]
-    printed, trouble = _command(arguments)
+    printed, trouble = command(arguments)
     found = {"error": trouble} if trouble else {"gap": json.loads(printed)}
     return {"truth": truth, "seconds": time.perf_counter() - begin, "processor_seconds": _spent() - spent, **found}
 
@@ -99,7 +99,7 @@ def _spent() -> float:
     return usage.ru_utime + usage.ru_stime
 
 
-def _command(arguments: list[str]) -> tuple[str, str]:
+def command(arguments: list[str]) -> tuple[str, str]:
     """What a command of ``geomid`` prints, and why it failed, empty if it did not."""
     environment = {**os.environ, "PYTHONPATH": str(_ROOT), "OPENBLAS_NUM_THREADS": "1"}
     try:

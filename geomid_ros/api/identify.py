@@ -53,6 +53,11 @@ class Identification:
         nothing was held out. NaN where nothing was measured."""
         return self._by_channel(self.estimate.rms if self.held_out_rms is None else self.held_out_rms)
 
+    @property
+    def warnings(self) -> list[str]:
+        """What makes the result doubtful, in sentences."""
+        return self.session.warnings(self.estimate)
+
     @cached_property
     def rms_nominal(self) -> dict[str, float]:
         """The same of the URDF: its inertias and no effects."""
@@ -120,6 +125,7 @@ def identify(
     config: Config | None = None,
     model: PathLike | None = None,
     effects: Texts | None = None,
+    candidates: Texts | None = None,
     links: Texts | None = None,
     known: Texts = (),
     floating_base: bool = False,
@@ -140,7 +146,9 @@ def identify(
         urdf: path or text of the robot description.
         config: the node's parameter file (YAML), or parameters by their full names.
         model: an estimate.json to start from.
-        effects: names of the effects to identify at every joint, ``[]`` for none; None for the configured ones.
+        effects: names of the effects to identify at every joint and no others, ``[]`` for none; None for the configured
+            ones, and for the candidates where held-out data ask for them.
+        candidates: names of effects to identify where held-out data ask for them, beside ``effects``.
         links: names of the only links to identify; None for the configured ones.
         known: masses that were weighed, as ``LINK=MASS:STD``, ``LINK+LINK=MASS:STD`` or ``total=MASS:STD`` [kg].
         floating_base: whether the base moves; its pose is read from ``odom_topic``.
@@ -155,7 +163,11 @@ def identify(
         InputError: a file, an argument or the data cannot be used; the message names it and says what to do.
     """
     chosen: dict[str, Any] = {"known": texts(known)} if known else {}
-    chosen |= {name: texts(given) for name, given in (("effects", effects), ("links", links)) if given is not None}
+    if effects is not None:
+        chosen |= {"effects": texts(effects), "candidates": []}
+    chosen |= {
+        name: texts(given) for name, given in (("candidates", candidates), ("links", links)) if given is not None
+    }
     parameters = configuration(config, model=model, floating_base=floating_base, wrench=wrench, **chosen)
     text, source = description(urdf)
     session = Session(text, parameters, source)

@@ -67,6 +67,8 @@ def _print(found: geomid_ros.Gap) -> None:
     """Print the verdict, what was found, the gap of every channel, candidates, and what to record next."""
     console = results_console()
     result = found.result
+    for warning in found.session.warnings():
+        _say(console, f"[bold]Warning:[/bold] {escape(warning)}")
     _say(console, f"[bold]{result.verdict.upper()}[/bold]  {escape(gap_words.verdict_sentence(result))}")
     if result.findings:
         console.print(_findings_table(result))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -27,7 +28,10 @@ from geomid_ros.report import gap_words
 @click.argument("bags", nargs=-1, required=True, type=click.Path(path_type=Path))
 @click.option("--urdf", required=True, **URDF)
 @recording_options
-@click.option("--effects", help="Identify these effects, separated by commas; 'none' for none.")
+@click.option(
+    "--effects", help="Identify these effects everywhere and no others, separated by commas; 'none' for none."
+)
+@click.option("--candidates", help="Identify these effects where held-out data ask for them, separated by commas.")
 @click.option("--links", help="Identify only these links, separated by commas.")
 @click.option(
     "--known",
@@ -37,26 +41,22 @@ from geomid_ros.report import gap_words
 )
 @click.option("--out", default=Path("geomid_out"), **OUT)
 @click.option("--json", "as_json", is_flag=True, help="Print estimate.json instead of tables.")
-def identify(
-    bags: tuple[Path, ...], urdf: Path, effects: str | None, links: str | None, out: Path, as_json: bool, **options: Any
-) -> None:
+def identify(bags: tuple[Path, ...], urdf: Path, effects: str | None, out: Path, as_json: bool, **options: Any) -> None:
     """Identify link inertias from rosbags.
 
     Reads BAGS (folders, or .mcap and .db3 files) and writes estimate.json, identified.urdf and identification.png. How
     well the result predicts is judged on data that were held out: the end of each bag, or the bags of --validate.
     """
     chosen_effects = [] if effects == "none" else _names(effects)
+    for name in ("candidates", "links"):
+        options[name] = _names(options[name] or None)
     with progress_bar() as progress:
-        found = geomid_ros.identify(
-            bags, urdf, effects=chosen_effects, links=_names(links or None), progress=progress, **options
-        )
+        found = geomid_ros.identify(bags, urdf, effects=chosen_effects, progress=progress, **options)
         files = found.save(out, progress=progress)
     if as_json:
         click.echo(json.dumps(found.document, indent=2))
     else:
         _print(found)
-        if found.session.loaded.not_predicted:
-            click.echo(f"\n{found.session.loaded.not_predicted}")
         click.echo(f"\nWritten: {', '.join(map(str, files))}")
 
 
@@ -70,6 +70,8 @@ def _print(found: geomid_ros.Identification) -> None:
     console = results_console()
     estimate = found.estimate
     state = "converged" if estimate.converged else f"NOT converged ({estimate.reason})"
+    for warning in found.warnings:
+        console.print(f"[bold]Warning:[/bold] {escape(warning)}", highlight=False)
     console.print(
         f"{estimate.rows_accepted} rows, {state} in {estimate.seconds:.1f} s, prior's weight {estimate.gamma:.1e}",
         highlight=False,
@@ -77,10 +79,12 @@ def _print(found: geomid_ros.Identification) -> None:
     console.print(_links_table(found))
     if estimate.known:
         console.print(_known_table(estimate))
-    of_joints = [effect for effect in estimate.effects if EFFECTS[effect.name].place == "joint"]
+    of_joints = _at_every_joint(estimate.effects)
     if of_joints:
         console.print(_joint_effects_table(of_joints))
-    others = [effect for effect in model_effects(estimate, found.session.loaded.effects) if not _is_in_a_cell(effect)]
+    said = {(effect.name, effect.joint) for effect in of_joints}
+    every = model_effects(estimate, found.session.loaded.effects)
+    others = [e for e in every if (e.effect, e.joint) not in said or not is_coefficient(e)]
     if others:
         console.print(_other_effects_table(others))
     console.print(_channels_table(found))
@@ -129,9 +133,11 @@ def _known_table(estimate: Estimate) -> Table:
     return table
 
 
-def _is_in_a_cell(effect: KnownEffect) -> bool:
-    """Whether the table of joints says all of an effect."""
-    return is_coefficient(effect) and EFFECTS[effect.effect].place == "joint"
+def _at_every_joint(effects: Sequence[EffectEstimate]) -> list[EffectEstimate]:
+    """The effects that most joints have, for a table with a row for each joint."""
+    of_joints = [effect for effect in effects if EFFECTS[effect.name].place == "joint"]
+    joints, counts = {effect.joint for effect in of_joints}, Counter(effect.name for effect in of_joints)
+    return [effect for effect in of_joints if 2 * counts[effect.name] > len(joints)]
 
 
 def _other_effects_table(effects: Sequence[KnownEffect]) -> Table:

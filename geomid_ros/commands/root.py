@@ -16,6 +16,7 @@ COMMANDS = {
     "export": "Print an estimate in the terms of other software.",
     "gap": "Find what a simulation lacks.",
     "identify": "Identify link inertias from rosbags.",
+    "payload": "Weigh what a robot carries.",
     "play": "Publish topics of BAG live.",
     "prior": "Give a URDF inertials from its shapes.",
     "simulate": "Record a simulated robot into a new rosbag.",

@@ -10,6 +10,7 @@ import click
 from geomid_ros.commands.progress import progress_bar
 from geomid_ros.simulation import (
     EFFECTS,
+    LINK_MASS,
     MOTIONS,
     NOTHING,
     WRIST_FRAME,
@@ -29,6 +30,7 @@ Hide a physical effect, alone or with others (repeat the option):
   --hide coulomb_friction:joint2=4.5          its first parameter
   --hide spring:joint2=stiffness=20,equilibrium=0.3
   --hide payload:tool=mass=1.2                at a link
+  --hide {LINK_MASS}:tool=1.2                   a link's mass times 1.2 (--realistic)
   --hide {NOTHING}                              no effect at all."""
 
 
@@ -39,6 +41,12 @@ Hide a physical effect, alone or with others (repeat the option):
 @click.option("--duration", default=_DEFAULT.duration, show_default=True, help="Seconds.")
 @click.option("--rate", default=_DEFAULT.rate, show_default=True, help="Messages per second.")
 @click.option("--seed", default=_DEFAULT.seed, show_default=True, help="Fixes the robot, its motion and the noise.")
+@click.option(
+    "--realistic",
+    is_flag=True,
+    help="A robot as robots are: friction that slips before it slides, cogging, ripple, gains a few per cent off, "
+    "steps of encoders, stamps that jitter, lost messages.",
+)
 @click.option("--motion-seed", type=int, help="Another motion and noise of the same robot.")
 @click.option(
     "--motion",

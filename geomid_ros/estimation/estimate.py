@@ -127,6 +127,7 @@ class Estimate:
         sigmas, rms_nominal, rms: ``(channels,)`` in the channels' units: standard deviations, and RMS residuals of the
             nominal and of the identified model; NaN where nothing was measured.
         information: What the data say of all links together.
+        warnings: What makes the result doubtful, in sentences.
     """
 
     converged: bool
@@ -145,3 +146,4 @@ class Estimate:
     rms: FloatArray
     information: LinksInformation
     known: tuple[WeighedEstimate, ...] = ()
+    warnings: tuple[str, ...] = ()

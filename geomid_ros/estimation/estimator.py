@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import compress
 
@@ -11,20 +12,21 @@ from scipy.fft import dct
 
 from geomid_ros.errors import InputError, unknown_name
 from geomid_ros.estimation import starting_point, uncertainty
+from geomid_ros.estimation.choice import choose
 from geomid_ros.estimation.estimate import QUANTITIES, EffectEstimate, Estimate, LinkEstimate, WeighedEstimate
-from geomid_ros.estimation.gamma import PAPER, choose_gamma
-from geomid_ros.estimation.objective import GeodesicObjective, ResidualObjective, residual_objective, trust_in_known
-from geomid_ros.estimation.solvers import SOLVERS, trust_region
+from geomid_ros.estimation.fit import INDEPENDENT, Fit, Problem, fit, subproblem
+from geomid_ros.estimation.objective import GeodesicObjective, ResidualObjective
+from geomid_ros.estimation.rows import OBJECTIVES
+from geomid_ros.estimation.solvers import SOLVERS
 from geomid_ros.estimation.summary import RowSummary
 from geomid_ros.geometry import pseudo_inertia, spd
 from geomid_ros.geometry.manifold import ParameterManifold, Point
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.weighed_masses import WeighedMass, WeighedRows, weighed_rows
-from geomid_ros.types import FloatArray, frozen
+from geomid_ros.types import FloatArray, IntArray, frozen
 
-OBJECTIVES = ("residual", "geodesic")
+_FAR = 2.0  # times the usual distance
 _ROUNDING = 1e-9
-_LEAST_GRADIENT = 1e-14  # relative to the sum of the weights; rounding allows no less
 # A quantity is called identifiable when the data at least halved the standard deviation that the prior alone leaves.
 _IDENTIFIABLE = 0.5
 
@@ -34,14 +36,15 @@ class EstimatorSettings:
     """How to solve. Raises InputError for values that cannot be.
 
     Attributes:
-        gamma: Weight of the prior as a share of the rows' (the paper's is 0.01); None to find it on held-out blocks of
-            time.
+        gamma: Weight of the prior as a share of the rows' (the paper's is 0.01), the same for all links; None to find
+            that of each link from the data.
         sigma: Standard deviations by channel name where they are known; others are estimated from the residuals.
         objective: ``residual`` (Remark 3) or ``geodesic`` (19).
         solver: Of the geodesic objective: ``trust_region`` or ``cyclic``.
         tolerance: Largest geodesic distance of the result from the minimum.
         max_steps: Of the solver.
         known: Weighed masses.
+        cutoff: Of the filter that made the rows [Hz], which says how many of them are independent.
     """
 
     gamma: float | None = None
@@ -51,6 +54,7 @@ class EstimatorSettings:
     tolerance: float = 1e-10
     max_steps: int = 300
     known: tuple[WeighedMass, ...] = ()
+    cutoff: float = np.inf
 
     def __post_init__(self) -> None:
         if self.objective not in OBJECTIVES:
@@ -67,11 +71,10 @@ class EstimatorSettings:
 
 @dataclass(frozen=True, eq=False)
 class WarmStart:
-    """Where the last solve ended: the next one begins at these ``parameters (D,)`` and keeps the prior's weight
-    ``gamma``, which was found for so many ``rows``."""
+    """Where the last solve ended: the next one begins at these ``parameters (D,)``, in which the coefficients are zero
+    that were left out, and leaves out the same. They were chosen for so many ``rows``."""
 
     parameters: FloatArray
-    gamma: float
     rows: int = 0
 
 
@@ -81,12 +84,12 @@ def estimate(
     settings: EstimatorSettings = EstimatorSettings(),
     prior: FloatArray | None = None,
     warm: WarmStart | None = None,
+    spreads: FloatArray | None = None,
 ) -> Estimate:
-    """Solve for all parameters from the summarised rows.
+    """Choose which optional effects there are, and solve for all parameters from the summarised rows.
 
-    Minimises :class:`ResidualObjective` on the compressed rows, at most D of them, and from there, if that is asked
-    for, (19). The channels' standard deviations are those of what no parameters can explain: by the residuals of a fit
-    that the prior holds back, the channel that happens to fit best would gain weight until the others no longer count.
+    Minimises :class:`ResidualObjective` on the compressed rows, at most D of them, with the noise and the prior's
+    weight as :func:`fit` finds them, and from there, if that is asked for, (19) with the same.
 
     Args:
         model: What the rows mean.
@@ -94,6 +97,7 @@ def estimate(
         settings: How to solve.
         prior: ``(D,)``, instead of the URDF's inertias and the fitted start of the effects; NaN for not known.
         warm: Where to start; without it the result depends on nothing but the rows.
+        spreads: Usual spreads ``(links,)`` of the links' priors, geodesic distances; those of a CAD file unless given.
 
     Raises:
         InputError: Nothing was measured, or settings or prior do not fit the model.
@@ -101,57 +105,93 @@ def estimate(
     begin = time.perf_counter()
     if summary.rows == 0:
         raise InputError("no usable rows: nothing was measured, or the robot never moved")
-    sizes = starting_point.channel_sizes(summary, model.dimension)
-    manifold = model.manifold(starting_point.scales_of_reals(model, sizes))
-    prior_point = manifold.point(starting_point.prior_parameters(model, summary, prior))
-    known = weighed_rows(model, settings.known)
-    configured = _configured_sigmas(model, settings)
-    sigmas = np.where(np.isfinite(configured), configured, starting_point.first_sigmas(summary, model.dimension))
-    gamma = warm.gamma if warm else settings.gamma
-    if gamma is None and settings.objective == "geodesic":
-        gamma = PAPER
-    if gamma is None:
-        gamma = choose_gamma(manifold, summary, sigmas, prior_point, known)
-    measured = summary.compressed(sigmas, manifold.dimension)
-    objective = residual_objective(manifold, measured, known, prior_point, gamma)
-    # The prior bounds the curvature from below: a gradient of ``tolerance`` times its weight is at most that far off.
-    tolerance = max(settings.tolerance * min(objective.gamma, 1.0), _LEAST_GRADIENT)
-    point = manifold.point(warm.parameters) if warm else prior_point
-    solution = trust_region(objective, point, tolerance, settings.max_steps)
-    prior_weights = objective.prior_weights
+    whole = Problem(
+        model,
+        summary,
+        given=prior,
+        known=weighed_rows(model, settings.known),
+        sigmas=_configured_sigmas(model, settings),
+        gamma=settings.gamma,
+        independent=_independent(summary, settings.cutoff),
+        given_spreads=spreads,
+    )
+    columns = choose(whole) if warm is None else _kept(model, warm)
+    problem = subproblem(whole, columns)
+    start = None if warm is None else problem.manifold.point(warm.parameters[columns])
+    found = fit(problem, start, tolerance=settings.tolerance, max_steps=settings.max_steps)
+    return _estimate(problem, columns, model, found, settings, begin)
+
+
+def _kept(model: MeasurementModel, warm: WarmStart) -> IntArray:
+    """The parameters that are not left out, by their columns."""
+    optional = [coefficient.optional for coefficient in model.coefficients]
+    first = model.dimension - len(optional)
+    return np.flatnonzero(np.append(np.full(first, True), ~np.array(optional, dtype=bool)) | (warm.parameters != 0.0))
+
+
+def _independent(summary: RowSummary, cutoff: float) -> float:
+    """The share of the rows that counts; all of rows that have no times, or that no filter made."""
+    if not (np.isfinite(cutoff) and summary.period > 0.0):
+        return 1.0
+    return min(INDEPENDENT * cutoff * summary.period, 1.0)
+
+
+def _estimate(
+    problem: Problem, columns: IntArray, whole: MeasurementModel, fitted: Fit, settings: EstimatorSettings, begin: float
+) -> Estimate:
+    """All that is said of a fit."""
+    model, manifold, summary, known = problem.model, problem.manifold, problem.summary, problem.known
+    objective, solution = fitted.objective, fitted.solution
+    prior_point, prior_weights = problem.prior_point, objective.prior_weights
     set_aside = 0
     if settings.objective == "geodesic":
         geodesic = _geodesic_objective(objective)
         set_aside = int(np.count_nonzero(geodesic.set_aside))
         prior_weights = geodesic.prior_weights
+        tolerance = max(settings.tolerance * float(np.min(prior_weights)) / geodesic.scale, np.finfo(float).eps)
         solution = SOLVERS[settings.solver](geodesic, solution.point, tolerance, settings.max_steps)
-    folds = _folds(summary, sigmas, manifold, solution.point)
+    measured = problem.rows(fitted.sigmas)
+    folds = _folds(summary, fitted.sigmas, manifold, solution.point)
     found = uncertainty.estimate_uncertainty(
         folds,
         _rows_at(manifold, solution.point, known.rows, known.targets),
-        trust_in_known(objective.prior_weight),
+        1.0 / problem.independent,
         prior_weights,
         manifold.log(solution.point, prior_point),
         _parameter_groups(model, manifold),
     )
+    parameters = np.zeros(whole.dimension)
+    parameters[columns] = solution.point.parameters
     return Estimate(
         converged=solution.converged,
         reason=solution.reason,
         seconds=time.perf_counter() - begin,
         steps=solution.steps,
-        gamma=gamma,
+        gamma=fitted.gamma,
         rows_accepted=summary.rows,
         rows_set_aside=set_aside,
         links=_links(model, manifold, prior_point, solution.point, found),
         effects=_effects(model, manifold, solution.point, found),
-        parameters=solution.point.parameters,
+        parameters=frozen(parameters),
         channels=tuple(channel.name for channel in model.channels),
-        sigmas=frozen(sigmas),
+        sigmas=frozen(fitted.sigmas[: len(model.channels)]),
         rms_nominal=frozen(summary.rms(model.nominal_parameters)),
         rms=frozen(summary.rms(solution.point.parameters)),
         information=uncertainty.links_information(manifold, prior_point, solution.point, measured, known, found),
         known=_known(known, manifold, solution.point, found),
+        warnings=tuple(_run_away(model, fitted, solution.point)),
     )
+
+
+def _run_away(model: MeasurementModel, fitted: Fit, point: Point) -> Iterator[str]:
+    """A sentence for each link that left its prior by far more than links usually do."""
+    spreads, pairs = fitted.spreads, zip(fitted.problem.prior_point.pseudo_inertias, point.pseudo_inertias, strict=True)
+    for name, spread, usual, (prior, found) in zip(model.body_names, spreads, fitted.problem.usual, pairs, strict=True):
+        if spread > _FAR * usual:
+            yield (
+                f"link '{name}' is far from what was known of it: {found[3, 3]:.3g} kg instead of {prior[3, 3]:.3g}; "
+                "if it cannot be so, it has swallowed an effect that the model lacks"
+            )
 
 
 def _configured_sigmas(model: MeasurementModel, settings: EstimatorSettings) -> FloatArray:

@@ -16,9 +16,10 @@ from geomid_ros.estimation.estimator import EstimatorSettings, WarmStart, estima
 from geomid_ros.estimation.revocable_buffer import Instant, RevocableBuffer
 from geomid_ros.estimation.summary import RowSummary, SummaryState, usable
 from geomid_ros.model.measurement import MeasurementModel, Rows
+from geomid_ros.model.moving import moves_one_way
 from geomid_ros.model.samples import Samples
 from geomid_ros.model.weighed_masses import weighed_rows
-from geomid_ros.types import FloatArray, IntArray
+from geomid_ros.types import BoolArray, FloatArray, IntArray
 
 NOT_MEASURED = "not measured"
 STANDING_STILL = "standing still"
@@ -133,10 +134,15 @@ class Identifier:
         with self._lock:
             self._begin_anew()
 
-    def add(self, samples: Samples) -> tuple[IntArray, Rows]:
-        """Take samples, in the order of time; returns stamps and rows of those that are not standing still."""
+    def add(self, samples: Samples, without: slice = slice(0)) -> tuple[IntArray, Rows]:
+        """Take samples, in the order of time; returns stamps and rows of those that are not standing still.
+
+        ``without``: parameters of a body that the robot did not carry then.
+        """
         rows = self.model.rows(samples)
+        rows.coefficients[:, :, without] = 0.0
         moving = np.zeros(len(samples), dtype=bool)
+        unsettled = self._unsettled(samples)
         with self._lock:
             for index in range(len(samples)):
                 elapsed = self._elapsed(int(samples.stamps[index]))
@@ -148,10 +154,19 @@ class Identifier:
                 else:
                     moving[index] = True
                     targets = np.where(measured, rows.targets[index], np.nan)
-                    self._recent.append(Instant(self.instants, rows.coefficients[index], targets, elapsed))
+                    self._recent.append(
+                        Instant(self.instants, rows.coefficients[index], targets, elapsed, unsettled[index])
+                    )
                     self.instants += 1
                     self._settle_before(self.instants - self._held)
         return samples.stamps[moving], Rows(rows.coefficients[moving], rows.targets[moving])
+
+    def _unsettled(self, samples: Samples) -> BoolArray:
+        """Which channels are unsettled at N instants ``(N, channels)``."""
+        unsettled = np.zeros((len(samples), len(self.model.channels)), dtype=bool)
+        if self.model.layout.efforts:
+            unsettled[:, self.model.layout.efforts] = ~moves_one_way(samples)
+        return unsettled
 
     def _settle_before(self, number: int) -> None:
         while self._recent.first < number:
@@ -160,7 +175,7 @@ class Identifier:
     def _settle_first(self) -> None:
         instant, rejected = self._recent.pop()
         self._rejected += rejected
-        self._summary.add(instant.coefficients, instant.targets, instant.elapsed)
+        self._summary.add(instant.coefficients, instant.targets, instant.elapsed, instant.unsettled)
 
     def hold(self, instants: int) -> None:
         """Hold so many last instants (none at first), whose rows can still be left out; settle earlier ones."""
@@ -242,7 +257,7 @@ class Identifier:
 
     def _absorb(self) -> None:
         """Absorb what waits, releasing the lock between channels: a thread that adds meanwhile hardly waits."""
-        for _ in range(self._summary.folds * len(self.model.channels)):
+        for _ in range(self._summary.folds * len(self._summary.groups)):
             with self._lock:
                 if not self._summary.absorb_one():
                     break
@@ -285,5 +300,5 @@ class Identifier:
 def _with(summary: RowSummary, instants: Sequence[Instant]) -> RowSummary:
     """The summary, once it has these instants, too."""
     for instant in instants:
-        summary.add(instant.coefficients, instant.targets, instant.elapsed)
+        summary.add(instant.coefficients, instant.targets, instant.elapsed, instant.unsettled)
     return summary

@@ -11,10 +11,8 @@ from typing import Protocol
 
 import numpy as np
 
-from geomid_ros.estimation.starting_point import LEAST_PRIOR_SPREAD, USUAL_SPREAD_OF_LINKS, usual_spreads
 from geomid_ros.geometry import projection, symmetric
 from geomid_ros.geometry.manifold import ParameterManifold, Point
-from geomid_ros.model.weighed_masses import WeighedRows
 from geomid_ros.types import BoolArray, FloatArray, IntArray, frozen
 
 # The kernels run without the GIL, so chunks share the cores; results do not depend on the number of cores, because the
@@ -181,43 +179,6 @@ class ResidualObjective(_WeightedObjective):
         information = normals.T @ normals
         hessian += information + linear_hessian(self.manifold, slope)
         return Evaluation(value + 0.5 * float(residuals @ residuals), gradient + slope, information, hessian)
-
-
-def residual_objective(
-    manifold: ParameterManifold, measured: tuple[FloatArray, FloatArray], known: WeighedRows, prior: Point, gamma: float
-) -> ResidualObjective:
-    """The objective of measured rows and known masses.
-
-    The prior's weight is the share ``gamma`` of the measured rows' alone: to weigh a link more precisely must not make
-    the prior heavier. It is that of the links; other blocks have more or less, as their priors usually are surer or
-    less sure. The known rows are weighted by :func:`trust_in_known`.
-
-    Args:
-        manifold: Where the parameters live.
-        measured: Rows ``(N, D)`` and targets ``(N,)`` of standard deviation 1.
-        known: Rows of weighed masses.
-        prior: The prior.
-        gamma: Its weight as a share of the sum of the measured rows' weights.
-    """
-    measured_weight = float(np.sum(row_weights(manifold, prior, measured[0], np.ones(len(measured[0])))))
-    factor = np.sqrt(trust_in_known(gamma * measured_weight))
-    rows = np.concatenate([measured[0], factor * known.rows])
-    targets = np.concatenate([measured[1], factor * known.targets])
-    ones = np.ones(len(rows))
-    weight = float(np.sum(row_weights(manifold, prior, rows, ones)))
-    confidence = (USUAL_SPREAD_OF_LINKS / usual_spreads(manifold)) ** 2
-    return ResidualObjective(
-        manifold, rows, targets, ones, prior, gamma * measured_weight / weight, confidence=confidence
-    )
-
-
-def trust_in_known(prior_weight: float) -> float:
-    """Factor of the weight of known rows under a prior of this weight.
-
-    A heavy prior says that the measured rows are worth less than their standard deviations promise, not that the prior
-    is surer than :data:`LEAST_PRIOR_SPREAD`: against that spread what a scale says counts as it stands.
-    """
-    return max(1.0, prior_weight * LEAST_PRIOR_SPREAD**2)
 
 
 def row_weights(manifold: ParameterManifold, prior: Point, rows: FloatArray, sigmas: FloatArray) -> FloatArray:

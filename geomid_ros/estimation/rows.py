@@ -7,13 +7,19 @@ from dataclasses import dataclass
 import numpy as np
 
 from geomid_ros.errors import InputError, unknown_name
-from geomid_ros.estimation.gamma import PAPER
 from geomid_ros.estimation.objective import GeodesicObjective, ResidualObjective
 from geomid_ros.estimation.solvers import SOLVERS, Solution, trust_region
+from geomid_ros.estimation.summary import triangular
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.geometry.manifold import ParameterManifold, Point
 from geomid_ros.types import BoolArray, FloatArray, frozen
 
+PAPER = 1e-2
+"""The paper's weight of the prior, as a share of the rows'."""
+OBJECTIVES = ("residual", "geodesic")
+"""What can be minimised: Remark 3, or (19)."""
+_GRID = 10.0 ** -np.arange(1.0, 7.0)
+_BLOCKS = 3
 _START_TOLERANCE = 1e-4
 _JITTER = 1e-10  # relative, with which any matrix of products has a Cholesky factor
 _LEAST_GRADIENT = 1e-14  # relative to the sum of the weights; rounding allows no less
@@ -25,11 +31,13 @@ class RowsSolution:
 
     Attributes:
         parameters: ``(links, 10)``.
+        gamma: Weight of the prior as a share of the sum of the rows' weights.
         set_aside: Which rows ``(N,)`` have no projection from the prior and take no part.
         solution: The solve itself.
     """
 
     parameters: FloatArray
+    gamma: float
     set_aside: BoolArray
     solution: Solution
 
@@ -39,12 +47,13 @@ def solve_rows(
     targets: FloatArray,
     sigmas: FloatArray,
     prior: FloatArray,
-    gamma: float = PAPER,
+    gamma: float | None = None,
     solver: str = "trust_region",
     max_steps: int = 20000,
     tolerance: float = 1e-8,
+    objective: str = "geodesic",
 ) -> RowsSolution:
-    """Minimise (19) for ``rows . parameters = targets``.
+    """Minimise (19), or the objective of Remark 3, for ``rows . parameters = targets``.
 
     Parameters are in pinocchio's order (m, hx, hy, hz, Ixx, Ixy, Iyy, Ixz, Iyz, Izz) about each link frame's origin, in
     SI units.
@@ -54,14 +63,17 @@ def solve_rows(
         targets: ``(N,)``.
         sigmas: Standard deviations of the targets, ``(N,)`` or one number for all.
         prior: Parameters ``(links, 10)`` of bodies that can exist.
-        gamma: Weight of the prior as a share of the sum of the rows' weights.
-        solver: ``trust_region``, which starts from the minimiser of Remark 3 where that is lower, or ``cyclic``, the
-            paper's alternation.
+        gamma: Weight of the prior as a share of the sum of the rows' weights; None to choose it by held-out rows, see
+            :func:`choose_gamma`.
+        solver: Of (19). ``trust_region``, which starts from the minimiser of Remark 3 where that is lower, or
+            ``cyclic``, the paper's alternation.
         max_steps: Of the solver.
         tolerance: Largest geodesic distance of the result from the minimum.
+        objective: ``geodesic`` for (19), ``residual`` for Remark 3.
 
     Raises:
-        InputError: Shapes do not fit, numbers are not finite, or the prior belongs to no body.
+        InputError: Shapes do not fit, numbers are not finite, the prior belongs to no body, or there is no such
+            objective or solver.
 
     >>> found = solve_rows(np.eye(1, 10), np.array([2.5]), 0.1, [[2, 0, 0, 0, 1, 0, 1, 0, 0, 1]])
     >>> 2.4 < found.parameters[0, 0] < 2.5  # a mass of 2 kg was expected, 2.5 kg measured
@@ -71,20 +83,68 @@ def solve_rows(
     prior = np.atleast_2d(np.asarray(prior, dtype=np.float64))
     sigmas = np.asarray(sigmas, dtype=np.float64)
     _check(rows, targets, sigmas, prior)
-    if not 0.0 < gamma < np.inf:
+    if gamma is not None and not 0.0 < gamma < np.inf:
         raise InputError(f"gamma is {gamma:g}, expected a number greater than zero")
     sigmas = np.broadcast_to(sigmas, targets.shape)
-    if solver not in SOLVERS:
-        raise unknown_name("solver", solver, SOLVERS)
+    for kind, name, valid in (("objective", objective, OBJECTIVES), ("solver", solver, SOLVERS)):
+        if name not in valid:
+            raise unknown_name(kind, name, valid)
     manifold = ParameterManifold(len(prior), 0, np.zeros(0))
     start = manifold.point(prior.ravel())
-    objective = GeodesicObjective(manifold, rows, targets, sigmas, start, gamma)
+    if gamma is None:
+        gamma = choose_gamma(manifold, rows / sigmas[:, None], targets / sigmas, start, objective)
     # The prior bounds the curvature from below: a gradient of so little of the prior's weight is so little off.
     gradient = max(tolerance * gamma / (1.0 + gamma), _LEAST_GRADIENT)
-    solve = _from_remark_3 if solver == "trust_region" else SOLVERS[solver]
-    solution = solve(objective, start, gradient, max_steps)
+    minimised: GeodesicObjective | ResidualObjective
+    set_aside = np.zeros(len(rows), dtype=bool)
+    if objective == "residual":
+        minimised = ResidualObjective(manifold, rows, targets, sigmas, start, gamma)
+        solution = trust_region(minimised, _minimiser_of_remark_3(minimised), gradient, max_steps)
+    else:
+        minimised = GeodesicObjective(manifold, rows, targets, sigmas, start, gamma)
+        set_aside = minimised.set_aside
+        solve = _from_remark_3 if solver == "trust_region" else SOLVERS[solver]
+        solution = solve(minimised, start, gradient, max_steps)
     parameters = frozen(pseudo_inertia.to_parameters(solution.point.pseudo_inertias))
-    return RowsSolution(parameters, objective.set_aside, solution)
+    return RowsSolution(parameters, gamma, set_aside, solution)
+
+
+def choose_gamma(
+    manifold: ParameterManifold, rows: FloatArray, targets: FloatArray, prior: Point, objective: str
+) -> float:
+    """The weight of the prior with which rows that were held out are predicted best.
+
+    The rows, in the order of time, make three blocks: few, because blocks beside each other are alike. Each is judged
+    by the fit to the two others, for every weight of a grid, and the squared errors are pooled, so that a
+    block that cannot be predicted at all counts. The minimum is that of a parabola through the best weight and its
+    neighbours, in logarithms. The paper's weight where there are fewer rows than parameters.
+
+    Args:
+        manifold: Where the parameters live.
+        rows, targets: ``(N, D)`` and ``(N,)``, of standard deviation 1.
+        prior: What distances are measured from.
+        objective: What is minimised.
+    """
+    if len(targets) < manifold.dimension:
+        return PAPER
+    blocks = np.array_split(np.arange(len(targets)), _BLOCKS)
+    losses = np.zeros(len(_GRID))
+    for held_out in blocks:
+        fitted = np.setdiff1d(np.arange(len(targets)), held_out)
+        augmented = np.column_stack([rows[fitted], targets[fitted]])
+        if objective == "residual":
+            augmented = triangular(augmented)
+        of_what = ResidualObjective if objective == "residual" else GeodesicObjective
+        point, ones = prior, np.ones(len(augmented))
+        for index, gamma in enumerate(_GRID):  # from strong to weak priors, each from where the last one ended
+            minimised = of_what(manifold, augmented[:, :-1], augmented[:, -1], ones, prior, gamma)
+            point = trust_region(minimised, point, _START_TOLERANCE * gamma).point
+            losses[index] += np.sum((rows[held_out] @ point.parameters - targets[held_out]) ** 2)
+    best = int(np.argmin(losses))
+    middle = min(max(best, 1), len(_GRID) - 2)
+    slope, bend = np.polyfit([-1.0, 0.0, 1.0], np.log(losses[middle - 1 : middle + 2] + np.finfo(float).tiny), 2)[1::-1]
+    offset = np.clip(-0.5 * slope / bend, -1.0, 1.0) if bend > 0.0 else best - middle
+    return float(_GRID[middle] * (_GRID[1] / _GRID[0]) ** offset)
 
 
 def _from_remark_3(objective: GeodesicObjective, start: Point, tolerance: float, max_steps: int) -> Solution:
@@ -96,7 +156,7 @@ def _from_remark_3(objective: GeodesicObjective, start: Point, tolerance: float,
     return trust_region(objective, start, tolerance, max_steps)
 
 
-def _minimiser_of_remark_3(objective: GeodesicObjective) -> Point:
+def _minimiser_of_remark_3(objective: GeodesicObjective | ResidualObjective) -> Point:
     """Roughly, as a start: from the rows' least-squares content, by a Cholesky factor, which is the fastest way."""
     whitened = np.column_stack([objective.rows, objective.targets]) / objective.sigmas[:, None]
     products = whitened.T @ whitened

@@ -27,8 +27,6 @@ _ROUNDING_COLUMN = 1e-12
 # of e, for they are a first fit that absorbs what the inertias cannot explain; real ones a fifth of what their channel
 # measures.
 USUAL_SPREAD_OF_LINKS = 0.2
-# No prior is more certain than this.
-LEAST_PRIOR_SPREAD = 0.1
 _USUAL_SPREAD_OF_POSITIVES = 1.0
 _USUAL_SPREAD_OF_REALS = 0.2
 
@@ -40,8 +38,8 @@ def channel_sizes(summary: RowSummary, dimension: int) -> FloatArray:
 
 
 def first_sigmas(summary: RowSummary, dimension: int) -> FloatArray:
-    """Standard deviations ``(channels,)`` of the part of each channel that no parameters can explain, by itself."""
-    sizes = channel_sizes(summary, dimension)
+    """Standard deviations ``(groups,)`` of the part of each group that no parameters can explain, by itself."""
+    sizes = np.tile(channel_sizes(summary, dimension), 2)
     sigmas = sizes.copy()
     for index, parts in enumerate(summary.parts()):
         factor = joined(parts)
@@ -61,14 +59,20 @@ def _least_residual(factor: FloatArray) -> tuple[float, int]:
     return float(np.linalg.norm(factor[:, -1] - regressor @ solution)), int(rank)
 
 
-def scales_of_reals(model: MeasurementModel, sizes: FloatArray) -> FloatArray:
-    """The scale of each real coefficient: the size of the channel that it adds to, of several the largest."""
+def scales_of_reals(model: MeasurementModel, summary: RowSummary) -> FloatArray:
+    """The scale of each real coefficient: that with which it is as large as the channel that it adds to, of several the
+    largest."""
     first = len(model.nominal_inertias) + model.positives
-    reached = [
-        [size for size, channel in zip(sizes, model.channels, strict=True) if column in channel.columns]
-        for column in range(first, model.dimension)
-    ]
-    return np.array([max(own, default=1.0) for own in reached])
+    scales = np.zeros(model.dimension)
+    sizes = channel_sizes(summary, model.dimension)
+    for index, channel in enumerate(model.channels):
+        parts = [part for group in (index, index + len(sizes)) for part in summary.parts()[group]]
+        count = sum(part.count for part in parts)
+        columns = np.sqrt(sum(np.sum(part.factor[:, :-1] ** 2, axis=0) for part in parts) / max(count, 1.0))
+        large = columns > _ROUNDING_COLUMN
+        own = sizes[index] / np.where(large, columns, np.inf)
+        scales[channel.columns] = np.maximum(scales[channel.columns], own)
+    return np.where(scales > 0.0, scales, 1.0)[first:]
 
 
 def usual_spreads(manifold: ParameterManifold) -> FloatArray:
@@ -97,7 +101,8 @@ def prior_parameters(model: MeasurementModel, summary: RowSummary, given: FloatA
         inertial = given[:first]
         parameters[:first] = np.where(np.isfinite(inertial), inertial, parameters[:first])
     sizes = channel_sizes(summary, model.dimension)
-    parts = summary.parts()
+    settled, unsettled = np.array_split(np.array(summary.parts(), dtype=object), 2)
+    parts = [[*first, *second] for first, second in zip(settled, unsettled, strict=True)]
     for group in _sharing_effects(model):
         own = [model.channels[index].columns for index in group]
         columns, factor = _together(own, [joined(parts[index]) for index in group], sizes[group])

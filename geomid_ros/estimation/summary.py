@@ -3,20 +3,22 @@
 For the rows ``[A b]`` of one channel the triangular factor R of a QR decomposition has ``|R (x, -1)| = |A x - b|`` for
 every x, in at most as many rows as A has columns, plus one. Factors of different channels are kept apart, because
 their standard deviations are only known later, and so are those of different *folds* of time, so that what was not
-used for a fit can judge it.
+used for a fit can judge it. For the same reason a channel's rows make two *groups*: those of instants at which its
+joint moves one way, and the *unsettled* ones, at rest and near reversals, where dry friction is not what it is in
+motion. Of C channels the group c is settled, the group C + c is not.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import cast
+from typing import Literal, cast
 
 import numpy as np
 
 from geomid_ros.errors import InputError
 from geomid_ros.model.channels import Channel
-from geomid_ros.types import BoolArray, FloatArray
+from geomid_ros.types import BoolArray, FloatArray, IntArray
 
 
 @dataclass
@@ -54,8 +56,8 @@ class SummaryState:
         instants, rows: Numbers added so far.
         time: Time that passed [s].
         weight: Sum of all rows' weights.
-        counts: Sums of weights ``(folds, channels)``.
-        factors: By fold and channel, upper triangular.
+        counts: Sums of weights ``(folds, groups)``.
+        factors: By fold and group.
     """
 
     instants: int
@@ -67,7 +69,7 @@ class SummaryState:
 
 
 class RowSummary:
-    """Summaries of all channels in ``folds`` folds: blocks of ``block`` instants go to the folds in turn.
+    """Summaries of all groups in ``folds`` folds: blocks of ``block`` instants go to the folds in turn.
 
     A row weighs ``exp(-age / forgetting_time)``; its age [s] is that of :meth:`add`.
     """
@@ -89,28 +91,46 @@ class RowSummary:
         self.weight = 0.0
         """Sum of the weights that they have now."""
         self._summaries = [
-            [ChannelSummary(np.zeros((0, len(c.columns) + 1))) for c in self.channels] for _ in range(folds)
+            [ChannelSummary(np.zeros((0, len(c.columns) + 1))) for c in self.groups] for _ in range(folds)
         ]
         # Rows, their targets, and their times.
         self._waiting: list[list[list[tuple[FloatArray, float, float]]]] = [
-            [[] for _ in self.channels] for _ in range(folds)
+            [[] for _ in self.groups] for _ in range(folds)
         ]
 
-    def add(self, coefficients: FloatArray, targets: FloatArray, elapsed: float = 0.0) -> None:
+    @property
+    def groups(self) -> tuple[Channel, ...]:
+        """The channel of each group."""
+        return (*self.channels, *self.channels)
+
+    @property
+    def period(self) -> float:
+        """Mean time between two instants [s]; 0 if they have no times."""
+        return self._time / max(self._instants, 1)
+
+    def add(
+        self,
+        coefficients: FloatArray,
+        targets: FloatArray,
+        elapsed: float = 0.0,
+        unsettled: BoolArray | Literal[False] = False,
+    ) -> None:
         """Add one instant's rows: ``coefficients (channels, D)``, ``targets (channels,)``, those that are usable.
 
-        By ``elapsed`` [s] all earlier rows grow older.
+        By ``elapsed`` [s] all earlier rows grow older. ``unsettled (channels,)`` says which rows are.
         """
         self._time += elapsed
         self.weight *= float(np.exp(-elapsed / self._forgetting_time))
         fold = self._instants // self._block % self.folds
         self._instants += 1
-        for index in np.flatnonzero(usable(coefficients, targets)):
+        groups = np.arange(len(self.channels)) + len(self.channels) * np.asarray(unsettled)
+        for channel in np.flatnonzero(usable(coefficients, targets)):
             self.rows += 1
             self.weight += 1.0
+            index = groups[channel]
             waiting = self._waiting[fold][index]
-            row = coefficients[index, self.channels[index].columns]
-            waiting.append((row, float(targets[index]), self._time))
+            row = coefficients[channel, self.channels[channel].columns]
+            waiting.append((row, float(targets[channel]), self._time))
             # Channels that have as many rows wait differently long: few instants cost more than one QR.
             if len(waiting) >= self._CHUNK + index:
                 self._absorb(fold, int(index))
@@ -140,16 +160,28 @@ class RowSummary:
         return np.exp((np.asarray(times) - self._time) / self._forgetting_time)
 
     def parts(self, folds: Sequence[int] | None = None) -> list[list[ChannelSummary]]:
-        """Per channel the summaries of the chosen folds (all unless given), everything added so far included."""
+        """Per group the summaries of the chosen folds (all unless given), everything added so far included."""
         chosen = range(self.folds) if folds is None else folds
         for fold in chosen:
-            for index in range(len(self.channels)):
+            for index in range(len(self.groups)):
                 self._absorb(fold, index)
-        return [[self._summaries[fold][index] for fold in chosen] for index in range(len(self.channels))]
+        return [[self._summaries[fold][index] for fold in chosen] for index in range(len(self.groups))]
+
+    def with_columns(self, channels: Sequence[Channel], chosen: IntArray) -> RowSummary:
+        """A copy in which only the ``chosen`` of the D parameters are left; ``channels`` are those of what is left."""
+        copy = self._copy(channels)
+        for index, group in enumerate(self.groups):
+            kept = [*np.flatnonzero(np.isin(group.columns, chosen)).tolist(), -1]
+            for fold in copy._summaries:  # noqa: SLF001 its own
+                fold[index].factor = fold[index].factor[:, kept]
+        return copy
 
     def snapshot(self) -> RowSummary:
         """A copy that later additions do not change."""
-        copy = RowSummary(self.channels, self.folds, self._block, self._forgetting_time)
+        return self._copy(self.channels)
+
+    def _copy(self, channels: Sequence[Channel]) -> RowSummary:
+        copy = RowSummary(channels, self.folds, self._block, self._forgetting_time)
         copy._instants, copy._time = self._instants, self._time
         copy.rows, copy.weight = self.rows, self.weight
         copy._summaries = [[replace(part) for part in fold] for fold in zip(*self.parts(), strict=True)]
@@ -168,31 +200,30 @@ class RowSummary:
         Raises InputError, and changes nothing, for a state that no such summary can have.
         """
         numbers = np.array([state.instants, state.time, state.rows, state.weight])
-        if state.counts.shape != (self.folds, len(self.channels)) or len(state.factors) != self.folds:
+        if state.counts.shape != (self.folds, len(self.groups)) or len(state.factors) != self.folds:
             raise InputError(f"{len(state.factors)} folds, expected {self.folds} of {len(self.channels)} channels")
         if not all(np.all(np.isfinite(array) & (array >= 0.0)) for array in (numbers, state.counts)):
             raise InputError("numbers of rows that are negative or not finite")
         summaries = [
             [
                 ChannelSummary(_checked(factor, channel), float(count), float(state.time))
-                for channel, factor, count in zip(self.channels, factors, counts, strict=True)
+                for channel, factor, count in zip(self.groups, factors, counts, strict=True)
             ]
             for factors, counts in zip(state.factors, state.counts, strict=True)
         ]
         self._instants, self._time = state.instants, state.time
         self.rows, self.weight = state.rows, state.weight
         self._summaries = summaries
-        self._waiting = [[[] for _ in self.channels] for _ in range(self.folds)]
+        self._waiting = [[[] for _ in self.groups] for _ in range(self.folds)]
 
     def rms(self, parameters: FloatArray, folds: Sequence[int] | None = None) -> FloatArray:
         """Root mean square of each channel's residual at parameters ``(D,)``, ``(channels,)``; NaN without rows."""
-        result = np.full(len(self.channels), np.nan)
-        for index, (channel, parts) in enumerate(zip(self.channels, self.parts(folds), strict=True)):
-            count = sum(part.count for part in parts)
-            if count > 0.0:
-                errors = sum(part.squared_error(parameters[channel.columns]) for part in parts)
-                result[index] = np.sqrt(errors / count)
-        return result
+        errors, counts = np.zeros((2, 2, len(self.channels)))
+        for index, (channel, parts) in enumerate(zip(self.groups, self.parts(folds), strict=True)):
+            errors.flat[index] = sum(part.squared_error(parameters[channel.columns]) for part in parts)
+            counts.flat[index] = sum(part.count for part in parts)
+        total = np.sum(counts, axis=0)
+        return np.asarray(np.sqrt(np.sum(errors, axis=0) / np.where(total > 0.0, total, np.nan)))
 
     def compressed(
         self, sigmas: FloatArray, dimension: int, folds: Sequence[int] | None = None
@@ -203,20 +234,26 @@ class RowSummary:
         parameter can change.
 
         Args:
-            sigmas: Standard deviations ``(channels,)``.
+            sigmas: Standard deviations ``(groups,)``, or ``(channels,)`` for those of both groups.
             dimension: D.
             folds: All unless given.
         """
-        stacked = [np.zeros((0, dimension + 1))]
-        for channel, sigma, parts in zip(self.channels, sigmas, self.parts(folds), strict=True):
-            # First by channel: most have few columns, and many small decompositions stop no other thread for long.
-            factor = joined(parts)
-            widened = np.zeros((len(factor), dimension + 1))
-            widened[:, channel.columns] = factor[:, :-1] / sigma
-            widened[:, -1] = factor[:, -1] / sigma
-            stacked.append(widened)
-        factor = triangular(np.concatenate(stacked))[:dimension]
-        return factor[:, :-1], factor[:, -1]
+        # First by group: most have few columns, and many small decompositions stop no other thread for long.
+        return compressed(self.groups, [joined(parts) for parts in self.parts(folds)], sigmas, dimension)
+
+
+def compressed(
+    groups: Sequence[Channel], factors: Sequence[FloatArray], sigmas: FloatArray, dimension: int
+) -> tuple[FloatArray, FloatArray]:
+    """:meth:`RowSummary.compressed` of the ``factors`` of its groups."""
+    stacked = [np.zeros((0, dimension + 1))]
+    for channel, sigma, factor in zip(groups, np.resize(sigmas, len(groups)), factors, strict=True):
+        widened = np.zeros((len(factor), dimension + 1))
+        widened[:, channel.columns] = factor[:, :-1] / sigma
+        widened[:, -1] = factor[:, -1] / sigma
+        stacked.append(widened)
+    factor = triangular(np.concatenate(stacked))[:dimension]
+    return factor[:, :-1], factor[:, -1]
 
 
 def usable(coefficients: FloatArray, targets: FloatArray) -> BoolArray:

@@ -6,41 +6,13 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import TypeAlias
 
-import numpy as np
-
-from geomid_ros.model.columns import Columns, JointColumn, column_of
-from geomid_ros.model.effects import EFFECTS, AtSensor, Effect, JointMotion, MotionEffect, OnLink, Place, joints_of
+from geomid_ros.model.columns import Columns, column_of
+from geomid_ros.model.effects import EFFECTS, AtSensor, Effect, MotionEffect, OnLink, Place, joints_of
 from geomid_ros.model.measurement import MeasurementModel
-from geomid_ros.types import FloatArray
+from geomid_ros.model.moving import REST, SIGN, SMOOTH_SIGN
 
 _SCOUTS = 4  # one of so many scanned constants is tried before its name is chosen
 _PAYLOAD_PENALTY = 4.0  # mass and centre; what is said of its inertia is little
-STILL = 0.01  # [rad/s or m/s] below this friction is no function of speed
-
-
-class _Rest:
-    """Whether a joint stands still."""
-
-    def column(self, motion: JointMotion) -> FloatArray:
-        return np.asarray(np.abs(motion.velocity) < STILL, dtype=np.float64)
-
-
-@dataclass(frozen=True)
-class _Direction:
-    """The direction of motion, smoothed over a speed [rad/s or m/s]."""
-
-    smoothing: float
-
-    def column(self, motion: JointMotion) -> FloatArray:
-        return np.tanh(motion.velocity / self.smoothing)
-
-
-SIGN = JointColumn(_Direction(0.003))
-"""The direction of motion."""
-SMOOTH_SIGN = JointColumn(_Direction(0.02))
-"""The same, of friction that sets in slowly."""
-REST = JointColumn(_Rest())
-"""The share of the filter's window in which the joint stands still."""
 
 
 def library_columns(model: MeasurementModel) -> Columns:

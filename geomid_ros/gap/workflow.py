@@ -11,7 +11,7 @@ import numpy as np
 
 from geomid_ros.errors import InputError
 from geomid_ros.estimation.estimate import LinksInformation
-from geomid_ros.gap.candidates import REST, Candidate, EffectTerm
+from geomid_ros.gap.candidates import Candidate, EffectTerm
 from geomid_ros.gap.evidence.record import Records
 from geomid_ros.gap.fitting.fit import unfitted
 from geomid_ros.gap.fitting.linearised_problem import LinearisedProblem, total_model
@@ -24,6 +24,7 @@ from geomid_ros.gap.result import GapResult
 from geomid_ros.gap.search.analysis import Analysis, analyse
 from geomid_ros.model.effects import KnownEffect, effect_class, values_of
 from geomid_ros.model.measurement import Coefficient, MeasurementModel
+from geomid_ros.model.moving import REST
 from geomid_ros.model.samples import Samples
 from geomid_ros.types import FloatArray
 

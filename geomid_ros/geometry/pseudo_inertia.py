@@ -19,6 +19,7 @@ INERTIA_NAMES = ("ixx", "ixy", "iyy", "ixz", "iyz", "izz")
 INERTIA_ENTRIES = (np.array([0, 0, 1, 0, 1, 2]), np.array([0, 1, 1, 2, 2, 2]))
 """Rows and columns of these entries in the matrix."""
 # Least ratio of a body's central second moments; from a flat body no distance can be measured.
+_STEEL = 7850.0  # [kg/m^3]
 _FLATTEST = 1e-10
 
 
@@ -117,6 +118,21 @@ def is_body(parameters: FloatArray) -> bool:
         return False
     moments = np.linalg.eigvalsh(_trace_complement(central_inertia(parameters), 0.5))
     return bool(moments[0] > _FLATTEST * abs(moments[-1]))
+
+
+def nearest_body(parameters: FloatArray) -> FloatArray:
+    """The body ``(10,)`` with the mass (above zero) and the centre of mass of these parameters, and with second moments
+    about it that are at least those of a steel ball of this mass: nothing in a robot is denser."""
+    mass = parameters[0]
+    values, axes = np.linalg.eigh(_trace_complement(central_inertia(parameters), 0.5))
+    least = mass * least_gyration(mass) ** 2
+    second = (axes * np.maximum(values, least)) @ axes.T
+    return assemble(np.array(mass), centre_of_mass(parameters), _trace_complement(second, 1.0))
+
+
+def least_gyration(mass: float) -> float:
+    """The radius of gyration about a plane through its centre of a steel ball of this mass [m]."""
+    return float(np.sqrt(0.2) * np.cbrt(3.0 * mass / (4.0 * np.pi * _STEEL)))
 
 
 def assemble(mass: FloatArray, centre: FloatArray, central: FloatArray) -> FloatArray:

@@ -214,7 +214,7 @@ class Solver:
             self.problem = ""
             self.estimate = estimate
             chosen = rows if warm is None else warm.rows
-            self._session.warm = WarmStart(estimate.parameters, estimate.gamma, chosen)
+            self._session.warm = WarmStart(estimate.parameters, chosen)
             return True
 
     def _fail(self, error: Exception) -> None:

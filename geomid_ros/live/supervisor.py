@@ -89,8 +89,8 @@ class Supervisor:
         self._restore(session)
         self.worker = Worker(session, self._configuration["solve_period"], self._on_samples, self._on_estimate)
         self._log.info(f"identifying {len(session.model.body_names)} links from {len(session.model.channels)} channels")
-        if session.loaded.not_predicted:
-            self._log.warning(session.loaded.not_predicted)
+        for warning in session.warnings():
+            self._log.warning(warning)
 
     def _restore(self, session: Session) -> None:
         """With a folder for checkpoints, let a session go on from the one there, and write those to come."""

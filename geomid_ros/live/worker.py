@@ -140,7 +140,10 @@ class Worker:
         return Status(
             active=active,
             problems=tuple(filter(None, (*self._doubts, self._intake_is_late))),
-            warnings=tuple(filter(None, (self.solver.problem, self._solver_is_late))),
+            warnings=(
+                *filter(None, (self.solver.problem, self._solver_is_late)),
+                *self.session.warnings(self.solver.estimate),
+            ),
             failures=failures,
             topics=self.session.topics,
             rows=rows.taken,

@@ -14,11 +14,11 @@ from geomid_ros.model.robot import Robot
 
 @dataclass(frozen=True)
 class EffectPlaces:
-    """The places on a ``robot``, of which the ``links`` are identified and the sensors of these topics ``mounted``."""
+    """The places on a ``robot``: on ``links`` that are identified, at sensors of ``topics`` that are predicted."""
 
     robot: Robot
     links: Sequence[str]
-    mounted: Sequence[str]
+    topics: Sequence[str]
     layout: ChannelLayout
 
     def of(self, effect: Effect) -> list[Place]:
@@ -34,7 +34,7 @@ class EffectPlaces:
             case "link":
                 return [OnLink(place, self._mover(link)) for place, link in enumerate(self.links)]
             case "sensor":
-                return [AtSensor(topic, tuple(self.layout.wrenches[topic])) for topic in self.mounted]
+                return [AtSensor(topic, tuple(self.layout.wrenches[topic])) for topic in self.topics]
         return []
 
     def name(self, place: Place) -> str:

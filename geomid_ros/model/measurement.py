@@ -8,8 +8,10 @@ coefficients, then the real ones.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from copy import copy
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import chain
 from types import MappingProxyType
 
@@ -20,8 +22,19 @@ from geomid_ros.geometry.manifold import ParameterManifold
 from geomid_ros.model.channels import Channel, ChannelLayout, wrench_channel
 from geomid_ros.model.columns import Columns, column_of, reached_joints
 from geomid_ros.model.effect_places import EffectPlaces
-from geomid_ros.model.effects import AtSensor, IdentifiedEffect, MotionEffect, Place, Quantity
+from geomid_ros.model.effects import (
+    AtSensor,
+    IdentifiedEffect,
+    LoadEffect,
+    MotionEffect,
+    Place,
+    Quantity,
+    SensorEffect,
+    joint_of,
+    joints_of,
+)
 from geomid_ros.model.effects.parameters import quantities
+from geomid_ros.model.moving import REST, SIGN
 from geomid_ros.model.robot import Robot
 from geomid_ros.model.samples import Samples
 from geomid_ros.model.sensors import WORLD_FRAMES, WrenchSensor
@@ -30,7 +43,8 @@ from geomid_ros.types import FloatArray, IntArray
 
 @dataclass(frozen=True, kw_only=True)
 class Coefficient:
-    """One of an effect's coefficients at a place, the one of ``index``, which is the ``parameter`` of that name."""
+    """One of an effect's coefficients at a place, the one of ``index``, which is the ``parameter`` of that name;
+    ``optional``: whether it may be left out."""
 
     effect: IdentifiedEffect
     place: Place
@@ -38,11 +52,12 @@ class Coefficient:
     place_name: str
     parameter: str
     unit: str
+    optional: bool = False
 
     @property
     def positive(self) -> bool:
         """Whether it lives on P(1)."""
-        return self.index < self.effect.positives
+        return self.index < self.effect.own_positives
 
     def parameters(self, value: float, std: float) -> dict[str, Quantity]:
         """Its effect's parameters: the one that it is, and the constants."""
@@ -60,6 +75,17 @@ class Rows:
     targets: FloatArray
 
 
+@dataclass(frozen=True, eq=False)
+class _Carried:
+    """The entries of rows that samples with these ``columns`` carry: the row's channel and parameter, and the column's
+    place."""
+
+    columns: Columns
+    channels: IntArray
+    parameters: IntArray
+    places: IntArray
+
+
 class MeasurementModel:
     """Which parameters are unknown, which channels are measured, and the rows between them."""
 
@@ -70,6 +96,8 @@ class MeasurementModel:
         sensors: Sequence[WrenchSensor] = (),
         links: Sequence[str] | None = None,
         local_effects: Mapping[str, Sequence[IdentifiedEffect]] = MappingProxyType({}),
+        candidates: Sequence[IdentifiedEffect] = (),
+        behind_gear: Collection[str] = (),
     ) -> None:
         """A model of a robot.
 
@@ -79,6 +107,8 @@ class MeasurementModel:
             sensors: the wrench sensors.
             links: the bodies to identify (all unless given); the others keep their URDF's inertia.
             local_effects: act only at the place by whose name they are given.
+            behind_gear: names of the joints whose efforts are measured behind the gear, where a motor is not felt.
+            candidates: may act at every place of their kind where none of the same name is known.
 
         Raises:
             InputError: for a link or sensor that does not fit the robot, or where nothing measured can be predicted.
@@ -94,16 +124,18 @@ class MeasurementModel:
         """Names of the identified bodies."""
         self._common = tuple(effects)
         self._local = local_effects
+        self._candidates = tuple(candidates)
+        self._behind_gear = frozenset(behind_gear)
         self._check_sensors()
         self.layout = ChannelLayout.of(len(robot.joints) if self._efforts_usable else 0, self._row_sensors)
-        topics = [sensor.topic for sensor in self.mounted]
+        topics = [sensor.topic for sensor in self._row_sensors]
         self.places = EffectPlaces(robot, self.body_names, topics, self.layout)
         self.coefficients = self._coefficients()
         self.positives = sum(coefficient.positive for coefficient in self.coefficients)
         """How many of the effects' coefficients are positive; they come first."""
         self.dimension = 10 * len(self.identified) + len(self.coefficients)
         """D, the number of parameters."""
-        self.channels = (*self._joint_channels(), *self._wrench_channels())
+        self.channels = self._channels()
         if not self.channels:
             raise InputError(
                 "nothing that is measured can be predicted: joint efforts need every external wrench sensor to be on a "
@@ -119,12 +151,12 @@ class MeasurementModel:
         return tuple(index for index, name in enumerate(names) if links is None or name in links)
 
     def _coefficients(self) -> tuple[Coefficient, ...]:
-        effects = dict.fromkeys([*self._common, *chain.from_iterable(self._local.values())])
+        effects = dict.fromkeys([*self._common, *chain.from_iterable(self._local.values()), *self._candidates])
         found = [
             coefficient
             for effect in effects
             for place in self.places.of(effect)
-            if self._acts(effect, self.places.name(place))
+            if self._acts(effect, self.places.name(place)) and self._is_felt(effect, place)
             for coefficient in self._coefficients_at(effect, place)
         ]
         return tuple(sorted(found, key=lambda coefficient: not coefficient.positive))
@@ -133,7 +165,13 @@ class MeasurementModel:
         """Whether an effect is in the model at a place: one that is known there, or one that every place has unless it
         is known there with other constants."""
         local = self._local.get(place, ())
-        return effect in local or (effect in self._common and effect.name not in {other.name for other in local})
+        everywhere = effect in self._common or effect in self._candidates
+        return effect in local or (everywhere and effect.name not in {other.name for other in local})
+
+    def _is_felt(self, effect: IdentifiedEffect, place: Place) -> bool:
+        """Whether the sensors are on that side of the gear on which an effect acts."""
+        joints = {self.robot.joint_names[joint] for joint in joints_of(place)}
+        return not effect.before_gear or self._behind_gear.isdisjoint(joints)
 
     def _coefficients_at(self, effect: IdentifiedEffect, place: Place) -> Iterator[Coefficient]:
         name, sliding = self.places.name(place), self.places.slides(place)
@@ -144,7 +182,13 @@ class MeasurementModel:
             forms = tuple(by_axis[axis] for axis in axes)
         for index, form in enumerate(forms):
             yield Coefficient(
-                effect=effect, place=place, index=index, place_name=name, parameter=form.name, unit=form.units[sliding]
+                effect=effect,
+                place=place,
+                index=index,
+                place_name=name,
+                parameter=form.name,
+                unit=form.units[sliding],
+                optional=effect not in self._common and effect not in self._local.get(name, ()),
             )
 
     def _check_sensors(self) -> None:
@@ -190,7 +234,35 @@ class MeasurementModel:
     def with_gravity(self, gravity: FloatArray) -> MeasurementModel:
         """The same model under another ``gravity (3,)`` in the base frame [m/s^2]."""
         robot = self.robot.with_gravity(gravity)
-        return MeasurementModel(robot, self._common, self.sensors, self._links, self._local)
+        return MeasurementModel(
+            robot,
+            self._common,
+            self.sensors,
+            self._links,
+            self._local,
+            candidates=self._candidates,
+            behind_gear=self._behind_gear,
+        )
+
+    def with_carried(self, link: str) -> MeasurementModel:
+        """The same model with one body more, the last, which moves with the identified ``link`` and has its frame."""
+        model = copy(self)
+        model.__dict__.pop("_carried", None)
+        model.identified = (*self.identified, self.identified[self.body_names.index(link)])
+        model.body_names = (*self.body_names, f"payload of {link}")
+        model.dimension = self.dimension + 10
+        model.channels = model._channels()  # noqa: SLF001 its own
+        return model
+
+    def with_coefficients(self, chosen: Sequence[int]) -> MeasurementModel:
+        """The same model with these of its coefficients alone."""
+        model = copy(self)
+        model.__dict__.pop("_carried", None)
+        model.coefficients = tuple(self.coefficients[index] for index in chosen)
+        model.positives = sum(coefficient.positive for coefficient in model.coefficients)
+        model.dimension = 10 * len(self.identified) + len(model.coefficients)
+        model.channels = model._channels()  # noqa: SLF001 its own
+        return model
 
     @property
     def nominal_inertias(self) -> FloatArray:
@@ -216,6 +288,9 @@ class MeasurementModel:
         first = 10 * len(self.identified)
         columns += [first + k for k, c in enumerate(self.coefficients) if channel in self._reached(c.place)]
         return np.array(columns, dtype=np.int64)
+
+    def _channels(self) -> tuple[Channel, ...]:
+        return (*self._joint_channels(), *self._wrench_channels())
 
     def _joint_channels(self) -> list[Channel]:
         carried = {joint.name: self.robot.subtree(joint.child) for joint in self.robot.tree.joints}
@@ -306,13 +381,40 @@ class MeasurementModel:
         for index in known:
             targets -= bodies[:, :, index] @ self.robot.bodies[index].parameters
         coefficients = np.concatenate([inertial, np.zeros((count, len(self.channels), len(self.coefficients)))], axis=2)
+        nominal = np.array([body.parameters for body in self.robot.bodies])
+        loads = np.einsum("njbk,bk->nj", bodies[:, self.layout.efforts], nominal)
+        carried = self._carried if samples.columns == self._carried.columns else None
+        if carried is not None:
+            coefficients[:, carried.channels, carried.parameters] = samples.effects[:, carried.channels, carried.places]
         for column, coefficient in enumerate(self.coefficients, inertial.shape[2]):
-            by_channel = self.columns_of(samples, coefficient.effect, coefficient.place, coefficient.index)
-            for channel, values in by_channel.items():
+            if carried is not None and isinstance(coefficient.effect, MotionEffect):
+                continue
+            effect, place = coefficient.effect, coefficient.place
+            if isinstance(effect, LoadEffect):
+                joint = joint_of(place)
+                values = effect.column(loads[:, joint], samples.column(SIGN)[:, joint])
+                coefficients[:, joint, column] = values
+                continue
+            for channel, values in self.columns_of(samples, effect, place, coefficient.index).items():
                 coefficients[:, channel, column] = values
         return Rows(coefficients, targets)
 
-    def columns_of(self, samples: Samples, effect: IdentifiedEffect, place: Place, index: int) -> dict[int, FloatArray]:
+    @cached_property
+    def _carried(self) -> _Carried:
+        """Where samples with this model's columns carry those of its effects of motion."""
+        columns = self.columns
+        entries = [
+            (joint, parameter, columns.place[column_of(c.effect, c.place)])
+            for parameter, c in enumerate(self.coefficients, 10 * len(self.identified))
+            if isinstance(c.effect, MotionEffect)
+            for joint in self._reached(c.place)
+        ]
+        channels, parameters, places = np.array(entries, dtype=np.int64).reshape(-1, 3).T
+        return _Carried(columns, channels, parameters, places)
+
+    def columns_of(
+        self, samples: Samples, effect: MotionEffect | SensorEffect, place: Place, index: int
+    ) -> dict[int, FloatArray]:
         """What a unit of an effect's coefficient of this index adds to each channel that it reaches, ``(N,)``."""
         channels = self._reached(place)
         if isinstance(effect, MotionEffect):
@@ -323,8 +425,9 @@ class MeasurementModel:
 
     @property
     def columns(self) -> Columns:
-        """The columns of the effects, as samples carry them."""
-        return Columns.of(column_of(c.effect, c.place) for c in self.coefficients if isinstance(c.effect, MotionEffect))
+        """The columns of the effects, and of what tells how joints move, as samples carry them."""
+        own = [column_of(c.effect, c.place) for c in self.coefficients if isinstance(c.effect, MotionEffect)]
+        return Columns.of([*own, *((SIGN, REST) if self.layout.efforts else ())])
 
     def predict(self, samples: Samples, parameters: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Measured and predicted values of every channel, each ``(N, channels)``, at parameters ``(D,)``."""

@@ -91,6 +91,8 @@ class Robot:
         self.joints = self._moving_joints()
         self.joint_names = tuple(joint.name for joint in self.joints)
         """Names of the moving joints, in the order of all joint arrays."""
+        self.repaired: dict[str, str] = {}
+        """What was changed of the inertias of links that the URDF has wrong, in a sentence, by link."""
         self.bodies = self._bodies(set(cuts))
         self.body_names = tuple(body.name for body in self.bodies)
         """Names of the bodies, in the order of the parameters."""
@@ -150,7 +152,7 @@ class Robot:
         for link in massive:
             placed = self._model.frames[self._model.getFrameId(link, pin.BODY)].placement
             parameters += _transform(frame.placement.actInv(placed)) @ self.tree.inertials[link]
-        self._check_possible(head, massive, parameters)
+        parameters = self._possible(head, massive, parameters)
         return Body(
             head,
             tuple(link for link in massive if link != head),
@@ -159,14 +161,25 @@ class Robot:
             frozen(_transform(frame.placement)),
         )
 
-    def _check_possible(self, head: str, massive: list[str], parameters: FloatArray) -> None:
-        if not pseudo_inertia.is_body(parameters):
-            merged = "" if massive == [head] else f" (with {', '.join(massive)})"
+    def _possible(self, head: str, massive: list[str], parameters: FloatArray) -> FloatArray:
+        """The parameters, repaired if they belong to no body but say a mass and a centre of mass."""
+        if pseudo_inertia.is_body(parameters):
+            return parameters
+        merged = "" if massive == [head] else f" (with {', '.join(massive)})"
+        mass = parameters[0]
+        if mass <= 0.0:
             raise InputError(
-                f"{self.source}: the inertia of link '{head}'{merged} belongs to no body that can exist. The mass "
-                f"({parameters[0]:.3g} kg) must be positive and each principal moment of inertia less than the sum of "
-                "the two others; correct the <inertial> in the URDF"
+                f"{self.source}: link '{head}'{merged} weighs {mass:.3g} kg, expected a number greater than zero; "
+                "correct the <inertial> in the URDF"
             )
+        repaired = pseudo_inertia.nearest_body(parameters)
+        change = np.max(np.abs(repaired - parameters)[4:])
+        self.repaired[head] = (
+            f"the URDF's inertia of link '{head}'{merged} belongs to no body that can exist; taken with its mass and "
+            f"centre of mass, and moments that are larger by up to {change:.2g} kg m^2 (a radius of gyration of at "
+            f"least {1e3 * pseudo_inertia.least_gyration(mass):.2g} mm)"
+        )
+        return repaired
 
     def is_divided_at(self, link: str) -> bool:
         """Whether the body of ``link`` begins there: it moves relative to its parent, or it is one of the cuts."""
@@ -227,6 +240,21 @@ class Robot:
             return pin.SE3.Identity()
         pinocchio_frame = self._model.frames[self._model.getFrameId(frame, pin.BODY)]
         return self._data.oMi[pinocchio_frame.parentJoint] * pinocchio_frame.placement
+
+    def carrier(self, frame: str) -> str:
+        """The body that a link is fixed to. Raises InputError for a link that there is not, or that does not move."""
+        if frame not in self.tree.links:
+            raise unknown_name("link", frame, self.tree.links)
+        joint = self._model.frames[self._model.getFrameId(frame, pin.BODY)].parentJoint
+        found = [body.name for body in self.bodies if body.joint == joint]
+        if not found:
+            raise InputError(f"{self.source}: link '{frame}' is fixed to no moving link with a mass")
+        return found[-1]
+
+    def fixed_placement(self, link: str, frame: str) -> FloatArray:
+        """The homogeneous matrix ``(4, 4)`` from a link's coordinates to those of ``frame``, which is fixed to it."""
+        own, other = (self._model.frames[self._model.getFrameId(name, pin.BODY)].placement for name in (link, frame))
+        return np.asarray((other.inverse() * own).homogeneous)
 
     def link_frames(self, pose: Samples) -> dict[str, tuple[FloatArray, FloatArray]]:
         """Rotation ``(3, 3)`` and origin ``(3,)`` in the world of every link's frame, at the one sample ``pose``."""

@@ -69,9 +69,8 @@ class Samples:
 
     def column(self, column: Column) -> FloatArray:
         """One of the effects' columns ``(N, joints)``."""
-        if column in self.columns.columns:
-            return self.effects[:, :, self.columns.columns.index(column)]
-        return column.values(self.motion)
+        place = self.columns.place.get(column)
+        return column.values(self.motion) if place is None else self.effects[:, :, place]
 
     def select(self, index: AnyArray | slice) -> Samples:
         """The samples chosen by a mask, index array or slice."""

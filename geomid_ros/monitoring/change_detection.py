@@ -21,6 +21,9 @@ from geomid_ros.types import FloatArray, IntArray
 
 BLOCK = 40
 """Rows that are judged together: five periods of the filter's cutoff, where the messages are frequent enough."""
+LATE = 2 * BLOCK
+"""Rows before a suspect block that may be bad, too: a change in the last rows of a block does not show there, and
+hardly in the next where an offset may explain it."""
 FALSE_ALARMS = 1e-7
 """The largest share of all blocks that open a gap of a channel whose noise is what it was."""
 _MOST_WAITING = 50_000_000  # bytes
@@ -106,8 +109,7 @@ class ChangeDetector:
         """
         suspect = [self._channels[index].first_suspect for index in channels]
         begin = min([self.judged, *(first for first in suspect if first is not None)])
-        # A change in the last rows of a block does not show there.
-        return max(begin - BLOCK, self.judged - _MOST_SUSPECT * BLOCK)
+        return max(begin - LATE, self.judged - _MOST_SUSPECT * BLOCK)
 
 
 class _Cusum:

@@ -13,7 +13,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from geomid_ros.model.measurement import MeasurementModel, Rows
-from geomid_ros.monitoring.change_detection import BLOCK, ChannelGap
+from geomid_ros.monitoring.change_detection import LATE, ChannelGap
 from geomid_ros.types import FloatArray
 
 _ENOUGH = 60  # instants in motion
@@ -109,9 +109,8 @@ def changed_sensors(gaps: Sequence[ChannelGap], model: MeasurementModel) -> dict
     mounted = {topic: [model.channels[p].name for p in places] for topic, places in sensor_channels(model).items()}
     others = {gap.channel for gap in gaps}.difference(*mounted.values())
     first = {gap.channel: gap.first for gap in gaps if gap.since is not None}
-    # A change in the last rows of a block does not show there.
     begin = {
-        topic: min(first[name] for name in names if name in first) - BLOCK
+        topic: min(first[name] for name in names if name in first) - LATE
         for topic, names in mounted.items()
         if not first.keys().isdisjoint(names)
     }

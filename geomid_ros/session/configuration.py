@@ -17,7 +17,7 @@ from geomid_ros.errors import InputError, unknown_name
 from geomid_ros.estimation.estimator import EstimatorSettings
 from geomid_ros.estimation.identifier import BufferSettings
 from geomid_ros.files.parameter_file import read_parameter_file
-from geomid_ros.model.effects import DEFAULT_EFFECTS, IdentifiedEffect, identified_effect
+from geomid_ros.model.effects import DEFAULT_CANDIDATES, DEFAULT_EFFECTS, IdentifiedEffect, identified_effect
 from geomid_ros.model.sensors import AXES, WrenchSensor
 from geomid_ros.model.weighed_masses import WeighedMass
 from geomid_ros.signals.settings import SignalSettings
@@ -47,6 +47,7 @@ class Parameter:
 
 # ROS cannot tell the type of an empty list: one empty string stands for it.
 _NONE = [""]
+_SIDES = ("motor", "link")
 # Parameters that every node has, by the beginning of their names: not ours to check.
 _OF_ROS = ("use_sim_time", "qos_overrides.", "start_type_description_service")
 _KINDS = {bool: "true or false", float: "a number", str: "a text"}
@@ -56,7 +57,8 @@ PARAMETERS = (
     Parameter("model", "", "estimate.json of an earlier run to start from instead of the URDF's inertias"),
     Parameter("links", _NONE, "moving links to identify; empty: all that have a mass"),
     Parameter("known", _NONE, "masses that were weighed, as LINK=MASS:STD, LINK+LINK=MASS:STD or total=MASS:STD [kg]"),
-    Parameter("effects", list(DEFAULT_EFFECTS), f"effects identified at every joint: {', '.join(DEFAULT_EFFECTS)}"),
+    Parameter("effects", list(DEFAULT_EFFECTS), "effects identified at every joint and wrench sensor"),
+    Parameter("candidates", list(DEFAULT_CANDIDATES), "effects identified where held-out data ask for them"),
     Parameter("floating_base", False, "the base moves; its pose is read from the topic odom"),
     Parameter("locked_joints", _NONE, "joints of the URDF that never move and are in no message, taken as at zero"),
     Parameter("gravity", [0.0, 0.0, -9.81], "gravity in the base (world) frame [m/s^2]"),
@@ -70,10 +72,12 @@ PARAMETERS = (
     Parameter("merge_joint_states", False, "joint_states has several publishers, each with some of the joints"),
     Parameter("effort_gain", 1.0, "factor from messages' efforts to N m (or N); negative reverses the sign", -1e6, 1e6),
     Parameter("joint.*.effort_gain", 1.0, "the same for one joint", -1e6, 1e6),
+    Parameter("effort_side", "motor", "where efforts are measured: motor (currents), or link (behind the gear)"),
+    Parameter("joint.*.effort_side", "motor", "the same for one joint"),
     Parameter("filter.cutoff", 5.0, "cutoff of the zero-phase low-pass on all signals [Hz]", 0.05, 500.0),
     Parameter("filter.period", 0.0, "period of the time grid [s]; 0: that of the first joint messages", 0.0, 1.0),
     Parameter("filter.max_gap", 0.5, "a longer pause of a topic starts a new segment [s]", 0.001, 60.0),
-    Parameter("gamma", 0.0, "weight of the prior as a share of the rows'; 0: found on held-out blocks", 0.0, 1e6),
+    Parameter("gamma", 0.0, "weight of the prior as a share of the rows'; 0: found by link from the data", 0.0, 1e6),
     Parameter("objective", "residual", "what is minimised: residual (Remark 3 of the paper) or geodesic (its (19))"),
     Parameter("solver", "trust_region", "solver of the geodesic objective: trust_region or cyclic (the paper's)"),
     Parameter("sigma.*", 1.0, "standard deviation of a channel [N m, N], where known (else from residuals)", 1e-9, 1e9),
@@ -129,7 +133,16 @@ class Configuration:
         self.source = source
         own = {name: value for name, value in (values or {}).items() if not name.startswith(_OF_ROS)}
         self._values = {name: self._checked(name, value) for name, value in own.items()}
-        _ = self.effects, self.sensors, self.gravity, self.buffer, self.signals(()), self._estimator({})
+        _ = (
+            self.effects,
+            self.behind_gear(()),
+            self.candidates,
+            self.sensors,
+            self.gravity,
+            self.buffer,
+            self.signals(()),
+            self._estimator({}),
+        )
 
     @staticmethod
     def read(path: Path) -> Configuration:
@@ -203,9 +216,17 @@ class Configuration:
 
     @property
     def effects(self) -> list[IdentifiedEffect]:
-        """The effects to identify."""
-        names = dict.fromkeys(self["effects"])
-        return [self._naming_source("effects: ", partial(identified_effect, name)) for name in names]
+        """The effects to identify everywhere, with those that they come with."""
+        return list(dict.fromkeys(part for effect in self._named("effects") for part in _parts(effect)))
+
+    @property
+    def candidates(self) -> list[IdentifiedEffect]:
+        """The effects to identify where held-out data ask for them, with the constants to choose from."""
+        trials = [trial for effect in self._named("candidates") for trial in type(effect).trials()]
+        return [effect for effect in trials if isinstance(effect, IdentifiedEffect) and effect not in self.effects]
+
+    def _named(self, key: str) -> list[IdentifiedEffect]:
+        return [self._naming_source(f"{key}: ", partial(identified_effect, name)) for name in dict.fromkeys(self[key])]
 
     def _naming_source(self, key: str, make: Callable[[], T]) -> T:
         """What ``make`` makes; its error says that ``key`` of this source is what is wrong."""
@@ -252,6 +273,14 @@ class Configuration:
             ),
         )
 
+    def behind_gear(self, joints: Sequence[str]) -> frozenset[str]:
+        """Those of the joints whose efforts are measured behind the gear. Raises InputError for another side."""
+        own = self._under("joint", ".effort_side")
+        for side in (self["effort_side"], *own.values()):
+            if side not in _SIDES:
+                raise InputError(f"{self.source}: {unknown_name('effort_side', side, _SIDES)}")
+        return frozenset(joint for joint in joints if own.get(joint, self["effort_side"]) == "link")
+
     def signals(self, joints: Sequence[str]) -> SignalSettings:
         """Settings of the signal pipeline for a robot with these joints."""
         own = self._under("joint", ".effort_gain")
@@ -282,7 +311,12 @@ class Configuration:
         return self._naming_source(
             "",
             lambda: EstimatorSettings(
-                self["gamma"] or None, sigma or None, self["objective"], self["solver"], known=self._known
+                self["gamma"] or None,
+                sigma or None,
+                self["objective"],
+                self["solver"],
+                known=self._known,
+                cutoff=self["filter.cutoff"],
             ),
         )
 
@@ -296,3 +330,7 @@ class Configuration:
         return self._naming_source(
             "", lambda: BufferSettings(self["still_speed"], self["still_distance"], self["forgetting_time"] or np.inf)
         )
+
+
+def _parts(effect: IdentifiedEffect) -> list[IdentifiedEffect]:
+    return [part for part in effect.parts if isinstance(part, IdentifiedEffect)]

@@ -11,7 +11,6 @@ import numpy as np
 
 from geomid_ros.errors import InputError
 from geomid_ros.files.bags.bag import Bag
-from geomid_ros.files.models.results import read_estimate
 from geomid_ros.gap.candidates import library_columns
 from geomid_ros.gap.result import GapResult
 from geomid_ros.gap.workflow import CUTOFF, GapSettings, find_gap
@@ -52,26 +51,18 @@ class Recordings:
     simulated: Sequence[Samples] = ()
 
 
-def effects_of(model: Path | None) -> list[str]:
-    """Names of the effects that a model has already: the workflow looks for the others."""
-    if model is None:
-        return []
-    return list(dict.fromkeys(str(entry["name"]) for entry in read_estimate(model)["effects"]))
-
-
 def gap_session(urdf: str, configuration: Configuration, source: str) -> Session:
     """A session whose model has the effects of the configured ``model`` and no others.
 
     Args:
         urdf: text of the robot description.
-        configuration: parameters; ``effects`` of it are replaced.
+        configuration: parameters; ``effects`` and ``candidates`` of it do not count.
         source: where the description is from, for messages.
 
     Raises:
         InputError: these do not fit together.
     """
-    model = configuration["model"]
-    return Session(urdf, configuration.with_values({"effects": effects_of(Path(model) if model else None)}), source)
+    return Session(urdf, configuration.with_values({"effects": [], "candidates": []}), source)
 
 
 def rate(stamps: Sequence[int]) -> float:

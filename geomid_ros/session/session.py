@@ -62,7 +62,15 @@ class Session:
         )
         effects = configuration.effects
         local = self.loaded.local_effects(effects)
-        self.model = MeasurementModel(self.robot, effects, sensors, configuration.links, local)
+        self.model = MeasurementModel(
+            self.robot,
+            effects,
+            sensors,
+            configuration.links,
+            local,
+            candidates=configuration.candidates,
+            behind_gear=configuration.behind_gear(self.robot.joint_names),
+        )
         self.identifier = Identifier(
             self.model,
             configuration.estimator([channel.name for channel in self.model.channels]),
@@ -78,6 +86,11 @@ class Session:
     def prior(self) -> FloatArray | None:
         """The parameters ``(D,)`` of an earlier estimate to start from, NaN where it has none; None without one."""
         return self.loaded.parameters(self.model)
+
+    def warnings(self, estimate: Estimate | None = None) -> list[str]:
+        """What makes results doubtful, in sentences: of the model, and of an estimate."""
+        found = [*self.robot.repaired.values(), self.loaded.not_predicted]
+        return [*filter(None, found), *(estimate.warnings if estimate is not None else ())]
 
     @property
     def topics(self) -> tuple[str, ...]:
@@ -174,7 +187,9 @@ class Session:
             estimate: what was found.
             held_out: RMS residual of each channel on held-out data ``(channels,)``, if there are any.
         """
-        return estimate_document(estimate, dict(self.identifier.rows_rejected), held_out, self.loaded.effects)
+        rejected = dict(self.identifier.rows_rejected)
+        document = estimate_document(estimate, rejected, held_out, self.loaded.effects)
+        return document | {"warnings": self.warnings(estimate)}
 
     def identified_urdf(self, estimate: Estimate) -> str:
         """The robot description with the estimated inertias; every other character of it is kept."""

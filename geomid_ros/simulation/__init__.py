@@ -7,6 +7,7 @@ the estimator, and MuJoCo is imported when a simulation starts, not before.
 from geomid_ros.simulation.effects.sizes import SIZES
 from geomid_ros.simulation.hidden import NOTHING, Hidden, parse_hidden
 from geomid_ros.simulation.options import MOTIONS, SimulationOptions
+from geomid_ros.simulation.realistic.robot import LINK_MASS
 from geomid_ros.simulation.robots import WRIST_FRAME, robot_names
 from geomid_ros.simulation.simulate import SimulationResult, simulate
 
@@ -15,6 +16,7 @@ EFFECTS = tuple(SIZES)
 
 __all__ = [
     "EFFECTS",
+    "LINK_MASS",
     "MOTIONS",
     "NOTHING",
     "WRIST_FRAME",

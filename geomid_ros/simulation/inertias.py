@@ -21,7 +21,7 @@ def perturbed(nominal: LinkInertia, size: float, rng: np.random.Generator) -> Li
     root = np.linalg.cholesky(pseudo_inertia(nominal))
     draw = size * rng.standard_normal((4, 4))
     values, vectors = np.linalg.eigh(0.5 * (draw + draw.T))
-    return _body(nominal.name, root @ (vectors * np.exp(values)) @ vectors.T @ root.T)
+    return body_of(nominal.name, root @ (vectors * np.exp(values)) @ vectors.T @ root.T)
 
 
 def pseudo_inertia(body: LinkInertia) -> FloatArray:
@@ -35,7 +35,8 @@ def pseudo_inertia(body: LinkInertia) -> FloatArray:
     return pseudo
 
 
-def _body(name: str, pseudo: FloatArray) -> LinkInertia:
+def body_of(name: str, pseudo: FloatArray) -> LinkInertia:
+    """The body that has a pseudo-inertia ``(4, 4)``."""
     mass = float(pseudo[3, 3])
     com = pseudo[:3, 3] / mass
     inertia = _swap_moments(pseudo[:3, :3] - mass * np.outer(com, com), 1.0)

@@ -10,6 +10,19 @@ from geomid_ros.errors import InputError, unknown_name
 from geomid_ros.simulation.hidden import Hidden
 
 _POSITIVE = ("duration", "rate", "motion_period", "motion_range", "motion_speed", "longest_step")
+_DRAWN = (  # of a realistic robot
+    "inertia_error",
+    "viscous_friction",
+    "coulomb_friction",
+    "rotor_inertia",
+    "effort_offset",
+    "position_noise",
+    "velocity_noise",
+    "effort_noise",
+    "noise_time",
+    "position_step",
+    "effort_step",
+)
 _LONGEST_STEP = 1e-3  # dry friction stops a joint within a few milliseconds
 _STIFF_STEP = 2e-4  # a light rotor behind a gear that gives
 _STIFF = {"joint_elasticity", "backlash"}
@@ -25,6 +38,8 @@ class SimulationOptions:
     Robot:
         robot: a shipped robot's name, or the path of a ``.urdf`` file (the nominal model; it goes into the bag).
         seed: fixes the robot (inertias, effects, joint order) and, unless ``motion_seed`` is given, the recording.
+        realistic: a robot as robots are, see ``simulation/realistic``: true inertias, friction, motors and sensors are
+            drawn from the seed, and options that describe them are refused.
         motion_seed: fixes the motion and the sensors' noise; vary it to record the same robot again.
 
     Recording:
@@ -63,6 +78,7 @@ class SimulationOptions:
 
     robot: str = "arm7"
     seed: int = 1
+    realistic: bool = False
     motion_seed: int | None = None
 
     duration: float = 12.0
@@ -108,6 +124,9 @@ class SimulationOptions:
             self._require(("motion_seed",), "at least 0", lambda value: value >= 0)
         if self.motion not in MOTIONS:
             raise unknown_name("motion", self.motion, MOTIONS)
+        for name in _DRAWN if self.realistic else ():
+            if getattr(self, name) != getattr(type(self), name):
+                raise InputError(f"a realistic robot draws its {name} from the seed; leave the option out.")
         if self.samples < 2:
             raise InputError(f"{self.duration} s at {self.rate} Hz are fewer than 2 samples; lengthen the duration.")
 

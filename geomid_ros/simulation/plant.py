@@ -54,14 +54,24 @@ class Plant(Simulator):
         return bool(self._model.body(link).weldid[0] != 0)
 
     def acceleration(self, position: FloatArray, velocity: FloatArray, effort: FloatArray) -> FloatArray:
+        if self._frictions:
+            self._model.dof_frictionloss[:] = self._friction_levels(position, velocity, effort)
+        if self._forces:
+            self._data.qfrc_applied[:] = -self._needed(position, velocity)
+        return self._forward(position, velocity, effort)
+
+    def driven_acceleration(
+        self, position: FloatArray, velocity: FloatArray, effort: FloatArray, added: FloatArray
+    ) -> FloatArray:
+        """The same where efforts ``added (m,)`` act at the hinges, which the motors do not know of."""
+        self._data.qfrc_applied[:] = added - self._needed(position, velocity)
+        return self._forward(position, velocity, effort)
+
+    def _forward(self, position: FloatArray, velocity: FloatArray, effort: FloatArray) -> FloatArray:
         data = self._data
         data.qpos[:] = position
         data.qvel[:] = velocity
         data.ctrl[:] = effort
-        if self._frictions:
-            self._model.dof_frictionloss[:] = self._friction_levels(position, velocity, effort)
-        if self._forces:
-            data.qfrc_applied[:] = -self._needed(position, velocity)
         self._mujoco.mj_forwardSkip(self._model, data, self._mujoco.mjtStage.mjSTAGE_NONE, 1)
         return np.array(data.qacc)
 

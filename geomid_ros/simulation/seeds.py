@@ -16,6 +16,7 @@ class RandomStream(IntEnum):
     MOTION = 3
     NOISE = 4
     HIDDEN = 5
+    REALISTIC = 6
 
 
 def generator(seed: int, stream: RandomStream, *part: int) -> np.random.Generator:

@@ -12,9 +12,14 @@ import numpy as np
 from geomid_ros.errors import InputError
 from geomid_ros.simulation.bag import write_bag
 from geomid_ros.simulation.effects.effect import TrueEffect
+from geomid_ros.simulation.effects.measurement import sensed
 from geomid_ros.simulation.motion import exciting_motion
 from geomid_ros.simulation.options import SimulationOptions
 from geomid_ros.simulation.plant import Plant
+from geomid_ros.simulation.realistic.loop import RealisticLoop
+from geomid_ros.simulation.realistic.robot import RealisticRobot, build_realistic
+from geomid_ros.simulation.realistic.sensors import published
+from geomid_ros.simulation.realistic.truth import realistic_document
 from geomid_ros.simulation.recorder import ClosedLoop, Sampling, check_motion, run, slowed, tuned_controller
 from geomid_ros.simulation.robot import Builder, TrueRobot, build_robot
 from geomid_ros.simulation.seeds import RandomStream, generator
@@ -59,17 +64,18 @@ def simulate(
     for path in filter(None, (bag, truth, gains)):
         if path.exists():
             raise InputError(f"{path} exists already. Choose another name or delete it first.")
-    robot = build_robot(options, builder)
+    robot: TrueRobot = build_realistic(options) if options.realistic else build_robot(options, builder)
     loop = closed_loop(robot, options)
     true_trace = record(robot, loop, options, progress)
-    trace = measured(true_trace, robot, options)
+    trace = seen(true_trace, robot, options)
     order = generator(options.seed, RandomStream.ORDER).permutation(len(robot.joints))
     names = [robot.plant.joints[index] for index in order]
     write_bag(bag, trace.reordered(order), names, robot.nominal.text, options)
-    write_truth(truth, robot, options, contributions(true_trace, robot, options))
+    more = realistic_document(robot) if isinstance(robot, RealisticRobot) else {}
+    write_truth(truth, robot, options, contributions(true_trace, robot, options), more)
     if gains is not None:
         write_gains(gains, robot.plant.joints, loop.controller)
-    return SimulationResult(bag, truth, gains, options.samples)
+    return SimulationResult(bag, truth, gains, len(trace.time))
 
 
 def closed_loop(robot: TrueRobot, options: SimulationOptions) -> ClosedLoop:
@@ -78,9 +84,13 @@ def closed_loop(robot: TrueRobot, options: SimulationOptions) -> ClosedLoop:
     numbers = generator(options.recording_seed, RandomStream.MOTION)
     motion = exciting_motion(0.5 * options.step * half_steps, robot.joints, options, numbers)
     nominal = Plant(robot.nominal, robot.nominal.inertias)
-    tuned_on = robot.plant if options.hide is None else nominal  # public gains, which reveal nothing of the truth
+    public = options.realistic or options.hide is not None  # gains that reveal nothing of the truth
+    tuned_on = nominal if public else robot.plant
     controller = tuned_controller(motion, nominal, robot.plant, robot.joints, tuned_on)
-    return ClosedLoop(robot.plant, slowed(controller, robot.plant, options.step), options.step)
+    controller = slowed(controller, robot.plant, options.step)
+    if isinstance(robot, RealisticRobot):
+        return RealisticLoop(robot.plant, controller, options.step, robot)
+    return ClosedLoop(robot.plant, controller, options.step)
 
 
 def record(
@@ -90,6 +100,14 @@ def record(
     trace = run(loop, sampling(robot, options), progress)
     check_motion(trace, robot.joints)
     return trace
+
+
+def seen(trace: RunTrace, robot: TrueRobot, options: SimulationOptions) -> RunTrace:
+    """What the robot publishes of the true motion."""
+    if not isinstance(robot, RealisticRobot):
+        return measured(trace, robot, options)
+    numbers = generator(options.recording_seed, RandomStream.NOISE)
+    return published(sensed(trace, robot.plant.joints, robot.effects), robot.sensors, numbers)
 
 
 def sampling(robot: TrueRobot, options: SimulationOptions) -> Sampling:

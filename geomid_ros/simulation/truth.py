@@ -51,11 +51,18 @@ def _rms(values: FloatArray) -> FloatArray:
     return np.asarray(np.sqrt(np.mean(values**2, axis=0)))
 
 
-def write_truth(path: Path, robot: TrueRobot, options: SimulationOptions, added: Mapping[str, FloatArray]) -> None:
+def write_truth(
+    path: Path,
+    robot: TrueRobot,
+    options: SimulationOptions,
+    added: Mapping[str, FloatArray],
+    more: Mapping[str, Any] | None = None,
+) -> None:
     """Write what is true of the robot in a recording: links, effects, the noise of each channel, and the options.
 
     A link fixed to another one stands by itself; one that no joint moves (``moves`` false) cannot show in the data.
-    ``added`` is what the effects contribute, see :func:`contributions`.
+    ``added`` is what the effects contribute, see :func:`contributions`; ``more`` is written as it is,
+    in place of what is here where the names are the same.
     """
     truth = {
         "robot": options.robot,
@@ -63,16 +70,18 @@ def write_truth(path: Path, robot: TrueRobot, options: SimulationOptions, added:
         "motion_seed": options.recording_seed,
         "gravity": [0.0, 0.0, -GRAVITY],
         "links": [_link(body, robot.plant.moves(body.name)) for body in robot.bodies],
-        "effects": [_effect(effect) for effect in robot.effects],
+        "effects": [effect_document(effect) for effect in robot.effects],
         "contributions": {channel: values.tolist() for channel, values in added.items()},
         "joints": robot.plant.joints,
         "noise": {channel: level.tolist() for channel, level in noise_levels(robot.joints, options).items()},
         "options": asdict(options),
+        **(more or {}),
     }
     path.write_text(json.dumps(truth, indent=1) + "\n", encoding="utf-8")
 
 
-def _effect(effect: TrueEffect) -> dict[str, Any]:
+def effect_document(effect: TrueEffect) -> dict[str, Any]:
+    """An effect, its places and its parameters."""
     places = {"joint": effect.joint, "link": effect.link, "other": effect.other}
     named = {key: name for key, name in places.items() if name or key == "joint"}
     return {"effect": effect.name, **named, "parameters": dict(effect.parameters)}

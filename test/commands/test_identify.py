@@ -13,9 +13,10 @@ from matplotlib.figure import Figure
 
 from geomid_ros.api import identify as front_door
 from geomid_ros.files.models.urdf import read_urdf
-from geomid_ros.model.effects import DEFAULT_EFFECTS
+from geomid_ros.model.effects import DEFAULT_CANDIDATES, DEFAULT_EFFECTS
 from geomid_ros.model.robot import Robot
 from geomid_ros.simulation import SimulationOptions, simulate
+from geomid_ros.simulation.hidden import Hidden
 
 from .running import WRIST, done, identify, link, read, refused
 
@@ -64,7 +65,13 @@ def test_the_estimate_is_whole(run: tuple[str, Path, str]) -> None:
     assert document["rows"]["accepted"] > 1000
     assert document["rms"]["held_out"].keys() == document["rms"]["nominal"].keys()
     joints = Robot(read_urdf(BAGS / f"{robot}.urdf")).joint_names
-    assert {(e["name"], e["joint"]) for e in document["effects"]} == {(e, j) for e in DEFAULT_EFFECTS for j in joints}
+    of_joints = {(name, joint) for name in DEFAULT_EFFECTS if name != "wrench_offset" for joint in joints}
+    found = {(entry["name"], entry["joint"]) for entry in document["effects"]}
+    assert of_joints <= found
+    assert {name for name, _ in found - of_joints} <= set(DEFAULT_CANDIDATES)
+    others = {(entry["effect"], entry["joint"]) for entry in document["added"]}
+    assert ("wrench_offset", "/wrench") in others
+    assert {name for name, _ in others} <= {"wrench_offset", *DEFAULT_CANDIDATES}
     for entry in document["links"]:
         assert 0.0 <= entry["from_data"] <= 1.0
         assert entry["min_eigenvalue_ratio"] > 0.0
@@ -165,6 +172,7 @@ def test_the_node_s_file_says_the_same_as_options(tmp_path: Path) -> None:
   ros__parameters:
     use_sim_time: true
     effects: [viscous_friction, effort_offset]
+    candidates: []
     gamma: 1e-3
     wrenches: [wrist]
     wrench: {wrist: {topic: /wrench, frame: wrist_ft}}
@@ -203,7 +211,7 @@ def test_an_estimate_is_started_from(tmp_path: Path) -> None:
 
 
 def test_an_effect_that_only_some_joints_have(tmp_path: Path) -> None:
-    """The model knows it at one joint, and it is not identified everywhere: the others' cells are empty."""
+    """The model knows it at one joint, and it is not identified everywhere: it is among the others."""
     small(tmp_path / "a", "--effects", "viscous_friction")
     document = read(tmp_path / "a")
     document["effects"] = [entry for entry in document["effects"] if entry["joint"] == "joint2"]
@@ -212,9 +220,67 @@ def test_an_effect_that_only_some_joints_have(tmp_path: Path) -> None:
     text = done(*identify("arm3", *options, "--out", tmp_path / "b"))
     found = {(entry["name"], entry["joint"]) for entry in read(tmp_path / "b")["effects"]}
     assert found == {("viscous_friction", "joint2"), *(("coulomb_friction", f"joint{k}") for k in (1, 2, 3))}
-    lines = map(str.strip, text.partition("Joint effects")[2].partition("RMS of what remains")[0].splitlines())
-    cells = {line.split()[0]: line.count("±") for line in lines if "±" in line}
-    assert cells == {"joint1": 1, "joint2": 2, "joint3": 1}
+    table, _, others = text.partition("Joint effects")[2].partition("RMS of what remains")[0].partition("Other effects")
+    cells = {line.split()[0]: line.count("±") for line in map(str.strip, table.splitlines()) if "±" in line}
+    assert cells == {"joint1": 1, "joint2": 1, "joint3": 1}
+    assert "Viscous friction" in others
+    assert "at joint2" in others
+
+
+@pytest.mark.parametrize("effect", DEFAULT_CANDIDATES)
+def test_every_other_effect_can_be_named_and_is_gone_on_with(effect: str, tmp_path: Path) -> None:
+    """With a prior that nothing moves, the model that is started from comes out again."""
+    names = f"{effect},viscous_friction,coulomb_friction,rotor_inertia,effort_offset"
+    first = small(tmp_path / "a", "--effects", names)
+    before = values(first)
+    assert {name for name, _, _ in before} >= {effect}
+    assert "wrench_offset" not in {name for name, _, _ in before}
+    (tmp_path / "stiff.yaml").write_text("/**: {ros__parameters: {gamma: 1000000}}")
+    options = ("--effects", names, "--model", tmp_path / "a/estimate.json", "--config", tmp_path / "stiff.yaml")
+    after = values(small(tmp_path / "b", *options))
+    assert after.keys() == before.keys()
+    for key, value in before.items():
+        assert after[key] == pytest.approx(value, rel=1e-2, abs=1e-3), key
+
+
+def test_what_was_chosen_is_gone_on_with(tmp_path: Path) -> None:
+    """Effects that the rows asked for are in the model that the next run starts from, where they were."""
+    first = small(tmp_path / "a", *WRIST)
+    again = small(tmp_path / "b", *WRIST, "--model", tmp_path / "a/estimate.json", "--effects", "viscous_friction")
+    chosen = {key for key in values(first) if key[0] in DEFAULT_CANDIDATES}
+    assert chosen <= values(again).keys()
+
+
+def values(document: dict[str, Any]) -> dict[tuple[str, str, str], float]:
+    """The effects' parameters by effect, place and name."""
+    found = {(entry["name"], entry["joint"], ""): float(entry["value"]) for entry in document["effects"]}
+    for entry in document["added"]:
+        for name, quantity in entry["parameters"].items():
+            # The level of Stribeck friction is Coulomb friction.
+            key = (
+                ("coulomb_friction", entry["joint"], "") if name == "level" else (entry["effect"], entry["joint"], name)
+            )
+            found[key] = float(quantity["value"])
+    return found
+
+
+def test_an_offset_of_the_sensor_is_found_by_default(tmp_path: Path) -> None:
+    """Of two recordings that differ in it alone: the tool weighs the same, the offsets differ by what was planted."""
+    pytest.importorskip("mujoco")
+    planted = dict(zip(("fx", "fy", "fz", "tx", "ty", "tz"), (3.0, -2.0, 16.0, 0.4, -0.3, 0.2), strict=True))
+    masses, offsets = [], []
+    for name, hide in (("without", ()), ("with", (Hidden("wrench_offset", "/wrench", None, planted),))):
+        bag = tmp_path / name
+        simulate(bag, SimulationOptions(robot="arm3", seed=2, duration=15.0, wrench_frame="wrist_ft", hide=hide))
+        done("identify", bag, "--urdf", BAGS / "arm3.urdf", *WRIST, "--out", tmp_path / f"{name}_out")
+        document = read(tmp_path / f"{name}_out")
+        masses.append(link(document, "wrist_ft")["mass"])
+        offsets.append(
+            {axis: found for (effect, _, axis), found in values(document).items() if effect == "wrench_offset"}
+        )
+    assert masses[1] == pytest.approx(masses[0], rel=TOOL_MASS)
+    for axis, size in planted.items():
+        assert offsets[1][axis] - offsets[0][axis] == pytest.approx(size, abs=0.02)
 
 
 def test_a_single_file_of_a_bag_gives_the_same(plain: dict[str, Any], tmp_path: Path) -> None:
@@ -224,11 +290,12 @@ def test_a_single_file_of_a_bag_gives_the_same(plain: dict[str, Any], tmp_path: 
 
 
 def test_reversed_and_selected_axes(tmp_path: Path) -> None:
-    """The reaction wrench is no body's weight; an axis that is left out is no channel."""
+    """The reaction wrench is no body's weight, and so is hardly trusted; an axis that is left out is no channel."""
     document = small(tmp_path, "--wrench", "/wrench:wrist_ft:mounted:fz,fx")
     assert {name for name in document["sigma"] if "/" in name} == {"wrench/fx", "wrench/fz"}
-    right = link(small(tmp_path, *WRIST), "wrist_ft")["mass"]
-    assert link(small(tmp_path, "--wrench", "/wrench:wrist_ft:-mounted"), "wrist_ft")["mass"] < 0.5 * right
+    right, reversed_ = small(tmp_path, *WRIST), small(tmp_path, "--wrench", "/wrench:wrist_ft:-mounted")
+    for axis in ("fx", "fy", "fz"):
+        assert reversed_["sigma"][f"wrench/{axis}"] > 10.0 * right["sigma"][f"wrench/{axis}"]
 
 
 def test_a_weighed_mass_is_told_and_written(tmp_path: Path) -> None:

@@ -114,8 +114,8 @@ CASES: dict[str, tuple[Callable[[Path], Arguments], str]] = {
     "half a URDF": (with_urdf(lambda text: text[: len(text) // 2]), r"changed.urdf: not a URDF"),
     "entities": (with_urdf(lambda _: '<!DOCTYPE a [<!ENTITY b "c">]><robot name="&b;"/>'), r"changed.urdf: not a"),
     "an impossible link": (
-        with_urdf(lambda text: text.replace('ixx="0.011367"', 'ixx="0.5"')),
-        r"changed.urdf: the inertia of link 'link2' belongs to no body that can exist",
+        with_urdf(lambda text: text.replace('<mass value="1.7"', '<mass value="-1.7"')),
+        r"changed.urdf: link 'link2' weighs -1.7 kg, expected a number greater than zero",
     ),
     "no mass at all": (
         with_urdf(lambda text: re.sub("<inertial>.*?</inertial>", "", text, flags=re.DOTALL)),

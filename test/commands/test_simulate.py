@@ -81,6 +81,19 @@ def test_it_hides_what_was_asked_for(out: Path) -> None:
     assert payload["effect"] == "payload"
 
 
+def test_a_realistic_robot_loses_messages_and_is_told_of_in_the_truth(out: Path) -> None:
+    done("simulate", out, *QUICK, "--realistic", "--hide", "link_mass:tool=1.2")
+    assert sum(item.topic == "/joint_states" for item in recorded(out)) <= 150
+    truth = json.loads(out.with_name("bag.truth.json").read_text())
+    assert [entry["effect"] for entry in truth["effects"]] == ["link_mass"]
+    assert {"standing", "friction", "motors", "warm_up", "sensors"} < truth.keys()
+    assert len(truth["friction"]["stiffness"]) == len(truth["joints"]) == 3
+
+
+def test_a_realistic_robot_is_drawn_not_described(out: Path) -> None:
+    assert "draws its inertia_error" in refused("simulate", out, *QUICK, "--realistic", "--inertia-error", "0.1")
+
+
 def test_it_hides_nothing(out: Path) -> None:
     done("simulate", out, *QUICK, "--hide", "nothing")
     assert truth_of(out) == []

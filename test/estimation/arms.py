@@ -16,14 +16,14 @@ import pinocchio as pin
 from geometry import bodies
 
 from geomid_ros.geometry import pseudo_inertia
-from geomid_ros.model.effects import DEFAULT_EFFECTS, identifiable, joint_of
+from geomid_ros.model.effects import identifiable, joint_of
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.robot import Robot
 from geomid_ros.model.samples import Samples
 from geomid_ros.types import FloatArray
 
 BAGS = Path(__file__).parents[2] / "bags"
-ALL_EFFECTS = DEFAULT_EFFECTS
+ALL_EFFECTS = ("viscous_friction", "coulomb_friction", "rotor_inertia", "effort_offset")
 COULOMB_SPEED = 0.02
 
 

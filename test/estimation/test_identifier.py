@@ -23,7 +23,7 @@ def content(summary: RowSummary) -> FloatArray:
     return np.array(
         [
             [sum(part.squared_error(x[channel.columns]) for part in parts) for x in points]
-            for channel, parts in zip(summary.channels, summary.parts(), strict=True)
+            for channel, parts in zip(summary.groups, summary.parts(), strict=True)
         ]
     )
 
@@ -148,7 +148,7 @@ def test_adding_while_another_thread_solves_loses_nothing(forgetting_time: float
             try:
                 found = identifier.solve(warm)
                 identifier.snapshot().rms(found.parameters)
-                warm = WarmStart(found.parameters, found.gamma)
+                warm = WarmStart(found.parameters)
                 solves.append(found.rows_accepted)
             except Exception as error:  # noqa: BLE001  what a thread dies of must fail the test
                 failures.append(error)

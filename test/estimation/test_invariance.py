@@ -16,7 +16,7 @@ from geomid_ros.model.robot import Robot
 from .arms import ALL_EFFECTS, Case, Motion, arm, samples, shipped
 from .frames import Rewritten, rewritten
 
-SAME = 1e-8
+SAME = 1e-7  # a prior that weighs a 1e-8th of the rows leaves its own directions to rounding
 CASES = pytest.mark.parametrize(("name", "seed"), [("arm3", 0), ("arm7", 1)])
 SETTINGS = pytest.mark.parametrize(
     "settings",
@@ -57,7 +57,7 @@ def test_frames_and_units_do_not_matter(
 ) -> None:
     case, other = arm(name, seed, seconds=10), rewritten(shipped(name), seed, length, mass)
     here, there = solved(case, settings), solved_there(case, other, settings)
-    assert there.gamma == here.gamma
+    assert there.gamma == pytest.approx(here.gamma, rel=SAME)
     for one, two in zip(here.links, there.links, strict=True):
         expected = pseudo_inertia.from_parameters(other.parameters(one.name, one.parameters))
         assert spd.distance(expected, pseudo_inertia.from_parameters(two.parameters)) < SAME

@@ -7,7 +7,7 @@ import pytest
 from geometry import bodies
 
 from geomid_ros.errors import InputError
-from geomid_ros.estimation.rows import solve_rows
+from geomid_ros.estimation.rows import PAPER, solve_rows
 from geomid_ros.geometry import projection, pseudo_inertia, spd
 from geomid_ros.types import FloatArray
 
@@ -115,7 +115,7 @@ def test_rows_without_a_projection_are_set_aside_and_counted() -> None:
     rows = np.concatenate([np.eye(1, 20), case.rows, np.zeros((1, 20))])
     targets = np.concatenate([[-3.0], case.targets, [1.0]])  # a negative mass; nothing that should be one
     sigmas = np.concatenate([[0.1], case.sigmas, [0.1]])
-    found = solve_rows(rows, targets, sigmas, case.prior_table)
+    found = solve_rows(rows, targets, sigmas, case.prior_table, 1e-2)
     np.testing.assert_array_equal(np.flatnonzero(found.set_aside), [0, 21])
     assert distance(case, found.parameters, solution(case, 1e-2)) < SAME
 
@@ -166,3 +166,50 @@ def test_bad_input_is_refused_by_name(change: dict[str, object], named: str) -> 
     usual = {"rows": np.ones((3, 10)), "targets": np.ones(3), "sigmas": 1.0, "prior": ROD}
     with pytest.raises(InputError, match=named):
         solve_rows(**(usual | change))
+
+
+@pytest.mark.parametrize("objective", ["geodesic", "residual"])
+@pytest.mark.parametrize("seed", range(3))
+def test_the_weight_that_is_chosen_predicts_fresh_rows_nearly_as_well_as_the_best(seed: int, objective: str) -> None:
+    case = human_like(seed)
+    fitted = slice(0, 2 * len(case.rows) // 3)
+    fresh = slice(2 * len(case.rows) // 3, None)
+
+    def error(gamma: float | None) -> float:
+        rows, targets, sigmas = case.rows[fitted], case.targets[fitted], case.sigmas[fitted]
+        found = solve_rows(rows, targets, sigmas, case.prior_table, gamma, tolerance=1e-5, objective=objective)
+        assert gamma is None or found.gamma == gamma
+        left = case.rows[fresh] @ found.parameters.ravel() - case.targets[fresh]
+        return float(np.sqrt(np.mean((left / case.sigmas[fresh]) ** 2)))
+
+    best = min(error(gamma) for gamma in 10.0 ** -np.arange(1.0, 6.5, 0.5))
+    assert error(None) < 1.15 * best
+
+
+def test_few_rows_leave_the_weight_to_the_paper() -> None:
+    case = problem(1, LINKS, count=15)
+    assert solve_rows(case.rows, case.targets, case.sigmas, case.prior_table).gamma == PAPER
+
+
+def test_remark_3_has_no_rows_to_set_aside_and_minimises_residuals() -> None:
+    """Its minimum is where the residuals' pull and the prior's cancel, by finite differences along geodesics."""
+    case = problem(2, LINKS, count=40)
+    found = solve_rows(case.rows, case.targets, case.sigmas, case.prior_table, 1e-2, objective="residual")
+    assert not np.any(found.set_aside)
+    manifold, point = case.manifold, case.manifold.point(found.parameters.ravel())
+    whitened = manifold.whiten(case.prior, case.rows / case.sigmas[:, None])
+
+    def value(at: FloatArray) -> float:
+        moved = manifold.exp(point, at)
+        residuals = (case.rows @ moved.parameters - case.targets) / case.sigmas
+        weight = 1e-2 * np.sum(whitened**2)
+        return float(residuals @ residuals + weight * manifold.distance(case.prior, moved) ** 2)
+
+    least = value(np.zeros(manifold.dimension))
+    steps = 1e-4 * np.eye(manifold.dimension)
+    assert all(value(sign * step) > least for step in steps for sign in (1.0, -1.0))
+
+
+def test_an_unknown_objective_is_refused() -> None:
+    with pytest.raises(InputError, match="objective 'entropy'"):
+        solve_rows(np.eye(1, 10), np.ones(1), np.ones(1), ROD, objective="entropy")

@@ -16,8 +16,9 @@ from geomid_ros.estimation.starting_point import (
     scales_of_reals,
 )
 from geomid_ros.estimation.summary import RowSummary
-from geomid_ros.model.effects import joint_of
-from geomid_ros.types import FloatArray
+from geomid_ros.model.effects import identifiable, joint_of
+from geomid_ros.model.measurement import MeasurementModel
+from geomid_ros.types import BoolArray, FloatArray
 
 from .arms import Case, arm
 
@@ -26,11 +27,12 @@ SEEDS = pytest.mark.parametrize("seed", range(3))
 DAMPING = 1e-2
 
 
-def summary(case: Case) -> RowSummary:
+def summary(case: Case, unsettled: BoolArray | None = None) -> RowSummary:
     rows = case.model.rows(case.samples)
     result = RowSummary(case.model.channels)
-    for coefficients, targets in zip(rows.coefficients, rows.targets, strict=True):
-        result.add(coefficients, targets)
+    groups = np.zeros(rows.targets.shape, dtype=bool) if unsettled is None else unsettled
+    for coefficients, targets, group in zip(rows.coefficients, rows.targets, groups, strict=True):
+        result.add(coefficients, targets, unsettled=group)
     return result
 
 
@@ -103,17 +105,29 @@ def test_sigmas_are_those_of_the_noise(seed: int) -> None:
     """Unbiased although many of the regressor's columns depend on each other."""
     for noise in (0.1, 0.5):
         case = arm("arm7", seed, noise=noise)
-        np.testing.assert_allclose(first_sigmas(summary(case), case.model.dimension), noise, rtol=0.06)
+        found = first_sigmas(summary(case), case.model.dimension)
+        settled, unsettled = np.split(found, 2)
+        np.testing.assert_allclose(settled, noise, rtol=0.06)
+        np.testing.assert_array_equal(unsettled, channel_sizes(summary(case), case.model.dimension))
+
+
+@SEEDS
+def test_unsettled_rows_have_a_noise_of_their_own(seed: int) -> None:
+    case = arm("arm3", seed, noise=0.0)
+    unsettled = np.random.default_rng(seed).random(case.samples.effort.shape) < 0.3
+    noise = np.where(unsettled, 1.0, 0.1) * np.random.default_rng(seed).normal(size=unsettled.shape)
+    found = first_sigmas(summary(case.with_efforts(case.noiseless + noise), unsettled), case.model.dimension)
+    np.testing.assert_allclose(found, [0.1, 0.1, 0.1, 1.0, 1.0, 1.0], rtol=0.15)
 
 
 def test_sigmas_have_a_floor_and_wait_for_enough_rows() -> None:
     case = arm("arm3", 0, noise=0.0)
     sizes = channel_sizes(summary(case), case.model.dimension)
     np.testing.assert_allclose(sizes, np.sqrt(np.mean(case.noiseless**2, axis=0)), rtol=1e-9)
-    np.testing.assert_allclose(first_sigmas(summary(case), case.model.dimension), 1e-3 * sizes)
+    np.testing.assert_allclose(first_sigmas(summary(case), case.model.dimension)[:3], 1e-3 * sizes)
     few = replace(case, samples=case.samples.select(slice(0, 5)))
     np.testing.assert_array_equal(
-        first_sigmas(summary(few), case.model.dimension), channel_sizes(summary(few), case.model.dimension)
+        first_sigmas(summary(few), case.model.dimension), np.tile(channel_sizes(summary(few), case.model.dimension), 2)
     )
 
 
@@ -121,9 +135,25 @@ def test_sizes_of_channels_that_say_nothing_are_one() -> None:
     case = arm("arm3", 0, seconds=2)
     quiet = case.samples.effort.copy()
     quiet[:, 0], quiet[:, 1] = np.nan, 0.0
-    sizes = channel_sizes(summary(case.with_efforts(quiet)), case.model.dimension)
+    found = summary(case.with_efforts(quiet))
+    sizes = channel_sizes(found, case.model.dimension)
     np.testing.assert_array_equal(sizes[:2], 1.0)
-    np.testing.assert_array_equal(scales_of_reals(case.model, sizes), sizes)
+    np.testing.assert_allclose(scales_of_reals(case.model, found), sizes, rtol=1e-12)
+
+
+def test_a_coefficients_scale_is_that_with_which_it_is_as_large_as_its_channel() -> None:
+    """Of a real coefficient whose column is not one everywhere: whichever group its rows are in."""
+    case = arm("arm3", 0, seconds=8)
+    model = MeasurementModel(case.model.robot, [identifiable()["quadratic_friction"]])
+    rows = model.rows(case.samples)
+    halves = np.arange(len(case.samples))[:, None] % 2 == np.zeros(3)
+    for unsettled in (np.zeros_like(halves), halves):
+        found = summary(replace(case, model=model), unsettled)
+        expected = [
+            np.sqrt(np.mean(rows.targets[:, joint] ** 2) / np.mean(rows.coefficients[:, joint, 30 + joint] ** 2))
+            for joint in range(3)
+        ]
+        np.testing.assert_allclose(scales_of_reals(model, found), expected, rtol=1e-9)
 
 
 def test_what_is_known_of_the_prior_replaces_what_is_not() -> None:

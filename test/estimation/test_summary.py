@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -48,13 +49,17 @@ def weighted(coefficients: FloatArray, targets: FloatArray, channel: int, x: Flo
 
 
 def content(found: RowSummary, x: FloatArray, folds: list[int] | None = None) -> FloatArray:
-    """``|Ax - b|^2`` of each channel."""
-    return np.array(
-        [
-            sum(part.squared_error(x[channel.columns]) for part in parts)
-            for channel, parts in zip(found.channels, found.parts(folds), strict=True)
-        ]
-    )
+    """``|Ax - b|^2`` of each channel, in both of its groups."""
+    return np.sum(by_group(found, x, folds), axis=0)
+
+
+def by_group(found: RowSummary, x: FloatArray, folds: list[int] | None = None) -> FloatArray:
+    """``|Ax - b|^2`` of each channel's settled rows and of its unsettled ones ``(2, channels)``."""
+    errors = [
+        sum(part.squared_error(x[channel.columns]) for part in parts)
+        for channel, parts in zip(found.groups, found.parts(folds), strict=True)
+    ]
+    return np.reshape(errors, (2, -1))
 
 
 @SEEDS
@@ -100,6 +105,41 @@ def test_looking_in_between_changes_nothing(seed: int, forgetting_time: float) -
     assert busy.rows == quiet.rows
     for one, other in zip(busy.parts(), quiet.parts(), strict=True):
         np.testing.assert_allclose([p.count for p in one], [p.count for p in other], rtol=CONTENT)
+
+
+@SEEDS
+def test_unsettled_rows_are_kept_apart(seed: int) -> None:
+    """Of each channel by itself; what is weighted alike is as if they were not."""
+    coefficients, targets = rows(seed, 300)
+    unsettled = np.random.default_rng(seed).random(targets.shape) < 0.3
+    found = RowSummary(CHANNELS, folds=3, block=20)
+    for row, target, group in zip(coefficients, targets, unsettled, strict=True):
+        found.add(row, target, 1.0, group)
+    x = np.random.default_rng(seed).normal(size=DIMENSION)
+    for group in (False, True):
+        for k in range(len(CHANNELS)):
+            expected = weighted(coefficients, targets, k, x, (unsettled[:, k] == group).astype(float))
+            assert by_group(found, x)[int(group), k] == pytest.approx(expected, rel=CONTENT)
+    mixed = summary(coefficients, targets, folds=3, block=20)
+    np.testing.assert_allclose(content(found, x), content(mixed, x), rtol=CONTENT)
+    np.testing.assert_allclose(found.rms(x), mixed.rms(x), rtol=CONTENT)
+    copy = RowSummary(CHANNELS, folds=3, block=20)
+    copy.restore(found.state())
+    np.testing.assert_array_equal(by_group(copy, x), by_group(found, x))
+
+
+@SEEDS
+def test_columns_that_are_left_out_count_as_parameters_that_are_zero(seed: int) -> None:
+    coefficients, targets = rows(seed, 300)
+    found, chosen = summary(coefficients, targets, folds=2), np.array([0, 3, 4, 9, 11])
+    positions = [np.flatnonzero(np.isin(chosen, channel.columns)) for channel in CHANNELS]
+    fewer = [replace(channel, columns=own) for channel, own in zip(CHANNELS, positions, strict=True)]
+    left = found.with_columns(fewer, chosen)
+    x = np.zeros(DIMENSION)
+    x[chosen] = np.random.default_rng(seed).normal(size=len(chosen))
+    for folds in ([0], [1], [0, 1]):
+        np.testing.assert_allclose(content(left, x[chosen], folds), content(found, x, folds), rtol=CONTENT)
+    assert left.rows == found.rows
 
 
 @SEEDS
@@ -207,7 +247,7 @@ def test_memory_is_bounded() -> None:
             found.add(row, target)
             most = max(most, sum(len(channel) for fold in found._waiting for channel in fold))
     assert most < 2 * len(CHANNELS) * RowSummary._CHUNK
-    for channel, parts in zip(CHANNELS, found.parts(), strict=True):
+    for channel, parts in zip(found.groups, found.parts(), strict=True):
         for part in parts:
             columns = len(channel.columns) + 1
             assert part.factor.shape[0] <= columns

@@ -70,7 +70,7 @@ def learned(end: int = INSTANTS, **values: Any) -> Session:
     accounts["joint_states"].noted["a joint too many"] = 9
     result.pipeline.ledger.restore(accounts)
     found = result.identifier.solve()
-    result.warm = WarmStart(found.parameters, found.gamma, result.identifier.rows)
+    result.warm = WarmStart(found.parameters, result.identifier.rows)
     return result
 
 
@@ -120,7 +120,7 @@ class TestRoundTrip:
         assert one.warm is not None
         assert other.warm is not None
         np.testing.assert_array_equal(other.warm.parameters, one.warm.parameters)
-        assert (other.warm.gamma, other.warm.rows) == (one.warm.gamma, 3 * half)
+        assert other.warm.rows == 3 * half
         for _ in range(2):
             assert_same(one.identifier.memory(), other.identifier.memory())
             found = [identifier.solve().parameters for identifier in (one.identifier, other.identifier)]
@@ -138,7 +138,8 @@ class TestRoundTrip:
         moving = samples(known, 0, INSTANTS - 19)  # then one instant at which it stands is new
         rows = known.model.rows(moving)
         for index, channel in enumerate(known.model.channels):
-            factors = np.concatenate([fold[index] for fold in checkpoint.memory.summary.factors])
+            groups = (index, index + len(known.model.channels))
+            factors = np.concatenate([fold[k] for fold in checkpoint.memory.summary.factors for k in groups])
             matrix = np.column_stack([rows.coefficients[:, index, channel.columns], rows.targets[:, index]])
             np.testing.assert_allclose(factors.T @ factors, matrix.T @ matrix, rtol=1e-9, atol=1e-9)
 
@@ -169,7 +170,7 @@ class TestRoundTrip:
     def test_its_size_is_bounded_by_the_model(self) -> None:
         known, content = small()
         folds = known.configuration.buffer.folds
-        numbers = sum((len(c.columns) + 1) * (len(c.columns) + 2) // 2 for c in known.model.channels)
+        numbers = sum((len(c.columns) + 1) * (len(c.columns) + 2) // 2 for c in 2 * known.model.channels)
         assert len(content) < largest_size(known.model.channels, folds)
         assert 8 * folds * numbers < largest_size(known.model.channels, folds) < 8 * folds * numbers + 10e6
 
@@ -217,7 +218,7 @@ def altered(change: Callable[[dict[str, Any], dict[str, Any]], Any]) -> bytes:
 
 FIRST = "fold 0/channel 0/joint1"
 CRAFTED: dict[str, Callable[[dict[str, Any], dict[str, Any]], Any]] = {
-    "has format 2": lambda d, _: d.update(format=2),
+    "has format 1": lambda d, _: d.update(format=1),
     "lacks 'rows'": lambda d, _: d.pop("rows"),
     "lacks 'lost'": lambda d, _: d["ledger"]["/wrench"].pop("lost"),
     "lacks 'fold 0": lambda _, v: v.pop(FIRST),
@@ -237,7 +238,7 @@ CRAFTED: dict[str, Callable[[dict[str, Any], dict[str, Any]], Any]] = {
     "new is 1, here None": lambda d, _: d["meaning"].update(new=1),
     "1000000000 folds": lambda d, _: d.update(folds=10**9),
     "0 folds": lambda d, v: (d.update(folds=0), v.update(counts=np.zeros(0))),
-    "7 folds, expected 8": lambda d, v: (d.update(folds=7), v.update(counts=np.zeros(21))),
+    "7 folds, expected 8": lambda d, v: (d.update(folds=7), v.update(counts=np.zeros(42))),
     "negative or not finite": lambda _, v: v.update(counts=-v["counts"]),
     "or not finite": lambda _, v: v.update(counts=v["counts"] * np.nan),
     "'joint1' are not finite": lambda _, v: v[FIRST].__setitem__(3, np.inf),
@@ -246,9 +247,7 @@ CRAFTED: dict[str, Callable[[dict[str, Any], dict[str, Any]], Any]] = {
     "pose of shape": lambda _, v: v.update(last_pose=np.zeros(4)),
     "an estimate of 3 parameters": lambda _, v: v.update(estimate=np.zeros(3)),
     "estimate is not finite": lambda _, v: v["estimate"].__setitem__(0, np.nan),
-    "gamma not greater than zero": lambda d, _: d.update(gamma=0.0),
-    "None is no number": lambda d, _: d.update(gamma=None),
-    "None is no count": lambda d, _: d.update(gamma_rows=None),
+    "None is no count": lambda d, _: d.update(chosen_at_rows=None),
 }
 
 

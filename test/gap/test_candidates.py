@@ -4,12 +4,13 @@ import numpy as np
 import pytest
 
 from geomid_ros.gap import candidates as library
-from geomid_ros.gap.candidates import REST, SIGN, SMOOTH_SIGN, Candidate, EffectTerm
-from geomid_ros.model.effects import EFFECTS, AtJoint, JointMotion, OnLink, OnRobot
+from geomid_ros.gap.candidates import Candidate, EffectTerm
+from geomid_ros.model.effects import EFFECTS, AtJoint, JointMotion, MotionEffect, OnLink, OnRobot
 from geomid_ros.model.effects.backlash import CROSSINGS
 from geomid_ros.model.effects.coulomb_friction import SMOOTHINGS
 from geomid_ros.model.effects.stribeck_friction import SPEEDS
 from geomid_ros.model.measurement import MeasurementModel
+from geomid_ros.model.moving import REST, SIGN, SMOOTH_SIGN
 from geomid_ros.model.robot import Robot
 from geomid_ros.model.sensors import WrenchSensor
 
@@ -117,7 +118,7 @@ def test_samples_carry_all_columns_that_names_are_made_of_once() -> None:
     motion = planted.recording(planted.rigid(planted.true_inertias(1, 0.1)), 1, 2.0)
     for candidate in ALL:
         for term in candidate.terms:
-            if hasattr(term.effect, "column"):
+            if isinstance(term.effect, MotionEffect):
                 assert library.column_of(term.effect, term.place) in columns
     assert {SIGN, SMOOTH_SIGN, REST} <= set(columns)
     assert motion.columns.columns == columns

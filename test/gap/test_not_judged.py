@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from geomid_ros.errors import InputError
-from geomid_ros.gap.candidates import REST
 from geomid_ros.gap.evidence.record import Records
 from geomid_ros.gap.workflow import find_gap
 from geomid_ros.model.measurement import MeasurementModel
+from geomid_ros.model.moving import REST
 from geomid_ros.model.robot import Robot
 from geomid_ros.model.samples import Samples
 from geomid_ros.model.sensors import WrenchSensor

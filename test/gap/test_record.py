@@ -8,7 +8,6 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from geomid_ros.gap.candidates import REST, SIGN, SMOOTH_SIGN
 from geomid_ros.gap.evidence.record import Records, TotalModel
 from geomid_ros.model.columns import Columns, JointColumn
 from geomid_ros.model.effects import AtJoint, AtJoints, Effect, OnRobot
@@ -19,6 +18,7 @@ from geomid_ros.model.effects.effort_gain import EffortGain
 from geomid_ros.model.effects.gravity_tilt import GravityTilt
 from geomid_ros.model.effects.places import Place
 from geomid_ros.model.effects.viscous_friction import ViscousFriction
+from geomid_ros.model.moving import REST, SIGN, SMOOTH_SIGN
 from geomid_ros.model.samples import Samples
 from geomid_ros.types import FloatArray
 

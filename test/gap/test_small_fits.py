@@ -10,12 +10,12 @@ from scipy.optimize import minimize_scalar
 from scipy.stats import chi2
 
 from geomid_ros.estimation.estimate import LinksInformation
+from geomid_ros.estimation.profile_objective import ProfileObjective, StraightManifold
 from geomid_ros.gap.candidates import Candidate, EffectTerm
 from geomid_ros.gap.evidence.design import Design
 from geomid_ros.gap.fitting import prior as before
 from geomid_ros.gap.fitting.fit import JointFit, fit, unfitted
 from geomid_ros.gap.fitting.prior import Prior
-from geomid_ros.gap.fitting.profile_objective import ProfileObjective, StraightManifold
 from geomid_ros.gap.judgement.confidence import generalises
 from geomid_ros.gap.judgement.naming import parameters
 from geomid_ros.gap.search.score_test import improvement

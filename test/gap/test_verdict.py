@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from geomid_ros.gap.candidates import SIGN, AnyCandidate, Candidate
+from geomid_ros.gap.candidates import AnyCandidate, Candidate
 from geomid_ros.gap.judgement import verdict
 from geomid_ros.gap.judgement.confidence import moves_one_way
 from geomid_ros.gap.judgement.locate import located, share, strongest
@@ -17,6 +17,7 @@ from geomid_ros.gap.result import Located, Unexplained
 from geomid_ros.gap.search.beam_search import Trial
 from geomid_ros.model.effects import EFFECTS, Quantity
 from geomid_ros.model.effects.stribeck_friction import SPEEDS
+from geomid_ros.model.moving import SIGN
 
 from .judged import CANDIDATES, JOINTS, MODEL, PAYLOAD, Fit, Judged, curve, named
 

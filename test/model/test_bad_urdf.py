@@ -11,6 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from geomid_ros.errors import InputError
+from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.robot import Robot
 
@@ -104,14 +105,40 @@ BAD = {
     "centre of mass at NaN": (replaced(MASS, MASS + '<origin xyz="0 nan 0"/>'), ["'lower'", "origin", "nan"]),
     "axes turned by NaN": (replaced(MASS, MASS + '<origin rpy="0 nan 0"/>'), ["'lower'", "origin", "nan"]),
     "negative mass": (replaced('value="2"', 'value="-2"'), ["'lower'"]),
-    "a plate thicker than it is": (replaced('izz="1"', 'izz="2.1"'), ["'lower'", "sum of the two others"]),
     "a mass beyond the universe's": (replaced('value="2"', 'value="1e308"'), ["'lower'", "mass", "1e308"]),
-    "a point": (replaced(INERTIA, INERTIA.replace('"1"', '"0"')), ["'lower'"]),
-    "a rod without a width": (replaced('izz="1"', 'izz="0"'), ["'lower'"]),
-    "a product larger than its moments": (replaced('ixy="0"', 'ixy="1.2"'), ["'lower'"]),
     "no mass at all": (robot('<link name="a"/>', '<link name="b"/>', joint("j", "a", "b")), ["mass"]),
     "nothing moves": (robot(link("a"), link("b"), joint("j", "a", "b", "fixed")), ["moving"]),
 }
+
+
+# No bodies, but with a mass: what they are taken as.
+REPAIRED = {
+    "a plate thicker than it is": replaced('izz="1"', 'izz="2.1"'),
+    "a point": replaced(INERTIA, INERTIA.replace('"1"', '"0"')),
+    "a rod without a width": replaced('izz="1"', 'izz="0"'),
+    "a product larger than its moments": replaced('ixy="0"', 'ixy="1.2"'),
+}
+
+
+@pytest.mark.parametrize("case", REPAIRED)
+@pytest.mark.parametrize("floating", [False, True])
+def test_a_link_that_no_body_can_be_is_repaired_and_told(case: str, floating: bool) -> None:
+    """Mass and centre of mass stay, and the moments are those of a body no denser than steel."""
+    arm = Robot(REPAIRED[case], floating_base=floating, source=SOURCE)
+    parameters = arm.bodies[-1].parameters
+    np.testing.assert_allclose(parameters[:4], [2.0, 0.0, 0.0, 0.0], atol=1e-12)
+    assert pseudo_inertia.is_body(parameters)
+    second = np.linalg.eigvalsh(pseudo_inertia.from_parameters(parameters)[:3, :3])
+    radius = np.cbrt(2.0 / 7850.0 / (4.0 / 3.0 * np.pi))
+    np.testing.assert_array_less((1.0 - 1e-9) * 2.0 * radius**2 / 5.0, second)
+    (sentence,) = arm.repaired.values()
+    assert list(arm.repaired) == ["lower"]
+    for word in ("'lower'", "kg m^2", "mm"):
+        assert word in sentence
+
+
+def test_a_link_that_is_a_body_is_left_as_it_is() -> None:
+    assert not Robot(robot(*ARM), source=SOURCE).repaired
 
 
 @pytest.mark.parametrize("case", BAD)
@@ -138,14 +165,14 @@ def test_the_arm_itself_is_fine() -> None:
 def test_an_impossible_base_does_not_matter_while_it_stands() -> None:
     text = robot(link("base", MASS + INERTIA.replace('izz="1"', 'izz="3"')), *ARM[1:])
     assert Robot(text).body_names == ("upper", "lower")
-    with pytest.raises(InputError, match="'base'"):
-        Robot(text, floating_base=True)
+    assert not Robot(text).repaired
+    assert list(Robot(text, floating_base=True).repaired) == ["base"]
 
 
 def test_an_impossible_part_is_named_with_what_it_is_merged_with() -> None:
     bad = link("tool", MASS + INERTIA.replace('izz="1"', 'izz="9"'))
-    with pytest.raises(InputError, match=r"'lower' \(with lower, tool\)"):
-        Robot(robot(*ARM, bad, joint("flange", "lower", "tool", "fixed")))
+    (sentence,) = Robot(robot(*ARM, bad, joint("flange", "lower", "tool", "fixed"))).repaired.values()
+    assert "'lower' (with lower, tool)" in sentence
 
 
 def test_meshes_are_not_opened() -> None:

@@ -10,18 +10,24 @@ import pytest
 
 from geomid_ros.model import effects
 from geomid_ros.model.effects import (
+    DEFAULT_CANDIDATES,
     DEFAULT_EFFECTS,
     EFFECTS,
     AtJoint,
     Effect,
+    IdentifiedEffect,
     JointEffect,
     JointMotion,
+    KnownEffect,
     Motion,
+    Quantity,
     SensorEffect,
     identifiable,
     register,
+    values_of,
 )
 from geomid_ros.model.effects.viscous_friction import ViscousFriction
+from geomid_ros.model.measurement import Coefficient
 
 OF_JOINTS = {name: cls for name, cls in EFFECTS.items() if issubclass(cls, JointEffect)}
 # What files/urdf.py and files/mjcf.py write: attributes of a joint by themselves, elements by code of their own.
@@ -36,7 +42,6 @@ def test_every_file_is_known() -> None:
     contracts = {"__init__", "effect", "parameters", "places", "situation"}
     files = {path.stem for path in Path(effects.__file__).parent.glob("*.py")} - contracts
     assert {cls.__module__.rpartition(".")[2] for cls in EFFECTS.values()} == files
-    assert files == set(EFFECTS)
 
 
 @pytest.mark.parametrize("effect", EFFECTS.values(), ids=EFFECTS)
@@ -56,12 +61,33 @@ def test_an_effect_describes_itself(effect: type[Effect]) -> None:
 
 def test_what_can_be_identified_is_linear_in_coefficients_of_its_own() -> None:
     assert set(DEFAULT_EFFECTS) <= set(identifiable())
-    assert not {"spring", "stribeck_friction"} & set(identifiable())
+    assert set(DEFAULT_CANDIDATES) <= set(identifiable())
+    assert not set(DEFAULT_CANDIDATES) & set(DEFAULT_EFFECTS)
     for name, effect in identifiable().items():
         assert effect.name == name
+        assert effect.own
+        assert set(effect.own) <= set(effect.parameters)
+        assert len(effect.own) == effect.count
+        assert 0 <= effect.own_positives <= effect.count
         if not isinstance(effect, SensorEffect):
-            (form,) = effect.parameters
-            assert (effect.own, effect.positives) == ((form,), int(form.above == 0.0))
+            (form,) = effect.own
+            assert form.above != 0.0 or effect.own_positives == 1
+
+
+@pytest.mark.parametrize("effect", identifiable().values(), ids=identifiable())
+def test_what_was_identified_is_known_again(effect: IdentifiedEffect) -> None:
+    """By its own coefficient and constants alone, whatever else belongs to the effect."""
+    for trial in type(effect).trials():
+        for index, form in enumerate(trial.own):
+            found = Coefficient(
+                effect=trial, place=AtJoint(0), index=index, place_name="j", parameter=form.name, unit=form.units[0]
+            ).parameters(0.7, 0.1)
+            assert found[form.name] == Quantity(0.7, 0.1, form.units[0])
+            known = KnownEffect(trial.name, "j", "", found)
+            assert {other.name for other in trial.parameters if not other.optional} <= found.keys()
+            own = trial.coefficients(values_of(known))
+            assert own[trial][index] == 0.7
+            assert all(part == trial for part in own)
 
 
 @pytest.mark.parametrize("effect", OF_JOINTS.values(), ids=OF_JOINTS)

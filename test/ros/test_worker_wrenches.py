@@ -31,6 +31,7 @@ from .spoiling import later
 SECONDS, RATE = 42.0, 50.0
 TARED, BACK = 26.0, 33.0  # [s]
 BLOCK = 40  # instants that are judged together
+LATE = 2 * BLOCK
 URDF = BAGS / "arm3.urdf"
 AXES, CHANNELS = 6, 15
 SENSORS = ("/elbow", "/wrist")
@@ -229,7 +230,7 @@ def test_only_the_sensor_that_changed_loses_its_rows_and_only_until_it_is_as_bef
     touched = np.flatnonzero(np.any(np.abs(of.wrenches - spared.wrenches) > 1e-9, axis=(1, 2)))
     before, after = split(items, BACK)
     status = working.feed(before)
-    begin = first_suspect(status, "wrist/fz") - BLOCK
+    begin = first_suspect(status, "wrist/fz") - LATE
     assert begin <= touched[0], "all that is bad is left out"
     assert status.rows_rejected["wrench changed: /wrist"] == AXES * (status.rows_made // CHANNELS - begin)
     assert "Rows of /wrist are left out until" in said(status)

@@ -11,9 +11,10 @@ import pytest
 import yaml
 
 from geomid_ros.errors import InputError
-from geomid_ros.model.effects import DEFAULT_EFFECTS
+from geomid_ros.model.effects import DEFAULT_CANDIDATES, DEFAULT_EFFECTS
 from geomid_ros.model.sensors import WrenchSensor
 from geomid_ros.session.configuration import PARAMETERS, Configuration, find_parameter
+from geomid_ros.session.session import Session
 
 FILE = Path(__file__).parents[2] / "config/geomid.yaml"
 KEY = re.compile(r"^( *)(# )?( *)([a-z_0-9.]+):( \S.*)?$")
@@ -127,6 +128,18 @@ class TestValues:
         names = ["rotor_inertia", "effort_offset", "rotor_inertia"]
         assert [effect.name for effect in Configuration({"effects": names}).effects] == names[:2]
 
+    def test_candidates_are_tried_with_some_constants_and_not_where_they_are_identified_anyway(self) -> None:
+        assert {effect.name for effect in Configuration().candidates} == set(DEFAULT_CANDIDATES)
+        configuration = Configuration({"effects": ["spring", "coulomb_friction"], "candidates": ["spring"]})
+        assert configuration.candidates == []
+        several = Configuration({"candidates": ["stribeck_friction"]}).candidates
+        assert len(several) == len(set(several)) > 1
+        assert Configuration({"candidates": [""]}).candidates == []
+
+    def test_effects_bring_what_they_consist_of(self) -> None:
+        names = [effect.name for effect in Configuration({"effects": ["spring", "stribeck_friction"]}).effects]
+        assert names == ["spring", "effort_offset", "coulomb_friction", "stribeck_friction"]
+
     def test_gains_by_joint_stand_beside_the_common_one(self, tmp_path: Path) -> None:
         configuration = read(tmp_path, "effort_gain: 2\njoint:\n  left.elbow:\n    effort_gain: -13.6")
         gains = configuration.signals(["left.elbow", "wrist"]).effort_gain
@@ -187,6 +200,8 @@ MISTAKES: dict[str, tuple[str, str]] = {
     "too large": ("forgetting_time: 2.0e+6", r"forgetting_time is 2e\+06, expected a number from 0 to 1e\+06"),
     "gravity in the plane": ("gravity: [0, -9.81]", "gravity has 2 entries, expected 3"),
     "effect": ("effects: [friction]", r"effects: unknown effect 'friction'.*coulomb_friction"),
+    "candidate": ("candidates: [sprng]", r"candidates: unknown effect 'sprng'. Did you mean 'spring'\?"),
+    "candidate that cannot be identified": ("candidates: [backlash]", "candidates: unknown effect 'backlash'"),
     "objective": ("objective: residuals", r"unknown objective 'residuals'. Did you mean 'residual'\?"),
     "solver": ("solver: newton", "unknown solver 'newton'.*cyclic"),
     "channel": ("sigma:\n  elbo: 1", r"sigma: unknown channel 'elbo'. Did you mean 'elbow'\?"),
@@ -263,3 +278,22 @@ def test_values_given_later_win_and_are_checked() -> None:
     assert (changed["gamma"], changed["links"]) == (0.25, ["a"])
     with pytest.raises(InputError, match="node: gamma is 'x'"):
         configuration.with_values({"gamma": "x"})
+
+
+def test_behind_the_gear_no_motor_is_felt() -> None:
+    """At joints whose efforts are measured there neither the own rotor nor one that turns two joints is a parameter."""
+    values = {"joint.joint2.effort_side": "link", "candidates": ["coupled_rotor_inertia", "spring"]}
+    model = Session((FILE.parents[1] / "bags/arm3.urdf").read_text(), Configuration(values), "arm3.urdf").model
+    places = {(c.effect.name, c.place_name) for c in model.coefficients}
+    rotors = {place for name, place in places if name == "rotor_inertia"}
+    assert rotors == {"joint1", "joint3"}
+    assert not [place for name, place in places if name == "coupled_rotor_inertia"], "joint2 is of every pair"
+    assert ("spring", "joint2") in places
+    everywhere = Configuration({"effort_side": "link", "joint.joint1.effort_side": "motor"})
+    assert everywhere.behind_gear(["joint1", "joint2"]) == {"joint2"}
+
+
+@pytest.mark.parametrize("key", ["effort_side", "joint.joint1.effort_side"])
+def test_another_side_is_refused(key: str) -> None:
+    with pytest.raises(InputError, match="unknown effort_side 'gear'"):
+        Configuration({key: "gear"})

@@ -17,7 +17,6 @@ from benchmarks.fuzz.target import require
 from geomid_ros.commands.demo import shared_file
 from geomid_ros.model.effects import EFFECTS
 from geomid_ros.session.configuration import Configuration
-from geomid_ros.session.gap import effects_of
 from geomid_ros.session.session import Session
 from geomid_ros.types import FloatArray
 
@@ -129,6 +128,7 @@ class ModelTarget:
         effects = [
             {"name": c.effect.name, "joint": c.place_name, "value": 0.1, "std": 0.01, "unit": c.unit}
             for c in session.model.coefficients
+            if len(c.effect.parameters) == 1
         ]
         added = [entry for entry in effect_entries() if entry["link"] != "tool"]
         whole = {"format": 1, "links": links, "effects": effects, "added": added, "information": information}
@@ -148,7 +148,6 @@ class ModelTarget:
     def _use(self, text: str) -> None:
         self._path.write_bytes(text.encode(errors="surrogatepass"))
         session = Session(self._urdf, self._configuration, "arm3.urdf")
-        effects_of(self._path)
         prior = session.prior
         require(prior is not None and not np.any(np.isinf(prior)), "parameters that are no numbers")
         known = session.loaded.information(session.model)

@@ -22,7 +22,7 @@ from geomid_ros.model.channels import Channel
 from geomid_ros.signals.ledger import Account
 from geomid_ros.types import FloatArray
 
-FORMAT = 1
+FORMAT = 2
 _DOCUMENT = "checkpoint"
 _COUNTS, _POSE, _ESTIMATE = "counts", "last_pose", "estimate"
 _LARGEST_COUNT = 2**63
@@ -52,8 +52,8 @@ class Checkpoint:
 
 def largest_size(channels: Sequence[Channel], folds: int) -> int:
     """Bytes that no checkpoint of these channels exceeds."""
-    numbers = sum(_packed(len(channel.columns) + 1, len(channel.columns) + 1) for channel in channels)
-    return 2 * MOST_HEADER + 8 * folds * (numbers + len(channels))
+    numbers = sum(_packed(len(channel.columns) + 1, len(channel.columns) + 1) for channel in _groups(channels))
+    return 2 * MOST_HEADER + 8 * folds * (numbers + len(_groups(channels)))
 
 
 def encoded(checkpoint: Checkpoint, channels: Sequence[Channel]) -> bytes:
@@ -70,8 +70,7 @@ def encoded(checkpoint: Checkpoint, channels: Sequence[Channel]) -> bytes:
         "weight": summary.weight,
         "rows_rejected": memory.rows_rejected,
         "last_stamp": memory.last_stamp,
-        "gamma": warm.gamma if warm is not None else None,
-        "gamma_rows": warm.rows if warm is not None else None,
+        "chosen_at_rows": warm.rows if warm is not None else None,
         "solving": checkpoint.solving,
         "ledger": {topic: vars(account) for topic, account in checkpoint.accounts.items()},
     }
@@ -81,7 +80,7 @@ def encoded(checkpoint: Checkpoint, channels: Sequence[Channel]) -> bytes:
     if warm is not None:
         vectors[_ESTIMATE] = warm.parameters
     for fold, factors in enumerate(summary.factors):
-        for index, (channel, factor) in enumerate(zip(channels, factors, strict=True)):
+        for index, (channel, factor) in enumerate(zip(_groups(channels), factors, strict=True)):
             vectors[_name(fold, index, channel)] = _upper(factor)
     return pack({_DOCUMENT: json.dumps(document, allow_nan=False)}, vectors)
 
@@ -115,17 +114,17 @@ def _require_meaning(found: Any, expected: Mapping[str, Any]) -> None:
 
 
 def _checkpoint(document: dict[str, Any], vectors: dict[str, FloatArray], channels: Sequence[Channel]) -> Checkpoint:
-    folds = _count(document["folds"])
-    if vectors[_COUNTS].size != folds * len(channels):
+    folds, groups = _count(document["folds"]), _groups(channels)
+    if vectors[_COUNTS].size != folds * len(groups):
         raise InputError(f"{folds} folds with {vectors[_COUNTS].size} numbers of rows")
     summary = SummaryState(
         _count(document["instants"]),
         _number(document["time"]),
         _count(document["rows"]),
         _number(document["weight"]),
-        vectors[_COUNTS].reshape(folds, len(channels)),
+        vectors[_COUNTS].reshape(folds, len(groups)),
         tuple(
-            tuple(_factor(vectors[_name(fold, index, channel)], channel) for index, channel in enumerate(channels))
+            tuple(_factor(vectors[_name(fold, index, channel)], channel) for index, channel in enumerate(groups))
             for fold in range(folds)
         ),
     )
@@ -143,10 +142,9 @@ def _checkpoint(document: dict[str, Any], vectors: dict[str, FloatArray], channe
 
 
 def _warm(document: dict[str, Any], parameters: FloatArray) -> WarmStart:
-    gamma = _number(document["gamma"])
-    if not 0.0 < gamma < np.inf or not np.all(np.isfinite(parameters)):
-        raise InputError("the last estimate is not finite, or gamma not greater than zero")
-    return WarmStart(parameters, gamma, _count(document["gamma_rows"]))
+    if not np.all(np.isfinite(parameters)):
+        raise InputError("the last estimate is not finite")
+    return WarmStart(parameters, _count(document["chosen_at_rows"]))
 
 
 def _name(fold: int, index: int, channel: Channel) -> str:
@@ -203,3 +201,8 @@ def _account(value: Any) -> Account:
     entry = _object(value)
     reasons = {kind: _counter(entry[kind]) for kind in ("rejected", "dropped", "noted")}
     return Account(accepted=_count(entry["accepted"]), lost=_count(entry["lost"]), **reasons)
+
+
+def _groups(channels: Sequence[Channel]) -> tuple[Channel, ...]:
+    """The channel of each group of rows."""
+    return (*channels, *channels)

@@ -31,6 +31,7 @@ from geomid_ros.model.effects import (
     Effect,
     IdentifiedEffect,
     KnownEffect,
+    LoadEffect,
     Quantity,
     SituationEffect,
     effect_class,
@@ -247,7 +248,8 @@ class LoadedModel:
 
 def _is_beside(known: KnownEffect) -> bool:
     cls = effect_class(known.effect)
-    return issubclass(cls, SituationEffect) and not cls.corrected_in_samples and not cls.absorbed
+    identified = issubclass(cls, LoadEffect) or cls.corrected_in_samples or cls.absorbed
+    return issubclass(cls, SituationEffect) and not identified
 
 
 def _merged(document: Mapping[str, Any], source: str) -> dict[str, frozenset[str]]:
@@ -272,6 +274,8 @@ def _single_coefficients(document: Mapping[str, Any], source: str) -> list[Known
     for name, *_ in entries:
         if name not in identifiable():
             raise InputError(f"{source}: {unknown_name('effect', name, identifiable())}")
+        if len(effect_class(name).parameters) > 1:
+            raise InputError(f"{source}: effect '{name}' has several parameters, expected it under 'added'")
     return [
         coefficient(name, joint, Quantity(value, std, effect_class(name).parameters[0].units[0]))
         for name, joint, value, std in entries

@@ -10,7 +10,7 @@ import numpy as np
 from geomid_ros.gap.candidates import AnyCandidate, EffectTerm, Term
 from geomid_ros.gap.evidence.noise import Autoregression, runs_of
 from geomid_ros.gap.evidence.record import Records
-from geomid_ros.model.effects import IdentifiedEffect, Situation, SituationEffect
+from geomid_ros.model.effects import MotionEffect, SensorEffect, Situation, SituationEffect
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.types import BoolArray, FloatArray
 
@@ -27,7 +27,7 @@ def term_columns(
         if isinstance(term, EffectTerm) and isinstance(term.effect, SituationEffect):
             columns = term.effect.columns(situation(), term.place)[:, :, term.index]
             found[term] = {channel: column for channel, column in enumerate(columns.T) if np.any(column)}
-        elif isinstance(term, EffectTerm) and isinstance(term.effect, IdentifiedEffect):
+        elif isinstance(term, EffectTerm) and isinstance(term.effect, MotionEffect | SensorEffect):
             found[term] = model.columns_of(records.samples, term.effect, term.place, term.index)
     return found
 

@@ -10,21 +10,17 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 from scipy.ndimage import maximum_filter1d
 
-from geomid_ros.gap.candidates import REST, SIGN, SMOOTH_SIGN
+from geomid_ros.estimation.fit import INDEPENDENT
 from geomid_ros.model.columns import column_of, reached_joints
 from geomid_ros.model.dynamics import Dynamics
 from geomid_ros.model.effects import Effect, MotionEffect, Place, Situation, SituationEffect, joints_of
 from geomid_ros.model.effects.situation import Derivatives, OfLoad
 from geomid_ros.model.measurement import MeasurementModel
+from geomid_ros.model.moving import SIGN, SMOOTH_SIGN, moves_one_way
 from geomid_ros.model.samples import Samples
 from geomid_ros.signals.kernels import filtered
 from geomid_ros.types import BoolArray, FloatArray, IntArray
 
-THIN = 2.67  # rows per cutoff period: the filter leaves nothing above 1.5 times the cutoff, so few are enough
-# An instant is not used for a joint that in the filter's window stands still for so long, or moves not so much one way:
-# at a reversal friction depends on the past.
-_REST_SHARE = 0.3
-_SAME_WAY = 0.97
 # Between two guesses of how friction changes its sign it is unknown; what happens there lasts so long, either way [s].
 _REVERSAL = 0.03
 _FEWEST = 3  # samples of a stretch
@@ -54,7 +50,7 @@ class Records:
                 if len(stretch) < _FEWEST:
                     continue
                 period = _period(stretch)
-                step = max(1, round(1.0 / (THIN * cutoff * period)))
+                step = max(1, round(1.0 / (INDEPENDENT * cutoff * period)))
                 margin = round(0.5 / (cutoff * period)) + 1  # derivatives by time would reach beyond the ends
                 index = np.arange(margin, len(stretch) - margin, step)
                 if len(index) > 2:
@@ -80,8 +76,7 @@ class Records:
         """Which of the targets ``(N, C)`` are measured, and efforts of joints that move."""
         valid: BoolArray = np.isfinite(targets)
         if model.layout.efforts:
-            sign, rest = self.samples.column(SIGN), self.samples.column(REST)
-            valid[:, : sign.shape[1]] &= (np.abs(sign) > _SAME_WAY) & (rest < _REST_SHARE)
+            valid[:, model.layout.efforts] &= moves_one_way(self.samples)
         return valid
 
     @cached_property

@@ -14,12 +14,12 @@ from functools import cached_property
 
 import numpy as np
 
+from geomid_ros.estimation.profile_objective import ProfileObjective, StraightManifold
 from geomid_ros.estimation.solvers import trust_region
 from geomid_ros.gap.candidates import AnyCandidate, Term
 from geomid_ros.gap.evidence.design import Design
 from geomid_ros.gap.fitting import prior as priors
 from geomid_ros.gap.fitting.prior import Prior
-from geomid_ros.gap.fitting.profile_objective import ProfileObjective, StraightManifold
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.geometry.manifold import ParameterManifold, Point
 from geomid_ros.types import FloatArray

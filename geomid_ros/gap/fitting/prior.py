@@ -10,8 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from geomid_ros.estimation.estimate import LinksInformation
+from geomid_ros.estimation.profile_objective import ProfileObjective
 from geomid_ros.gap.candidates import Term
-from geomid_ros.gap.fitting.profile_objective import ProfileObjective
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.geometry.manifold import ParameterManifold, Point
 from geomid_ros.types import FloatArray

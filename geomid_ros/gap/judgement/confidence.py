@@ -8,7 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
-from geomid_ros.gap.candidates import SIGN, AnyCandidate, Candidate, CurveCandidate
+from geomid_ros.gap.candidates import AnyCandidate, Candidate, CurveCandidate
 from geomid_ros.gap.evidence.design import Design
 from geomid_ros.gap.fitting.fit import JointFit
 from geomid_ros.gap.judgement.held_out import HeldOut
@@ -16,6 +16,7 @@ from geomid_ros.gap.result import Confidence, Rival
 from geomid_ros.gap.search.analysis import Analysis
 from geomid_ros.model.effects import EFFECTS, Quantity, joints_of
 from geomid_ros.model.measurement import MeasurementModel
+from geomid_ros.model.moving import SIGN
 from geomid_ros.types import BoolArray, FloatArray
 
 CONFIDENT_LOSS = 20.0

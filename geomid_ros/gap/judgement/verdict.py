@@ -30,7 +30,8 @@ def _finding(model: MeasurementModel, analysis: Analysis, candidate: Candidate, 
     joint, link = model.places.name(candidate.place), naming.link_name(model, candidate)
     close = [(EFFECTS[rival.effect](), rival.joint) for rival in rivals if rival.loss < CONFIDENT_RIVAL]
     load = analysis.problem.situation.usual_load(candidate.place) if candidate.effect.scanned else 0.0
-    parameters = naming.parameters(model, whole, candidate, _scanned_std(analysis, candidate), load)
+    # Of the fit that is written and judged: beside curves that span a part of it, a size means something else.
+    parameters = naming.parameters(model, analysis.names, candidate, _scanned_std(analysis, candidate), load)
     evidence = Evidence(model=model, analysis=analysis, unseen=unseen, candidate=candidate, rivals=rivals, loss=loss)
     confidence = evidence.confidence(parameters)
     return Finding(

@@ -91,11 +91,12 @@ def analyse(
 
 
 def _with_and_without_curves(search: Search, found: JointFit) -> tuple[JointFit, JointFit]:
-    """The fit of the names alone, and the one with the curves that they leave room for: the same names in both."""
-    whole = search.simplified(search.without_absurd(_with_curves(search, found)))
-    names = search.without_absurd(search.fit([c for c in whole.chosen if not isinstance(c, CurveCandidate)], whole))
-    if {*names.chosen} != {c for c in whole.chosen if not isinstance(c, CurveCandidate)}:
-        whole = search.fit([*names.chosen, *(c for c in whole.chosen if isinstance(c, CurveCandidate))], names)
+    """The fit of the names alone, and the one with the curves that they leave room for: the same names in both.
+
+    A curve of velocity spans viscous friction, and one of friction Coulomb's: beside them a name would not be needed.
+    """
+    names = search.without_absurd(search.simplified(found))
+    whole = _with_curves(search, names)
     return names, whole if search.possible(whole) else names
 
 
@@ -103,9 +104,7 @@ def _with_curves(search: Search, found: JointFit) -> JointFit:
     """With the free curves that the rest needs: those without which some channel's remainder is visibly larger."""
     current = found
     while len(current.chosen) < len(found.chosen) + _MOST_CURVES and (larger := search.add_curve(current)) is not None:
-        current = search.prune(larger)
-    if current is not found:
-        current = search.exchange(current)
+        current = search.prune(larger, [c for c in larger.chosen if isinstance(c, CurveCandidate)])
     for curve in [c for c in current.chosen if isinstance(c, CurveCandidate)]:
         without = search.without(current, curve)
         if float(np.sqrt(np.max(without.squares / current.squares))) < _VISIBLE:

@@ -131,9 +131,13 @@ class Search:
         fits = self.extended(current)
         return fits[0] if fits and current.score - fits[0].score > LEAST_GAIN else None
 
-    def prune(self, current: JointFit) -> JointFit:
-        """Without the candidates that are not worth their parameters, the least one first."""
-        while doubtful := [c for c in current.chosen if _estimated_loss(self.design, current, c) < _NEEDED]:
+    def prune(self, current: JointFit, among: Sequence[AnyCandidate] | None = None) -> JointFit:
+        """Without the candidates (those ``among`` these, unless all) that are not worth their parameters, the least one
+        first."""
+        among = current.chosen if among is None else among
+        while doubtful := [
+            c for c in current.chosen if c in among and _estimated_loss(self.design, current, c) < _NEEDED
+        ]:
             smaller = min((self.without(current, c) for c in doubtful), key=lambda f: f.score)
             if smaller.score - current.score > LEAST_GAIN:
                 break

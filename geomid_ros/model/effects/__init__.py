@@ -9,6 +9,7 @@ from geomid_ros.model.effects.effect import Effect as Effect
 from geomid_ros.model.effects.effect import Hinge as Hinge
 from geomid_ros.model.effects.effect import IdentifiedEffect as IdentifiedEffect
 from geomid_ros.model.effects.effect import JointEffect as JointEffect
+from geomid_ros.model.effects.effect import LoadEffect as LoadEffect
 from geomid_ros.model.effects.effect import MotionEffect as MotionEffect
 from geomid_ros.model.effects.effect import PairEffect as PairEffect
 from geomid_ros.model.effects.effect import RobotEffect as RobotEffect
@@ -31,8 +32,19 @@ from geomid_ros.model.effects.situation import JointMotion as JointMotion
 from geomid_ros.model.effects.situation import Motion as Motion
 from geomid_ros.model.effects.situation import Situation as Situation
 
-DEFAULT_EFFECTS = ("viscous_friction", "coulomb_friction", "rotor_inertia", "effort_offset")
-"""Names of the effects that are identified at every joint unless the user says otherwise."""
+DEFAULT_EFFECTS = ("viscous_friction", "coulomb_friction", "rotor_inertia", "effort_offset", "wrench_offset")
+"""Names of the effects that are identified at every joint and wrench sensor unless the user says otherwise."""
+
+DEFAULT_CANDIDATES = (
+    "load_friction",
+    "stribeck_friction",
+    "quadratic_friction",
+    "spring",
+    "coupled_viscous_friction",
+    "coupled_coulomb_friction",
+    "coupled_rotor_inertia",
+)
+"""Names of the effects that are identified where held-out data ask for them, unless the user says otherwise."""
 
 _FILES = (
     "viscous_friction",
@@ -49,6 +61,8 @@ _FILES = (
     "gravity_tilt",
     "payload",
     "wrench_offset",
+    "quadratic_friction",
+    "coupled_motor",
 )
 """The files of effects, in the order in which they are tried."""
 
@@ -73,7 +87,8 @@ def register(effect: type[Effect]) -> type[Effect]:
 for _file in _FILES:
     _module = import_module(f"geomid_ros.model.effects.{_file}")
     for _class in vars(_module).values():
-        if isinstance(_class, type) and issubclass(_class, Effect) and _class.__module__ == _module.__name__:
+        own = isinstance(_class, type) and _class.__module__ == _module.__name__
+        if own and issubclass(_class, Effect) and hasattr(_class, "name"):
             register(_class)
 
 
@@ -91,10 +106,8 @@ def values_of(known: KnownEffect) -> dict[str, float]:
 
 
 def identifiable() -> dict[str, IdentifiedEffect]:
-    """The effects that can be identified along with the inertias, by name: linear in their coefficients, and not made
-    of others."""
-    instances = {name: cls() for name, cls in EFFECTS.items() if issubclass(cls, IdentifiedEffect)}
-    return {name: effect for name, effect in instances.items() if effect.parts == (effect,)}
+    """The effects that can be identified along with the inertias, by name: linear in their coefficients."""
+    return {name: cls() for name, cls in EFFECTS.items() if issubclass(cls, IdentifiedEffect)}
 
 
 def identified_effect(name: str) -> IdentifiedEffect:

@@ -74,6 +74,8 @@ class Effect(ABC):
     """Whether its columns are known to first order only, so that smaller effects may be what is left of it."""
     far: ClassVar[tuple[float, ...]] = ()
     """Changes of its coefficients after which the columns of all effects are others; empty if none does that."""
+    before_gear: ClassVar[bool] = False
+    """Whether it acts on the motor's side alone, so that a sensor behind the gear does not feel it."""
     turns_gravity: ClassVar[bool] = False
     """Whether it turns gravity, which wrench sensors feel, too."""
     adds_up: ClassVar[bool] = True
@@ -97,6 +99,11 @@ class Effect(ABC):
         """The instances to choose from when its constants are unknown, in the order of its constant."""
         return (cls(),)
 
+    @classmethod
+    def trials(cls) -> tuple[Effect, ...]:
+        """The few instances that an identification tries beside the default effects."""
+        return (cls(),)
+
     @property
     def scanned(self) -> float:
         """What variants differ in, which must be above zero; 0 if there is nothing to choose."""
@@ -106,6 +113,11 @@ class Effect(ABC):
     def positives(self) -> int:
         """How many of its coefficients, the first ones, cannot be negative."""
         return 0
+
+    @property
+    def own_positives(self) -> int:
+        """How many of those of its own columns cannot, where they are identified along with the inertias."""
+        return self.positives
 
     @property
     def parts(self) -> tuple[Effect, ...]:
@@ -339,10 +351,6 @@ class SensorEffect(Effect):
         """Wrench ``(..., axes, coefficients)`` in the sensor's frame per unit of each axis's coefficient."""
 
 
-IdentifiedEffect: TypeAlias = MotionEffect | SensorEffect
-"""What a measurement model can have: linear in coefficients whose columns do not depend on the model itself."""
-
-
 class SituationEffect(Effect):
     """An effect that depends on what a model says of the motion: adds ``columns(situation, place) . coefficients`` to
     the channels, to first order in the coefficients."""
@@ -350,3 +358,24 @@ class SituationEffect(Effect):
     @abstractmethod
     def columns(self, situation: Situation, place: Place) -> FloatArray:
         """Change of the channels per unit of each coefficient, ``(N, C, k)``."""
+
+
+class LoadEffect(SituationEffect):
+    """A function of the motion of one joint and of the effort that its gear transmits, with one coefficient per joint.
+
+    It can be identified along with the inertias: its column is then that of the load by the URDF's inertias.
+    """
+
+    @abstractmethod
+    def column(self, load: FloatArray, sign: FloatArray) -> FloatArray:
+        """Effort ``(...)`` at the joint per unit of the coefficient, from the ``load`` that the gear transmits and the
+        direction of motion."""
+
+    def columns(self, situation: Situation, place: Place) -> FloatArray:
+        """Those of the one joint."""
+        joint = joint_of(place)
+        return situation.column_of(joint, self.column(situation.load[:, joint], situation.sign[:, joint]))
+
+
+IdentifiedEffect: TypeAlias = MotionEffect | SensorEffect | LoadEffect
+"""What a measurement model can have: linear in coefficients, with columns that no estimate changes."""

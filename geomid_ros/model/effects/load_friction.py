@@ -2,14 +2,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from geomid_ros.model.effects.effect import SituationEffect
+from geomid_ros.model.effects.effect import LoadEffect
 from geomid_ros.model.effects.parameters import ParameterForm, Values
-from geomid_ros.model.effects.places import Place, joint_of
-from geomid_ros.model.effects.situation import Situation
 from geomid_ros.types import FloatArray
 
 
-class LoadFriction(SituationEffect):
+class LoadFriction(LoadEffect):
     """Friction in proportion to the effort that the gear transmits: effort ``c |tau| sign(v)``."""
 
     name = "load_friction"
@@ -24,9 +22,8 @@ class LoadFriction(SituationEffect):
         """It is no motor."""
         return 1
 
-    def columns(self, situation: Situation, place: Place) -> FloatArray:
-        joint = joint_of(place)
-        return situation.column_of(joint, np.abs(situation.load[:, joint]) * situation.sign[:, joint])
+    def column(self, load: FloatArray, sign: FloatArray) -> FloatArray:
+        return np.abs(load) * sign
 
     @classmethod
     def dry_friction(cls, coefficient: float, load: FloatArray) -> FloatArray:

@@ -14,6 +14,7 @@ class RotorInertia(JointEffect):
     meaning = "effort inertia a"
     parameters = (ParameterForm("inertia", ("kg m^2", "kg"), above=0.0, mjcf="joint/armature"),)
     like_a_payload = True
+    before_gear = True
     settled_by = "fast accelerations of this joint alone with the links after it stretched out and folded"
 
     def column(self, motion: JointMotion) -> FloatArray:

@@ -9,7 +9,7 @@ from typing import TypeAlias
 import numpy as np
 
 from geomid_ros.model.effects.places import Place, joints_of
-from geomid_ros.types import FloatArray
+from geomid_ros.types import FloatArray, IntArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,8 +29,8 @@ class Motion:
     velocity: FloatArray
     acceleration: FloatArray
 
-    def of(self, joint: int) -> JointMotion:
-        """The motion of one joint."""
+    def of(self, joint: int | IntArray) -> JointMotion:
+        """The motion of one joint, or of several, ``(..., n)``."""
         return JointMotion(self.position[..., joint], self.velocity[..., joint], self.acceleration[..., joint])
 
     @property

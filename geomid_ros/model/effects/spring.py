@@ -21,7 +21,7 @@ class Spring(JointEffect):
     meaning = "effort stiffness (q - equilibrium), which the motor supplies against the spring"
     parameters = (
         ParameterForm("stiffness", ("N m/rad", "N/m"), mjcf="joint/stiffness"),
-        ParameterForm("equilibrium", ("rad", "m"), mjcf="joint/springref"),
+        ParameterForm("equilibrium", ("rad", "m"), optional=True, mjcf="joint/springref"),
     )
     settled_by = "a slow sweep of this joint through its range in several postures of the others"
     adds_up = False
@@ -54,13 +54,16 @@ class Spring(JointEffect):
     @classmethod
     def coefficients(cls, values: Values, usual_load: float = 0.0) -> dict[Effect, tuple[float, ...]]:  # noqa: ARG003
         """The stiffness, and the offset of a spring that rests elsewhere than at zero."""
-        return {cls(): (values["stiffness"],), EffortOffset(): (-values["stiffness"] * values["equilibrium"],)}
+        found: dict[Effect, tuple[float, ...]] = {cls(): (values["stiffness"],)}
+        if values["equilibrium"]:
+            found[EffortOffset()] = (-values["stiffness"] * values["equilibrium"],)
+        return found
 
     @classmethod
     def refined(cls, known: Quantities, found: ByEffect) -> tuple[Quantities, ByEffect]:
         """The estimated offset has that of the spring in it; the spring keeps its equilibrium."""
         own, left = super().refined(known, found)
-        if cls.name not in found or EffortOffset.name not in found:
+        if not {cls.name, EffortOffset.name} <= found.keys() or "equilibrium" not in own:
             return own, left
         offset = left[EffortOffset.name]["offset"]
         rest = offset.value + own["stiffness"].value * own["equilibrium"].value

@@ -13,6 +13,7 @@ from geomid_ros.types import FloatArray
 
 SPEEDS = tuple(float(speed) for speed in np.geomspace(0.03, 0.6, 25).round(4))
 """[rad/s or m/s] to choose Stribeck's speed from."""
+_TRIED = (0.03, 0.06, 0.12, 0.25, 0.5)  # [rad/s or m/s]
 _LARGEST_EXCESS = 4.0  # of the friction of a fast joint
 
 
@@ -32,7 +33,7 @@ class StribeckFriction(JointEffect):
     label = "Stribeck friction"
     meaning = "effort sign(v) (level + excess exp(-(v/speed)^2))"
     parameters = (
-        ParameterForm("level", EFFORT, above=0.0, urdf="dynamics/friction", mjcf="joint/frictionloss"),
+        ParameterForm("level", EFFORT, above=0.0, optional=True, urdf="dynamics/friction", mjcf="joint/frictionloss"),
         ParameterForm("excess", EFFORT),  # the coefficient: positive and in units as the level
         ParameterForm("speed", ("rad/s", "m/s"), above=0.0),
     )
@@ -47,6 +48,11 @@ class StribeckFriction(JointEffect):
         """One for each of :data:`SPEEDS`, with the sharpest sign."""
         return tuple(cls(speed, SMOOTHINGS[0]) for speed in SPEEDS)
 
+    @classmethod
+    def trials(cls) -> tuple[Effect, ...]:
+        """Some speeds, with the smooth sign that :class:`CoulombFriction` has by itself."""
+        return tuple(cls(speed) for speed in _TRIED)
+
     @property
     def parts(self) -> tuple[Effect, ...]:
         """Coulomb friction, and the excess."""
@@ -57,6 +63,11 @@ class StribeckFriction(JointEffect):
         """Level and excess."""
         return 2
 
+    @property
+    def own_positives(self) -> int:
+        """None: an excess below zero is dry friction that sets in gradually, if not Stribeck's."""
+        return 0
+
     def is_absurd(self, coefficients: FloatArray) -> bool:
         """Whether the excess is many times the level."""
         return bool(coefficients[1] > _LARGEST_EXCESS * coefficients[0])
@@ -66,9 +77,12 @@ class StribeckFriction(JointEffect):
 
     @classmethod
     def coefficients(cls, values: Values, usual_load: float = 0.0) -> dict[Effect, tuple[float, ...]]:  # noqa: ARG003
-        """The level is Coulomb friction, the excess its own."""
+        """The level, if there is one, is Coulomb friction, the excess its own."""
         own = cls.from_values(values)
-        return {CoulombFriction(own.smoothing): (values["level"],), own: (values["excess"],)}
+        found: dict[Effect, tuple[float, ...]] = {own: (values["excess"],)}
+        if values["level"]:
+            found[CoulombFriction(own.smoothing)] = (values["level"],)
+        return found
 
     @classmethod
     def refined(cls, known: Quantities, found: ByEffect) -> tuple[Quantities, ByEffect]:

@@ -1,0 +1,249 @@
+"""The fit of all parameters to summarised rows, when neither the noise nor the prior's errors are known in advance.
+
+Minus twice the logarithm of the likelihood is ``sum_k N_k (log s_k^2 + S_k / (N_k s_k^2))`` with the standard deviation
+s_k of each group of rows, which is estimated, and its sum of squares S_k. A link's error is Gaussian in geodesic
+distance, of a spread of its own, whose square has an inverse-gamma distribution about the usual one: its tails are
+heavy. Links that the data call wrong are let go one by one, and do not loosen the others. The spreads maximise the
+marginal likelihood in Laplace's approximation (MacKay, "Bayesian interpolation", 1992).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from geomid_ros.estimation.objective import ResidualObjective, row_weights
+from geomid_ros.estimation.solvers import Solution, trust_region
+from geomid_ros.estimation.starting_point import (
+    USUAL_SPREAD_OF_LINKS,
+    first_sigmas,
+    prior_parameters,
+    scales_of_reals,
+    usual_spreads,
+)
+from geomid_ros.estimation.summary import RowSummary, compressed, joined
+from geomid_ros.geometry.manifold import ParameterManifold, Point
+from geomid_ros.model.measurement import MeasurementModel
+from geomid_ros.model.weighed_masses import WeighedRows
+from geomid_ros.types import FloatArray, IntArray
+
+CERTAINTY = 20.0
+"""The usual spread counts as much as the directions of two links."""
+INDEPENDENT = 2.67
+"""Independent rows per period of the filter's cutoff, which leaves nothing above 1.5 times this frequency."""
+_ROUNDS = 60
+_SETTLED = 1e-7  # relative change of standard deviations and spreads, which falls to about a third in a round
+_LEAST_GRADIENT = 1e-14  # relative to the sum of the weights; rounding allows no less
+
+
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """What is to be fitted.
+
+    Attributes:
+        model: what the rows mean.
+        summary: the rows.
+        given: parameters ``(D,)`` of the prior where they are known, else NaN; None if none is.
+        known: rows of weighed masses.
+        sigmas: standard deviations by channel where they are given ``(channels,)``, else NaN.
+        gamma: the prior's weight as a share of the rows', if it is given.
+        independent: share of the rows that counts: filtered rows are not independent.
+        given_spreads: usual spreads of the links' priors ``(links,)``, if they are not those of CAD files.
+    """
+
+    model: MeasurementModel
+    summary: RowSummary
+    given: FloatArray | None
+    known: WeighedRows
+    sigmas: FloatArray
+    gamma: float | None
+    independent: float
+    given_spreads: FloatArray | None = None
+
+    @cached_property
+    def usual(self) -> FloatArray:
+        """The usual spreads of the links' priors ``(links,)``."""
+        if self.given_spreads is not None:
+            return self.given_spreads
+        return np.full(self.manifold.links, USUAL_SPREAD_OF_LINKS)
+
+    @cached_property
+    def manifold(self) -> ParameterManifold:
+        """Where the parameters live."""
+        return self.model.manifold(scales_of_reals(self.model, self.summary))
+
+    @cached_property
+    def prior(self) -> FloatArray:
+        """The parameters ``(D,)`` that distances are measured from."""
+        return prior_parameters(self.model, self.summary, self.given)
+
+    @cached_property
+    def prior_point(self) -> Point:
+        """The prior."""
+        return self.manifold.point(self.prior)
+
+    @cached_property
+    def factors(self) -> list[FloatArray]:
+        """All rows of each group."""
+        return [joined(parts) for parts in self.summary.parts()]
+
+    @cached_property
+    def counts(self) -> FloatArray:
+        """Rows of each group."""
+        return np.array([sum(part.count for part in parts) for parts in self.summary.parts()])
+
+    @cached_property
+    def least_sigmas(self) -> FloatArray:
+        """Of each group: what no parameters can explain."""
+        return first_sigmas(self.summary, self.model.dimension)
+
+    def rows(self, sigmas: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """All measured rows, in units of their standard deviations ``(groups,)``."""
+        return compressed(self.summary.groups, self.factors, sigmas, self.manifold.dimension)
+
+    def squares(self, parameters: FloatArray) -> FloatArray:
+        """Sums of squares of each group's residuals."""
+        pairs = zip(self.summary.groups, self.factors, strict=True)
+        return np.array([np.sum((f @ np.append(parameters[c.columns], -1.0)) ** 2) for c, f in pairs])
+
+    def noise(self, parameters: FloatArray) -> FloatArray:
+        """The standard deviation of each group that is most likely at ``parameters (D,)``.
+
+        What is known at rest, where dry friction may have any value, is no surer than in motion. Groups that have
+        hardly more rows than unknowns say nothing of their noise.
+        """
+        columns = np.array([len(group.columns) for group in self.summary.groups])
+        found = np.sqrt(self.squares(parameters) / np.maximum(self.counts, 1.0))
+        telling = self.counts > columns
+        sigmas = np.where(telling, np.maximum(found, self.least_sigmas), self.least_sigmas)
+        settled, unsettled = np.split(sigmas, 2)
+        least = np.where(telling[: len(settled)], settled, 0.0)
+        return self._with_given(np.concatenate([settled, np.maximum(least, unsettled)]))
+
+    def _with_given(self, sigmas: FloatArray) -> FloatArray:
+        given = np.resize(self.sigmas, len(sigmas))
+        return np.where(np.isfinite(given), given, sigmas)
+
+    @property
+    def first_noise(self) -> FloatArray:
+        """Where the search for the noise begins."""
+        return self._with_given(self.least_sigmas)
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Fit:
+    """The minimum.
+
+    Attributes:
+        problem: what was fitted.
+        objective: what was minimised, with the noise and the prior's weights that were found.
+        solution: where it ended.
+        sigmas: standard deviations ``(groups,)``.
+        spreads: of the prior's errors ``(links,)``, geodesic distances.
+        gamma: the links' weight in the prior as a share of the measured rows'.
+    """
+
+    problem: Problem
+    objective: ResidualObjective
+    solution: Solution
+    sigmas: FloatArray
+    spreads: FloatArray
+    gamma: float
+
+    @property
+    def point(self) -> Point:
+        """The parameters."""
+        return self.solution.point
+
+
+def fit(
+    problem: Problem,
+    start: Point | None = None,
+    *,
+    tolerance: float,
+    max_steps: int,
+) -> Fit:
+    """Fit all parameters, the noise of each group and the spread of each link.
+
+    Args:
+        problem: what is fitted.
+        start: where to start; the prior unless given.
+        tolerance: largest geodesic distance of the result from the minimum.
+        max_steps: of the solver, for each noise and spreads.
+    """
+    point = start or problem.prior_point
+    spreads = problem.usual
+    sigmas = problem.noise(point.parameters) if start is not None else problem.first_noise
+    for _ in range(_ROUNDS):
+        objective = _objective(problem, sigmas, spreads)
+        point = trust_region(objective, point, _gradient(objective, tolerance), max_steps).point
+        before = np.concatenate([sigmas, spreads])
+        sigmas = problem.noise(point.parameters)
+        if problem.gamma is None:
+            spreads = _spreads(problem, objective, point)
+        if np.all(np.abs(np.log(np.concatenate([sigmas, spreads]) / before)) < _SETTLED):
+            break
+    objective = _objective(problem, sigmas, spreads)
+    solution = trust_region(objective, point, _gradient(objective, tolerance), max_steps)
+    gamma = problem.gamma or objective.prior_weight / _measured_weight(problem, sigmas)
+    return Fit(problem=problem, objective=objective, solution=solution, sigmas=sigmas, spreads=spreads, gamma=gamma)
+
+
+def _gradient(objective: ResidualObjective, tolerance: float) -> float:
+    """The prior bounds the curvature from below: a gradient of ``tolerance`` times its weight is at most that far
+    off."""
+    return max(tolerance * min(float(np.min(objective.prior_weights)) / objective.scale, 1.0), _LEAST_GRADIENT)
+
+
+def _objective(problem: Problem, sigmas: FloatArray, spreads: FloatArray) -> ResidualObjective:
+    """The objective for this noise and these spreads of the links."""
+    manifold, prior = problem.manifold, problem.prior_point
+    measured = problem.rows(sigmas)
+    usual = usual_spreads(manifold)
+    usual[manifold.inertial] = np.repeat(spreads, 10)
+    # Of the rows only a share counts: in units of all of them the prior, and what was weighed, are as much heavier.
+    weights = usual**-2.0 / problem.independent
+    if problem.gamma is not None:
+        weights = problem.gamma * _measured_weight(problem, sigmas) * (USUAL_SPREAD_OF_LINKS / usual) ** 2
+    factor = np.sqrt(max(1.0, 1.0 / problem.independent))
+    rows = np.concatenate([measured[0], factor * problem.known.rows])
+    targets = np.concatenate([measured[1], factor * problem.known.targets])
+    ones = np.ones(len(rows))
+    links = float(np.exp(np.mean(np.log(weights[manifold.inertial]))))
+    every = float(np.sum(row_weights(manifold, prior, rows, ones)))
+    return ResidualObjective(
+        manifold, rows, targets, ones, prior, max(links / every, np.finfo(float).tiny), confidence=weights / links
+    )
+
+
+def _measured_weight(problem: Problem, sigmas: FloatArray) -> float:
+    """The sum of the measured rows' weights."""
+    rows, _ = problem.rows(sigmas)
+    return float(np.sum(row_weights(problem.manifold, problem.prior_point, rows, np.ones(len(rows)))))
+
+
+def _spreads(problem: Problem, objective: ResidualObjective, point: Point) -> FloatArray:
+    """MacKay's re-estimate of each link's: the mean square of its error, what the data leave undetermined included."""
+    manifold = problem.manifold
+    links = manifold.inertial
+    information = objective.evaluate(point).information + np.diag(objective.prior_weights)
+    unsure = np.diag(np.linalg.inv(problem.independent * information))[links]
+    errors = manifold.log(problem.prior_point, point)[links] ** 2 + unsure
+    squares = np.sum(errors.reshape(-1, 10), axis=1) + CERTAINTY * problem.usual**2
+    spreads: FloatArray = np.sqrt(squares / (10.0 + CERTAINTY))
+    return spreads
+
+
+def subproblem(whole: Problem, columns: IntArray) -> Problem:
+    """The problem of these parameters alone, in which all other coefficients are zero."""
+    first = whole.model.dimension - len(whole.model.coefficients)
+    model = whole.model.with_coefficients([int(column) - first for column in columns if column >= first])
+    return replace(
+        whole,
+        model=model,
+        summary=whole.summary.with_columns(model.channels, columns),
+        given=None if whole.given is None else whole.given[columns],
+        known=replace(whole.known, rows=whole.known.rows[:, columns]),
+    )

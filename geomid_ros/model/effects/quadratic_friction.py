@@ -1,0 +1,24 @@
+from __future__ import annotations
+
+import numpy as np
+
+from geomid_ros.model.effects.effect import JointEffect
+from geomid_ros.model.effects.parameters import ParameterForm
+from geomid_ros.model.effects.situation import JointMotion
+from geomid_ros.types import FloatArray
+
+
+class QuadraticFriction(JointEffect):
+    """Friction in proportion to the square of speed: effort ``c v |v|``.
+
+    Drag makes c positive; lubricant that grows thinner with speed makes it negative, beside viscous friction.
+    """
+
+    name = "quadratic_friction"
+    label = "friction in proportion to the square of speed"
+    meaning = "effort coefficient v |v|"
+    parameters = (ParameterForm("coefficient", ("N m s^2/rad^2", "N s^2/m^2")),)
+    settled_by = "a motion that moves this joint at several constant speeds up to its fastest"
+
+    def column(self, motion: JointMotion) -> FloatArray:
+        return motion.velocity * np.abs(motion.velocity)

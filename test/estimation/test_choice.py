@@ -1,0 +1,238 @@
+"""Optional effects are taken where a hidden truth has them, and hardly ever where it has none."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+
+from geomid_ros.estimation import choice
+from geomid_ros.estimation.estimate import EffectEstimate, Estimate
+from geomid_ros.estimation.estimator import EstimatorSettings, WarmStart
+from geomid_ros.estimation.fit import Problem
+from geomid_ros.estimation.identifier import Identifier
+from geomid_ros.estimation.objective import ResidualObjective, row_weights
+from geomid_ros.estimation.solvers import trust_region
+from geomid_ros.model.effects import DEFAULT_CANDIDATES
+from geomid_ros.model.measurement import MeasurementModel
+from geomid_ros.model.weighed_masses import weighed_rows
+from geomid_ros.session.configuration import Configuration
+from geomid_ros.types import FloatArray, IntArray
+
+from .arms import Case, Truth, arm, efforts
+
+NOISE = 0.05
+SIZES = {
+    "load_friction": 0.1,
+    "stribeck_friction": 2.0,
+    "quadratic_friction": 0.5,
+    "spring": 3.0,
+    "coupled_viscous_friction": 0.7,
+    "coupled_coulomb_friction": 1.0,
+    "coupled_rotor_inertia": 0.2,
+}
+"""Of the planted coefficients, in SI units."""
+
+
+def sign(speed: FloatArray) -> FloatArray:
+    return np.tanh(speed / 0.02)
+
+
+def added(effect: str, joint: int, case: Case, clean: FloatArray) -> FloatArray:
+    """What an effect at a joint, or at this one and the next, adds to the efforts; by its equation."""
+    moving, size = case.samples, SIZES[effect]
+    q, v, a = (array[:, joint] for array in (moving.position, moving.velocity, moving.acceleration))
+    single: dict[str, Callable[[], FloatArray]] = {
+        "load_friction": lambda: size * np.abs(load(case)[:, joint]) * np.tanh(v / 0.003),
+        "stribeck_friction": lambda: size * sign(v) * np.exp(-((v / 0.12) ** 2)),
+        "quadratic_friction": lambda: size * v * np.abs(v),
+        "spring": lambda: size * q,
+    }
+    result = np.zeros_like(clean)
+    if effect in single:
+        result[:, joint] = single[effect]()
+        return result
+    both = {
+        "coupled_viscous_friction": lambda: v + moving.velocity[:, joint + 1],
+        "coupled_coulomb_friction": lambda: sign(v + moving.velocity[:, joint + 1]),
+        "coupled_rotor_inertia": lambda: a + moving.acceleration[:, joint + 1],
+    }
+    result[:, joint] = result[:, joint + 1] = size * both[effect]()
+    return result
+
+
+def load(case: Case) -> FloatArray:
+    """What the gears transmit ``(N, joints)``: the efforts of the true links alone."""
+    return efforts(case.model.robot, Truth(case.true.links, {}), case.samples)  # type: ignore[arg-type]
+
+
+@cache
+def planted(name: str, joint: int, effect: str, seed: int = 0) -> Case:
+    """An arm with this effect beside the usual ones, whose model may have any of the candidates."""
+    case = arm(name, seed, noise=NOISE)
+    model = MeasurementModel(case.model.robot, case.model._common, candidates=Configuration().candidates)
+    measured = case.samples.effort + (added(effect, joint, case, case.noiseless) if effect else 0.0)
+    return replace(case.with_efforts(measured), model=model)
+
+
+def identifier(case: Case, **settings: object) -> Identifier:
+    result = Identifier(case.model, EstimatorSettings(**settings))
+    result.add(case.samples)
+    return result
+
+
+def chosen(found: Estimate) -> list[EffectEstimate]:
+    return [effect for effect in found.effects if effect.name in DEFAULT_CANDIDATES]
+
+
+@pytest.mark.parametrize(
+    ("name", "joint", "effect"),
+    # Joints 2 and 3 of the small arm are parallel.
+    [
+        (name, joint - (name == "arm3" and effect == "coupled_rotor_inertia"), effect)
+        for name, joint in (("arm3", 1), ("arm7", 3))
+        for effect in DEFAULT_CANDIDATES
+    ],
+)
+def test_a_planted_effect_is_found_where_it_is(name: str, joint: int, effect: str) -> None:
+    case = planted(name, joint, effect)
+    names = [one.name for one in case.model.robot.joints]
+    place = f"{names[joint]}+{names[joint + 1]}" if effect.startswith("coupled") else names[joint]
+    taken = chosen(identifier(case).solve())
+    found = {(one.name, one.joint): one for one in taken}
+    assert (effect, place) in found
+    assert len(taken) <= 2
+    value = found[effect, place]
+    assert value.value == pytest.approx(SIZES[effect], abs=max(4.0 * value.std, 0.1 * SIZES[effect]))
+
+
+def test_a_motor_that_turns_parallel_joints_is_an_inertia_of_the_outer_link() -> None:
+    """``c (a_1 + a_2)`` at both is what its inertia about their axis makes: no data can tell them apart."""
+    found = identifier(planted("arm3", 1, "coupled_rotor_inertia")).solve()
+    assert chosen(found) == []
+    np.testing.assert_allclose(found.rms, NOISE, rtol=0.1)
+
+
+@pytest.mark.parametrize(("effect", "size"), [("load_friction", 1.5), ("spring", -3.0)])
+def test_what_no_robot_has_is_not_taken(effect: str, size: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    """However well it explains the data: more friction than load, or a spring that pushes away."""
+    monkeypatch.setitem(SIZES, effect, size)
+    planted.cache_clear()
+    found = identifier(planted("arm3", 1, effect)).solve()
+    assert effect not in {one.name for one in chosen(found)}
+    planted.cache_clear()
+
+
+def test_hardly_anything_is_taken_where_there_is_nothing() -> None:
+    """A gain of 12 is one in 400 for a single candidate by chance, before held-out blocks are asked."""
+    cases = [("arm3", 1, seed) for seed in range(6)] + [("arm7", 3, seed) for seed in range(2)]
+    taken = [chosen(identifier(planted(name, joint, "", seed)).solve()) for name, joint, seed in cases]
+    assert sum(map(len, taken)) <= 1
+
+
+def test_without_candidates_the_model_is_as_it_was() -> None:
+    """What is not taken leaves no trace in the estimate."""
+    case = planted("arm3", 1, "", 0)
+    bare = arm("arm3", 0, noise=NOISE)
+    found, expected = identifier(case).solve(), identifier(bare).solve()
+    assert chosen(found) == []
+    present = np.flatnonzero(found.parameters)
+    np.testing.assert_allclose(found.parameters[present], expected.parameters, rtol=1e-6, atol=1e-9)
+    assert [effect.joint for effect in found.effects] == [effect.joint for effect in expected.effects]
+
+
+def test_the_choice_is_determined_by_the_rows_and_kept_by_a_warm_start() -> None:
+    case = planted("arm3", 1, "spring")
+    one, two = identifier(case).solve(), identifier(case).solve()
+    np.testing.assert_array_equal(one.parameters, two.parameters)
+    warm = identifier(case).solve(WarmStart(one.parameters, one.rows_accepted))
+    np.testing.assert_allclose(warm.parameters, one.parameters, rtol=1e-6, atol=1e-9)
+    assert [effect.name for effect in warm.effects] == [effect.name for effect in one.effects]
+
+
+def test_a_warm_start_keeps_what_is_not_optional_though_it_is_zero() -> None:
+    """A link whose centre of mass is at its origin has parameters that are zero, and so may an offset be."""
+    case = planted("arm3", 1, "")
+    cold = identifier(case).solve()
+    parameters = cold.parameters.copy()
+    parameters[[1, 5, 7]] = 0.0
+    parameters[[k for k, c in enumerate(case.model.coefficients, 30) if c.effect.name == "effort_offset"]] = 0.0
+    warm = identifier(case).solve(WarmStart(parameters))
+    np.testing.assert_allclose(warm.parameters, cold.parameters, rtol=1e-5, atol=1e-6)
+
+
+# --- what the choice goes by ----------------------------------------------------------------------------------------
+
+
+def problem(case: Case) -> Problem:
+    summary = identifier(case).snapshot()
+    channels = len(case.model.channels)
+    return Problem(case.model, summary, None, weighed_rows(case.model, ()), np.full(channels, np.nan), None, 1.0)
+
+
+def columns(case: Case, *more: tuple[str, int]) -> IntArray:
+    """The parameters that are not optional, and the first coefficients of these effects at these joints."""
+    own = [k for k, c in enumerate(case.model.coefficients) if not c.optional]
+    for name, joint in more:
+        places = [case.model.robot.joints[joint].name == c.place_name for c in case.model.coefficients]
+        named = [c.effect.name == name for c in case.model.coefficients]
+        own.append(int(np.flatnonzero(np.array(places) & named)[0]))
+    first = case.model.dimension - len(case.model.coefficients)
+    return np.concatenate([np.arange(first), first + np.sort(own)])
+
+
+@pytest.mark.parametrize("effect", ["load_friction", "quadratic_friction", "spring"])
+def test_the_marginal_likelihood_rises_with_a_planted_effect_and_falls_with_others(effect: str) -> None:
+    case = planted("arm3", 1, effect)
+    rows = choice._Rows(problem(case))
+    without = rows.fit(columns(case))
+    scores = {
+        (name, joint): rows.fit(columns(case, (name, joint)), without).score
+        for name in ("load_friction", "quadratic_friction", "spring")
+        for joint in range(3)
+    }
+    assert min(scores, key=lambda place: scores[place]) == (effect, 1)
+    assert scores[effect, 1] < without.score - 100.0
+    true = rows.fit(columns(case, (effect, 1)), without)
+    for name in {"load_friction", "quadratic_friction", "spring"} - {effect}:
+        beside = rows.fit(columns(case, (effect, 1), (name, 2)), true).score
+        assert beside > true.score - choice.LEAST_GAIN
+
+
+@pytest.mark.parametrize("name", ["arm3", "arm7"])
+def test_errors_of_one_step_are_those_of_fits_without_a_fold(name: str) -> None:
+    """To first order: what holding a fold out adds to its errors."""
+    case = planted(name, 1, "")
+    fitted = choice._Rows(problem(case)).fit(columns(case))
+    own = np.append(fitted.columns, fitted.rows.size)
+    products = fitted.rows.products[:, :, own[:, None], own]
+    inside = np.array([squares(fold, fitted.point.parameters) for fold in products])
+    exact = np.array(
+        [squares(fold, refitted(fitted, np.delete(products, k, axis=0))) for k, fold in enumerate(products)]
+    )
+    assert np.sum(exact * fitted.weights) > np.sum(inside * fitted.weights)
+    added = [np.sum((errors - inside) * fitted.weights) for errors in (fitted.held_out, exact)]
+    assert added[0] == pytest.approx(added[1], rel=0.2)
+    np.testing.assert_allclose(fitted.held_out, exact, rtol=0.05)
+
+
+def refitted(fitted: choice._Fit, products: FloatArray) -> FloatArray:
+    """The minimum for these ``products (folds, channels, D + 1, D + 1)`` alone, with the same noise and spreads."""
+    total = np.einsum("c,fcij->ij", fitted.weights, products)
+    values, vectors = np.linalg.eigh(total)
+    factor = np.sqrt(np.maximum(values, 0.0))[:, None] * vectors.T
+    manifold, prior, ones = fitted.objective.manifold, fitted.objective.prior, np.ones(len(factor))
+    weight = float(np.sum(row_weights(manifold, prior, factor[:, :-1], ones)))
+    objective = ResidualObjective(
+        manifold, factor[:, :-1], factor[:, -1], ones, prior, 1.0 / weight, confidence=fitted.objective.weights
+    )
+    return trust_region(objective, fitted.point, 1e-10, 200).point.parameters
+
+
+def squares(products: FloatArray, parameters: FloatArray) -> FloatArray:
+    """Sums of squared errors of each channel."""
+    vector = np.append(parameters, -1.0)
+    return np.asarray((products @ vector) @ vector)

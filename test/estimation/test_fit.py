@@ -1,0 +1,146 @@
+"""The noise of each group of rows, and the spread of each link, as the data say them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from geomid_ros.estimation.estimator import EstimatorSettings
+from geomid_ros.estimation.fit import Fit, Problem, fit
+from geomid_ros.estimation.identifier import Identifier
+from geomid_ros.estimation.starting_point import USUAL_SPREAD_OF_LINKS
+from geomid_ros.geometry import pseudo_inertia, spd
+from geomid_ros.model.weighed_masses import weighed_rows
+from geomid_ros.types import FloatArray
+
+from .arms import Case, Truth, arm, efforts
+
+NOISE = 0.05
+SEEDS = pytest.mark.parametrize("seed", range(3))
+
+
+def problem(case: Case, gamma: float | None = None) -> Problem:
+    identifier = Identifier(case.model, EstimatorSettings())
+    identifier.add(case.samples)
+    unknown = np.full(len(case.model.channels), np.nan)
+    return Problem(case.model, identifier.snapshot(), None, weighed_rows(case.model, ()), unknown, gamma, 1.0)
+
+
+def fitted(case: Case, gamma: float | None = None) -> Fit:
+    return fit(problem(case, gamma), tolerance=1e-8, max_steps=200)
+
+
+def with_links(case: Case, links: FloatArray, seed: int) -> Case:
+    """The same motion of a robot with these true links."""
+    true = Truth(links, case.true.effects)
+    clean = efforts(case.model.robot, true, case.samples)
+    noise = NOISE * np.random.default_rng(seed).normal(size=clean.shape)
+    return replace(case, true=true, noiseless=clean, samples=replace(case.samples, effort=clean + noise))
+
+
+def distances(found: Fit, links: FloatArray) -> FloatArray:
+    """Of each link from another table ``(links, 10)``."""
+    own = found.point.pseudo_inertias
+    return np.array([spd.distance(a, pseudo_inertia.from_parameters(b)) for a, b in zip(own, links, strict=True)])
+
+
+@SEEDS
+@pytest.mark.parametrize("wrong", [2, 4])
+def test_a_link_that_is_wrong_alone_is_let_go_and_the_others_stay(wrong: int, seed: int) -> None:
+    """Its mass is thrice the URDF's. Its spread grows, that of the others does not; one spread for all links, found
+    from the same data, would loosen them, too."""
+    case = arm("arm7", seed)
+    nominal = case.model.nominal_inertias.reshape(-1, 10)
+    links = nominal.copy()
+    links[wrong] *= 3.0
+    found = fitted(with_links(case, links, seed))
+    others = np.delete(np.arange(len(links)), wrong)
+    assert found.spreads[wrong] > 1.5 * USUAL_SPREAD_OF_LINKS
+    assert np.all(found.spreads[others] < 1.1 * USUAL_SPREAD_OF_LINKS)
+    assert found.point.pseudo_inertias[wrong, 3, 3] == pytest.approx(links[wrong, 0], rel=0.15)
+    from_urdf = distances(found, nominal)
+    assert np.all(from_urdf[others] < 0.25 * from_urdf[wrong])
+    wide = spd.distance(*(pseudo_inertia.from_parameters(table[wrong]) for table in (nominal, links)))
+    assert distances(found, links)[wrong] < 0.6 * wide, "what of it the motion tells is found"
+
+
+@SEEDS
+def test_links_that_are_right_stay(seed: int) -> None:
+    case = arm("arm7", seed)
+    nominal = case.model.nominal_inertias.reshape(-1, 10)
+    found = fitted(with_links(case, nominal, seed))
+    assert np.all(found.spreads <= 1.01 * USUAL_SPREAD_OF_LINKS)
+    assert np.all(distances(found, nominal) < 0.5 * np.sqrt(10.0) * USUAL_SPREAD_OF_LINKS)
+
+
+@SEEDS
+def test_rows_at_rest_get_their_own_noise(seed: int) -> None:
+    """Where friction may have any value, at rest, rows are trusted less; those in motion no less for it."""
+    case = halting("arm3", seed)
+    rest = case.samples.velocity == 0.0
+    noise = np.random.default_rng(seed).normal(size=rest.shape) * np.where(rest, 1.0, NOISE)
+    case = case.with_efforts(case.noiseless + noise)
+    found = fitted(case)
+    counts = found.problem.counts.reshape(2, -1)
+    np.testing.assert_array_equal(counts[1], np.count_nonzero(rest, axis=0))
+    np.testing.assert_array_equal(counts[0], np.count_nonzero(~rest, axis=0))
+    np.testing.assert_allclose(found.sigmas, [NOISE, NOISE, NOISE, 1.0, 1.0, 1.0], rtol=0.2)
+    assert np.all(case.error(found.point.parameters) < NOISE)
+
+
+def test_rows_at_rest_are_no_surer_than_those_in_motion() -> None:
+    """The same pose again and again is no proof of an exact sensor."""
+    case = halting("arm3", 0)
+    rest = case.samples.velocity == 0.0
+    noise = NOISE * np.random.default_rng(0).normal(size=rest.shape) * ~rest
+    settled, unsettled = np.split(fitted(case.with_efforts(case.noiseless + noise)).sigmas, 2)
+    np.testing.assert_allclose(settled, NOISE, rtol=0.1)
+    np.testing.assert_allclose(unsettled, settled, rtol=1e-9)
+
+
+def test_a_joint_that_never_moves_tells_of_the_others_by_its_noise_at_rest() -> None:
+    """It has no rows in motion that could say how sure it is."""
+    case = arm("arm3", 0)
+    held = np.array([False, False, True])
+    moving = {key: np.where(held, 0.0, getattr(case.samples, key)) for key in ("velocity", "acceleration")}
+    position = np.where(held, 0.7, case.samples.position)
+    at_rest = replace(case.samples, position=position, **moving)
+    clean = efforts(case.model.robot, case.true, at_rest)
+    noise = NOISE * np.random.default_rng(0).normal(size=clean.shape)
+    found = fitted(replace(case, samples=replace(at_rest, effort=clean + noise)))
+    assert found.sigmas[5] == pytest.approx(NOISE, rel=0.1)
+
+
+def test_noise_and_spreads_are_a_fixed_point() -> None:
+    """From another start the fit ends at the same minimum."""
+    case = arm("arm7", 3)
+    whole = problem(case)
+    cold = fit(whole, tolerance=1e-10, max_steps=300)
+    far = whole.manifold.point(case.truth)
+    warm = fit(whole, far, tolerance=1e-10, max_steps=300)
+    np.testing.assert_allclose(warm.sigmas, cold.sigmas, rtol=1e-6)
+    np.testing.assert_allclose(warm.spreads, cold.spreads, rtol=1e-5)
+    np.testing.assert_allclose(warm.point.parameters, cold.point.parameters, rtol=1e-4, atol=1e-6)
+
+
+def test_a_given_weight_holds_for_all_links() -> None:
+    found = fitted(arm("arm3", 0, seconds=5), gamma=3e-3)
+    assert found.gamma == 3e-3
+    np.testing.assert_array_equal(found.spreads, USUAL_SPREAD_OF_LINKS)
+    weights = found.objective.prior_weights[found.problem.manifold.inertial]
+    np.testing.assert_allclose(weights, weights[0], rtol=1e-12)
+
+
+def halting(name: str, seed: int) -> Case:
+    """An arm whose joints stand still now and then, each at its own times, while the others move."""
+    case = arm(name, seed)
+    rest = np.zeros(case.samples.velocity.shape, dtype=bool)
+    for joint in range(rest.shape[1]):
+        rest[:, joint] = np.arange(len(rest)) // 100 % 5 == joint
+    fast = np.where(np.abs(case.samples.velocity) < 0.05, 0.05, case.samples.velocity)
+    acceleration = np.where(rest, 0.0, case.samples.acceleration)
+    moving = replace(case.samples, velocity=np.where(rest, 0.0, fast), acceleration=acceleration)
+    clean = efforts(case.model.robot, case.true, moving)
+    return replace(case, noiseless=clean, samples=replace(moving, effort=clean))

@@ -1,0 +1,76 @@
+"""Two recordings, one with a planted payload: the payload is found with an interval that holds it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from estimation.arms import ALL_EFFECTS, efforts, motion, samples, shipped, truth
+
+from geomid_ros.errors import InputError
+from geomid_ros.geometry import pseudo_inertia
+from geomid_ros.model.robot import Robot
+from geomid_ros.model.samples import Samples
+from geomid_ros.session.configuration import Configuration
+from geomid_ros.session.payload import WeighedPayload, weigh
+from geomid_ros.session.session import Session
+
+NOISE = 0.05
+MASS, COM = 1.3, np.array([0.02, -0.03, 0.08])
+INERTIA = np.diag([4e-3, 5e-3, 3e-3])
+
+
+def session() -> Session:
+    return Session(shipped("arm3"), Configuration({"candidates": []}), "arm3.urdf")
+
+
+def recording(seed: int, payload: bool, gain: float = 1.0) -> Samples:
+    """One robot, the same for all seeds, in a motion of its own."""
+    robot = Robot(shipped("arm3"))
+    true = truth(np.random.default_rng(5), robot)
+    if payload:
+        true.links[-1] += pseudo_inertia.assemble(np.array(MASS), COM, INERTIA)
+    rng = np.random.default_rng([seed, payload])
+    moving = motion(rng, len(robot.joints), 20.0)
+    clean = gain * efforts(robot, true, moving)
+    return samples(moving, clean + NOISE * rng.normal(size=clean.shape))
+
+
+def weighed(seed: int, gain: float = 0.0, true_gain: float = 1.0) -> WeighedPayload:
+    link = session().model.body_names[-1]
+    return weigh(session(), [recording(seed, False, true_gain)], [recording(seed, True, true_gain)], link, gain)
+
+
+def test_a_planted_payload_is_found_within_its_deviations() -> None:
+    expected = pseudo_inertia.quantities_of(pseudo_inertia.assemble(np.array(MASS), COM, INERTIA))
+    off = np.array([(found.quantities - expected) / found.std for found in map(weighed, range(6))])
+    assert np.mean(np.abs(off) < 1.96) > 0.8
+    assert np.max(np.abs(off[:, 0])) < 4.0
+    assert abs(weighed(0).mass - MASS) < 0.05 * MASS
+
+
+def test_the_interval_is_positive_and_about_the_mass() -> None:
+    found = weighed(1)
+    low, high = found.interval
+    assert 0.0 < low < found.mass < high
+    assert low * high == pytest.approx(found.mass**2)
+
+
+def test_an_error_of_the_gain_is_in_the_interval() -> None:
+    """Efforts 5 % too large make the payload 5 % heavier, which is surely wrong without the gain's uncertainty."""
+    sure, unsure = weighed(2, 0.0, 1.05), weighed(2, 0.05, 1.05)
+    assert sure.mass == unsure.mass == pytest.approx(1.05 * MASS, rel=0.03)
+    assert sure.interval[0] > MASS
+    assert unsure.interval[0] < MASS < unsure.interval[1]
+
+
+def test_the_effects_of_the_robot_are_those_of_both_recordings() -> None:
+    """Nothing but the payload may differ: with an empty second recording nothing is weighed."""
+    link = session().model.body_names[-1]
+    found = weigh(session(), [recording(3, False)], [recording(4, False)], link, 0.0)
+    assert found.mass < 0.05
+    assert set(ALL_EFFECTS) <= {c.effect.name for c in session().model.coefficients}
+
+
+def test_a_link_that_is_not_identified_carries_nothing() -> None:
+    with pytest.raises(InputError, match="'base' cannot carry a payload"):
+        weigh(session(), [recording(0, False)], [recording(0, True)], "base", 0.0)

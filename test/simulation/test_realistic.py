@@ -1,0 +1,239 @@
+"""Realistic robots: friction against theorems, rigid bodies against pinocchio, sensors against what they declare."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from geomid_ros.errors import InputError
+from geomid_ros.simulation import Hidden, SimulationOptions, simulate
+from geomid_ros.simulation.realistic.friction import LuGre
+from geomid_ros.simulation.realistic.robot import LINK_MASS, RealisticRobot, build_realistic
+from geomid_ros.simulation.realistic.sensors import kept
+from geomid_ros.simulation.simulate import closed_loop, record
+from geomid_ros.types import FloatArray
+
+from .independent import true_urdf
+from .reading import recorded
+
+pytest.importorskip("mujoco")
+
+ROOT = Path(__file__).parents[2]
+OPTIONS = SimulationOptions(robot="arm3", seed=4, realistic=True, duration=3.0, rate=250.0, hide=())
+FRICTION = LuGre(*(np.array([value]) for value in (2.0, 1.0, 0.05, 4000.0, 3.0, 0.5)))
+STEP = 2e-4
+
+
+@cache
+def robot() -> RealisticRobot:
+    return build_realistic(OPTIONS)
+
+
+def slid(friction: LuGre, velocities: FloatArray, z: FloatArray, step: float = STEP) -> tuple[FloatArray, FloatArray]:
+    """Bend and friction ``(T, n)`` after each of T steps at these velocities."""
+    bends, forces = [], []
+    for velocity in velocities:
+        dry = friction.sliding(velocity)
+        z = friction.bent(z, velocity, dry, step)
+        bends.append(z)
+        forces.append(friction.force(z, velocity, dry))
+    return np.array(bends), np.array(forces)
+
+
+@pytest.mark.parametrize("speed", [1e-3, 0.02, 0.05, 0.3, -0.05, -2.0])
+def test_steady_sliding_meets_stribecks_curve(speed: float) -> None:
+    _, forces = slid(FRICTION, np.full((2000, 1), speed), np.zeros(1), step=0.02)
+    curve = np.sign(speed) * (2.0 + np.exp(-((speed / 0.05) ** 2))) + 0.5 * speed
+    assert forces[-1, 0] == pytest.approx(curve, rel=1e-9)
+
+
+def test_before_it_slides_it_is_a_spring() -> None:
+    """The slope at the origin is the bristles' stiffness, and where the motion ends the force stays."""
+    reach = 2e-3 * 3.0 / 4000.0  # a five-hundredth of where the bristles slide
+    _, forces = slid(FRICTION, np.full((100, 1), reach / (100 * STEP)), np.zeros(1))
+    creep = 3.0 + 0.5  # what damping and viscosity add, per rad/s
+    assert forces[-1, 0] - creep * reach / (100 * STEP) == pytest.approx(4000.0 * reach, rel=5e-3)
+    bends, held = slid(FRICTION, np.zeros((1000, 1)), np.array([reach]))
+    assert bends[-1, 0] == reach
+    assert held[-1, 0] == pytest.approx(4000.0 * reach, rel=1e-12)
+
+
+def test_it_never_drives() -> None:
+    """``F v >= d/dt (stiffness z^2 / 2)`` for every state that can be reached, also where a joint is torn from rest,
+    its bristles still bent: drawn robots are passive."""
+    for seed in range(20):
+        friction = build_realistic(replace(OPTIONS, robot="arm7", seed=seed)).friction
+        rng = np.random.default_rng(seed)
+        for velocity in np.exp(rng.uniform(np.log(1e-4), np.log(3.0), (200, 1))) * rng.choice([-1.0, 1.0], (200, 7)):
+            dry = friction.sliding(velocity)
+            z = rng.uniform(-1.0, 1.0, 7) * friction.sliding(np.zeros(7)) / friction.stiffness
+            rate = velocity - np.abs(velocity) * friction.stiffness * z / dry
+            assert (friction.force(z, velocity, dry) * velocity - friction.stiffness * z * rate >= -1e-12).all()
+
+
+def test_a_closed_path_costs_energy_and_bends_no_bristle_too_far() -> None:
+    time = STEP * np.arange(20_000)
+    velocities = (0.3 * np.cos(9.0 * time) + 0.2 * np.sin(31.0 * time))[:, None]
+    bends, forces = slid(FRICTION, velocities, np.zeros(1))
+    stored = 0.5 * 4000.0 * bends[-1, 0] ** 2
+    assert STEP * float((forces * velocities).sum()) > stored + 0.5
+    assert np.abs(bends).max() <= 3.0 / 4000.0
+
+
+def test_bristles_follow_their_equation_exactly_at_constant_speed() -> None:
+    velocity, start = np.array([0.02]), np.array([-3e-4])
+    dry = FRICTION.sliding(velocity)
+    twice = FRICTION.bent(FRICTION.bent(start, velocity, dry, 0.004), velocity, dry, 0.006)
+    np.testing.assert_allclose(twice, FRICTION.bent(start, velocity, dry, 0.01), rtol=1e-12)
+    h = 1e-7
+    slope = (FRICTION.bent(start, velocity, dry, h) - start) / h
+    np.testing.assert_allclose(slope, velocity - np.abs(velocity) * 4000.0 * start / dry, rtol=1e-4)
+
+
+def test_the_equation_of_motion_is_pinocchios(tmp_path: Path) -> None:
+    """Inverse dynamics of the true bodies, and the rotors, take what the motors give less what the friction eats."""
+    options = replace(OPTIONS, hide=(Hidden("coulomb_friction", "joint2", 1.0), Hidden("spring", "joint3", 4.0)))
+    result = simulate(tmp_path / "bag", options)
+    truth = json.loads(result.truth.read_text())
+    model = pin.buildModelFromXML(true_urdf(build_realistic(options).nominal.text, truth))
+    changed = build_realistic(options)
+    loop = closed_loop(changed, options)
+    rng = np.random.default_rng(0)
+    rotor = [entry["parameters"]["inertia"] for entry in truth["standing"] if entry["effect"] == "rotor_inertia"]
+    spring = truth["effects"][1]["parameters"]
+    for half_step in (100, 900, 5000):
+        loop.memory.bend = rng.uniform(-5e-4, 5e-4, 3)  # type: ignore[attr-defined]
+        position = loop.controller.setpoints.position[half_step] + 1e-3 * rng.standard_normal(3)
+        velocity = loop.controller.setpoints.velocity[half_step] + 1e-2 * rng.standard_normal(3)
+        acceleration = loop.acceleration(half_step, position, velocity)
+        effort = loop.robot.effort()
+        dry = changed.friction.sliding(velocity) + np.array([0.0, 1.0, 0.0])
+        cold = 1.0 + np.array(truth["warm_up"]["excess"]) * np.exp(
+            -0.5 * half_step * loop.step / truth["warm_up"]["time"]
+        )
+        bend = loop.memory.bend  # type: ignore[attr-defined]
+        eaten = changed.friction.force(bend, velocity, dry, cold)
+        needed = pin.rnea(model, model.createData(), position, velocity, acceleration) + np.array(rotor) * acceleration
+        needed += [0.0, 0.0, spring["stiffness"] * (position[2] - spring["equilibrium"])]
+        np.testing.assert_allclose(needed, effort + unseen(truth, effort, position) - eaten, atol=1e-7)
+
+
+def unseen(truth: dict[str, Any], effort: FloatArray, position: FloatArray) -> FloatArray:
+    """Cogging and ripple by the truth file."""
+    motors = {name: np.array(values) for name, values in truth["motors"].items()}
+    waves = np.sin(motors["cycles"] * position + motors["phase"]) * motors["cogging"]
+    return (
+        waves[0]
+        + waves[1]
+        + motors["ripple"] * effort * np.sin(2.0 * (motors["cycles"][0] * position + motors["phase"][0]))
+    )
+
+
+def test_steps_are_short_enough() -> None:
+    """Steps an eighth as long change the efforts by a hundredth of the sensors' noise; Euler's would by four."""
+    usual, short = (replace(OPTIONS, duration=1.5, longest_step=step) for step in (5e-4, 6.25e-5))
+    coarse, fine = (record(robot(), closed_loop(robot(), options), options).effort for options in (usual, short))
+    assert (np.sqrt(np.mean((fine - coarse) ** 2, axis=0)) < 0.015 * robot().sensors.effort_noise).all()
+
+
+def test_the_joints_slip_before_they_slide() -> None:
+    """There are samples at which the bristles carry less than sliding would: no function of velocity alone."""
+    loop = closed_loop(robot(), OPTIONS)
+    position, velocity = loop.robot.at_rest(loop.controller.setpoints.position[0])
+    bends = []
+    for index in range(2000):
+        position, velocity = loop.advance(index, position, velocity, loop.acceleration(2 * index, position, velocity))
+        bends.append(loop.memory.bend)  # type: ignore[attr-defined]
+    share = np.abs(np.array(bends)) * robot().friction.stiffness / robot().friction.level
+    assert (share < 0.5).any(axis=0).all()
+    assert (share > 0.95).any(axis=0).all()
+
+
+def test_a_seed_gives_the_same_messages_and_another_motion_the_same_robot(tmp_path: Path) -> None:
+    once, again = (recorded(simulate(tmp_path / name, OPTIONS).bag).raw for name in ("once", "again"))
+    assert once == again
+    other = build_realistic(replace(OPTIONS, motion_seed=9, hide=(Hidden("payload", "joint3"),)))
+    assert other.standing == robot().standing
+    for part in ("friction", "motors", "sensors"):
+        for mine, same in zip(vars(getattr(robot(), part)).values(), vars(getattr(other, part)).values(), strict=True):
+            np.testing.assert_array_equal(mine, same)
+    assert [body.mass for body in other.bodies] == [body.mass for body in robot().bodies]
+    assert build_realistic(replace(OPTIONS, seed=5)).friction.level[0] != robot().friction.level[0]
+
+
+def test_messages_are_as_declared(tmp_path: Path) -> None:
+    options = replace(OPTIONS, duration=8.0)
+    result = simulate(tmp_path / "bag", options)
+    truth = json.loads(result.truth.read_text())
+    messages = recorded(result.bag).messages["/joint_states"]
+    sensors, order = truth["sensors"], [truth["joints"].index(name) for name in messages[0].name]
+    assert result.samples == len(messages) < options.samples
+    for column, step in (("position", sensors["encoder"]), ("effort", sensors["effort_step"])):
+        ticks = np.array([getattr(message, column) for message in messages]) / np.array(step)[order]
+        np.testing.assert_allclose(ticks, np.round(ticks), atol=1e-6)
+    stamps = np.array([message.header.stamp.sec + 1e-9 * message.header.stamp.nanosec for message in messages])
+    late = stamps - stamps[0].round() - np.round((stamps - stamps[0].round()) * options.rate) / options.rate
+    assert float(late.std()) == pytest.approx(sensors["jitter"], rel=0.1)
+    assert (np.diff(stamps) > 0.0).all()
+
+
+def test_losses_have_their_share_and_length() -> None:
+    arrives = kept(200_000, 0.02, 3.0, np.random.default_rng(1))
+    starts = int(np.sum(arrives[:-1] & ~arrives[1:]))
+    assert 1.0 - arrives.mean() == pytest.approx(0.02, rel=0.1)
+    assert float(np.sum(~arrives)) / starts == pytest.approx(3.0, rel=0.1)
+
+
+def test_inertias_are_possible_and_off_by_what_cad_is() -> None:
+    distances = []
+    for seed in range(30):
+        each = build_realistic(replace(OPTIONS, seed=seed))
+        for true, told in zip(each.bodies, each.nominal.inertias, strict=True):
+            moments = np.linalg.eigvalsh(true.inertia)
+            assert true.mass > 0.0 < moments[0]
+            assert moments[2] < moments[0] + moments[1]
+            distances.append(np.log(true.mass / told.mass))
+    assert 0.1 < np.std(distances) < 0.3
+
+
+def test_a_hidden_link_mass_changes_one_link() -> None:
+    link = robot().bodies[-1]
+    changed = build_realistic(replace(OPTIONS, hide=(Hidden(LINK_MASS, link.name, 0.7),)))
+    assert changed.bodies[-1].mass == pytest.approx(0.7 * link.mass)
+    np.testing.assert_allclose(changed.bodies[-1].inertia, 0.7 * link.inertia)
+    assert [body.mass for body in changed.bodies[:-1]] == [body.mass for body in robot().bodies[:-1]]
+    assert [effect.name for effect in changed.hidden] == [LINK_MASS]
+
+
+@pytest.mark.parametrize(
+    ("hidden", "message"),
+    [
+        (Hidden("backlash", "joint2"), "leave out --realistic"),
+        (Hidden(LINK_MASS, "nowhere", 1.2), "moving link with a mass"),
+        (Hidden(LINK_MASS, "link2"), "needs a factor above 0"),
+    ],
+)
+def test_what_cannot_be_hidden_is_refused(hidden: Hidden, message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        build_realistic(replace(OPTIONS, hide=(hidden,)))
+
+
+def test_it_is_a_world_apart_from_the_estimator() -> None:
+    """Importing all of it loads no other room of the package, and so none of ``model/effects``."""
+    script = """
+        import sys
+        import geomid_ros.simulation.realistic.loop, geomid_ros.simulation.realistic.truth
+        print(sorted({name.split(".")[1] for name in sys.modules if name.startswith("geomid_ros.")}))
+        """
+    command = [sys.executable, "-c", "\n".join(line.strip() for line in script.splitlines())]
+    printed = subprocess.run(command, capture_output=True, text=True, check=True, cwd=ROOT, timeout=60).stdout
+    assert printed == "['errors', 'simulation', 'types']\n"
