@@ -1,5 +1,7 @@
 """Real recordings, where they are at hand: what was promised of the held-out errors."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -21,6 +23,15 @@ def test_every_link_is_possible_and_some_least_squares_links_are_not(named: tupl
     _, found = named
     assert found.possible["geomid"] == len(found.estimate.links)
     assert found.possible["least squares"] < len(found.estimate.links)
+    assert min(link.min_eigenvalue_ratio for link in found.estimate.links) > 1e-3, "none flat or point-like"
+
+
+def test_a_robot_on_its_side_of_which_nobody_says_so() -> None:
+    """Its data contradict the model in all that gravity does; the answer is poor, and no traceback."""
+    found = compare(replace(CASES["rokae"], options={}))
+    assert np.all(np.isfinite(found.estimate.parameters))
+    assert found.possible["geomid"] == len(found.estimate.links)
+    assert found.warnings
 
 
 def test_held_out_errors(named: tuple[str, Comparison]) -> None:
@@ -29,6 +40,10 @@ def test_held_out_errors(named: tuple[str, Comparison]) -> None:
     assert errors["geomid"] < min(errors["URDF"], errors["effects alone"])
     if name in TOTALS:
         assert errors["geomid"] < TOTALS[name]
+    if name == "ur10":
+        assert np.all(found.errors["geomid"] <= 1.05 * found.errors["least squares"])
+    if name == "lwr4":
+        assert np.all(found.errors["geomid"] < found.errors["effects alone"])
     if name == "kr300":
         assert np.sum(found.moving) < MOVING_KR300
         assert max(link.mass for link in found.estimate.links) < 600.0, "the spring is no link"
@@ -39,6 +54,7 @@ def test_held_out_errors(named: tuple[str, Comparison]) -> None:
         assert any("coupled" in effect for effect in found.added)
         assert "link 'link_6'" in found.warnings[0]
     if name == "human":
+        assert np.all(found.errors["geomid"] < found.errors["URDF"])
         fx, fy, fz, tx, ty, tz = found.errors["geomid"]
         assert fx + fy + fz + tx + ty + tz <= 77.3
-        assert (fy, tx, tz) <= (5.5, 8.5, 14.0)
+        assert np.all(np.array([fy, tx, tz]) <= [5.5, 8.5, 14.0])

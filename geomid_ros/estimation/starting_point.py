@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from scipy.linalg import lstsq
 from scipy.optimize import nnls
 from scipy.sparse.csgraph import connected_components
 
@@ -55,7 +56,8 @@ def _least_residual(factor: FloatArray) -> tuple[float, int]:
     sizes = np.linalg.norm(factor[:, :-1], axis=0)
     some = sizes > _ROUNDING_COLUMN * np.max(sizes, initial=0.0)
     regressor = factor[:, :-1][:, some] / sizes[some]
-    solution, _, rank, _ = np.linalg.lstsq(regressor, factor[:, -1], rcond=_ROUNDING)
+    # By QR iteration: LAPACK's divide and conquer, which numpy takes, does not always converge.
+    solution, _, rank, _ = lstsq(regressor, factor[:, -1], cond=_ROUNDING, lapack_driver="gelss")
     return float(np.linalg.norm(factor[:, -1] - regressor @ solution)), int(rank)
 
 
