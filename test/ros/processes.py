@@ -93,9 +93,10 @@ class Process:
     def waits(self) -> dict[str, float]:
         """How long [s] each thread could have run, had the machine had a processor to spare."""
         waits = {}
-        for path in Path(f"/proc/{self.pid}/task").glob("*/schedstat"):
-            with suppress(OSError):  # it has just ended
-                waits[path.parent.name] = 1e-9 * int(path.read_text().split()[1])
+        with suppress(OSError):  # the process has just ended
+            for path in Path(f"/proc/{self.pid}/task").glob("*/schedstat"):
+                with suppress(OSError):  # the thread has just ended
+                    waits[path.parent.name] = 1e-9 * int(path.read_text().split()[1])
         return waits
 
     def end(self, number: signal.Signals = signal.SIGINT) -> int:
