@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
 from itertools import chain
 from time import perf_counter
@@ -11,7 +11,8 @@ import numpy as np
 
 from geomid_ros.errors import InputError
 from geomid_ros.estimation.estimate import LinksInformation
-from geomid_ros.gap.candidates import Candidate, EffectTerm
+from geomid_ros.estimation.fit import CERTAINTY
+from geomid_ros.gap.candidates import Candidate, EffectTerm, Term
 from geomid_ros.gap.evidence.record import Records
 from geomid_ros.gap.fitting.fit import unfitted
 from geomid_ros.gap.fitting.linearised_problem import LinearisedProblem, total_model
@@ -50,9 +51,9 @@ class GapSettings:
 
 _DEFAULT = GapSettings()
 _FEWEST_ROWS = 100
-_SPREAD_OF_EFFECTS = 0.2  # of the coefficients that the model already has, relative
-_CERTAINTY_OF_GUESSED = 4.0
-_CERTAINTY_OF_IDENTIFIED = 400.0  # what was identified is hardly ever as wrong as a drawing
+_SPREAD_OF_EFFECTS = 0.02  # of the coefficients that the model already has, relative
+_LEAST_SHARE = 0.01  # of what is measured: what was found so small was found no better than this
+_CERTAINTY_OF_IDENTIFIED = 100.0  # what was identified is hardly ever as wrong as a drawing
 _SPREAD_OF_SIMULATED = 0.02
 _LEAST_SPREAD = 1e-3
 
@@ -111,6 +112,7 @@ def find_gap(
     _check_held_out(bare, held)
     prior = _prior(model, nominal, deviations, known, settings)
     prior, own = _with_beside(bare, records, prior, beside)
+    prior = _with_least_spreads(bare, records, prior)
     if simulated:
         prior = _as_simulated(bare, Records.make(simulated, settings.cutoff), prior, report)
     analysis = analyse(bare, records, prior, report)
@@ -119,6 +121,7 @@ def find_gap(
     left = unexplained(bare, analysis, unseen)
     found = findings(bare, analysis, unseen)
     report("judging", 1.0)
+    said = {term for candidate in analysis.names.chosen for term in candidate.terms}
     untouched = unfitted(prior)
     problem = LinearisedProblem(bare, records, total_model(bare, untouched))
     first = problem.residual(problem.columns((), prior.terms), untouched)
@@ -135,11 +138,11 @@ def find_gap(
         trace=unseen.trace,
         bodies=bare.body_names,
         inertias=analysis.names.inertias,
-        coefficients=_coefficients(model, prior, analysis),
+        coefficients=_coefficients(model, prior, analysis, said),
         beside=tuple(
             _refitted(bare, analysis, candidate, known)
             for candidate, known in own
-            if not analysis.search.is_absurd(analysis.names, candidate)
+            if not said.issuperset(candidate.terms) and not analysis.search.is_absurd(analysis.names, candidate)
         ),
         seconds=perf_counter() - started,
     )
@@ -196,7 +199,7 @@ def _prior(
         terms=terms,
         values=strengths,
         spreads=spreads,
-        certainty=_CERTAINTY_OF_IDENTIFIED if identified else _CERTAINTY_OF_GUESSED,
+        certainty=_CERTAINTY_OF_IDENTIFIED if identified else CERTAINTY,
         known=known if identified else None,
     )
 
@@ -229,6 +232,25 @@ def _with_beside(
     return extended, own
 
 
+def _with_least_spreads(model: MeasurementModel, records: Records, prior: Prior) -> Prior:
+    """The prior with coefficients that may change by what is a small share of the measurement, however small they
+    are: beside a spring an offset near zero is no better known than the spring's rest."""
+    problem = LinearisedProblem(model, records, total_model(model, unfitted(prior)))
+    columns = problem.columns((), prior.terms)
+    measured = _root_mean_square(problem.rows.targets)
+    sizes = []
+    for term in prior.terms:
+        ratios = [measured[channel] / _root_mean_square(column[:, None]) for channel, column in columns[term].items()]
+        sizes.append(float(np.min(ratios, initial=np.inf)) if ratios else 0.0)
+    return replace(prior, spreads=np.maximum(prior.spreads, _LEAST_SHARE * np.array(sizes)))
+
+
+def _root_mean_square(values: FloatArray) -> FloatArray:
+    """Of each column of ``values (N, k)``, over what is measured; 0 where nothing is."""
+    counts = np.sum(np.isfinite(values), axis=0)
+    return np.asarray(np.sqrt(np.nansum(values**2, axis=0) / np.maximum(counts, 1)))
+
+
 def _refitted(model: MeasurementModel, analysis: Analysis, candidate: Candidate, known: KnownEffect) -> KnownEffect:
     """An effect beside the model's coefficients with the size that was fitted."""
     load = analysis.problem.situation.usual_load(candidate.place)
@@ -247,9 +269,9 @@ def _as_simulated(
     return replace(prior, inertias=inertias, terms=found.terms, values=values, spreads=spreads, known=None)
 
 
-def _coefficients(model: MeasurementModel, prior: Prior, analysis: Analysis) -> FloatArray:
-    """The model's own coefficients as they were fitted ``(coefficients,)``, NaN where it had none or a name says it."""
-    said = {term for candidate in analysis.names.chosen for term in candidate.terms}
+def _coefficients(model: MeasurementModel, prior: Prior, analysis: Analysis, said: Collection[Term]) -> FloatArray:
+    """The model's own coefficients as they were fitted ``(coefficients,)``, NaN where it had none or a name has
+    ``said`` it."""
     terms = [_term(coefficient) for coefficient in model.coefficients]
     own = [term in prior.terms and term not in said for term in terms]
     return np.array([analysis.names.value(term) if kept else np.nan for term, kept in zip(terms, own, strict=True)])

@@ -95,10 +95,9 @@ class Records:
             for part, index, load in zip(self.dense, self.chosen, loads, strict=True)
         ]
         joined = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
-        for name in ("predicted", "rate"):
-            of_joints, joined[name] = joined[name], np.zeros((len(self.samples), channels))
-            if model.layout.efforts:
-                joined[name][:, :joints] = of_joints
+        of_joints, joined["predicted"] = joined["predicted"], np.zeros((len(self.samples), channels))
+        if model.layout.efforts:
+            joined["predicted"][:, :joints] = of_joints
         return Situation(
             sign=self.samples.column(SIGN),
             **vars(dynamics.sensitivity(self.samples)),
@@ -189,11 +188,9 @@ def _load_terms(
     part: Samples, index: IntArray, load: FloatArray, total: TotalModel, cutoff: float
 ) -> dict[str, FloatArray]:
     period = _period(part)
-    predicted = load + total.efforts(part)
     smooth = filtered(load, _SMOOTHER * cutoff, period)
     terms = {
-        "predicted": predicted,
-        "rate": np.gradient(predicted, period, axis=0),
+        "predicted": load + total.efforts(part),
         **dict(zip(("load", "load_rate", "load_acceleration"), smooth, strict=True)),
     }
     return {name: values[index] for name, values in terms.items()}

@@ -1,9 +1,9 @@
 """The joint fit: all inertias under the geometric prior, payloads and effects, for channels of unknown noise.
 
 Minus twice the logarithm of the likelihood, maximised over each channel's variance, is ``sum_c N_c log S_c`` with the
-sums of squares S_c. The prior on the links is Gaussian in geodesic distance, of a spread s that is itself estimated:
-the marginal likelihood of s in Laplace's approximation (MacKay 1992) with an inverse-gamma prior around the usual
-spread. So large errors of all inertias make the prior wide instead of passing for an effect.
+sums of squares S_c. The prior on a link is Gaussian in geodesic distance, of a spread of its own that is estimated:
+its marginal likelihood in Laplace's approximation (MacKay 1992) with an inverse-gamma prior around the usual spread.
+So large errors of inertias make the prior wide instead of passing for an effect, and one wrong link loosens no other.
 """
 
 from __future__ import annotations
@@ -26,9 +26,8 @@ from geomid_ros.types import FloatArray
 
 _LEAST_SHARE = 1e-10  # of the target's sum of squares: no residual is smaller
 _TOLERANCE = 3e-5
-_ROUNDS = 4
+_ROUNDS = 8
 _STEPS = 40
-_SPREADS = (0.03, 0.8)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -42,7 +41,7 @@ class JointFit:
         score: minus twice the log marginal likelihood, with the parameters' penalty.
         squares: whitened sums of squares ``(C,)``.
         information: Hessian ``(D, D)`` of half the score in tangent coordinates.
-        spread: of the links' errors, a geodesic distance.
+        spreads: of the links' errors ``(links,)``, geodesic distances.
         inflation: factor on the variances of what other recordings say.
         products: of all columns and the target, ``(C, D + 1, D + 1)``.
     """
@@ -54,7 +53,7 @@ class JointFit:
     score: float
     squares: FloatArray
     information: FloatArray
-    spread: float
+    spreads: FloatArray
     inflation: float
     products: FloatArray
 
@@ -111,16 +110,17 @@ def fit(
     prior: Prior,
     chosen: Sequence[AnyCandidate],
     start: JointFit | None = None,
-    spread: float | None = None,
+    *,
+    firm: bool = False,
 ) -> JointFit:
     """Fit the chosen candidates together with all that is known, from an earlier fit where one is given.
 
-    The links' ``spread`` is estimated, and so is how far other recordings are trusted, unless it is given. Recordings
-    that contradict each other leave two minima: in one the others are right and what is measured here is mostly error,
-    in the other it is the reverse. Both are looked for, the one that is more likely is taken.
+    The links' spreads are estimated, and so is how far other recordings are trusted, unless they stay ``firm``, as
+    usual. Recordings that contradict each other leave two minima: in one the others are right and what is measured here
+    is mostly error, in the other it is the reverse. Both are looked for, the one that is more likely is taken.
     """
-    if prior.known is None or spread is not None:
-        return _fit(design, prior, chosen, start, spread)
+    if prior.known is None or firm:
+        return _fit(design, prior, chosen, start, firm)
     alone = _fit(design, replace(prior, known=None), chosen, start)
     rows = priors.known_rows(prior.known, alone.manifold.dimension)
     off = alone.point.parameters - _known(alone.manifold, prior, alone.bodies).parameters
@@ -129,10 +129,9 @@ def fit(
 
 
 def _fit(
-    design: Design, prior: Prior, chosen: Sequence[AnyCandidate], start: JointFit | None, spread: float | None = None
+    design: Design, prior: Prior, chosen: Sequence[AnyCandidate], start: JointFit | None, firm: bool = False
 ) -> JointFit:
     """The minimum that is reached from the start."""
-    fixed = spread is not None
     bodies = [c.payload for c in chosen if c.payload is not None]
     own = dict.fromkeys(term for c in chosen for term in c.terms)
     terms = (*prior.terms, *(term for term in own if term not in prior.terms))
@@ -143,40 +142,40 @@ def _fit(
     first = len(prior.inertias)
     weights = np.full(manifold.dimension, 1e-6)
     weights[first : manifold.inertial.stop] = priors.SPREAD_OF_PAYLOADS**-2
-    held = slice(manifold.real.start, manifold.real.start + len(prior.terms))
-    weights[held] = (scales[: len(prior.terms)] / prior.spreads) ** 2
+    held = np.array([term not in own for term in prior.terms], dtype=bool)
+    places = manifold.real.start + np.flatnonzero(held)
+    weights[places] = (scales[: len(held)][held] / prior.spreads[held]) ** 2
     rows = priors.known_rows(prior.known, manifold.dimension)
     counts, least = design.counts, _LEAST_SHARE * design.target_squares + 1e-300
     afresh = start is None or set(bodies) != set(start.bodies)
-    inflation = 1.0 if fixed or start is None else start.inflation
-    if spread is None:
-        spread = prior.spread if start is None or afresh else start.spread
+    inflation = 1.0 if firm or start is None else start.inflation
+    spreads = np.full(first // 10, prior.spread) if firm or start is None or afresh else start.spreads
     point = _first_point(manifold, known, None if afresh else start, bodies, terms)
 
-    def objective(spread: float, inflation: float) -> ProfileObjective:
-        trusted = np.where(np.arange(manifold.dimension) < first, spread**-2, weights)
+    def objective(spreads: FloatArray, inflation: float) -> ProfileObjective:
+        trusted = np.append(np.repeat(spreads, 10) ** -2.0, weights[first:])
         return ProfileObjective(
             manifold, products, counts, least, prior=known, weights=trusted, known=rows / np.sqrt(inflation)
         )
 
     if afresh and bodies:
-        point = priors.centred_payloads(objective(spread, inflation), point, len(bodies))
+        point = priors.centred_payloads(objective(spreads, inflation), point, len(bodies))
     for _ in range(_ROUNDS):
-        trusted = objective(spread, inflation)
+        trusted = objective(spreads, inflation)
         solution = trust_region(trusted, point, _TOLERANCE, _STEPS)
         point = solution.point
-        if fixed:
+        if firm:
             break
         hessian = solution.evaluation.information + np.diag(trusted.weights)
-        before = np.array([spread, inflation])
-        spread = _spread(manifold, point, known, hessian, first, prior)
+        before = np.append(spreads, inflation)
+        spreads = _spreads(manifold, point, known, hessian, first, prior)
         inflation = priors.inflation_of(rows, manifold, point, known, hessian)
-        if np.all(np.abs(np.log([spread, inflation] / before)) < 0.05):
+        if np.all(np.abs(np.log(np.append(spreads, inflation) / before)) < 0.05):
             break
-    trusted = objective(spread, inflation)
+    trusted = objective(spreads, inflation)
     found = trusted.evaluate(point)
     hessian = found.information + np.diag(trusted.weights)
-    score = 2.0 * found.value + _cost_of_spread(hessian[:first, :first], spread, prior)
+    score = 2.0 * found.value + _cost_of_spreads(hessian[:first, :first], spreads, prior)
     score += priors.cost_of_inflation(rows, inflation)
     score += sum(c.penalty for c in chosen) * float(np.log(np.max(counts, initial=1.0)))
     return JointFit(
@@ -187,7 +186,7 @@ def _fit(
         score=score,
         squares=trusted.squares(point),
         information=hessian,
-        spread=spread,
+        spreads=spreads,
         inflation=inflation,
         products=products,
     )
@@ -205,7 +204,7 @@ def unfitted(prior: Prior) -> JointFit:
         score=np.inf,
         squares=np.zeros(0),
         information=np.eye(size),
-        spread=prior.spread,
+        spreads=np.full(manifold.links, prior.spread),
         inflation=1.0,
         products=np.zeros((0, size + 1, size + 1)),
     )
@@ -247,17 +246,18 @@ def _first_point(
     return Point(np.array(inertias), np.zeros(0), np.array(reals))
 
 
-def _spread(
-    manifold: ParameterManifold, point: Point, known: Point, hessian: FloatArray, links: int, prior: Prior
-) -> float:
-    """MacKay's re-estimate: mean square of the links' errors, those that the data do not determine included."""
-    distance = float(np.sum(manifold.log(known, point)[:links] ** 2))
-    unsure = float(np.trace(np.linalg.inv(hessian)[:links, :links]))
-    square = (distance + unsure + prior.certainty * prior.spread**2) / (links + prior.certainty)
-    return float(np.clip(np.sqrt(square), *_SPREADS))
+def _spreads(
+    manifold: ParameterManifold, point: Point, known: Point, hessian: FloatArray, first: int, prior: Prior
+) -> FloatArray:
+    """MacKay's re-estimate: mean square of each link's errors, those that the data do not determine included."""
+    unsure = np.diag(np.linalg.inv(hessian))[:first]
+    errors = np.sum((manifold.log(known, point)[:first] ** 2 + unsure).reshape(-1, 10), axis=1)
+    return np.asarray(np.sqrt((errors + prior.certainty * prior.spread**2) / (10.0 + prior.certainty)))
 
 
-def _cost_of_spread(hessian: FloatArray, spread: float, prior: Prior) -> float:
-    """Of a ``hessian`` of the links: their volume, by Laplace's approximation, and the prior of the spread."""
-    _, volume = np.linalg.slogdet(spread**2 * hessian)
-    return float(volume) + prior.certainty * ((prior.spread / spread) ** 2 + 2.0 * float(np.log(spread / prior.spread)))
+def _cost_of_spreads(hessian: FloatArray, spreads: FloatArray, prior: Prior) -> float:
+    """Of a ``hessian`` of the links: their volume, by Laplace's approximation, and the prior of the spreads."""
+    _, volume = np.linalg.slogdet(hessian)
+    relative = spreads / prior.spread
+    width = 20.0 * float(np.sum(np.log(spreads)))
+    return float(volume) + width + prior.certainty * float(np.sum(relative**-2.0 + 2.0 * np.log(relative)))

@@ -33,7 +33,7 @@ class Prior:
         inertias: the links' parameters ``(10 links,)``.
         spread: the usual size of their errors, a geodesic distance.
         terms, values, spreads: the coefficients ``(k,)`` of the effects that the model already has.
-        certainty: how many directions of inertial error the usual spread counts as much as.
+        certainty: how many directions of a link's error the usual spread counts as much as.
         known: what other recordings say of the links.
     """
 
@@ -44,6 +44,10 @@ class Prior:
     spreads: FloatArray
     certainty: float
     known: LinksInformation | None = None
+
+    def value(self, term: Term) -> float:
+        """A coefficient as the model has it, 0 if it has none."""
+        return float(self.values[self.terms.index(term)]) if term in self.terms else 0.0
 
 
 def usual_payload(links: FloatArray, carrier: int) -> FloatArray:

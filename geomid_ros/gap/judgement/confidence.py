@@ -11,9 +11,11 @@ import numpy as np
 from geomid_ros.gap.candidates import AnyCandidate, Candidate, CurveCandidate
 from geomid_ros.gap.evidence.design import Design
 from geomid_ros.gap.fitting.fit import JointFit
+from geomid_ros.gap.fitting.prior import Prior
 from geomid_ros.gap.judgement.held_out import HeldOut
 from geomid_ros.gap.result import Confidence, Rival
 from geomid_ros.gap.search.analysis import Analysis
+from geomid_ros.gap.search.beam_search import Search
 from geomid_ros.model.effects import EFFECTS, Quantity, joints_of
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.moving import SIGN
@@ -37,8 +39,11 @@ LEAST_RISE = 1.05
 """Without a name that is sure, the remainder of some channel is so many times larger; payloads apart."""
 LEAST_PREDICTED = 0.5
 """Share of the gap of unseen data that a sure name closes where something is left."""
+DOMINATING = 8.0
+"""A name that closes so many times what is left of unseen data, where it acts, is no shadow of what is left."""
 LEAST_OTHER_WAY = 0.05
 _SURE_OF_MASS = 3.0  # standard deviations
+_SURE_OF_CHANGE = 3.0  # the same
 REACHED = 1.15
 """A channel whose remainder is below this times the floor has reached it."""
 _GAIN_PER_LOSS = 3.0
@@ -65,17 +70,24 @@ class Evidence:
         """The name of its place."""
         return self.model.places.name(self.candidate.place)
 
+    @property
+    def _search(self) -> Search:
+        return self.analysis.search.unchanged(self.candidate)
+
     def confidence(self, parameters: dict[str, Quantity]) -> Confidence:
         """How sure the name with these ``parameters`` is."""
         if self._is_ambiguous:
             return "ambiguous"
-        if self._is_weak or self._is_small or self._is_beside_unexplained or self._is_hidden_by_others:
+        if self._is_weak or self._is_small or self._is_as_known:
+            return "tentative"
+        if self._is_beside_unexplained or self._is_hidden_by_others:
             return "tentative"
         if self.candidate.payload is not None and not parameters["mass"].value > _SURE_OF_MASS * parameters["mass"].std:
             return "tentative"  # it may weigh nothing
         # Where the floor is reached the score can be trusted; else it takes errors of the model for noise.
         design, whole = self.analysis.search.design, self.analysis.whole
-        sure = self._sure or (generalises(design, whole, self.candidate) and self._predicts)
+        prior = self.analysis.search.prior
+        sure = self._sure or (generalises(design, whole, self.candidate, prior) and self._predicts)
         return "confident" if sure else "tentative"
 
     @property
@@ -103,23 +115,54 @@ class Evidence:
 
     @cached_property
     def _sure(self) -> bool:
-        """Whether unseen data of what the name reaches leave nothing open."""
-        reached = self.analysis.search.design.reached(self.candidate)
-        is_judged = bool(np.any(self.unseen.counts[reached] > 0.0))
-        return not (open_curves(self.analysis, self.unseen) or np.any(is_open(self.unseen))) and is_judged
+        """Whether unseen data leave nothing open, or little of what the name closes."""
+        is_judged = bool(np.any(self.unseen.counts[self._reached] > 0.0))
+        return is_judged and (not self._is_open_anywhere or self._closed > DOMINATING * self._left)
+
+    @cached_property
+    def _is_open_anywhere(self) -> bool:
+        return bool(open_curves(self.analysis, self.unseen) or np.any(is_open(self.unseen)))
+
+    @cached_property
+    def _reached(self) -> list[int]:
+        return self.analysis.search.design.reached(self.candidate)
+
+    @cached_property
+    def _closed(self) -> float:
+        """What the name closes of unseen data, in squares of the floor, over the channels that it reaches."""
+        return float(np.nansum(self._squares_unseen_without - self.unseen.gap.after[self._reached] ** 2))
+
+    @cached_property
+    def _left(self) -> float:
+        """What is left of these beyond noise and the uncertainty of all that was fitted."""
+        gap, reached = self.unseen.gap, self._reached
+        return float(np.nansum(np.maximum(gap.after[reached] ** 2 - gap.expected[reached] ** 2, 0.0)))
+
+    @cached_property
+    def _squares_unseen_without(self) -> FloatArray:
+        smaller = self._search.without(self.analysis.names, self.candidate)
+        return np.asarray(self.unseen.times_floor(smaller)[self._reached] ** 2)
 
     @cached_property
     def _margin(self) -> float:
         """By how much the score is worse with anything else in its place, or nothing."""
         margin = min([self.loss, *(rival.loss for rival in self._others)])
-        instead = self.analysis.search.instead(self.analysis.whole, self.candidate)
+        instead = self._search.instead(self.analysis.whole, self.candidate)
         return margin if instead is None else min(margin, instead.score - self.analysis.whole.score)
 
     @property
     def _is_weak(self) -> bool:
-        least = CONFIDENT_LOSS if self._sure else CONFIDENT_BESIDE_UNEXPLAINED
+        beside_others = CONFIDENT_IN_THE_SHADE if self._sure else CONFIDENT_BESIDE_UNEXPLAINED
+        least = beside_others if self._is_open_anywhere else CONFIDENT_LOSS
         beside_gear = BESIDE_A_GEAR * self._largest_gear_loss
         return self.loss < least or self._margin < CONFIDENT_RIVAL or self.loss < beside_gear
+
+    @property
+    def _is_as_known(self) -> bool:
+        """Whether what the model had may have been as wrong as the change is large."""
+        prior, names = self.analysis.search.prior, self.analysis.names
+        own = [(prior.terms.index(term), names.value(term)) for term in self.candidate.terms if term in prior.terms]
+        return bool(own) and all(abs(value - prior.values[i]) < _SURE_OF_CHANGE * prior.spreads[i] for i, value in own)
 
     @property
     def _is_small(self) -> bool:
@@ -129,7 +172,9 @@ class Evidence:
     def _is_beside_unexplained(self) -> bool:
         """Whether what is left without a name is at its joint; of a name of the whole robot: anywhere, unless the name
         matters much more."""
-        if not joints_of(self.candidate.place) and not self._sure:
+        if self._sure:
+            return False
+        if not joints_of(self.candidate.place):
             return self._margin < DOMINANT_LOSS or self.share < DOMINANT_SHARE
         return any(
             curve.joint in joints_of(self.candidate.place) or curve.variable == self.joint
@@ -151,12 +196,9 @@ class Evidence:
     @property
     def _predicts(self) -> bool:
         """Whether the name closes enough of the gap of unseen data, over the channels that it reaches."""
-        reached = self.analysis.search.design.reached(self.candidate)
-        smaller = self.analysis.search.without(self.analysis.names, self.candidate)
-        without = self.unseen.times_floor(smaller)[reached]
-        after, expected = self.unseen.gap.after[reached], self.unseen.gap.expected[reached]
-        closed, gap = np.nansum(without**2 - after**2), np.nansum(np.maximum(without**2 - expected**2, 0.0))
-        return bool(closed > LEAST_PREDICTED * gap)
+        expected = self.unseen.gap.expected[self._reached]
+        gap = np.nansum(np.maximum(self._squares_unseen_without - expected**2, 0.0))
+        return bool(self._closed > LEAST_PREDICTED * gap)
 
     @cached_property
     def share(self) -> float:
@@ -173,7 +215,7 @@ class Evidence:
     def _squares_without(self) -> FloatArray:
         """Sums of squares ``(C,)`` without the name. Without a payload on an identified robot the inertias are those
         that are known: fitted ones would take its place."""
-        whole, search = self.analysis.whole, self.analysis.search
+        whole, search = self.analysis.whole, self._search
         if self.candidate.payload is None or not is_identified(self.analysis):
             return search.without(whole, self.candidate).squares
         known = whole.point.parameters.copy()
@@ -186,7 +228,7 @@ class Evidence:
     def _rise(self) -> float:
         """Factor by which the remainder of the channel that is concerned most grows without the name."""
         whole = self.analysis.whole
-        without = self.analysis.search.without(whole, self.candidate)
+        without = self._search.without(whole, self.candidate)
         return float(np.sqrt(np.max(without.squares / whole.squares)))
 
 
@@ -220,7 +262,7 @@ def _is_above(unseen: HeldOut, times: float) -> BoolArray:
     return np.nan_to_num(unseen.gap.after) >= np.nan_to_num(reached, nan=np.inf)
 
 
-def generalises(design: Design, found: JointFit, candidate: AnyCandidate) -> bool:
+def generalises(design: Design, found: JointFit, candidate: AnyCandidate, prior: Prior) -> bool:
     """Whether each block of time is on the whole predicted better with a candidate than without it by fits to the other
     blocks; True for a payload, without which the fit is far from quadratic."""
     if candidate.payload is not None:
@@ -228,7 +270,7 @@ def generalises(design: Design, found: JointFit, candidate: AnyCandidate) -> boo
     blocks = _Blocks(design, found)
     places = [found.place(term) for term in candidate.terms]
     scales = found.manifold.scales[np.array(places) - found.manifold.real.start]
-    absent = -np.array([found.value(term) for term in candidate.terms]) / scales
+    absent = np.array([prior.value(term) - found.value(term) for term in candidate.terms]) / scales
     gains = np.array([blocks.loss(block, places, absent) - blocks.loss(block) for block in range(blocks.count)])
     return float(np.sum(gains[gains > 0.0])) > -_GAIN_PER_LOSS * float(np.sum(gains[gains < 0.0]))
 

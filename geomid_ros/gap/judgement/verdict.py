@@ -23,7 +23,7 @@ def findings(model: MeasurementModel, analysis: Analysis, unseen: HeldOut) -> tu
 
 
 def _finding(model: MeasurementModel, analysis: Analysis, candidate: Candidate, unseen: HeldOut) -> Finding:
-    whole, search = analysis.whole, analysis.search
+    whole, search = analysis.whole, analysis.search.unchanged(candidate)
     without = search.without(whole, candidate)
     loss = without.score - whole.score
     rivals = _rivals(model, analysis, candidate)
@@ -70,7 +70,7 @@ def _scanned_std(analysis: Analysis, candidate: Candidate) -> float:
 def _rivals(model: MeasurementModel, analysis: Analysis, candidate: Candidate) -> list[Rival]:
     whole = analysis.whole
     found = []
-    for rival in analysis.search.rivals(whole, candidate):
+    for rival in analysis.search.unchanged(candidate).rivals(whole, candidate):
         (other,) = (c for c in rival.chosen if isinstance(c, Candidate) and c not in whole.chosen)
         found.append(Rival(other.name, model.places.name(other.place), rival.score - whole.score))
     alike = candidate.effect.alike_one_way
@@ -107,15 +107,16 @@ def verdict(analysis: Analysis, unseen: HeldOut) -> Verdict:
 
 def ranking(model: MeasurementModel, analysis: Analysis) -> tuple[Ranked, ...]:
     """Chosen names by what they are worth, then the others by what the score test says of them."""
-    whole, search = analysis.whole, analysis.search
+    whole = analysis.whole
     chosen = []
     for c in (c for c in whole.chosen if isinstance(c, Candidate)):
+        search = analysis.search.unchanged(c)
         rest = search.without(whole, c)
         _, separability = improvement(search.design, rest, c)
         chosen.append(Ranked(c.name, model.places.name(c.place), rest.score - whole.score, separability, True))
     others = [
         Ranked(t.candidate.name, model.places.name(t.candidate.place), t.gain, t.separability, False)
-        for t in search.ranked(whole)
+        for t in analysis.search.ranked(whole)
         if isinstance(t.candidate, Candidate) and np.isfinite(t.gain)
     ]
     return tuple(sorted(chosen, key=lambda r: -r.gain) + others[:20])

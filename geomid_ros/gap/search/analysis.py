@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from geomid_ros.gap import candidates as library
-from geomid_ros.gap.candidates import CurveCandidate, CurveTerm, EffectTerm, Term
+from geomid_ros.gap.candidates import Candidate, CurveCandidate, CurveTerm, EffectTerm, Term
 from geomid_ros.gap.evidence.curves import Curves
 from geomid_ros.gap.evidence.noise import Autoregression, noise_by_repeats, runs_of
 from geomid_ros.gap.evidence.record import Records, TotalModel
@@ -50,8 +50,7 @@ def analyse(
     total = total_model(model, unfitted(prior))
     problem = LinearisedProblem(model, records, total)
     curves = Curves(model, records, problem.situation)
-    has = {(term.effect.name, term.place) for term in prior.terms if isinstance(term, EffectTerm)}
-    tried = [c for c in library.candidates(model) if c.effect.adds_up or c.group not in has]
+    tried = _tried(model, prior)
     columns = problem.columns(tried, prior.terms, curves)
     noise = (Autoregression.white(),) * len(model.channels)
     bare = Search(problem.design(columns, noise), prior, tried).fit([])
@@ -88,6 +87,16 @@ def analyse(
         whole=whole,
         floor=repeats.floor(_root_mean_square(residual, problem.valid) / np.sqrt(freedom)),
     )
+
+
+def _tried(model: MeasurementModel, prior: Prior) -> list[Candidate]:
+    """All names for a robot. What the model has may have changed; it keeps the constants that are scanned."""
+    has = {(term.effect.name, term.place) for term in prior.terms if isinstance(term, EffectTerm)}
+    known = set(prior.terms)
+    found = [
+        c for c in library.candidates(model) if c.effect.adds_up or c.group not in has or known.issuperset(c.terms)
+    ]
+    return [replace(c, scout=True) if known.issuperset(c.terms) else c for c in found]
 
 
 def _with_and_without_curves(search: Search, found: JointFit) -> tuple[JointFit, JointFit]:

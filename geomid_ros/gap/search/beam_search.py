@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TypeAlias
 
 import numpy as np
@@ -23,6 +23,7 @@ _SHORTLIST = 4
 _PAYLOADS = 3
 _EXCHANGES = 4
 _MOST_EFFECTS = 40
+_UNCHANGED = 1e-3  # of its uncertainty: how much a coefficient may move that is as it was
 _PLAUSIBLE = 0.5  # of a name's loss: what the score test must promise of a rival that is tried in its place
 _NEEDED = 5.0 * LEAST_GAIN  # a name whose loss is larger, by a quadratic estimate, need not be tried to be left out
 
@@ -49,6 +50,23 @@ class Search:
         self.curves = list(curves)
         self._fits: dict[frozenset[AnyCandidate], JointFit] = {}
         self._payload_trials: dict[frozenset[AnyCandidate], list[Trial]] = {}
+        self._unchanged: dict[AnyCandidate, Search] = {}
+
+    def unchanged(self, candidate: AnyCandidate) -> Search:
+        """The search in which what the model has of a candidate is as it was; this one if it has nothing of it.
+
+        A name says that it has changed. Without the name it may still drift a little in the search, which hides what a
+        change is worth.
+        """
+        held = np.isin(
+            np.arange(len(self.prior.terms)), [i for i, t in enumerate(self.prior.terms) if t in candidate.terms]
+        )
+        if not np.any(held):
+            return self
+        if candidate not in self._unchanged:
+            prior = replace(self.prior, spreads=np.where(held, _UNCHANGED, 1.0) * self.prior.spreads)
+            self._unchanged[candidate] = Search(self.design, prior, self.candidates, self.curves)
+        return self._unchanged[candidate]
 
     def fit(self, chosen: Sequence[AnyCandidate], start: JointFit | None = None) -> JointFit:
         """The joint fit of a set; each set is fitted once."""
@@ -115,7 +133,7 @@ class Search:
         because the payload made all of them wrong, imitate it. So it is asked with the usual spread of the inertias."""
         key = frozenset(current.chosen)
         if key not in self._payload_trials:
-            firm = fit(self.design, self.prior, current.chosen, current, spread=self.prior.spread)
+            firm = fit(self.design, self.prior, current.chosen, current, firm=True)
             trials = self.ranked(firm, [c for c in self.candidates if c.payload is not None])
             self._payload_trials[key] = [trial for trial in trials if trial.gain > 0.0][:_PAYLOADS]
         return self._payload_trials[key]
@@ -135,14 +153,23 @@ class Search:
         """Without the candidates (those ``among`` these, unless all) that are not worth their parameters, the least one
         first."""
         among = current.chosen if among is None else among
-        while doubtful := [
-            c for c in current.chosen if c in among and _estimated_loss(self.design, current, c) < _NEEDED
-        ]:
+        while doubtful := [c for c in current.chosen if c in among and self._estimated_loss(current, c) < _NEEDED]:
             smaller = min((self.without(current, c) for c in doubtful), key=lambda f: f.score)
             if smaller.score - current.score > LEAST_GAIN:
                 break
             current = smaller
         return current
+
+    def _estimated_loss(self, current: JointFit, candidate: AnyCandidate) -> float:
+        """By how much the score is worse without a candidate, to second order, its penalty not counted; 0 for a
+        payload, whose loss is not nearly quadratic."""
+        if candidate.payload is not None:
+            return 0.0
+        places = [current.place(term) for term in candidate.terms]
+        values = np.array([current.value(term) - self.prior.value(term) for term in candidate.terms])
+        squared = float(values @ np.linalg.solve(current.covariance[np.ix_(places, places)], values))
+        count = float(np.max(self.design.counts))
+        return count * float(np.log1p(squared / count))
 
     def rivals(self, current: JointFit, candidate: AnyCandidate) -> list[JointFit]:
         """The best sets in which another name stands in the place of one candidate."""
@@ -214,15 +241,3 @@ class Search:
 def _turns(found: JointFit) -> set[str]:
     """The names of a fit whose size all other columns depend on."""
     return {c.name for c in found.chosen if isinstance(c, Candidate) and c.effect.far}
-
-
-def _estimated_loss(design: Design, current: JointFit, candidate: AnyCandidate) -> float:
-    """By how much the score is worse without a candidate, to second order, its penalty not counted; 0 for a payload,
-    whose loss is not nearly quadratic."""
-    if candidate.payload is not None:
-        return 0.0
-    places = [current.place(term) for term in candidate.terms]
-    values = np.array([current.value(term) for term in candidate.terms])
-    squared = float(values @ np.linalg.solve(current.covariance[np.ix_(places, places)], values))
-    count = float(np.max(design.counts))
-    return count * float(np.log1p(squared / count))

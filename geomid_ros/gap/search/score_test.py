@@ -35,7 +35,8 @@ def improvement(design: Design, current: JointFit, candidate: AnyCandidate) -> t
     if not np.any(good):
         return -np.inf, 0.0
     step = -(vectors[:, good] @ ((vectors[:, good].T @ (slope / size)) / values[good])) / size
-    if np.any(step[: candidate.positives] < 0.0):
+    before = [current.value(term) if term in current.terms else 0.0 for term in candidate.terms[: candidate.positives]]
+    if np.any(before + step[: candidate.positives] < 0.0):
         return -np.inf, float(np.max(values))
     tangent = -solved @ step
     longer = np.append(jacobian @ tangent, 0.0)

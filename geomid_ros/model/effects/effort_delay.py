@@ -8,7 +8,11 @@ from geomid_ros.types import FloatArray
 
 
 class EffortDelay(SituationEffect):
-    """All efforts are measured too late by c [s]: measured(t) = true(t - c)."""
+    """All efforts are measured too late by c [s]: measured(t) = true(t - c).
+
+    It is told from what the rigid bodies need. Dry friction follows a reversal later than any function of the speed
+    says (pre-sliding), and by its large steps passes for a delay of some milliseconds.
+    """
 
     name = "effort_delay"
     label = "a delay between efforts and motion"
@@ -23,7 +27,7 @@ class EffortDelay(SituationEffect):
 
     def columns(self, situation: Situation, place: Place) -> FloatArray:  # noqa: ARG002  # all joints alike
         joints = slice(situation.load.shape[1])
-        return situation.column_of(joints, -situation.rate[:, joints])
+        return situation.column_of(joints, -situation.load_rate)
 
     @classmethod
     def effort_lag(cls, values: Values) -> float:

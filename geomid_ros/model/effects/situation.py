@@ -62,7 +62,7 @@ class Situation(Sensitivity):
 
     Attributes:
         sign: direction of motion ``(N, J)``.
-        predicted, rate: the channels' values, effects included, and their derivative by time ``(N, C)``.
+        predicted: the channels' values, effects included ``(N, C)``.
         load, load_rate, load_acceleration: efforts that the gears transmit to the links (rigid bodies alone) and their
             derivatives by time ``(N, J)``.
         gravity: gravity in the frame of a base that stands straight ``(3,)`` [m/s^2].
@@ -72,7 +72,6 @@ class Situation(Sensitivity):
 
     sign: FloatArray
     predicted: FloatArray
-    rate: FloatArray
     load: FloatArray
     load_rate: FloatArray
     load_acceleration: FloatArray
