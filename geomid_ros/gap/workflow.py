@@ -20,6 +20,7 @@ from geomid_ros.gap.fitting.prior import Prior
 from geomid_ros.gap.judgement import naming
 from geomid_ros.gap.judgement.held_out import HeldOut
 from geomid_ros.gap.judgement.locate import located
+from geomid_ros.gap.judgement.needed import confirmed
 from geomid_ros.gap.judgement.verdict import findings, ranking, unexplained, verdict
 from geomid_ros.gap.result import GapResult
 from geomid_ros.gap.search.analysis import Analysis, analyse
@@ -117,6 +118,7 @@ def find_gap(
         prior = _as_simulated(bare, Records.make(simulated, settings.cutoff), prior, report)
     analysis = analyse(bare, records, prior, report)
     report("judging", 0.0)
+    analysis = confirmed(bare, held, prior, analysis)
     unseen = HeldOut(bare, held, prior, analysis)
     left = unexplained(bare, analysis, unseen)
     found = findings(bare, analysis, unseen)

@@ -105,11 +105,10 @@ def _with_and_without_curves(search: Search, found: JointFit) -> tuple[JointFit,
     A curve of velocity spans viscous friction, and one of friction Coulomb's: beside them a name would not be needed.
     """
     names = search.without_absurd(search.simplified(found))
-    whole = _with_curves(search, names)
-    return names, whole if search.possible(whole) else names
+    return names, with_curves(search, names)
 
 
-def _with_curves(search: Search, found: JointFit) -> JointFit:
+def with_curves(search: Search, found: JointFit) -> JointFit:
     """With the free curves that the rest needs: those without which some channel's remainder is visibly larger."""
     current = found
     while len(current.chosen) < len(found.chosen) + _MOST_CURVES and (larger := search.add_curve(current)) is not None:
@@ -118,7 +117,7 @@ def _with_curves(search: Search, found: JointFit) -> JointFit:
         without = search.without(current, curve)
         if float(np.sqrt(np.max(without.squares / current.squares))) < _VISIBLE:
             current = without
-    return current
+    return current if search.possible(current) else found
 
 
 def _near(found: TotalModel, total: TotalModel) -> bool:
