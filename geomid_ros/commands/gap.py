@@ -70,6 +70,8 @@ def _print(found: geomid_ros.Gap) -> None:
     for warning in found.session.warnings():
         _say(console, f"[bold]Warning:[/bold] {escape(warning)}")
     _say(console, f"[bold]{result.verdict.upper()}[/bold]  {escape(gap_words.verdict_sentence(result))}")
+    for sentence in gap_words.in_short(result):
+        _say(console, escape(sentence))
     if result.findings:
         console.print(_findings_table(result))
     for sentence in _sentences(result):

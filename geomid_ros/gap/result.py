@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal, TypeAlias
 
-from geomid_ros.model.effects import KnownEffect
+from geomid_ros.model.effects import KnownEffect, Quantity, Values
 from geomid_ros.types import FloatArray, IntArray
 
 Confidence: TypeAlias = Literal["confident", "tentative", "ambiguous"]
@@ -32,6 +32,7 @@ class Finding(KnownEffect):
             this motion.
         loss: how much worse the score is without it.
         share: of the gap that it closes.
+        was: the parameters before, if the model had the effect: it has changed.
         sentence: all this in words.
         settled_by: the recording that would settle an ambiguity, empty when there is none.
     """
@@ -41,8 +42,37 @@ class Finding(KnownEffect):
     separability: float
     loss: float
     share: float
+    was: Values
     sentence: str
     settled_by: str
+
+
+@dataclass(frozen=True)
+class LinkChange:
+    """A link that weighs something else than the model says.
+
+    Attributes:
+        link: its name.
+        joint: the joint that moves it.
+        mass: by how much its mass is larger [kg].
+        was: the mass that the model says [kg].
+        loss: how much worse the score is if it has the model's inertia.
+        confidence: how sure that is.
+    """
+
+    link: str
+    joint: str
+    mass: Quantity
+    was: float
+    loss: float
+    confidence: Confidence
+
+    @property
+    def sentence(self) -> str:
+        """In words, with the 95 % interval."""
+        less = "less" if self.mass.value < 0.0 else "more"
+        size = f"{abs(self.mass.value):.3g} ± {1.96 * self.mass.std:.2g} kg"
+        return f"link '{self.link}' weighs {size} {less} than the {self.was:.3g} kg of the model"
 
 
 @dataclass(frozen=True)
@@ -118,6 +148,7 @@ class GapResult:
     Attributes:
         verdict: in a word or two.
         findings: the named effects, the one that matters most first.
+        links: those that weigh something else than the model says, without payloads.
         unexplained: what no name explains.
         channels, units: names and units of the rows of all per-channel arrays.
         floor: the noise's standard deviation ``(C,)``.
@@ -135,6 +166,7 @@ class GapResult:
 
     verdict: Verdict
     findings: tuple[Finding, ...]
+    links: tuple[LinkChange, ...]
     unexplained: tuple[Unexplained, ...]
     channels: tuple[str, ...]
     units: tuple[str, ...]

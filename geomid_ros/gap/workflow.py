@@ -18,6 +18,7 @@ from geomid_ros.gap.fitting.fit import unfitted
 from geomid_ros.gap.fitting.linearised_problem import LinearisedProblem, total_model
 from geomid_ros.gap.fitting.prior import Prior
 from geomid_ros.gap.judgement import naming
+from geomid_ros.gap.judgement.changed_links import changed_links
 from geomid_ros.gap.judgement.held_out import HeldOut
 from geomid_ros.gap.judgement.locate import located
 from geomid_ros.gap.judgement.needed import confirmed
@@ -130,6 +131,7 @@ def find_gap(
     return GapResult(
         verdict=verdict(analysis, unseen),
         findings=found,
+        links=changed_links(bare, analysis, unseen),
         unexplained=left,
         channels=tuple(channel.name for channel in bare.channels),
         units=tuple(channel.unit for channel in bare.channels),

@@ -100,6 +100,7 @@ def _content(page: GapPage, progress: Callable[[float], None]) -> dict[str, Any]
         "page": page,
         "result": result,
         "verdict": gap_words.verdict_sentence(result),
+        "in_short": gap_words.in_short(result),
         "confidence": gap_words.CONFIDENCE,
         "bars": _Bars.of_result(result),
         "kinds": _KINDS,

@@ -15,6 +15,7 @@ NONE = "n/a"
 _CLOSED = 1.15  # a gap that falls by less did not fall
 _MOST_NAMED = 4  # in a sentence
 _MOST_NAMED_OF_MANY = 2
+_MOST_IN_SHORT = 3
 _NAMES = {"coulomb": "Coulomb", "stribeck": "Stribeck"}
 _VARIABLES = {
     "position": "its position",
@@ -127,6 +128,37 @@ def verdict_sentence(result: GapResult) -> str:
         return f"Found: {named or 'no name'}, but that is not all{rest}."
     found = f" Named besides: {named}." if named else ""
     return f"Something is missing that no known effect explains: {missing or 'in no one joint alone'}.{found}"
+
+
+def in_short(result: GapResult) -> list[str]:
+    """What a person reads first, at most four sentences beside the verdict's: what is sure and how large it is, what
+    else there may be, what is left, and what to do."""
+    said = [(finding.confidence, _sized(finding)) for finding in result.findings]
+    said += [(change.confidence, change.sentence) for change in result.links]
+    left = [f"{joint} {ratio(times)} times the floor, depending on {on}" for joint, times, on in not_explained(result)]
+    record = to_record(result)
+    sentences = {
+        "Sure": _few([what for confidence, what in said if confidence == "confident"]),
+        "Perhaps": _few([what for confidence, what in said if confidence != "confident"]),
+        "Left": _few(left),
+        "Record next": f"{record[0]}{_more(len(record) - 1)}" if record else "",
+    }
+    return [f"{about}: {sentence}." for about, sentence in sentences.items() if sentence]
+
+
+def _few(parts: Sequence[str]) -> str:
+    return "; ".join(parts[:_MOST_IN_SHORT]) + _more(len(parts) - _MOST_IN_SHORT)
+
+
+def _more(count: int) -> str:
+    return f"; {count} more below" if count > 0 else ""
+
+
+def _sized(finding: Finding) -> str:
+    """An effect with its place and its first parameter, and what that was."""
+    name, quantity = next(iter(finding.parameters.items()))
+    was = f" instead of {finding.was[name]:.4g}" if name in finding.was else ""
+    return f"{title(finding)} {measured(quantity)}{was}"
 
 
 def not_explained(result: GapResult) -> list[tuple[str, float, str]]:

@@ -89,9 +89,11 @@ def test_the_written_model_is_simulated_again(found: tuple[Path, str]) -> None:
 def test_the_terminal_and_the_page_say_the_same(found: tuple[Path, str]) -> None:
     out, text = found
     page = (out / "report.html").read_text()
-    sentence = " ".join(text.partition("What was found")[0].split()[1:])
+    said = " ".join(text.partition("What was found")[0].split()[1:])
+    sentence, sure, what = said.partition(" Sure: ")
     assert sentence.startswith("Found: ")
     assert sentence in page
+    assert f"<li>{sure.strip()} {what}</li>" in page
     assert "Simulated again" in page
 
 

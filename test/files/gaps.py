@@ -8,7 +8,18 @@ from typing import Literal
 
 import numpy as np
 
-from geomid_ros.gap.result import Finding, Gap, GapResult, Located, Ranked, Rival, Trace, Unexplained, Verdict
+from geomid_ros.gap.result import (
+    Finding,
+    Gap,
+    GapResult,
+    LinkChange,
+    Located,
+    Ranked,
+    Rival,
+    Trace,
+    Unexplained,
+    Verdict,
+)
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.model.effects import Quantity
 from geomid_ros.report.gap_page import GapPage
@@ -51,6 +62,7 @@ def gap_result(case: Case, joints: Sequence[str], *, wrench: bool = False) -> Ga
     return GapResult(
         verdict=_verdict(case),
         findings=_findings(case, joints[middle]),
+        links=_links(case, joints[middle]),
         unexplained=_unexplained(case, joints),
         channels=channels,
         units=units,
@@ -133,10 +145,17 @@ def _findings(case: Case, joint: str) -> tuple[Finding, ...]:
             separability=0.97,
             loss=812.0,
             share=0.93,
+            was={},
             sentence=sentence,
             settled_by=settled,
         ),
     )
+
+
+def _links(case: Case, joint: str) -> tuple[LinkChange, ...]:
+    if case != "incomplete":
+        return ()
+    return (LinkChange("hand", joint, Quantity(-0.74, 0.05, "kg"), 1.2, 310.0, "confident"),)
 
 
 def _unexplained(case: Case, joints: Sequence[str]) -> tuple[Unexplained, ...]:

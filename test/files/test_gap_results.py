@@ -17,7 +17,7 @@ from geomid_ros.model.effects import Quantity
 from .gaps import FLOOR, gap_result
 
 JOINTS = ("hip", "knee", "ankle")
-KEYS = {"format", "verdict", "findings", "unexplained", "gap", "floor", "resimulated", "closed_loop"}
+KEYS = {"format", "verdict", "findings", "links", "unexplained", "gap", "floor", "resimulated", "closed_loop"}
 
 
 def test_what_was_found_is_in_it(tmp_path: Path) -> None:
@@ -40,6 +40,19 @@ def test_what_was_found_is_in_it(tmp_path: Path) -> None:
     assert document["gap"]["before"]["knee"] > 1.5 * document["gap"]["inertias_only"]["ankle"]
     assert document["resimulated"] == errors
     assert document["closed_loop"] is None
+
+
+def test_links_that_have_changed_are_in_it() -> None:
+    (change,) = gap_document(gap_result("incomplete", JOINTS), {})["links"]
+    assert change == {
+        "link": "hand",
+        "joint": "knee",
+        "mass": {"value": -0.74, "std": 0.05, "unit": "kg"},
+        "was": 1.2,
+        "loss": 310.0,
+        "confidence": "confident",
+        "sentence": "link 'hand' weighs 0.74 ± 0.098 kg less than the 1.2 kg of the model",
+    }
 
 
 def test_what_is_not_explained_is_in_it() -> None:

@@ -24,7 +24,7 @@ from . import planted
 MODEL = planted.model()
 JOINTS = MODEL.robot.joint_names
 CANDIDATES = library.candidates(MODEL)
-GUESSED, IDENTIFIED = 4.0, 400.0  # how certain the inertias are
+GUESSED, IDENTIFIED = 20.0, 100.0  # how certain the inertias are
 
 
 def named(effect: str, joint: int | None = 1) -> Candidate:
@@ -89,10 +89,11 @@ class Judged:
 
         search = SimpleNamespace(
             design=SimpleNamespace(reached=lambda _: list(self.reached)),
-            prior=SimpleNamespace(certainty=self.certainty),
+            prior=SimpleNamespace(certainty=self.certainty, terms=()),
             without=without,
             instead=instead,
         )
+        search.unchanged = lambda _: search
         bare = Fit(0.0, np.array(self.bare))
         return SimpleNamespace(search=search, whole=whole, names=whole, bare=bare)
 

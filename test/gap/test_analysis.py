@@ -171,7 +171,7 @@ def test_a_curve_that_no_remainder_shows_is_not_worth_a_word() -> None:
         search = searched({WAVE.terms[0]: size})
         bare, curved = search.fit([]), search.fit([WAVE])
         assert bare.score - curved.score > 12.0
-        rises[float(np.sqrt(np.max(bare.squares / curved.squares)))] = analysis._with_curves(search, bare).chosen
+        rises[float(np.sqrt(np.max(bare.squares / curved.squares)))] = analysis.with_curves(search, bare).chosen
     faint = [chosen for rise, chosen in rises.items() if rise < 1.06]
     plain = [chosen for rise, chosen in rises.items() if rise > 1.08]
     assert len(faint) > 1
@@ -184,10 +184,10 @@ def test_no_more_than_four_curves_are_drawn() -> None:
     waves = [curve(0, f"variable {k}", f"curve {k}") for k in range(6)]
     recording = Recording(3, waves)
     search = Search(recording.design({wave.terms[0]: 0.3 for wave in waves}), PRIOR, [], waves)
-    assert len(analysis._with_curves(search, search.fit([])).chosen) == 4
+    assert len(analysis.with_curves(search, search.fit([])).chosen) == 4
 
 
 def test_two_curves_in_the_place_of_one_that_is_like_their_sum() -> None:
     """The better one of two alike is taken in the end."""
     search = searched({WAVE.terms[0]: 0.3}, alike={DRIFT.terms[0]: WAVE.terms[0]})
-    assert set(analysis._with_curves(search, search.fit([])).chosen) == {WAVE}
+    assert set(analysis.with_curves(search, search.fit([])).chosen) == {WAVE}

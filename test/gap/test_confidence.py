@@ -94,9 +94,20 @@ def test_it_matters_little(loss: float, expected: Confidence) -> None:
     assert replace(SURE, loss=loss).confidence() == expected
 
 
-@pytest.mark.parametrize(("loss", "expected"), [(150.0, "tentative"), (250.0, "confident")])
-def test_beside_what_has_no_name_it_has_to_matter_more(loss: float, expected: Confidence) -> None:
-    assert replace(LEFT, loss=loss).confidence() == expected
+@pytest.mark.parametrize(
+    ("loss", "after", "expected"),
+    [
+        (90.0, ELSEWHERE, "tentative"),
+        (110.0, ELSEWHERE, "confident"),
+        (190.0, OPEN, "tentative"),
+        (210.0, OPEN, "confident"),
+    ],
+)
+def test_beside_what_has_no_name_it_has_to_matter_more(
+    loss: float, after: tuple[float, ...], expected: Confidence
+) -> None:
+    """And more still if what is left is where it acts."""
+    assert replace(SURE, after=after, loss=loss).confidence() == expected
 
 
 @pytest.mark.parametrize(("instead", "expected"), [(-3.0, "tentative"), (10.0, "tentative"), (14.0, "confident")])
@@ -146,7 +157,18 @@ def test_but_for_a_payload() -> None:
     ids=["at its joint", "at another joint", "by its joint's motion", "by another joint's motion"],
 )
 def test_what_has_no_name_at_its_joint_makes_it_unsure(left: object, expected: Confidence) -> None:
-    assert replace(SURE, others=[left], after=(1.1, 1.1, 1.1)).confidence() == expected
+    assert replace(SURE, others=[left], after=(1.1, 1.1, 1.1), unnamed=(1.0, 1.5, 1.0)).confidence() == expected
+
+
+@pytest.mark.parametrize(("at_one", "at_all", "expected"), [(1.6, 2.4, "tentative"), (1.8, 2.6, "confident")])
+def test_but_for_a_name_that_closes_eight_times_what_is_left(
+    at_one: float, at_all: float, expected: Confidence
+) -> None:
+    """Of each channel ``1.1^2 - 1`` is left; without the name one of them has the square of what is given."""
+    left = replace(SURE, others=[curve(1)], after=(1.1, 1.1, 1.1), unnamed=(1.0, at_one, 1.0))
+    assert left.confidence() == expected
+    everywhere = replace(TILT, others=[curve(1)], after=(1.1, 1.1, 1.1), unnamed=(1.1, at_all, 1.1))
+    assert replace(everywhere, bare=(1.0, 12.0, 1.0)).confidence() == expected
 
 
 def test_a_curve_that_unseen_data_leave_no_room_for_is_nothing_without_a_name() -> None:
@@ -161,12 +183,12 @@ def test_a_curve_that_unseen_data_leave_no_room_for_is_nothing_without_a_name() 
 def test_a_name_of_the_whole_robot_is_blamed_for_what_is_left_anywhere(
     loss: float, bare: float, expected: Confidence
 ) -> None:
-    everywhere = replace(TILT, after=ELSEWHERE, unnamed=(1.0, 9.0, 3.0), loss=loss)
+    everywhere = replace(TILT, after=ELSEWHERE, unnamed=(1.0, 4.0, 3.0), loss=loss)
     assert replace(everywhere, bare=(1.0, bare, 1.0)).confidence() == expected
 
 
 def test_a_rival_or_curve_of_such_a_name_makes_it_matter_less() -> None:
-    everywhere = replace(TILT, after=ELSEWHERE, unnamed=(1.0, 9.0, 3.0))
+    everywhere = replace(TILT, after=ELSEWHERE, unnamed=(1.0, 4.0, 3.0))
     assert replace(everywhere, instead=150.0).confidence() == "tentative"
     assert replace(everywhere, rivals=[Rival("payload", JOINTS[2], 150.0)]).confidence() == "tentative"
 
@@ -278,3 +300,15 @@ def test_a_curve_is_open_where_unseen_data_leave_any_room() -> None:
 )
 def test_the_verdict(judged: Judged, expected: str) -> None:
     assert verdict.verdict(judged.analysis, judged.unseen) == expected
+
+
+@pytest.mark.parametrize(("change", "expected"), [(0.29, "tentative"), (0.31, "confident"), (-0.31, "confident")])
+def test_what_the_model_has_has_changed_by_more_than_it_was_unsure(change: float, expected: Confidence) -> None:
+    """It was 0.5 with a standard deviation of 0.1."""
+    analysis = SURE.analysis
+    (term,) = SURE.name.terms
+    analysis.search.prior.terms, analysis.search.prior.values = (term,), np.array([0.5])
+    analysis.search.prior.spreads = np.array([0.1])
+    analysis.names.value = lambda _: 0.5 + change
+    evidence = replace(SURE.evidence, analysis=analysis)
+    assert evidence.confidence({}) == expected

@@ -22,7 +22,7 @@ def survives(samples: Samples, candidate: Candidate) -> bool:
     problem = LinearisedProblem(MODEL, Records.make([samples], planted.CUTOFF), total_model(MODEL, unfitted(PRIOR)))
     noise = (Autoregression.white(),) * len(MODEL.channels)
     design = problem.design(problem.columns([candidate], ()), noise)
-    return generalises(design, fit(design, PRIOR, [candidate]), candidate)
+    return generalises(design, fit(design, PRIOR, [candidate]), candidate, PRIOR)
 
 
 def test_friction_generalises() -> None:

@@ -206,8 +206,6 @@ def test_the_situation_is_that_of_the_total_model() -> None:
     np.testing.assert_allclose(situation.load[5:-5], load[5:-5], atol=0.02 * np.std(load))
     np.testing.assert_allclose(situation.predicted - [0.0, 0.7, 0.0] * v[chosen], load, atol=1e-9)
     times = np.arange(len(q)) / planted.RATE
-    rate = np.gradient(rigid(q, v, a) + [0.0, 0.7, 0.0] * v, times, axis=0)
-    np.testing.assert_allclose(situation.rate, rate[chosen], atol=1e-9)
     slope = np.gradient(rigid(q, v, a), times, axis=0)[chosen]
     np.testing.assert_allclose(situation.load_rate[5:-5], slope[5:-5], atol=0.05 * np.std(slope))
     bend = np.gradient(np.gradient(rigid(q, v, a), times, axis=0), times, axis=0)[chosen]
@@ -227,6 +225,6 @@ def test_the_motion_of_no_effort_is_no_channel() -> None:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("geomid_ros.gap.evidence.record.Dynamics", lambda *_: dynamics)
         situation = records.situation(model, total())
-    assert situation.predicted.shape == situation.rate.shape == (len(records.samples), 2)
+    assert situation.predicted.shape == (len(records.samples), 2)
     assert not np.any(situation.predicted)
     np.testing.assert_allclose(situation.load, 1.0, atol=2e-3)

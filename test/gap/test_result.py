@@ -182,7 +182,7 @@ class TestPrior:
     def test_of_a_bare_urdf_everything_is_a_guess(self) -> None:
         prior = self.prior()
         np.testing.assert_array_equal(prior.inertias, MODEL.nominal_inertias)
-        assert (prior.spread, prior.certainty, prior.terms, prior.known) == (0.3, 4.0, (), None)
+        assert (prior.spread, prior.certainty, prior.terms, prior.known) == (0.3, 20.0, (), None)
 
     def test_effects_alone_identify_no_link(self) -> None:
         prior = self.prior(nominal(**{JOINTS[0]: 0.5}))
@@ -194,16 +194,16 @@ class TestPrior:
         prior = self.prior(values)
         np.testing.assert_array_equal(prior.inertias[:10], values[:10])
         np.testing.assert_array_equal(prior.inertias[10:], MODEL.nominal_inertias[10:])
-        assert (prior.spread, prior.certainty) == (0.04, 400.0)
+        assert (prior.spread, prior.certainty) == (0.04, 100.0)
         assert prior.known is not None
 
-    def test_effects_are_a_fifth_unsure_or_as_they_say_where_that_is_more(self) -> None:
+    def test_effects_are_a_fiftieth_unsure_or_as_they_say_where_that_is_more(self) -> None:
         """Those of no size are none."""
         values = nominal(**{JOINTS[0]: 0.5, JOINTS[1]: -1e-4, JOINTS[2]: 0.0})
         prior = self.prior(values)
         assert prior.terms == tuple(EffectTerm(ViscousFriction(), AtJoint(joint)) for joint in (0, 1))
         np.testing.assert_allclose(prior.values, [0.5, -1e-4])
-        np.testing.assert_allclose(prior.spreads, [0.1, 1e-3])
+        np.testing.assert_allclose(prior.spreads, [0.01, 1e-3])
         unsure = np.full(MODEL.dimension, np.nan)
         unsure[len(MODEL.nominal_inertias)] = 0.4
         np.testing.assert_allclose(self.prior(values, unsure).spreads, [0.4, 1e-3])

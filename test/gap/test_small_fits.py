@@ -188,17 +188,17 @@ def test_the_spread_is_the_one_of_the_best_score(planted: float, expected: float
         body = root @ spd.sym_exp(planted * 0.5 * (direction + direction.T)) @ root
         design = designed(seed, link=np.asarray(pseudo_inertia.to_parameters(body)))
         found = fit(design, PRIOR, [])
-        spreads.append(found.spread)
-        around = [fit(design, PRIOR, [], spread=found.spread * factor).score for factor in (0.75, 1.0, 1.35)]
+        spreads.append(found.spreads[0])
+        around = [fit(design, PRIOR, [], spread=float(found.spreads[0]) * factor).score for factor in (0.75, 1.0, 1.35)]
         assert around[1] == min(around)
     assert np.median(spreads) == pytest.approx(expected, rel=0.35)
 
 
 def test_a_spread_that_is_certain_stays() -> None:
     far = designed(1, link=2.0 * LINK)
-    assert fit(far, replace(PRIOR, certainty=1e7), []).spread == pytest.approx(0.2, rel=1e-3)
-    assert fit(far, PRIOR, []).spread > 0.25
-    assert fit(far, replace(PRIOR, spread=1e-3, certainty=1e-3), [], spread=0.07).spread == 0.07
+    assert fit(far, replace(PRIOR, certainty=1e7), []).spreads[0] == pytest.approx(0.2, rel=1e-3)
+    assert fit(far, PRIOR, []).spreads[0] > 0.25
+    assert fit(far, replace(PRIOR, spread=1e-3, certainty=1e-3), [], spread=0.07).spreads[0] == 0.07
 
 
 class TestWhatTheModelHas:
@@ -239,7 +239,7 @@ class TestWhatTheModelHas:
     def test_it_is_what_an_unfitted_model_says(self) -> None:
         prior = replace(PRIOR, terms=(TERM,), values=np.array([0.4]), spreads=np.array([0.05]))
         found = unfitted(prior)
-        assert (found.value(TERM), found.chosen, found.bodies, found.spread) == (0.4, (), [], PRIOR.spread)
+        assert (found.value(TERM), found.chosen, found.bodies, found.spreads[0]) == (0.4, (), [], PRIOR.spread)
         np.testing.assert_allclose(found.point.parameters, np.append(LINK, 0.4))
 
 
@@ -306,7 +306,7 @@ class TestScoreTest:
         design = designed(8, value)
         bare = fit(design, PRIOR, [])
         gain, _ = improvement(design, bare, VISCOUS)
-        exact = bare.score - fit(design, PRIOR, [VISCOUS], spread=bare.spread).score
+        exact = bare.score - fit(design, PRIOR, [VISCOUS], spread=float(bare.spreads[0])).score
         assert gain == pytest.approx(exact, rel=0.05, abs=1.0)
 
 
@@ -321,7 +321,7 @@ class TestBlocks:
         targets = recording.targets({TERM: 1.0})
         recording.columns[TERM] = column
         design = recording.design_of(targets)
-        return generalises(design, fit(design, PRIOR, [VISCOUS]), VISCOUS)
+        return generalises(design, fit(design, PRIOR, [VISCOUS]), VISCOUS, PRIOR)
 
     def test_what_is_there_in_every_block_generalises(self) -> None:
         assert self.survives(np.full(8, 0.1))
@@ -335,7 +335,7 @@ class TestBlocks:
 
     def test_of_a_payload_nothing_is_said(self) -> None:
         design = designed(1)
-        assert generalises(design, fit(design, PRIOR, [VISCOUS]), PAYLOAD)
+        assert generalises(design, fit(design, PRIOR, [VISCOUS]), PAYLOAD, PRIOR)
 
 
 class TestOtherRecordings:

@@ -246,13 +246,13 @@ FOUND = {"level": Quantity(0.5, 0.01, "N m"), "gain": Quantity(1.25, 0.1, "-")}
 def test_a_sentence_says_what_where_and_how_much(joint: str, link: str, where: str) -> None:
     effect = COULOMB.effect
     values = "level 0.5 ± 0.02 N m, gain 1.25 ± 0.2 (95 % interval)."
-    assert sentence(effect, joint, link, FOUND, "confident") == f"Coulomb friction{where}: {values}"
-    assert sentence(effect, joint, link, FOUND, "tentative") == f"Perhaps Coulomb friction{where}: {values}"
+    assert sentence(effect, joint, link, FOUND, {}, "confident") == f"Coulomb friction{where}: {values}"
+    assert sentence(effect, joint, link, FOUND, {}, "tentative") == f"Perhaps Coulomb friction{where}: {values}"
 
 
 def test_a_sentence_begins_with_a_capital_and_says_the_first_parameters() -> None:
     found = {name: Quantity(1.0, 0.1, "m") for name in ("mass", "com_x", "com_y", "com_z", "ixx")}
-    text = sentence(PAYLOAD.effect, "wrist", "hand", found, "confident")
+    text = sentence(PAYLOAD.effect, "wrist", "hand", found, {}, "confident")
     assert text.startswith("A payload at link 'hand': mass 1 ± 0.2 m,")
     assert "com_z" in text
     assert "ixx" not in text

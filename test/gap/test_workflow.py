@@ -4,11 +4,15 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
+from scipy.interpolate import CubicSpline
+from scipy.signal import lfilter
 
 from geomid_ros.errors import InputError
 from geomid_ros.estimation.identifier import Identifier
 from geomid_ros.gap.result import GapResult
 from geomid_ros.gap.workflow import find_gap
+from geomid_ros.model.effects.viscous_friction import ViscousFriction
+from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.types import FloatArray
 
 from . import planted
@@ -148,7 +152,7 @@ def test_a_payload_that_is_gone_is_no_other_effect(seed: int) -> None:
     assert np.max(result.gap.inertias_only) < 1.3
 
 
-def test_a_payload_that_the_simulator_lacks_is_listed_and_its_friction_is_not() -> None:
+def test_a_link_is_heavier_by_a_payload_that_the_simulator_lacks_and_its_friction_is_no_gap() -> None:
     inertias = planted.true_inertias(61, 0.05)
     friction = np.array([0.0, 0.4, 0.0])
     twin_robot, robot = planted.rigid(inertias), planted.rigid(carrying(inertias))
@@ -156,4 +160,48 @@ def test_a_payload_that_the_simulator_lacks_is_listed_and_its_friction_is_not() 
     train = planted.recording(lambda q, v, a: robot(q, v, a) + friction * v, 62)
     held_out = planted.recording(lambda q, v, a: robot(q, v, a) + friction * v, 1062, 15.0)
     result = find_gap(planted.model(), [train], [held_out], simulated=[twin])
-    assert [finding.effect for finding in result.findings] == ["payload"]
+    assert result.findings == ()
+    (change,) = result.links
+    assert (change.link, change.joint, change.confidence) == ("link3", "joint3", "confident")
+    assert abs(change.mass.value - PAYLOAD) < 3.0 * change.mass.std
+    assert change.mass.std < 0.1 * PAYLOAD
+    assert "more than" in change.sentence
+
+
+def test_friction_that_has_grown_is_named_with_what_it_was() -> None:
+    """It is no payload, gain or delay, and the friction that has not changed is not named."""
+    inertias = planted.true_inertias(71, 0.03)
+    robot = planted.rigid(inertias)
+    model = MeasurementModel(planted.model().robot, [ViscousFriction()])
+    before, now = np.array([0.3, 0.5, 0.2]), np.array([0.3, 0.8, 0.2])
+    nominal = np.concatenate([inertias.ravel(), before])
+    train = planted.recording(lambda q, v, a: robot(q, v, a) + now * v, 71)
+    held_out = planted.recording(lambda q, v, a: robot(q, v, a) + now * v, 1071, 15.0)
+    result = find_gap(model, [train], [held_out], nominal=nominal)
+    (finding,) = result.findings
+    assert (finding.effect, finding.joint, finding.confidence) == ("viscous_friction", JOINTS[1], "confident")
+    size = finding.parameters["coefficient"]
+    assert finding.was == {"coefficient": 0.5}
+    assert abs(size.value - 0.8) < 4.0 * size.std
+    assert "instead of 0.5" in finding.sentence
+    unchanged = np.delete(result.coefficients, 1)
+    np.testing.assert_allclose(unchanged, np.delete(before, 1), rtol=0.1)
+    assert np.isnan(result.coefficients[1])
+
+
+@pytest.mark.parametrize("delay", [0.0, 0.015])
+def test_friction_that_follows_reversals_late_is_no_delay(delay: float) -> None:
+    """As bristles that bend first: it lags by some 20 ms, what the rigid bodies need does not."""
+    inertias = planted.true_inertias(81, 0.05)
+    robot = planted.rigid(inertias)
+
+    def efforts(q: FloatArray, v: FloatArray, a: FloatArray) -> FloatArray:
+        share = 1.0 - np.exp(-1.0 / (0.02 * planted.RATE))
+        late = lfilter([share], [1.0, share - 1.0], np.sign(v), axis=0)
+        times = np.arange(len(q)) / planted.RATE
+        whole = CubicSpline(times, robot(q, v, a) + 0.5 * late)
+        return np.asarray(whole(times - delay))
+
+    result = find_gap(planted.model(), [planted.recording(efforts, 81)], [planted.recording(efforts, 1081, 15.0)])
+    found = [f.parameters["delay"].value for f in result.findings if f.effect == "effort_delay"]
+    assert np.allclose(found, [delay] if delay else [], atol=2e-3), found

@@ -64,7 +64,8 @@ def judge(document: Mapping[str, Any], situation: str) -> RealisticJudgement:
     """Compare what was found in a situation with the truth."""
     recorded, gap = document["recorded"], document[situation]["gap"]
     truth = recorded["truth"]
-    change, findings = truth["effects"][0], gap["findings"]
+    change = truth["effects"][0]
+    findings = sorted([*gap["findings"], *map(_of_link, gap["links"])], key=lambda finding: -finding["loss"])
     names = _names(change)
     sure = [finding for finding in findings if finding["confidence"] == "confident"]
     rivals = {_place(rival) for finding in findings for rival in finding["rivals"]}
@@ -89,6 +90,11 @@ def judge(document: Mapping[str, Any], situation: str) -> RealisticJudgement:
         resimulated=_worst((gap["resimulated"] or {}).get("after", {}).values()),
         seconds=document[situation]["seconds"],
     )
+
+
+def _of_link(change: Mapping[str, Any]) -> dict[str, Any]:
+    """A link that weighs something else, as a finding."""
+    return {**change, "effect": "link", "parameters": {"mass": change["mass"]}, "rivals": []}
 
 
 def _names(change: Mapping[str, Any]) -> tuple[Place, ...]:

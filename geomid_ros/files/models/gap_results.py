@@ -12,7 +12,11 @@ findings        list of named effects, the surest first:
                 ``rivals`` [{``effect``, ``joint``, ``loss``}] other names for the same, ``loss`` by how much worse,
                 ``separability`` (0: this motion cannot tell it from the inertias, to 1: nothing like it),
                 ``loss`` (how much worse without it, a difference of -2 log p), ``share`` (of the gap that it closes),
+                ``was`` {name: value} (the parameters that the model had, if the effect has changed),
                 ``sentence`` and ``settled_by`` (the recording that would settle an ambiguity, or empty)
+links           list of links that weigh something else than the model says, the surest first:
+                ``link``, ``joint`` (that moves it), ``mass`` {``value``, ``std``, ``unit``} (by how much more),
+                ``was`` (in the model), ``loss`` (as above), ``confidence`` and ``sentence``
 unexplained     list of {``joint`` (or wrench channel), ``depends_on``, ``gap`` (times the floor)}
 gap             {``before``, ``inertias_only``, ``after``}, each {channel: held-out residual in units of the floor},
                 and ``expected``: what noise and the uncertainty of the fit would leave if the model were right
@@ -31,7 +35,7 @@ from collections.abc import Mapping
 from typing import Any, TypeAlias
 
 from geomid_ros.files.models.effect_forms import by_channel, effect_entry, finite
-from geomid_ros.gap.result import Finding, GapResult
+from geomid_ros.gap.result import Finding, GapResult, LinkChange
 
 FORMAT = 1
 
@@ -46,6 +50,7 @@ def gap_document(result: GapResult, simulations: Mapping[str, Errors]) -> dict[s
         "format": FORMAT,
         "verdict": result.verdict,
         "findings": [_finding(finding) for finding in result.findings],
+        "links": [_link(change) for change in result.links],
         "unexplained": [
             {"joint": entry.joint, "depends_on": entry.depends_on, "gap": finite(entry.gap)}
             for entry in result.unexplained
@@ -63,6 +68,18 @@ def _errors(errors: Errors | None) -> dict[str, Any] | None:
     return {kind: {name: finite(value) for name, value in by_name.items()} for kind, by_name in errors.items()}
 
 
+def _link(change: LinkChange) -> dict[str, Any]:
+    return {
+        "link": change.link,
+        "joint": change.joint,
+        "mass": {"value": finite(change.mass.value), "std": finite(change.mass.std), "unit": change.mass.unit},
+        "was": finite(change.was),
+        "loss": finite(change.loss),
+        "confidence": change.confidence,
+        "sentence": change.sentence,
+    }
+
+
 def _finding(finding: Finding) -> dict[str, Any]:
     return effect_entry(finding) | {
         "confidence": finding.confidence,
@@ -72,6 +89,7 @@ def _finding(finding: Finding) -> dict[str, Any]:
         "separability": finite(finding.separability),
         "loss": finite(finding.loss),
         "share": finite(finding.share),
+        "was": {name: finite(value) for name, value in finding.was.items()},
         "sentence": finding.sentence,
         "settled_by": finding.settled_by,
     }

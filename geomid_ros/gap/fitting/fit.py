@@ -110,17 +110,17 @@ def fit(
     prior: Prior,
     chosen: Sequence[AnyCandidate],
     start: JointFit | None = None,
-    *,
-    firm: bool = False,
+    spread: float | FloatArray | None = None,
 ) -> JointFit:
     """Fit the chosen candidates together with all that is known, from an earlier fit where one is given.
 
-    The links' spreads are estimated, and so is how far other recordings are trusted, unless they stay ``firm``, as
-    usual. Recordings that contradict each other leave two minima: in one the others are right and what is measured here
-    is mostly error, in the other it is the reverse. Both are looked for, the one that is more likely is taken.
+    The links' spreads are estimated, and so is how far other recordings are trusted, unless a ``spread`` is given for
+    all links, or one for each. Recordings that contradict each other leave two minima: in one the others are right and
+    what is measured here is mostly error, in the other it is the reverse. Both are looked for, the one that is more
+    likely is taken.
     """
-    if prior.known is None or firm:
-        return _fit(design, prior, chosen, start, firm)
+    if prior.known is None or spread is not None:
+        return _fit(design, prior, chosen, start, spread)
     alone = _fit(design, replace(prior, known=None), chosen, start)
     rows = priors.known_rows(prior.known, alone.manifold.dimension)
     off = alone.point.parameters - _known(alone.manifold, prior, alone.bodies).parameters
@@ -129,7 +129,11 @@ def fit(
 
 
 def _fit(
-    design: Design, prior: Prior, chosen: Sequence[AnyCandidate], start: JointFit | None, firm: bool = False
+    design: Design,
+    prior: Prior,
+    chosen: Sequence[AnyCandidate],
+    start: JointFit | None,
+    spread: float | FloatArray | None = None,
 ) -> JointFit:
     """The minimum that is reached from the start."""
     bodies = [c.payload for c in chosen if c.payload is not None]
@@ -148,8 +152,11 @@ def _fit(
     rows = priors.known_rows(prior.known, manifold.dimension)
     counts, least = design.counts, _LEAST_SHARE * design.target_squares + 1e-300
     afresh = start is None or set(bodies) != set(start.bodies)
-    inflation = 1.0 if firm or start is None else start.inflation
-    spreads = np.full(first // 10, prior.spread) if firm or start is None or afresh else start.spreads
+    fixed = spread is not None
+    inflation = 1.0 if fixed or start is None else start.inflation
+    spreads = np.full(first // 10, prior.spread if spread is None else spread)
+    if start is not None and not (fixed or afresh):
+        spreads = start.spreads
     point = _first_point(manifold, known, None if afresh else start, bodies, terms)
 
     def objective(spreads: FloatArray, inflation: float) -> ProfileObjective:
@@ -164,7 +171,7 @@ def _fit(
         trusted = objective(spreads, inflation)
         solution = trust_region(trusted, point, _TOLERANCE, _STEPS)
         point = solution.point
-        if firm:
+        if fixed:
             break
         hessian = solution.evaluation.information + np.diag(trusted.weights)
         before = np.append(spreads, inflation)

@@ -8,6 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
+from geomid_ros.estimation.fit import CERTAINTY
 from geomid_ros.gap.candidates import AnyCandidate, Candidate, CurveCandidate
 from geomid_ros.gap.evidence.design import Design
 from geomid_ros.gap.fitting.fit import JointFit
@@ -33,8 +34,6 @@ BESIDE_A_GEAR = 0.25
 DOMINANT_LOSS = 200.0
 DOMINANT_SHARE = 0.3
 """A name of the whole robot is sure in spite of what it leaves only if it matters so much more."""
-CERTAIN = 100.0
-"""Prior inertias of such a certainty were identified, not guessed."""
 LEAST_RISE = 1.05
 """Without a name that is sure, the remainder of some channel is so many times larger; payloads apart."""
 LEAST_PREDICTED = 0.5
@@ -87,7 +86,7 @@ class Evidence:
         # Where the floor is reached the score can be trusted; else it takes errors of the model for noise.
         design, whole = self.analysis.search.design, self.analysis.whole
         prior = self.analysis.search.prior
-        sure = self._sure or (generalises(design, whole, self.candidate, prior) and self._predicts)
+        sure = self._is_all or (generalises(design, whole, self.candidate, prior) and self._predicts)
         return "confident" if sure else "tentative"
 
     @property
@@ -114,14 +113,18 @@ class Evidence:
         return self.candidate.payload is not None and guessed and self._rise < LEAST_RISE
 
     @cached_property
-    def _sure(self) -> bool:
-        """Whether unseen data leave nothing open, or little of what the name closes."""
-        is_judged = bool(np.any(self.unseen.counts[self._reached] > 0.0))
-        return is_judged and (not self._is_open_anywhere or self._closed > DOMINATING * self._left)
+    def _is_all(self) -> bool:
+        """Whether unseen data of what the name reaches leave nothing open."""
+        return self._is_judged and not (open_curves(self.analysis, self.unseen) or np.any(is_open(self.unseen)))
 
     @cached_property
-    def _is_open_anywhere(self) -> bool:
-        return bool(open_curves(self.analysis, self.unseen) or np.any(is_open(self.unseen)))
+    def _dominates(self) -> bool:
+        """Whether they leave little of what the name closes."""
+        return self._is_judged and self._closed > DOMINATING * self._left
+
+    @property
+    def _is_judged(self) -> bool:
+        return bool(np.any(self.unseen.counts[self._reached] > 0.0))
 
     @cached_property
     def _reached(self) -> list[int]:
@@ -152,8 +155,8 @@ class Evidence:
 
     @property
     def _is_weak(self) -> bool:
-        beside_others = CONFIDENT_IN_THE_SHADE if self._sure else CONFIDENT_BESIDE_UNEXPLAINED
-        least = beside_others if self._is_open_anywhere else CONFIDENT_LOSS
+        beside_unexplained = CONFIDENT_IN_THE_SHADE if self._dominates else CONFIDENT_BESIDE_UNEXPLAINED
+        least = CONFIDENT_LOSS if self._is_all else beside_unexplained
         beside_gear = BESIDE_A_GEAR * self._largest_gear_loss
         return self.loss < least or self._margin < CONFIDENT_RIVAL or self.loss < beside_gear
 
@@ -172,7 +175,7 @@ class Evidence:
     def _is_beside_unexplained(self) -> bool:
         """Whether what is left without a name is at its joint; of a name of the whole robot: anywhere, unless the name
         matters much more."""
-        if self._sure:
+        if self._is_all or self._dominates:
             return False
         if not joints_of(self.candidate.place):
             return self._margin < DOMINANT_LOSS or self.share < DOMINANT_SHARE
@@ -183,7 +186,7 @@ class Evidence:
 
     @property
     def _is_hidden_by_others(self) -> bool:
-        return self.share < CONFIDENT_SHARE and not (self._sure and self.loss > CONFIDENT_IN_THE_SHADE)
+        return self.share < CONFIDENT_SHARE and not (self._is_all and self.loss > CONFIDENT_IN_THE_SHADE)
 
     @property
     def _largest_gear_loss(self) -> float:
@@ -234,7 +237,7 @@ class Evidence:
 
 def is_identified(analysis: Analysis) -> bool:
     """Whether the inertias were identified before, not guessed."""
-    return analysis.search.prior.certainty >= CERTAIN
+    return analysis.search.prior.certainty > CERTAINTY
 
 
 def moves_one_way(analysis: Analysis, joint: int) -> bool:

@@ -9,9 +9,10 @@ import numpy as np
 from geomid_ros.estimation.uncertainty import physical_sensitivity
 from geomid_ros.gap.candidates import Candidate
 from geomid_ros.gap.fitting.fit import JointFit
+from geomid_ros.gap.fitting.prior import Prior
 from geomid_ros.gap.result import Confidence
 from geomid_ros.geometry import pseudo_inertia
-from geomid_ros.model.effects import AtSensor, Effect, OnLink, Quantity
+from geomid_ros.model.effects import AtSensor, Effect, OnLink, Quantity, Values
 from geomid_ros.model.effects.parameters import quantities
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.types import FloatArray
@@ -34,6 +35,19 @@ def parameters(
         return _of_sensor(model, candidate.effect, candidate.place, values, covariance)
     sliding = model.places.slides(candidate.place)
     return candidate.effect.quantities(values, covariance, sliding=sliding, unsure=unsure, usual_load=usual_load)
+
+
+def known_before(model: MeasurementModel, prior: Prior, candidate: Candidate, usual_load: float = 0.0) -> Values:
+    """The parameters of a candidate that the model had; empty if it had no such effect."""
+    if not candidate.terms or not set(candidate.terms) <= set(prior.terms):
+        return {}
+    values = np.array([prior.value(term) for term in candidate.terms])
+    if isinstance(candidate.place, AtSensor):
+        found = _of_sensor(model, candidate.effect, candidate.place, values, np.diag(np.zeros(len(values))))
+    else:
+        sliding, exact = model.places.slides(candidate.place), np.diag(np.zeros(len(values)))
+        found = candidate.effect.quantities(values, exact, sliding=sliding, unsure=0.0, usual_load=usual_load)
+    return {name: quantity.value for name, quantity in found.items()}
 
 
 def _of_payload(found: JointFit, effect: Effect, link: int) -> dict[str, Quantity]:
@@ -59,11 +73,14 @@ def link_name(model: MeasurementModel, candidate: Candidate) -> str:
     return model.body_names[candidate.place.link] if isinstance(candidate.place, OnLink) else ""
 
 
-def sentence(effect: Effect, joint: str, link: str, found: Mapping[str, Quantity], confidence: Confidence) -> str:
-    """A finding in words, with 95 % intervals."""
+def sentence(
+    effect: Effect, joint: str, link: str, found: Mapping[str, Quantity], was: Values, confidence: Confidence
+) -> str:
+    """A finding in words, with 95 % intervals and what ``was`` known of it."""
     where = f" at link '{link}'" if link else f" at '{joint}'" if joint else ""
     values = ", ".join(
         f"{name} {q.value:.4g} ± {1.96 * q.std:.2g}{'' if q.unit == '-' else ' ' + q.unit}"
+        + (f" instead of {was[name]:.4g}" if name in was else "")
         for name, q in list(found.items())[: effect.said_first]
     )
     sure, text = _BEFORE[confidence], f"{effect.label}{where}: {values} (95 % interval)."

@@ -27,10 +27,11 @@ def confirmed(model: MeasurementModel, held: Records, prior: Prior, analysis: An
     unseen = HeldOut(model, held, prior, analysis)
     refused: set[AnyCandidate] = set()
     while doubtful := [c for c in names.chosen if isinstance(c, Candidate) and c not in refused]:
-        losses = {c: search.without(names, c).score - names.score for c in doubtful}
+        absent = {c: search.unchanged(c).without(names, c) for c in doubtful}
+        losses = {c: found.score - names.score for c, found in absent.items()}
         least = min(doubtful, key=losses.__getitem__)
         smaller = search.without(names, least)
-        change = _worse(unseen, names, smaller)
+        change = _worse(unseen, names, absent[least])
         if search.possible(smaller) and change < (0.0 if losses[least] > _STRONG else _SEEN):
             names = smaller
         else:

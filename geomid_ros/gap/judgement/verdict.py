@@ -32,6 +32,7 @@ def _finding(model: MeasurementModel, analysis: Analysis, candidate: Candidate, 
     load = analysis.problem.situation.usual_load(candidate.place) if candidate.effect.scanned else 0.0
     # Of the fit that is written and judged: beside curves that span a part of it, a size means something else.
     parameters = naming.parameters(model, analysis.names, candidate, _scanned_std(analysis, candidate), load)
+    was = naming.known_before(model, analysis.search.prior, candidate, load)
     evidence = Evidence(model=model, analysis=analysis, unseen=unseen, candidate=candidate, rivals=rivals, loss=loss)
     confidence = evidence.confidence(parameters)
     return Finding(
@@ -44,7 +45,8 @@ def _finding(model: MeasurementModel, analysis: Analysis, candidate: Candidate, 
         separability=float(np.clip(improvement(search.design, without, candidate)[1], 0.0, 1.0)),
         loss=loss,
         share=evidence.share,
-        sentence=naming.sentence(candidate.effect, joint, link, parameters, confidence),
+        was=was,
+        sentence=naming.sentence(candidate.effect, joint, link, parameters, was, confidence),
         settled_by=naming.settled_by(candidate.effect, joint, close) if confidence != "confident" else "",
     )
 

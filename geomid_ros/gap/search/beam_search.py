@@ -133,7 +133,7 @@ class Search:
         because the payload made all of them wrong, imitate it. So it is asked with the usual spread of the inertias."""
         key = frozenset(current.chosen)
         if key not in self._payload_trials:
-            firm = fit(self.design, self.prior, current.chosen, current, firm=True)
+            firm = fit(self.design, self.prior, current.chosen, current, self.prior.spread)
             trials = self.ranked(firm, [c for c in self.candidates if c.payload is not None])
             self._payload_trials[key] = [trial for trial in trials if trial.gain > 0.0][:_PAYLOADS]
         return self._payload_trials[key]

@@ -1,0 +1,52 @@
+"""Links that weigh something else than the model says."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from geomid_ros.gap.fitting.fit import fit
+from geomid_ros.gap.judgement.confidence import CONFIDENT_BESIDE_UNEXPLAINED, CONFIDENT_LOSS, is_open, open_curves
+from geomid_ros.gap.judgement.held_out import HeldOut
+from geomid_ros.gap.result import LinkChange
+from geomid_ros.gap.search.analysis import Analysis
+from geomid_ros.model.effects import Quantity
+from geomid_ros.model.effects.places import AtJoint
+from geomid_ros.model.measurement import MeasurementModel
+
+_SURE = 3.0  # standard deviations
+_LEAST = 0.05  # of the mass
+_HELD = 0.1  # of the usual spread: so little a link may change to be as it was
+
+
+def changed_links(model: MeasurementModel, analysis: Analysis, unseen: HeldOut) -> tuple[LinkChange, ...]:
+    """The links whose mass has changed for sure, without payloads, the one that matters most first.
+
+    A change that another link can take over, as that of a link which hardly moves alone, is none.
+    """
+    return tuple(sorted(_changes(model, analysis, unseen), key=lambda change: -change.loss))
+
+
+def _changes(model: MeasurementModel, analysis: Analysis, unseen: HeldOut) -> Iterator[LinkChange]:
+    names, search = analysis.names, analysis.search
+    nominal, stds = search.prior.inertias[::10], np.sqrt(np.diag(names.covariance))[: len(search.prior.inertias) : 10]
+    left = bool(open_curves(analysis, unseen) or np.any(is_open(unseen)))
+    for link, (was, std) in enumerate(zip(nominal, stds, strict=True)):
+        change = float(names.inertias[link, 0] - was)
+        if abs(change) < max(_SURE * std, _LEAST * was):
+            continue
+        spreads = names.spreads.copy()
+        spreads[link] = _HELD * search.prior.spread
+        loss = fit(search.design, search.prior, names.chosen, names, spreads).score - names.score
+        if loss > CONFIDENT_LOSS:
+            body = model.robot.bodies[model.identified[link]]
+            sure = loss > CONFIDENT_BESIDE_UNEXPLAINED or not left
+            yield LinkChange(
+                link=body.name,
+                joint=model.places.name(AtJoint(body.joint - 1)) if body.joint > 0 else "",
+                mass=Quantity(change, float(std), "kg"),
+                was=float(was),
+                loss=loss,
+                confidence="confident" if sure else "tentative",
+            )
