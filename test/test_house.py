@@ -26,6 +26,7 @@ FLOORS = {
     "signals": 2,
     "estimation": 2,
     "monitoring": 3,
+    "plausibility": 3,
     "gap": 3,
     "files": 4,
     "simulation": 4,

@@ -103,12 +103,17 @@ def read_bags(session: Session, bags: Bags, progress: Progress = silent) -> tupl
     train: list[Samples] = []
     held_out: list[Samples] = []
     for path, share in bags.shares:
+        pipeline = session.new_pipeline()
         with Bag(path) as bag:
-            batches = list(read_samples(bag, session, session.new_pipeline(), bags.topics, progress))
+            batches = list(read_samples(bag, session, pipeline, bags.topics, progress))
+        session.pipeline.ledger.add(pipeline.ledger.topics)
+        for samples in batches:
+            session.check.add(samples)
         for early, late in divided(batches, share):
             train += [early] if len(early) else []
             held_out += [late] if len(late) else []
     check_measured(session, train, bags.fitted)
+    session.judge()
     return train, held_out
 
 
