@@ -14,7 +14,7 @@ from geomid_ros.model.samples import Samples
 from geomid_ros.plausibility.verdict import Verdict
 from geomid_ros.report.drawing import draw_identification
 from geomid_ros.report.sheet import write_picture
-from geomid_ros.session.recordings import Bags, Progress, Topics, read_bags, silent
+from geomid_ros.session.recordings import Bags, Progress, Topics, read_bags, silent, take
 from geomid_ros.session.session import Session
 from geomid_ros.types import FloatArray
 
@@ -181,7 +181,6 @@ def identify(
     recorded = Bags(fitted=paths(bags), validate=paths(validate), hold_out=hold_out, topics=topics)
     train, held_out = read_bags(session, recorded, progress)
     progress("solving", 0.0)
-    for samples in train:
-        session.identifier.add(samples)
+    take(session, train)
     estimate = session.identifier.solve()
     return Identification(session=session, estimate=estimate, train=train, held_out=held_out)

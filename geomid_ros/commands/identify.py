@@ -15,9 +15,9 @@ from rich.markup import escape
 from rich.table import Table
 
 import geomid_ros
+from geomid_ros.commands.judgements import print_messages, print_verdict
 from geomid_ros.commands.options import OUT, URDF, recording_options
 from geomid_ros.commands.progress import progress_bar
-from geomid_ros.commands.judgements import print_messages, print_verdict
 from geomid_ros.commands.tables import number_columns, plain_table, results_console
 from geomid_ros.estimation.estimate import QUANTITIES, EffectEstimate, Estimate, LinkEstimate
 from geomid_ros.files.models.effect_forms import is_coefficient

@@ -131,6 +131,7 @@ class Solver:
                 return
             with activity.doing(SOLVING):
                 self._detect_changes()
+                self._judge()
                 result = self._solve_once(None)
             with self._lock:
                 if done not in self._asking:  # it was told that it took too long
@@ -141,8 +142,17 @@ class Solver:
     def _solve_for_new_rows(self, activity: Activity) -> None:
         with activity.doing(SOLVING):
             self._detect_changes()
+            self._judge()
             if self._session.identifier.rows != self._solved_rows:
                 self._solve_once(self._warm_start())
+
+    def _judge(self) -> None:
+        """Judge the data as a whole when there are many new ones."""
+        try:
+            if self._session.check.due:
+                self._session.judge()
+        except Exception as error:  # noqa: BLE001 as below
+            self._fail(error)
 
     def _detect_changes(self) -> None:
         detector = self.detector

@@ -11,22 +11,23 @@ import numpy as np
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.samples import Samples
 from geomid_ros.plausibility import words
-from geomid_ros.plausibility.hypotheses import Cause, Finding, Hypothesis, decide
+from geomid_ros.plausibility.evidence import Evidence
+from geomid_ros.plausibility.hypotheses import FOLLOWS, Cause, Finding, Hypothesis, decide
 from geomid_ros.plausibility.instants import FEWEST
 from geomid_ros.plausibility.readings import Efforts, Reading, World, as_it_is
 from geomid_ros.plausibility.rows import gravity_rows, prior_factor
-from geomid_ros.types import FloatArray, IntArray
+from geomid_ros.types import FloatArray
 
 _MEASURED = 0.5  # the least share of instants at which a joint's effort is measured
 _MOVES = 0.02  # [rad, m] standard deviation of the position of a joint that moves
-_NOTHING = 0.85  # of a standard deviation: what is left of efforts that follow nothing
 _REASON = 4.0  # no URDF is wrong by more in its masses: a gain beyond it is a unit
 _TOLD = 0.8  # squared correlation with what the URDF predicts, of a joint whose gain can be told
 _ALIKE, _SHARE = 3.0, 0.6  # gains of one unit: so many within a factor of this
 _TILT = np.cos(np.radians(25.0))
 _DEGREE = np.pi / 180.0
 _DIRECTIONS, _UNITS = 20, 10  # that gravity and units may well have
-_MOST, _FAR = 2.0, 0.03  # efforts in terms of the URDF's limits: right ones are between
+_MOST, _LEAST = 2.0, 0.03  # efforts as shares of the URDF's limits: those of right ones are between
+_ABSURD = 30.0
 
 
 class EffortCheck:
@@ -50,6 +51,9 @@ class EffortCheck:
         self._samples = samples.select(usable)
         self._gains = gains[self._joints]
         self._names = [self._robot.joint_names[joint] for joint in self._joints]
+        limits = self._robot.effort_limits[self._joints]
+        self._loads = np.quantile(np.abs(self._samples.effort[:, self._joints]), 0.99, axis=0) / limits
+        """The largest efforts as shares of the URDF's limits ``(C,)``."""
         self._enough = len(self._samples) >= FEWEST and bool(np.any(moves)) and len(self._joints) > 0
 
     def findings(self) -> list[Finding]:
@@ -63,20 +67,19 @@ class EffortCheck:
     def _judged(self) -> Finding | None:
         efforts = self._efforts(self._samples)
         world = World(efforts, self._robot.gravity)
-        count = len(self._joints)
-        nominal = world.judge(as_it_is(count))
+        nominal = world.judge(as_it_is(len(self._joints)))
         tried = [
             *self._signs(world),
             *self._orders(world),
-            *self._units(world),
-            *self._gravities(efforts, world),
+            *self._units(world, nominal),
+            *self._gravities(efforts),
             *self._compensated(efforts),
             *self._degrees(),
         ]
-        finding = decide(tried, nominal, len(self._samples))
-        if finding is None and np.all(nominal.sigmas > _NOTHING):
+        best = max([nominal, *(h.evidence for h in tried if h.allowed)], key=lambda found: found.log)
+        if np.all(best.sigmas > FOLLOWS):
             return Finding(cause=words.unrelated(self._names))
-        return finding
+        return decide(tried, nominal, len(self._samples))
 
     def _efforts(self, samples: Samples) -> Efforts:
         rows = gravity_rows(self._model, samples)
@@ -108,32 +111,43 @@ class EffortCheck:
             cause = words.exchanged_efforts(self._names[first], self._names[second])
             yield self._tried(world, Reading(sources, np.ones(count)), cause, [first, second], len(pairs))
 
-    def _units(self, world: World) -> Iterator[Hypothesis]:
-        slopes, told = world.slopes()
+    def _units(self, world: World, nominal: Evidence) -> Iterator[Hypothesis]:
         count = len(self._joints)
-        everywhere = as_it_is(count)
-        sure = np.flatnonzero((told > _TOLD) & (slopes > 0.0))
-        ratios = slopes[sure] if len(sure) else world.spread / np.maximum(np.std(world.predicted, axis=0), 1e-9)
-        factor = 1.0 / float(np.median(ratios))
-        near = np.abs(np.log(ratios * factor)) < np.log(_ALIKE)
-        settled = len(sure) >= 2 and bool(np.mean(near) >= _SHARE)
+        slopes, told = world.slopes()
+        factor, settled = self._common_factor(world, slopes, told, nominal)
         if not 1.0 / _REASON <= factor <= _REASON:
             cause = words.other_unit(self._names, self._gains * factor, factor, True)
-            reading = Reading(everywhere.sources, factor * everywhere.gains)
+            reading = Reading(np.arange(count), np.full(count, factor))
             yield self._tried(world, reading, cause, range(count), _UNITS, settled=settled)
+        common = factor if settled else np.nan
+        by_size = np.std(world.predicted, axis=0) / world.spread
+        factors = np.where((told > 0.5) & (slopes > 0.0), 1.0 / np.maximum(slopes, 1e-30), by_size)
         for joint in range(count) if count > 1 else ():
-            own = (
-                1.0 / abs(slopes[joint])
-                if told[joint] > 0.5 and slopes[joint] > 0
-                else (np.std(world.predicted[:, joint]) / world.spread[joint])
-            )
-            if own > 0.0 and not 1.0 / _REASON <= own <= _REASON:
-                gains = everywhere.gains.copy()
-                gains[joint] = own
-                cause = words.other_unit([self._names[joint]], [self._gains[joint] * own], own, False)
-                yield self._tried(world, Reading(everywhere.sources, gains), cause, [joint], _UNITS * count)
+            factor = float(factors[joint])
+            if factor > 0.0 and not 1.0 / _REASON <= factor <= _REASON:
+                gains = np.ones(count)
+                gains[joint] = factor
+                cause = words.other_unit([self._names[joint]], [self._gains[joint] * factor], factor, False)
+                own = not 1.0 / _REASON <= factor / common <= _REASON
+                absurd = bool(self._loads[joint] > _ABSURD)
+                reading = Reading(np.arange(count), gains)
+                yield self._tried(world, reading, cause, [joint], _UNITS * count, allowed=own, settled=absurd)
 
-    def _gravities(self, efforts: Efforts, world: World) -> Iterator[Hypothesis]:
+    def _common_factor(
+        self, world: World, slopes: FloatArray, told: FloatArray, nominal: Evidence
+    ) -> tuple[float, bool]:
+        """The factor that makes all efforts those of the URDF, and whether it is sure without any evidence: where the
+        links that were fitted are all as much too light or too heavy, or limits are exceeded."""
+        fitted, follows = world.fitted_slopes(nominal)
+        for ratios, sure in ((slopes, (told > _TOLD) & (slopes > 0.0)), (fitted, follows)):
+            if np.count_nonzero(sure) >= 2:
+                factor = 1.0 / float(np.median(ratios[sure]))
+                return factor, bool(np.mean(np.abs(np.log(ratios[sure] * factor)) < np.log(_ALIKE)) >= _SHARE)
+        predicted = np.maximum(np.std(world.predicted, axis=0), 1e-9)
+        beyond = bool(np.median(self._loads) > _MOST or np.max(self._loads) < _LEAST)
+        return float(np.median(predicted / world.spread)), beyond
+
+    def _gravities(self, efforts: Efforts) -> Iterator[Hypothesis]:
         count = len(self._joints)
         size = float(np.linalg.norm(self._robot.gravity))
         if size == 0.0:

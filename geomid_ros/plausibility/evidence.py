@@ -1,8 +1,8 @@
 """How probable measurements are under a hypothesis, whatever the links, friction and noise are within reason.
 
 For a channel c with targets u (in units of the standard deviation of what was measured, so that a gain costs nothing),
-``u = A x + F f + noise``: x are the links' errors, normal with unit variance, f friction (a constant of either sign, the
-others at least zero). The evidence is the probability density of u with x and f integrated out; sigma is found per
+``u = A x + F f + noise``: x are the links' errors, normal with unit variance, f friction (a constant of either sign,
+the others at least zero). The evidence is the probability density of u with x and f integrated out; sigma is found per
 channel by a fixed point.
 """
 
@@ -118,4 +118,4 @@ def _squares(products: Products, mean: FloatArray) -> FloatArray:
     unknowns = np.concatenate([np.tile(mean[:rank], (channels, 1)), own], axis=1)
     quadratic = np.einsum("ci,cij,cj->c", unknowns, products.unknowns, unknowns)
     left = products.squares - 2.0 * np.einsum("ci,ci->c", unknowns, products.crossed) + quadratic
-    return np.maximum(left, 0.0)
+    return np.asarray(np.maximum(left, 0.0))

@@ -24,9 +24,11 @@ KINDS = {
 }
 """What may be wrong."""
 
-_EXPLAINED = 0.85
+FOLLOWS = 0.85
+"""A channel follows the model if no more than this share of its standard deviation is left."""
 _BETTER = 0.75
 _GAIN, _GAIN_OF_ORDER = 0.25, 0.4  # nats per instant; there are many pairs of joints, and wrists are alike
+_OVERWHELMING = 1.0  # nats per instant
 _LEAST = 10.0  # nats in all
 _RIVAL = 0.1  # nats per instant
 
@@ -108,8 +110,8 @@ class Hypothesis:
         gain = self.gain(nominal, instants)
         return gain > least and gain * instants > _LEAST
 
-    def explains(self, nominal: Evidence) -> bool:
-        """Whether one of the channels concerned follows the model much better, and with a sign or an order all follow.
+    def explains(self, nominal: Evidence, instants: int) -> bool:
+        """Whether the channels concerned follow the model then, and one of them much better than as it is.
 
         A channel is compared with itself as it was measured: noise that is given to a joint which explains nothing
         anyway explains nothing.
@@ -117,15 +119,17 @@ class Hypothesis:
         concerned = list(self.concerned)
         after = self.evidence.sigmas[concerned]
         before = nominal.sigmas[self.sources][concerned]
-        if self.cause.kind in ("sign", "order") and np.any(after > _EXPLAINED):
+        if self.cause.kind in ("sign", "order") and np.any(after > FOLLOWS):
             return False
-        return bool(np.any(after < _BETTER * before))
+        if self.cause.kind == "gain":  # of which the friction that is fitted as it is explains as much
+            return bool(np.any(after < FOLLOWS))
+        return bool(np.any(after < _BETTER * before)) or self.gain(nominal, instants) > _OVERWHELMING
 
     def is_named(self, nominal: Evidence, instants: int) -> bool:
         """Whether all speaks for it."""
         if not self.allowed:
             return False
-        return self.settled or (self.is_better(nominal, instants) and self.explains(nominal))
+        return self.settled or (self.is_better(nominal, instants) and self.explains(nominal, instants))
 
 
 def decide(tried: Sequence[Hypothesis], nominal: Evidence, instants: int) -> Finding | None:
@@ -133,13 +137,19 @@ def decide(tried: Sequence[Hypothesis], nominal: Evidence, instants: int) -> Fin
     ordered = sorted(tried, key=lambda hypothesis: -hypothesis.score)
     named = [hypothesis for hypothesis in ordered if hypothesis.is_named(nominal, instants)]
     better = [h for h in ordered if h.allowed and h.is_better(nominal, instants)]
-    best = next((h for h in named if h.settled), None) if not better else None
-    if better and better[0] in named:
-        best = better[0]
-    if best is not None:
-        near = best.score - _RIVAL * instants
-        others = {(h.cause.kind, h.cause.places): h.cause for h in reversed(named) if h.score > near}
-        others.pop((best.cause.kind, best.cause.places))
-        rivals = tuple(others.values())
-        return Finding(cause=best.cause, rivals=rivals)
-    return Finding(cause=better[0].cause, sure=False) if better else None
+    best = next((h for h in named if h in better and not any(_contradicts(o, h) for o in better)), None)
+    if best is None and not any(
+        h.allowed and h.cause.kind != "gain" and h.gain(nominal, instants) > _RIVAL for h in tried
+    ):
+        best = next((h for h in named if h.settled), None)
+    if best is None:
+        return Finding(cause=better[0].cause, sure=False) if better else None
+    near = best.score - _RIVAL * instants
+    rivals = {(h.cause.kind, h.cause.places): h.cause for h in reversed(named) if h.score > near}
+    rivals.pop((best.cause.kind, best.cause.places))
+    return Finding(cause=best.cause, rivals=tuple(rivals.values()))
+
+
+def _contradicts(other: Hypothesis, best: Hypothesis) -> bool:
+    """Whether a better one, which is not named, is about the same channels."""
+    return other.score > best.score and not set(best.concerned).isdisjoint(other.concerned)

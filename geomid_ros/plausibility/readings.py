@@ -9,11 +9,12 @@ import numpy as np
 
 from geomid_ros.plausibility.evidence import Evidence, Products, evidence
 from geomid_ros.plausibility.rows import GravityRows
-from geomid_ros.types import FloatArray, IntArray, frozen
+from geomid_ros.types import BoolArray, FloatArray, IntArray
 
 _ROUNDING = 1e-10
 _FRICTION = 2.0  # standard deviations of a channel that friction may well explain
 _OFFSET = 3.0
+_ALIKE, _PART = 0.7, 0.5  # correlation of what links take, and share of what was measured
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,21 +105,21 @@ class World:
     @cached_property
     def _unknowns(self) -> FloatArray:
         by_channel = self._columns.transpose(1, 2, 0)
-        return by_channel @ by_channel.transpose(0, 2, 1)
+        return np.asarray(by_channel @ by_channel.transpose(0, 2, 1))
 
     @cached_property
     def _crossed(self) -> FloatArray:
         """Columns of each channel times the measured efforts of all, and times its prediction ``(C, r + 4, C + 1)``."""
         channels = self._efforts.shape[1]
         both = np.concatenate([np.repeat(self._efforts[None], channels, 0), self.predicted.T[:, :, None]], axis=2)
-        return self._columns.transpose(1, 2, 0) @ both
+        return np.asarray(self._columns.transpose(1, 2, 0) @ both)
 
     @cached_property
     def _tolerated(self) -> FloatArray:
         sizes = np.sqrt(np.mean(self._friction**2, axis=0))
         tolerated = _FRICTION / np.maximum(sizes, 1e-6)
         tolerated[:, 0] = _OFFSET
-        return tolerated
+        return np.asarray(tolerated)
 
     def judge(self, reading: Reading) -> Evidence:
         """The evidence of a reading."""
@@ -140,9 +141,19 @@ class World:
             squares=np.sum(target**2, axis=0),
         )
 
+    def fitted_slopes(self, found: Evidence) -> tuple[FloatArray, BoolArray]:
+        """How many times as much the links that were found take as the URDF's, and whether that can be told: they
+        explain a good part of what was measured, and do so as the URDF's do ``(C,)``."""
+        rank = self._columns.shape[2] - 4
+        own = self.predicted + self._columns[:, :, :rank] @ found.links
+        own, nominal = own - np.mean(own, axis=0), self.predicted - np.mean(self.predicted, axis=0)
+        crossed, size = np.sum(own * nominal, axis=0), np.maximum(np.sum(nominal**2, axis=0), 1e-30)
+        alike = crossed > _ALIKE * np.sqrt(size * np.sum(own**2, axis=0))
+        return crossed / size, alike & (np.std(own, axis=0) > _PART * self.spread)
+
     def links(self, found: Evidence) -> FloatArray:
         """The errors ``(D,)`` of the links that evidence has found, in units of the factor of their covariance."""
-        return self._basis @ found.links
+        return np.asarray(self._basis @ found.links)
 
     def slopes(self) -> tuple[FloatArray, FloatArray]:
         """Of each channel the slope of what is measured over what the URDF predicts, and their squared correlation,

@@ -65,8 +65,8 @@ def _rows(model: MeasurementModel, samples: Samples, gravity: FloatArray) -> tup
 
 
 def prior_factor(model: MeasurementModel) -> FloatArray:
-    """A factor ``(D, D)`` of the covariance of what the URDF may be wrong by: every link's shape and mass, and a payload
-    at each end of a chain."""
+    """A factor ``(D, D)`` of the covariance of what the URDF may be wrong by: every link's shape and mass, and a
+    payload at each end of a chain."""
     robot = model.robot
     bodies = np.array([body.parameters for body in robot.bodies])
     manifold = ParameterManifold(len(bodies), 0, np.zeros(0))

@@ -1,4 +1,4 @@
-"""Whether a result can be used: converged, of a recording that is what it is declared to be, and better than the URDF."""
+"""Whether a result can be used: converged, of a recording that is what it is declared to be, better than the URDF."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.samples import Samples
 from geomid_ros.plausibility.hypotheses import Finding
-from geomid_ros.types import FloatArray
+from geomid_ros.types import AnyArray, FloatArray
 
 USABLE, NOT_CONVERGED, DOUBTFUL = "usable", "not converged", "doubtful"
 STATUS = {USABLE: 0, NOT_CONVERGED: 3, DOUBTFUL: 4}
@@ -58,14 +58,14 @@ def verdict(
     reasons = [finding.sentence for finding in findings]
     reasons += [] if findings else _masses(estimate, model)
     warnings = [
-        f"'{channel}' is predicted worse than by the URDF: the motion tells too little of what acts there, or something "
-        "acts that the model lacks"
+        f"'{channel}' is predicted worse than by the URDF: the motion tells too little of what acts there, or "
+        "something acts that the model lacks"
         for channel in worse
     ]
-    if estimate.converged:
-        return Verdict(word=DOUBTFUL if reasons else USABLE, reasons=tuple(reasons), warnings=tuple(warnings))
-    word = DOUBTFUL if findings else NOT_CONVERGED
-    return Verdict(word=word, reasons=(*reasons, f"not converged: {estimate.reason}"), warnings=tuple(warnings))
+    word = DOUBTFUL if reasons else USABLE
+    if not estimate.converged and not findings:
+        word = NOT_CONVERGED
+    return Verdict(word=word, reasons=tuple(reasons), warnings=tuple(warnings))
 
 
 def _masses(estimate: Estimate, model: MeasurementModel) -> Iterator[str]:
@@ -77,6 +77,11 @@ def _masses(estimate: Estimate, model: MeasurementModel) -> Iterator[str]:
             f"the links weigh {found:.3g} kg in all instead of the URDF's {nominal:.3g} kg: are the efforts in another "
             "unit (effort_gain)?"
         )
+
+
+def recording_status(findings: Sequence[Finding]) -> int:
+    """The exit status of what was made of a recording by another way than an estimate."""
+    return STATUS[DOUBTFUL if findings else USABLE]
 
 
 def worse_on_rows(estimate: Estimate) -> list[str]:
@@ -111,7 +116,7 @@ def worse_channels(model: MeasurementModel, batches: Sequence[Samples], paramete
     return worse
 
 
-def _means(values: FloatArray, blocks: FloatArray) -> FloatArray:
+def _means(values: FloatArray, blocks: AnyArray) -> FloatArray:
     """Means ``(blocks, channels)``; NaN where nothing was measured."""
     known = np.isfinite(values)
     sums, counts = (np.zeros((int(np.max(blocks)) + 1, values.shape[1])) for _ in range(2))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -11,7 +11,7 @@ from geomid_ros.plausibility.hypotheses import Cause
 from geomid_ros.types import FloatArray
 
 
-def gain_settings(joints: Sequence[str], gains: Sequence[float], of_all: bool) -> dict[str, Any]:
+def gain_settings(joints: Sequence[str], gains: Iterable[float], of_all: bool) -> dict[str, Any]:
     """The parameters that give joints these gains.
 
     Args:
@@ -30,7 +30,7 @@ def written(settings: Mapping[str, Any]) -> str:
     return ", ".join(f"{name}: {value}" for name, value in settings.items())
 
 
-def reversed_efforts(joints: Sequence[str], gains: Sequence[float], of_all: bool) -> Cause:
+def reversed_efforts(joints: Sequence[str], gains: Iterable[float], of_all: bool) -> Cause:
     """The efforts of joints, or of all of them, have the opposite sign."""
     settings = gain_settings(joints, [-gain for gain in gains], of_all)
     who = "the efforts of all joints are" if of_all else f"the effort of joint '{joints[0]}' is"
@@ -47,7 +47,7 @@ def exchanged_efforts(first: str, second: str) -> Cause:
     return Cause(kind="order", sentence=sentence, places=(first, second))
 
 
-def other_unit(joints: Sequence[str], gains: Sequence[float], factor: float, of_all: bool) -> Cause:
+def other_unit(joints: Sequence[str], gains: Iterable[float], factor: float, of_all: bool) -> Cause:
     """Efforts have to be multiplied by a factor; ``gains`` are those that result."""
     settings = gain_settings(joints, gains, of_all)
     who = "the efforts of all joints are" if of_all else f"the effort of joint '{joints[0]}' is"
@@ -67,8 +67,8 @@ def _unit(factor: float) -> str:
 def degrees(joints: Sequence[str]) -> Cause:
     """Positions and speeds are in degrees."""
     sentence = (
-        "joint positions are in degrees: taken so, the efforts follow this robot's gravity and motion; messages have to "
-        "be in rad and rad/s"
+        "joint positions are in degrees: taken so, the efforts follow this robot's gravity and motion; messages have "
+        "to be in rad and rad/s"
     )
     return Cause(kind="degrees", sentence=sentence, places=tuple(joints))
 
@@ -87,8 +87,8 @@ def no_gravity(joints: Sequence[str]) -> Cause:
     """Gravity is not in the efforts."""
     settings = {"gravity": [0.0, 0.0, 0.0]}
     sentence = (
-        "gravity is not in the efforts: they are compensated for it, or there is none. Record measured efforts that are "
-        f"not compensated, or write {written(settings)}; masses then show in accelerations alone"
+        "gravity is not in the efforts: they are compensated for it, or there is none. Record measured efforts that "
+        f"are not compensated, or write {written(settings)}; masses then show in accelerations alone"
     )
     return Cause(kind="compensated", sentence=sentence, settings=settings, places=tuple(joints))
 
@@ -96,8 +96,8 @@ def no_gravity(joints: Sequence[str]) -> Cause:
 def unrelated(joints: Sequence[str]) -> Cause:
     """No model explains the efforts."""
     sentence = (
-        "the efforts follow neither the gravity nor the motion of this robot: are they external or compensated efforts, "
-        "or is the URDF that of another robot?"
+        "the efforts follow neither the gravity nor the motion of this robot: are they external or compensated "
+        "efforts, or is the URDF that of another robot?"
     )
     return Cause(kind="unrelated", sentence=sentence, places=tuple(joints))
 

@@ -12,7 +12,9 @@ import numpy as np
 from geomid_ros.errors import InputError
 from geomid_ros.files.bags.bag import Bag
 from geomid_ros.model.samples import Samples
+from geomid_ros.plausibility.hypotheses import Cause, Finding
 from geomid_ros.session.session import Session
+from geomid_ros.session.wrench_guard import WrenchGuard
 from geomid_ros.signals.messages import JOINT_STATES, ODOM, message_type, parse
 from geomid_ros.signals.pipeline import SignalPipeline
 
@@ -115,6 +117,20 @@ def read_bags(session: Session, bags: Bags, progress: Progress = silent) -> tupl
     check_measured(session, train, bags.fitted)
     session.judge()
     return train, held_out
+
+
+def take(session: Session, batches: Sequence[Samples]) -> None:
+    """Give samples to the session's identifier, without the rows of wrench sensors that are not as declared."""
+    guard = WrenchGuard(session)
+    for samples in batches:
+        _, rows = session.identifier.add(samples)
+        guard.take(rows)
+    named = {place for finding in session.findings for place in finding.cause.places}
+    session.findings += tuple(
+        Finding(cause=Cause(kind="wrench", sentence=sentence, places=(topic,)))
+        for topic, sentence in guard.sentences.items()
+        if topic not in named
+    )
 
 
 def read_samples(

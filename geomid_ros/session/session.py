@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable, Iterable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -15,8 +16,8 @@ from geomid_ros.estimation.estimator import WarmStart
 from geomid_ros.estimation.identifier import Identifier
 from geomid_ros.files.checkpoints.checkpoint import Checkpoint
 from geomid_ros.files.disk import write_json, write_text
-from geomid_ros.files.models.loaded_model import LoadedModel
 from geomid_ros.files.models.judgements import account_entry, verdict_entry
+from geomid_ros.files.models.loaded_model import LoadedModel
 from geomid_ros.files.models.results import estimate_document
 from geomid_ros.files.models.urdf import with_identified_inertias
 from geomid_ros.model.columns import Columns
@@ -82,7 +83,10 @@ class Session:
             self.prior,
         )
         joints = self.robot.joint_names
-        self.check = RecordingCheck(self.model, configuration.signals(joints).effort_gains(joints))
+        named = {s.topic: name for name, s in zip(configuration["wrenches"], configuration.sensors, strict=True)}
+        gains = configuration.signals(joints).effort_gains(joints)
+        self._new_check = partial(RecordingCheck, self.model, gains, named)
+        self.check = self._new_check()
         """Told of all samples, it judges them as a whole."""
         self.findings: tuple[Finding, ...] = ()
         """What seems to be wrong with the recording as a whole."""
@@ -99,6 +103,10 @@ class Session:
     def judge(self) -> None:
         """Judge the recording as a whole, by the samples that :attr:`check` was told of so far."""
         self.findings = self.check.findings()
+
+    def forget_findings(self) -> None:
+        """Judge by the samples to come alone."""
+        self.check, self.findings = self._new_check(), ()
 
     def verdict(self, estimate: Estimate, batches: Sequence[Samples] = ()) -> Verdict:
         """Whether an estimate can be used.
@@ -229,7 +237,7 @@ class Session:
     def save(
         self, folder: Path, estimate: Estimate, held_out: FloatArray | None = None, verdict: Verdict | None = None
     ) -> list[Path]:
-        """Write ``estimate.json``, see :meth:`document`, and ``identified.urdf`` into ``folder``; returns their paths."""
+        """Write ``estimate.json``, see :meth:`document`, and ``identified.urdf`` into a folder; returns their paths."""
         document, description = folder / "estimate.json", folder / "identified.urdf"
         write_text(description, self.identified_urdf(estimate))
         write_json(document, self.document(estimate, held_out, verdict))

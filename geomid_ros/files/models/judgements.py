@@ -15,11 +15,16 @@ def verdict_entry(verdict: Verdict, findings: Sequence[Finding]) -> dict[str, An
     return {
         "result": verdict.word,
         "reasons": list(verdict.reasons),
-        "causes": [
-            _cause_entry(finding.cause) | {"sure": finding.sure, "rivals": [_cause_entry(c) for c in finding.rivals]}
-            for finding in findings
-        ],
+        "causes": causes_entry(findings),
     }
+
+
+def causes_entry(findings: Sequence[Finding]) -> list[dict[str, Any]]:
+    """What a recording seems to be, with the parameters that mend it."""
+    return [
+        _cause_entry(finding.cause) | {"sure": finding.sure, "rivals": [_cause_entry(c) for c in finding.rivals]}
+        for finding in findings
+    ]
 
 
 def _cause_entry(cause: Cause) -> dict[str, Any]:
