@@ -28,7 +28,7 @@ FOLLOWS = 0.85
 """A channel follows the model if no more than this share of its standard deviation is left."""
 _BETTER = 0.75
 _GAIN, _GAIN_OF_ORDER = 0.25, 0.4  # nats per instant; there are many pairs of joints, and wrists are alike
-_OVERWHELMING = 1.0  # nats per instant
+_OVERWHELMING = 0.5  # nats per instant: then it may be the links alone that become much more probable
 _LEAST = 10.0  # nats in all
 _RIVAL = 0.1  # nats per instant
 
