@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
+import numpy as np
+
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.samples import Samples
 from geomid_ros.model.sensors import WrenchSensor
-from geomid_ros.plausibility.efforts import EffortCheck
+from geomid_ros.plausibility.efforts import MEASURED, EffortCheck
 from geomid_ros.plausibility.hypotheses import Finding
 from geomid_ros.plausibility.instants import FEWEST, Instants, Stretch
 from geomid_ros.plausibility.wrenches import WrenchSensorCheck, can_be_judged
@@ -55,6 +57,15 @@ class RecordingCheck:
             return ()
         efforts = EffortCheck(self._model, samples, self._gains).findings() if self._efforts_alone else []
         return (*efforts, *filter(None, map(self._wrench, self._sensors)))
+
+    @property
+    def unmeasured(self) -> list[str]:
+        """The joints whose efforts are missing at half of the instants or more: empty, not finite or all zero."""
+        samples = self._instants.samples
+        if samples is None or not self._model.layout.efforts:
+            return []
+        shares = np.mean(np.isfinite(samples.effort), axis=0)
+        return [name for name, share in zip(self._model.robot.joint_names, shares, strict=True) if share < MEASURED]
 
     def _wrench(self, sensor: WrenchSensor) -> Finding | None:
         samples, dense = self._instants.samples, self._stretch.samples

@@ -18,7 +18,8 @@ from geomid_ros.plausibility.readings import Efforts, Reading, World, as_it_is
 from geomid_ros.plausibility.rows import gravity_rows, prior_factor
 from geomid_ros.types import FloatArray
 
-_MEASURED = 0.5  # the least share of instants at which a joint's effort is measured
+MEASURED = 0.5
+"""The least share of instants at which the effort of a joint that is judged is measured."""
 _MOVES = 0.02  # [rad, m] standard deviation of the position of a joint that moves
 _REASON = 4.0  # no URDF is wrong by more in its masses: a gain beyond it is a unit
 _TOLD = 0.8  # squared correlation with what the URDF predicts, of a joint whose gain can be told
@@ -43,7 +44,7 @@ class EffortCheck:
         self._model = model
         self._robot = model.robot
         moves = np.std(samples.position, axis=0) > _MOVES
-        measured = np.mean(np.isfinite(samples.effort), axis=0) >= _MEASURED
+        measured = np.mean(np.isfinite(samples.effort), axis=0) >= MEASURED
         changes = np.array([_changes(effort) for effort in samples.effort.T], dtype=bool)
         self._constant = [self._robot.joint_names[j] for j in np.flatnonzero(measured & moves & ~changes)]
         self._joints = np.flatnonzero(measured & changes)

@@ -45,7 +45,11 @@ class Verdict:
 
 
 def verdict(
-    estimate: Estimate, findings: Sequence[Finding], model: MeasurementModel, worse: Sequence[str] = ()
+    estimate: Estimate,
+    findings: Sequence[Finding],
+    model: MeasurementModel,
+    worse: Sequence[str] = (),
+    unmeasured: Sequence[str] = (),
 ) -> Verdict:
     """Judge a result.
 
@@ -54,6 +58,7 @@ def verdict(
         findings: what seems to be wrong with the recording.
         model: that was fitted.
         worse: the channels that it predicts worse than the URDF does, see :func:`worse_channels`.
+        unmeasured: the joints whose efforts are missing.
     """
     reasons = [finding.sentence for finding in findings]
     reasons += [] if findings else _masses(estimate, model)
@@ -62,6 +67,8 @@ def verdict(
         "something acts that the model lacks"
         for channel in worse
     ]
+    if unmeasured:
+        warnings.append(f"most of the time no effort is measured at {', '.join(map(repr, unmeasured))}: it is left out")
     word = DOUBTFUL if reasons else USABLE
     if not estimate.converged and not findings:
         word = NOT_CONVERGED

@@ -116,7 +116,7 @@ class Session:
             batches: samples on which it is compared with the URDF; none to compare on its own rows.
         """
         worse = worse_channels(self.model, batches, estimate.parameters) if batches else worse_on_rows(estimate)
-        return verdict(estimate, self.findings, self.model, worse)
+        return verdict(estimate, self.findings, self.model, worse, self.check.unmeasured)
 
     def warnings(self, estimate: Estimate | None = None) -> list[str]:
         """What makes results doubtful, in sentences: of the model, and of an estimate."""
