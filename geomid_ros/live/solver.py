@@ -131,8 +131,8 @@ class Solver:
                 return
             with activity.doing(SOLVING):
                 self._detect_changes()
-                self._judge()
                 result = self._solve_once(None)
+                self._judge()
             with self._lock:
                 if done not in self._asking:  # it was told that it took too long
                     return
@@ -142,9 +142,9 @@ class Solver:
     def _solve_for_new_rows(self, activity: Activity) -> None:
         with activity.doing(SOLVING):
             self._detect_changes()
-            self._judge()
             if self._session.identifier.rows != self._solved_rows:
                 self._solve_once(self._warm_start())
+                self._judge()
 
     def _judge(self) -> None:
         """Judge the data as a whole when there are many new ones."""

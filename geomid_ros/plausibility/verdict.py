@@ -61,12 +61,12 @@ def verdict(
         unmeasured: the joints whose efforts are missing.
     """
     reasons = [finding.sentence for finding in findings]
-    reasons += [] if findings else _masses(estimate, model)
     warnings = [
         f"'{channel}' is predicted worse than by the URDF: the motion tells too little of what acts there, or "
         "something acts that the model lacks"
         for channel in worse
     ]
+    warnings += _masses(estimate, model)
     if unmeasured:
         warnings.append(f"most of the time no effort is measured at {', '.join(map(repr, unmeasured))}: it is left out")
     word = DOUBTFUL if reasons else USABLE
@@ -81,8 +81,8 @@ def _masses(estimate: Estimate, model: MeasurementModel) -> Iterator[str]:
     found = sum(link.mass for link in estimate.links)
     if not nominal / _REASON <= found <= _REASON * nominal:
         yield (
-            f"the links weigh {found:.3g} kg in all instead of the URDF's {nominal:.3g} kg: are the efforts in another "
-            "unit (effort_gain)?"
+            f"the links weigh {found:.3g} kg in all instead of the URDF's {nominal:.3g} kg, which no such robot does: "
+            "predictions may hold, these masses do not"
         )
 
 
