@@ -13,6 +13,7 @@ from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.estimation.identifier import Identifier
 from geomid_ros.plausibility.hypotheses import Cause, Finding
 from geomid_ros.plausibility.verdict import Verdict, verdict, worse_channels, worse_on_rows
+from geomid_ros.types import FloatArray
 
 FINDING = Finding(cause=Cause(kind="sign", sentence="all is reversed"), sure=False)
 
@@ -54,29 +55,38 @@ def test_missing_efforts_are_told() -> None:
     assert "'joint2'" in warning
 
 
-def test_a_channel_that_is_worse_than_by_the_urdf_is_named() -> None:
-    """As of a robot that is as its URDF says, but for friction: parameters that are wrong at one joint show there."""
-    case, estimate = solved()
-    held_out = case.fresh(9).samples
-    assert worse_channels(case.model, [held_out], estimate.parameters) == []
-    wrong = estimate.parameters.copy()
+def with_rotor(parameters: FloatArray) -> FloatArray:
+    """With a rotor inertia at joint 2 that is far too large."""
+    case, _ = solved()
+    wrong = parameters.copy()
     place = next(
         10 * len(case.model.identified) + k
         for k, c in enumerate(case.model.coefficients)
         if (c.effect.name, c.place_name) == ("rotor_inertia", "joint2")
     )
     wrong[place] += 200.0
+    return wrong
+
+
+def test_a_channel_that_is_worse_than_by_the_urdf_is_named() -> None:
+    case, estimate = solved()
+    held_out = case.fresh(9).samples
+    wrong = with_rotor(estimate.parameters)
+    assert worse_channels(case.model, [held_out], estimate.parameters) == []
     assert worse_channels(case.model, [held_out], wrong) == ["joint2"]
     assert worse_channels(case.model, [], wrong) == []
 
 
 def test_what_is_within_the_scatter_of_blocks_is_not_told() -> None:
-    """One bad second of twenty says nothing."""
+    """One bad second of twenty says nothing: in the others nothing accelerates."""
     case, estimate = solved()
     held_out = case.fresh(9).samples
-    efforts = held_out.effort.copy()
-    efforts[500:600, 1] += 1e3 * np.sign(case.model.predict(held_out, case.model.nominal_parameters)[1][500:600, 1])
-    assert worse_channels(case.model, [replace(held_out, effort=efforts)], estimate.parameters) == []
+    acceleration = np.zeros_like(held_out.acceleration)
+    acceleration[500:600] = held_out.acceleration[500:600]
+    assert (
+        worse_channels(case.model, [replace(held_out, acceleration=acceleration)], with_rotor(estimate.parameters))
+        == []
+    )
 
 
 def test_on_its_own_rows_too() -> None:
