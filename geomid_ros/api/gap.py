@@ -11,6 +11,7 @@ from geomid_ros.api.arguments import Config, PathLike, Paths, Texts, configurati
 from geomid_ros.errors import InputError
 from geomid_ros.files.disk import write_json
 from geomid_ros.files.models.gap_results import gap_document
+from geomid_ros.files.models.judgements import causes_entry
 from geomid_ros.gap.result import Finding, GapResult, Verdict
 from geomid_ros.model.samples import Samples
 from geomid_ros.report.gap_page import GapPage, write_gap_page
@@ -55,7 +56,8 @@ class Gap:
     @property
     def document(self) -> dict[str, Any]:
         """All numbers, as ``gap.json`` has them."""
-        return gap_document(self.result, {simulation.kind: simulation.errors for simulation in self.simulated})
+        document = gap_document(self.result, {simulation.kind: simulation.errors for simulation in self.simulated})
+        return document | {"causes": causes_entry(self.session.findings)}
 
     def report(self, path: PathLike, *, progress: Progress = silent) -> Path:
         """Write everything with pictures on one HTML page that needs no network.

@@ -11,9 +11,10 @@ from typing import TYPE_CHECKING, Any
 from geomid_ros.api.arguments import Config, PathLike, Paths, Texts, configuration, description, paths, texts
 from geomid_ros.estimation.estimate import EffectEstimate, Estimate, LinkEstimate
 from geomid_ros.model.samples import Samples
+from geomid_ros.plausibility.verdict import Verdict
 from geomid_ros.report.drawing import draw_identification
 from geomid_ros.report.sheet import write_picture
-from geomid_ros.session.recordings import Bags, Progress, Topics, read_bags, silent
+from geomid_ros.session.recordings import Bags, Progress, Topics, read_bags, silent, take
 from geomid_ros.session.session import Session
 from geomid_ros.types import FloatArray
 
@@ -55,8 +56,13 @@ class Identification:
 
     @property
     def warnings(self) -> list[str]:
-        """What makes the result doubtful, in sentences."""
-        return self.session.warnings(self.estimate)
+        """What to know of the result, in sentences, beside the :attr:`verdict`."""
+        return [*self.verdict.warnings, *self.session.warnings(self.estimate)]
+
+    @cached_property
+    def verdict(self) -> Verdict:
+        """Whether the result can be used: ``usable``, ``doubtful`` or ``not converged``, and why not."""
+        return self.session.verdict(self.estimate, self.held_out or self.train)
 
     @cached_property
     def rms_nominal(self) -> dict[str, float]:
@@ -76,7 +82,7 @@ class Identification:
     @property
     def document(self) -> dict[str, Any]:
         """All numbers, as ``estimate.json`` has them."""
-        return self.session.document(self.estimate, self.held_out_rms)
+        return self.session.document(self.estimate, self.held_out_rms, self.verdict)
 
     def urdf(self) -> str:
         """The robot description with the identified inertias; every other character of it is kept."""
@@ -101,7 +107,7 @@ class Identification:
         Raises:
             InputError: a file cannot be written.
         """
-        files = self.session.save(Path(folder), self.estimate, self.held_out_rms)
+        files = self.session.save(Path(folder), self.estimate, self.held_out_rms, self.verdict)
         progress("drawing", 0.0)
         picture = Path(folder) / "identification.png"
         write_picture(picture, self.plot())
@@ -175,7 +181,6 @@ def identify(
     recorded = Bags(fitted=paths(bags), validate=paths(validate), hold_out=hold_out, topics=topics)
     train, held_out = read_bags(session, recorded, progress)
     progress("solving", 0.0)
-    for samples in train:
-        session.identifier.add(samples)
+    take(session, train)
     estimate = session.identifier.solve()
     return Identification(session=session, estimate=estimate, train=train, held_out=held_out)

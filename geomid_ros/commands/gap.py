@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import sys
 from collections.abc import Iterator
 from itertools import pairwise
 from pathlib import Path
@@ -15,10 +16,12 @@ from rich.markup import escape
 from rich.table import Table
 
 import geomid_ros
+from geomid_ros.commands.judgements import print_verdict
 from geomid_ros.commands.options import OUT, URDF, recording_options
 from geomid_ros.commands.progress import progress_bar
 from geomid_ros.commands.tables import number_columns, plain_table, results_console
 from geomid_ros.gap.result import GapResult
+from geomid_ros.plausibility.verdict import recording_status
 from geomid_ros.report import gap_words
 from geomid_ros.report.simulated_again import SimulatedAgain
 
@@ -61,14 +64,14 @@ def gap(
     else:
         _print(found)
         click.echo(f"\nWritten: {', '.join(map(str, files))}")
+    sys.exit(recording_status(found.session.findings))
 
 
 def _print(found: geomid_ros.Gap) -> None:
     """Print the verdict, what was found, the gap of every channel, candidates, and what to record next."""
     console = results_console()
     result = found.result
-    for warning in found.session.warnings():
-        _say(console, f"[bold]Warning:[/bold] {escape(warning)}")
+    print_verdict(console, [finding.sentence for finding in found.session.findings], found.session.warnings())
     _say(console, f"[bold]{result.verdict.upper()}[/bold]  {escape(gap_words.verdict_sentence(result))}")
     for sentence in gap_words.in_short(result):
         _say(console, escape(sentence))

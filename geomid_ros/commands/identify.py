@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import sys
 from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
@@ -14,6 +15,7 @@ from rich.markup import escape
 from rich.table import Table
 
 import geomid_ros
+from geomid_ros.commands.judgements import print_messages, print_verdict
 from geomid_ros.commands.options import OUT, URDF, recording_options
 from geomid_ros.commands.progress import progress_bar
 from geomid_ros.commands.tables import number_columns, plain_table, results_console
@@ -58,6 +60,7 @@ def identify(bags: tuple[Path, ...], urdf: Path, effects: str | None, out: Path,
     else:
         _print(found)
         click.echo(f"\nWritten: {', '.join(map(str, files))}")
+    sys.exit(found.verdict.status)
 
 
 def _names(text: str | None) -> list[str] | None:
@@ -70,8 +73,8 @@ def _print(found: geomid_ros.Identification) -> None:
     console = results_console()
     estimate = found.estimate
     state = "converged" if estimate.converged else f"NOT converged ({estimate.reason})"
-    for warning in found.warnings:
-        console.print(f"[bold]Warning:[/bold] {escape(warning)}", highlight=False)
+    print_verdict(console, found.verdict.reasons, found.warnings)
+    print_messages(console, found.session.pipeline.ledger.topics)
     console.print(
         f"{estimate.rows_accepted} rows, {state} in {estimate.seconds:.1f} s, prior's weight {estimate.gamma:.1e}",
         highlight=False,

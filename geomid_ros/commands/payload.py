@@ -3,18 +3,21 @@
 from __future__ import annotations
 
 import json
+import sys
 from pathlib import Path
 from typing import Any
 
 import click
-from rich.markup import escape
 
 import geomid_ros
+from geomid_ros.commands.judgements import print_verdict
 from geomid_ros.commands.options import URDF
 from geomid_ros.commands.progress import progress_bar
 from geomid_ros.commands.tables import number_columns, plain_table, results_console
 from geomid_ros.estimation.estimate import QUANTITIES
 from geomid_ros.exports.formats import CONTROLLERS
+from geomid_ros.files.models.judgements import causes_entry
+from geomid_ros.plausibility.verdict import recording_status
 from geomid_ros.session.payload import GAIN
 
 _UNITS = ("kg", *("m",) * 3, *("kg m^2",) * 6)
@@ -47,11 +50,16 @@ def payload(empty: Path, loaded: Path, urdf: Path, controller: str | None, as_js
         found = geomid_ros.weigh_payload(empty, loaded, urdf, progress=progress, **options)
     if as_json:
         click.echo(json.dumps(_document(found), indent=2))
-        return
+    else:
+        _print(found, controller)
+    sys.exit(recording_status(found.weighed.findings))
+
+
+def _print(found: geomid_ros.Payload, controller: str | None) -> None:
+    """Print the payload, what makes it doubtful first, and the commands that set it."""
     console = results_console()
     low, high = found.interval
-    for warning in found.weighed.warnings:
-        console.print(f"[bold]Warning:[/bold] {escape(warning)}", highlight=False)
+    print_verdict(console, [finding.sentence for finding in found.weighed.findings], found.weighed.warnings)
     gain = f", an uncertain gain of {100.0 * found.weighed.gain:.3g} % included" if found.weighed.gain else ""
     console.print(f"{found.mass:.3f} kg, from {low:.3f} to {high:.3f} kg (95 %{gain})", highlight=False)
     table = plain_table(f"Payload in the axes of '{found.frame}'")
@@ -79,4 +87,5 @@ def _document(found: geomid_ros.Payload) -> dict[str, Any]:
         "cannot_tell": list(found.weighed.cannot_tell),
         "rms": found.weighed.rms,
         "warnings": list(found.weighed.warnings),
+        "causes": causes_entry(found.weighed.findings),
     }

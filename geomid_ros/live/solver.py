@@ -132,6 +132,7 @@ class Solver:
             with activity.doing(SOLVING):
                 self._detect_changes()
                 result = self._solve_once(None)
+                self._judge()
             with self._lock:
                 if done not in self._asking:  # it was told that it took too long
                     return
@@ -143,6 +144,15 @@ class Solver:
             self._detect_changes()
             if self._session.identifier.rows != self._solved_rows:
                 self._solve_once(self._warm_start())
+                self._judge()
+
+    def _judge(self) -> None:
+        """Judge the data as a whole when there are many new ones."""
+        try:
+            if self._session.check.due:
+                self._session.judge()
+        except Exception as error:  # noqa: BLE001 as below
+            self._fail(error)
 
     def _detect_changes(self) -> None:
         detector = self.detector

@@ -10,17 +10,14 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TypeAlias
 
-import numpy as np
-
 from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.live.activity import Activity
 from geomid_ros.live.daemon import start_daemon
 from geomid_ros.live.solver import SOLVING, Done, Solver
 from geomid_ros.live.status import Status
-from geomid_ros.model.measurement import Rows
 from geomid_ros.model.samples import Samples
-from geomid_ros.monitoring.wrench_sensors import WrenchCheck, sensor_channels
 from geomid_ros.session.session import Session
+from geomid_ros.session.wrench_guard import WrenchGuard
 from geomid_ros.signals.ledger import count_reason
 from geomid_ros.signals.messages import Accepted, Message
 from geomid_ros.types import FloatArray
@@ -29,7 +26,6 @@ _LONGEST_WAIT = 0.75  # [s] while a message has waited for so long, new ones are
 _PATIENCE = 0.8  # [s] for both threads to end
 _TRANSITION = 2_000_000_000  # [ns] from the beginning of a gap until all rows show it
 _LATENCIES = 10_000  # last instants of which the latency is known
-_MOST_HELD = 100_000_000  # bytes of rows that can be taken back
 _LONG = 1.0  # [s] nothing that a thread does takes longer, except solving if ``solve_period`` is longer
 
 OnSamples: TypeAlias = Callable[[Session, Samples, FloatArray], None]
@@ -75,8 +71,7 @@ class Worker:
         self._failures: Counter[str] = Counter()
         self._rows_lost: Counter[str] = Counter()  # replaced as a whole
         self._receipt_to_row: deque[float] = deque(maxlen=_LATENCIES)
-        self._sensors = sensor_channels(session.model)
-        self._begin_check()
+        self._wrenches = WrenchGuard(session)
         self._last_taken = time.perf_counter()  # when the message that the intake took last was received, or later
         self._inbox: queue.SimpleQueue[_Task | None] = queue.SimpleQueue()
         self._intake = start_daemon("intake", self._take_messages)
@@ -139,8 +134,9 @@ class Worker:
             receipt_to_row, failures = tuple(self._receipt_to_row), self._failures + self.solver.failures
         return Status(
             active=active,
-            problems=tuple(filter(None, (*self._doubts, self._intake_is_late))),
+            problems=tuple(filter(None, (*self._sensors_left_out, *self._causes(sure=True), self._intake_is_late))),
             warnings=(
+                *self._causes(sure=False),
                 *filter(None, (self.solver.problem, self._solver_is_late)),
                 *self.session.warnings(self.solver.estimate),
             ),
@@ -162,11 +158,14 @@ class Worker:
         )
 
     @property
-    def _doubts(self) -> list[str]:
-        return [
-            f"{topic}: {problem} Its rows are left out, those before too, until ~/reset"
-            for topic, problem in self._wrenches.problems.items()
-        ]
+    def _sensors_left_out(self) -> list[str]:
+        return [f"{sentence}, those before too, until ~/reset" for sentence in self._wrenches.sentences.values()]
+
+    def _causes(self, *, sure: bool) -> list[str]:
+        """What the recording as a whole seems to be."""
+        left_out = self._wrenches.sentences
+        findings = [f for f in self.session.findings if left_out.keys().isdisjoint(f.cause.places)]
+        return [finding.sentence for finding in findings if finding.sure == sure]
 
     @property
     def _intake_is_late(self) -> str:
@@ -224,37 +223,12 @@ class Worker:
             return
         with self._lock:
             self._receipt_to_row.append(time.perf_counter() - received)
-        self._check_wrenches(new)
-        self.solver.detector.add(identifier.instants - len(stamps), stamps, self._without_doubtful(new))
+        self.session.check.add(samples)
+        if self._wrenches.take(new):
+            self.solver.begin_anew()
+        self.solver.detector.add(identifier.instants - len(stamps), stamps, self._wrenches.without_doubtful(new))
         if estimate is not None:
             self._report_prediction(samples, estimate)
-
-    def _check_wrenches(self, rows: Rows) -> None:
-        """Check the sensors by their first rows, once, and take back the rows of those that are wrong."""
-        if self._wrenches.ended:
-            return
-        self._wrenches.add(rows)
-        for topic in self._wrenches.problems:
-            self.session.identifier.leave_out(f"wrench doubtful: {topic}", self._sensors[topic], 0)
-        if self._wrenches.problems:
-            self.solver.begin_anew()
-        self._keep_revocable()
-
-    def _keep_revocable(self) -> None:
-        """Keep rows revocable while they may still be found to be bad."""
-        model = self.session.model
-        forgets = np.isfinite(self.session.configuration.buffer.forgetting_time)
-        instant = 8 * (model.dimension + 1) * len(model.channels)
-        doubted = model.mounted and not (forgets and self._wrenches.ended)
-        self.session.identifier.hold(_MOST_HELD // instant if doubted else 0)
-
-    def _without_doubtful(self, rows: Rows) -> Rows:
-        doubtful = [place for topic in self._wrenches.problems for place in self._sensors[topic]]
-        if not doubtful:
-            return rows
-        targets = rows.targets.copy()
-        targets[:, doubtful] = np.nan
-        return Rows(rows.coefficients, targets)
 
     def _report_prediction(self, samples: Samples, estimate: Estimate) -> None:
         try:
@@ -266,12 +240,9 @@ class Worker:
         with self._lock:
             count_reason(self._failures, f"{what}: {type(error).__name__}: {error}")
 
-    def _begin_check(self) -> None:
-        self._wrenches = WrenchCheck(self.session.model, self.session.nominal_parameters)
-        self._keep_revocable()
-
     def _forget(self) -> None:
         self.session.recent.clear()
+        self.session.forget_findings()
         self.solver.reset()
         self._rows_lost = Counter()
-        self._begin_check()
+        self._wrenches = WrenchGuard(self.session)

@@ -181,6 +181,23 @@ class Robot:
         )
         return repaired
 
+    @property
+    def effort_limits(self) -> FloatArray:
+        """The joints' largest efforts in the URDF ``(joints,)`` [N m, N], infinite where it has none."""
+        limits = np.asarray(self._model.effortLimit)[self.velocity_rows]
+        return np.where(limits > 0.0, limits, np.inf)
+
+    @property
+    def position_limits(self) -> FloatArray:
+        """The joints' lowest and highest positions in the URDF ``(joints, 2)`` [rad, m], infinite where it has none."""
+        model = self._model
+        limits = np.full((len(self.joints), 2), (-np.inf, np.inf))
+        for limit, joint in zip(limits, self.joints, strict=True):
+            own = model.lowerPositionLimit[joint.q], model.upperPositionLimit[joint.q]
+            if not joint.continuous and own[0] < own[1]:
+                limit[:] = own
+        return limits
+
     def is_divided_at(self, link: str) -> bool:
         """Whether the body of ``link`` begins there: it moves relative to its parent, or it is one of the cuts."""
         return link in self._heads

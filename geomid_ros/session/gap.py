@@ -153,6 +153,7 @@ class GapReader:
         cutoff = gap_cutoff(self.session, self._rate([*fitted, *validate, *simulated]))
         whole = [self._whole(path, cutoff) for path in fitted]
         twins = [self._whole(path, cutoff) for path in simulated]
+        self._judge(whole)
         for pair in zip(simulated, twins, fitted, whole, strict=False):
             _check_twin(self.session, *pair)
         parts = [part for samples in whole for part in divided([samples], self.bags.share)]
@@ -165,6 +166,11 @@ class GapReader:
             )
         held_out = [samples for samples in held_out if len(samples)]
         return Recordings(cutoff=cutoff, train=train, held_out=held_out, simulated=twins)
+
+    def _judge(self, recordings: Sequence[Samples]) -> None:
+        for samples in recordings:
+            self.session.check.add(samples)
+        self.session.judge()
 
     def sharp(self, topic: str = "") -> list[Samples]:
         """Read what is judged on, one element per bag, with as high a cutoff as its rate allows.

@@ -14,6 +14,7 @@ from geomid_ros.estimation.identifier import Identifier
 from geomid_ros.estimation.starting_point import USUAL_SPREAD_OF_LINKS
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.model.samples import Samples
+from geomid_ros.plausibility.hypotheses import Finding
 from geomid_ros.session.session import Session
 from geomid_ros.types import FloatArray
 
@@ -37,6 +38,7 @@ class WeighedPayload:
         cannot_tell: the quantities that the motions do not tell.
         rms: what remains on both recordings by channel [N m, N].
         warnings: what makes the result doubtful.
+        findings: what seems to be wrong with the recordings as a whole.
     """
 
     link: str
@@ -46,6 +48,7 @@ class WeighedPayload:
     cannot_tell: tuple[str, ...]
     rms: dict[str, float]
     warnings: tuple[str, ...]
+    findings: tuple[Finding, ...]
 
     @property
     def mass(self) -> float:
@@ -105,6 +108,7 @@ def _payload(link: str, body: LinkEstimate, gain: float, rms: dict[str, float], 
         cannot_tell=body.cannot_tell,
         rms=rms,
         warnings=tuple(session.warnings()),
+        findings=session.findings,
     )
 
 

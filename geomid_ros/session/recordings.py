@@ -12,7 +12,9 @@ import numpy as np
 from geomid_ros.errors import InputError
 from geomid_ros.files.bags.bag import Bag
 from geomid_ros.model.samples import Samples
+from geomid_ros.plausibility.hypotheses import Cause, Finding
 from geomid_ros.session.session import Session
+from geomid_ros.session.wrench_guard import WrenchGuard
 from geomid_ros.signals.messages import JOINT_STATES, ODOM, message_type, parse
 from geomid_ros.signals.pipeline import SignalPipeline
 
@@ -103,13 +105,32 @@ def read_bags(session: Session, bags: Bags, progress: Progress = silent) -> tupl
     train: list[Samples] = []
     held_out: list[Samples] = []
     for path, share in bags.shares:
+        pipeline = session.new_pipeline()
         with Bag(path) as bag:
-            batches = list(read_samples(bag, session, session.new_pipeline(), bags.topics, progress))
+            batches = list(read_samples(bag, session, pipeline, bags.topics, progress))
+        session.pipeline.ledger.add(pipeline.ledger.topics)
+        for samples in batches:
+            session.check.add(samples)
         for early, late in divided(batches, share):
             train += [early] if len(early) else []
             held_out += [late] if len(late) else []
     check_measured(session, train, bags.fitted)
+    session.judge()
     return train, held_out
+
+
+def take(session: Session, batches: Sequence[Samples]) -> None:
+    """Give samples to the session's identifier, without the rows of wrench sensors that are not as declared."""
+    guard = WrenchGuard(session)
+    for samples in batches:
+        _, rows = session.identifier.add(samples)
+        guard.take(rows)
+    named = {place for finding in session.findings for place in finding.cause.places}
+    session.findings += tuple(
+        Finding(cause=Cause(kind="wrench", sentence=sentence, places=(topic,)))
+        for topic, sentence in guard.sentences.items()
+        if topic not in named
+    )
 
 
 def read_samples(

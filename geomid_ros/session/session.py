@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,7 @@ from geomid_ros.estimation.estimator import WarmStart
 from geomid_ros.estimation.identifier import Identifier
 from geomid_ros.files.checkpoints.checkpoint import Checkpoint
 from geomid_ros.files.disk import write_json, write_text
+from geomid_ros.files.models.judgements import account_entry, verdict_entry
 from geomid_ros.files.models.loaded_model import LoadedModel
 from geomid_ros.files.models.results import estimate_document
 from geomid_ros.files.models.urdf import with_identified_inertias
@@ -22,6 +24,9 @@ from geomid_ros.model.columns import Columns
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.robot import Robot
 from geomid_ros.model.samples import Samples
+from geomid_ros.plausibility.check import RecordingCheck
+from geomid_ros.plausibility.hypotheses import Finding
+from geomid_ros.plausibility.verdict import Verdict, verdict, worse_channels, worse_on_rows
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.signals.ledger import Ledger
 from geomid_ros.signals.messages import JOINT_STATES, ODOM, Accepted
@@ -77,6 +82,14 @@ class Session:
             configuration.buffer,
             self.prior,
         )
+        joints = self.robot.joint_names
+        named = {s.topic: name for name, s in zip(configuration["wrenches"], configuration.sensors, strict=True)}
+        gains = configuration.signals(joints).effort_gains(joints)
+        self._new_check = partial(RecordingCheck, self.model, gains, named)
+        self.check = self._new_check()
+        """Told of all samples, it judges them as a whole."""
+        self.findings: tuple[Finding, ...] = ()
+        """What seems to be wrong with the recording as a whole."""
         self.warm: WarmStart | None = None
         """Where the next solve may begin: the last estimate."""
         self.recent = Recent(configuration["gap.memory"])
@@ -86,6 +99,24 @@ class Session:
     def prior(self) -> FloatArray | None:
         """The parameters ``(D,)`` of an earlier estimate to start from, NaN where it has none; None without one."""
         return self.loaded.parameters(self.model)
+
+    def judge(self) -> None:
+        """Judge the recording as a whole, by the samples that :attr:`check` was told of so far."""
+        self.findings = self.check.findings()
+
+    def forget_findings(self) -> None:
+        """Judge by the samples to come alone."""
+        self.check, self.findings = self._new_check(), ()
+
+    def verdict(self, estimate: Estimate, batches: Sequence[Samples] = ()) -> Verdict:
+        """Whether an estimate can be used.
+
+        Args:
+            estimate: what was found.
+            batches: samples on which it is compared with the URDF; none to compare on its own rows.
+        """
+        worse = worse_channels(self.model, batches, estimate.parameters) if batches else worse_on_rows(estimate)
+        return verdict(estimate, self.findings, self.model, worse, self.check.unmeasured)
 
     def warnings(self, estimate: Estimate | None = None) -> list[str]:
         """What makes results doubtful, in sentences: of the model, and of an estimate."""
@@ -180,24 +211,34 @@ class Session:
         text = f"{settings} {prior.tolist() if prior is not None else None}"
         return hashlib.sha256(text.encode(errors="replace")).hexdigest()
 
-    def document(self, estimate: Estimate, held_out: FloatArray | None = None) -> dict[str, Any]:
+    def document(
+        self, estimate: Estimate, held_out: FloatArray | None = None, verdict: Verdict | None = None
+    ) -> dict[str, Any]:
         """The document of ``estimate.json``.
 
         Args:
             estimate: what was found.
             held_out: RMS residual of each channel on held-out data ``(channels,)``, if there are any.
+            verdict: whether it can be used; that of :meth:`verdict` unless given.
         """
         rejected = dict(self.identifier.rows_rejected)
         document = estimate_document(estimate, rejected, held_out, self.loaded.effects)
-        return document | {"warnings": self.warnings(estimate)}
+        judged = verdict or self.verdict(estimate)
+        return document | {
+            "verdict": verdict_entry(judged, self.findings),
+            "warnings": [*judged.warnings, *self.warnings(estimate)],
+            "messages": {topic: account_entry(account) for topic, account in self.pipeline.ledger.topics.items()},
+        }
 
     def identified_urdf(self, estimate: Estimate) -> str:
         """The robot description with the estimated inertias; every other character of it is kept."""
         return with_identified_inertias(self.urdf, estimate.links)
 
-    def save(self, folder: Path, estimate: Estimate, held_out: FloatArray | None = None) -> list[Path]:
-        """Write ``estimate.json`` and ``identified.urdf`` into ``folder``; returns their paths."""
+    def save(
+        self, folder: Path, estimate: Estimate, held_out: FloatArray | None = None, verdict: Verdict | None = None
+    ) -> list[Path]:
+        """Write ``estimate.json``, see :meth:`document`, and ``identified.urdf`` into a folder; returns their paths."""
         document, description = folder / "estimate.json", folder / "identified.urdf"
         write_text(description, self.identified_urdf(estimate))
-        write_json(document, self.document(estimate, held_out))
+        write_json(document, self.document(estimate, held_out, verdict))
         return [document, description]

@@ -63,8 +63,16 @@ class Ledger:
         with self._lock:
             if any(account.accepted or account.rejected for account in self._topics.values()):
                 return
-            for topic, before in accounts.items():
-                self._topics[topic] = self._account(topic).plus(before)
+            self._add(accounts)
+
+    def add(self, accounts: Mapping[str, Account]) -> None:
+        """Add what another ledger has counted."""
+        with self._lock:
+            self._add(accounts)
+
+    def _add(self, accounts: Mapping[str, Account]) -> None:
+        for topic, other in accounts.items():
+            self._topics[topic] = self._account(topic).plus(other)
 
     def accept(self, topic: str) -> None:
         """Count a message that is used."""

@@ -18,7 +18,7 @@ from geomid_ros.model.robot import Robot
 from geomid_ros.simulation import SimulationOptions, simulate
 from geomid_ros.simulation.hidden import Hidden
 
-from .running import WRIST, done, identify, link, read, refused
+from .running import WRIST, done, geomid, identify, link, read, refused
 
 FILES = {"estimate.json", "identified.urdf", "identification.png"}
 TOOL_MASS = 0.01  # relative error of the tool's mass, measured by the wrist's sensor
@@ -289,13 +289,40 @@ def test_a_single_file_of_a_bag_gives_the_same(plain: dict[str, Any], tmp_path: 
     assert unclocked(document) == unclocked(plain)
 
 
-def test_reversed_and_selected_axes(tmp_path: Path) -> None:
-    """The reaction wrench is no body's weight, and so is hardly trusted; an axis that is left out is no channel."""
+def test_selected_axes(tmp_path: Path) -> None:
+    """An axis that is left out is no channel."""
     document = small(tmp_path, "--wrench", "/wrench:wrist_ft:mounted:fz,fx")
     assert {name for name in document["sigma"] if "/" in name} == {"wrench/fx", "wrench/fz"}
-    right, reversed_ = small(tmp_path, *WRIST), small(tmp_path, "--wrench", "/wrench:wrist_ft:-mounted")
-    for axis in ("fx", "fy", "fz"):
-        assert reversed_["sigma"][f"wrench/{axis}"] > 10.0 * right["sigma"][f"wrench/{axis}"]
+
+
+def test_a_reversed_sensor_is_named_and_its_rows_are_left_out(tmp_path: Path) -> None:
+    """The reaction wrench is no body's weight."""
+    result = geomid(*identify("arm3", "--wrench", "/wrench:wrist_ft:-mounted", "--out", tmp_path))
+    assert result.exit_code == 4, result.output
+    (cause,) = read(tmp_path)["verdict"]["causes"]
+    assert cause["kind"] == "wrench"
+    assert cause["settings"] == {"wrench.sensor0.sign": 1.0}
+    assert read(tmp_path)["rows"]["rejected"]["wrench doubtful: /wrench"] > 0
+    assert result.stdout.lstrip().startswith("DOUBTFUL: the wrench sensor /wrench: its sign is reversed")
+
+
+def test_a_gain_of_the_wrong_sign_is_named_with_its_mending(tmp_path: Path) -> None:
+    parameters = tmp_path / "reversed.yaml"
+    parameters.write_text("/**: {ros__parameters: {effort_gain: -1.0}}")
+    result = geomid(*identify("arm3", "--config", parameters, "--out", tmp_path / "out"))
+    assert result.exit_code == 4, result.output
+    document = read(tmp_path / "out")
+    assert document["verdict"]["result"] == "doubtful"
+    assert document["verdict"]["causes"][0]["settings"] == {"effort_gain": 1.0}
+    assert "effort_gain: 1.0" in " ".join(result.stdout.split())
+
+
+def test_what_became_of_the_messages_is_printed_and_written(tmp_path: Path) -> None:
+    text = done(*identify("arm3", "--out", tmp_path))
+    assert "joint_states: 800 of 800 messages used" in text
+    account = read(tmp_path)["messages"]["joint_states"]
+    assert (account["received"], account["accepted"], account["rejected"]) == (800, 800, {})
+    assert read(tmp_path)["verdict"] == {"result": "usable", "reasons": [], "causes": []}
 
 
 def test_a_weighed_mass_is_told_and_written(tmp_path: Path) -> None:

@@ -1,0 +1,130 @@
+"""Plant faults in sound recordings, and count what is named right, wrong, or not at all.
+
+    python -m benchmarks.corruption [RECORDING ...] [--fault TEXT] [--out corruption.json]
+
+Every fault is written into a bag, which is read as ``geomid identify`` reads it. Reads measured recordings in
+../shared/data, which are not part of this repository; without them only the simulated arm is tried.
+"""
+
+from __future__ import annotations
+
+import os
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+import argparse
+import json
+import tempfile
+import time
+from collections import Counter
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from rich import box
+from rich.console import Console
+from rich.table import Table
+
+from benchmarks.corruption.faults import FAULTS, Fault
+from benchmarks.corruption.recording import SOURCES, Recording
+from geomid_ros.errors import GeomidError
+from geomid_ros.files.models.urdf import read_urdf
+from geomid_ros.model.sensors import WrenchSensor
+from geomid_ros.session.configuration import Configuration
+from geomid_ros.session.recordings import Bags, read_bags
+from geomid_ros.session.session import Session
+
+NAMED, SUSPECTED, WRONG, SILENT = "named", "suspected", "wrong", "silent"
+
+
+def answer(recording: Recording, fault: Fault, size: Any) -> tuple[str, str]:
+    """What is said of a recording with a fault in it: how right that is, and the sentences."""
+    planted = fault.plant(recording, size)
+    with tempfile.TemporaryDirectory(prefix="corruption-") as folder:
+        try:
+            session = judged(planted, planted.write(Path(folder) / "bag"))
+        except GeomidError as error:
+            return NAMED if fault.refused and fault.refused in str(error) else WRONG, str(error)
+    said = "; ".join(finding.sentence for finding in session.findings)
+    if not fault.kind:
+        accounts = session.pipeline.ledger.topics.values()
+        reasons = [reason for account in accounts for reason in (*account.rejected, *account.noted)]
+        return (NAMED if any(fault.noted in reason for reason in reasons) else SILENT), "; ".join(reasons)
+    names = recording.robot.joint_names
+    places = None if fault.joints is None else {names[place] for place in fault.joints(size)}
+    if fault.kind == "constant" and session.check.unmeasured:
+        return NAMED, f"not measured: {', '.join(session.check.unmeasured)}"
+    if not session.findings:
+        return SILENT, said
+    for finding in session.findings:
+        for cause in (finding.cause, *finding.rivals):
+            if cause.kind == fault.kind and (places is None or set(cause.places) == places):
+                return (NAMED if finding.sure else SUSPECTED), said
+    return (WRONG if any(finding.sure for finding in session.findings) else SUSPECTED), said
+
+
+def judged(recording: Recording, bag: Path) -> Session:
+    """A session that has read and judged a bag."""
+    source = recording.source
+    configuration = Configuration(dict(source.settings))
+    if source.wrench:
+        configuration = configuration.with_sensors([WrenchSensor.parse(source.wrench)])
+    session = Session(read_urdf(source.urdf), configuration, str(source.urdf))
+    read_bags(session, Bags(fitted=[bag], hold_out=0.0))
+    return session
+
+
+def cases(names: list[str], text: str) -> Iterator[tuple[str, Recording, Fault]]:
+    """Every recording with every fault that can be planted in it."""
+    for name in names:
+        recording = Recording.read(SOURCES[name])
+        for fault in FAULTS:
+            if text in fault.name and (recording.source.wrench or not fault.wrench):
+                yield name, recording, fault
+
+
+def main() -> None:
+    """Try all, print what was named by fault and in all."""
+    arguments = _parsed()
+    there = [name for name, source in SOURCES.items() if source.bag.is_dir()]
+    counts: dict[str, Counter[str]] = {}
+    kept = []
+    begin = time.perf_counter()
+    for name in arguments.recordings or there:
+        said = [finding.sentence for finding in judged(Recording.read(SOURCES[name]), SOURCES[name].bag).findings]
+        print(f"{name}, untouched: {'; '.join(said) or 'nothing is said'}", flush=True)
+    for name, recording, fault in cases(arguments.recordings or there, arguments.fault):
+        for size in fault.sizes:
+            how, said = answer(recording, fault, size)
+            counts.setdefault(f"{fault.row} {fault.name}", Counter())[how] += 1
+            kept.append({"recording": name, "fault": fault.name, "size": size, "answer": how, "said": said})
+            if how != NAMED:
+                print(f"{how}: {name}, {fault.name}, {size}: {said[:160]}", flush=True)
+    _print(counts)
+    print(f"{len(kept)} faults in {time.perf_counter() - begin:.0f} s")
+    if arguments.out:
+        arguments.out.write_text(json.dumps(kept, indent=2))
+
+
+def _parsed() -> argparse.Namespace:
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.corruption", description=__doc__)
+    parser.add_argument("recordings", nargs="*", metavar="RECORDING", help=f"of {', '.join(SOURCES)}; all unless given")
+    parser.add_argument("--fault", default="", help="only those with this in their names")
+    parser.add_argument("--out", type=Path, help="file for every answer (JSON)")
+    return parser.parse_args()
+
+
+def _print(counts: dict[str, Counter[str]]) -> None:
+    table = Table(title="What was named", box=box.SIMPLE_HEAD, title_justify="left")
+    for heading in ("fault", NAMED, SUSPECTED, WRONG, SILENT):
+        table.add_column(heading, justify="left" if heading == "fault" else "right")
+    total: Counter[str] = sum(counts.values(), Counter())
+    for fault, own in (*counts.items(), ("all", total)):
+        table.add_row(fault, *(str(own[how]) for how in (NAMED, SUSPECTED, WRONG, SILENT)))
+    Console(width=100).print(table)
+    for how in (NAMED, SUSPECTED, WRONG, SILENT):
+        print(f"{how}: {100.0 * total[how] / max(total.total(), 1):.1f} %")
+
+
+if __name__ == "__main__":
+    main()

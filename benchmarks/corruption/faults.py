@@ -1,0 +1,182 @@
+"""Faults of whole recordings, each at three sizes. Faults of single messages are added to :data:`FAULTS` likewise."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, TypeAlias
+
+import numpy as np
+
+from benchmarks.corruption.recording import Recording
+from geomid_ros.model.measurement import MeasurementModel
+from geomid_ros.model.samples import Samples
+from geomid_ros.types import FloatArray
+
+Plant: TypeAlias = Callable[[Recording, Any], Recording]
+"""Plants a fault of a size in a recording."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Fault:
+    """A fault that is planted.
+
+    Attributes:
+        row: of the list of faults that were seen.
+        name: what is wrong.
+        plant: plants it.
+        sizes: three of them; places of joints count from the base, those below zero from the tip.
+        kind: of the cause that is the right answer, see :data:`geomid_ros.plausibility.hypotheses.KINDS`; empty for an
+            answer that the ledger of messages gives.
+        joints: the places of the joints that the answer has to name; None for all.
+        noted: what the ledger has to say, for a fault of messages.
+        refused: what the error has to say, where the recording may be refused.
+        wrench: whether it needs a wrench sensor.
+    """
+
+    row: int
+    name: str
+    plant: Plant
+    sizes: Sequence[Any]
+    kind: str = ""
+    joints: Callable[[Any], tuple[int, ...]] | None = None
+    noted: str = ""
+    refused: str = ""
+    wrench: bool = False
+
+
+def _efforts(recording: Recording, effort: FloatArray) -> Recording:
+    return replace(recording, effort=effort)
+
+
+def _scaled(recording: Recording, joint: int | None, factor: float) -> Recording:
+    effort = recording.effort.copy()
+    effort[:, slice(None) if joint is None else joint] *= factor
+    return _efforts(recording, effort)
+
+
+def _one_reversed(recording: Recording, joint: int) -> Recording:
+    return _scaled(recording, joint, -1.0)
+
+
+def _reversed_by(recording: Recording, factor: float) -> Recording:
+    return _scaled(recording, None, factor)
+
+
+def _exchanged(recording: Recording, pair: tuple[int, int]) -> Recording:
+    effort = recording.effort.copy()
+    effort[:, list(pair)] = effort[:, list(reversed(pair))]
+    return _efforts(recording, effort)
+
+
+def _amperes(recording: Recording, seed: int) -> Recording:
+    gains = np.random.default_rng(seed).uniform(8.0, 15.0, recording.effort.shape[1])
+    return _efforts(recording, recording.effort / gains)
+
+
+def _one_in_mnm(recording: Recording, joint: int) -> Recording:
+    return _scaled(recording, joint, 1000.0)
+
+
+def _one_on_motor_side(recording: Recording, joint: int) -> Recording:
+    return _scaled(recording, joint, 0.01)
+
+
+def _degrees(recording: Recording, what: str) -> Recording:
+    """Positions, with the speeds or not, in all of the recording or in its second half, of which the first is cut."""
+    scale = 180.0 / np.pi
+    speeds = recording.velocity if "speeds" not in what or recording.velocity is None else scale * recording.velocity
+    whole = replace(recording, position=scale * recording.position, velocity=speeds)
+    return whole.second_half() if "half" in what else whole
+
+
+def _weight(recording: Recording) -> FloatArray:
+    """What the URDF's links weigh at the joints ``(N, joints)``."""
+    still = np.zeros_like(recording.position)
+    none = np.zeros((len(still), 0))
+    stamps = np.round(recording.stamps * 1e9).astype(np.int64)
+    poses = Samples(stamps, recording.position, still, still, still, none, none, none, np.zeros((len(still), 0, 6)))
+    model = MeasurementModel(recording.robot.with_gravity(recording.gravity), ())
+    _, weight = model.predict(poses, model.nominal_parameters)
+    return weight
+
+
+def _compensated(recording: Recording, error: float) -> Recording:
+    """By a model whose weights are off by this share."""
+    return _efforts(recording, recording.effort - (1.0 + error) * _weight(recording))
+
+
+def _external(recording: Recording, noise: float) -> Recording:
+    """Efforts of contacts alone: noise."""
+    size = noise * np.std(recording.effort, axis=0)
+    return _efforts(recording, size * np.random.default_rng(0).normal(size=recording.effort.shape))
+
+
+def _constant(recording: Recording, value: float) -> Recording:
+    return _efforts(recording, np.full_like(recording.effort, value))
+
+
+def _dead(recording: Recording, joint: int) -> Recording:
+    return _scaled(recording, joint, 0.0)
+
+
+def _mounted(recording: Recording, angle: float) -> Recording:
+    """The configuration has gravity in another direction than it is, by an angle [deg]."""
+    gravity = recording.gravity
+    across = np.cross(gravity, (0.3, 0.8, 0.52))
+    across *= np.linalg.norm(gravity) / np.linalg.norm(across)
+    turned = np.cos(np.radians(angle)) * gravity + np.sin(np.radians(angle)) * across
+    settings = {**recording.source.settings, "gravity": turned.tolist()}
+    return replace(recording, source=replace(recording.source, settings=settings))
+
+
+def _wrench(change: Callable[[FloatArray, Any], FloatArray]) -> Plant:
+    """A change of all wrenches ``(M, 6)``."""
+    return lambda recording, size: replace(recording, wrench=change(recording.wrench, size))
+
+
+def _turned(wrench: FloatArray, axis: int) -> FloatArray:
+    """By a right angle about an axis."""
+    turn = np.roll(np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]]), (axis, axis), (0, 1))
+    return np.asarray((wrench.reshape(-1, 2, 3) @ turn.T).reshape(-1, 6))
+
+
+def _late(recording: Recording, seconds: float) -> Recording:
+    return replace(recording, wrench_stamps=recording.wrench_stamps + seconds)
+
+
+def _one(joint: Any) -> tuple[int, ...]:
+    return (joint,)
+
+
+FAULTS = [
+    Fault(
+        row=72, name="positions in degrees", plant=_degrees, kind="degrees",
+        sizes=("positions and speeds", "positions", "positions and speeds of one half"),
+    ),
+    Fault(
+        row=78, name="constant efforts", plant=_constant, sizes=(0.0, 1.0, -20.0), kind="constant",
+        refused="no effort",
+    ),
+    Fault(row=78, name="an effort is zero", plant=_dead, sizes=(0, 2, -1), kind="constant", joints=_one),
+    Fault(row=78, name="gravity compensated", plant=_compensated, sizes=(0.0, 0.1, -0.1), kind="compensated"),
+    Fault(row=78, name="external efforts", plant=_external, sizes=(0.01, 0.1, 1.0), kind="unrelated"),
+    Fault(row=79, name="all reversed", plant=_reversed_by, sizes=(-1.0, -0.7, -1.5), kind="sign"),
+    Fault(row=79, name="one reversed", plant=_one_reversed, sizes=(0, 2, -1), kind="sign", joints=_one),
+    Fault(row=79, name="two exchanged", plant=_exchanged, sizes=((0, 1), (1, 2), (2, 4)), kind="order", joints=tuple),
+    Fault(row=80, name="another unit", plant=_reversed_by, sizes=(1000.0, 0.07, 0.01), kind="gain"),
+    Fault(row=80, name="amperes", plant=_amperes, sizes=(0, 1, 2), kind="gain"),
+    Fault(row=80, name="one in mN m", plant=_one_in_mnm, sizes=(1, 2, 3), kind="gain", joints=_one),
+    Fault(row=80, name="one on the motor's side", plant=_one_on_motor_side, sizes=(1, 2, 3), kind="gain", joints=_one),
+    Fault(row=81, name="mounted otherwise", plant=_mounted, sizes=(180.0, 90.0, 45.0), kind="gravity"),
+    Fault(
+        row=84, name="wrench reversed", plant=_wrench(np.multiply), sizes=(-1.0, -0.5, -2.0), kind="wrench", wrench=True
+    ),
+    Fault(
+        row=84, name="wrench in another unit", plant=_wrench(np.multiply), sizes=(1000.0, 0.001, 0.1), kind="wrench",
+        wrench=True,
+    ),
+    Fault(row=84, name="wrench turned", plant=_wrench(_turned), sizes=(0, 1, 2), kind="wrench", wrench=True),
+    Fault(row=90, name="wrench late", plant=_late, sizes=(0.3, 1.0, 3.0), kind="wrench", wrench=True),
+]  # fmt: skip
+"""What is planted."""

@@ -1,0 +1,121 @@
+"""How probable measurements are under a hypothesis, whatever the links, friction and noise are within reason.
+
+For a channel c with targets u (in units of the standard deviation of what was measured, so that a gain costs nothing),
+``u = A x + F f + noise``: x are the links' errors, normal with unit variance, f friction (a constant of either sign,
+the others at least zero). The evidence is the probability density of u with x and f integrated out; sigma is found per
+channel by a fixed point.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import cho_solve, cholesky
+
+from geomid_ros.types import BoolArray, FloatArray
+
+_LEAST_SIGMA = 0.1  # of a channel's standard deviation: no model is believed to be better
+_ROUNDS = 12
+_SETTLED = 1e-3
+_LARGEST_OFFSET = 3.0  # in standard deviations of a channel
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Products:
+    """Sums over instants of products, by channel: all that the evidence needs.
+
+    Attributes:
+        counts: ``(C,)`` instants.
+        unknowns: ``(C, r + 4, r + 4)`` of the columns: r of the links, four of friction.
+        crossed: ``(C, r + 4)`` of the columns and the targets.
+        squares: ``(C,)`` of the targets.
+    """
+
+    counts: FloatArray
+    unknowns: FloatArray
+    crossed: FloatArray
+    squares: FloatArray
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Evidence:
+    """What a hypothesis explains.
+
+    Attributes:
+        log: the log evidence.
+        sigmas: ``(C,)`` of what is left, in standard deviations of the measured channels.
+        links: ``(r,)`` the links' errors.
+    """
+
+    log: float
+    sigmas: FloatArray
+    links: FloatArray
+
+
+def evidence(products: Products, tolerated: FloatArray) -> Evidence:
+    """The evidence of a hypothesis.
+
+    Args:
+        products: of the columns and targets that it says.
+        tolerated: ``(C, 4)`` standard deviations of friction's coefficients: about what explains all of a channel.
+    """
+    channels, size = products.crossed.shape
+    rank = size - 4
+    precision = np.concatenate([np.ones(rank), (1.0 / tolerated**2).ravel()])
+    bounded = np.concatenate([np.zeros(rank, dtype=bool), np.tile([False, True, True, True], channels)])
+    active = np.zeros(len(precision), dtype=bool)  # coefficients that are held at zero
+    sigmas = np.full(channels, 0.5)
+    for _ in range(_ROUNDS):
+        mean, log_determinant, active = _solved(products, sigmas, precision, bounded, active)
+        squares = _squares(products, mean)
+        before, sigmas = sigmas, np.sqrt(np.maximum(squares / products.counts, _LEAST_SIGMA**2))
+        if np.all(np.abs(np.log(sigmas / before)) < _SETTLED):
+            break
+    weighted = float(np.sum(squares / sigmas**2) + precision @ mean**2)
+    noise = float(products.counts @ np.log(2.0 * np.pi * sigmas**2))
+    return Evidence(log=-0.5 * (weighted + noise + log_determinant), sigmas=sigmas, links=mean[:rank])
+
+
+def _solved(
+    products: Products, sigmas: FloatArray, precision: FloatArray, bounded: BoolArray, held: BoolArray
+) -> tuple[FloatArray, float, BoolArray]:
+    """The most probable unknowns ``(r + 4 C,)``, the log determinant of their precision over that before, and which of
+    them are held at zero."""
+    channels, size = products.crossed.shape
+    rank = size - 4
+    weights = sigmas**-2.0
+    matrix, right = np.diag(precision), np.zeros(len(precision))
+    matrix[:rank, :rank] += np.tensordot(weights, products.unknowns[:, :rank, :rank], 1)
+    right[:rank] = weights @ products.crossed[:, :rank]
+    for channel in range(channels):
+        own = slice(rank + 4 * channel, rank + 4 * channel + 4)
+        coupling = weights[channel] * products.unknowns[channel, rank:, :rank]
+        matrix[own, :rank] = coupling
+        matrix[:rank, own] = coupling.T
+        matrix[own, own] += weights[channel] * products.unknowns[channel, rank:, rank:]
+        right[own] = weights[channel] * products.crossed[channel, rank:]
+    for _ in range(4):
+        free = np.flatnonzero(~held)
+        factor = cholesky(matrix[np.ix_(free, free)], lower=True, check_finite=False)
+        mean = np.zeros(len(precision))
+        mean[free] = cho_solve((factor, True), right[free], check_finite=False)
+        pull = right - matrix @ mean  # of what is held: positive if it would become so
+        changed = np.where(held, pull <= 0.0, mean < 0.0) & bounded
+        if np.array_equal(changed, held):
+            break
+        held = changed
+    mean = np.where(bounded, np.maximum(mean, 0.0), mean)
+    log_determinant = 2.0 * float(np.sum(np.log(np.diag(factor)))) - float(np.sum(np.log(precision[free])))
+    return mean, log_determinant, held
+
+
+def _squares(products: Products, mean: FloatArray) -> FloatArray:
+    """The sum of squares that is left at each channel ``(C,)``."""
+    channels, size = products.crossed.shape
+    rank = size - 4
+    own = mean[rank:].reshape(channels, 4)
+    unknowns = np.concatenate([np.tile(mean[:rank], (channels, 1)), own], axis=1)
+    quadratic = np.einsum("ci,cij,cj->c", unknowns, products.unknowns, unknowns)
+    left = products.squares - 2.0 * np.einsum("ci,ci->c", unknowns, products.crossed) + quadratic
+    return np.asarray(np.maximum(left, 0.0))

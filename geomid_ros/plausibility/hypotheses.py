@@ -1,0 +1,155 @@
+"""What may be wrong with a recording as a whole, and the rules by which one cause is named."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from geomid_ros.plausibility.evidence import Evidence
+from geomid_ros.types import IntArray
+
+KINDS = {
+    "sign": "efforts are reversed",
+    "order": "efforts of two joints are exchanged",
+    "gain": "efforts are in another unit",
+    "degrees": "positions are in degrees",
+    "gravity": "gravity acts in another direction",
+    "compensated": "gravity is not in the efforts",
+    "unrelated": "efforts follow neither gravity nor motion",
+    "constant": "an effort never changes",
+    "wrench": "a wrench sensor is not what it is declared to be",
+}
+"""What may be wrong."""
+
+FOLLOWS = 0.85
+"""A channel follows the model if no more than this share of its standard deviation is left."""
+_BETTER = 0.75
+_GAIN, _GAIN_OF_ORDER = 0.25, 0.4  # nats per instant; there are many pairs of joints, and wrists are alike
+_OVERWHELMING = 0.5  # nats per instant: then it may be the links alone that become much more probable
+_LEAST = 10.0  # nats in all
+_RIVAL = 0.1  # nats per instant
+
+
+@dataclass(frozen=True, kw_only=True)
+class Cause:
+    """What a recording seems to be.
+
+    Attributes:
+        kind: one of :data:`KINDS`.
+        sentence: what is wrong, and what to do.
+        settings: the parameters that mend it, by full name; empty if none does.
+        places: the joints, or the topic, that it is about.
+    """
+
+    kind: str
+    sentence: str
+    settings: Mapping[str, Any] = field(default_factory=dict)
+    places: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, kw_only=True)
+class Finding:
+    """What is wrong with a recording.
+
+    Attributes:
+        cause: what explains it best.
+        sure: whether the cause is named; otherwise it is suspected.
+        rivals: other causes that explain it as well.
+    """
+
+    cause: Cause
+    sure: bool = True
+    rivals: tuple[Cause, ...] = ()
+
+    @property
+    def sentence(self) -> str:
+        """All of it."""
+        if not self.sure:
+            return f"Not sure, but perhaps: {self.cause.sentence}"
+        others = "; or else: ".join(rival.sentence for rival in self.rivals)
+        return f"{self.cause.sentence}; or else: {others}" if others else self.cause.sentence
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Hypothesis:
+    """A cause that was tried.
+
+    Attributes:
+        cause: what it says.
+        evidence: of the recording if it is so.
+        choices: among how many of its kind it was chosen.
+        sources: ``(C,)`` which measured channel each judged one is.
+        concerned: the channels that it changes.
+        allowed: whether what is known beside the evidence allows it.
+        settled: whether what is known beside the evidence settles it.
+    """
+
+    cause: Cause
+    evidence: Evidence
+    choices: int
+    sources: IntArray
+    concerned: Sequence[int]
+    allowed: bool = True
+    settled: bool = False
+
+    @property
+    def score(self) -> float:
+        """The log evidence, less what the choice among many costs."""
+        return self.evidence.log - float(np.log(self.choices))
+
+    def gain(self, nominal: Evidence, instants: int) -> float:
+        """What it gains per instant [nats]."""
+        return (self.score - nominal.log) / instants
+
+    def is_better(self, nominal: Evidence, instants: int) -> bool:
+        """Whether the evidence asks for it."""
+        least = _GAIN_OF_ORDER if self.cause.kind == "order" else _GAIN
+        gain = self.gain(nominal, instants)
+        return gain > least and gain * instants > _LEAST
+
+    def explains(self, nominal: Evidence, instants: int) -> bool:
+        """Whether the channels concerned follow the model then, and one of them much better than as it is.
+
+        A channel is compared with itself as it was measured: noise that is given to a joint which explains nothing
+        anyway explains nothing.
+        """
+        concerned = list(self.concerned)
+        after = self.evidence.sigmas[concerned]
+        before = nominal.sigmas[self.sources][concerned]
+        if self.cause.kind in ("sign", "order") and np.any(after > FOLLOWS):
+            return False
+        if self.cause.kind == "gain":  # of which the friction that is fitted as it is explains as much
+            return bool(np.any(after < FOLLOWS))
+        return bool(np.any(after < _BETTER * before)) or self.gain(nominal, instants) > _OVERWHELMING
+
+    def is_named(self, nominal: Evidence, instants: int) -> bool:
+        """Whether all speaks for it."""
+        if not self.allowed:
+            return False
+        return self.settled or (self.is_better(nominal, instants) and self.explains(nominal, instants))
+
+
+def decide(tried: Sequence[Hypothesis], nominal: Evidence, instants: int) -> Finding | None:
+    """What is wrong: the best hypothesis if all speaks for it, told as suspected if only the evidence does."""
+    ordered = sorted(tried, key=lambda hypothesis: -hypothesis.score)
+    named = [hypothesis for hypothesis in ordered if hypothesis.is_named(nominal, instants)]
+    better = [h for h in ordered if h.allowed and h.is_better(nominal, instants)]
+    best = next((h for h in named if h in better and not any(_contradicts(o, h) for o in better)), None)
+    if best is None and not any(
+        h.allowed and h.cause.kind != "gain" and h.gain(nominal, instants) > _RIVAL for h in tried
+    ):
+        best = next((h for h in named if h.settled), None)
+    if best is None:
+        return Finding(cause=better[0].cause, sure=False) if better else None
+    near = best.score - _RIVAL * instants
+    rivals = {(h.cause.kind, h.cause.places): h.cause for h in reversed(named) if h.score > near}
+    rivals.pop((best.cause.kind, best.cause.places))
+    return Finding(cause=best.cause, rivals=tuple(rivals.values()))
+
+
+def _contradicts(other: Hypothesis, best: Hypothesis) -> bool:
+    """Whether a better one, which is not named, is about the same channels."""
+    return other.score > best.score and not set(best.concerned).isdisjoint(other.concerned)

@@ -1,0 +1,93 @@
+"""Rows of a few instants, with what gravity does told apart: ``(C_0 + sum_k g_k C_k) phi``."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from geomid_ros.geometry import pseudo_inertia
+from geomid_ros.geometry.manifold import ParameterManifold
+from geomid_ros.model.measurement import MeasurementModel
+from geomid_ros.model.moving import SIGN
+from geomid_ros.model.samples import Samples
+from geomid_ros.types import FloatArray
+
+_SPREAD = 0.7  # of links, a geodesic distance: a mass may be half or twice that of the URDF
+_PAYLOAD = 0.1  # of the whole robot's mass, at each end of a chain: robots carry what their URDF does not say
+_SIZE = 0.1  # [m] its radius of gyration about a plane through its centre
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class GravityRows:
+    """What N instants say of the links, by the part that gravity has in it.
+
+    Attributes:
+        still: ``(N, channels, D)`` without gravity.
+        by_gravity: ``(3, N, channels, D)`` per unit of gravity along each axis of the base.
+        targets: ``(N, channels)`` measured, NaN where not.
+        friction: ``(N, joints, 4)`` what may be added at a joint: a constant, and per positive unit viscous friction,
+            dry friction and rotor inertia.
+    """
+
+    still: FloatArray
+    by_gravity: FloatArray
+    targets: FloatArray
+    friction: FloatArray
+
+    def under(self, gravity: FloatArray) -> FloatArray:
+        """The regressor ``(N, channels, D)`` under a gravity ``(3,)`` [m/s^2]."""
+        whole: FloatArray = self.still + np.tensordot(gravity, self.by_gravity, 1)
+        return whole
+
+
+def gravity_rows(model: MeasurementModel, samples: Samples) -> GravityRows:
+    """The rows of samples for a model's channels, of all links of its robot and without effects."""
+    bare = MeasurementModel(model.robot, (), model.sensors)
+    still, targets = _rows(bare, samples, np.zeros(3))
+    at_rest = replace(
+        samples,
+        velocity=np.zeros_like(samples.velocity),
+        acceleration=np.zeros_like(samples.acceleration),
+        base_velocity=np.zeros_like(samples.base_velocity),
+        base_acceleration=np.zeros_like(samples.base_acceleration),
+    )
+    by_gravity = np.array([_rows(bare, at_rest, axis)[0] for axis in np.eye(3)])
+    friction = np.stack(
+        [np.ones(samples.velocity.shape), samples.velocity, samples.column(SIGN), samples.acceleration], axis=2
+    )
+    return GravityRows(still=still, by_gravity=by_gravity, targets=targets, friction=friction)
+
+
+def _rows(model: MeasurementModel, samples: Samples, gravity: FloatArray) -> tuple[FloatArray, FloatArray]:
+    rows = model.with_gravity(gravity).rows(samples)
+    return rows.coefficients, rows.targets
+
+
+def prior_factor(model: MeasurementModel) -> FloatArray:
+    """A factor ``(D, D)`` of the covariance of what the URDF may be wrong by: every link's shape and mass, and a
+    payload at each end of a chain."""
+    robot = model.robot
+    bodies = np.array([body.parameters for body in robot.bodies])
+    manifold = ParameterManifold(len(bodies), 0, np.zeros(0))
+    blocks, _ = manifold.jacobian(manifold.point(bodies.ravel()))
+    factor = np.zeros((bodies.size, bodies.size))
+    for index, body in enumerate(robot.bodies):
+        covariance = (_SPREAD * blocks[index]) @ (_SPREAD * blocks[index]).T
+        if len(robot.subtree(body.name)) == 1:
+            payload = _payload(bodies, index)
+            covariance += payload @ payload.T
+        values, vectors = np.linalg.eigh(covariance)
+        factor[10 * index : 10 * index + 10, 10 * index : 10 * index + 10] = vectors * np.sqrt(np.maximum(values, 0.0))
+    return factor
+
+
+def _payload(bodies: FloatArray, carrier: int) -> FloatArray:
+    """A factor ``(10, 10)`` of the covariance of what the link ``carrier`` may carry."""
+    mass = _PAYLOAD * float(np.sum(bodies[:, 0]))
+    ball = pseudo_inertia.assemble(
+        np.array(mass), bodies[carrier, 1:4] / bodies[carrier, 0], 2.0 * mass * _SIZE**2 * np.eye(3)
+    )
+    manifold = ParameterManifold(1, 0, np.zeros(0))
+    block: FloatArray = manifold.jacobian(manifold.point(ball))[0][0]
+    return block

@@ -1,0 +1,132 @@
+"""Whether a result can be used: converged, of a recording that is what it is declared to be, better than the URDF."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from geomid_ros.estimation.estimate import Estimate
+from geomid_ros.model.measurement import MeasurementModel
+from geomid_ros.model.samples import Samples
+from geomid_ros.plausibility.hypotheses import Finding
+from geomid_ros.types import AnyArray, FloatArray
+
+USABLE, NOT_CONVERGED, DOUBTFUL = "usable", "not converged", "doubtful"
+STATUS = {USABLE: 0, NOT_CONVERGED: 3, DOUBTFUL: 4}
+"""Exit status of each verdict; 2 is that of a refusal."""
+
+_REASON = 4.0  # no URDF is wrong by more in the mass of the whole robot
+_BLOCK = 1_000_000_000  # [ns] errors so far apart are independent
+_FEWEST_BLOCKS = 4
+_SCATTER = 3.0  # standard errors of the mean over blocks
+_WORSE = 1.05  # a channel's RMS over that of the URDF: less is of no account
+
+
+@dataclass(frozen=True, kw_only=True)
+class Verdict:
+    """Whether a result can be used.
+
+    Attributes:
+        word: one of :data:`STATUS`.
+        reasons: why not, in sentences, the weightiest first.
+        warnings: what to know although it can be used.
+    """
+
+    word: str
+    reasons: tuple[str, ...] = ()
+    warnings: tuple[str, ...] = ()
+
+    @property
+    def status(self) -> int:
+        """The exit status."""
+        return STATUS[self.word]
+
+
+def verdict(
+    estimate: Estimate,
+    findings: Sequence[Finding],
+    model: MeasurementModel,
+    worse: Sequence[str] = (),
+    unmeasured: Sequence[str] = (),
+) -> Verdict:
+    """Judge a result.
+
+    Args:
+        estimate: what was found.
+        findings: what seems to be wrong with the recording.
+        model: that was fitted.
+        worse: the channels that it predicts worse than the URDF does, see :func:`worse_channels`.
+        unmeasured: the joints whose efforts are missing.
+    """
+    reasons = [finding.sentence for finding in findings]
+    warnings = [
+        f"'{channel}' is predicted worse than by the URDF: the motion tells too little of what acts there, or "
+        "something acts that the model lacks"
+        for channel in worse
+    ]
+    warnings += _masses(estimate, model)
+    if unmeasured:
+        warnings.append(f"most of the time no effort is measured at {', '.join(map(repr, unmeasured))}: it is left out")
+    word = DOUBTFUL if reasons else USABLE
+    if not estimate.converged and not findings:
+        word = NOT_CONVERGED
+    return Verdict(word=word, reasons=tuple(reasons), warnings=tuple(warnings))
+
+
+def _masses(estimate: Estimate, model: MeasurementModel) -> Iterator[str]:
+    """Whether all links together weigh what such a robot may weigh."""
+    nominal = float(np.sum(model.nominal_inertias.reshape(-1, 10)[:, 0]))
+    found = sum(link.mass for link in estimate.links)
+    if not nominal / _REASON <= found <= _REASON * nominal:
+        yield (
+            f"the links weigh {found:.3g} kg in all instead of the URDF's {nominal:.3g} kg, which no such robot does: "
+            "predictions may hold, these masses do not"
+        )
+
+
+def recording_status(findings: Sequence[Finding]) -> int:
+    """The exit status of what was made of a recording by another way than an estimate."""
+    return STATUS[DOUBTFUL if findings else USABLE]
+
+
+def worse_on_rows(estimate: Estimate) -> list[str]:
+    """The channels that an estimate explains worse than the URDF does on the rows that it is from."""
+    pairs = zip(estimate.channels, estimate.rms, estimate.rms_nominal, strict=True)
+    return [channel for channel, own, nominal in pairs if own > _WORSE * nominal]
+
+
+def worse_channels(model: MeasurementModel, batches: Sequence[Samples], parameters: FloatArray) -> list[str]:
+    """The channels that parameters ``(D,)`` predict worse than the URDF does, beyond the scatter of blocks of time.
+
+    Args:
+        model: of the robot.
+        batches: samples to judge on.
+        parameters: the identified ones.
+    """
+    if not batches:
+        return []
+    samples = Samples.concatenate(list(batches))
+    rows = model.rows(samples)
+    errors = [(rows.coefficients @ p - rows.targets) ** 2 for p in (parameters, model.nominal_parameters)]
+    blocks = np.unique(samples.stamps // _BLOCK, return_inverse=True)[1]
+    means = [_means(error, blocks) for error in errors]
+    worse = []
+    for channel, own, nominal in zip(model.channels, *(mean.T for mean in means), strict=True):
+        known = np.isfinite(own) & np.isfinite(nominal)
+        rise = own[known] - nominal[known]
+        if len(rise) < _FEWEST_BLOCKS or not np.mean(own[known]) > _WORSE**2 * np.mean(nominal[known]):
+            continue
+        if np.mean(rise) > _SCATTER * np.std(rise, ddof=1) / np.sqrt(len(rise)):
+            worse.append(channel.name)
+    return worse
+
+
+def _means(values: FloatArray, blocks: AnyArray) -> FloatArray:
+    """Means ``(blocks, channels)``; NaN where nothing was measured."""
+    known = np.isfinite(values)
+    sums, counts = (np.zeros((int(np.max(blocks)) + 1, values.shape[1])) for _ in range(2))
+    np.add.at(sums, blocks, np.where(known, values, 0.0))
+    np.add.at(counts, blocks, known)
+    return np.asarray(np.divide(sums, counts, out=np.full_like(sums, np.nan), where=counts > 0))

@@ -1,0 +1,109 @@
+"""The causes in sentences, with what to write into the configuration."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from geomid_ros.plausibility.hypotheses import Cause
+from geomid_ros.types import FloatArray
+
+
+def gain_settings(joints: Sequence[str], gains: Iterable[float], of_all: bool) -> dict[str, Any]:
+    """The parameters that give joints these gains.
+
+    Args:
+        joints: their names.
+        gains: factors from messages' efforts to N m.
+        of_all: whether these are all joints.
+    """
+    rounded = [float(f"{gain:.3g}") for gain in gains]
+    if of_all and len(set(rounded)) == 1:
+        return {"effort_gain": rounded[0]}
+    return {f"joint.{joint}.effort_gain": gain for joint, gain in zip(joints, rounded, strict=True)}
+
+
+def written(settings: Mapping[str, Any]) -> str:
+    """Parameters as a configuration has them."""
+    return ", ".join(f"{name}: {value}" for name, value in settings.items())
+
+
+def reversed_efforts(joints: Sequence[str], gains: Iterable[float], of_all: bool) -> Cause:
+    """The efforts of joints, or of all of them, have the opposite sign."""
+    settings = gain_settings(joints, [-gain for gain in gains], of_all)
+    who = "the efforts of all joints are" if of_all else f"the effort of joint '{joints[0]}' is"
+    sentence = f"{who} reversed: with {written(settings)} they follow this robot's gravity and motion"
+    return Cause(kind="sign", sentence=sentence, settings=settings, places=tuple(joints))
+
+
+def exchanged_efforts(first: str, second: str) -> Cause:
+    """The efforts of two joints are exchanged."""
+    sentence = (
+        f"the efforts of joints '{first}' and '{second}' are exchanged: the other way round they follow this robot's "
+        "gravity and motion; correct their order where the messages are made, or the names in the URDF"
+    )
+    return Cause(kind="order", sentence=sentence, places=(first, second))
+
+
+def other_unit(joints: Sequence[str], gains: Iterable[float], factor: float, of_all: bool) -> Cause:
+    """Efforts have to be multiplied by a factor; ``gains`` are those that result."""
+    settings = gain_settings(joints, gains, of_all)
+    who = "the efforts of all joints are" if of_all else f"the effort of joint '{joints[0]}' is"
+    sentence = (
+        f"{who} about 1/{factor:.3g}" if factor > 1.0 else f"{who} about {1.0 / factor:.3g} times"
+    ) + f" of what this robot needs in N m{_unit(factor)}: with about {written(settings)} they follow its gravity and "
+    sentence += "motion (the data cannot tell the exact factor from the masses)"
+    return Cause(kind="gain", sentence=sentence, settings=settings, places=tuple(joints))
+
+
+def _unit(factor: float) -> str:
+    if 0.5e-3 < factor < 2e-3:
+        return " (in mN m?)"
+    return " (in amperes, or on the motor's side of the gear?)" if factor > 1.0 else ""
+
+
+def degrees(joints: Sequence[str]) -> Cause:
+    """Positions and speeds are in degrees."""
+    sentence = (
+        "joint positions are in degrees: taken so, the efforts follow this robot's gravity and motion; messages have "
+        "to be in rad and rad/s"
+    )
+    return Cause(kind="degrees", sentence=sentence, places=tuple(joints))
+
+
+def other_gravity(gravity: FloatArray, joints: Sequence[str]) -> Cause:
+    """Gravity acts in another direction."""
+    rounded = [float(entry) for entry in np.round(gravity, 2) + 0.0]
+    settings = {"gravity": rounded}
+    sentence = (
+        f"gravity acts in another direction than configured: {written(settings)} fits (how is the robot mounted?)"
+    )
+    return Cause(kind="gravity", sentence=sentence, settings=settings, places=tuple(joints))
+
+
+def no_gravity(joints: Sequence[str]) -> Cause:
+    """Gravity is not in the efforts."""
+    settings = {"gravity": [0.0, 0.0, 0.0]}
+    sentence = (
+        "gravity is not in the efforts: they are compensated for it, or there is none. Record measured efforts that "
+        f"are not compensated, or write {written(settings)}; masses then show in accelerations alone"
+    )
+    return Cause(kind="compensated", sentence=sentence, settings=settings, places=tuple(joints))
+
+
+def unrelated(joints: Sequence[str]) -> Cause:
+    """No model explains the efforts."""
+    sentence = (
+        "the efforts follow neither the gravity nor the motion of this robot: are they external or compensated "
+        "efforts, or is the URDF that of another robot?"
+    )
+    return Cause(kind="unrelated", sentence=sentence, places=tuple(joints))
+
+
+def constant(joints: Sequence[str]) -> Cause:
+    """Efforts never change though the joints move."""
+    named = ", ".join(f"'{joint}'" for joint in joints)
+    sentence = f"the effort of {named} never changes though the joint moves: it is not measured"
+    return Cause(kind="constant", sentence=sentence, places=tuple(joints))

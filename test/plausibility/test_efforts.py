@@ -1,0 +1,192 @@
+"""Planted faults of efforts are named with what mends them; sound recordings are not doubted."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+from estimation.arms import Case, arm, efforts, motion, samples, shipped, truth
+
+from geomid_ros.model.measurement import MeasurementModel
+from geomid_ros.model.robot import Robot
+from geomid_ros.model.samples import Samples
+from geomid_ros.plausibility.check import RecordingCheck
+from geomid_ros.plausibility.hypotheses import Cause, Finding
+from geomid_ros.types import FloatArray
+
+ROBOTS = [("arm3", 1), ("arm3", 2), ("arm7", 1), ("arm7", 2)]
+DEGREES = 180.0 / np.pi
+ALL = "all"
+
+
+@cache
+def case(name: str, seed: int) -> Case:
+    return arm(name, seed)
+
+
+def findings(model: MeasurementModel, recorded: Samples, gains: FloatArray | None = None) -> tuple[Finding, ...]:
+    """What a check says of a recording that comes in pieces."""
+    check = RecordingCheck(model, np.ones(len(model.robot.joints)) if gains is None else gains, {})
+    for begin in range(0, len(recorded), 300):
+        check.add(recorded.select(slice(begin, begin + 300)))
+    return check.findings()
+
+
+def named(model: MeasurementModel, recorded: Samples, gains: FloatArray | None = None) -> Cause:
+    """The one cause that is named."""
+    (finding,) = findings(model, recorded, gains)
+    assert finding.sure, finding
+    assert finding.cause.sentence in finding.sentence
+    return finding.cause
+
+
+def changed(of: Case, change: Callable[[FloatArray], FloatArray]) -> Samples:
+    """The recording with other efforts."""
+    return replace(of.samples, effort=change(of.samples.effort.copy()))
+
+
+@pytest.fixture(params=ROBOTS, ids=str)
+def robot(request: pytest.FixtureRequest) -> Case:
+    return case(*request.param)
+
+
+@pytest.mark.parametrize("seed", range(3, 9))
+@pytest.mark.parametrize("name", ["arm3", "arm7"])
+def test_a_sound_recording_is_not_doubted(name: str, seed: int) -> None:
+    sound = case(name, seed)
+    assert findings(sound.model, sound.samples) == ()
+
+
+def test_all_efforts_are_reversed(robot: Case) -> None:
+    cause = named(robot.model, changed(robot, np.negative))
+    assert cause.kind == "sign"
+    assert cause.settings == {"effort_gain": -1.0}
+
+
+def test_what_is_to_be_written_depends_on_the_gains_that_were_configured(robot: Case) -> None:
+    joints = robot.model.robot.joint_names
+    gains = np.arange(2.0, 2.0 + len(joints))
+    cause = named(robot.model, changed(robot, np.negative), gains)
+    assert cause.settings == {f"joint.{joint}.effort_gain": -gain for joint, gain in zip(joints, gains, strict=True)}
+    assert all(name in cause.sentence for name in cause.settings)
+
+
+def test_the_effort_of_one_joint_is_reversed(robot: Case) -> None:
+    for joint, name in enumerate(robot.model.robot.joint_names):
+        signs = np.ones(robot.samples.effort.shape[1])
+        signs[joint] = -1.0
+        cause = named(robot.model, replace(robot.samples, effort=signs * robot.samples.effort))
+        assert (cause.kind, cause.places) == ("sign", (name,))
+        assert cause.settings == {f"joint.{name}.effort_gain": -1.0}
+
+
+def test_the_efforts_of_two_joints_are_exchanged(robot: Case) -> None:
+    names = robot.model.robot.joint_names
+    for first in range(len(names) - 1):
+        order = np.arange(len(names))
+        order[[first, first + 1]] = first + 1, first
+        cause = named(robot.model, replace(robot.samples, effort=robot.samples.effort[:, order]))
+        assert (cause.kind, cause.places) == ("order", (names[first], names[first + 1]))
+
+
+@pytest.mark.parametrize("factor", [1000.0, 0.07, 0.01])
+def test_all_efforts_are_in_another_unit(robot: Case, factor: float) -> None:
+    """The factor is told as far as the masses are known."""
+    cause = named(robot.model, changed(robot, lambda effort: factor * effort))
+    assert cause.kind == "gain"
+    assert cause.settings["effort_gain"] * factor == pytest.approx(1.0, rel=0.6)
+    assert ("mN m" in cause.sentence) == (factor == 1000.0)
+
+
+def test_the_effort_of_one_joint_is_in_another_unit(robot: Case) -> None:
+    """The second joint of both arms carries weight."""
+    scales = np.ones(robot.samples.effort.shape[1])
+    scales[1] = 1000.0
+    cause = named(robot.model, replace(robot.samples, effort=scales * robot.samples.effort))
+    assert (cause.kind, cause.places) == ("gain", (robot.model.robot.joint_names[1],))
+
+
+def test_positions_are_in_degrees(robot: Case) -> None:
+    own = robot.samples
+    scaled = {name: DEGREES * getattr(own, name) for name in ("position", "velocity", "acceleration")}
+    assert named(robot.model, replace(own, **scaled)).kind == "degrees"
+
+
+@pytest.mark.parametrize("gravity", [(9.81, 0.0, 0.0), (0.0, -9.81, 0.0), (0.0, 6.94, -6.94)])
+def test_gravity_acts_in_another_direction(robot: Case, gravity: tuple[float, float, float]) -> None:
+    own = robot.model.robot
+    moving = motion(np.random.default_rng(7), len(own.joints), 20.0)
+    feels = efforts(own, robot.true, moving, gravity)
+    cause = named(robot.model, samples(moving, feels + 0.05 * np.random.default_rng(8).normal(size=feels.shape)))
+    assert cause.kind == "gravity"
+    written = np.array(cause.settings["gravity"])
+    assert np.linalg.norm(written) == pytest.approx(9.81, abs=0.02)
+    # It may turn about an axis along which all of the arm hangs alike.
+    assert written @ np.array(gravity) > np.cos(np.radians(30.0)) * 9.81**2
+
+
+def test_gravity_is_not_in_the_efforts(robot: Case) -> None:
+    own = robot.model.robot
+    moving = motion(np.random.default_rng(7), len(own.joints), 20.0)
+    feels = efforts(own, robot.true, moving, (0.0, 0.0, 0.0))
+    noise = 0.05 * np.random.default_rng(8).normal(size=feels.shape)
+    (finding,) = findings(robot.model, samples(moving, feels + noise))
+    assert finding.cause.kind == "compensated"
+    assert finding.cause.settings == {"gravity": [0.0, 0.0, 0.0]}
+    assert finding.sure or len(own.joints) == 3, "few joints tell less"
+
+
+def test_efforts_of_nothing_are_told(robot: Case) -> None:
+    noise = np.random.default_rng(3).normal(size=robot.samples.effort.shape)
+    assert named(robot.model, replace(robot.samples, effort=noise)).kind == "unrelated"
+
+
+def test_an_effort_that_never_changes_is_told_and_the_others_are_judged(robot: Case) -> None:
+    def one_dead(effort: FloatArray) -> FloatArray:
+        effort[:, 0] = 0.0
+        return -effort
+
+    first, second = findings(robot.model, changed(robot, one_dead))
+    assert (first.cause.kind, first.cause.places) == ("constant", (robot.model.robot.joint_names[0],))
+    assert second.cause.kind == "sign"
+
+
+def test_a_joint_without_efforts_is_not_judged(robot: Case) -> None:
+    def one_missing(effort: FloatArray) -> FloatArray:
+        effort[:, -1] = np.nan
+        return -effort
+
+    cause = named(robot.model, changed(robot, one_missing))
+    assert cause.kind == "sign"
+    assert robot.model.robot.joint_names[-1] not in cause.places
+
+
+@pytest.mark.parametrize("mass", [0.5, 2.0])
+def test_a_payload_is_no_fault(mass: float) -> None:
+    own = Robot(shipped("arm7"))
+    true = truth(np.random.default_rng(5), own)
+    true.links[-1] += np.array([mass, 0.0, 0.0, 0.1 * mass, *(0.01 * mass * np.array([2.0, 0.0, 2.0, 0.0, 0.0, 1.0]))])
+    moving = motion(np.random.default_rng(6), len(own.joints), 20.0)
+    assert findings(MeasurementModel(own, ()), samples(moving, efforts(own, true, moving))) == ()
+
+
+def test_of_a_gain_within_reason_nothing_is_said(robot: Case) -> None:
+    """It cannot be told from masses."""
+    assert findings(robot.model, changed(robot, lambda effort: 2.0 * effort)) == ()
+
+
+def test_of_a_robot_that_stands_still_nothing_is_said(robot: Case) -> None:
+    own = robot.samples
+    still = np.zeros_like(own.velocity)
+    position = np.tile(own.position[:1], (len(own), 1))
+    noise = np.random.default_rng(3).normal(size=own.effort.shape)
+    assert (
+        findings(robot.model, replace(own, position=position, velocity=still, acceleration=still, effort=noise)) == ()
+    )
+
+
+def test_of_three_seconds_nothing_is_said(robot: Case) -> None:
+    assert findings(robot.model, changed(robot, np.negative).select(slice(250))) == ()

@@ -1,0 +1,96 @@
+"""Whether a result can be used, and which channels it predicts worse than the URDF."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+from estimation.arms import Case, arm
+
+from geomid_ros.estimation.estimate import Estimate
+from geomid_ros.estimation.identifier import Identifier
+from geomid_ros.plausibility.hypotheses import Cause, Finding
+from geomid_ros.plausibility.verdict import Verdict, verdict, worse_channels, worse_on_rows
+from geomid_ros.types import FloatArray
+
+FINDING = Finding(cause=Cause(kind="sign", sentence="all is reversed"), sure=False)
+
+
+@cache
+def solved() -> tuple[Case, Estimate]:
+    case = arm("arm3", 3)
+    identifier = Identifier(case.model)
+    identifier.add(case.samples)
+    return case, identifier.solve()
+
+
+def judged(estimate: Estimate, *findings: Finding) -> Verdict:
+    return verdict(estimate, findings, solved()[0].model)
+
+
+def test_the_exit_status() -> None:
+    _, estimate = solved()
+    ended = replace(estimate, converged=False, reason="too many steps")
+    assert judged(estimate) == Verdict(word="usable")
+    assert judged(estimate).status == 0
+    assert judged(ended).status == 3
+    assert judged(estimate, FINDING).status == judged(ended, FINDING).status == 4
+    assert judged(estimate, FINDING).reasons == (FINDING.sentence,)
+
+
+@pytest.mark.parametrize(("factor", "said"), [(1.0, False), (3.0, False), (6.0, True), (0.15, True)])
+def test_masses_beyond_reason_are_told(factor: float, said: bool) -> None:
+    _, estimate = solved()
+    links = tuple(replace(link, mass=factor * link.mass) for link in estimate.links)
+    result = judged(replace(estimate, links=links))
+    assert bool(result.warnings) == said
+    assert result.status == 0
+
+
+def test_missing_efforts_are_told() -> None:
+    case, estimate = solved()
+    (warning,) = verdict(estimate, (), case.model, unmeasured=["joint2"]).warnings
+    assert "'joint2'" in warning
+
+
+def with_rotor(parameters: FloatArray) -> FloatArray:
+    """With a rotor inertia at joint 2 that is far too large."""
+    case, _ = solved()
+    wrong = parameters.copy()
+    place = next(
+        10 * len(case.model.identified) + k
+        for k, c in enumerate(case.model.coefficients)
+        if (c.effect.name, c.place_name) == ("rotor_inertia", "joint2")
+    )
+    wrong[place] += 200.0
+    return wrong
+
+
+def test_a_channel_that_is_worse_than_by_the_urdf_is_named() -> None:
+    case, estimate = solved()
+    held_out = case.fresh(9).samples
+    wrong = with_rotor(estimate.parameters)
+    assert worse_channels(case.model, [held_out], estimate.parameters) == []
+    assert worse_channels(case.model, [held_out], wrong) == ["joint2"]
+    assert worse_channels(case.model, [], wrong) == []
+
+
+def test_what_is_within_the_scatter_of_blocks_is_not_told() -> None:
+    """One bad second of twenty says nothing: in the others nothing accelerates."""
+    case, estimate = solved()
+    held_out = case.fresh(9).samples
+    acceleration = np.zeros_like(held_out.acceleration)
+    acceleration[500:600] = held_out.acceleration[500:600]
+    assert (
+        worse_channels(case.model, [replace(held_out, acceleration=acceleration)], with_rotor(estimate.parameters))
+        == []
+    )
+
+
+def test_on_its_own_rows_too() -> None:
+    _, estimate = solved()
+    assert worse_on_rows(estimate) == []
+    bad = replace(estimate, rms=np.where(np.arange(3) == 2, 2.0 * estimate.rms_nominal, estimate.rms))
+    assert worse_on_rows(bad) == [estimate.channels[2]]
