@@ -17,7 +17,7 @@ from rich.table import Table
 import geomid_ros
 from geomid_ros.commands.options import OUT, URDF, recording_options
 from geomid_ros.commands.progress import progress_bar
-from geomid_ros.commands.tables import number_columns, plain_table, results_console
+from geomid_ros.commands.tables import number_columns, plain_table, print_remarks, results_console
 from geomid_ros.gap.result import GapResult
 from geomid_ros.report import gap_words
 from geomid_ros.report.simulated_again import SimulatedAgain
@@ -67,8 +67,7 @@ def _print(found: geomid_ros.Gap) -> None:
     """Print the verdict, what was found, the gap of every channel, candidates, and what to record next."""
     console = results_console()
     result = found.result
-    for warning in found.session.warnings():
-        _say(console, f"[bold]Warning:[/bold] {escape(warning)}")
+    print_remarks(console, found.session.warnings(), found.session.notes)
     _say(console, f"[bold]{result.verdict.upper()}[/bold]  {escape(gap_words.verdict_sentence(result))}")
     if result.findings:
         console.print(_findings_table(result))

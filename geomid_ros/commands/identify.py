@@ -16,7 +16,7 @@ from rich.table import Table
 import geomid_ros
 from geomid_ros.commands.options import OUT, URDF, recording_options
 from geomid_ros.commands.progress import progress_bar
-from geomid_ros.commands.tables import number_columns, plain_table, results_console
+from geomid_ros.commands.tables import number_columns, plain_table, print_remarks, results_console
 from geomid_ros.estimation.estimate import QUANTITIES, EffectEstimate, Estimate, LinkEstimate
 from geomid_ros.files.models.effect_forms import is_coefficient
 from geomid_ros.files.models.results import model_effects
@@ -70,8 +70,7 @@ def _print(found: geomid_ros.Identification) -> None:
     console = results_console()
     estimate = found.estimate
     state = "converged" if estimate.converged else f"NOT converged ({estimate.reason})"
-    for warning in found.warnings:
-        console.print(f"[bold]Warning:[/bold] {escape(warning)}", highlight=False)
+    print_remarks(console, found.warnings, found.session.notes)
     console.print(
         f"{estimate.rows_accepted} rows, {state} in {estimate.seconds:.1f} s, prior's weight {estimate.gamma:.1e}",
         highlight=False,

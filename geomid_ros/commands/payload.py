@@ -7,12 +7,11 @@ from pathlib import Path
 from typing import Any
 
 import click
-from rich.markup import escape
 
 import geomid_ros
 from geomid_ros.commands.options import URDF
 from geomid_ros.commands.progress import progress_bar
-from geomid_ros.commands.tables import number_columns, plain_table, results_console
+from geomid_ros.commands.tables import number_columns, plain_table, print_remarks, results_console
 from geomid_ros.estimation.estimate import QUANTITIES
 from geomid_ros.exports.formats import CONTROLLERS
 from geomid_ros.session.payload import GAIN
@@ -50,8 +49,7 @@ def payload(empty: Path, loaded: Path, urdf: Path, controller: str | None, as_js
         return
     console = results_console()
     low, high = found.interval
-    for warning in found.weighed.warnings:
-        console.print(f"[bold]Warning:[/bold] {escape(warning)}", highlight=False)
+    print_remarks(console, found.weighed.warnings, [])
     gain = f", an uncertain gain of {100.0 * found.weighed.gain:.3g} % included" if found.weighed.gain else ""
     console.print(f"{found.mass:.3f} kg, from {low:.3f} to {high:.3f} kg (95 %{gain})", highlight=False)
     table = plain_table(f"Payload in the axes of '{found.frame}'")

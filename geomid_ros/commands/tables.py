@@ -18,6 +18,13 @@ def results_console() -> Console:
     return console if console.is_terminal else Console(width=_WIDTH_OF_FILES)
 
 
+def print_remarks(console: Console, warnings: Sequence[str], notes: Sequence[str]) -> None:
+    """What makes results doubtful, and what is worth knowing."""
+    for heading, sentences in (("Warning", warnings), ("Note", notes)):
+        for sentence in sentences:
+            console.print(f"[bold]{heading}:[/bold] {escape(sentence)}", highlight=False)
+
+
 def plain_table(title: str) -> Table:
     """A table without lines between rows."""
     return Table(title=title, title_justify="left", title_style="bold", box=box.SIMPLE_HEAD, pad_edge=False)

@@ -62,15 +62,9 @@ def short_bag(folder: Path) -> Arguments:
     return write_bag(folder / "short", recorded(BAG)[:100]), "--urdf", URDF
 
 
-def without_metadata(folder: Path) -> Arguments:
-    shutil.copytree(BAG, folder / "bare")
-    (folder / "bare/metadata.yaml").unlink()
-    return folder / "bare", "--urdf", URDF
-
-
 def cut_bag(folder: Path) -> Arguments:
     data = (BAG / "arm3.mcap").read_bytes()
-    (folder / "cut.mcap").write_bytes(data[: len(data) // 2])
+    (folder / "cut.mcap").write_bytes(data[:60])
     return folder / "cut.mcap", "--urdf", URDF
 
 
@@ -84,8 +78,7 @@ CASES: dict[str, tuple[Callable[[Path], Arguments], str]] = {
     "no such bag": (lambda folder: (folder / "nowhere", "--urdf", URDF), "nowhere: no such bag"),
     "second bag": (second_bag_bad, "nowhere: no such bag"),
     "bag to validate on": (with_options("--validate", "nowhere"), "nowhere: no such bag"),
-    "bag without metadata": (without_metadata, r"bare: .*without metadata.yaml.*arm3.mcap"),
-    "bag cut off": (cut_bag, r"cut.mcap: cannot be read"),
+    "bag cut off": (cut_bag, r"cut.mcap: cut off at byte .*no whole message"),
     "no joint states": (with_bag(without_topic("/joint_states")), r"no topic /joint_states.*--joint-topic.*/wrench"),
     "no such topic": (with_options("--joint-topic", "/robot/joints"), r"no topic /robot/joints.*/joint_states"),
     "no wrench": (with_options("--wrench", "/ft:wrist_ft:mounted"), r"no topic /ft, which --wrench names.*/wrench"),
