@@ -97,7 +97,10 @@ class Robot:
         self.body_names = tuple(body.name for body in self.bodies)
         """Names of the bodies, in the order of the parameters."""
         if not self.bodies:
-            raise InputError(f"{source}: no moving link has a mass; there is nothing to identify")
+            raise InputError(
+                f"{source}: no moving link has a mass; there is nothing to identify. 'geomid prior URDF --mass KG' "
+                "gives a URDF inertials, from its shapes and the robot's weight"
+            )
         self.velocity_rows = [joint.v for joint in self.joints]
         self._moved = [index for index, body in enumerate(self.bodies) if body.joint > 0]
         self._moved_by = [self.bodies[index].joint - 1 for index in self._moved]

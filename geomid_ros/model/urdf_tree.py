@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import shlex
 from collections import Counter
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -30,6 +31,10 @@ _MAX_AXES = 128  # pinocchio's memory grows with their cube
 # Python alone would read 1_000 and digits of other scripts, too.
 _NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?", re.ASCII)
 _OF_RIGID_BODIES = {"link": ("inertial",), "joint": ("parent", "child", "origin", "axis", "limit")}
+_OTHER_FORMATS = {
+    "sdf": ": an SDF model. Give the URDF or xacro that it was made from; 'gz sdf -p' makes SDF of those, not back",
+    "mujoco": ": an MJCF model. Give the robot's URDF; 'geomid export --for mujoco' brings results into an MJCF model",
+}
 _AXES = {"fixed": 0, "revolute": 1, "continuous": 1, "prismatic": 1, "planar": 3, "floating": 6}
 
 
@@ -120,12 +125,22 @@ def read_xml(text: str, source: str) -> Element:
         parser.feed(text)
         robot: Element = parser.close()
     except (ParseError, DefusedXmlException, ValueError) as error:
+        if "<xacro:" in text:
+            raise _is_xacro(source) from error
         raise InputError(f"{source}: not a URDF, its XML cannot be read ({error})") from error
     if robot.tag != "robot":
-        raise InputError(f"{source}: not a URDF, its root element is <{robot.tag}> instead of <robot>")
+        hint = _OTHER_FORMATS.get(robot.tag, "")
+        raise InputError(f"{source}: not a URDF, its root element is <{robot.tag}> instead of <robot>{hint}")
+    if any("ros.org/wiki/xacro}" in element.tag for element in robot.iter()):
+        raise _is_xacro(source)
     if not robot.get("name"):
         raise InputError(f"{source}: its <robot> has no name")
     return robot
+
+
+def _is_xacro(source: str) -> InputError:
+    command = f"xacro {shlex.quote(source)} > robot.urdf"
+    return InputError(f"{source}: a xacro file, of which this command makes a URDF: {command}")
 
 
 class _Builder(TreeBuilder):

@@ -8,6 +8,7 @@ from typing import TypeAlias
 
 import numpy as np
 
+from geomid_ros.signals.joint_names import missing_joint
 from geomid_ros.signals.messages import JointMessage
 from geomid_ros.signals.saturation import STANDING, SaturationDetector
 from geomid_ros.types import BoolArray, FloatArray, IntArray
@@ -116,9 +117,8 @@ class JointReader:
             if len(index) != len(names):
                 twice = next(name for place, name in enumerate(names) if index[name] != place)
                 raise RejectedError(f"{DRIVER_ERROR}joint '{twice}' is named twice")
-            missing = next((joint for joint in self._joints if joint not in index), None)
-            if missing is not None:
-                raise RejectedError(f"joint '{missing}' is missing")
+            if missing := missing_joint(self._joints, names):
+                raise RejectedError(missing)
             extra = next((name for name in names if name not in self._joints), None)
             if extra is not None:
                 self._note_once(f"joint '{extra}' is not one of the robot's: passed over")
