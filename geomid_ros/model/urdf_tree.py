@@ -39,13 +39,23 @@ _AXES = {"fixed": 0, "revolute": 1, "continuous": 1, "prismatic": 1, "planar": 3
 
 
 @dataclass(frozen=True)
+class Mimic:
+    """A joint's ``<mimic>``: its position is ``factor`` times the master's, plus ``offset``."""
+
+    master: str
+    factor: float
+    offset: float
+
+
+@dataclass(frozen=True)
 class UrdfJoint:
-    """One ``<joint>``: its name, type, parent and child links."""
+    """One ``<joint>``: its name, type, parent and child links, and whom it follows, if anybody."""
 
     name: str
     type: str
     parent: str
     child: str
+    mimic: Mimic | None = None
 
 
 @dataclass(frozen=True)
@@ -221,7 +231,18 @@ def _joint(element: Element, source: str) -> UrdfJoint:
         read_numbers(element, "limit", ("effort", "velocity"), None, where)
         for key in ("lower", "upper"):
             read_numbers(element, "limit", (key,), [0.0], where)
-    return UrdfJoint(element.get("name", ""), kind, parent.get("link", ""), child.get("link", ""))
+    return UrdfJoint(
+        element.get("name", ""), kind, parent.get("link", ""), child.get("link", ""), _mimic(element, where)
+    )
+
+
+def _mimic(element: Element, where: str) -> Mimic | None:
+    mimic = element.find("mimic")
+    if mimic is None:
+        return None
+    (factor,) = read_numbers(element, "mimic", ("multiplier",), [1.0], where)
+    (offset,) = read_numbers(element, "mimic", ("offset",), [0.0], where)
+    return Mimic(mimic.get("joint", ""), factor, offset)
 
 
 def _refuse_duplicates(names: Iterable[str], kind: str, source: str) -> None:
