@@ -171,7 +171,7 @@ class GeomidNode(Node):
         return replace(
             status,
             problems=tuple(filter(None, problems)),
-            warnings=(*self._missing_clock(), *status.warnings),
+            warnings=(*self._missing_clock(), *filter(None, (self._supervisor.warning,)), *status.warnings),
             failures=self._failures + status.failures,
             accounts=self._ledger.topics,
         )
