@@ -30,6 +30,11 @@ def printable(message: str) -> str:
     return "".join(c if c.isprintable() or c == "\n" else c.encode("unicode_escape").decode() for c in message)
 
 
+def one_line(text: str) -> str:
+    """Text from outside as one line of a terminal, a log or a message may have it: line ends are codes, too."""
+    return text if text.isprintable() and len(text) <= _LONGEST else printable(text).replace("\n", "\\n")
+
+
 def unknown_name(kind: str, name: str, valid: Iterable[str]) -> InputError:
     """The error for a name that does not exist; it lists those that do and guesses which was meant."""
     names = sorted(valid)

@@ -22,7 +22,7 @@ from geomid_ros.model.samples import Samples
 from geomid_ros.monitoring.wrench_sensors import WrenchCheck, sensor_channels
 from geomid_ros.session.session import Session
 from geomid_ros.signals.ledger import count_reason
-from geomid_ros.signals.messages import Accepted, Message
+from geomid_ros.signals.messages import JOINT_STATES, Accepted, Message
 from geomid_ros.types import FloatArray
 
 _LONGEST_WAIT = 0.75  # [s] while a message has waited for so long, new ones are dropped, and counted
@@ -141,7 +141,7 @@ class Worker:
             active=active,
             problems=tuple(filter(None, (*self._doubts, self._intake_is_late))),
             warnings=(
-                *filter(None, (self.solver.problem, self._solver_is_late)),
+                *filter(None, (self.solver.problem, self._solver_is_late, self._silence)),
                 *self.session.warnings(self.solver.estimate),
             ),
             failures=failures,
@@ -167,6 +167,11 @@ class Worker:
             f"{topic}: {problem} Its rows are left out, those before too, until ~/reset"
             for topic, problem in self._wrenches.problems.items()
         ]
+
+    @property
+    def _silence(self) -> str:
+        joints = ", ".join(f"'{joint}'" for joint in self.session.pipeline.silent)
+        return f"{JOINT_STATES}: nothing comes of {joints}; no rows are made without" if joints else ""
 
     @property
     def _intake_is_late(self) -> str:

@@ -16,6 +16,7 @@ from geomid_ros.types import BoolArray, FloatArray, IntArray
 DRIVER_ERROR = "driver error: "
 """Reasons begin with this when the driver fills in its messages wrongly."""
 _LARGEST_NUMBER = 1e9  # in SI units
+_SILENT = 1_000_000_000  # [ns] behind the other parts
 _MOST_WAITING = 10_000  # messages of a part, while another is silent
 
 Part: TypeAlias = tuple[str, ...]
@@ -67,6 +68,11 @@ class JointReader:
         self._made_up = True  # until an effort is seen that is not zero
         self._effort_stamps = np.zeros(len(self._joints), dtype=np.int64)
         self._saturation.restart()
+
+    @property
+    def stamp(self) -> int:
+        """Of the last message that was good [ns]; 0 before."""
+        return self._stamp
 
     @property
     def unmeasured(self) -> tuple[str, ...]:
@@ -200,6 +206,13 @@ class JointParts:
             reader.restart()
         self._waiting: dict[Part, deque[tuple[int, FloatArray]]] = {part: deque() for part in self.readers}
         self._last = 0
+
+    @property
+    def silent(self) -> tuple[str, ...]:
+        """The joints of which nothing has come for long, while something came of others."""
+        newest = max((reader.stamp for reader in self.readers.values()), default=0)
+        heard = [joint for part, reader in self.readers.items() if newest - reader.stamp <= _SILENT for joint in part]
+        return tuple(joint for joint in self._joints if joint not in heard) if newest else ()
 
     def part(self, names: Sequence[str]) -> Part:
         """The part of a message with these names. Raises RejectedError if it is of several, or of none."""
