@@ -6,6 +6,7 @@ import difflib
 from collections.abc import Iterable
 
 _LONGEST = 4000  # characters of a message
+_LONGEST_GUESS = 200  # characters of a name
 
 
 class GeomidError(Exception):
@@ -20,7 +21,10 @@ class GeomidError(Exception):
 
 
 class InputError(GeomidError):
-    """Input from outside (file, topic, option, parameter) that cannot be used."""
+    """Input from outside (file, topic, option, parameter) that cannot be used. Its message is one line."""
+
+    def __init__(self, message: str) -> None:
+        super().__init__(one_line(message))
 
 
 def printable(message: str) -> str:
@@ -38,6 +42,8 @@ def one_line(text: str) -> str:
 def unknown_name(kind: str, name: str, valid: Iterable[str]) -> InputError:
     """The error for a name that does not exist; it lists those that do and guesses which was meant."""
     names = sorted(valid)
-    close = difflib.get_close_matches(name, names, n=1)
+    # To compare two names takes the product of their lengths.
+    short = [valid for valid in names if len(valid) <= _LONGEST_GUESS]
+    close = difflib.get_close_matches(name, short, n=1) if len(name) <= _LONGEST_GUESS else []
     guess = f" Did you mean '{close[0]}'?" if close else ""
     return InputError(f"unknown {kind} '{name}'.{guess} Valid: {', '.join(names) or '(none)'}")

@@ -10,13 +10,12 @@ from typing import Any
 
 import click
 import numpy as np
-from rich.markup import escape
 from rich.table import Table
 
 import geomid_ros
 from geomid_ros.commands.options import OUT, URDF, recording_options
 from geomid_ros.commands.progress import progress_bar
-from geomid_ros.commands.tables import number_columns, plain_table, print_remarks, results_console
+from geomid_ros.commands.tables import lines, number_columns, plain_table, print_remarks, results_console
 from geomid_ros.estimation.estimate import QUANTITIES, EffectEstimate, Estimate, LinkEstimate
 from geomid_ros.files.models.effect_forms import is_coefficient
 from geomid_ros.files.models.results import model_effects
@@ -73,7 +72,6 @@ def _print(found: geomid_ros.Identification) -> None:
     print_remarks(console, found.warnings, found.session.notes)
     console.print(
         f"{estimate.rows_accepted} rows, {state} in {estimate.seconds:.1f} s, prior's weight {estimate.gamma:.1e}",
-        highlight=False,
     )
     console.print(_links_table(found))
     if estimate.known:
@@ -99,9 +97,9 @@ def _links_table(found: geomid_ros.Identification) -> Table:
     number_columns(table, headings)
     table.add_column("cannot be\ntold alone", min_width=10)
     for link in found.links:
-        names = "\n".join([link.name, *(f"+ {name}" for name in link.merged)])
+        names = lines([link.name, *(f"+ {name}" for name in link.merged)])
         masses = f"{nominal[link.name]:.3f}", f"{link.mass:.3f} ± {link.std_mass:.3f}"
-        com = "\n".join(f"{c:+.3f} ± {s:.3f}" for c, s in zip(link.com, link.std_com, strict=True))
+        com = lines(f"{c:+.3f} ± {s:.3f}" for c, s in zip(link.com, link.std_com, strict=True))
         shares = f"{100 * link.from_data:.0f} %", f"{link.distance_from_prior:.2f}"
         table.add_row(names, *masses, com, *shares, _cannot_tell(link))
     return table
@@ -146,9 +144,9 @@ def _other_effects_table(effects: Sequence[KnownEffect]) -> Table:
         table.add_column(heading, overflow="fold")
     number_columns(table, ["value"])
     for effect in effects:
-        names = "\n".join(name.replace("_", " ") for name in effect.parameters)
-        values = "\n".join(gap_words.measured(quantity) for quantity in effect.parameters.values())
-        table.add_row(gap_words.headline(effect.effect), escape(gap_words.place(effect.joint)), names, values)
+        names = lines(name.replace("_", " ") for name in effect.parameters)
+        values = lines(map(gap_words.measured, effect.parameters.values()))
+        table.add_row(gap_words.headline(effect.effect), gap_words.place(effect.joint), names, values)
     return table
 
 

@@ -51,7 +51,7 @@ def payload(empty: Path, loaded: Path, urdf: Path, controller: str | None, as_js
     low, high = found.interval
     print_remarks(console, found.weighed.warnings, [])
     gain = f", an uncertain gain of {100.0 * found.weighed.gain:.3g} % included" if found.weighed.gain else ""
-    console.print(f"{found.mass:.3f} kg, from {low:.3f} to {high:.3f} kg (95 %{gain})", highlight=False)
+    console.print(f"{found.mass:.3f} kg, from {low:.3f} to {high:.3f} kg (95 %{gain})")
     table = plain_table(f"Payload in the axes of '{found.frame}'")
     table.add_column("quantity")
     number_columns(table, ["value", "std"])
