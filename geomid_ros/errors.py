@@ -6,6 +6,11 @@ import difflib
 from collections.abc import Iterable
 
 _LONGEST = 4000  # characters of a message
+_NO_MEMORY = ("failed to map segment", "annot allocate memory", "Unable to allocate")
+TOO_LITTLE_MEMORY = (
+    "too little memory: geomid needs 1 GB, and what its recordings take (is there a limit, as by ulimit -v?)"
+)
+"""What is said then."""
 _LONGEST_GUESS = 200  # characters of a name
 
 
@@ -32,6 +37,17 @@ def printable(message: str) -> str:
     if len(message) > _LONGEST:
         message = f"{message[: _LONGEST // 2]} ... {message[-_LONGEST // 2 :]}"
     return "".join(c if c.isprintable() or c == "\n" else c.encode("unicode_escape").decode() for c in message)
+
+
+def is_lack_of_memory(error: BaseException) -> bool:
+    """Whether an error, or one that it comes from, says that there is too little memory: libraries that are loaded then
+    each have words of their own."""
+    causes: list[BaseException] = []
+    cause: BaseException | None = error
+    while cause is not None and cause not in causes:
+        causes.append(cause)
+        cause = cause.__cause__ or cause.__context__
+    return any(isinstance(each, MemoryError) or any(word in str(each) for word in _NO_MEMORY) for each in causes)
 
 
 def one_line(text: str) -> str:

@@ -65,7 +65,7 @@ def test_what_cannot_be_printed_is_shown_as_codes(case: str, tmp_path: Path) -> 
 
 def test_html_is_text_in_a_report(tmp_path: Path) -> None:
     urdf, bag = renamed(NAMES["HTML"], tmp_path)
-    shown = done("gap", bag, "--urdf", urdf, "--out", tmp_path / "out")
+    shown = done("gap", bag, "--urdf", urdf, "--hold-out", "0.2", "--out", tmp_path / "out")
     assert NAMES["HTML"] in re.sub(r"\s+", "", shown)
     page = (tmp_path / "out/report.html").read_text(encoding="utf-8")
     assert NAMES["HTML"] not in page

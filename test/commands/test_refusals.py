@@ -220,5 +220,22 @@ def test_no_traceback_in_a_process_of_its_own(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.parametrize("module", ["geomid_ros", "geomid_ros.ros.main"])
+@pytest.mark.parametrize("megabytes", [300, 400])
+def test_too_little_memory_is_said_in_one_sentence(megabytes: int, module: str) -> None:
+    """Whichever of the libraries finds no room."""
+    if module != "geomid_ros":
+        pytest.importorskip("rclpy")
+    code = (
+        f"import resource, runpy, sys; resource.setrlimit(resource.RLIMIT_AS, ({megabytes}_000_000,) * 2);"
+        f"sys.argv = ['geomid', 'identify', {str(BAG)!r}, '--urdf', {str(URDF)!r}, '--out', '/nowhere/out'];"
+        f"runpy.run_module({module!r}, run_name='__main__')"
+    )
+    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False, timeout=60)
+    assert "Traceback" not in result.stderr
+    assert result.returncode == 2
+    assert result.stderr.splitlines()[-1].endswith("(is there a limit, as by ulimit -v?)")
+
+
 def test_an_unknown_command_is_refused() -> None:
     assert "identfy" in refused("identfy")
