@@ -203,6 +203,26 @@ def test_89_a_part_that_falls_silent_is_named(tmp_path: Path) -> None:
         rig.settled(again)
 
 
+def test_93_a_mimic_joint_is_not_waited_for(stage: Stage) -> None:
+    """A finger that follows the last joint, and that no message has; without <mimic> it would be missing."""
+    finger = (
+        '<link name="finger"><inertial><mass value="0.1"/><inertia ixx="1e-4" iyy="1e-4" izz="1e-4" ixy="0" ixz="0"'
+        ' iyz="0"/></inertial></link><joint name="finger" type="prismatic"><parent link="link3"/><child link="finger"/>'
+        '<axis xyz="0 1 0"/><limit lower="-1" upper="1" effort="1" velocity="1"/>'
+        '<mimic joint="joint3" multiplier="0.01"/></joint></robot>'
+    )
+    stage.node({"robot_description": description("arm3").replace("</robot>", finger), "solve_period": 0.2})
+    stage.observer.publish([item for item in GOOD[:800] if item.topic == "/joint_states"], KINDS)
+    told = stage.fed({"joint_states": 400})
+    values = {pair.key: pair.value for pair in told.status[0].values}
+    assert values["joint_states accepted"] == "400"
+    assert "missing" not in told.status[0].message
+    names = {
+        status.name for status in stage.observer.diagnostics(lambda values, _: int(values["solves"]) > 0, "").status
+    }
+    assert "geomid: finger" in names
+
+
 def status(accepted: int, rows: int, **fields: Any) -> Status:
     accounts = {topic: Account(accepted=accepted) for topic in ("joint_states", "/wrench")}
     return Status(active=True, topics=tuple(accounts), accounts=accounts, rows_made=rows, lag=0.5, **fields)
