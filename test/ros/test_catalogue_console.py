@@ -29,6 +29,7 @@ from .stage import KINDS, WRIST, Stage, description
 from .test_catalogue_failures import planted
 from .test_catalogue_merging import part
 
+JOINTS = {"/joint_states": KINDS["/joint_states"]}
 WICKED = "\x1b[31mjoint1\nINFO all is well\u202e"
 SHOWN = r"\x1b[31mjoint1\nINFO all is well\u202e"
 
@@ -212,7 +213,7 @@ def test_93_a_mimic_joint_is_not_waited_for(stage: Stage) -> None:
         '<mimic joint="joint3" multiplier="0.01"/></joint></robot>'
     )
     stage.node({"robot_description": description("arm3").replace("</robot>", finger), "solve_period": 0.2})
-    stage.observer.publish([item for item in GOOD[:800] if item.topic == "/joint_states"], KINDS)
+    stage.observer.publish([item for item in GOOD[:800] if item.topic == "/joint_states"], JOINTS)
     told = stage.fed({"joint_states": 400})
     values = {pair.key: pair.value for pair in told.status[0].values}
     assert values["joint_states accepted"] == "400"
