@@ -6,6 +6,12 @@ import difflib
 from collections.abc import Iterable
 
 _LONGEST = 4000  # characters of a message
+_NO_MEMORY = ("failed to map segment", "annot allocate memory", "Unable to allocate")
+TOO_LITTLE_MEMORY = (
+    "too little memory: geomid needs 1 GB, and what its recordings take (is there a limit, as by ulimit -v?)"
+)
+"""What is said then."""
+_LONGEST_GUESS = 200  # characters of a name
 
 
 class GeomidError(Exception):
@@ -20,7 +26,10 @@ class GeomidError(Exception):
 
 
 class InputError(GeomidError):
-    """Input from outside (file, topic, option, parameter) that cannot be used."""
+    """Input from outside (file, topic, option, parameter) that cannot be used. Its message is one line."""
+
+    def __init__(self, message: str) -> None:
+        super().__init__(one_line(message))
 
 
 def printable(message: str) -> str:
@@ -30,9 +39,27 @@ def printable(message: str) -> str:
     return "".join(c if c.isprintable() or c == "\n" else c.encode("unicode_escape").decode() for c in message)
 
 
+def is_lack_of_memory(error: BaseException) -> bool:
+    """Whether an error, or one that it comes from, says that there is too little memory: libraries that are loaded then
+    each have words of their own."""
+    causes: list[BaseException] = []
+    cause: BaseException | None = error
+    while cause is not None and cause not in causes:
+        causes.append(cause)
+        cause = cause.__cause__ or cause.__context__
+    return any(isinstance(each, MemoryError) or any(word in str(each) for word in _NO_MEMORY) for each in causes)
+
+
+def one_line(text: str) -> str:
+    """Text from outside as one line of a terminal, a log or a message may have it: line ends are codes, too."""
+    return text if text.isprintable() and len(text) <= _LONGEST else printable(text).replace("\n", "\\n")
+
+
 def unknown_name(kind: str, name: str, valid: Iterable[str]) -> InputError:
     """The error for a name that does not exist; it lists those that do and guesses which was meant."""
     names = sorted(valid)
-    close = difflib.get_close_matches(name, names, n=1)
+    # To compare two names takes the product of their lengths.
+    short = [valid for valid in names if len(valid) <= _LONGEST_GUESS]
+    close = difflib.get_close_matches(name, short, n=1) if len(name) <= _LONGEST_GUESS else []
     guess = f" Did you mean '{close[0]}'?" if close else ""
     return InputError(f"unknown {kind} '{name}'.{guess} Valid: {', '.join(names) or '(none)'}")

@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeAlias
 
+from geomid_ros.files.bags.bag import bags_in
 from geomid_ros.files.models.urdf import read_urdf
 from geomid_ros.model.sensors import WrenchSensor
 from geomid_ros.session.configuration import Configuration
@@ -23,6 +24,11 @@ Config: TypeAlias = PathLike | Mapping[str, Any] | Configuration
 def paths(given: Paths) -> list[Path]:
     """One path or several, as a list."""
     return [Path(path) for path in ([given] if isinstance(given, str | Path) else given)]
+
+
+def bag_paths(given: Paths) -> list[Path]:
+    """Bags, as a list; for a folder of bags, those in it."""
+    return [bag for path in paths(given) for bag in bags_in(path)]
 
 
 def texts(given: Texts) -> list[str]:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from geomid_ros.api.arguments import Config, PathLike, Paths, Texts, configuration, description, paths
+from geomid_ros.api.arguments import Config, PathLike, Paths, Texts, bag_paths, configuration, description
 from geomid_ros.errors import InputError
 from geomid_ros.files.disk import write_json
 from geomid_ros.files.models.gap_results import gap_document
@@ -153,9 +153,9 @@ def find_gap(
     parameters = configuration(config, model=model, floating_base=floating_base, wrench=wrench)
     session = gap_session(text, parameters, source)
     topics = Topics(joint_topic, odom_topic)
-    recorded = Bags(fitted=paths(bags), validate=paths(validate), hold_out=hold_out, topics=topics)
+    recorded = Bags(fitted=bag_paths(bags), validate=bag_paths(validate), hold_out=hold_out, topics=topics)
     reader = GapReader(session, recorded, progress)
-    recordings = reader.read(paths(simulated))
+    recordings = reader.read(bag_paths(simulated))
     sharp = reader.sharp()
     commands = reader.sharp(command) if command else []
     try:

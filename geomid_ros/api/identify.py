@@ -8,7 +8,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from geomid_ros.api.arguments import Config, PathLike, Paths, Texts, configuration, description, paths, texts
+from geomid_ros.api.arguments import Config, PathLike, Paths, Texts, bag_paths, configuration, description, texts
 from geomid_ros.estimation.estimate import EffectEstimate, Estimate, LinkEstimate
 from geomid_ros.model.samples import Samples
 from geomid_ros.plausibility.verdict import Verdict
@@ -178,7 +178,7 @@ def identify(
     text, source = description(urdf)
     session = Session(text, parameters, source)
     topics = Topics(joint_topic, odom_topic)
-    recorded = Bags(fitted=paths(bags), validate=paths(validate), hold_out=hold_out, topics=topics)
+    recorded = Bags(fitted=bag_paths(bags), validate=bag_paths(validate), hold_out=hold_out, topics=topics)
     train, held_out = read_bags(session, recorded, progress)
     progress("solving", 0.0)
     take(session, train)

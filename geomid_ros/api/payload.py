@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from geomid_ros.api.arguments import Config, PathLike, Paths, Texts, configuration, description, paths
+from geomid_ros.api.arguments import Config, PathLike, Paths, Texts, bag_paths, configuration, description
 from geomid_ros.errors import InputError
 from geomid_ros.exports.formats import CONTROLLERS
 from geomid_ros.exports.inertial import Export, Summand, UncertainInertia, total
@@ -96,7 +96,7 @@ def weigh_payload(
 
 def _all(session: Session, bags: Paths, topics: Topics, progress: Progress) -> list[Samples]:
     """All samples of some bags."""
-    train, _ = read_bags(session, Bags(fitted=paths(bags), hold_out=0.0, topics=topics), progress)
+    train, _ = read_bags(session, Bags(fitted=bag_paths(bags), hold_out=0.0, topics=topics), progress)
     return train
 
 

@@ -16,6 +16,7 @@ from rich.table import Table
 import geomid_ros
 from geomid_ros.commands.options import OUT
 from geomid_ros.commands.progress import progress_bar
+from geomid_ros.commands.tables import results_console
 from geomid_ros.errors import InputError
 from geomid_ros.files.models.results import read_estimate
 from geomid_ros.files.models.urdf import read_urdf
@@ -49,7 +50,7 @@ def demo(out: Path, rate: float) -> None:
     truth = _true_masses(shared_file("bags/arm7.truth.json"))
     configuration = Configuration({**_WRENCH, "solve_period": max(0.1, 0.3 / rate)}, "demo")
     session = Session(read_urdf(urdf), configuration, str(urdf))
-    console = Console()
+    console = results_console()
     console.print("A node identifies a simulated arm live, from joint states and a wrench sensor at the wrist.")
     with (
         LiveRun(bag, urdf, configuration, out.resolve(), rate) as run,

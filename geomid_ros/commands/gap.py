@@ -11,15 +11,12 @@ from pathlib import Path
 from typing import Any
 
 import click
-from rich.console import Console
-from rich.markup import escape
 from rich.table import Table
 
 import geomid_ros
-from geomid_ros.commands.judgements import print_verdict
 from geomid_ros.commands.options import OUT, URDF, recording_options
 from geomid_ros.commands.progress import progress_bar
-from geomid_ros.commands.tables import number_columns, plain_table, results_console
+from geomid_ros.commands.tables import lines, number_columns, plain_table, print_remarks, results_console, say
 from geomid_ros.gap.result import GapResult
 from geomid_ros.plausibility.verdict import recording_status
 from geomid_ros.report import gap_words
@@ -71,31 +68,31 @@ def _print(found: geomid_ros.Gap) -> None:
     """Print the verdict, what was found, the gap of every channel, candidates, and what to record next."""
     console = results_console()
     result = found.result
-    print_verdict(console, [finding.sentence for finding in found.session.findings], found.session.warnings())
-    _say(console, f"[bold]{result.verdict.upper()}[/bold]  {escape(gap_words.verdict_sentence(result))}")
+    print_remarks(
+        console, [finding.sentence for finding in found.session.findings], found.session.warnings(), found.session.notes
+    )
+    say(console, result.verdict.upper(), f"  {gap_words.verdict_sentence(result)}")
     for sentence in gap_words.in_short(result):
-        _say(console, escape(sentence))
+        say(console, "", sentence)
     if result.findings:
         console.print(_findings_table(result))
     for sentence in _sentences(result):
-        _say(console, escape(sentence))
+        say(console, "", sentence)
     console.print(_channels_table(result))
     for simulation in found.simulated:
         console.print(_simulated_table(simulation))
     if found.not_simulated:
-        _say(console, f"[bold]Not simulated again[/bold]  {escape(found.not_simulated)}")
+        say(console, "Not simulated again", f"  {found.not_simulated}")
     if result.ranking and result.verdict != "no gap":
         console.print(_candidates_table(result))
     for joint, times, variables in gap_words.not_explained(result):
         left = f"{joint}: {gap_words.ratio(times)} times the floor remain, depending on {variables}"
-        _say(console, f"[bold]Not explained[/bold]  {escape(left)}")
+        say(console, "Not explained", f"  {left}")
     record = gap_words.to_record(result)
     if record:
-        _say(console, "\n".join(["[bold]To record next[/bold]", *(f"- {escape(what)}" for what in record)]))
-
-
-def _say(console: Console, text: str) -> None:
-    console.print(text, highlight=False)
+        say(console, "To record next", "")
+        for what in record:
+            say(console, "", f"- {what}")
 
 
 def _findings_table(result: GapResult) -> Table:
@@ -107,9 +104,9 @@ def _findings_table(result: GapResult) -> Table:
     table.add_column("confidence")
     number_columns(table, ["closes", "separable"])
     for finding in result.findings:
-        names = "\n".join(name.replace("_", " ") for name in finding.parameters)
-        values = "\n".join(gap_words.measured(quantity) for quantity in finding.parameters.values())
-        where = escape(gap_words.place(finding.joint, finding.link))
+        names = lines(name.replace("_", " ") for name in finding.parameters)
+        values = lines(map(gap_words.measured, finding.parameters.values()))
+        where = gap_words.place(finding.joint, finding.link)
         shares = (gap_words.percent(finding.share), gap_words.percent(finding.separability))
         table.add_row(gap_words.headline(finding.effect), where, names, values, finding.confidence, *shares)
     return table
@@ -138,7 +135,7 @@ def _channels_table(result: GapResult) -> Table:
         before, inertias, after, expected = (float(values[k]) for values in (*gaps, result.gap.expected))
         if math.isfinite(before):
             numbers = (gap_words.ratio(value) for value in (before, inertias, after, expected))
-            table.add_row(escape(name), f"{floor:.2g} {unit}", *numbers, _bar(before, inertias, after, end))
+            table.add_row(name, f"{floor:.2g} {unit}", *numbers, _bar(before, inertias, after, end))
     return table
 
 
@@ -159,7 +156,7 @@ def _simulated_table(simulation: SimulatedAgain) -> Table:
     table.add_column("channel", overflow="fold")
     number_columns(table, ["before", "after"])
     for name, before in simulation.errors["before"].items():
-        table.add_row(escape(name), gap_words.ratio(before), gap_words.ratio(simulation.errors["after"][name]))
+        table.add_row(name, gap_words.ratio(before), gap_words.ratio(simulation.errors["after"][name]))
     return table
 
 
@@ -169,7 +166,5 @@ def _candidates_table(result: GapResult) -> Table:
     number_columns(table, ["improves by", "separable", "chosen"])
     for entry in result.ranking[:_MOST_CANDIDATES]:
         chosen = "yes" if entry.chosen else ""
-        table.add_row(
-            escape(gap_words.title(entry)), f"{entry.gain:.1f}", gap_words.percent(entry.separability), chosen
-        )
+        table.add_row(gap_words.title(entry), f"{entry.gain:.1f}", gap_words.percent(entry.separability), chosen)
     return table

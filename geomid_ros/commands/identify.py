@@ -5,25 +5,27 @@ from __future__ import annotations
 import json
 import sys
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import click
 import numpy as np
-from rich.markup import escape
+from rich.console import Console
 from rich.table import Table
 
 import geomid_ros
-from geomid_ros.commands.judgements import print_messages, print_verdict
 from geomid_ros.commands.options import OUT, URDF, recording_options
 from geomid_ros.commands.progress import progress_bar
-from geomid_ros.commands.tables import number_columns, plain_table, results_console
+from geomid_ros.commands.tables import lines, number_columns, plain_table, print_remarks, results_console, say
 from geomid_ros.estimation.estimate import QUANTITIES, EffectEstimate, Estimate, LinkEstimate
 from geomid_ros.files.models.effect_forms import is_coefficient
 from geomid_ros.files.models.results import model_effects
 from geomid_ros.model.effects import EFFECTS, KnownEffect
 from geomid_ros.report import gap_words
+from geomid_ros.signals.ledger import Account
+
+_MOST_REASONS = 5
 
 
 @click.command()
@@ -68,16 +70,24 @@ def _names(text: str | None) -> list[str] | None:
     return None if text is None else [name.strip() for name in text.split(",")]
 
 
+def _print_messages(console: Console, topics: Mapping[str, Account]) -> None:
+    """Print of each topic how many messages were used, and why others were not."""
+    for topic, account in topics.items():
+        refused = account.rejected + account.dropped
+        reasons = "".join(f"; {count} {reason}" for reason, count in refused.most_common(_MOST_REASONS))
+        noted = "".join(f"; noted: {remark} ({count})" for remark, count in account.noted.most_common(_MOST_REASONS))
+        say(console, "", f"{topic}: {account.accepted} of {account.received} messages used{reasons}{noted}")
+
+
 def _print(found: geomid_ros.Identification) -> None:
     """Print links, effects and how well each channel is predicted, on held-out data where there are any."""
     console = results_console()
     estimate = found.estimate
     state = "converged" if estimate.converged else f"NOT converged ({estimate.reason})"
-    print_verdict(console, found.verdict.reasons, found.warnings)
-    print_messages(console, found.session.pipeline.ledger.topics)
+    print_remarks(console, found.verdict.reasons, found.warnings, found.session.notes)
+    _print_messages(console, found.session.pipeline.ledger.topics)
     console.print(
         f"{estimate.rows_accepted} rows, {state} in {estimate.seconds:.1f} s, prior's weight {estimate.gamma:.1e}",
-        highlight=False,
     )
     console.print(_links_table(found))
     if estimate.known:
@@ -103,9 +113,9 @@ def _links_table(found: geomid_ros.Identification) -> Table:
     number_columns(table, headings)
     table.add_column("cannot be\ntold alone", min_width=10)
     for link in found.links:
-        names = "\n".join([link.name, *(f"+ {name}" for name in link.merged)])
+        names = lines([link.name, *(f"+ {name}" for name in link.merged)])
         masses = f"{nominal[link.name]:.3f}", f"{link.mass:.3f} ± {link.std_mass:.3f}"
-        com = "\n".join(f"{c:+.3f} ± {s:.3f}" for c, s in zip(link.com, link.std_com, strict=True))
+        com = lines(f"{c:+.3f} ± {s:.3f}" for c, s in zip(link.com, link.std_com, strict=True))
         shares = f"{100 * link.from_data:.0f} %", f"{link.distance_from_prior:.2f}"
         table.add_row(names, *masses, com, *shares, _cannot_tell(link))
     return table
@@ -150,9 +160,9 @@ def _other_effects_table(effects: Sequence[KnownEffect]) -> Table:
         table.add_column(heading, overflow="fold")
     number_columns(table, ["value"])
     for effect in effects:
-        names = "\n".join(name.replace("_", " ") for name in effect.parameters)
-        values = "\n".join(gap_words.measured(quantity) for quantity in effect.parameters.values())
-        table.add_row(gap_words.headline(effect.effect), escape(gap_words.place(effect.joint)), names, values)
+        names = lines(name.replace("_", " ") for name in effect.parameters)
+        values = lines(map(gap_words.measured, effect.parameters.values()))
+        table.add_row(gap_words.headline(effect.effect), gap_words.place(effect.joint), names, values)
     return table
 
 

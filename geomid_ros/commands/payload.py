@@ -10,10 +10,9 @@ from typing import Any
 import click
 
 import geomid_ros
-from geomid_ros.commands.judgements import print_verdict
 from geomid_ros.commands.options import URDF
 from geomid_ros.commands.progress import progress_bar
-from geomid_ros.commands.tables import number_columns, plain_table, results_console
+from geomid_ros.commands.tables import number_columns, plain_table, print_remarks, results_console
 from geomid_ros.estimation.estimate import QUANTITIES
 from geomid_ros.exports.formats import CONTROLLERS
 from geomid_ros.files.models.judgements import causes_entry
@@ -59,9 +58,9 @@ def _print(found: geomid_ros.Payload, controller: str | None) -> None:
     """Print the payload, what makes it doubtful first, and the commands that set it."""
     console = results_console()
     low, high = found.interval
-    print_verdict(console, [finding.sentence for finding in found.weighed.findings], found.weighed.warnings)
+    print_remarks(console, [finding.sentence for finding in found.weighed.findings], found.weighed.warnings)
     gain = f", an uncertain gain of {100.0 * found.weighed.gain:.3g} % included" if found.weighed.gain else ""
-    console.print(f"{found.mass:.3f} kg, from {low:.3f} to {high:.3f} kg (95 %{gain})", highlight=False)
+    console.print(f"{found.mass:.3f} kg, from {low:.3f} to {high:.3f} kg (95 %{gain})")
     table = plain_table(f"Payload in the axes of '{found.frame}'")
     table.add_column("quantity")
     number_columns(table, ["value", "std"])

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import os
+import sys
 from importlib import import_module
 from typing import Any
 
 import click
 
 import geomid_ros
-from geomid_ros.errors import GeomidError
+from geomid_ros.errors import TOO_LITTLE_MEMORY, GeomidError, is_lack_of_memory
 
 COMMANDS = {
     "demo": "Watch a robot's inertias being identified live.",
@@ -64,4 +65,10 @@ def main() -> None:
     # The matrices are small: threads of the linear algebra library would only wait for each other. numpy reads this
     # once, and none of the imports above loads it.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    root()
+    try:
+        root()
+    except (MemoryError, ImportError, OSError) as error:
+        if not is_lack_of_memory(error):
+            raise
+        click.echo(f"Error: {TOO_LITTLE_MEMORY}", err=True)
+        sys.exit(2)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -20,6 +20,7 @@ _SHRINK_BELOW = 0.25
 # first; no step decreases it by less than the second.
 _HIDDEN = 1e-10
 _ROUNDING = 1e-13
+_SHORTEST = 1e-12  # step
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,17 +74,16 @@ def trust_region(
         while True:
             tangent = model.minimiser(radius)
             predicted = -(evaluation.gradient @ tangent + 0.5 * tangent @ evaluation.hessian @ tangent)
-            candidate = objective.manifold.exp(point, tangent)
-            trial = objective.evaluate(candidate)
-            ratio = float((evaluation.value - trial.value) / predicted)
             length = float(np.linalg.norm(tangent))
+            candidate, trial = _tried(objective, point, evaluation, tangent)
+            ratio = float((evaluation.value - trial.value) / predicted)
             if ratio >= _ACCEPT:
                 break
             hidden = predicted <= _HIDDEN * evaluation.value
             if hidden and np.linalg.norm(trial.gradient) <= 0.5 * np.linalg.norm(evaluation.gradient):
                 ratio = 1.0
                 break
-            if predicted <= _ROUNDING * evaluation.value or length < 1e-12:
+            if predicted <= _ROUNDING * evaluation.value or length < _SHORTEST:
                 return Solution(point, evaluation, True, "no decrease left in rounding", step, tuple(values))
             radius = 0.25 * length
         if ratio < _SHRINK_BELOW:
@@ -93,6 +93,19 @@ def trust_region(
         point, evaluation = candidate, trial
         values.append(evaluation.value)
     return Solution(point, evaluation, False, f"no convergence in {max_steps} steps", max_steps, tuple(values))
+
+
+def _tried(objective: Objective, point: Point, evaluation: Evaluation, tangent: FloatArray) -> tuple[Point, Evaluation]:
+    """The end of a step and the objective there; where that is too far away for finite numbers, the point itself with
+    an infinite value, so that a shorter step is tried."""
+    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+        try:
+            candidate = objective.manifold.exp(point, tangent)
+            trial = objective.evaluate(candidate)
+        except LinAlgError:
+            return point, replace(evaluation, value=np.inf)
+    finite = all(np.all(np.isfinite(part)) for part in (trial.value, trial.gradient, trial.hessian))
+    return (candidate, trial) if finite else (point, replace(evaluation, value=np.inf))
 
 
 class _QuadraticModel:
@@ -152,8 +165,7 @@ def cyclic(objective: Objective, start: Point, tolerance: float = 1e-8, max_step
             return Solution(point, evaluation, True, "gradient below tolerance", step, tuple(values))
         share = 1.0
         while True:
-            candidate = objective.manifold.exp(point, -share / scale * evaluation.gradient)
-            trial = objective.evaluate(candidate)
+            candidate, trial = _tried(objective, point, evaluation, -share / scale * evaluation.gradient)
             hidden = abs(trial.value - evaluation.value) <= _HIDDEN * evaluation.value
             falls = np.linalg.norm(trial.gradient) < np.linalg.norm(evaluation.gradient)
             if trial.value < evaluation.value or (hidden and falls):

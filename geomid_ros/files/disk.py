@@ -79,7 +79,7 @@ def read_bytes(path: Path, what: str, most_bytes: int) -> bytes:
     A pipe or a device, which may never end, is not opened.
     """
     try:
-        if not path.is_file():
+        if path.exists() and not path.is_file():
             raise InputError(f"{path}: no regular file, as a {what} is")
         return _bounded(path, what, most_bytes)
     except OSError as error:
@@ -87,10 +87,10 @@ def read_bytes(path: Path, what: str, most_bytes: int) -> bytes:
 
 
 def read_text(path: Path, what: str, most_bytes: int) -> str:
-    """The text of a UTF-8 file, with the line ends it has; ``what`` it is for messages. Raises InputError naming it."""
+    """The text of a UTF-8 file, with the line ends it has; else as :func:`read_bytes`. Raises InputError naming it."""
     try:
-        return _bounded(path, what, most_bytes).decode()
-    except (OSError, UnicodeDecodeError) as error:
+        return read_bytes(path, what, most_bytes).decode()
+    except UnicodeDecodeError as error:
         raise InputError(f"{path}: the {what} cannot be read ({error})") from error
 
 

@@ -12,3 +12,10 @@ def start_daemon(name: str, work: Callable[..., object], *arguments: Any) -> thr
     thread = threading.Thread(target=work, args=arguments, name=f"geomid-{name}", daemon=True)
     thread.start()
     return thread
+
+
+def start_later(seconds: float, work: Callable[[], object]) -> None:
+    """Start such a thread after a while."""
+    timer = threading.Timer(seconds, work)
+    timer.daemon = True
+    timer.start()

@@ -18,10 +18,13 @@ from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.files.checkpoints.checkpoint import Checkpoint
 from geomid_ros.files.checkpoints.checkpoint_folder import CheckpointFolder, Restored
 from geomid_ros.live.activity import Activity
-from geomid_ros.live.daemon import start_daemon
+from geomid_ros.live.daemon import start_daemon, start_later
+from geomid_ros.live.worker import Worker
 from geomid_ros.session.session import Session
 
 _PATIENCE = 0.4  # [s] for the last checkpoint
+_LATE = 4.0  # [s] for an estimate from all data; then the last one is saved
+_LATEST = 4.8  # [s] for an answer
 _SHORTEST_PAUSE = 0.1  # share of the period, between checkpoints that take long
 
 
@@ -146,6 +149,22 @@ class Checkpoints:
         self._seconds, self._begin = time.monotonic() - begin, None
 
 
+class _OneAnswer:
+    """Passes on the first of several answers."""
+
+    def __init__(self, done: Callable[[Answer], None]) -> None:
+        self._done = done
+        self._lock = threading.Lock()
+        self.given = False
+
+    def __call__(self, answer: Answer) -> None:
+        with self._lock:
+            if self.given:
+                return
+            self.given = True
+        self._done(answer)
+
+
 class Saving:
     """Saves estimates into one folder."""
 
@@ -172,6 +191,29 @@ class Saving:
             done: is called in the thread with whether that succeeded, and a sentence.
         """
         start_daemon("saving", lambda: done(self._save(session, result)))
+
+    def begin_when_solved(self, worker: Worker, done: Callable[[Answer], None]) -> None:
+        """Save an estimate from all data so far, in threads; the last one, if that takes long to solve.
+
+        Args:
+            worker: whose estimate it is.
+            done: is called once, within five seconds, with whether that succeeded, and a sentence.
+        """
+        answer, session = _OneAnswer(done), worker.session
+        worker.final_estimate(lambda result: self.begin(session, result, answer))
+
+        def save_last() -> None:
+            last = worker.estimate
+            if answer.given:
+                return
+            if last is None:
+                answer((False, f"no estimate yet: the first one takes more than {_LATE:g} s; ask again later"))
+                return
+            late = f"; it is of {last.rows_accepted} rows, and one of all rows takes more than {_LATE:g} s"
+            self.begin(session, last, lambda saved: answer((saved[0], saved[1] + late)))
+
+        start_later(_LATE, save_last)
+        start_later(_LATEST, lambda: answer((False, f"saving is not done yet: {self._folder} is slow")))
 
     def save_last(self, session: Session, estimate: Estimate, patience: float) -> str:
         """Save, unless it takes longer than ``patience`` [s]. Returns a sentence on how that went."""

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-import ctypes
+import math
 import os
 import pickle
 import signal
-import sys
 import threading
-from multiprocessing import get_context
-from multiprocessing.connection import Connection
+import time
+from multiprocessing import get_context, parent_process
+from multiprocessing.connection import Connection, wait
 from typing import Any
 
 from geomid_ros.errors import GeomidError
@@ -17,63 +17,110 @@ from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.estimation.estimator import WarmStart
 from geomid_ros.estimation.identifier import EstimationTask
 from geomid_ros.estimation.summary import RowSummary
+from geomid_ros.live.daemon import start_daemon
 
 _NICE = 5  # the process that takes messages comes first
 _PATIENCE = 60.0  # [s] for a solve whose caller has given up
-_PR_SET_PDEATHSIG = 1  # of prctl(2)
+_TRIES = 2  # of a solve whose process ends: not all that end a process are the solve's fault
+_LONGEST_PAUSE = 60.0  # [s] between processes that end without a result
+_WORTH_TELLING = 60.0  # [s] after an end
 _PROTOCOL = 5  # of pickle; it leaves read-only arrays read-only
+_SIGNALS = (signal.SIGINT, signal.SIGTERM)  # to the whole group are the parent's to answer
 
 
 class SolvingProcess:
     """Solves one task after the other.
 
-    When the process has ended, or hangs in a solve whose caller has given up, the caller's own process solves.
+    A process that ends, as one does that is killed for its memory, or that hangs in a solve whose caller has given up,
+    is replaced by another, which gets the same task. While one after the other ends without a result, longer and longer
+    pauses are made.
     """
 
     def __init__(self) -> None:
         """Fork, so that nothing has to be imported again. No thread may have been started before."""
-        context = get_context("fork")
-        self._connection, theirs = context.Pipe()
-        self._process = context.Process(target=_serve, args=(theirs, self._connection), daemon=True)
-        self._process.start()
-        theirs.close()
-        self._task: EstimationTask | None = None  # that the process knows
         self._solving = threading.Lock()
         self._closed = False
+        self._hangs = False  # its solve is given up
+        self._ends = self._fruitless = 0  # processes that ended, and the last of them in a row that solved nothing
+        self._ended = -math.inf  # when the last one did
+        self._ended_process: Any = None  # the last that did
+        self._begin("fork")
+
+    def _begin(self, method: str) -> None:
+        """Start a process: by "spawn", which takes a second for imports, once there are threads, as a fork would leave
+        their locks behind in any state."""
+        context: Any = get_context(method)
+        self._connection, theirs = context.Pipe()
+        self._process = context.Process(target=_serve, args=(theirs,), daemon=True)
+        masked = signal.pthread_sigmask(signal.SIG_BLOCK, _SIGNALS)  # in the process, too
+        self._process.start()
+        signal.pthread_sigmask(signal.SIG_SETMASK, masked)
+        theirs.close()
+        self._task: EstimationTask | None = None  # that the process knows
 
     @property
-    def problem(self) -> str:
-        """That the process has ended; empty if it has not."""
-        if self._process.is_alive():
+    def warning(self) -> str:
+        """That a process has ended lately; empty if none has."""
+        if self._closed:
             return ""
-        return "the solving process has ended; until the node is started anew, messages wait for solves"
+        if not self._process.is_alive():
+            return "the solving process has ended (is there too little memory?); it is started again"
+        if time.monotonic() - self._ended > _WORTH_TELLING:
+            return ""
+        return f"the solving process has ended (is there too little memory?) and was started again, time {self._ends}"
 
     def solve(self, task: EstimationTask, summary: RowSummary, warm: WarmStart | None) -> Estimate:
         """Like :meth:`EstimationTask.solve`.
 
         Raises:
-            GeomidError: the solve failed, or :meth:`close` ended the process meanwhile.
+            GeomidError: the solve failed, or its process ended more than once, or by :meth:`close`.
         """
         if not self._solving.acquire(timeout=_PATIENCE):
-            self.close()  # it hangs
-            return task.solve(summary, warm)
+            self._hangs = True
+            self._process.kill()  # whoever waits for it sees its end
+            self._solving.acquire()
         try:
             return self._solved(task, summary, warm)
         finally:
             self._solving.release()
 
     def _solved(self, task: EstimationTask, summary: RowSummary, warm: WarmStart | None) -> Estimate:
-        if self._closed:
-            return task.solve(summary, warm)
-        try:
-            answer = self._answer(task, summary, warm)
-        except (EOFError, OSError) as error:  # the process has ended
+        for _ in range(_TRIES):
             if self._closed:
-                raise GeomidError("the solve was given up") from error
-            return task.solve(summary, warm)
-        if isinstance(answer, Exception):
-            raise answer
-        return answer
+                return task.solve(summary, warm)
+            if not self._process.is_alive():
+                self._note_end()
+                self._replace()
+            try:
+                answer = self._answer(task, summary, warm)
+            except (EOFError, OSError) as error:  # the process has ended
+                self._note_end()
+                if self._closed or self._hangs:
+                    self._hangs = False
+                    raise GeomidError("the solve was given up") from error
+                continue
+            self._fruitless = 0
+            if isinstance(answer, Exception):
+                raise answer
+            return answer
+        raise GeomidError("the solving process has ended twice in this solve (is there too little memory?)")
+
+    def _note_end(self) -> None:
+        self._process.join()
+        if self._ended_process is self._process:
+            return
+        self._ended_process = self._process
+        self._ends += 1
+        self._fruitless += 1
+        self._ended = time.monotonic()
+
+    def _replace(self) -> None:
+        """Start another process. Raises GeomidError in the pauses between such that end without a result."""
+        pause = min(2.0**self._fruitless, _LONGEST_PAUSE) if self._fruitless >= _TRIES else 0.0
+        left = self._ended + pause - time.monotonic()
+        if left > 0.0:
+            raise GeomidError(f"the solving process has ended; it is started again in {left:.0f} s")
+        self._begin("spawn")
 
     def _answer(self, task: EstimationTask, summary: RowSummary, warm: WarmStart | None) -> Estimate | Exception:
         new = task if task is not self._task else None
@@ -89,17 +136,13 @@ class SolvingProcess:
         self._process.join()
 
 
-def _serve(connection: Connection[Any, Any], parents: Connection[Any, Any]) -> None:
+def _serve(connection: Connection[Any, Any]) -> None:
     """Solve what is asked for until the parent is gone."""
-    parents.close()
-    _end_with_parent()
+    start_daemon("parent", _end_with_parent)
     os.nice(_NICE)
     task: Any = None  # until the first request brings it
     while True:
-        try:
-            new, summary, warm = pickle.loads(connection.recv_bytes())  # noqa: S301 it is ours
-        except EOFError:
-            return
+        new, summary, warm = pickle.loads(connection.recv_bytes())  # noqa: S301 it is ours
         task = new or task
         try:
             answer: Estimate | Exception = task.solve(summary, warm)
@@ -109,8 +152,8 @@ def _serve(connection: Connection[Any, Any], parents: Connection[Any, Any]) -> N
 
 
 def _end_with_parent() -> None:
-    """End when the parent does, not before: signals to the whole group are the parent's to answer."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    signal.signal(signal.SIGTERM, signal.SIG_IGN)
-    if sys.platform == "linux":
-        ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
+    """End when the parent does, whatever this process is doing."""
+    parent = parent_process()
+    if parent is not None:
+        wait([parent.sentinel])
+        os._exit(0)

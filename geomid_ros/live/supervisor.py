@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections import deque
 from collections.abc import Callable
 from pathlib import Path
 from typing import Protocol
@@ -16,6 +17,7 @@ from geomid_ros.session.session import Session
 from geomid_ros.signals.ledger import Ledger
 
 MOST_RESTARTS = 3
+FORGOTTEN = 3600.0  # [s] after which a restart does not count any more
 HANGING = 120.0  # [s] nothing takes so long on a busy machine, not even the first solve of a humanoid
 _PATIENCE = 0.9  # [s] for the threads to end; with the last checkpoint, and with all that takes, less than two
 
@@ -56,15 +58,20 @@ class Supervisor:
         self._on_samples = on_samples
         self._on_estimate = on_estimate
         self._solving = solving
-        self._restarts = 0
+        self._restarts: deque[float] = deque()  # when [s] those were that count
         self._hung = ""
         self._checkpoints: Checkpoints | None = None
         self.worker: Worker | None = None  # the present one
 
     @property
     def problem(self) -> str:
-        """Threads that hang or hung, or a solving process that has ended; empty if all is well."""
-        return self._hung or (self._solving.problem if self._solving else "")
+        """Threads that hang or hung; empty if all is well."""
+        return self._hung
+
+    @property
+    def warning(self) -> str:
+        """A solving process that has ended; empty if all is well."""
+        return self._solving.warning if self._solving else ""
 
     @property
     def checkpoints(self) -> CheckpointStatus | None:
@@ -110,7 +117,8 @@ class Supervisor:
 
     def reset(self) -> None:
         """Forget all rows, and that threads hung."""
-        self._restarts, self._hung = 0, ""
+        self._restarts.clear()
+        self._hung = ""
         if self.worker is not None:
             self.worker.reset()
 
@@ -118,16 +126,19 @@ class Supervisor:
         """Restart the solver if it hangs; if the intake does, replace the worker, whose rows are lost."""
         if self.worker is None:
             return
+        while self._restarts and time.monotonic() - self._restarts[0] > FORGOTTEN:
+            self._restarts.popleft()
+            self._hung = self._hung if self._restarts else ""
         intake = self.worker.activity.current[1] > HANGING
         solver = self.worker.solver.activity.current[1] > HANGING
         if not solver and not intake:
             return
         what = "the intake of messages" if intake else "the solver"
-        if self._restarts == MOST_RESTARTS:
-            self._hung = f"{what} hangs again after {MOST_RESTARTS} restarts and is left alone"
+        if len(self._restarts) == MOST_RESTARTS:
+            self._hung = f"{what} hangs again after {MOST_RESTARTS} restarts and is left alone for an hour"
             return
-        self._restarts += 1
-        self._hung = f"{what} hung and was restarted, {self._restarts} of at most {MOST_RESTARTS} times"
+        self._restarts.append(time.monotonic())
+        self._hung = f"{what} hung and was restarted, {len(self._restarts)} of at most {MOST_RESTARTS} times"
         if intake:
             self.build(self.worker.session.urdf, "robot_description")
         else:

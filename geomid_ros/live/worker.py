@@ -19,7 +19,7 @@ from geomid_ros.model.samples import Samples
 from geomid_ros.session.session import Session
 from geomid_ros.session.wrench_guard import WrenchGuard
 from geomid_ros.signals.ledger import count_reason
-from geomid_ros.signals.messages import Accepted, Message
+from geomid_ros.signals.messages import JOINT_STATES, Accepted, Message
 from geomid_ros.types import FloatArray
 
 _LONGEST_WAIT = 0.75  # [s] while a message has waited for so long, new ones are dropped, and counted
@@ -137,7 +137,7 @@ class Worker:
             problems=tuple(filter(None, (*self._sensors_left_out, *self._causes(sure=True), self._intake_is_late))),
             warnings=(
                 *self._causes(sure=False),
-                *filter(None, (self.solver.problem, self._solver_is_late)),
+                *filter(None, (self.solver.problem, self._solver_is_late, self._silence)),
                 *self.session.warnings(self.solver.estimate),
             ),
             failures=failures,
@@ -166,6 +166,11 @@ class Worker:
         left_out = self._wrenches.sentences
         findings = [f for f in self.session.findings if left_out.keys().isdisjoint(f.cause.places)]
         return [finding.sentence for finding in findings if finding.sure == sure]
+
+    @property
+    def _silence(self) -> str:
+        joints = ", ".join(f"'{joint}'" for joint in self.session.pipeline.silent)
+        return f"{JOINT_STATES}: nothing comes of {joints}; no rows are made without" if joints else ""
 
     @property
     def _intake_is_late(self) -> str:

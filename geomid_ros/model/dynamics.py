@@ -26,6 +26,7 @@ class Dynamics:
     def __init__(self, model: MeasurementModel, inertias: FloatArray) -> None:
         self._model = model
         self._robot = model.robot
+        self._coupling = self._robot.coupling
         self._whole = self._robot.with_inertias(inertias, range(len(inertias)))
         self._data = self._whole.createData()
         self._carried = [
@@ -36,9 +37,8 @@ class Dynamics:
 
     def efforts(self, samples: Samples) -> FloatArray:
         """Efforts ``(N, J)`` of the joints."""
-        rows = self._robot.velocity_rows
         motion = zip(*self._robot.configuration(samples), strict=True)
-        return np.array([pin.rnea(self._whole, self._data, q, v, a)[rows] for q, v, a in motion])
+        return np.array([pin.rnea(self._whole, self._data, q, v, a) @ self._coupling for q, v, a in motion])
 
     def sensitivity(self, samples: Samples) -> Sensitivity:
         """Derivatives of all channels at N instants."""
@@ -55,12 +55,11 @@ class Dynamics:
 
     def _effort_terms(self, q: FloatArray, v: FloatArray, a: FloatArray) -> Iterator[FloatArray]:
         """Derivatives ``(joints, joints)`` of the efforts by q, v and a, and ``(joints, 3)`` by gravity."""
-        rows = self._robot.velocity_rows
-        terms = pin.computeRNEADerivatives(self._whole, self._data, q, v, a)
-        by_position, by_velocity, mass = (term[np.ix_(rows, rows)] for term in terms)
-        yield from (by_position, by_velocity, np.triu(mass) + np.triu(mass, 1).T)
-        still = [pin.computeGeneralizedGravity(self._whole, self._data, q)[rows] for _ in _unit_gravities(self._whole)]
-        yield np.array(still).T
+        by_position, by_velocity, mass = pin.computeRNEADerivatives(self._whole, self._data, q, v, a)
+        for term in (by_position, by_velocity, np.triu(mass) + np.triu(mass, 1).T):
+            yield self._coupling.T @ term @ self._coupling
+        still = [pin.computeGeneralizedGravity(self._whole, self._data, q) for _ in _unit_gravities(self._whole)]
+        yield self._coupling.T @ np.array(still).T
 
     def _wrench_terms(
         self, model: pin.Model, data: pin.Data, frame: str, q: FloatArray, v: FloatArray, a: FloatArray
@@ -70,7 +69,7 @@ class Dynamics:
         def wrench(q: FloatArray, v: FloatArray, a: FloatArray) -> FloatArray:
             return _carried_wrench(model, data, frame, q, v, a)
 
-        steps = [_STEP * unit for unit in np.eye(model.nv)[self._robot.velocity_rows]]
+        steps = [_STEP * velocities for velocities in self._coupling.T]
         still = np.zeros(model.nv)
         yield np.array(
             [wrench(pin.integrate(model, q, s), v, a) - wrench(pin.integrate(model, q, -s), v, a) for s in steps]

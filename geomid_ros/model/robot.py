@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from copy import copy
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import pinocchio as pin
@@ -49,8 +50,23 @@ class Joint:
     unit: str
 
 
+@dataclass(frozen=True)
+class Follower:
+    """A ``joint`` that mimics the one in the place ``master`` among the robot's: it moves ``factor`` times as far, and
+    stands at ``offset`` when that stands at zero."""
+
+    joint: Joint
+    master: int
+    factor: float
+    offset: float
+
+
 class Robot:
-    """Bodies, joints and rigid-body quantities of one robot."""
+    """Bodies, joints and rigid-body quantities of one robot.
+
+    Joints that mimic others are not joints of their own: they follow, and what moves them is part of the master's
+    effort (the principle of virtual work).
+    """
 
     def __init__(
         self,
@@ -82,26 +98,57 @@ class Robot:
         self.gravity = frozen(gravity)
         self.tree = urdf_tree.parse(urdf, source)
         self._first_joint = 2 if floating_base else 1
-        self._locked = frozenset(locked_joints)
+        self._locked = self._with_followers(locked_joints)
         self._model = self._without_locked(_build(urdf_tree.without_shapes(urdf, source), floating_base, source))
         self._model.gravity.linear = self.gravity
         self._data = self._model.createData()
         self.name = str(self._model.name)
         """The robot's name in its URDF."""
-        self.joints = self._moving_joints()
+        moving = self._moving_joints()
+        self.joints = tuple(joint for joint in moving if self._master(joint.name) is None)
         self.joint_names = tuple(joint.name for joint in self.joints)
         """Names of the moving joints, in the order of all joint arrays."""
+        self.followers = self._followers(moving)
         self.repaired: dict[str, str] = {}
         """What was changed of the inertias of links that the URDF has wrong, in a sentence, by link."""
         self.bodies = self._bodies(set(cuts))
         self.body_names = tuple(body.name for body in self.bodies)
         """Names of the bodies, in the order of the parameters."""
         if not self.bodies:
-            raise InputError(f"{source}: no moving link has a mass; there is nothing to identify")
-        self.velocity_rows = [joint.v for joint in self.joints]
+            raise InputError(
+                f"{source}: no moving link has a mass; there is nothing to identify. 'geomid prior URDF --mass KG' "
+                "gives a URDF inertials, from its shapes and the robot's weight"
+            )
+        self._velocity_rows = [joint.v for joint in self.joints]
         self._moved = [index for index, body in enumerate(self.bodies) if body.joint > 0]
         self._moved_by = [self.bodies[index].joint - 1 for index in self._moved]
         self._to_joints = np.array([self.bodies[index].to_joint for index in self._moved])
+
+    def _master(self, name: str) -> tuple[str, float, float] | None:
+        """The joint that another one follows in the end, with factor and offset; None for one that follows nobody, or
+        joints that there are not."""
+        by_name = {joint.name: joint for joint in self.tree.joints}
+        factor, offset, joint = 1.0, 0.0, by_name[name]
+        for _ in self.tree.joints:
+            if joint.mimic is None or joint.mimic.master not in by_name:
+                return (joint.name, factor, offset) if joint.name != name else None
+            factor, offset = factor * joint.mimic.factor, offset + factor * joint.mimic.offset
+            joint = by_name[joint.mimic.master]
+        raise InputError(f"{self.source}: joint '{name}' mimics itself")
+
+    def _with_followers(self, locked: Sequence[str]) -> frozenset[str]:
+        """The joints to lock, and those that follow a joint which does not move."""
+        still = {*locked, *(joint.name for joint in self.tree.joints if joint.type == "fixed")}
+        masters = {joint.name: self._master(joint.name) for joint in self.tree.joints if joint.type != "fixed"}
+        return frozenset([*locked, *(name for name, found in masters.items() if found and found[0] in still)])
+
+    def _followers(self, moving: Sequence[Joint]) -> tuple[Follower, ...]:
+        masters = [(joint, self._master(joint.name)) for joint in moving]
+        return tuple(
+            Follower(joint, self.joint_names.index(found[0]), *found[1:])
+            for joint, found in masters
+            if found is not None
+        )
 
     def _without_locked(self, model: pin.Model) -> pin.Model:
         moving = {model.names[index]: index for index in range(self._first_joint, model.njoints)}
@@ -184,7 +231,7 @@ class Robot:
     @property
     def effort_limits(self) -> FloatArray:
         """The joints' largest efforts in the URDF ``(joints,)`` [N m, N], infinite where it has none."""
-        limits = np.asarray(self._model.effortLimit)[self.velocity_rows]
+        limits = np.asarray(self._model.effortLimit)[self._velocity_rows]
         return np.where(limits > 0.0, limits, np.inf)
 
     @property
@@ -213,23 +260,43 @@ class Robot:
         v, a = np.zeros((len(samples), self._model.nv)), np.zeros((len(samples), self._model.nv))
         if self.floating_base:
             q[:, :7], v[:, :6], a[:, :6] = samples.base_pose, samples.base_velocity, samples.base_acceleration
-        for index, joint in enumerate(self.joints):
-            position = samples.position[:, index]
+        for joint, position, velocity, acceleration in self._motions(samples):
             if joint.continuous:
                 q[:, joint.q], q[:, joint.q + 1] = np.cos(position), np.sin(position)
             else:
                 q[:, joint.q] = position
-            v[:, joint.v], a[:, joint.v] = samples.velocity[:, index], samples.acceleration[:, index]
+            v[:, joint.v], a[:, joint.v] = velocity, acceleration
         return q, v, a
+
+    def _motions(self, samples: Samples) -> Iterator[tuple[Joint, FloatArray, FloatArray, FloatArray]]:
+        """Every moving joint's position, velocity and acceleration, each ``(N,)``."""
+        motions = np.stack([samples.position, samples.velocity, samples.acceleration])
+        for index, joint in enumerate(self.joints):
+            yield joint, *motions[:, :, index]
+        for follower in self.followers:
+            position, velocity, acceleration = follower.factor * motions[:, :, follower.master]
+            yield follower.joint, position + follower.offset, velocity, acceleration
 
     def joint_effort_rows(self, q: FloatArray, v: FloatArray, a: FloatArray) -> FloatArray:
         """Regressor of the joints' efforts at one instant, ``(joints, bodies, 10)``, in the bodies' link frames."""
         # Of a robot with one joint pinocchio returns arrays that have lost a dimension.
         full = pin.computeJointTorqueRegressor(self._model, self._data, q, v, a).reshape(self._model.nv, -1)
-        by_joint = full[self.velocity_rows].reshape(len(self.joints), -1, 10)[:, self._moved_by]
+        by_joint = self._of_joints(full).reshape(len(self.joints), -1, 10)[:, self._moved_by]
         rows = np.zeros((len(self.joints), len(self.bodies), 10))
         rows[:, self._moved] = (by_joint.transpose(1, 0, 2) @ self._to_joints).transpose(1, 0, 2)
         return rows
+
+    @cached_property
+    def coupling(self) -> FloatArray:
+        """How fast all of pinocchio's ``nv`` velocities are, by those of the joints, ``(nv, joints)``."""
+        return frozen(self._of_joints(np.eye(self._model.nv)).T)
+
+    def _of_joints(self, rows: FloatArray) -> FloatArray:
+        """The rows ``(joints, ...)`` of the robot's joints, of those ``(nv, ...)`` of all that moves."""
+        own = rows[self._velocity_rows]
+        for follower in self.followers:
+            own[follower.master] += follower.factor * rows[follower.joint.v]
+        return own
 
     def update_motion(self, q: FloatArray, v: FloatArray, a: FloatArray) -> None:
         """Compute placements, velocities and accelerations for :meth:`placement` and :meth:`wrench_rows`."""
@@ -289,7 +356,7 @@ class Robot:
         """Jacobian ``(6, joints)`` of a link's frame, in its own axes (linear, angular)."""
         index = self._model.getFrameId(frame, pin.BODY)
         jacobian = pin.computeFrameJacobian(self._model, self._data, q, index, pin.LOCAL)
-        return np.array(jacobian.reshape(6, self._model.nv)[:, self.velocity_rows])
+        return self._of_joints(jacobian.reshape(6, self._model.nv).T).T
 
     def with_gravity(self, gravity: FloatArray) -> Robot:
         """The same robot under another ``gravity (3,)`` in the base (world) frame [m/s^2]."""

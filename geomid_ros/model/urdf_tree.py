@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import shlex
 from collections import Counter
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -30,17 +31,31 @@ _MAX_AXES = 128  # pinocchio's memory grows with their cube
 # Python alone would read 1_000 and digits of other scripts, too.
 _NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?", re.ASCII)
 _OF_RIGID_BODIES = {"link": ("inertial",), "joint": ("parent", "child", "origin", "axis", "limit")}
+_OTHER_FORMATS = {
+    "sdf": ": an SDF model. Give the URDF or xacro that it was made from; 'gz sdf -p' makes SDF of those, not back",
+    "mujoco": ": an MJCF model. Give the robot's URDF; 'geomid export --for mujoco' brings results into an MJCF model",
+}
 _AXES = {"fixed": 0, "revolute": 1, "continuous": 1, "prismatic": 1, "planar": 3, "floating": 6}
 
 
 @dataclass(frozen=True)
+class Mimic:
+    """A joint's ``<mimic>``: its position is ``factor`` times the master's, plus ``offset``."""
+
+    master: str
+    factor: float
+    offset: float
+
+
+@dataclass(frozen=True)
 class UrdfJoint:
-    """One ``<joint>``: its name, type, parent and child links."""
+    """One ``<joint>``: its name, type, parent and child links, and whom it follows, if anybody."""
 
     name: str
     type: str
     parent: str
     child: str
+    mimic: Mimic | None = None
 
 
 @dataclass(frozen=True)
@@ -120,12 +135,22 @@ def read_xml(text: str, source: str) -> Element:
         parser.feed(text)
         robot: Element = parser.close()
     except (ParseError, DefusedXmlException, ValueError) as error:
+        if "<xacro:" in text:
+            raise _is_xacro(source) from error
         raise InputError(f"{source}: not a URDF, its XML cannot be read ({error})") from error
     if robot.tag != "robot":
-        raise InputError(f"{source}: not a URDF, its root element is <{robot.tag}> instead of <robot>")
+        hint = _OTHER_FORMATS.get(robot.tag, "")
+        raise InputError(f"{source}: not a URDF, its root element is <{robot.tag}> instead of <robot>{hint}")
+    if any("ros.org/wiki/xacro}" in element.tag for element in robot.iter()):
+        raise _is_xacro(source)
     if not robot.get("name"):
         raise InputError(f"{source}: its <robot> has no name")
     return robot
+
+
+def _is_xacro(source: str) -> InputError:
+    command = f"xacro {shlex.quote(source)} > robot.urdf"
+    return InputError(f"{source}: a xacro file, of which this command makes a URDF: {command}")
 
 
 class _Builder(TreeBuilder):
@@ -206,7 +231,18 @@ def _joint(element: Element, source: str) -> UrdfJoint:
         read_numbers(element, "limit", ("effort", "velocity"), None, where)
         for key in ("lower", "upper"):
             read_numbers(element, "limit", (key,), [0.0], where)
-    return UrdfJoint(element.get("name", ""), kind, parent.get("link", ""), child.get("link", ""))
+    return UrdfJoint(
+        element.get("name", ""), kind, parent.get("link", ""), child.get("link", ""), _mimic(element, where)
+    )
+
+
+def _mimic(element: Element, where: str) -> Mimic | None:
+    mimic = element.find("mimic")
+    if mimic is None:
+        return None
+    (factor,) = read_numbers(element, "mimic", ("multiplier",), [1.0], where)
+    (offset,) = read_numbers(element, "mimic", ("offset",), [0.0], where)
+    return Mimic(mimic.get("joint", ""), factor, offset)
 
 
 def _refuse_duplicates(names: Iterable[str], kind: str, source: str) -> None:

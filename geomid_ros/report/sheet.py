@@ -12,6 +12,7 @@ from matplotlib.figure import Figure
 from matplotlib.font_manager import FontProperties
 from matplotlib.textpath import text_to_path
 
+from geomid_ros.errors import one_line
 from geomid_ros.files.disk import write_bytes
 
 Place: TypeAlias = tuple[float, float, float, float]
@@ -64,7 +65,9 @@ def add_text(
     """Text at (x, y) inches from the top left corner of a figure or an area; a dollar sign is no formula."""
     if isinstance(where, Figure):
         x, y = x / SIZE[0], 1.0 - y / SIZE[1]
-    where.text(x, y, text, size=size, color=color, weight=weight, ha=ha, va=va, zorder=zorder, parse_math=False)
+    where.text(
+        x, y, one_line(text), size=size, color=color, weight=weight, ha=ha, va=va, zorder=zorder, parse_math=False
+    )
 
 
 def text_width(text: str, size: float, weight: str = "normal") -> float:
@@ -75,13 +78,23 @@ def text_width(text: str, size: float, weight: str = "normal") -> float:
 
 def shortened(text: str, inches: float, size: float, weight: str = "normal") -> str:
     """``text`` no wider than ``inches``: names differ at their ends, so something inside is left out."""
-    short = text
-    for length in range(len(text) - 1, 1, -1):
-        if text_width(short, size, weight) <= inches:
-            break
-        head = 2 * length // 5
-        short = f"{text[:head]}…{text[len(text) - length + head :]}"
-    return short
+    text = one_line(text)
+    if text_width(text, size, weight) <= inches:
+        return text
+    fitting, most = 1, len(text) - 1
+    while fitting < most:
+        length = (fitting + most + 1) // 2
+        if text_width(_without_middle(text, length), size, weight) <= inches:
+            fitting = length
+        else:
+            most = length - 1
+    return _without_middle(text, fitting)
+
+
+def _without_middle(text: str, length: int) -> str:
+    """A text of which ``length`` characters are left."""
+    head = 2 * length // 5
+    return f"{text[:head]}…{text[len(text) - length + head :]}"
 
 
 def number(value: float) -> str:

@@ -5,10 +5,12 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
+from typing import NamedTuple
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 
+from geomid_ros.errors import one_line
 from geomid_ros.estimation.estimate import QUANTITIES, Estimate, LinkEstimate
 from geomid_ros.estimation.identifier import STANDING_STILL
 from geomid_ros.live.gap_search import SearchStatus
@@ -22,9 +24,17 @@ from geomid_ros.signals.ledger import Account
 from geomid_ros.signals.messages import JOINT_STATES
 
 NO_DESCRIPTION = "no robot description yet"
+NOTHING_COMES = "no messages on"
 STOPPED = "stopped"
 _SIMULATED = 1_000_000_000_000_000_000  # [ns] earlier stamps are of a simulation
 _QUANTILES = {"p50": 0.5, "p99": 0.99, "max": 1.0}
+
+
+class Complaint(NamedTuple):
+    """A ``sentence`` on what is wrong; ``error`` if that is more than a warning."""
+
+    sentence: str
+    error: bool
 
 
 class Diagnostics:
@@ -33,6 +43,9 @@ class Diagnostics:
     def __init__(self, node: str) -> None:
         self._node = node
         self._before = Status(active=False)
+        self._barren = 0  # diagnostics in a row in which messages were accepted and no rows were made
+        self.complaints: tuple[Complaint, ...] = ()
+        """What the last diagnostics say is wrong with the stream."""
 
     def array(
         self, status: Status, search: SearchStatus | None = None, checkpoints: CheckpointStatus | None = None
@@ -44,8 +57,12 @@ class Diagnostics:
             search: of the search for a gap, if there was one.
             checkpoints: of the checkpoints, if any are kept.
         """
-        level, message = _judgement(status, status.since(self._before))
+        new = status.since(self._before)
+        errors = [*dict.fromkeys(_errors(status, new))]
+        warnings = [*dict.fromkeys([*_warnings(status, new), *self._without_rows(status, new)])]
+        self.complaints = (*(Complaint(text, True) for text in errors), *(Complaint(text, False) for text in warnings))
         self._before = status
+        level, message = _judgement(status, errors, warnings)
         array = DiagnosticArray(status=[_status(f"{self._node}: stream", level, message, _stream(status))])
         if search is not None:
             array.status.append(_search(f"{self._node}: gap finding", search))
@@ -55,11 +72,25 @@ class Diagnostics:
             array.status += [_link(self._node, link) for link in status.estimate.links]
         return array
 
+    def _without_rows(self, status: Status, new: Status) -> list[str]:
+        """A complaint when messages are accepted, but for longer than the filter needs nothing comes of them."""
+        accepted = [topic for topic, account in new.accounts.items() if account.accepted > 0]
+        barren = status.active and bool(accepted) and status.rows_made == self._before.rows_made
+        self._barren = self._barren + 1 if barren else 0
+        if self._barren <= _LONGEST_BARREN + 2.0 * status.lag:
+            return []
+        why = "a pause in every filter window, or a rate too low for it?"
+        if len(status.topics) > 1:
+            why = f"are the stamps of {' and '.join(status.topics)} of one clock?"
+        return [f"messages are accepted, but no rows come of them since {self._barren} s: {why}"]
+
 
 def _status(name: str, level: bytes, message: str, values: Mapping[str, object]) -> DiagnosticStatus:
     texts = {key: f"{value:.6g}" if isinstance(value, float) else str(value) for key, value in values.items()}
-    pairs = [KeyValue(key=key, value=text) for key, text in texts.items()]
-    return DiagnosticStatus(name=name, hardware_id="geomid", level=level, message=message, values=pairs)
+    pairs = [KeyValue(key=one_line(key), value=one_line(text)) for key, text in texts.items()]
+    return DiagnosticStatus(
+        name=one_line(name), hardware_id="geomid", level=level, message=one_line(message), values=pairs
+    )
 
 
 def _link(node: str, link: LinkEstimate) -> DiagnosticStatus:
@@ -80,6 +111,7 @@ def _link(node: str, link: LinkEstimate) -> DiagnosticStatus:
 
 
 _MOST_REASONS = 5  # in a sentence
+_LONGEST_BARREN = 3.0  # [s], beside the filter's window
 _MANY = 10  # messages of which none was accepted: no accident
 
 
@@ -178,14 +210,11 @@ def _checkpoints(name: str, checkpoints: CheckpointStatus) -> DiagnosticStatus:
     return _status(name, DiagnosticStatus.OK, f"{checkpoints.values['rows']} rows are safe", checkpoints.values)
 
 
-def _judgement(status: Status, new: Status) -> tuple[bytes, str]:
-    """Level and message: all that is wrong of the highest level. ``new`` counts from the last diagnostics on."""
-    for level, sentences in (
-        (DiagnosticStatus.ERROR, _errors(status, new)),
-        (DiagnosticStatus.WARN, _warnings(status, new)),
-    ):
+def _judgement(status: Status, errors: Sequence[str], warnings: Sequence[str]) -> tuple[bytes, str]:
+    """Level and message: all that is wrong of the highest level."""
+    for level, sentences in ((DiagnosticStatus.ERROR, errors), (DiagnosticStatus.WARN, warnings)):
         if sentences:
-            return level, "; ".join(dict.fromkeys(sentences))
+            return level, "; ".join(sentences)
     if not status.active:
         return DiagnosticStatus.OK, STOPPED
     return DiagnosticStatus.OK, "collecting rows" if status.estimate is None else f"{status.rows} rows"
@@ -218,7 +247,7 @@ def _warnings(status: Status, new: Status) -> list[str]:
         return sentences
     silent = [topic for topic in status.topics if new.account(topic).received == 0]
     if silent:
-        sentences.append(f"no messages on {', '.join(silent)}")
+        sentences.append(f"{NOTHING_COMES} {', '.join(silent)}")
     refusals: dict[str, int] = {}
     for topic, account in new.accounts.items():
         refusals |= _refusals(topic, account)

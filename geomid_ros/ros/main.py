@@ -10,7 +10,7 @@ import time
 from contextlib import closing
 from typing import TYPE_CHECKING
 
-from geomid_ros.errors import GeomidError
+from geomid_ros.errors import TOO_LITTLE_MEMORY, GeomidError, is_lack_of_memory
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -37,6 +37,11 @@ def main() -> None:
         _run()
     except GeomidError as error:
         print(f"geomid_node: {error}", file=sys.stderr)
+        sys.exit(2)
+    except (MemoryError, ImportError, OSError) as error:
+        if not is_lack_of_memory(error):
+            raise
+        print(f"geomid_node: {TOO_LITTLE_MEMORY}", file=sys.stderr)
         sys.exit(2)
 
 

@@ -29,6 +29,7 @@ from geomid_ros.live.solving_process import SolvingProcess
 from geomid_ros.live.status import Status
 from geomid_ros.live.supervisor import Supervisor
 from geomid_ros.live.worker import Worker
+from geomid_ros.ros.console import Console
 from geomid_ros.ros.diagnostics import NO_DESCRIPTION, STOPPED, Diagnostics
 from geomid_ros.ros.inputs import Inputs
 from geomid_ros.ros.outputs import Outputs, latched
@@ -66,6 +67,7 @@ class GeomidNode(Node):
 
     def _set_up(self, solving: SolvingProcess | None) -> None:
         self._configuration = _read_parameters(self)
+        self._console = Console(self.get_logger())
         self._active: bool = self._configuration["active"]
         self._outputs = Outputs(self)
         self._search = GapSearch(self._outputs.finding)
@@ -77,7 +79,7 @@ class GeomidNode(Node):
         self._supervisor = Supervisor(
             self._configuration,
             self._ledger,
-            self.get_logger(),
+            self._console,
             on_samples=self._outputs.prediction,
             on_estimate=self._outputs.estimate,
             solving=solving,
@@ -149,18 +151,19 @@ class GeomidNode(Node):
     def _report(self, problem: str) -> None:
         """Let the log and the diagnostics name a problem with the robot description, or none."""
         if problem and problem != self._problem:
-            self.get_logger().error(problem)
+            self._console.error(problem)
         self._problem = problem
 
     def fail(self, what: str, error: Exception) -> None:
         """Let the log and the next diagnostics name an exception."""
         sentence = f"{what}: {type(error).__name__}: {error}"
         count_reason(self._failures, sentence)
-        self.get_logger().error(sentence)
+        self._console.error(sentence)
 
     def _publish_diagnostics(self) -> None:
         self._supervisor.restart_what_hangs()
         array = self._diagnostics.array(self._status(), self._search.status, self._supervisor.checkpoints)
+        self._console.tell(self._diagnostics.complaints)
         array.header.stamp = self.get_clock().now().to_msg()
         self._diagnostic_arrays.publish(array)
 
@@ -171,7 +174,7 @@ class GeomidNode(Node):
         return replace(
             status,
             problems=tuple(filter(None, problems)),
-            warnings=(*self._missing_clock(), *status.warnings),
+            warnings=(*self._missing_clock(), *filter(None, (self._supervisor.warning,)), *status.warnings),
             failures=self._failures + status.failures,
             accounts=self._ledger.topics,
         )
@@ -219,8 +222,7 @@ class GeomidNode(Node):
             response.success, response.message = False, NO_DESCRIPTION
             return response
         future: Future = Future(executor=self.executor)
-        session = self._worker.session
-        self._worker.final_estimate(lambda result: self._saving.begin(session, result, future.set_result))
+        self._saving.begin_when_solved(self._worker, future.set_result)
         response.success, response.message = await future
         return response
 
@@ -231,7 +233,7 @@ class GeomidNode(Node):
 
     def _save_last(self, session: Session, estimate: Estimate, patience: float) -> None:
         if self._configuration["output_folder"]:
-            self.get_logger().info(self._saving.save_last(session, estimate, patience))
+            self._console.info(self._saving.save_last(session, estimate, patience))
 
 
 def _read_parameters(node: Node) -> Configuration:

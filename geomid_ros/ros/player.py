@@ -42,7 +42,7 @@ def play(
         rate: times its own pace.
         wait: [s] at most for a subscriber on each topic with data, so that none misses the beginning.
         named: further topics.
-        skipped: is told, in a sentence, of topics that are not published.
+        skipped: is told, in a sentence, of what is not published.
 
     Yields:
         How many messages are published, and how many there are.
@@ -51,6 +51,8 @@ def play(
         InputError: the bag has nothing to publish, or no topic of a name.
     """
     with Bag(path) as bag:
+        for warning in bag.warnings:
+            skipped(f"Warning: {warning}")
         chosen = _chosen(bag, named)
         if len(chosen) < len(bag.topics):
             others = ", ".join(topic for topic in bag.topics if topic not in chosen)

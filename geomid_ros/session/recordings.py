@@ -138,6 +138,7 @@ def read_samples(
 ) -> Iterator[Samples]:
     """The samples of a recording, as they become ready. Raises InputError when there are none."""
     names = _resolved_topics(bag, session, topics)
+    session.begin_recording(bag)
     total = bag.count(list(names))
     ready = 0
     for index, (topic, _, message) in enumerate(bag.messages(list(names))):

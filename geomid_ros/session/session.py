@@ -14,6 +14,7 @@ from geomid_ros.errors import InputError
 from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.estimation.estimator import WarmStart
 from geomid_ros.estimation.identifier import Identifier
+from geomid_ros.files.bags.bag import Bag
 from geomid_ros.files.checkpoints.checkpoint import Checkpoint
 from geomid_ros.files.disk import write_json, write_text
 from geomid_ros.files.models.judgements import account_entry, verdict_entry
@@ -92,6 +93,8 @@ class Session:
         """What seems to be wrong with the recording as a whole."""
         self.warm: WarmStart | None = None
         """Where the next solve may begin: the last estimate."""
+        self._incomplete: list[str] = []  # sentences on the recordings that were read
+        self._unchecked: list[str] = []  # their names
         self.recent = Recent(configuration["gap.memory"])
         self.pipeline = self.new_pipeline(on_accepted=self.recent, ledger=ledger)
 
@@ -120,8 +123,21 @@ class Session:
 
     def warnings(self, estimate: Estimate | None = None) -> list[str]:
         """What makes results doubtful, in sentences: of the model, and of an estimate."""
-        found = [*self.robot.repaired.values(), self.loaded.not_predicted]
+        found = [*self._incomplete, *self.robot.repaired.values(), self.loaded.not_predicted]
         return [*filter(None, found), *(estimate.warnings if estimate is not None else ())]
+
+    @property
+    def notes(self) -> list[str]:
+        """What is worth knowing, in sentences, and casts no doubt on results."""
+        if not self._unchecked:
+            return []
+        names = ", ".join(dict.fromkeys(self._unchecked))
+        return [f"no checksums in {names}: nothing tells whether their numbers are still those that were recorded"]
+
+    def begin_recording(self, bag: Bag) -> None:
+        """Note what is missing of a recording that is going to be read."""
+        self._incomplete += [warning for warning in bag.warnings if warning not in self._incomplete]
+        self._unchecked += [] if bag.checked else [bag.path.name]
 
     @property
     def topics(self) -> tuple[str, ...]:

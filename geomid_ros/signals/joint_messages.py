@@ -8,6 +8,7 @@ from typing import TypeAlias
 
 import numpy as np
 
+from geomid_ros.signals.joint_names import missing_joint
 from geomid_ros.signals.messages import JointMessage
 from geomid_ros.signals.saturation import STANDING, SaturationDetector
 from geomid_ros.types import BoolArray, FloatArray, IntArray
@@ -15,6 +16,7 @@ from geomid_ros.types import BoolArray, FloatArray, IntArray
 DRIVER_ERROR = "driver error: "
 """Reasons begin with this when the driver fills in its messages wrongly."""
 _LARGEST_NUMBER = 1e9  # in SI units
+_SILENT = 1_000_000_000  # [ns] behind the other parts
 _MOST_WAITING = 10_000  # messages of a part, while another is silent
 
 Part: TypeAlias = tuple[str, ...]
@@ -68,6 +70,11 @@ class JointReader:
         self._saturation.restart()
 
     @property
+    def stamp(self) -> int:
+        """Of the last message that was good [ns]; 0 before."""
+        return self._stamp
+
+    @property
     def unmeasured(self) -> tuple[str, ...]:
         """The joints whose equations are left out, as their efforts have failed for long."""
         if not self._stamp:
@@ -116,9 +123,8 @@ class JointReader:
             if len(index) != len(names):
                 twice = next(name for place, name in enumerate(names) if index[name] != place)
                 raise RejectedError(f"{DRIVER_ERROR}joint '{twice}' is named twice")
-            missing = next((joint for joint in self._joints if joint not in index), None)
-            if missing is not None:
-                raise RejectedError(f"joint '{missing}' is missing")
+            if missing := missing_joint(self._joints, names):
+                raise RejectedError(missing)
             extra = next((name for name in names if name not in self._joints), None)
             if extra is not None:
                 self._note_once(f"joint '{extra}' is not one of the robot's: passed over")
@@ -200,6 +206,13 @@ class JointParts:
             reader.restart()
         self._waiting: dict[Part, deque[tuple[int, FloatArray]]] = {part: deque() for part in self.readers}
         self._last = 0
+
+    @property
+    def silent(self) -> tuple[str, ...]:
+        """The joints of which nothing has come for long, while something came of others."""
+        newest = max((reader.stamp for reader in self.readers.values()), default=0)
+        heard = [joint for part, reader in self.readers.items() if newest - reader.stamp <= _SILENT for joint in part]
+        return tuple(joint for joint in self._joints if joint not in heard) if newest else ()
 
     def part(self, names: Sequence[str]) -> Part:
         """The part of a message with these names. Raises RejectedError if it is of several, or of none."""

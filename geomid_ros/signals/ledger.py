@@ -9,6 +9,8 @@ from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
+from geomid_ros.errors import one_line
+
 _MOST_REASONS = 50  # of a topic: the sender of nonsense decides how many there are
 _LONGEST_REASON = 200  # characters
 _OTHER = "other reasons"
@@ -111,5 +113,6 @@ class Ledger:
 
 def count_reason(reasons: Counter[str], reason: str) -> None:
     """Count a reason once more. Long reasons are cut short; those beyond a bound count as one."""
+    reason = one_line(reason)
     short = reason if len(reason) <= _LONGEST_REASON else reason[:_LONGEST_REASON] + "..."
     reasons[short if short in reasons or len(reasons) < _MOST_REASONS else _OTHER] += 1

@@ -105,6 +105,11 @@ class SignalPipeline:
         readers = self._parts.readers.values() if self._parts else (self._reader,)
         return tuple(joint for reader in readers for joint in reader.unmeasured)
 
+    @property
+    def silent(self) -> tuple[str, ...]:
+        """The joints of publishers that have fallen silent, if joint messages are merged."""
+        return self._parts.silent if self._parts else ()
+
     def push(self, message: Message) -> None:
         """Take a message; one that cannot be used is counted.
 

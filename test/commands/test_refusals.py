@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+import os
 import re
-import shutil
 import subprocess
 import sys
 from collections.abc import Callable, Sequence
@@ -58,19 +58,23 @@ def without_topic(topic: str) -> Callable[[Recorded], Recorded | None]:
     return lambda item: None if item.topic == topic else item
 
 
+def with_pipe(folder: Path) -> Arguments:
+    os.mkfifo(folder / "pipe")
+    return BAG, "--urdf", folder / "pipe"
+
+
+def as_xacro(text: str) -> str:
+    declared = text.replace("<robot", '<robot xmlns:xacro="http://www.ros.org/wiki/xacro"', 1)
+    return declared.replace("<link", '<xacro:arg name="a" default="1"/><link', 1)
+
+
 def short_bag(folder: Path) -> Arguments:
     return write_bag(folder / "short", recorded(BAG)[:100]), "--urdf", URDF
 
 
-def without_metadata(folder: Path) -> Arguments:
-    shutil.copytree(BAG, folder / "bare")
-    (folder / "bare/metadata.yaml").unlink()
-    return folder / "bare", "--urdf", URDF
-
-
 def cut_bag(folder: Path) -> Arguments:
     data = (BAG / "arm3.mcap").read_bytes()
-    (folder / "cut.mcap").write_bytes(data[: len(data) // 2])
+    (folder / "cut.mcap").write_bytes(data[:60])
     return folder / "cut.mcap", "--urdf", URDF
 
 
@@ -84,8 +88,7 @@ CASES: dict[str, tuple[Callable[[Path], Arguments], str]] = {
     "no such bag": (lambda folder: (folder / "nowhere", "--urdf", URDF), "nowhere: no such bag"),
     "second bag": (second_bag_bad, "nowhere: no such bag"),
     "bag to validate on": (with_options("--validate", "nowhere"), "nowhere: no such bag"),
-    "bag without metadata": (without_metadata, r"bare: .*without metadata.yaml.*arm3.mcap"),
-    "bag cut off": (cut_bag, r"cut.mcap: cannot be read"),
+    "bag cut off": (cut_bag, r"cut.mcap: cut off at byte .*no whole message"),
     "no joint states": (with_bag(without_topic("/joint_states")), r"no topic /joint_states.*--joint-topic.*/wrench"),
     "no such topic": (with_options("--joint-topic", "/robot/joints"), r"no topic /robot/joints.*/joint_states"),
     "no wrench": (with_options("--wrench", "/ft:wrist_ft:mounted"), r"no topic /ft, which --wrench names.*/wrench"),
@@ -97,7 +100,15 @@ CASES: dict[str, tuple[Callable[[Path], Arguments], str]] = {
     ),
     "a joint the bag lacks": (
         with_urdf(lambda text: text.replace('name="joint2"', 'name="elbow"')),
-        r"joint 'elbow' is missing.*joint1, elbow, joint3",
+        r"joint 'elbow' is missing: if nobody publishes it, name it in the parameter locked_joints.*joint1, elbow",
+    ),
+    "a tf_prefix": (
+        with_bag(joints(name=["left_joint2", "left_joint3", "left_joint1"])),
+        r"joint 'joint1' is missing: the messages' names have the prefix 'left_'. Give the URDF with it",
+    ),
+    "a prefix in the URDF": (
+        with_urdf(lambda text: text.replace('name="joint', 'name="left_joint')),
+        r"joint 'left_joint1' is missing: the URDF's names have the prefix 'left_', the messages' do not",
     ),
     "another frame": (with_options("--wrench", "/wrench:tool:mounted"), r"/wrench: .*'wrist_ft' is not .*'tool'"),
     "too short": (short_bag, r"short: no usable samples. it is shorter than the filter's window"),
@@ -107,10 +118,27 @@ CASES: dict[str, tuple[Callable[[Path], Arguments], str]] = {
     "no names": (with_bag(joints(name=[])), "no joint names"),
     # robot descriptions
     "no such URDF": (lambda folder: (BAG, "--urdf", folder / "no.urdf"), r"no.urdf: the robot description cannot be"),
-    "a folder as URDF": (lambda folder: (BAG, "--urdf", folder), r"the robot description cannot be read.*directory"),
+    "a folder as URDF": (
+        lambda folder: (BAG, "--urdf", folder),
+        r": no regular file, as a robot description is",
+    ),
+    "a pipe as URDF": (with_pipe, "pipe: no regular file, as a robot description is"),
+    "a device as URDF": (
+        lambda _: (BAG, "--urdf", "/dev/zero"),
+        "/dev/zero: no regular file",
+    ),
     "a bag as URDF": (lambda _: (BAG, "--urdf", BAG / "arm3.mcap"), r"arm3.mcap: the robot description cannot be read"),
     "no XML": (with_urdf(lambda _: "robot: arm3"), r"changed.urdf: not a URDF, its XML cannot be read"),
-    "another XML": (with_urdf(lambda _: "<sdf/>"), r"changed.urdf: not a URDF, its root element is <sdf>"),
+    "SDF": (
+        with_urdf(lambda _: "<sdf/>"),
+        r"changed.urdf: not a URDF, its root element is <sdf>.*URDF or xacro that it",
+    ),
+    "MJCF": (with_urdf(lambda _: "<mujoco/>"), r"changed.urdf: not a URDF.*MJCF.*Give the robot's URDF"),
+    "xacro": (with_urdf(as_xacro), r"changed.urdf: a xacro file.*: xacro \S*changed.urdf > robot.urdf"),
+    "xacro without its namespace": (
+        with_urdf(lambda text: text.replace("<link", "<xacro:arg/><link", 1)),
+        r"changed.urdf: a xacro file.*: xacro \S*changed.urdf > robot.urdf",
+    ),
     "half a URDF": (with_urdf(lambda text: text[: len(text) // 2]), r"changed.urdf: not a URDF"),
     "entities": (with_urdf(lambda _: '<!DOCTYPE a [<!ENTITY b "c">]><robot name="&b;"/>'), r"changed.urdf: not a"),
     "an impossible link": (
@@ -119,7 +147,7 @@ CASES: dict[str, tuple[Callable[[Path], Arguments], str]] = {
     ),
     "no mass at all": (
         with_urdf(lambda text: re.sub("<inertial>.*?</inertial>", "", text, flags=re.DOTALL)),
-        r"changed.urdf: no moving link has a mass",
+        r"changed.urdf: no moving link has a mass.*'geomid prior URDF --mass KG'",
     ),
     # options
     "effect": (with_options("--effects", "viscous_fricton"), r"unknown effect 'viscous_fricton'. Did you mean"),
@@ -145,7 +173,10 @@ CASES: dict[str, tuple[Callable[[Path], Arguments], str]] = {
         with_file("--config", "/**: {ros__parameters: {joint: {elbow: {effort_gain: 2}}}}"),
         r"joint .*'elbow'.*joint1, joint2, joint3",
     ),
-    "cutoff too high": (with_file("--config", "/**: {ros__parameters: {filter: {cutoff: 90}}}"), "cutoff of 90 Hz"),
+    "cutoff too high": (
+        with_file("--config", "/**: {ros__parameters: {filter: {cutoff: 90}}}"),
+        r"cutoff of 90 Hz is too high for data at 100 Hz: set the parameter filter.cutoff to 40 or less",
+    ),
     "no such model": (with_options("--model", "no.json"), r"no.json: the model cannot be read"),
     "a model that is none": (with_file("--model", "{}"), r"file: not an estimate.json"),
 }
@@ -187,6 +218,23 @@ def test_no_traceback_in_a_process_of_its_own(tmp_path: Path) -> None:
     assert (result.returncode, result.stdout) == (2, "")
     assert result.stderr == f"Error: {tmp_path / 'nowhere'}: no such bag\n"
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("module", ["geomid_ros", "geomid_ros.ros.main"])
+@pytest.mark.parametrize("megabytes", [300, 400])
+def test_too_little_memory_is_said_in_one_sentence(megabytes: int, module: str) -> None:
+    """Whichever of the libraries finds no room."""
+    if module != "geomid_ros":
+        pytest.importorskip("rclpy")
+    code = (
+        f"import resource, runpy, sys; resource.setrlimit(resource.RLIMIT_AS, ({megabytes}_000_000,) * 2);"
+        f"sys.argv = ['geomid', 'identify', {str(BAG)!r}, '--urdf', {str(URDF)!r}, '--out', '/nowhere/out'];"
+        f"runpy.run_module({module!r}, run_name='__main__')"
+    )
+    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False, timeout=60)
+    assert "Traceback" not in result.stderr
+    assert result.returncode == 2
+    assert result.stderr.splitlines()[-1].endswith("(is there a limit, as by ulimit -v?)")
 
 
 def test_an_unknown_command_is_refused() -> None:

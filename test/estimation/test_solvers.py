@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from geometry import bodies
 
-from geomid_ros.estimation.objective import Objective
+from geomid_ros.estimation.objective import Evaluation, Objective
 from geomid_ros.estimation.solvers import SOLVERS, Solution, cyclic, trust_region
 from geomid_ros.geometry import projection
 from geomid_ros.geometry.manifold import ParameterManifold, Point
+from geomid_ros.types import FloatArray
 
 from .problems import ALL, LINKS, Problem, human_like, problem
 
@@ -175,3 +178,40 @@ def test_reals_have_no_origin_and_no_unit(scale: float) -> None:
     for kind in ("geodesic", "residual"):
         _, solution = solved(case, kind)
         np.testing.assert_allclose(solution.point.parameters, expected, rtol=1e-7)
+
+
+@BOTH
+@pytest.mark.parametrize("solver", SOLVERS)
+@pytest.mark.parametrize("how", ["numbers", "decomposition"])
+def test_trial_points_that_overflow_shorten_the_step(
+    how: str, solver: str, kind: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Fault 109: beyond some distance nothing can be evaluated; the minimum, which is nearer, is found all the same."""
+    case = problem(1, ALL)
+    objective, expected = solved(case, kind)
+    evaluate, overflows = type(objective).evaluate, []
+
+    def limited(self: Objective, point: Point) -> Evaluation:
+        if self.manifold.distance(case.prior, point) <= 1.2 * self.manifold.distance(case.prior, expected.point):
+            return evaluate(self, point)
+        overflows.append(point)
+        if how == "decomposition":
+            raise np.linalg.LinAlgError("Eigenvalues did not converge")
+        return replace(evaluate(self, point), value=np.nan)
+
+    monkeypatch.setattr(type(objective), "evaluate", limited)
+    found = SOLVERS[solver](objective, case.prior, 1e-6)
+    assert objective.manifold.distance(found.point, expected.point) < 1e-3
+    exp = type(objective.manifold).exp
+    monkeypatch.setattr(
+        type(objective.manifold), "exp", lambda self, point, tangent: exp(self, point, _longer(tangent))
+    )
+    longer = SOLVERS[solver](objective, case.prior, 1e-6, max_steps=20)
+    assert overflows, "steps that are made longer go too far"
+    assert longer.values[-1] <= longer.values[0]
+    assert np.isfinite(longer.values).all()
+
+
+def _longer(tangent: FloatArray) -> FloatArray:
+    """A thousand times as long, if it is not short."""
+    return 1000.0 * tangent if np.linalg.norm(tangent) > 1e-4 else tangent

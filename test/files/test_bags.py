@@ -67,12 +67,6 @@ def test_a_topic_of_another_type_is_refused() -> None:
         bag.find_topic("wrench", "sensor_msgs/msg/JointState", "--joint-topic")
 
 
-def without_metadata(folder: Path) -> Path:
-    shutil.copytree(BAGS / "arm3", folder)
-    (folder / "metadata.yaml").unlink()
-    return folder
-
-
 def empty_folder(folder: Path) -> Path:
     folder.mkdir()
     return folder
@@ -105,8 +99,7 @@ def file_of(name: str, data: bytes) -> Callable[[Path], Path]:
 MCAP = (BAGS / "arm3/arm3.mcap").read_bytes()
 UNREADABLE: dict[str, tuple[Callable[[Path], Path], str]] = {
     "no such path": (lambda folder: folder, "no such bag"),
-    "without metadata": (without_metadata, r"without metadata.yaml.*arm3.mcap.*ros2 bag reindex"),
-    "empty folder": (empty_folder, "without metadata.yaml.*record it again"),
+    "empty folder": (empty_folder, "without metadata.yaml.*name a bag's folder"),
     "storage missing": (without_storage, "arm3.mcap: cannot be read.*missing"),
     "metadata empty": (with_metadata(""), "cannot be read"),
     "metadata of something else": (with_metadata("a: 1"), "cannot be read.*rosbag2_bagfile_information"),
@@ -115,10 +108,8 @@ UNREADABLE: dict[str, tuple[Callable[[Path], Path], str]] = {
     "text": (file_of("notes.txt", b"not a bag"), "notes.txt: cannot be read.*wrong type"),
     "text called mcap": (file_of("notes.mcap", b"not a bag"), "cannot be read"),
     "text called db3": (file_of("notes.db3", b"not a bag" * 1000), "cannot be read"),
-    "empty mcap": (file_of("empty.mcap", b""), "cannot be read.*empty"),
+    "empty mcap": (file_of("empty.mcap", b""), "empty; it has no whole message"),
     "empty db3": (file_of("empty.db3", b""), "cannot be read"),
-    "half an mcap": (file_of("half.mcap", MCAP[: len(MCAP) // 2]), "cannot be read"),
-    "mcap without its last byte": (file_of("cut.mcap", MCAP[:-1]), "cannot be read"),
     "mcap's magic and no more": (file_of("start.mcap", MCAP[:8]), "cannot be read"),
 }
 
@@ -131,14 +122,6 @@ def test_what_is_no_bag_is_refused(case: str, tmp_path: Path) -> None:
         read(path)
     assert str(path) in str(caught.value)
     assert "\n" not in str(caught.value)
-
-
-def test_a_cut_db3_is_refused(db3: Path, tmp_path: Path) -> None:
-    data = (db3 / "arm3.db3").read_bytes()
-    cut = tmp_path / "cut.db3"
-    cut.write_bytes(data[: len(data) // 2])
-    with pytest.raises(InputError, match=r"cut.db3: .*(cannot be read|damaged)"):
-        read(cut)
 
 
 @pytest.mark.parametrize("storage", ["mcap", "db3"])
@@ -173,7 +156,7 @@ def test_checksums_find_every_flipped_bit_in_a_chunk(tmp_path: Path) -> None:
         damaged = bytearray(data)
         damaged[random_bits.randrange(begin, end)] ^= 1 << random_bits.randrange(8)
         path.write_bytes(damaged)
-        with pytest.raises(InputError, match="damaged or cut off at byte"):
+        with pytest.raises(InputError, match="damaged at byte"):
             read(path)
 
 

@@ -6,6 +6,7 @@ forces are carried from frame to frame by its ``SE3`` actions.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from functools import cache
 from importlib.metadata import files
@@ -24,9 +25,10 @@ GRAVITY = (0.0, 0.0, -9.81)
 
 @cache
 def urdf(name: str) -> str:
-    """The text of the one URDF of example-robot-data whose path ends with ``/name``."""
+    """The text of the one URDF of example-robot-data whose path ends with ``/name``, all its joints free to move (of
+    those that mimic others: ``test_mimic.py``)."""
     (file,) = (f for f in files("example-robot-data") or () if f.as_posix().endswith(f"/{name}"))
-    return Path(str(file.locate())).read_text(encoding="utf-8")
+    return re.sub("<mimic.*?/>", "", Path(str(file.locate())).read_text(encoding="utf-8"))
 
 
 def random_samples(robot: Robot, seed: int, count: int = 5, sensors: int = 0) -> Samples:

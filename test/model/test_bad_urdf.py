@@ -51,7 +51,7 @@ BAD = {
     "empty": ("", ["XML"]),
     "not XML": ("robot: arm", ["XML"]),
     "cut off": (robot(*ARM)[:-20], ["XML"]),
-    "a template": (robot("<xacro:include filename='arm.xacro'/>"), ["XML"]),
+    "a template": (robot("<xacro:include filename='arm.xacro'/>"), ["xacro file"]),
     "a null byte": (robot(*ARM, "\0"), ["XML"]),
     "half a character": (robot(*ARM, "\ud800"), ["XML"]),
     "billion laughs": (f"{LAUGHS}]>{robot('&i;', *ARM)}", ["XML", "DTD"]),

@@ -49,11 +49,23 @@ def _exception(case: str) -> str:
     return f"test_catalogue_failures.py::test_an_exception_costs_the_messages_it_meets[{case}]"
 
 
+def _console(name: str) -> str:
+    return f"test_catalogue_console.py::test_{name}"
+
+
+def _bags(name: str) -> str:
+    return f"{_BAGS}::test_{name}"
+
+
 def _disk(case: str) -> str:
     return f"test_catalogue_failures.py::test_a_disk_that_cannot_be_written_stops_nothing[{case}]"
 
 
 _BAGS = "../files/test_bag_faults.py"
+_NAMES = "../commands/test_names.py::test_"
+_REFUSALS_TEST = "../commands/test_refusals.py::test_"
+_REFUSALS = _REFUSALS_TEST + "bad_input_is_refused"
+_SOLVING = "test_solving_process.py::test_"
 _DESCRIPTION = "test_description.py::test_"
 _ENDINGS = "test_endings.py::test_"
 _FAILURES = "test_catalogue_failures.py::test_"
@@ -123,9 +135,9 @@ CATALOGUE = (
     Fault(55, "Ctrl-C while solving", "the same", (f"{_ENDINGS}busy_nodes_save_their_last_estimate",)),
     Fault(56, "Ctrl-C twice", "the same", (f"{_ENDINGS}busy_nodes_save_their_last_estimate",)),
     Fault(57, "SIGTERM", "the same", (f"{_ENDINGS}busy_nodes_save_their_last_estimate", f"{_ENDINGS}a_node_told_to_end_while_it_starts", f"{_FAILURES}57_a_node_ends_though_all_its_threads_hang")),
-    Fault(58, "bag truncated", "X naming file and offset", (_BAGS,)),
+    Fault(58, "bag truncated", "what is whole is read, W with file, offset and count (97); X where nothing is", (_BAGS,)),
     Fault(59, "bag with a bit flipped", "X naming file and offset", (_BAGS,)),
-    Fault(60, "bag without metadata", "X naming file", (_BAGS,)),
+    Fault(60, "bag without metadata", "its files are read, W", (_bags("a_recorder_that_was_killed_leaves_no_metadata"),)),
     Fault(61, "bag of a wrong type", "X naming file", (_BAGS,)),
     Fault(62, "crafted bag", "X naming file", (_BAGS,)),
     Fault(63, "empty bag", "X naming file", (_BAGS,)),
@@ -136,6 +148,26 @@ CATALOGUE = (
     Fault(68, "a service where it makes no sense (the node has no lifecycle)", "answered with what is missing", ("test_services.py::test_services_without_a_robot_say_what_is_missing",)),
     Fault(69, "exception in a service", "answered with it, E", (f"{_FAILURES}69_an_exception_in_a_service_is_answered",)),
     Fault(70, "unknown or ill-typed parameter", "X naming it at the start; refused later", ("test_parameters.py::test_what_cannot_be_used_is_refused_with_one_message", "test_parameters.py::test_parameters_are_described")),
+    Fault(89, "one part of a merged robot dies", "W naming its joints", (_console("89_a_part_that_falls_silent_is_named"),)),
+    Fault(90, "messages are accepted, and no rows come of them", "W asking for the clocks of the topics", (_console("90_messages_of_which_nothing_comes_are_a_warning"),)),
+    Fault(91, "the solving process is killed", "started again, after longer and longer pauses if it ends without a result, W; no message is lost", (_SOLVING + "91_a_node_whose_process_is_killed_goes_on", _SOLVING + "a_process_that_is_killed_is_replaced", _SOLVING + "one_that_ends_in_every_solve_is_started_after_pauses")),
+    Fault(92, "slow solves now and then", "restarts of what hung count for an hour", (_console("92_hangs_are_forgotten_after_an_hour"),)),
+    Fault(93, "a mimic joint that is not in the messages", "follows its master, whose effort bears both", ("../model/test_mimic.py::test_the_masters_efforts_make_the_energy_grow", "../model/test_mimic.py::test_a_recording_without_them_is_used", _console("93_a_mimic_joint_is_not_waited_for"))),
+    Fault(94, "tf_prefix", "R E saying the prefix that was found", (_message("15-prefixed-names"), _REFUSALS)),
+    Fault(97, "a recorder that was killed; a torn last file of a split bag; a missing footer", "what is whole is read, W with the count, status 0", (_bags("all_messages_that_are_whole_are_read"), _bags("the_last_file_of_a_split_bag_is_torn"), _bags("a_database_is_read_up_to_the_first_missing_page"), _bags("what_is_in_a_killed_recorders_log_is_read"), _bags("the_command_reads_what_is_whole_and_says_so"))),
+    Fault(98, "a bag without checksums", "said that nothing is checked", (_bags("it_is_said_that_nothing_is_checked"),)),
+    Fault(99, "ROS 1 bags; lz4; a folder of bags", "X with the command that converts; read; read", (_bags("the_command_for_a_bag_of_ros_1_makes_one_that_is_read"), _bags("lz4_is_read"), _bags("a_folder_of_bags_is_all_of_them"))),
+    Fault(100, "files of a split bag listed in another order", "read by time", (_bags("files_listed_in_another_order_are_read_by_time"),)),
+    Fault(101, "`~/save` under load", "answered within five seconds, with the last estimate or why not", (_console("101_saving_under_load_is_answered"), _console("101_what_takes_too_long_is_said"))),
+    Fault(102, "too little memory", "X in one sentence", (_REFUSALS_TEST + "too_little_memory_is_said_in_one_sentence",)),
+    Fault(103, "names with markup of terminals, HTML or formulas", "shown as they are", (_NAMES + "markup_is_shown_as_it_is", _NAMES + "html_is_text_in_a_report")),
+    Fault(104, "control characters and line ends in names and frames", "shown as codes, in terminal, log and diagnostics", (_NAMES + "what_cannot_be_printed_is_shown_as_codes", _console("108_104_all_messages_refused_is_said_on_the_console"), _console("104_a_frame_id_is_printable"))),
+    Fault(105, "a pipe or a device in place of a file", "X naming it", (_REFUSALS,)),
+    Fault(106, "a bag that unpacks to hundreds of times its size", "X naming it, before the disk is full", (_bags("what_would_fill_the_disk_is_refused_before"), _bags("a_packed_file_that_unpacks_to_too_much_is_refused"))),
+    Fault(107, "names of 20,000 characters", "cost their length", (_NAMES + "a_name_costs_no_more_than_its_length",)),
+    Fault(108, "nobody watches the diagnostics", "what lasts is said on the console once a minute, with what to do", (_console("108_the_console_says_what_is_waited_for"), _console("108_104_all_messages_refused_is_said_on_the_console"), _console("what_lasts_is_said_once_a_minute"))),
+    Fault(109, "trial points of the solver that overflow", "the step shrinks", ("../estimation/test_solvers.py::test_trial_points_that_overflow_shorten_the_step",)),
+    Fault(110, "xacro, SDF or MJCF in place of URDF; no inertials; joints that nobody publishes; a cutoff too high for the rate", "X with the command or the parameter that mends it", (_REFUSALS,)),
 )  # fmt: skip
 
 

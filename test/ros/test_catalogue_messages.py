@@ -100,7 +100,9 @@ CASES = {
     ),
     "12-a-name-twice": Case(joint(twice), (f"{DRIVER} joint 'joint2' is named twice",), ERROR),
     "13-no-names": Case(joint(lambda m: changed(m, name=[])), (f"{DRIVER} no joint names",), ERROR),
-    "15-prefixed-names": Case(joint(prefixed), ("joint_states rejected: joint 'joint1' is missing",)),
+    "15-prefixed-names": Case(
+        joint(prefixed), ("joint_states rejected: joint 'joint1' is missing: the messages' names have the prefix",)
+    ),
     "18-stamp-0": Case(joint(lambda m: stamped(m, 0)), (f"{STAMP} is zero",)),
     "19-duplicate": Case(joint(lambda m: m), (f"{STAMP} not later than the one before",)),
     "20-out-of-order": Case(joint(lambda m: later(m, -1)), (f"{STAMP} not later than the one before",)),

@@ -23,8 +23,8 @@ from geomid_ros.live.solving_process import SolvingProcess
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.session import Session
 
-from .rig import ERROR
-from .stage import KINDS, WRIST, Stage, description, messages
+from .rig import WARN, rigged
+from .stage import Stage, description, messages
 
 pytestmark = pytest.mark.filterwarnings("ignore:This process .* is multi-threaded")  # the tests', not the node's
 MESSAGES = messages()
@@ -76,7 +76,7 @@ def test_the_estimates_are_those_of_one_process(solving: SolvingProcess) -> None
         ours, theirs = session(effects=effects), session(effects=effects)
         ours.identifier.solve_with(solving.solve)
         assert_same(ours.identifier.solve(), theirs.identifier.solve())
-    assert solving.problem == ""
+    assert solving.warning == ""
 
 
 def test_errors_are_those_of_one_process(solving: SolvingProcess) -> None:
@@ -86,16 +86,75 @@ def test_errors_are_those_of_one_process(solving: SolvingProcess) -> None:
     with pytest.raises(GeomidError, match="no usable rows"):
         empty.identifier.solve()
     assert full.identifier.solve().rows_accepted > 0
-    assert solving.problem == ""
+    assert solving.warning == ""
 
 
-def test_without_the_process_it_is_solved_here(solving: SolvingProcess) -> None:
+def test_after_its_end_it_is_solved_here(solving: SolvingProcess) -> None:
     ours, theirs = session(), session()
     ours.identifier.solve_with(solving.solve)
     ours.identifier.solve()
     solving.close()
     assert_same(ours.identifier.solve(), theirs.identifier.solve())
-    assert "the solving process has ended" in solving.problem
+
+
+def pid(solving: SolvingProcess) -> int:
+    """The present process."""
+    return solving._process.pid or 0
+
+
+@pytest.mark.parametrize("busy", [False, True], ids=["idle", "busy"])
+def test_a_process_that_is_killed_is_replaced(busy: bool, solving: SolvingProcess) -> None:
+    """Idle, or in the middle of a solve, which is done again; as often as it is killed."""
+    ours, expected = session(), session().identifier.solve()
+    ours.identifier.solve_with(solving.solve)
+    killed = set()
+    for _ in range(3):
+        before = pid(solving)
+        killed.add(before)
+        if busy:
+            os.kill(before, signal.SIGSTOP)
+            thread, results = in_thread(ours.identifier)
+            wait_until(solving._solving.locked)
+            os.kill(before, signal.SIGKILL)
+            thread.join(PATIENCE)
+            assert_same(results[0], expected)
+        else:
+            os.kill(before, signal.SIGKILL)
+            wait_until(lambda: "has ended" in solving.warning)
+            assert_same(ours.identifier.solve(), expected)
+        assert "started again" in solving.warning
+        assert pid(solving) not in killed
+    assert children(os.getpid()).count(pid(solving)) == 1
+
+
+def test_one_that_ends_in_every_solve_is_started_after_pauses(
+    solving: SolvingProcess, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As for lack of memory. Meanwhile, nothing is solved here; and in the end it works again."""
+    now = [1000.0]
+    monkeypatch.setattr(module.time, "monotonic", lambda: now[0])
+    ours = session()
+    ours.identifier.solve_with(solving.solve)
+    answer, begun = solving._answer, []
+    begin = solving._begin
+
+    def ends(*_: object) -> Estimate:
+        solving._process.kill()
+        raise EOFError
+
+    monkeypatch.setattr(solving, "_answer", ends)
+    monkeypatch.setattr(solving, "_begin", lambda method: (begun.append(now[0]), begin(method)))
+    for _ in range(500):
+        with pytest.raises(GeomidError, match="the solving process has ended"):
+            ours.identifier.solve()
+        now[0] += 1.0
+    pauses = np.diff(begun)
+    assert len(begun) < 15
+    assert pauses[-1] == pytest.approx(60.0, abs=1.0)
+    assert np.all(np.diff(pauses[1:]) >= -1.0)
+    monkeypatch.setattr(solving, "_answer", answer)
+    now[0] += 100.0
+    assert_same(ours.identifier.solve(), session().identifier.solve())
 
 
 def in_thread(identifier: Identifier) -> tuple[threading.Thread, list[Estimate | GeomidError]]:
@@ -127,7 +186,7 @@ def test_a_solve_that_was_given_up_is_waited_for(solving: SolvingProcess) -> Non
     second.join(PATIENCE)
     assert_same(given_up[0], session(effects=["viscous_friction"]).identifier.solve())
     assert_same(wanted[0], session().identifier.solve())
-    assert solving.problem == ""
+    assert solving.warning == ""
 
 
 def test_a_process_that_does_not_come_to_an_end_is_ended(
@@ -142,23 +201,26 @@ def test_a_process_that_does_not_come_to_an_end_is_ended(
     assert_same(ours.identifier.solve(), theirs.identifier.solve())
     thread.join(PATIENCE)
     assert str(given_up[0]) == "the solve was given up"
-    assert "the solving process has ended" in solving.problem
+    assert "started again" in solving.warning
 
 
-def test_the_node_tells_that_the_process_has_ended_and_goes_on(stage: Stage, tmp_path: Path) -> None:
-    values = {**WRIST, "robot_description": description("arm3"), "solve_period": 0.2}
-    node = stage.node({**values, "output_folder": str(tmp_path)})
-    (process,) = children(node.pid)
-    stage.observer.publish(MESSAGES[:400], KINDS)
-    stage.fed({"joint_states": 200, "/wrench": 200})
-    os.kill(process, signal.SIGKILL)
-    stage.observer.publish(MESSAGES[400:], KINDS)
-    stage.observer.diagnostics(
-        lambda _, status: status.level == ERROR and "the solving process has ended" in status.message, "its end"
-    )
-    assert stage.observer.trigger("/geomid/save")[0]
-    assert node.running
-    assert (tmp_path / "estimate.json").exists()
+def test_91_a_node_whose_process_is_killed_goes_on(tmp_path: Path) -> None:
+    """It is said, no message is lost to it, and the estimate is that of a node to which it did not happen."""
+    with rigged(tmp_path) as rig:
+        before, after = rig.begin()
+        rig.feed(before)
+        rig.published()
+        for part in (after[:100], after[100:200], after[200:]):
+            begin = len(rig.arrays)
+            for process in children(rig.node.pid):
+                if b"resource_tracker" not in Path(f"/proc/{process}/cmdline").read_bytes():
+                    os.kill(process, signal.SIGKILL)
+            rig.feed(part)
+            rig.says(begin, WARN, "the solving process has ended")
+        values = rig.settled()
+        assert values["joint_states accepted"] == values["joint_states received"]
+        rig.assert_same_as_twin()
+        rig.says(0, WARN, "was started again")
 
 
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM, signal.SIGINT])

@@ -85,10 +85,13 @@ BAD_JOINTS: dict[str, tuple[Callable[[JointMessage], JointMessage], str]] = {
     "infinite effort": (lambda m: entry(soon(m), "effort", 0, INFINITY), "effort of 'shoulder' missing or not finite"),
     "effort of 1e308": (lambda m: entry(soon(m), "effort", 1, 1e308), "effort of 'elbow' missing or not finite"),
     "no effort": (lambda m: replace(soon(m), effort=()), "driver error: no effort of 'shoulder' or any other joint"),
-    "a joint missing": (lambda m: without(soon(m), "elbow"), "joint 'elbow' is missing"),
+    "a joint missing": (
+        lambda m: without(soon(m), "elbow"),
+        "joint 'elbow' is missing: if nobody publishes it, name it in the parameter locked_joints",
+    ),
     "another robot's": (
         lambda m: replace(soon(m), names=tuple(f"left_{n}" for n in m.names)),
-        "joint 'shoulder' is missing",
+        "joint 'shoulder' is missing: the messages' names have the prefix 'left_'. Give the URDF with it (tf_prefix)",
     ),
     "no names": (
         lambda m: replace(soon(m), names=(), position=(), velocity=(), effort=()),

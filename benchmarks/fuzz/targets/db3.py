@@ -61,7 +61,7 @@ class DatabaseTarget:
         whole = [self._made(*choice) for choice in product((1, 2), (512, 4096), (True, False))]
         for data in whole:
             self._path.write_bytes(data)
-            require(len(read(self._path)) == _COUNT, "a whole file that cannot be read")
+            require(len(read(self._path)[0]) == _COUNT, "a whole file that cannot be read")
         self._whole = whole
         self._crafted = [self._made(2, size, True, sql) for sql in _CRAFTED for size in (512, 4096)]
 

@@ -1,7 +1,11 @@
-"""Reading rosbags, with only the built-in message definitions: type definitions in a bag are never executed."""
+"""Reading rosbags, with only the built-in message definitions: type definitions in a bag are never executed.
+
+Files that are cut off are read as far as they are whole, and :attr:`Bag.warnings` says so.
+"""
 
 from __future__ import annotations
 
+import shlex
 from collections import Counter
 from collections.abc import Callable, Collection, Iterator
 from contextlib import ExitStack
@@ -16,12 +20,14 @@ from geomid_ros.errors import InputError
 from geomid_ros.files.bags.database import Database
 from geomid_ros.files.bags.mcap import McapFile
 from geomid_ros.files.bags.storage import RawMessage, Storage
-from geomid_ros.files.bags.unpacking import unpack_file, unpacked_message
+from geomid_ros.files.bags.unpacking import METHODS, unpack_file, unpacked_message
 from geomid_ros.files.parameter_file import read_yaml
 
 _typestore = get_typestore(Stores.ROS2_JAZZY)
 _FORMATS: dict[str, Callable[[Path], Storage]] = {".mcap": McapFile, ".db3": Database}
 _SUFFIXES = {"mcap": ".mcap", "sqlite3": ".db3"}  # by rosbag2's name of the format
+_TO_JAZZY = ("--dst-typestore", "ros2_jazzy")
+_METADATA = "metadata.yaml"
 _MOST_BYTES = 8_000_000  # of a message whose fields are read; a robot description has up to 5 MB
 
 
@@ -30,6 +36,8 @@ class Bag:
 
     All of it is checked when it is opened. Raises InputError naming the file if it cannot be read; for a damaged file
     it says where the damage is and how much can be read.
+
+    ``warnings`` are sentences on what of the recording is missing; ``checked``: whether all of it has checksums.
     """
 
     def __init__(self, path: Path) -> None:
@@ -45,7 +53,18 @@ class Bag:
             except OSError as error:
                 raise InputError(f"{path}: cannot be read as a rosbag2 recording ({error})") from error
             self._packed = files.packed
+            self._storages.sort(key=lambda storage: storage.start or 0)  # by time, in whatever order they are listed
+            self.warnings = self._warnings(files)
+            self.checked = all(storage.checked for storage in self._storages)
             self._stack = stack.pop_all()
+
+    def _warnings(self, files: _BagFiles) -> tuple[str, ...]:
+        """What is missing. Raises InputError if nothing is left."""
+        cut = [storage.cut for storage in self._storages if storage.cut]
+        count = sum(sum(storage.counts.values()) for storage in self._storages)
+        if cut and not count:
+            raise InputError(f"{'; '.join(cut)}. It cannot be read as a rosbag2 recording")
+        return (*files.warnings, *cut)
 
     def __enter__(self) -> Self:
         return self
@@ -106,23 +125,40 @@ class Bag:
     def _raw_messages(self, topics: Collection[str]) -> Iterator[RawMessage]:
         for storage in self._storages:
             for message in storage.messages(topics):
-                yield self._unpacked(message) if self._packed else message
+                yield self._unpacked(message, self._packed) if self._packed else message
 
-    def _unpacked(self, message: RawMessage) -> RawMessage:
+    def _unpacked(self, message: RawMessage, method: str) -> RawMessage:
         try:
-            return message._replace(data=unpacked_message(message.data))
+            return message._replace(data=unpacked_message(message.data, method))
         except ValueError as error:
             where = f"message on {message.topic} at {message.time} ns"
             raise InputError(f"{self.path}: {where} cannot be unpacked, {error}") from error
 
 
+def bags_in(path: Path) -> list[Path]:
+    """The recordings in a folder that is none itself, by name; else the path alone."""
+    if not path.is_dir() or _is_bag(path):
+        return [path]
+    return sorted(inner for inner in path.iterdir() if inner.is_dir() and _is_bag(inner)) or [path]
+
+
+def _is_bag(folder: Path) -> bool:
+    return (folder / _METADATA).is_file() or bool(_files_in(folder))
+
+
+def _files_in(folder: Path) -> list[Path]:
+    return sorted(file for file in folder.iterdir() if file.suffix in _SUFFIXES.values())
+
+
 @dataclass(frozen=True)
 class _BagFiles:
-    """The files of a recording in their order, their ``suffix``, and whether each message is compressed by itself."""
+    """The files of a recording, their ``suffix``, the method by which each message is compressed by itself, and
+    sentences on what is missing."""
 
     paths: tuple[Path, ...]
     suffix: str
-    packed: bool = False
+    packed: str = ""
+    warnings: tuple[str, ...] = ()
 
 
 def _bag_files(path: Path, scratch: Callable[[], Path]) -> _BagFiles:
@@ -134,6 +170,9 @@ def _bag_files(path: Path, scratch: Callable[[], Path]) -> _BagFiles:
         raise InputError(f"{path}: no such bag")
     if path.is_dir():
         return _in_folder(path, scratch)
+    if path.suffix == ".bag":
+        command = ["rosbags-convert", "--src", str(path), "--dst", str(path.with_suffix("")), *_TO_JAZZY]
+        raise InputError(f"{path}: a bag of ROS 1, which this command makes one of ROS 2: {shlex.join(command)}")
     if path.suffix not in _SUFFIXES.values():
         expected = f"expected a bag's folder, or a file that ends in {' or '.join(_SUFFIXES.values())}"
         raise InputError(f"{path}: cannot be read as a rosbag2 recording, it is of the wrong type; {expected}")
@@ -141,11 +180,9 @@ def _bag_files(path: Path, scratch: Callable[[], Path]) -> _BagFiles:
 
 
 def _in_folder(path: Path, scratch: Callable[[], Path]) -> _BagFiles:
-    metadata = path / "metadata.yaml"
+    metadata = path / _METADATA
     if not metadata.is_file():
-        inside = sorted(p.name for p in path.iterdir() if p.suffix in _SUFFIXES.values())
-        hint = f"name the file itself ({path / inside[0]}) or" if inside else "record it again, or"
-        raise InputError(f"{path}: a folder without metadata.yaml is no rosbag; {hint} run 'ros2 bag reindex' on it")
+        return _without_metadata(path)
     try:
         information = read_yaml(metadata, "bag's description")["rosbag2_bagfile_information"]
         paths = [_checked(path / PurePath(name).name) for name in information["relative_file_paths"]]
@@ -156,14 +193,28 @@ def _in_folder(path: Path, scratch: Callable[[], Path]) -> _BagFiles:
         raise InputError(f"{metadata}: cannot be read, {what}; 'ros2 bag reindex' writes it anew") from error
     if mode == "none":
         return _BagFiles(tuple(paths), suffix)
-    if mode not in ("file", "message") or method != "zstd":
+    if mode not in ("file", "message") or method not in METHODS:
         raise InputError(
-            f"{metadata}: cannot be read, compression of a {mode} by {method}; expected file or message, zstd"
+            f"{metadata}: cannot be read, compression of a {mode} by {method}; expected file or message, "
+            f"{' or '.join(METHODS)}"
         )
     if mode == "message":
-        return _BagFiles(tuple(paths), suffix, packed=True)
+        return _BagFiles(tuple(paths), suffix, packed=method)
     folder = scratch()
-    return _BagFiles(tuple(_unpacked_file(file, folder / f"{n}-{file.stem}") for n, file in enumerate(paths)), suffix)
+    unpacked = (_unpacked_file(file, folder / f"{n}-{file.stem}", method) for n, file in enumerate(paths))
+    return _BagFiles(tuple(unpacked), suffix)
+
+
+def _without_metadata(path: Path) -> _BagFiles:
+    """A recorder that is killed writes no description of its files."""
+    files = _files_in(path)
+    if len({file.suffix for file in files}) == 1:
+        names = ", ".join(file.name for file in files)
+        warning = f"{path}: has no {_METADATA}, as if its recorder was killed; read is what it has: {names}"
+        return _BagFiles(tuple(map(_checked, files)), files[0].suffix, warnings=(warning,))
+    inside = [bag for bag in bags_in(path) if bag != path]
+    hint = f"name one of those in it ({inside[0]})" if inside else "name a bag's folder, or one of its files"
+    raise InputError(f"{path}: a folder without {_METADATA} is no rosbag; {hint}")
 
 
 def _checked(path: Path) -> Path:
@@ -173,9 +224,9 @@ def _checked(path: Path) -> Path:
     return path
 
 
-def _unpacked_file(path: Path, target: Path) -> Path:
+def _unpacked_file(path: Path, target: Path, method: str) -> Path:
     try:
-        unpack_file(path, target)
+        unpack_file(path, target, method)
     except (OSError, ValueError) as error:
         raise InputError(f"{path}: cannot be read as a rosbag2 recording: {error}") from error
     return target

@@ -2,20 +2,26 @@
 
 They have no checksums. Their pages are checked for consistency, and only databases of the plain form that rosbag2
 writes are read: views, generated columns and the like are programs of the file's writer, which would run here.
+
+Of a file that is cut off the rows are read that stand before the first missing page. What a recorder that was killed
+left in a write-ahead log is read, too, from a copy, as SQLite writes into its folder. A rollback journal is not: it may
+name other files, which SQLite would delete.
 """
 
 from __future__ import annotations
 
-import math
+import contextlib
 import re
+import shutil
 import sqlite3
 import struct
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Generator, Iterator
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 from urllib.parse import quote
 
-from geomid_ros.files.bags.storage import FaultError, Part, RawMessage, damaged
+from geomid_ros.files.bags.storage import FaultError, Part, RawMessage, TornError, cut_off, damaged
 from geomid_ros.files.bags.unpacking import MOST_BYTES
 
 _MAGIC = b"SQLite format 3\0"
@@ -45,36 +51,74 @@ class Database:
         self._topics: dict[int, tuple[str, str]] = {}
         self.counts: dict[tuple[str, str], int] = {}  # of messages, by topic and type
         self.start: int | None = None  # [ns] when the first message was recorded
+        self.cut = ""
+        self.checked = False
+        self._end: int | None = None  # the last row to be read, of a file that is cut off
         self._steps = 0
+        self._scratch: TemporaryDirectory[str] | None = None
         header = self._header()
-        # Immutable: SQLite neither locks the file nor looks for a journal beside it.
-        self._database = sqlite3.connect(f"file:{quote(str(path))}?mode=ro&immutable=1", uri=True)
+        self._database = sqlite3.connect(self._address(), uri=True)
         self._database.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, MOST_BYTES)
         self._database.set_progress_handler(self._too_long, _STEPS)
         try:
             list(self._query(f"PRAGMA hard_heap_limit = {_MOST_MEMORY}"))
-            self._check_size(header)
-            self._check_closed()
-            self._check_schema()
-            self._check_pages()
-            self._read_topics()
+            self._check(header)
+        except TornError as fault:
+            self.cut = cut_off(path, fault, *self._take_whole_rows())
         except FaultError as fault:
-            part = self._part()
+            part = Part(*self._take_whole_rows(), _RESCUE)
             self.close()
             raise damaged(path, fault, part) from fault
+
+    def _address(self) -> str:
+        """Where SQLite finds the database: a copy, if a write-ahead log belongs to it."""
+        log = self._beside("-wal")
+        if log is None:
+            # Immutable: SQLite neither locks the file nor looks for a journal beside it.
+            return f"file:{quote(str(self._path))}?mode=ro&immutable=1"
+        self._scratch = TemporaryDirectory(prefix="geomid_bag_")
+        for file in (self._path, log):
+            shutil.copyfile(file, Path(self._scratch.name) / file.name)
+        return f"file:{quote(str(Path(self._scratch.name) / self._path.name))}?mode=ro"
+
+    def _beside(self, ending: str) -> Path | None:
+        """A file of SQLite's beside this one, if it has anything in it."""
+        journal = self._path.with_name(self._path.name + ending)
+        return journal if journal.is_file() and journal.stat().st_size else None
+
+    def _check(self, header: bytes) -> None:
+        """Look at the whole file. Raises TornError or FaultError."""
+        self._check_size(header)
+        if journal := self._beside("-journal"):
+            raise TornError(f"{journal.name} has a part of it, and 'sqlite3 FILE VACUUM' joins them")
+        self._check_schema()
+        self._check_pages()
+        self._read_topics()
+        last = self._count_messages()
+        if self._scratch:
+            self.cut = cut_off(self._path, TornError("it was not closed"), sum(self.counts.values()), last)
 
     def close(self) -> None:
         """Close the file."""
         self._database.close()
+        if self._scratch:
+            self._scratch.cleanup()
 
     def messages(self, topics: Collection[str]) -> Iterator[RawMessage]:
-        """Everything on ``topics`` in the order of recording."""
+        """Everything on ``topics`` in the order of recording; of a file that is cut off in that of writing, as an index
+        or the room to sort may be missing."""
         wanted = [identity for identity, (topic, _) in self._topics.items() if topic in topics]
+        if not wanted:
+            return
         places = ", ".join("?" * len(wanted))
         query = f"SELECT topic_id, timestamp, data FROM messages WHERE topic_id IN ({places}) ORDER BY timestamp, rowid"  # noqa: S608
+        if self._end is not None:
+            query = query.replace(" WHERE", f" NOT INDEXED WHERE rowid <= {self._end:d} AND")
+            query = query.replace("BY timestamp, rowid", "BY rowid")
+        rows = self._query(query, *wanted)
         count, last = 0, 0
         try:
-            for identity, time, data in self._query(query, *wanted):
+            for identity, time, data in rows:
                 if not isinstance(time, int) or not isinstance(data, bytes):
                     raise FaultError("a message's time is no integer, or its data are no bytes")  # noqa: TRY301
                 count, last = count + 1, time
@@ -82,11 +126,12 @@ class Database:
         except FaultError as fault:
             raise damaged(self._path, fault, Part(count, last, _RESCUE)) from fault
 
-    def _query(self, text: str, *values: int) -> Iterator[Any]:
+    def _query(self, text: str, *values: int) -> Generator[Any, None, None]:
         """The rows of a query, which may take as many steps as the file's size is worth. Raises FaultError."""
         self._steps = 10 + self._size // _MORE_STEPS
         try:
-            yield from self._database.execute(text, values)
+            for row in self._database.execute(text, values):  # noqa: UP028 that closes what is closed already
+                yield row
         except (sqlite3.Error, UnicodeError) as error:  # its messages quote what may be no text
             raise FaultError(str(error)) from error
         except MemoryError as error:
@@ -100,27 +145,18 @@ class Database:
     def _header(self) -> bytes:
         with self._path.open("rb") as file:
             header = file.read(_HEADER)
-        if not self._size:
-            raise damaged(self._path, FaultError("the file is empty", 0), Part(0, 0, ""))
-        if header[: len(_MAGIC)] != _MAGIC or len(header) < _HEADER:
+        if not (header.startswith(_MAGIC) or _MAGIC.startswith(header)):
             raise damaged(self._path, FaultError("it does not begin as an SQLite database does", 0), Part(0, 0, ""))
         return header
 
     def _check_size(self, header: bytes) -> None:
         """Check the file's size against the header's page count, unless an old program changed the file."""
+        if len(header) < _HEADER:
+            raise TornError("the file is empty" if not header else "the file ends in its first bytes", 0)
         page_size, changes, pages, changes_then = struct.unpack_from(">16xH6xII60xI", header)
         whole = pages * (page_size if page_size > 1 else 1 << 16)
         if changes == changes_then and whole > self._size:
-            raise FaultError(f"of {whole} bytes, {self._size} are there", self._size)
-
-    def _check_closed(self) -> None:
-        """Refuse a file with a journal beside it: its recorder was killed, and part of it is in the journal."""
-        for ending in ("-wal", "-journal"):
-            journal = self._path.with_name(self._path.name + ending)
-            if journal.is_file() and journal.stat().st_size:
-                raise FaultError(
-                    f"it was not closed: {journal.name} has a part of it, and 'sqlite3 FILE VACUUM' joins them"
-                )
+            raise TornError(f"of {whole} bytes, {self._size} are there", self._size)
 
     def _check_schema(self) -> None:
         for name, text in self._query("SELECT name, sql FROM sqlite_master WHERE sql IS NOT NULL"):
@@ -150,24 +186,35 @@ class Database:
                 raise FaultError("a topic's name or type is no text")
             self._topics[identity] = name, kind if encoding == "cdr" else f"{kind} in {encoding}"
         self.counts = dict.fromkeys(self._topics.values(), 0)
-        for identity, count, first in self._query("SELECT topic_id, count(*), min(timestamp) FROM messages GROUP BY 1"):
+
+    def _count_messages(self) -> int:
+        """Count them by topic, and find when the first was recorded. Returns when the last was [ns]."""
+        end = 0
+        query = "SELECT topic_id, count(*), min(timestamp), max(timestamp) FROM messages GROUP BY 1"
+        for identity, count, first, last in self._query(query):
             if identity in self._topics:
                 self.counts[self._topics[identity]] += count
             if isinstance(first, int):
                 self.start = first if self.start is None else min(self.start, first)
+            end = max(end, last) if isinstance(last, int) else end
+        return end
 
-    def _part(self) -> Part:
-        """The part that can be read in the order of writing, while row numbers rise: damaged pages may lead back to
-        others."""
-        count, last, number = 0, 0, -math.inf
-        try:
+    def _take_whole_rows(self) -> tuple[int, int]:
+        """Find and count the messages that can be read in the order of writing, while row numbers rise: damaged pages
+        may lead back to others. Returns how many they are, and the time of the last [ns]."""
+        last = 0
+        self._end = 0
+        rows = self._query("SELECT rowid, topic_id, timestamp, data FROM messages NOT INDEXED")
+        with contextlib.suppress(FaultError), contextlib.closing(rows):
             # Else SQLite reads nothing at all of a file that is shorter than it should be.
             list(self._query("PRAGMA writable_schema = ON"))
             self._check_schema()
-            for found, time in self._query("SELECT rowid, timestamp FROM messages NOT INDEXED"):
-                if found <= number or not isinstance(time, int):
+            self._read_topics()
+            for row, identity, time, data in rows:
+                if row <= self._end or not isinstance(time, int) or not isinstance(data, bytes):
                     break
-                count, last, number = count + 1, max(last, time), found
-        except FaultError:
-            pass
-        return Part(count, last, _RESCUE)
+                self._end, last = row, max(last, time)
+                if identity in self._topics:
+                    self.counts[self._topics[identity]] += 1
+                    self.start = time if self.start is None else min(self.start, time)
+        return sum(self.counts.values()), last

@@ -1,11 +1,13 @@
 """Mcap files (https://mcap.dev/spec): walked through once when opened, and then read part by part.
 
-The index at the end is not used, as it may be wrong. Every checksum that is present is checked: of chunks, of the
-data section and of the summary; and the number of messages against the summary's.
+The index at the end is not used, as it may be wrong or missing. Every checksum that is present is checked: of chunks,
+of the data section and of the summary; and the number of messages against the summary's. Of a file that is cut off all
+messages are read that are whole, also those of a last chunk that is not.
 """
 
 from __future__ import annotations
 
+import contextlib
 import heapq
 import math
 import struct
@@ -16,11 +18,12 @@ from pathlib import Path
 from typing import NamedTuple, TypeVar
 
 from geomid_ros.errors import InputError
-from geomid_ros.files.bags.storage import FaultError, Part, RawMessage, damaged
-from geomid_ros.files.bags.unpacking import MOST_BYTES, unpacked
+from geomid_ros.files.bags.storage import FaultError, Part, RawMessage, TornError, cut_off, damaged
+from geomid_ros.files.bags.unpacking import MOST_BYTES, unpacked, unpacked_part
 
 _MAGIC = b"\x89MCAP0\r\n"
 _HEADER, _FOOTER, _SCHEMA, _CHANNEL, _MESSAGE, _CHUNK, _STATISTICS, _DATA_END = 1, 2, 3, 4, 5, 6, 0x0B, 0x0F
+_PRIVATE = 0x80  # of a record's kind: it is for other programs
 _RECORD = struct.Struct("<BQ")  # kind, length
 _MESSAGE_HEAD = struct.Struct("<HIQQ")  # channel, sequence, times of recording and of publishing
 _PIECE = 1 << 20  # bytes read at once, and of messages outside chunks that make a stretch
@@ -62,6 +65,11 @@ class _Fields:
         self._place += length
         return block
 
+    @property
+    def rest(self) -> memoryview:
+        """All that is left."""
+        return self._record[self._place :]
+
     def text(self) -> str:
         return str(self.block(*self.numbers("<I")), "utf-8")
 
@@ -69,7 +77,8 @@ class _Fields:
 class McapFile:
     """An open mcap file; see :class:`~geomid_ros.files.bags.storage.Storage`.
 
-    Raises InputError naming the file, the place, and how much can be read before it.
+    Raises InputError naming the file, the place, and how much can be read before it, where it is damaged; a file that
+    is only cut off is read.
     """
 
     def __init__(self, path: Path) -> None:
@@ -81,9 +90,13 @@ class McapFile:
         self._last = 0
         self._stretches: list[_Stretch] = []
         self._known_sets: dict[frozenset[int], frozenset[int]] = {}
+        self.cut = ""
+        self.checked = True
         self._file = path.open("rb")
         try:
             self._scan()
+        except TornError as fault:
+            self.cut = cut_off(path, fault, self._counted.total(), self._last)
         except FaultError as fault:
             self.close()
             raise damaged(path, fault, Part(self._counted.total(), self._last, _RESCUE)) from fault
@@ -134,7 +147,7 @@ class McapFile:
     def _read(self, stretch: _Stretch) -> Iterator[tuple[int, int, memoryview]]:
         """Channel, time and bytes of each message in a stretch that was looked at before."""
         try:
-            for kind, record in _records(self._data(stretch.begin, stretch.end, stretch.chunk)):
+            for kind, record in self._contents(stretch.begin, stretch.end, stretch.chunk):
                 if kind == _MESSAGE:
                     channel, _, time, _ = _MESSAGE_HEAD.unpack_from(record)
                     yield channel, time, record[_MESSAGE_HEAD.size :]
@@ -143,10 +156,11 @@ class McapFile:
 
     def _scan(self) -> None:
         """Look at the whole file."""
-        if not self._size:
-            raise FaultError("the file is empty", 0)
-        if self._bytes(0, len(_MAGIC)) != _MAGIC:
+        first = self._bytes(0, len(_MAGIC))
+        if not _MAGIC.startswith(first):
             raise FaultError("it does not begin as an mcap file does", 0)
+        if first != _MAGIC:
+            raise TornError("the file is empty" if not first else "the file ends in its first bytes", 0)
         data_end = 0
         for kind, begin, end in self._walk():
             if data_end:
@@ -155,13 +169,14 @@ class McapFile:
             elif kind == _DATA_END:
                 self._check_sum(0, begin, self._number(begin + _RECORD.size, 4), "data section")
                 data_end = end
+                self.checked |= self._number(begin + _RECORD.size, 4) != 0
             elif kind == _HEADER:
                 self._check_profile(begin, end)
             elif kind in (_CHUNK, _SCHEMA, _CHANNEL, _MESSAGE):
                 self._add(self._examined(begin, end, kind == _CHUNK))
         last = self._size - len(_MAGIC)
         if self._bytes(last, self._size) != _MAGIC or not data_end:
-            raise FaultError("its end is missing", self._size)
+            raise TornError("its end is missing", self._size)
         self._check_sum(data_end, last - 4, self._number(last - 4, 4), "summary")
 
     def _walk(self) -> Iterator[tuple[int, int, int]]:
@@ -169,13 +184,19 @@ class McapFile:
         kind, begin = 0, len(_MAGIC)
         while kind != _FOOTER:
             head = self._bytes(begin, begin + _RECORD.size)
-            if len(head) < _RECORD.size:
-                raise FaultError("the file ends before its footer", begin)
+            if len(head) < _RECORD.size or not any(head):  # zeros are what a disk may have that lost its power
+                raise TornError("the file ends before its footer", begin)
             kind, length = _RECORD.unpack(head)
+            if not _HEADER <= kind <= _DATA_END and not kind & _PRIVATE:
+                raise FaultError(f"a record of the unknown kind {kind}", begin)
             end = begin + _RECORD.size + length
             if end > self._size:
+                if kind & _PRIVATE or length > MOST_BYTES:
+                    raise FaultError(f"a record of {length} bytes, more than there are", begin)
+                if kind == _CHUNK:
+                    self._add_torn(begin)
                 there = self._size - begin - _RECORD.size
-                raise FaultError(f"a record of {length} bytes, of which {there} are there", begin)
+                raise TornError(f"a record of {length} bytes, of which {there} are there", begin)
             yield kind, begin, end
             begin = end
 
@@ -183,32 +204,45 @@ class McapFile:
         self._file.seek(begin)
         return self._file.read(end - begin)
 
-    def _data(self, begin: int, end: int, chunk: bool) -> memoryview:
-        """The records of a stretch. Raises FaultError, ValueError and struct.error."""
+    def _contents(self, begin: int, end: int, chunk: bool) -> Iterator[tuple[int, memoryview]]:
+        """The records of a stretch; of a chunk that the file's end cuts off, those that are whole.
+
+        Raises FaultError, ValueError and struct.error.
+        """
         if end - begin > MOST_BYTES:
             raise FaultError(f"a record of {end - begin} bytes, more than {MOST_BYTES}", begin)
         data = memoryview(self._bytes(begin, end))
-        return memoryview(_chunk_data(_Fields(data[_RECORD.size :]))) if chunk else data
+        if not chunk:
+            self.checked = False  # until the checksum of all data is
+            return _records(data)
+        inside, checked, torn = _chunk_data(_Fields(data[_RECORD.size :]), end == self._size)
+        self.checked &= checked
+        return _records(memoryview(inside), torn)
+
+    def _add_torn(self, begin: int) -> None:
+        """Append the last chunk of a file that is cut off there, as far as it can be read."""
+        with contextlib.suppress(FaultError):
+            self._add(self._examined(begin, self._size, True))
 
     def _examined(self, begin: int, end: int, chunk: bool) -> _Stretch:
-        first, channels = math.inf, set()
+        first, last, counted = math.inf, self._last, Counter[int]()
         try:
-            for kind, record in _records(self._data(begin, end, chunk)):
+            for kind, record in self._contents(begin, end, chunk):
                 if kind == _MESSAGE:
                     channel, _, time, _ = _MESSAGE_HEAD.unpack_from(record)
                     if channel not in self._channels:
                         raise ValueError(f"a message of channel {channel}, which was not announced")  # noqa: TRY301
-                    channels.add(channel)
-                    first = min(first, time)
-                    self._last = max(self._last, time)
-                    self._counted[channel] += 1
+                    counted[channel] += 1
+                    first, last = min(first, time), max(last, time)
                 elif kind == _SCHEMA:
                     self._take_schema(_Fields(record))
                 elif kind == _CHANNEL:
                     self._take_channel(_Fields(record))
         except (ValueError, struct.error) as error:
             raise FaultError(str(error), begin) from error
-        shared = frozenset(channels)
+        self._last = last
+        self._counted += counted
+        shared = frozenset(counted)
         return _Stretch(begin, end, chunk, first, self._known_sets.setdefault(shared, shared))
 
     def _add(self, new: _Stretch) -> None:
@@ -264,23 +298,36 @@ def _set_once(table: dict[int, T], key: int, value: T, what: str) -> None:
         raise ValueError(f"{what} {key} is announced twice, and differently")
 
 
-def _chunk_data(fields: _Fields) -> bytes | memoryview:
-    """What a chunk holds. Raises ValueError or struct.error."""
+def _chunk_data(fields: _Fields, last: bool) -> tuple[bytes | memoryview, bool, bool]:
+    """What a chunk holds, whether its checksum was verified, and whether it is cut off, as only the ``last`` may be.
+
+    Raises ValueError or struct.error.
+    """
     _, _, size, recorded = fields.numbers("<QQQI")
     method = fields.text()
-    data = unpacked(fields.block(*fields.numbers("<Q")), method, size)
+    (length,) = fields.numbers("<Q")
+    if last and length > len(fields.rest):
+        return unpacked_part(fields.rest, method, size), False, True
+    data = unpacked(fields.block(length), method, size)
     if recorded and crc32(data) != recorded:
         raise ValueError("the checksum of a chunk is wrong")
-    return data
+    return data, recorded != 0, False
 
 
-def _records(data: memoryview) -> Iterator[tuple[int, memoryview]]:
-    """Kind and content of each record. Raises ValueError or struct.error where they are cut off."""
+def _records(data: memoryview, torn: bool = False) -> Iterator[tuple[int, memoryview]]:
+    """Kind and content of each record; of ``torn`` data, of those that are whole.
+
+    Raises ValueError or struct.error where they are cut off.
+    """
     begin = 0
     while begin < len(data):
+        if torn and len(data) - begin < _RECORD.size:
+            return
         kind, length = _RECORD.unpack_from(data, begin)
         begin += _RECORD.size
         if length > len(data) - begin:
+            if torn:
+                return
             raise ValueError("a record is longer than what it is in")
         yield kind, data[begin : begin + length]
         begin += length

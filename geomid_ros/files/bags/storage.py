@@ -20,7 +20,14 @@ class RawMessage(NamedTuple):
 
 
 class Storage(Protocol):
-    """An open file of a recording."""
+    """An open file of a recording.
+
+    ``cut`` says where the file is cut off and how much of it is whole, empty if all is; ``checked``: whether it has
+    checksums, by which damage to its numbers is seen.
+    """
+
+    cut: str
+    checked: bool
 
     @property
     def counts(self) -> Mapping[tuple[str, str], int]:
@@ -45,6 +52,10 @@ class FaultError(Exception):
         self.offset = offset
 
 
+class TornError(FaultError):
+    """The file ends too early: its recorder was killed, or it was not copied to its end. What it has is whole."""
+
+
 @dataclass(frozen=True)
 class Part:
     """The readable part of a damaged file: ``count`` messages, the last at ``time`` [ns]; ``rescue`` says how to
@@ -62,5 +73,14 @@ class Part:
 
 def damaged(path: Path, fault: FaultError, part: Part) -> InputError:
     """The error for a file with this fault, and this part that can still be read."""
-    place = "" if fault.offset is None else f" at byte {fault.offset}"
-    return InputError(f"{path}: cannot be read as a rosbag2 recording: damaged or cut off{place}, {fault}. {part}")
+    return InputError(f"{path}: cannot be read as a rosbag2 recording: damaged{_place(fault)}, {fault}. {part}")
+
+
+def cut_off(path: Path, fault: FaultError, count: int, time: int) -> str:
+    """The sentence on a file that ends too early, with ``count`` whole messages, the last at ``time`` [ns]."""
+    whole = f"its {count} whole messages are read, up to {time * 1e-9:.3f} s" if count else "it has no whole message"
+    return f"{path}: cut off{_place(fault)}, {fault}; {whole}"
+
+
+def _place(fault: FaultError) -> str:
+    return "" if fault.offset is None else f" at byte {fault.offset}"

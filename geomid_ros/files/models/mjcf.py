@@ -66,7 +66,8 @@ class _Writer:
         self._robot = robot
         self._bodies = {body.name: inertias.get(body.name, body.parameters) for body in robot.bodies}
         self._joints = joint_frames(robot.urdf, robot.source)
-        self._moving = set(robot.joint_names)
+        self._driven = set(robot.joint_names)
+        self._moving = self._driven.union(follower.joint.name for follower in robot.followers)
         effects = list(effects)
         self._effects = {(effect.effect, effect.joint): values_of(effect) for effect in effects}
         self._payloads = {effect.link: values_of(effect) for effect in effects if is_body(effect)}
@@ -86,8 +87,9 @@ class _Writer:
             base.insert(0, Element("freejoint", name="floating_base"))
         actuators = SubElement(root, "actuator")
         for joint in self._joints:
-            if joint.name in self._moving:
+            if joint.name in self._driven:
                 self._add_motor(actuators, joint)
+        self._add_followers(root)
         self._add_sensors(root, sensors)
         return root
 
@@ -183,6 +185,18 @@ class _Writer:
         motor = SubElement(actuators, "motor", name=joint.name, joint=joint.name)
         if math.isfinite(joint.effort):
             motor.attrib |= {"ctrllimited": "true", "ctrlrange": _words([-joint.effort, joint.effort])}
+
+    def _add_followers(self, root: Element) -> None:
+        """Tie the joints that mimic others to these."""
+        for follower in self._robot.followers:
+            equality = root.find("equality")
+            SubElement(
+                equality if equality is not None else SubElement(root, "equality"),
+                "joint",
+                joint1=follower.joint.name,
+                joint2=self._robot.joint_names[follower.master],
+                polycoef=_words([follower.offset, follower.factor, 0.0, 0.0, 0.0]),
+            )
 
     def _add_sensors(self, root: Element, sensors: Sequence[WrenchSensor]) -> None:
         """Sites in the sensors' frames, and what is sensed there."""

@@ -1,0 +1,68 @@
+"""What is wrong, on the console: for whoever does not watch the diagnostics."""
+
+from __future__ import annotations
+
+import re
+import time
+from collections.abc import Iterable, Sequence
+
+from geomid_ros.errors import one_line
+from geomid_ros.live.supervisor import Log
+from geomid_ros.ros.diagnostics import NO_DESCRIPTION, NOTHING_COMES, Complaint
+
+AGAIN = 60.0  # [s] until a sentence is said again
+_MOST_KINDS = 200  # of sentences that are remembered: names in them are from outside
+_HINTS = {
+    NO_DESCRIPTION: "start robot_state_publisher, or set the parameter robot_description",
+    NOTHING_COMES: "does the driver run? 'ros2 topic list -t' shows topics, '--ros-args -r NAME:=TOPIC' renames one",
+}
+"""What to do, by the beginning of a sentence that does not say so itself."""
+
+
+class Console:
+    """A log in which every entry is one printable line, whatever names are in it.
+
+    It says a complaint when it lasts, that is, when two diagnostics in a row have it; and once a minute while it does.
+    Complaints that differ in numbers only are the same.
+    """
+
+    def __init__(self, log: Log) -> None:
+        self._log = log
+        self._before: set[str] = set()
+        self._said: dict[str, float] = {}
+
+    def info(self, message: str, /) -> None:
+        """Log what is as it should be."""
+        self._log.info(one_line(message))
+
+    def warning(self, message: str, /) -> None:
+        """Log what is not, but can be lived with."""
+        self._log.warning(one_line(message))
+
+    def error(self, message: str, /) -> None:
+        """Log what is wrong."""
+        self._log.error(one_line(message))
+
+    def tell(self, complaints: Sequence[Complaint]) -> None:
+        """Take what the present diagnostics complain of."""
+        kinds = {re.sub(r"\d+", "#", complaint.sentence): complaint for complaint in complaints}
+        for error in (True, False):
+            new = [kind for kind, found in kinds.items() if found.error is error and self._is_due(kind)]
+            if new:
+                sentences = [_with_hint(kinds[kind].sentence) for kind in new]
+                (self.error if error else self.warning)("; ".join(sentences))
+                self._remember(new)
+        self._before = set(kinds)
+
+    def _is_due(self, kind: str) -> bool:
+        return kind in self._before and time.monotonic() - self._said.get(kind, -AGAIN) >= AGAIN
+
+    def _remember(self, kinds: Iterable[str]) -> None:
+        self._said |= dict.fromkeys(kinds, time.monotonic())
+        while len(self._said) > _MOST_KINDS:
+            self._said.pop(min(self._said, key=self._said.__getitem__))
+
+
+def _with_hint(sentence: str) -> str:
+    hint = next((hint for beginning, hint in _HINTS.items() if sentence.startswith(beginning)), "")
+    return f"{sentence} ({hint})" if hint else sentence

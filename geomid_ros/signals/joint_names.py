@@ -1,0 +1,39 @@
+"""What is wrong with the joints' names in messages, in words that lead to what mends it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+_MOST_NAMES = 3  # that are quoted
+
+
+def missing_joint(joints: Sequence[str], names: Sequence[str]) -> str:
+    """Why messages with these names are not of all joints; empty if they are.
+
+    Args:
+        joints: the robot's.
+        names: those in the messages.
+    """
+    present = set(names)
+    missing = next((joint for joint in joints if joint not in present), None)
+    if missing is None:
+        return ""
+    sentence = f"joint '{missing}' is missing"
+    if prefix := _prefix(joints, names):
+        return f"{sentence}: the messages' names have the prefix '{prefix}'. Give the URDF with it (tf_prefix)"
+    if prefix := _prefix(names, joints):
+        return (
+            f"{sentence}: the URDF's names have the prefix '{prefix}', the messages' do not. Give the URDF without it"
+        )
+    if present.isdisjoint(joints):
+        quoted = ", ".join(f"'{name}'" for name in names[:_MOST_NAMES])
+        return f"{sentence}: none of the messages' names is a joint of this URDF ({quoted} ...)"
+    return f"{sentence}: if nobody publishes it, name it in the parameter locked_joints"
+
+
+def _prefix(plain: Sequence[str], prefixed: Sequence[str]) -> str:
+    """The one beginning with which all ``plain`` names are among the ``prefixed``; empty if there is none."""
+    first = plain[0] if plain else ""
+    beginnings = (name.removesuffix(first) for name in prefixed if first and name.endswith(first))
+    every = set(prefixed)
+    return next((start for start in beginnings if start and all(start + name in every for name in plain)), "")

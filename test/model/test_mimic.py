@@ -1,0 +1,201 @@
+"""Joints that mimic others: they follow, and what moves them is part of their masters' efforts (fault 93)."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from files.recordings import TYPES
+from rosbags.rosbag2 import StoragePlugin, Writer
+
+import geomid_ros
+from geomid_ros.errors import InputError
+from geomid_ros.files.models.mjcf import mjcf
+from geomid_ros.model.dynamics import Dynamics
+from geomid_ros.model.effects import identified_effect
+from geomid_ros.model.measurement import MeasurementModel
+from geomid_ros.model.robot import Robot
+from geomid_ros.model.samples import Samples
+from geomid_ros.types import FloatArray
+
+from .robots import random_samples
+
+FACTORS = {"lift": 1.0, "turn": 1.0, "grip": 1.0, "other_finger": -1.0, "crank": 0.5, "crank_of_crank": -0.25}
+OFFSETS = {"crank": 0.2, "crank_of_crank": 0.0}
+MASTERS = {"lift": 0, "turn": 1, "grip": 2, "other_finger": 2, "crank": 1, "crank_of_crank": 1}
+
+
+def link(name: str, mass: float, com: str) -> str:
+    inertia = f'<inertia ixx="{0.02 * mass}" iyy="{0.03 * mass}" izz="{0.015 * mass}" ixy="0" ixz="0" iyz="0"/>'
+    return f'<link name="{name}"><inertial><origin xyz="{com}"/><mass value="{mass}"/>{inertia}</inertial></link>'
+
+
+def joint(name: str, kind: str, parent: str, axis: str, origin: str, mimic: str = "") -> str:
+    return (
+        f'<joint name="{name}" type="{kind}"><parent link="{parent}"/><child link="{name}_link"/><origin xyz="{origin}"'
+        f'/><axis xyz="{axis}"/><limit lower="-3" upper="3" effort="9" velocity="9"/>{mimic}</joint>'
+    )
+
+
+def description(masses: dict[str, float], follow: bool = True) -> str:
+    """An arm of two joints with a gripper of two fingers and a linkage of two cranks."""
+    names = {name: mimic if follow else "" for name, mimic in {
+        "other_finger": '<mimic joint="grip" multiplier="-1"/>',
+        "crank": '<mimic joint="turn" multiplier="0.5" offset="0.2"/>',
+        "crank_of_crank": '<mimic joint="crank" multiplier="-0.5" offset="0.1"/>',
+    }.items()}  # fmt: skip
+    return "".join([
+        '<robot name="gripper"><link name="base"/>',
+        *(link(f"{name}_link", mass, f"0.0{place + 1} 0.02 0.1") for place, (name, mass) in enumerate(masses.items())),
+        joint("lift", "revolute", "base", "0 1 0", "0 0 0.2"),
+        joint("turn", "revolute", "lift_link", "1 0 0", "0 0 0.3"),
+        joint("grip", "prismatic", "turn_link", "0 1 0", "0 0.01 0.2"),
+        joint("other_finger", "prismatic", "turn_link", "0 1 0", "0 -0.01 0.2", names["other_finger"]),
+        joint("crank", "revolute", "turn_link", "0 1 0.3", "0.1 0 0.1", names["crank"]),
+        joint("crank_of_crank", "revolute", "crank_link", "0 1 0", "0.1 0 0", names["crank_of_crank"]),
+        "</robot>",
+    ])  # fmt: skip
+
+
+MASSES = {"lift": 2.0, "turn": 1.5, "grip": 0.6, "other_finger": 0.6, "crank": 0.9, "crank_of_crank": 0.4}
+
+NOISE = 0.02  # [N m, N] of an effort; the filter leaves less
+STILL = {"locked_joints": ["grip"]}  # the gripper does not move in the recording
+
+
+class Whole:
+    """All six joints in pinocchio, moved by hand as the three are."""
+
+    def __init__(self) -> None:
+        self.model = pin.buildModelFromXML(description(MASSES, follow=False))
+        self.data = self.model.createData()
+
+    def motion(self, q: FloatArray, v: FloatArray) -> tuple[FloatArray, FloatArray]:
+        position, velocity = np.zeros(6), np.zeros(6)
+        for name, master in MASTERS.items():
+            place = self.model.joints[self.model.getJointId(name)].idx_v
+            position[place] = FACTORS[name] * q[master] + OFFSETS.get(name, 0.0)
+            velocity[place] = FACTORS[name] * v[master]
+        return position, velocity
+
+    def energy(self, q: FloatArray, v: FloatArray) -> float:
+        position, velocity = self.motion(q, v)
+        kinetic = pin.computeKineticEnergy(self.model, self.data, position, velocity)
+        return float(kinetic + pin.computePotentialEnergy(self.model, self.data, position))
+
+
+def samples_of(robot: Robot, q: FloatArray, v: FloatArray, a: FloatArray) -> Samples:
+    """One instant."""
+    values = vars(random_samples(robot, 0, 1))
+    return Samples(**{**values, "position": q[None], "velocity": v[None], "acceleration": a[None]})
+
+
+def test_they_are_not_joints_of_their_own() -> None:
+    robot = Robot(description(MASSES))
+    assert robot.joint_names == ("lift", "turn", "grip")
+    assert set(robot.body_names) == {f"{name}_link" for name in MASSES}
+    assert Robot(description(MASSES), locked_joints=["turn"]).joint_names == ("lift", "grip")
+    assert Robot(description(MASSES), locked_joints=["turn"]).followers[0].joint.name == "other_finger"
+    assert Robot(description(MASSES), locked_joints=["crank"]).joint_names == ("lift", "turn", "grip")
+
+
+def test_the_masters_efforts_make_the_energy_grow() -> None:
+    """Work per time, by rows and by recursion, is the change of kinetic and potential energy."""
+    robot = Robot(description(MASSES))
+    model = MeasurementModel(robot, ())
+    whole, step = Whole(), 1e-5
+    for q, v, a in np.random.default_rng(3).normal(size=(10, 3, 3)):
+        samples = samples_of(robot, q, v, a)
+        dynamics = Dynamics(model, model.nominal_inertias.reshape(-1, 10))
+        by_rows = model.predict(samples, model.nominal_parameters)[1][0]
+        ahead = whole.energy(q + step * v + 0.5 * step**2 * a, v + step * a)
+        behind = whole.energy(q - step * v + 0.5 * step**2 * a, v - step * a)
+        power = (ahead - behind) / (2.0 * step)
+        assert by_rows @ v == pytest.approx(power, rel=1e-6, abs=1e-6)
+        np.testing.assert_allclose(dynamics.efforts(samples)[0], by_rows, rtol=1e-9, atol=1e-9)
+
+
+def test_derivatives_are_those_of_the_efforts() -> None:
+    robot = Robot(description(MASSES))
+    model = MeasurementModel(robot, ())
+    dynamics = Dynamics(model, model.nominal_inertias.reshape(-1, 10))
+    motion = np.random.default_rng(4).normal(size=(3, 3))
+    found = dynamics.sensitivity(samples_of(robot, *motion))
+    terms = [getattr(found, name) for name in vars(found)][:3]
+    for kind, term in enumerate(terms):
+        for place in range(3):
+            step = np.zeros((3, 3))
+            step[kind, place] = 1e-6
+            ahead, behind = (dynamics.efforts(samples_of(robot, *(motion + sign * step)))[0] for sign in (1, -1))
+            np.testing.assert_allclose(term[0, :, place], (ahead - behind) / 2e-6, rtol=1e-6, atol=1e-6)
+
+
+def test_one_that_follows_itself_is_refused() -> None:
+    text = description(MASSES).replace('<mimic joint="turn"', '<mimic joint="crank_of_crank"')
+    with pytest.raises(InputError, match="joint 'crank' mimics itself"):
+        Robot(text)
+
+
+def test_one_that_follows_nobody_is_a_joint() -> None:
+    text = description(MASSES).replace('<mimic joint="grip"', '<mimic joint="of_another_robot"')
+    assert Robot(text).joint_names == ("lift", "turn", "grip", "other_finger")
+
+
+def test_in_the_mjcf_they_are_tied_to_their_masters() -> None:
+    mujoco = pytest.importorskip("mujoco")
+    model = mujoco.MjModel.from_xml_string(mjcf(Robot(description(MASSES)), {}))
+    assert model.nu == 3
+    assert model.njnt == 6
+    tied = {
+        (model.joint(first).name, model.joint(second).name): tuple(data[:2])
+        for first, second, data in zip(model.eq_obj1id, model.eq_obj2id, model.eq_data, strict=True)
+    }
+    assert tied == {
+        ("other_finger", "grip"): (0.0, -1.0),
+        ("crank", "turn"): (0.2, 0.5),
+        ("crank_of_crank", "turn"): (pytest.approx(0.0), -0.25),
+    }
+
+
+def test_a_recording_without_them_is_used(tmp_path: Path) -> None:
+    """The masters' efforts tell what all weigh; what was planted is found again, from a description that is wrong."""
+    whole = Whole()
+    kind = "sensor_msgs/msg/JointState"
+    classes = TYPES.types
+    noise = np.random.default_rng(5)
+    rates = np.array([[2.1, 3.3, 1.3], [1.7, 2.6, 3.9]])
+    with Writer(tmp_path / "bag", version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+        connection = writer.add_connection("/joint_states", kind, typestore=TYPES)
+        for index in range(4000):
+            time = 0.005 * index
+            q = np.sum(np.sin(rates * time), axis=0) * [0.6, 0.6, 0.0]
+            v = np.sum(rates * np.cos(rates * time), axis=0) * [0.6, 0.6, 0.0]
+            a = np.sum(-(rates**2) * np.sin(rates * time), axis=0) * [0.6, 0.6, 0.0]
+            position, velocity = whole.motion(q, v)
+            _, acceleration = whole.motion(q, a)
+            full = pin.rnea(whole.model, whole.data, position, velocity, acceleration)
+            effort = np.zeros(3)
+            for name, master in MASTERS.items():
+                effort[master] += FACTORS[name] * full[whole.model.joints[whole.model.getJointId(name)].idx_v]
+            effort += noise.normal(scale=NOISE, size=3)
+            stamp = 1_700_000_000_000_000_000 + 5_000_000 * index
+            header = classes["std_msgs/msg/Header"](
+                classes["builtin_interfaces/msg/Time"](*divmod(stamp, 1_000_000_000)), ""
+            )
+            message = classes[kind](header, ["lift", "turn", "grip"], q, v, effort)
+            writer.write(connection, stamp, bytes(TYPES.serialize_cdr(message, kind)))
+    wrong = {name: mass * (1.5 if name == "crank" else 1.0) for name, mass in MASSES.items()}
+    found = geomid_ros.identify(tmp_path / "bag", description(wrong), effects=[], config=STILL)
+    accounts = found.session.pipeline.ledger.topics
+    assert all(account.rejected.total() == 0 for account in accounts.values())
+    assert found.rms_nominal["turn"] > 5.0 * NOISE
+    assert max(found.rms.values()) < NOISE
+    truth = geomid_ros.identify(tmp_path / "bag", description(MASSES), effects=[], config=STILL)
+    assert max(truth.rms_nominal.values()) < NOISE
+
+
+def test_no_effect_is_at_a_joint_that_follows() -> None:
+    model = MeasurementModel(Robot(description(MASSES)), [identified_effect("viscous_friction")])
+    assert [c.place_name for c in model.coefficients] == ["lift", "turn", "grip"]

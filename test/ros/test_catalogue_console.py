@@ -1,0 +1,344 @@
+"""The catalogue's faults that nobody sees who does not watch the diagnostics; and names that must not reach anybody as
+they are."""
+
+from __future__ import annotations
+
+import queue
+import re
+import time
+from pathlib import Path
+from typing import Any
+
+import pytest
+from diagnostic_msgs.msg import DiagnosticArray
+from files.recordings import TYPES
+
+from geomid_ros.live import saving, supervisor
+from geomid_ros.live.activity import Activity
+from geomid_ros.live.status import Status
+from geomid_ros.live.supervisor import FORGOTTEN, MOST_RESTARTS, Supervisor
+from geomid_ros.ros import console as module
+from geomid_ros.ros.console import AGAIN, Console
+from geomid_ros.ros.diagnostics import Complaint, Diagnostics
+from geomid_ros.session.configuration import Configuration
+from geomid_ros.signals.ledger import Account, Ledger
+
+from .observer import MATCHING, plenty
+from .rig import GOOD, WARN, rigged
+from .stage import KINDS, WRIST, Stage, description
+from .test_catalogue_failures import planted
+from .test_catalogue_merging import part
+
+JOINTS = {"/joint_states": KINDS["/joint_states"]}
+WICKED = "\x1b[31mjoint1\nINFO all is well\u202e"
+SHOWN = r"\x1b[31mjoint1\nINFO all is well\u202e"
+
+
+class Lines:
+    """A log that remembers."""
+
+    def __init__(self) -> None:
+        self.lines: list[tuple[str, str]] = []
+
+    def info(self, message: str, /) -> None:
+        self.lines.append(("info", message))
+
+    def warning(self, message: str, /) -> None:
+        self.lines.append(("warning", message))
+
+    def error(self, message: str, /) -> None:
+        self.lines.append(("error", message))
+
+
+class TestConsole:
+    """Fault 108."""
+
+    @pytest.fixture
+    def clock(self, monkeypatch: pytest.MonkeyPatch) -> list[float]:
+        now = [5.0]
+        monkeypatch.setattr(module.time, "monotonic", lambda: now[0])
+        return now
+
+    def test_what_lasts_is_said_once_a_minute(self, clock: list[float]) -> None:
+        log = Lines()
+        console = Console(log)
+        for second in range(301):
+            console.tell([Complaint(f"joint_states rejected: {second} messages", False)])
+            clock[0] += 1.0
+        assert [line for line, _ in log.lines] == ["warning"] * (300 // int(AGAIN))
+
+    def test_what_is_gone_again_is_not_said(self, clock: list[float]) -> None:
+        log = Lines()
+        console = Console(log)
+        for second in range(20):
+            console.tell([Complaint("a late message", False)] if second % 3 == 0 else [])
+            clock[0] += 1.0
+        assert log.lines == []
+
+    def test_errors_and_warnings_are_lines_of_their_own(self, clock: list[float]) -> None:
+        log = Lines()
+        console = Console(log)
+        for _ in range(2):
+            console.tell([Complaint("a", True), Complaint("b", False), Complaint("c", True)])
+            clock[0] += 1.0
+        assert log.lines == [("error", "a; c"), ("warning", "b")]
+
+    def test_it_remembers_no_more_than_so_much(self, clock: list[float]) -> None:
+        console = Console(Lines())
+        for number in range(1000):
+            name = "".join(chr(97 + int(digit)) for digit in str(number))
+            for _ in range(2):
+                console.tell([Complaint(f"joint '{name}' is missing", False)])
+            clock[0] += 1.0
+        assert len(console._said) <= 200
+
+    def test_names_are_printable(self) -> None:
+        log = Lines()
+        Console(log).warning(f"joint '{WICKED}' is missing")
+        assert log.lines == [("warning", f"joint '{SHOWN}' is missing")]
+
+
+def said(process: Any, level: str, words: str) -> bool:
+    return re.search(rf"\[{level}\].*{words}", process.output) is not None
+
+
+def test_108_the_console_says_what_is_waited_for(stage: Stage) -> None:
+    """A description; data."""
+    node = stage.node(WRIST)
+    stage.observer.wait_for(
+        lambda: said(node, "WARN", r"no robot description yet \(start robot_state_publisher, or set"), "a description"
+    )
+    other = stage.node({**WRIST, "robot_description": description("arm3")}, "-r", "__ns:=/other", name="other/geomid")
+    stage.observer.wait_for(
+        lambda: said(other, "WARN", r"no messages on joint_states, /wrench \(does the driver run\?"), "messages"
+    )
+
+
+def test_108_104_all_messages_refused_is_said_on_the_console(tmp_path: Path) -> None:
+    """With what to do about it; and names from outside are one printable line, there and in the diagnostics."""
+    with rigged(tmp_path) as rig:
+        names = [WICKED, "joint2", "joint3"]
+        bad = [item.changed(name=names) for item in GOOD[:1200] if item.topic == "/joint_states"]
+        for begin in range(0, 600, 150):
+            rig.send(bad[begin : begin + 150], pause=0.01)
+        rig.stage.observer.wait_for(
+            lambda: said(
+                rig.node, "(WARN|ERROR)", r"joint_states rejected: joint 'joint1' is missing: if nobody publishes"
+            ),
+            "what all messages lack",
+        )
+        assert rig.node.output.count("joint 'joint1' is missing") <= 2, "once, not with every message"
+        values = rig.settled()
+        assert values["joint_states accepted"] == "0"
+        twice = [item.changed(name=[WICKED, WICKED, "joint3"]) for item in GOOD[600:1000] if item.topic != "/wrench"]
+        begin = len(rig.arrays)
+        rig.send(twice)
+        rig.says(begin, None, f"joint '{SHOWN}' is named twice")
+        assert_printable(rig.arrays)
+        assert all(line.isprintable() for line in rig.node.output.splitlines())
+        assert not re.search("^INFO all is well", rig.node.output, re.MULTILINE)
+        before, after = rig.begin()
+        rig.feed(before + after)
+        rig.assert_same_as_twin()
+
+
+def test_104_a_frame_id_is_printable(tmp_path: Path) -> None:
+    with rigged(tmp_path) as rig:
+        before, after = rig.begin()
+        rig.feed(before)
+        begin = len(rig.arrays)
+        wicked = []
+        for item in after[:20]:
+            if item.topic == "/wrench":
+                message = TYPES.deserialize_cdr(TYPES.serialize_cdr(item.message, item.kind), item.kind)
+                message.header.frame_id = WICKED
+                wicked.append(type(item)(item.topic, item.kind, item.time, message))
+        rig.send(wicked)
+        rig.says(begin, None, f"frame '{SHOWN}' is not the declared 'wrist_ft'")
+        rig.feed([item for item in after if item.topic == "/joint_states" or item not in after[:20]])
+        assert_printable(rig.arrays)
+        rig.assert_same_as_twin()
+
+
+def assert_printable(arrays: list[DiagnosticArray]) -> None:
+    """Every text of diagnostics."""
+    for array in arrays:
+        for status in array.status:
+            for text in (
+                status.name,
+                status.message,
+                *(text for pair in status.values for text in (pair.key, pair.value)),
+            ):
+                assert text.isprintable(), text
+
+
+def test_89_a_part_that_falls_silent_is_named(tmp_path: Path) -> None:
+    """Within two seconds, though all that comes is accepted; and it goes on when the part is back."""
+    with rigged(tmp_path, merge_joint_states=True) as rig:
+        create = rig.stage.observer.node.create_publisher
+        right = create(KINDS["/joint_states"], "/joint_states", plenty())
+        rig.stage.observer.wait_for(lambda: right.get_subscription_count() > 0, "the node")
+        rig.stage.observer.spin(MATCHING)
+
+        def send(items: list[Any], with_right: bool = True, pause: float = 0.0005) -> None:
+            for item in items:
+                if item.topic != "/joint_states":
+                    rig.send([item], pause)
+                    continue
+                rig.send([part(item, slice(0, 2))], pause)
+                if with_right:
+                    other = part(item, slice(2, None))
+                    right.publish(bytes(TYPES.serialize_cdr(other.message, other.kind)))
+                    rig.sent["/joint_states"] += 1
+
+        send(GOOD[:400])
+        rig.settled()
+        begin, since = len(rig.arrays), time.monotonic()
+        send(GOOD[400:1000], with_right=False)
+        silent = GOOD[0].message.name[2] if GOOD[0].topic == "/joint_states" else GOOD[1].message.name[2]
+        rig.says(begin, WARN, f"joint_states: nothing comes of '{silent}'")
+        assert time.monotonic() - since < 30.0
+        again = len(rig.arrays)
+        send(GOOD[1000:])
+        rig.told("rows", again, lambda _, status: "nothing comes of" not in status.message)
+        rig.settled(again)
+
+
+def test_93_a_mimic_joint_is_not_waited_for(stage: Stage) -> None:
+    """A finger that follows the last joint, and that no message has; without <mimic> it would be missing."""
+    finger = (
+        '<link name="finger"><inertial><mass value="0.1"/><inertia ixx="1e-4" iyy="1e-4" izz="1e-4" ixy="0" ixz="0"'
+        ' iyz="0"/></inertial></link><joint name="finger" type="prismatic"><parent link="link3"/><child link="finger"/>'
+        '<axis xyz="0 1 0"/><limit lower="-1" upper="1" effort="1" velocity="1"/>'
+        '<mimic joint="joint3" multiplier="0.01"/></joint></robot>'
+    )
+    stage.node({"robot_description": description("arm3").replace("</robot>", finger), "solve_period": 0.2})
+    stage.observer.publish([item for item in GOOD[:800] if item.topic == "/joint_states"], JOINTS)
+    told = stage.fed({"joint_states": 400})
+    values = {pair.key: pair.value for pair in told.status[0].values}
+    assert values["joint_states accepted"] == "400"
+    assert "missing" not in told.status[0].message
+    names = {
+        status.name for status in stage.observer.diagnostics(lambda values, _: int(values["solves"]) > 0, "").status
+    }
+    assert "geomid: finger" in names
+
+
+def status(accepted: int, rows: int, **fields: Any) -> Status:
+    accounts = {topic: Account(accepted=accepted) for topic in ("joint_states", "/wrench")}
+    return Status(active=True, topics=tuple(accounts), accounts=accounts, rows_made=rows, lag=0.5, **fields)
+
+
+def test_90_messages_of_which_nothing_comes_are_a_warning() -> None:
+    """Once that lasts longer than the filter needs, and until rows come."""
+    diagnostics = Diagnostics("node")
+    said = []
+    for second in range(12):
+        diagnostics.array(status(100 * second, 5))
+        said.append([c.sentence for c in diagnostics.complaints if "no rows come of them" in c.sentence])
+    assert not any(said[:5])
+    assert all(said[6:])
+    assert "are the stamps of joint_states and /wrench of one clock?" in said[-1][0]
+    diagnostics.array(status(1200, 6))
+    assert not any("no rows come" in c.sentence for c in diagnostics.complaints)
+    for _ in range(9):  # nothing is accepted: something else is wrong, and said
+        diagnostics.array(status(1200, 6))
+    assert not any("no rows come" in c.sentence for c in diagnostics.complaints)
+
+
+class Hanging:
+    """As much of a worker as hangs."""
+
+    def __init__(self) -> None:
+        self.activity = Activity()
+        self.solver = self
+        self.restarts = 0
+
+    def restart(self) -> None:
+        self.restarts += 1
+
+
+def test_92_hangs_are_forgotten_after_an_hour(monkeypatch: pytest.MonkeyPatch) -> None:
+    """One slow solve in two hours is restarted for ever; four in a row are left alone, until an hour has passed."""
+    now = [10_000.0]
+    monkeypatch.setattr(supervisor.time, "monotonic", lambda: now[0])
+    monkeypatch.setattr(Activity, "current", ("solving", 1e6))
+    ignored: Any = None
+    watched = Supervisor(Configuration({}), Ledger(), Lines(), on_samples=ignored, on_estimate=ignored, solving=None)
+    worker: Any = Hanging()
+    worker.activity = type("Idle", (), {"current": ("", 0.0)})()
+    worker.solver = type("Solver", (), {"activity": Activity(), "restart": lambda _: worker.restart()})()
+    watched.worker = worker
+    for _ in range(20):
+        watched.restart_what_hangs()
+        now[0] += 2.0 * FORGOTTEN
+    assert worker.restarts == 20
+    for _ in range(10):
+        watched.restart_what_hangs()
+        now[0] += 1.0
+    assert worker.restarts == 20 + MOST_RESTARTS
+    assert "left alone" in watched.problem
+    now[0] += FORGOTTEN
+    watched.restart_what_hangs()
+    assert worker.restarts == 21 + MOST_RESTARTS
+    assert "1 of at most 3 times" in watched.problem
+
+
+def test_101_saving_under_load_is_answered(tmp_path: Path) -> None:
+    """Within five seconds, while every solve takes half of that."""
+    with planted(tmp_path) as faulty:
+        rig = faulty.rig
+        before, after = rig.begin()
+        rig.feed(before)
+        rig.published()
+        with faulty.has("solver slow"):
+            rig.feed(after)
+            success, message = answered(rig)
+            assert success, message
+        rig.stage.observer.wait_for(lambda: rig.trigger("save")[0], "a solver that is through")
+        rig.assert_same_as_twin()
+
+
+class Slow:
+    """As much of a worker as saving asks: it has an estimate, or none, and never another one."""
+
+    def __init__(self, estimate: Any) -> None:
+        self.session: Any = self
+        self.estimate = estimate
+        self.saved: list[Any] = []
+
+    def final_estimate(self, done: Any) -> None:
+        """Takes for ever."""
+
+    def save(self, _: Path, estimate: Any) -> None:
+        self.saved.append(estimate)
+
+
+class Estimated:
+    rows_accepted = 7
+
+
+@pytest.mark.parametrize("estimate", [None, Estimated()], ids=["none", "an old one"])
+def test_101_what_takes_too_long_is_said(estimate: Any, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setattr(saving, "_LATE", 0.2)
+    monkeypatch.setattr(saving, "_LATEST", 5.0)
+    answers: queue.SimpleQueue[tuple[bool, str]] = queue.SimpleQueue()
+    worker: Any = Slow(estimate)
+    saving.Saving(str(tmp_path)).begin_when_solved(worker, answers.put)
+    success, message = answers.get(timeout=30.0)
+    assert success == (estimate is not None)
+    expected = (
+        "no estimate yet: the first one takes more than" if estimate is None else "it is of 7 rows, and one of all"
+    )
+    assert expected in message
+    assert worker.saved == ([] if estimate is None else [estimate])
+    with pytest.raises(queue.Empty):
+        answers.get(timeout=0.5)
+
+
+def answered(rig: Any) -> tuple[bool, str]:
+    """What saving says; in time, whatever other processes do."""
+    waited, begin = rig.stage._waited(), time.monotonic()
+    answer = rig.trigger("save")
+    assert time.monotonic() - begin < 5.0 + 2.0 * (rig.stage._waited() - waited) + 1.0
+    return answer
