@@ -13,7 +13,8 @@ from geomid_ros.errors import InputError
 from geomid_ros.files.bags.bag import Bag
 from geomid_ros.model.samples import Samples
 from geomid_ros.session.session import Session
-from geomid_ros.signals.messages import JOINT_STATES, ODOM, message_type, parse
+from geomid_ros.signals.decoding import Decoder
+from geomid_ros.signals.messages import JOINT_STATES, ODOM, message_type
 from geomid_ros.signals.pipeline import SignalPipeline
 
 HELD_OUT = 0.3
@@ -118,10 +119,17 @@ def read_samples(
     """The samples of a recording, as they become ready. Raises InputError when there are none."""
     names = _resolved_topics(bag, session, topics)
     total = bag.count(list(names))
-    ready = 0
-    for index, (topic, _, message) in enumerate(bag.messages(list(names))):
-        progress(f"reading {bag.path.name}", index / max(total, 1))
-        pipeline.push(parse(names[topic], message))
+    decoder = Decoder()
+    done = ready = 0
+    for batch in bag.batches(list(names)):
+        progress(f"reading {bag.path.name}", done / max(total, 1))
+
+        def refuse(place: int, why: str) -> None:
+            topic, time, kind, _ = batch[place]  # noqa: B023 called at once
+            raise bag.not_valid(topic, time, kind, why, done + place)  # noqa: B023
+
+        pipeline.push(decoder.blocks([(names[topic], data) for topic, _, _, data in batch], refuse))
+        done += len(batch)
         samples = pipeline.collect()
         if samples is not None:
             ready += len(samples)

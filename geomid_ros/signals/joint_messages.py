@@ -8,12 +8,13 @@ from typing import TypeAlias
 
 import numpy as np
 
-from geomid_ros.signals.messages import JointMessage
+from geomid_ros.signals.messages import Block
 from geomid_ros.signals.saturation import STANDING, SaturationDetector
-from geomid_ros.types import BoolArray, FloatArray, IntArray
+from geomid_ros.types import AnyArray, BoolArray, FloatArray, IntArray
 
 DRIVER_ERROR = "driver error: "
 """Reasons begin with this when the driver fills in its messages wrongly."""
+FROZEN = "frozen: all numbers are those of the message before, though the robot moves"
 _LARGEST_NUMBER = 1e9  # in SI units
 _MOST_WAITING = 10_000  # messages of a part, while another is silent
 
@@ -75,37 +76,74 @@ class JointReader:
         lost = (self._effort_stamps == 0) | (self._stamp - self._effort_stamps > self._max_gap)
         return tuple(joint for joint, gone in zip(self._joints, lost, strict=True) if gone)
 
-    def read(self, message: JointMessage) -> FloatArray:
-        """What a message says, in the robot's order of joints.
+    def numbers(self, block: Block) -> tuple[FloatArray, AnyArray]:
+        """What messages say, in the robot's order of joints.
 
         Returns:
-            Positions, velocities and efforts ``(3 joints,)``, NaN where an effort or a velocity is not measured.
+            Positions, velocities and efforts ``(N, 3, joints)``, NaN where something is not measured; and for each
+            message that cannot be used for what it says by itself the reason, None for the others ``(N,)``.
+        """
+        count, names = len(block.stamps), block.names
+        vector, refusals = np.full((count, 3, len(self._joints)), np.nan), np.full(count, None)
+        try:
+            order = self._order_of(names)
+            for kind, values in zip(("position", "velocity", "effort"), block.arrays, strict=True):
+                if values.shape[1] not in ((len(names),) if kind == "position" else (0, len(names))):
+                    raise RejectedError(f"{DRIVER_ERROR}{kind} has {values.shape[1]} entries for {len(names)} names")
+        except RejectedError as error:
+            refusals[:] = str(error)
+            return vector, refusals
+        if not block.arrays[1].shape[1]:
+            self._note_once("no velocities: positions are differentiated")
+        for row, values in enumerate(block.arrays):
+            if values.shape[1]:
+                vector[:, row] = values[:, order]
+        vector[:, 2] *= self._gains
+        good = plausible(vector)
+        if not good.all():
+            vector[~good] = np.nan
+            for row in np.flatnonzero(~good[:, 0].all(axis=1)):
+                joint = self._joints[int(np.argmin(good[row, 0]))]
+                refusals[row] = f"position of '{joint}' not finite"
+        return vector, refusals
+
+    def read(self, stamps: IntArray, numbers: FloatArray, among: int) -> tuple[FloatArray, BoolArray]:
+        """Check messages against those before them.
+
+        Args:
+            stamps: ``(N,)`` [ns], increasing.
+            numbers: ``(N, 3, joints)`` as :meth:`numbers` gives them.
+            among: the number of messages that were judged together with these.
+
+        Returns:
+            The numbers of the messages that can be used ``(M, 3 joints)``, and which those are ``(N,)``: the others are
+            :data:`FROZEN`.
 
         Raises:
-            RejectedError: the message cannot be used.
+            RejectedError: a message cannot be used. If it was not judged alone nothing has happened, as others might
+                have been judged otherwise.
         """
-        stamp, names, rows = message.stamp, message.names, (message.position, message.velocity, message.effort)
-        order = self._order_of(names)
-        for kind, values in zip(("position", "velocity", "effort"), rows, strict=True):
-            if len(values) not in ((len(names),) if kind == "position" else (0, len(names))):
-                raise RejectedError(f"{DRIVER_ERROR}{kind} has {len(values)} entries for {len(names)} names")
-        if not len(message.velocity):
-            self._note_once("no velocities: positions are differentiated")
-        vector = np.full((3, len(order)), np.nan)
-        for row, values in enumerate(rows):
-            if len(values):
-                vector[row] = values[order]
-        vector[2] *= self._gains
-        wild = ~plausible(vector)
-        if wild[0].any():
-            raise RejectedError(f"position of '{self._joints[int(np.argmax(wild[0]))]}' not finite")
-        vector[wild] = np.nan
-        self._unwind(vector[0])
-        if self._frozen(stamp, vector):
-            raise RejectedError("frozen: all numbers are those of the message before, though the robot moves")
-        self._check_effort(stamp, vector)
-        self._stamp, self._last = stamp, vector
-        return vector.ravel()
+        before = vars(self).copy(), vars(self._saturation).copy()
+        try:
+            return self._read(stamps, numbers.copy(), among)
+        except RejectedError:
+            if among > 1:
+                vars(self).update(before[0])
+                vars(self._saturation).update(before[1])
+            raise
+
+    def _read(self, stamps: IntArray, numbers: FloatArray, among: int) -> tuple[FloatArray, BoolArray]:
+        self._unwind(numbers[:, 0])
+        frozen, speeds = self._frozen(stamps, numbers)
+        taken = ~frozen
+        if frozen.any():
+            if among > len(stamps) or self._has_pause(stamps, taken):
+                raise RejectedError(FROZEN)
+            stamps, numbers, speeds = stamps[taken], numbers[taken], speeds[taken]
+        if len(stamps):
+            self._check_effort(stamps, numbers, speeds > STANDING)
+            self._stamp, self._last = int(stamps[-1]), numbers[-1].copy()
+        return numbers.reshape(len(stamps), 3 * len(self._joints)), taken
 
     def _order_of(self, names: tuple[str, ...]) -> IntArray:
         """The places of the robot's joints among a message's names. Most messages have those of the one before."""
@@ -131,53 +169,79 @@ class JointReader:
             self._noted.add(remark)
             self._note(remark)
 
-    def _unwind(self, position: FloatArray) -> None:
+    def _unwind(self, positions: FloatArray) -> None:
         """Add whole turns to the positions of continuous joints, so that they do not jump."""
-        if self._last is not None and self._continuous.any():
-            turns = np.where(self._continuous, np.round((self._last[0] - position) / (2.0 * np.pi)), 0.0)
-            position += 2.0 * np.pi * turns
+        if self._continuous.any():
+            own = positions[:, self._continuous]
+            last = own[:1] if self._last is None else self._last[:1, self._continuous]
+            turns = np.cumsum(np.round(np.diff(own, axis=0, prepend=last) / (2.0 * np.pi)), axis=0)
+            positions[:, self._continuous] = own - 2.0 * np.pi * turns
 
-    def _frozen(self, stamp: int, vector: FloatArray) -> bool:
-        """Whether no number has changed, though by velocities, or else by the positions before, the robot moves."""
-        last = self._last
-        # Positions first, which are numbers: to compare what may be NaN takes many times as long.
-        if last is None or not (vector[0] == last[0]).all() or not np.array_equal(vector, last, equal_nan=True):
-            self._speed = self._speed_at(stamp, vector)
-            return False
-        return self._speed > STANDING
+    def _frozen(self, stamps: IntArray, numbers: FloatArray) -> tuple[BoolArray, FloatArray]:
+        """In which messages no number has changed, though by velocities, or else by the positions before, the robot
+        moves; and the speed in each, both ``(N,)``."""
+        last = np.full(numbers.shape[1:], np.inf) if self._last is None else self._last
+        before = np.concatenate([last[None], numbers[:-1]])
+        # Positions first, as hardly ever all of them are the same. Zeros as efforts are looked at elsewhere.
+        same = (numbers[:, 0] == before[:, 0]).all(axis=1)
+        if same.any():
+            now, then = numbers[same], before[same]
+            same[same] = ((now == then) | (np.isnan(now) & np.isnan(then))).all(axis=(1, 2)) & now[:, 2].any(axis=1)
+        speeds = np.fmax.reduce(np.abs(numbers[:, 1]), axis=1, initial=np.nan)
+        if np.isnan(speeds).any():
+            self._differentiate(speeds, stamps, np.max(np.abs(numbers[:, 0] - before[:, 0]), axis=1, initial=0.0), same)
+        self._speed = float(speeds[-1])
+        return same & (speeds > STANDING), speeds
 
-    def _speed_at(self, stamp: int, vector: FloatArray) -> float:
-        speed = float(np.fmax.reduce(np.abs(vector[1]), initial=np.nan))
-        if np.isfinite(speed):
-            return speed
-        if self._last is None:
-            return 0.0
-        return float(np.max(np.abs(vector[0] - self._last[0]), initial=0.0)) / (1e-9 * (stamp - self._stamp))
+    def _differentiate(self, speeds: FloatArray, stamps: IntArray, steps: FloatArray, same: BoolArray) -> None:
+        """Fill in speeds that are not measured: the largest step from the last good message, by its time."""
+        speed, last = self._speed, self._stamp
+        for index, (stamp, again) in enumerate(zip(stamps.tolist(), same.tolist(), strict=True)):
+            if np.isfinite(speeds[index]):
+                speed = speeds[index]
+            elif not again:
+                speed = steps[index] / (1e-9 * (stamp - last)) if last else 0.0
+            speeds[index] = speed
+            last = last if again and speed > STANDING else stamp
 
-    def _check_effort(self, stamp: int, vector: FloatArray) -> None:
+    def _has_pause(self, stamps: IntArray, taken: BoolArray) -> bool:
+        """Whether several messages would be a pause without those that are not taken."""
+        before = np.maximum.accumulate(np.concatenate([[self._stamp], np.where(taken, stamps, 0)[:-1]]))
+        return len(stamps) > 1 and bool(np.any(stamps - before > self._max_gap))
+
+    def _check_effort(self, stamps: IntArray, numbers: FloatArray, moving: BoolArray) -> None:
         """Leave out efforts that have failed for long. Raises RejectedError for others that fail."""
-        effort = vector[2]
-        reason = "effort of '{}' missing or not finite"
-        if np.all(np.isnan(effort)):
-            reason = DRIVER_ERROR + "no effort of '{}' or any other joint"
-        if self._zeros(effort):
-            effort[:] = np.nan
-            reason = DRIVER_ERROR + "effort of '{}' and of all others is zero while the robot moves"
+        effort = numbers[:, 2]
+        zeros = self._zeros(effort, moving)
+        effort[zeros] = np.nan
         before = None if self._last is None else (self._stamp, self._last[2])
-        saturated = self._saturation.saturated(stamp, effort, vector[1], self._speed > STANDING, before)
-        if np.any(saturated):
-            effort[saturated] = np.nan
-            reason = "effort of '{}' saturated: for long the same, and never larger"
+        saturated = self._saturation.saturated(stamps, effort, numbers[:, 1], moving, before)
+        effort[saturated] = np.nan
         measured = np.isfinite(effort)
-        lost = np.flatnonzero(~measured & (self._effort_stamps > 0) & (stamp - self._effort_stamps <= self._max_gap))
-        if len(lost):
-            raise RejectedError(reason.format(self._joints[int(lost[0])]))
-        self._effort_stamps[measured] = stamp
+        latest = np.where(measured, stamps[:, None], 0)
+        latest = np.maximum.accumulate(np.concatenate([self._effort_stamps[None], latest]))
+        lost = ~measured & (latest[:-1] > 0) & (stamps[:, None] - latest[:-1] <= self._max_gap)
+        if lost.any():
+            row, joint = (int(place[0]) for place in np.nonzero(lost))
+            reason = "effort of '{}' missing or not finite"
+            if saturated[row].any():
+                reason = "effort of '{}' saturated: for long the same, and never larger"
+            elif zeros[row]:
+                reason = DRIVER_ERROR + "effort of '{}' and of all others is zero while the robot moves"
+            elif not measured[row].any():
+                reason = DRIVER_ERROR + "no effort of '{}' or any other joint"
+            raise RejectedError(reason.format(self._joints[joint]))
+        self._effort_stamps = latest[-1]
 
-    def _zeros(self, effort: FloatArray) -> bool:
-        """Whether all efforts are exactly zero, and have been since the robot moved: the driver has no sensor."""
-        self._made_up = not np.any(effort) and (self._made_up or self._speed > STANDING)
-        return self._made_up
+    def _zeros(self, effort: FloatArray, moving: BoolArray) -> BoolArray:
+        """Whether all efforts are exactly zero, and have been since the robot moved: the driver has no sensor ``(N,)``."""
+        zero = ~effort.any(axis=1)
+        places = np.arange(len(zero))
+        other = np.maximum.accumulate(np.where(zero, -1, places))
+        moved = np.maximum.accumulate(np.where(zero & moving, places, -1))
+        found: BoolArray = zero & ((moved > other) | (self._made_up & (other < 0)))
+        self._made_up = bool(found[-1])
+        return found
 
 
 class JointParts:

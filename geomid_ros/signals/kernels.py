@@ -99,14 +99,6 @@ def cubic_weights(nodes: FloatArray, times: FloatArray) -> FloatArray:
     return weights
 
 
-def cubic_weights_at(nodes: Sequence[float], time: float) -> tuple[float, float, float, float]:
-    """:func:`cubic_weights` of one time, without the cost of arrays, for live streams."""
-    weights = _lagrange(nodes, time)
-    if sum(weight * weight for weight in weights) > _LARGEST_NOISE_GAIN**2:
-        return _line(nodes, time)
-    return weights
-
-
 def _lagrange(nodes: Iterable[T], time: T) -> tuple[T, T, T, T]:
     a, b, c, d = nodes
     p, q, r, s = time - a, time - b, time - c, time - d

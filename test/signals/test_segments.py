@@ -20,16 +20,20 @@ def stamps(count: int, step: int = PERIOD, offset: int = 0) -> list[int]:
     return [START + offset + index * step for index in range(count)]
 
 
+def push(target: Segment | Stream[VectorSegment], stamp: int, values: FloatArray) -> None:
+    target.push(np.array([stamp]), values[None])
+
+
 def filled(segment: Segment, times: list[int], values: FloatArray | None = None) -> Segment:
     for index, stamp in enumerate(times):
-        segment.push(stamp, np.array([float(stamp - START)]) if values is None else values[index])
+        push(segment, stamp, np.array([float(stamp - START)]) if values is None else values[index])
     return segment
 
 
 def poses(times: list[int]) -> PoseSegment:
     segment = PoseSegment(GRID)
     for stamp in times:
-        segment.push(stamp, UNIT)
+        push(segment, stamp, UNIT)
     return segment
 
 
@@ -70,7 +74,7 @@ def test_poses_between_few_messages_are_interpolated_by_the_cubic_around_them() 
     segment = PoseSegment(GRID)
     for stamp in times:
         time = (stamp - START) * 1e-9
-        segment.push(stamp, np.concatenate([[time**3, 0.5 * time**2, time], UNIT[3:]]))
+        push(segment, stamp, np.concatenate([[time**3, 0.5 * time**2, time], UNIT[3:]]))
     ready = segment.ready()
     pose, velocity, acceleration = segment.filtered(ready)
     time = np.array([instant * PERIOD - START for instant in ready]) * 1e-9
@@ -127,8 +131,8 @@ def test_joints_wait_for_the_columns_of_effects() -> None:
     joints = JointSegment(GRID, 1, NO_COLUMNS)
     plain = VectorSegment(GRID)
     for stamp in stamps(200):
-        joints.push(stamp, np.array([1.0, 0.0, 0.0]))
-        plain.push(stamp, np.array([1.0, 0.0, 0.0]))
+        push(joints, stamp, np.array([1.0, 0.0, 0.0]))
+        push(plain, stamp, np.array([1.0, 0.0, 0.0]))
     sharp = GRID.lag - GRID.half
     assert joints.ready() == range(plain.ready().start + sharp, plain.ready().stop - sharp)
     assert joints.effects(joints.ready()).shape == (len(joints.ready()), 1, 0)
@@ -140,7 +144,7 @@ class TestStream:
     def stream(self, times: list[int]) -> Stream[VectorSegment]:
         stream = Stream(self.GAP, lambda: VectorSegment(GRID))
         for stamp in times:
-            stream.push(stamp, np.zeros(1))
+            push(stream, stamp, np.zeros(1))
         return stream
 
     @pytest.mark.parametrize(("pause", "parts"), [(GAP, 1), (GAP + 1, 2)])

@@ -22,7 +22,8 @@ from geomid_ros.files.parameter_file import read_yaml
 _typestore = get_typestore(Stores.ROS2_JAZZY)
 _FORMATS: dict[str, Callable[[Path], Storage]] = {".mcap": McapFile, ".db3": Database}
 _SUFFIXES = {"mcap": ".mcap", "sqlite3": ".db3"}  # by rosbag2's name of the format
-_MOST_BYTES = 8_000_000  # of a message whose fields are read; a robot description has up to 5 MB
+_MOST_MESSAGES = 4096  # of a batch
+_MOST_BYTES = 8_000_000  # of a batch, and of a message whose fields are read; a robot description has up to 5 MB
 
 
 class Bag:
@@ -97,7 +98,32 @@ class Bag:
                 yield topic, time, _typestore.deserialize_cdr(data, kind)
             except Exception as error:  # whatever bytes of another form make the code for this type raise
                 reason = (str(error).splitlines() or [type(error).__name__])[0]
-                raise InputError(f"{where} is not a valid {kind} ({reason}); {count} before it are") from error
+                raise self.not_valid(topic, time, kind, reason, count) from error
+
+    def not_valid(self, topic: str, time: int, kind: str, reason: str, count: int) -> InputError:
+        """The error for a message whose bytes are not of its type, after ``count`` others."""
+        where = f"{self.path}: message on {topic} at {time} ns"
+        return InputError(f"{where} is not a valid {kind} ({reason}); {count} before it are")
+
+    def batches(self, topics: Collection[str]) -> Iterator[list[RawMessage]]:
+        """Everything on ``topics``, many messages at once.
+
+        Raises:
+            InputError: a message is too large.
+        """
+        batch: list[RawMessage] = []
+        size = 0
+        for message in self._raw_messages(topics):
+            batch.append(message)
+            size += len(message.data)
+            if len(batch) >= _MOST_MESSAGES or size > _MOST_BYTES:
+                if len(message.data) > _MOST_BYTES:
+                    where = f"{self.path}: message on {message.topic} at {message.time} ns"
+                    raise InputError(f"{where} has {len(message.data)} bytes, more than the {_MOST_BYTES} that are read")
+                yield batch
+                batch, size = [], 0
+        if batch:
+            yield batch
 
     def raw_messages(self, topics: Collection[str]) -> Iterator[tuple[str, int, bytes]]:
         """Topic, time of recording [ns] and serialised message of everything on ``topics``."""
