@@ -21,8 +21,8 @@ from geomid_ros.model.measurement import Rows
 from geomid_ros.model.samples import Samples
 from geomid_ros.monitoring.wrench_sensors import WrenchCheck, sensor_channels
 from geomid_ros.session.session import Session
-from geomid_ros.signals.ledger import count_reason
 from geomid_ros.signals.decoding import Decoder
+from geomid_ros.signals.ledger import count_reason
 from geomid_ros.signals.messages import Accepted, message_type
 from geomid_ros.types import FloatArray
 

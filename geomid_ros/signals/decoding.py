@@ -12,7 +12,7 @@ import numpy as np
 from rosbags.typesys import Stores, get_typestore
 
 from geomid_ros.signals.messages import JOINT_STATES, ODOM, Block, message_type, parse
-from geomid_ros.types import IntArray
+from geomid_ros.types import AnyArray, BoolArray, IntArray
 
 _MOST_LAYOUTS = 64
 _STAMP = slice(4, 12)  # seconds and nanoseconds, 4 bytes each
@@ -36,23 +36,21 @@ class _Layout:
 
     like: Block
     fixed: IntArray
-    text: IntArray
+    text: AnyArray
     fields: tuple[tuple[int, int], ...]
 
-    def matches(self, data: IntArray) -> IntArray:
+    def matches(self, data: AnyArray) -> BoolArray:
         """Which messages ``(N, size)`` have this layout ``(N,)``."""
-        found: IntArray = (data[:, self.fixed] == self.text).all(axis=1)
+        found: BoolArray = (data[:, self.fixed] == self.text).all(axis=1)
         return found
 
-    def block(self, data: IntArray, order: IntArray) -> Block:
+    def block(self, data: AnyArray, order: IntArray) -> Block:
         """The numbers of messages ``(N, size)``."""
-        seconds, nanoseconds = (
-            np.ascontiguousarray(data[:, _STAMP]).view("<u4").astype(np.int64).reshape(-1, 2).T
-        )
+        seconds, nanoseconds = np.frombuffer(data[:, _STAMP].tobytes(), "<u4").astype(np.int64).reshape(-1, 2).T
         valid = (seconds < 1 << 31) & (nanoseconds < 1_000_000_000)
         stamps = np.where(valid, seconds * 1_000_000_000 + nanoseconds, -1)
         arrays = tuple(
-            np.ascontiguousarray(data[:, begin : begin + 8 * count]).view("<f8").reshape(len(data), count)
+            np.frombuffer(data[:, begin : begin + 8 * count].tobytes(), "<f8").reshape(len(data), count)
             for begin, count in self.fields
         )
         return Block(self.like.topic, order, stamps, self.like.names, arrays)
@@ -165,7 +163,7 @@ def _aligned(place: int, size: int) -> int:
 def _after_text(place: int, text: str, fixed: list[slice]) -> int:
     begin = _aligned(place, 4)
     fixed.append(slice(begin, begin + 4 + len(text.encode()) + 1))
-    return fixed[-1].stop
+    return int(fixed[-1].stop)
 
 
 def _after_count(place: int, fixed: list[slice]) -> int:

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from collections import deque
-from collections.abc import Callable, Iterator, Sequence
-from typing import TypeAlias
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
+from geomid_ros.signals.arrived import plausible
 from geomid_ros.signals.messages import Block
 from geomid_ros.signals.saturation import STANDING, SaturationDetector
 from geomid_ros.types import AnyArray, BoolArray, FloatArray, IntArray
@@ -15,20 +14,10 @@ from geomid_ros.types import AnyArray, BoolArray, FloatArray, IntArray
 DRIVER_ERROR = "driver error: "
 """Reasons begin with this when the driver fills in its messages wrongly."""
 FROZEN = "frozen: all numbers are those of the message before, though the robot moves"
-_LARGEST_NUMBER = 1e9  # in SI units
-_MOST_WAITING = 10_000  # messages of a part, while another is silent
-
-Part: TypeAlias = tuple[str, ...]
-"""The robot's joints that come together, in the robot's order."""
 
 
 class RejectedError(Exception):
     """A message that cannot be used; the text is the reason that is counted."""
-
-
-def plausible(values: FloatArray) -> BoolArray:
-    """False for NaN, infinity and numbers that no robot measures."""
-    return np.abs(values) < _LARGEST_NUMBER
 
 
 class JointReader:
@@ -87,17 +76,15 @@ class JointReader:
         vector, refusals = np.full((count, 3, len(self._joints)), np.nan), np.full(count, None)
         try:
             order = self._order_of(names)
-            for kind, values in zip(("position", "velocity", "effort"), block.arrays, strict=True):
-                if values.shape[1] not in ((len(names),) if kind == "position" else (0, len(names))):
-                    raise RejectedError(f"{DRIVER_ERROR}{kind} has {values.shape[1]} entries for {len(names)} names")
+            _check_lengths(block)
         except RejectedError as error:
             refusals[:] = str(error)
             return vector, refusals
         if not block.arrays[1].shape[1]:
             self._note_once("no velocities: positions are differentiated")
-        for row, values in enumerate(block.arrays):
+        for kind, values in enumerate(block.arrays):
             if values.shape[1]:
-                vector[:, row] = values[:, order]
+                vector[:, kind] = values[:, order]
         vector[:, 2] *= self._gains
         good = plausible(vector)
         if not good.all():
@@ -234,8 +221,9 @@ class JointReader:
         self._effort_stamps = latest[-1]
 
     def _zeros(self, effort: FloatArray, moving: BoolArray) -> BoolArray:
-        """Whether all efforts are exactly zero, and have been since the robot moved: the driver has no sensor ``(N,)``."""
-        zero = ~effort.any(axis=1)
+        """Whether all efforts are exactly zero, and have been since the robot moved: the driver has no
+        sensor ``(N,)``."""
+        zero: BoolArray = np.logical_not(effort.any(axis=1))
         places = np.arange(len(zero))
         other = np.maximum.accumulate(np.where(zero, -1, places))
         moved = np.maximum.accumulate(np.where(zero & moving, places, -1))
@@ -244,73 +232,8 @@ class JointReader:
         return found
 
 
-class JointParts:
-    """Joins messages of several publishers, each with some of the joints, at the stamps that all have reached.
-
-    Where the parts' stamps differ, two messages of a part that are no further apart than ``max_gap`` [ns] are
-    interpolated linearly.
-    """
-
-    def __init__(self, joints: Sequence[str], max_gap: int, make_reader: Callable[[Part], JointReader]) -> None:
-        self._joints = tuple(joints)
-        self._max_gap = max_gap
-        self._make_reader = make_reader
-        self.readers: dict[Part, JointReader] = {}
-        self.restart()
-
-    def restart(self) -> None:
-        """Begin anew, as a clock was set back."""
-        for reader in self.readers.values():
-            reader.restart()
-        self._waiting: dict[Part, deque[tuple[int, FloatArray]]] = {part: deque() for part in self.readers}
-        self._last = 0
-
-    def part(self, names: Sequence[str]) -> Part:
-        """The part of a message with these names. Raises RejectedError if it is of several, or of none."""
-        part = tuple(joint for joint in self._joints if joint in set(names))
-        if part in self.readers:
-            return part
-        if not part:
-            raise RejectedError("none of the robot's joints" if names else DRIVER_ERROR + "no joint names")
-        known = next((joint for other in self.readers for joint in other if joint in part), None)
-        if known is not None:
-            raise RejectedError(f"{DRIVER_ERROR}joint '{known}' comes with others than before")
-        self.readers = {**self.readers, part: self._make_reader(part)}
-        self._waiting[part] = deque()
-        return part
-
-    def add(self, part: Part, stamp: int, values: FloatArray) -> Iterator[tuple[int, FloatArray]]:
-        """Take a part's numbers ``(3 joints of it,)``. Yields stamps and numbers ``(3 joints,)`` of the whole."""
-        waiting = self._waiting[part]
-        waiting.append((stamp, values.reshape(3, -1)))
-        if len(waiting) > _MOST_WAITING:
-            waiting.popleft()
-        if sum(map(len, self._waiting)) < len(self._joints) or not all(self._waiting.values()):
-            return
-        common = min(entries[-1][0] for entries in self._waiting.values())
-        begin = max(entries[0][0] for entries in self._waiting.values())
-        if common <= self._last or common < begin:
-            return
-        self._last = common
-        for entries in self._waiting.values():
-            while len(entries) > 1 and entries[1][0] <= common:
-                entries.popleft()
-        if all(self._is_between(entries, common) for entries in self._waiting.values()):
-            yield common, self._at(common)
-
-    def _is_between(self, entries: deque[tuple[int, FloatArray]], stamp: int) -> bool:
-        return entries[0][0] == stamp or entries[1][0] - entries[0][0] <= self._max_gap
-
-    def _at(self, stamp: int) -> FloatArray:
-        whole = np.empty((3, len(self._joints)))
-        for part, entries in self._waiting.items():
-            whole[:, [self._joints.index(joint) for joint in part]] = _between(entries, stamp)
-        return whole.ravel()
-
-
-def _between(entries: deque[tuple[int, FloatArray]], stamp: int) -> FloatArray:
-    first, before = entries[0]
-    if first == stamp:
-        return before
-    second, after = entries[1]
-    return before + (stamp - first) / (second - first) * (after - before)
+def _check_lengths(block: Block) -> None:
+    names = len(block.names)
+    for kind, values in zip(("position", "velocity", "effort"), block.arrays, strict=True):
+        if values.shape[1] not in ((names,) if kind == "position" else (0, names)):
+            raise RejectedError(f"{DRIVER_ERROR}{kind} has {values.shape[1]} entries for {names} names")

@@ -6,7 +6,7 @@ followed by a central difference of order six, so it is the derivative of the fi
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from typing import TypeVar
 
 import numpy as np

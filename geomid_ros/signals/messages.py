@@ -21,6 +21,11 @@ class _ReadOnly:
     __slots__ = ()
     _arrays: ClassVar[tuple[str, ...]]
 
+    @property
+    def arrays(self) -> tuple[FloatArray, ...]:
+        """Its numbers, in the order of the fields."""
+        return tuple(getattr(self, name) for name in self._arrays)
+
     def __post_init__(self) -> None:
         for name in self._arrays:
             object.__setattr__(self, name, frozen(getattr(self, name)))
@@ -88,7 +93,7 @@ class Block:
         """A block of one message, the ``place``-th that came."""
         names = message.names if isinstance(message, JointMessage) else ()
         names = (message.frame,) if isinstance(message, WrenchMessage) else names
-        arrays = tuple(getattr(message, name)[None] for name in type(message)._arrays)
+        arrays = tuple(array[None] for array in message.arrays)
         return Block(message.topic, np.array([place]), np.array([message.stamp]), names, arrays)
 
 

@@ -7,10 +7,9 @@ have become ready. They get the same samples, with a fixed lag behind the data (
 from __future__ import annotations
 
 import operator
-import threading
-from collections import Counter, deque
+from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import replace
 from functools import partial
 from typing import TypeAlias
 
@@ -20,7 +19,9 @@ from geomid_ros.errors import InputError, unknown_name
 from geomid_ros.model.columns import NO_COLUMNS, Columns
 from geomid_ros.model.samples import Samples
 from geomid_ros.model.sensors import WrenchSensor
-from geomid_ros.signals.joint_messages import FROZEN, JointParts, JointReader, Part, RejectedError, plausible
+from geomid_ros.signals.arrived import Arrived, poses, wrenches
+from geomid_ros.signals.joint_messages import FROZEN, JointReader, RejectedError
+from geomid_ros.signals.joint_parts import JointParts, Part
 from geomid_ros.signals.ledger import Ledger
 from geomid_ros.signals.messages import JOINT_STATES, ODOM, Accepted, Block, Message
 from geomid_ros.signals.sampler import Sampler
@@ -29,9 +30,6 @@ from geomid_ros.signals.timeline import NOT_LATER, Timeline, Turn
 from geomid_ros.types import AnyArray, BoolArray, FloatArray, IntArray
 
 _DEFAULTS = SignalSettings()
-_MOST_BYTES = 100_000_000
-_BYTES_BESIDE_NUMBERS = 400  # of messages that are remembered
-_UNLIKE_ONE = 1e-2  # length of a quaternion
 
 _Source: TypeAlias = tuple[str, Part]
 """A topic, and if joint messages are merged, the joints of a publisher."""
@@ -83,7 +81,7 @@ class SignalPipeline:
         self._on_accepted = on_accepted
         self._reader = self._new_reader(self._joints)
         self._parts = JointParts(self._joints, self._max_gap, self._new_reader) if settings.merge else None
-        self._timelines: dict[_Source, Timeline[_Arrived]] = {}
+        self._timelines: dict[_Source, Timeline[Arrived]] = {}
         self._open: Counter[str] = Counter()  # messages of which nothing has become yet
         self._joined: list[tuple[_Source, IntArray, IntArray, FloatArray]] = []  # that wait for the other parts
         topics = (*self._sensors, ODOM) if floating_base else tuple(self._sensors)
@@ -131,7 +129,7 @@ class SignalPipeline:
     def _drop_open(self, reason: str) -> None:
         """Drop the messages of which nothing has become."""
         self._joined.clear()
-        held = Counter({topic: 0 for topic in self._open})
+        held = Counter(dict.fromkeys(self._open, 0))
         for (topic, _), timeline in self._timelines.items():
             held[topic] += timeline.held
         for topic, count in (self._open - held).items():
@@ -147,9 +145,9 @@ class SignalPipeline:
             self.ledger.reject(topic, reason, count)
             self._open[topic] -= count
 
-    def _read(self, blocks: Iterable[Block]) -> dict[_Source, _Arrived]:
+    def _read(self, blocks: Iterable[Block]) -> dict[_Source, Arrived]:
         """What messages say by themselves, by their source."""
-        found: dict[_Source, list[_Arrived]] = {}
+        found: dict[_Source, list[Arrived]] = {}
         for block in blocks:
             try:
                 source = block.topic, self._part(block)
@@ -157,8 +155,8 @@ class SignalPipeline:
                 self._refused(block.topic, str(error), len(block.stamps))
                 continue
             numbers, refusals = self._numbers(source, block)
-            found.setdefault(source, []).append(_Arrived(block.order, block.stamps, numbers, refusals))
-        return {source: _Arrived.in_order(several) for source, several in found.items()}
+            found.setdefault(source, []).append(Arrived(block.order, block.stamps, numbers, refusals))
+        return {source: Arrived.in_order(several) for source, several in found.items()}
 
     def _part(self, block: Block) -> Part:
         return self._parts.part(block.names) if self._parts and block.topic == JOINT_STATES else ()
@@ -167,15 +165,15 @@ class SignalPipeline:
         if block.topic == JOINT_STATES:
             return self._reader_of(source).numbers(block)
         if block.topic == ODOM:
-            return _poses(block)
+            return poses(block)
         if block.topic not in self._sensors:
             raise unknown_name("wrench topic", block.topic, self._sensors)
-        return _wrenches(block, self._sensors[block.topic])
+        return wrenches(block, self._sensors[block.topic])
 
     def _reader_of(self, source: _Source) -> JointReader:
         return self._parts.readers[source[1]] if self._parts else self._reader
 
-    def _take(self, batch: dict[_Source, _Arrived]) -> None:
+    def _take(self, batch: dict[_Source, Arrived]) -> None:
         """Judge the stamps of messages: those of a block at once, or if any is suspicious those of each half of it."""
         for source in batch.keys() - self._timelines.keys():
             self._timelines[source] = Timeline(self._max_gap)
@@ -184,16 +182,17 @@ class SignalPipeline:
             ((source, arrived),) = ((source, arrived) for source, arrived in batch.items() if len(arrived))
             self._judge(source, arrived)
         elif count:
-            later = {s: self._timelines[s].later(a.stamps, a.good) if len(a) else a.good for s, a in batch.items()}
-            if any(found is None for found in later.values()):
+            judged = [(s, a, self._timelines[s].later(a.stamps, a.good)) for s, a in batch.items() if len(a)]
+            plain = [(source, arrived, later) for source, arrived, later in judged if later is not None]
+            if len(plain) == len(judged):
+                for source, arrived, later in plain:
+                    self._use_block(source, arrived, later)
+            else:
                 order = np.sort(np.concatenate([arrived.order for arrived in batch.values()]))
                 for first in (True, False):
                     self._take({s: a.select((a.order < order[count // 2]) == first) for s, a in batch.items()})
-                return
-            for source, arrived in batch.items():
-                self._use_block(source, arrived, later[source])
 
-    def _judge(self, source: _Source, arrived: _Arrived) -> None:
+    def _judge(self, source: _Source, arrived: Arrived) -> None:
         """Judge one message, and those that were held until it came."""
         judged = self._timelines[source].judge(arrived)
         for reason in judged.refused:
@@ -201,11 +200,15 @@ class SignalPipeline:
         if judged.turn is not Turn.CONTINUED:
             self.ledger.note(source[0], judged.turn.value)
         if judged.turn is Turn.RESET:
-            self._restart(source)
+            self._restart(source, arrived.order)
         for message in judged.use:
-            self._use_block(source, message, np.ones(1, dtype=np.bool_))
+            self._use_held(source, message, arrived.order)
 
-    def _use_block(self, source: _Source, arrived: _Arrived, later: BoolArray) -> None:
+    def _use_held(self, source: _Source, message: Arrived, order: IntArray) -> None:
+        """Use a message that was held, in the place of the one that has decided on it."""
+        self._use_block(source, replace(message, order=order), np.ones(1, dtype=np.bool_))
+
+    def _use_block(self, source: _Source, arrived: Arrived, later: BoolArray) -> None:
         """Use what is good of messages whose stamps have been judged as if all that are ``later`` and good by
         themselves were used; where one is not after all, and others depend on it, judge each half of them."""
         used = later & arrived.good
@@ -274,7 +277,7 @@ class SignalPipeline:
             for reason in timeline.release():
                 self._refused(topic, reason)
 
-    def _restart(self, source: _Source) -> None:
+    def _restart(self, source: _Source, order: IntArray) -> None:
         """Begin anew everywhere, as the clock of ``source`` was set back."""
         self._join_parts()
         self._reader.restart()
@@ -284,116 +287,8 @@ class SignalPipeline:
         for other, timeline in self._timelines.items():
             if other != source:
                 for held in timeline.forget():
-                    self._use_block(other, held, np.ones(1, dtype=np.bool_))
+                    self._use_held(other, held, order)
 
     def collect(self) -> Samples | None:
         """The samples that have become ready since the last call, oldest first; None if there are none."""
         return self._sampler.collect()
-
-
-class Recent:
-    """Remembers what a pipeline accepted in the last ``seconds`` of its stamps: its ``on_accepted``.
-
-    Less than that is kept where it would take too much memory. Any thread may call any method.
-    """
-
-    def __init__(self, seconds: float) -> None:
-        self._lock = threading.RLock()
-        self._nanoseconds = round(seconds * 1e9)
-        self._entries: deque[Accepted] = deque()
-        self._bytes = 0
-        self._last: dict[str, int] = {}
-
-    def __call__(self, accepted: Accepted) -> None:
-        """Keep the numbers of messages."""
-        topic, newest = accepted.topic, int(accepted.stamps[-1])
-        with self._lock:
-            if accepted.stamps[0] <= self._last.get(topic, 0):  # the clock was set back
-                self.clear()
-            self._last[topic] = newest
-            self._entries.append(accepted)
-            self._bytes += _size(accepted)
-            while self._entries and (self._bytes > _MOST_BYTES or self._is_old(self._entries[0], newest)):
-                self._bytes -= _size(self._entries.popleft())
-
-    def _is_old(self, accepted: Accepted, newest: int) -> bool:
-        return bool(accepted.stamps[-1] <= newest - self._nanoseconds)
-
-    def clear(self) -> None:
-        """Forget everything."""
-        with self._lock:
-            self._entries.clear()
-            self._last.clear()
-            self._bytes = 0
-
-    def entries(self) -> list[Accepted]:
-        """All that is kept, in the order in which it came."""
-        with self._lock:
-            begin = max(self._last.values(), default=0) - self._nanoseconds + 1
-            return [entry for each in self._entries if len(entry := each.since(begin))]
-
-
-def _size(accepted: Accepted) -> int:
-    return accepted.values.nbytes + accepted.stamps.nbytes + _BYTES_BESIDE_NUMBERS
-
-
-@dataclass(frozen=True, eq=False, slots=True)
-class _Arrived:
-    """N messages of one source: the places in which they came, stamps, and numbers in the robot's order.
-
-    ``refusals`` are the reasons why some cannot be used for what they say by themselves, None for the others.
-    """
-
-    order: IntArray
-    stamps: IntArray
-    numbers: FloatArray
-    refusals: AnyArray
-
-    def __len__(self) -> int:
-        return len(self.stamps)
-
-    @property
-    def stamp(self) -> int:
-        """Of the first message."""
-        return int(self.stamps[0])
-
-    @property
-    def good(self) -> BoolArray:
-        """Which messages can be used by themselves ``(N,)``."""
-        return np.equal(self.refusals, None)
-
-    def select(self, index: BoolArray | slice) -> _Arrived:
-        """Some of them."""
-        return _Arrived(self.order[index], self.stamps[index], self.numbers[index], self.refusals[index])
-
-    @staticmethod
-    def in_order(several: Sequence[_Arrived]) -> _Arrived:
-        """All of them, in the order in which they came."""
-        if len(several) == 1:
-            return several[0]
-        order = np.argsort(np.concatenate([each.order for each in several]), kind="stable")
-        parts = zip(*((e.order, e.stamps, e.numbers, e.refusals) for e in several), strict=True)
-        return _Arrived(*(np.concatenate(part)[order] for part in parts))
-
-
-def _poses(block: Block) -> tuple[FloatArray, AnyArray]:
-    """Poses ``(N, 7)`` with quaternions of length one, and why some cannot be used."""
-    values, refusals = block.arrays[0].copy(), np.full(len(block.stamps), None)
-    wild = ~plausible(values).all(axis=1)
-    values[wild] = np.nan
-    norms = np.linalg.norm(values[:, 3:], axis=1)
-    refusals[np.abs(norms - 1.0) > _UNLIKE_ONE] = "quaternion is not of length 1"
-    refusals[wild] = "pose not finite"
-    good = np.equal(refusals, None)
-    values[good, 3:] /= norms[good, None]
-    return values, refusals
-
-
-def _wrenches(block: Block, sensor: WrenchSensor) -> tuple[FloatArray, AnyArray]:
-    """Wrenches ``(N, 6)`` without the sensor's offset, and why some cannot be used."""
-    (values,), (frame,), declared = block.arrays, block.names, sensor.frame_id or sensor.frame
-    refusals = np.full(len(values), None)
-    refusals[~plausible(values[:, sensor.axis_indices]).all(axis=1)] = "wrench not finite"
-    if frame and frame != declared:
-        refusals[:] = f"frame '{frame}' is not the declared '{declared}'"
-    return values - sensor.sign * np.array(sensor.offset), refusals

@@ -145,7 +145,7 @@ class Sampler:
                 self._next_instant = instants[-1] + 1
                 for stream in streams:
                     stream.drop_before(self._next_instant)
-            elif not any([stream.skip_to(instants.start) for stream in streams]):
+            elif not any(stream.skip_to(instants.start) for stream in streams):
                 break
         for name, newest in self._newest.items():
             if grid is not None:

@@ -104,8 +104,8 @@ class SaturationDetector:
         step = np.fmin.accumulate(np.vstack([self._step, np.where(change > 0.0, change, np.inf)]))
         far = largest[1:] - _FAR * step[1:]
         grown: BoolArray = largest[1:] > largest[:-1]
-        news = (grown | (step[1:] < step[:-1])).any(axis=1)
-        were_far = np.where(news[:, None] & (last < far), numbers - 1, _NEVER)
+        news: BoolArray = np.any(grown | (step[1:] < step[:-1]), axis=1, keepdims=True)
+        were_far = np.where(news & (last < far), numbers - 1, _NEVER)
         last_far = _latest(np.where(size < far, numbers, were_far), self._last_far)
         self._largest, self._step, self._last_far = largest[-1], step[-1], last_far[-1]
         return largest[1:], grown, last_far

@@ -7,11 +7,9 @@ import threading
 import time
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
-from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
-import numpy as np
 import pytest
 from files.recordings import BAGS
 
@@ -24,7 +22,6 @@ from geomid_ros.live.worker import Worker
 from geomid_ros.ros.diagnostics import Diagnostics
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.session import Session
-from geomid_ros.signals.messages import WrenchMessage
 
 from .stage import messages
 

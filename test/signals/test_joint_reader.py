@@ -8,7 +8,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from geomid_ros.signals.joint_messages import JointParts, JointReader, RejectedError, plausible
+from geomid_ros.signals.arrived import plausible
+from geomid_ros.signals.joint_messages import JointReader, RejectedError
+from geomid_ros.signals.joint_parts import JointParts
 from geomid_ros.signals.messages import JointMessage
 from geomid_ros.signals.sampler import VelocityChoice
 
@@ -142,7 +144,9 @@ def test_peculiarities_are_noted_once_and_not_without_end() -> None:
     assert notes == ["no velocities: positions are differentiated"]
     for index in range(30):
         names = (*NAMES, f"extra {index}")
-        read(own, message(2 + index, names=names, position=(0.1 * index, 0.0, 0.0), velocity=(), effort=(1.0, 2.0, 3.0)))
+        read(
+            own, message(2 + index, names=names, position=(0.1 * index, 0.0, 0.0), velocity=(), effort=(1.0, 2.0, 3.0))
+        )
     assert len(notes) == len(NAMES) + 10
     assert notes[1] == "joint 'extra 0' is not one of the robot's: passed over"
 

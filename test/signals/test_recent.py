@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 from geomid_ros.model.sensors import WrenchSensor
-from geomid_ros.signals import pipeline as module
+from geomid_ros.signals import recent as module
 from geomid_ros.signals.messages import JOINT_STATES, JointMessage, WrenchMessage
-from geomid_ros.signals.pipeline import Recent, SignalPipeline
+from geomid_ros.signals.pipeline import SignalPipeline
+from geomid_ros.signals.recent import Recent
 
 SENSOR = WrenchSensor("/wrench", "tool", "mounted", offset=(1.0, 2.0, 3.0, 0.1, 0.2, 0.3))
 NAMES = ("elbow", "shoulder")

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from geomid_ros.model.columns import NO_COLUMNS
-from geomid_ros.signals.streams import Grid, JointSegment, PoseSegment, Segment, Stream, VectorSegment, _GridValues
+from geomid_ros.signals.grid_values import GridValues
+from geomid_ros.signals.streams import Grid, JointSegment, PoseSegment, Segment, Stream, VectorSegment
 from geomid_ros.types import FloatArray
 
 PERIOD = 10_000_000  # [ns]
@@ -174,7 +175,7 @@ class TestStream:
 
 class TestGridValues:
     def test_what_is_appended_is_there_until_it_is_dropped(self) -> None:
-        values, rng, expected, first = _GridValues(), np.random.default_rng(1), np.zeros((0, 2)), 100
+        values, rng, expected, first = GridValues(), np.random.default_rng(1), np.zeros((0, 2)), 100
         assert (values.end, len(values.values)) == (0, 0)
         end = first
         for _ in range(200):
@@ -193,13 +194,13 @@ class TestGridValues:
             assert len(values._room) <= 8 * (len(values.values) + 10)
 
     def test_dropping_before_the_first_does_nothing(self) -> None:
-        values = _GridValues()
+        values = GridValues()
         values.extend(10, np.ones((4, 1)))
         values.drop_before(9)
         assert (values.first, values.end, values.inside(1)) == (10, 14, range(11, 13))
 
     def test_values_are_correlated_with_kernels_around_each_instant(self) -> None:
-        values, numbers = _GridValues(), np.random.default_rng(2).normal(size=(30, 3))
+        values, numbers = GridValues(), np.random.default_rng(2).normal(size=(30, 3))
         values.extend(50, numbers)
         kernels = np.random.default_rng(3).normal(size=(2, 5))
         instants = range(55, 70, 3)

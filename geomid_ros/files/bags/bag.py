@@ -93,12 +93,16 @@ class Bag:
             if kind not in _typestore.types:
                 raise InputError(f"{where} is of the type {kind}, which is none of those that come with ROS 2")
             if len(data) > _MOST_BYTES:
-                raise InputError(f"{where} has {len(data)} bytes, more than the {_MOST_BYTES} that are read")
+                raise self._too_long(RawMessage(topic, time, kind, data))
             try:
                 yield topic, time, _typestore.deserialize_cdr(data, kind)
             except Exception as error:  # whatever bytes of another form make the code for this type raise
                 reason = (str(error).splitlines() or [type(error).__name__])[0]
                 raise self.not_valid(topic, time, kind, reason, count) from error
+
+    def _too_long(self, message: RawMessage) -> InputError:
+        where = f"{self.path}: message on {message.topic} at {message.time} ns"
+        return InputError(f"{where} has {len(message.data)} bytes, more than the {_MOST_BYTES} that are read")
 
     def not_valid(self, topic: str, time: int, kind: str, reason: str, count: int) -> InputError:
         """The error for a message whose bytes are not of its type, after ``count`` others."""
@@ -118,8 +122,7 @@ class Bag:
             size += len(message.data)
             if len(batch) >= _MOST_MESSAGES or size > _MOST_BYTES:
                 if len(message.data) > _MOST_BYTES:
-                    where = f"{self.path}: message on {message.topic} at {message.time} ns"
-                    raise InputError(f"{where} has {len(message.data)} bytes, more than the {_MOST_BYTES} that are read")
+                    raise self._too_long(message)
                 yield batch
                 batch, size = [], 0
         if batch:
