@@ -13,6 +13,7 @@ from pathlib import Path
 from benchmarks import (
     coverage,
     human,
+    intake,
     load,
     measured_arm,
     measured_gaps,
@@ -42,6 +43,7 @@ EXPERIMENTS: dict[str, Callable[[Report], None]] = {
     "streaming": streaming.run,
     "payload": payload.run,
     "load": load.run,
+    "intake": intake.run,
 }
 
 

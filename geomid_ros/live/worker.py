@@ -6,7 +6,7 @@ import queue
 import threading
 import time
 from collections import Counter, deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import TypeAlias
 
@@ -18,14 +18,16 @@ from geomid_ros.live.status import Status
 from geomid_ros.model.samples import Samples
 from geomid_ros.session.session import Session
 from geomid_ros.session.wrench_guard import WrenchGuard
+from geomid_ros.signals.decoding import Decoder
 from geomid_ros.signals.ledger import count_reason
-from geomid_ros.signals.messages import JOINT_STATES, Accepted, Message
+from geomid_ros.signals.messages import JOINT_STATES, Accepted, message_type
 from geomid_ros.types import FloatArray
 
 _LONGEST_WAIT = 0.75  # [s] while a message has waited for so long, new ones are dropped, and counted
 _PATIENCE = 0.8  # [s] for both threads to end
 _TRANSITION = 2_000_000_000  # [ns] from the beginning of a gap until all rows show it
 _LATENCIES = 10_000  # last instants of which the latency is known
+_MOST_AT_ONCE = 1000  # messages
 _LONG = 1.0  # [s] nothing that a thread does takes longer, except solving if ``solve_period`` is longer
 
 OnSamples: TypeAlias = Callable[[Session, Samples, FloatArray], None]
@@ -34,9 +36,10 @@ OnEstimate: TypeAlias = Callable[[Session, Estimate], None]
 
 @dataclass(frozen=True)
 class _Received:
-    """A message that waits, and when [s] it came."""
+    """A message that waits: its topic, its bytes, and when [s] it came."""
 
-    message: Message
+    topic: str
+    data: bytes
     time: float
 
 
@@ -65,6 +68,8 @@ class Worker:
         self.ledger = session.pipeline.ledger
         self.solver = Solver(session, solve_period, on_estimate)
         self.activity = Activity()  # of the intake
+        self._decoder = Decoder()
+        self._in_hand = 0  # messages that the intake has taken out of the inbox, and is not done with
         self._on_samples = on_samples
         self._longest_solve = max(_LONG, solve_period)
         self._lock = threading.Lock()  # held, briefly, for the three that follow
@@ -93,18 +98,18 @@ class Worker:
             except queue.Empty:
                 break
             if isinstance(task, _Received):
-                self.ledger.drop(task.message.topic, "the node ends, or begins anew")
+                self.ledger.drop(task.topic, "the node ends, or begins anew")
         self._inbox.put(None)
 
-    def take(self, message: Message) -> None:
-        """Put a message into the queue, or drop it while others have waited there for too long."""
+    def take(self, topic: str, data: bytes) -> None:
+        """Put a message, serialised, into the queue, or drop it while others have waited there for too long."""
         now = time.perf_counter()
         if self._inbox.empty():
             self._last_taken = now
         elif now - self._last_taken > _LONGEST_WAIT:
-            self.ledger.drop(message.topic, "queue full")
+            self.ledger.drop(topic, "queue full")
             return
-        self._inbox.put(_Received(message, now))
+        self._inbox.put(_Received(topic, data, now))
 
     def reset(self) -> None:
         """Forget all rows and the estimate, after the messages that wait."""
@@ -120,7 +125,7 @@ class Worker:
         Before and after it are two robots, and no one effect explains both.
         """
         begin = max((gap.since + _TRANSITION for gap in self.solver.detector.gaps if gap.since is not None), default=0)
-        return [message for message in self.session.recent.entries() if message.stamp >= begin]
+        return [late for each in self.session.recent.entries() if len(late := each.since(begin))]
 
     @property
     def estimate(self) -> Estimate | None:
@@ -146,7 +151,7 @@ class Worker:
             rows_made=rows.made + lost.total(),
             rows_rejected=rows.rejected + lost,
             lag=pipeline.lag,
-            queue=self._inbox.qsize() + pipeline.held,
+            queue=self._inbox.qsize() + self._in_hand + pipeline.held,
             receipt_to_row=receipt_to_row,
             solves=self.solver.solves,
             accounts=self.ledger.topics,
@@ -189,32 +194,59 @@ class Worker:
         self._inbox.put(task)
 
     def _take_messages(self) -> None:
-        while (task := self._inbox.get()) is not None:
+        for task in self._tasks():
             try:
                 self._do(task)
             except Exception as error:  # noqa: BLE001 the thread must outlive it; the diagnostics report it
                 self._fail("the intake failed", error)
+            self._in_hand = 0
 
-    def _do(self, task: _Task) -> None:
+    def _tasks(self) -> Iterator[list[_Received] | _Reset | Done]:
+        """What there is to do, until the end; messages that wait come together."""
+        messages: list[_Received] = []
+        while True:
+            try:
+                task = self._inbox.get(block=not messages)
+            except queue.Empty:
+                yield messages
+                messages = []
+                continue
+            if messages and not (isinstance(task, _Received) and len(messages) < _MOST_AT_ONCE):
+                yield messages
+                messages = []
+            if task is None:
+                return
+            if isinstance(task, _Received):
+                messages.append(task)
+                self._in_hand = len(messages)
+            else:
+                yield task
+
+    def _do(self, task: list[_Received] | _Reset | Done) -> None:
         if isinstance(task, _Reset):
             self._forget()
-        elif isinstance(task, _Received):
-            self._last_taken = task.time
-            with self.activity.doing(task.message.topic):
-                self._take(task.message, task.time)
+        elif isinstance(task, list):
+            self._last_taken = task[-1].time
+            with self.activity.doing(task[0].topic):
+                self._take(task)
         else:
             self.solver.ask(task)
 
-    def _take(self, message: Message, received: float) -> None:
-        """Push a message into the pipeline, and the rows that it completes into the identifier."""
+    def _take(self, messages: list[_Received]) -> None:
+        """Push messages into the pipeline, and the rows that they complete into the identifier."""
+
+        def refuse(place: int, _: str) -> None:
+            topic = messages[place].topic
+            self.ledger.reject(topic, f"not a valid {message_type(topic)}")
+
+        blocks = self._decoder.blocks([(message.topic, message.data) for message in messages], refuse)
         try:
-            self.session.pipeline.push(message)
-        except Exception as error:  # noqa: BLE001 as above
-            self.ledger.drop(message.topic, f"{type(error).__name__} while taking a message")
-            self._fail(f"a message on {message.topic} could not be taken", error)
+            self.session.pipeline.push(blocks)
+        except Exception as error:  # noqa: BLE001 as above; the pipeline has counted the messages
+            self._fail(f"a message on {' or '.join({block.topic for block in blocks})} could not be taken", error)
         samples = self.session.pipeline.collect()
         if samples is not None:
-            self._add(samples, received)
+            self._add(samples, messages[0].time)
 
     def _add(self, samples: Samples, received: float) -> None:
         estimate, identifier = self.solver.estimate, self.session.identifier

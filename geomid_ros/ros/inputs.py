@@ -1,4 +1,4 @@
-"""The node's subscriptions: parse and count every message, and check who publishes."""
+"""The node's subscriptions: take and count every message, and check who publishes."""
 
 from __future__ import annotations
 
@@ -20,13 +20,10 @@ from rclpy.qos import (
 )
 from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.subscription import Subscription
-from rosbags.typesys import Stores, get_typestore
 
 from geomid_ros.errors import InputError
 from geomid_ros.signals.ledger import Ledger
-from geomid_ros.signals.messages import Message, message_type, parse
 
-_typestore = get_typestore(Stores.ROS2_JAZZY)
 _MOST_AT_ONCE = 1000  # messages of a topic, before others have their turn
 
 
@@ -56,23 +53,20 @@ class Inputs:
         self._numbers: dict[str, int] = {}  # of the last messages, as the publishers count them
         self._policies: dict[str, str] = {}  # in which publishers were last incompatible
 
-    def listen(self, kind: type, name: str, take: Callable[[Message], str], several: bool = False) -> None:
-        """Subscribe to data, and parse every message as it comes.
+    def listen(self, kind: type, name: str, take: Callable[[str, bytes], str], several: bool = False) -> None:
+        """Subscribe to data, of which only the bytes are taken: they are decoded many at once.
 
-        The bytes are read by rosbags: rclpy takes thrice as long to make a wrench. While there is more than one
-        publisher, nobody knows which one to believe: nothing is taken.
+        While there is more than one publisher, nobody knows which one to believe: nothing is taken.
 
         Args:
             kind: class of the messages.
             name: of the topic.
-            take: takes a message, and gives the reason if it does not, else nothing.
+            take: takes topic and bytes of a message, and gives the reason if it does not, else nothing.
             several: the topic may have more than one publisher.
 
         Raises:
             InputError: the name is none that a topic can have.
         """
-
-        type_name = message_type(name)
 
         def take_or_drop(data: bytes, info: dict[str, Any]) -> None:
             # Not the node's count, which would copy the graph for every message.
@@ -82,12 +76,7 @@ class Inputs:
                 self._ledger.drop(name, "several publishers")
                 return
             try:
-                message = parse(name, _typestore.deserialize_cdr(data, type_name))
-            except Exception:  # noqa: BLE001 other bytes may make the generated code raise anything
-                self._ledger.reject(name, f"not a valid {type_name}")
-                return
-            try:
-                reason = take(message)
+                reason = take(name, data)
             except Exception as error:  # noqa: BLE001 the message must be counted, whatever happens
                 reason = f"{type(error).__name__} in a callback"
                 self._on_failure(f"a message on {name} could not be taken", error)

@@ -38,7 +38,7 @@ from geomid_ros.session.configuration import PARAMETERS, Configuration, Paramete
 from geomid_ros.session.gap import gap_session
 from geomid_ros.session.session import Session
 from geomid_ros.signals.ledger import Ledger, count_reason
-from geomid_ros.signals.messages import JOINT_STATES, ODOM, Message
+from geomid_ros.signals.messages import JOINT_STATES, ODOM
 
 _CHANGED = "the robot description has changed; it is used after ~/reset"
 
@@ -110,13 +110,13 @@ class GeomidNode(Node):
     def _worker(self) -> Worker | None:
         return self._supervisor.worker
 
-    def _take(self, message: Message) -> str:
+    def _take(self, topic: str, data: bytes) -> str:
         """Take a message, or say why not."""
         if self._worker is None:
             return NO_DESCRIPTION
         if not self._active:
             return STOPPED
-        self._worker.take(message)
+        self._worker.take(topic, data)
         return ""
 
     def _serve(self, name: str, act: Callable[[], tuple[bool, str]]) -> None:

@@ -111,8 +111,8 @@ def find_in_messages(session: Session, messages: Sequence[Accepted], progress: P
     Raises:
         InputError: too little was measured.
     """
-    first = [message.stamp for message in messages if message.topic == JOINT_STATES][:MESSAGES_FOR_RATE]
-    cutoff = gap_cutoff(session, rate(first))
+    joint_stamps = [stamp for each in messages if each.topic == JOINT_STATES for stamp in each.stamps.tolist()]
+    cutoff = gap_cutoff(session, rate(joint_stamps[:MESSAGES_FOR_RATE]))
     pipeline = gap_pipeline(session, cutoff)
     for index, message in enumerate(messages):
         progress("reading", index / len(messages))
@@ -120,8 +120,8 @@ def find_in_messages(session: Session, messages: Sequence[Accepted], progress: P
     samples = pipeline.collect()
     if samples is None:
         raise InputError(
-            f"too short: no usable samples in {len(messages)} messages, which are fewer than the filter's window takes "
-            "or their topics do not overlap; half a minute of motion is needed"
+            f"too short: no usable samples in {sum(map(len, messages))} messages, which are fewer than the filter's "
+            "window takes or their topics do not overlap; half a minute of motion is needed"
         )
     ((train, held_out),) = divided([samples], HELD_OUT)
     return find(session, Recordings(cutoff=cutoff, train=[train], held_out=[held_out]), progress)

@@ -15,7 +15,8 @@ from geomid_ros.model.samples import Samples
 from geomid_ros.plausibility.hypotheses import Cause, Finding
 from geomid_ros.session.session import Session
 from geomid_ros.session.wrench_guard import WrenchGuard
-from geomid_ros.signals.messages import JOINT_STATES, ODOM, message_type, parse
+from geomid_ros.signals.decoding import Decoder
+from geomid_ros.signals.messages import JOINT_STATES, ODOM, message_type
 from geomid_ros.signals.pipeline import SignalPipeline
 
 HELD_OUT = 0.3
@@ -140,10 +141,17 @@ def read_samples(
     names = _resolved_topics(bag, session, topics)
     session.begin_recording(bag)
     total = bag.count(list(names))
-    ready = 0
-    for index, (topic, _, message) in enumerate(bag.messages(list(names))):
-        progress(f"reading {bag.path.name}", index / max(total, 1))
-        pipeline.push(parse(names[topic], message))
+    decoder = Decoder()
+    done = ready = 0
+    for batch in bag.batches(list(names)):
+        progress(f"reading {bag.path.name}", done / max(total, 1))
+
+        def refuse(place: int, why: str) -> None:
+            topic, time, kind, _ = batch[place]  # noqa: B023 called at once
+            raise bag.not_valid(topic, time, kind, why, done + place)  # noqa: B023
+
+        pipeline.push(decoder.blocks([(names[topic], data) for topic, _, _, data in batch], refuse))
+        done += len(batch)
         samples = pipeline.collect()
         if samples is not None:
             ready += len(samples)

@@ -31,7 +31,8 @@ from geomid_ros.plausibility.verdict import Verdict, verdict, worse_channels, wo
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.signals.ledger import Ledger
 from geomid_ros.signals.messages import JOINT_STATES, ODOM, Accepted
-from geomid_ros.signals.pipeline import Recent, SignalPipeline, ignore
+from geomid_ros.signals.pipeline import SignalPipeline, ignore
+from geomid_ros.signals.recent import Recent
 from geomid_ros.signals.settings import SignalSettings
 from geomid_ros.types import FloatArray
 

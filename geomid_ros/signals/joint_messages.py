@@ -2,34 +2,23 @@
 
 from __future__ import annotations
 
-from collections import deque
-from collections.abc import Callable, Iterator, Sequence
-from typing import TypeAlias
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
+from geomid_ros.signals.arrived import plausible
 from geomid_ros.signals.joint_names import missing_joint
-from geomid_ros.signals.messages import JointMessage
+from geomid_ros.signals.messages import Block
 from geomid_ros.signals.saturation import STANDING, SaturationDetector
-from geomid_ros.types import BoolArray, FloatArray, IntArray
+from geomid_ros.types import AnyArray, BoolArray, FloatArray, IntArray
 
 DRIVER_ERROR = "driver error: "
 """Reasons begin with this when the driver fills in its messages wrongly."""
-_LARGEST_NUMBER = 1e9  # in SI units
-_SILENT = 1_000_000_000  # [ns] behind the other parts
-_MOST_WAITING = 10_000  # messages of a part, while another is silent
-
-Part: TypeAlias = tuple[str, ...]
-"""The robot's joints that come together, in the robot's order."""
+FROZEN = "frozen: all numbers are those of the message before, though the robot moves"
 
 
 class RejectedError(Exception):
     """A message that cannot be used; the text is the reason that is counted."""
-
-
-def plausible(values: FloatArray) -> BoolArray:
-    """False for NaN, infinity and numbers that no robot measures."""
-    return np.abs(values) < _LARGEST_NUMBER
 
 
 class JointReader:
@@ -82,37 +71,72 @@ class JointReader:
         lost = (self._effort_stamps == 0) | (self._stamp - self._effort_stamps > self._max_gap)
         return tuple(joint for joint, gone in zip(self._joints, lost, strict=True) if gone)
 
-    def read(self, message: JointMessage) -> FloatArray:
-        """What a message says, in the robot's order of joints.
+    def numbers(self, block: Block) -> tuple[FloatArray, AnyArray]:
+        """What messages say, in the robot's order of joints.
 
         Returns:
-            Positions, velocities and efforts ``(3 joints,)``, NaN where an effort or a velocity is not measured.
+            Positions, velocities and efforts ``(N, 3, joints)``, NaN where something is not measured; and for each
+            message that cannot be used for what it says by itself the reason, None for the others ``(N,)``.
+        """
+        count, names = len(block.stamps), block.names
+        vector, refusals = np.full((count, 3, len(self._joints)), np.nan), np.full(count, None)
+        try:
+            order = self._order_of(names)
+            _check_lengths(block)
+        except RejectedError as error:
+            refusals[:] = str(error)
+            return vector, refusals
+        if not block.arrays[1].shape[1]:
+            self._note_once("no velocities: positions are differentiated")
+        for kind, values in enumerate(block.arrays):
+            if values.shape[1]:
+                vector[:, kind] = values[:, order]
+        vector[:, 2] *= self._gains
+        good = plausible(vector)
+        if not good.all():
+            vector[~good] = np.nan
+            for row in np.flatnonzero(~good[:, 0].all(axis=1)):
+                joint = self._joints[int(np.argmin(good[row, 0]))]
+                refusals[row] = f"position of '{joint}' not finite"
+        return vector, refusals
+
+    def read(self, stamps: IntArray, numbers: FloatArray, among: int) -> tuple[FloatArray, BoolArray]:
+        """Check messages against those before them.
+
+        Args:
+            stamps: ``(N,)`` [ns], increasing.
+            numbers: ``(N, 3, joints)`` as :meth:`numbers` gives them.
+            among: the number of messages that were judged together with these.
+
+        Returns:
+            The numbers of the messages that can be used ``(M, 3 joints)``, and which those are ``(N,)``: the others are
+            :data:`FROZEN`.
 
         Raises:
-            RejectedError: the message cannot be used.
+            RejectedError: a message cannot be used. If it was not judged alone nothing has happened, as others might
+                have been judged otherwise.
         """
-        stamp, names, rows = message.stamp, message.names, (message.position, message.velocity, message.effort)
-        order = self._order_of(names)
-        for kind, values in zip(("position", "velocity", "effort"), rows, strict=True):
-            if len(values) not in ((len(names),) if kind == "position" else (0, len(names))):
-                raise RejectedError(f"{DRIVER_ERROR}{kind} has {len(values)} entries for {len(names)} names")
-        if not len(message.velocity):
-            self._note_once("no velocities: positions are differentiated")
-        vector = np.full((3, len(order)), np.nan)
-        for row, values in enumerate(rows):
-            if len(values):
-                vector[row] = values[order]
-        vector[2] *= self._gains
-        wild = ~plausible(vector)
-        if wild[0].any():
-            raise RejectedError(f"position of '{self._joints[int(np.argmax(wild[0]))]}' not finite")
-        vector[wild] = np.nan
-        self._unwind(vector[0])
-        if self._frozen(stamp, vector):
-            raise RejectedError("frozen: all numbers are those of the message before, though the robot moves")
-        self._check_effort(stamp, vector)
-        self._stamp, self._last = stamp, vector
-        return vector.ravel()
+        before = vars(self).copy(), vars(self._saturation).copy()
+        try:
+            return self._read(stamps, numbers.copy(), among)
+        except RejectedError:
+            if among > 1:
+                vars(self).update(before[0])
+                vars(self._saturation).update(before[1])
+            raise
+
+    def _read(self, stamps: IntArray, numbers: FloatArray, among: int) -> tuple[FloatArray, BoolArray]:
+        self._unwind(numbers[:, 0])
+        frozen, speeds = self._frozen(stamps, numbers)
+        taken = ~frozen
+        if frozen.any():
+            if among > len(stamps) or self._has_pause(stamps, taken):
+                raise RejectedError(FROZEN)
+            stamps, numbers, speeds = stamps[taken], numbers[taken], speeds[taken]
+        if len(stamps):
+            self._check_effort(stamps, numbers, speeds > STANDING)
+            self._stamp, self._last = int(stamps[-1]), numbers[-1].copy()
+        return numbers.reshape(len(stamps), 3 * len(self._joints)), taken
 
     def _order_of(self, names: tuple[str, ...]) -> IntArray:
         """The places of the robot's joints among a message's names. Most messages have those of the one before."""
@@ -137,129 +161,84 @@ class JointReader:
             self._noted.add(remark)
             self._note(remark)
 
-    def _unwind(self, position: FloatArray) -> None:
+    def _unwind(self, positions: FloatArray) -> None:
         """Add whole turns to the positions of continuous joints, so that they do not jump."""
-        if self._last is not None and self._continuous.any():
-            turns = np.where(self._continuous, np.round((self._last[0] - position) / (2.0 * np.pi)), 0.0)
-            position += 2.0 * np.pi * turns
+        if self._continuous.any():
+            own = positions[:, self._continuous]
+            last = own[:1] if self._last is None else self._last[:1, self._continuous]
+            turns = np.cumsum(np.round(np.diff(own, axis=0, prepend=last) / (2.0 * np.pi)), axis=0)
+            positions[:, self._continuous] = own - 2.0 * np.pi * turns
 
-    def _frozen(self, stamp: int, vector: FloatArray) -> bool:
-        """Whether no number has changed, though by velocities, or else by the positions before, the robot moves."""
-        last = self._last
-        # Positions first, which are numbers: to compare what may be NaN takes many times as long.
-        if last is None or not (vector[0] == last[0]).all() or not np.array_equal(vector, last, equal_nan=True):
-            self._speed = self._speed_at(stamp, vector)
-            return False
-        return self._speed > STANDING
+    def _frozen(self, stamps: IntArray, numbers: FloatArray) -> tuple[BoolArray, FloatArray]:
+        """In which messages no number has changed, though by velocities, or else by the positions before, the robot
+        moves; and the speed in each, both ``(N,)``."""
+        last = np.full(numbers.shape[1:], np.inf) if self._last is None else self._last
+        before = np.concatenate([last[None], numbers[:-1]])
+        # Positions first, as hardly ever all of them are the same. Zeros as efforts are looked at elsewhere.
+        same = (numbers[:, 0] == before[:, 0]).all(axis=1)
+        if same.any():
+            now, then = numbers[same], before[same]
+            same[same] = ((now == then) | (np.isnan(now) & np.isnan(then))).all(axis=(1, 2)) & now[:, 2].any(axis=1)
+        speeds = np.fmax.reduce(np.abs(numbers[:, 1]), axis=1, initial=np.nan)
+        if np.isnan(speeds).any():
+            self._differentiate(speeds, stamps, np.max(np.abs(numbers[:, 0] - before[:, 0]), axis=1, initial=0.0), same)
+        self._speed = float(speeds[-1])
+        return same & (speeds > STANDING), speeds
 
-    def _speed_at(self, stamp: int, vector: FloatArray) -> float:
-        speed = float(np.fmax.reduce(np.abs(vector[1]), initial=np.nan))
-        if np.isfinite(speed):
-            return speed
-        if self._last is None:
-            return 0.0
-        return float(np.max(np.abs(vector[0] - self._last[0]), initial=0.0)) / (1e-9 * (stamp - self._stamp))
+    def _differentiate(self, speeds: FloatArray, stamps: IntArray, steps: FloatArray, same: BoolArray) -> None:
+        """Fill in speeds that are not measured: the largest step from the last good message, by its time."""
+        speed, last = self._speed, self._stamp
+        for index, (stamp, again) in enumerate(zip(stamps.tolist(), same.tolist(), strict=True)):
+            if np.isfinite(speeds[index]):
+                speed = speeds[index]
+            elif not again:
+                speed = steps[index] / (1e-9 * (stamp - last)) if last else 0.0
+            speeds[index] = speed
+            last = last if again and speed > STANDING else stamp
 
-    def _check_effort(self, stamp: int, vector: FloatArray) -> None:
+    def _has_pause(self, stamps: IntArray, taken: BoolArray) -> bool:
+        """Whether several messages would be a pause without those that are not taken."""
+        before = np.maximum.accumulate(np.concatenate([[self._stamp], np.where(taken, stamps, 0)[:-1]]))
+        return len(stamps) > 1 and bool(np.any(stamps - before > self._max_gap))
+
+    def _check_effort(self, stamps: IntArray, numbers: FloatArray, moving: BoolArray) -> None:
         """Leave out efforts that have failed for long. Raises RejectedError for others that fail."""
-        effort = vector[2]
-        reason = "effort of '{}' missing or not finite"
-        if np.all(np.isnan(effort)):
-            reason = DRIVER_ERROR + "no effort of '{}' or any other joint"
-        if self._zeros(effort):
-            effort[:] = np.nan
-            reason = DRIVER_ERROR + "effort of '{}' and of all others is zero while the robot moves"
+        effort = numbers[:, 2]
+        zeros = self._zeros(effort, moving)
+        effort[zeros] = np.nan
         before = None if self._last is None else (self._stamp, self._last[2])
-        saturated = self._saturation.saturated(stamp, effort, vector[1], self._speed > STANDING, before)
-        if np.any(saturated):
-            effort[saturated] = np.nan
-            reason = "effort of '{}' saturated: for long the same, and never larger"
+        saturated = self._saturation.saturated(stamps, effort, numbers[:, 1], moving, before)
+        effort[saturated] = np.nan
         measured = np.isfinite(effort)
-        lost = np.flatnonzero(~measured & (self._effort_stamps > 0) & (stamp - self._effort_stamps <= self._max_gap))
-        if len(lost):
-            raise RejectedError(reason.format(self._joints[int(lost[0])]))
-        self._effort_stamps[measured] = stamp
+        latest = np.where(measured, stamps[:, None], 0)
+        latest = np.maximum.accumulate(np.concatenate([self._effort_stamps[None], latest]))
+        lost = ~measured & (latest[:-1] > 0) & (stamps[:, None] - latest[:-1] <= self._max_gap)
+        if lost.any():
+            row, joint = (int(place[0]) for place in np.nonzero(lost))
+            reason = "effort of '{}' missing or not finite"
+            if saturated[row].any():
+                reason = "effort of '{}' saturated: for long the same, and never larger"
+            elif zeros[row]:
+                reason = DRIVER_ERROR + "effort of '{}' and of all others is zero while the robot moves"
+            elif not measured[row].any():
+                reason = DRIVER_ERROR + "no effort of '{}' or any other joint"
+            raise RejectedError(reason.format(self._joints[joint]))
+        self._effort_stamps = latest[-1]
 
-    def _zeros(self, effort: FloatArray) -> bool:
-        """Whether all efforts are exactly zero, and have been since the robot moved: the driver has no sensor."""
-        self._made_up = not np.any(effort) and (self._made_up or self._speed > STANDING)
-        return self._made_up
-
-
-class JointParts:
-    """Joins messages of several publishers, each with some of the joints, at the stamps that all have reached.
-
-    Where the parts' stamps differ, two messages of a part that are no further apart than ``max_gap`` [ns] are
-    interpolated linearly.
-    """
-
-    def __init__(self, joints: Sequence[str], max_gap: int, make_reader: Callable[[Part], JointReader]) -> None:
-        self._joints = tuple(joints)
-        self._max_gap = max_gap
-        self._make_reader = make_reader
-        self.readers: dict[Part, JointReader] = {}
-        self.restart()
-
-    def restart(self) -> None:
-        """Begin anew, as a clock was set back."""
-        for reader in self.readers.values():
-            reader.restart()
-        self._waiting: dict[Part, deque[tuple[int, FloatArray]]] = {part: deque() for part in self.readers}
-        self._last = 0
-
-    @property
-    def silent(self) -> tuple[str, ...]:
-        """The joints of which nothing has come for long, while something came of others."""
-        newest = max((reader.stamp for reader in self.readers.values()), default=0)
-        heard = [joint for part, reader in self.readers.items() if newest - reader.stamp <= _SILENT for joint in part]
-        return tuple(joint for joint in self._joints if joint not in heard) if newest else ()
-
-    def part(self, names: Sequence[str]) -> Part:
-        """The part of a message with these names. Raises RejectedError if it is of several, or of none."""
-        part = tuple(joint for joint in self._joints if joint in set(names))
-        if part in self.readers:
-            return part
-        if not part:
-            raise RejectedError("none of the robot's joints" if names else DRIVER_ERROR + "no joint names")
-        known = next((joint for other in self.readers for joint in other if joint in part), None)
-        if known is not None:
-            raise RejectedError(f"{DRIVER_ERROR}joint '{known}' comes with others than before")
-        self.readers = {**self.readers, part: self._make_reader(part)}
-        self._waiting[part] = deque()
-        return part
-
-    def add(self, part: Part, stamp: int, values: FloatArray) -> Iterator[tuple[int, FloatArray]]:
-        """Take a part's numbers ``(3 joints of it,)``. Yields stamps and numbers ``(3 joints,)`` of the whole."""
-        waiting = self._waiting[part]
-        waiting.append((stamp, values.reshape(3, -1)))
-        if len(waiting) > _MOST_WAITING:
-            waiting.popleft()
-        if sum(map(len, self._waiting)) < len(self._joints) or not all(self._waiting.values()):
-            return
-        common = min(entries[-1][0] for entries in self._waiting.values())
-        begin = max(entries[0][0] for entries in self._waiting.values())
-        if common <= self._last or common < begin:
-            return
-        self._last = common
-        for entries in self._waiting.values():
-            while len(entries) > 1 and entries[1][0] <= common:
-                entries.popleft()
-        if all(self._is_between(entries, common) for entries in self._waiting.values()):
-            yield common, self._at(common)
-
-    def _is_between(self, entries: deque[tuple[int, FloatArray]], stamp: int) -> bool:
-        return entries[0][0] == stamp or entries[1][0] - entries[0][0] <= self._max_gap
-
-    def _at(self, stamp: int) -> FloatArray:
-        whole = np.empty((3, len(self._joints)))
-        for part, entries in self._waiting.items():
-            whole[:, [self._joints.index(joint) for joint in part]] = _between(entries, stamp)
-        return whole.ravel()
+    def _zeros(self, effort: FloatArray, moving: BoolArray) -> BoolArray:
+        """Whether all efforts are exactly zero, and have been since the robot moved: the driver has no
+        sensor ``(N,)``."""
+        zero: BoolArray = np.logical_not(effort.any(axis=1))
+        places = np.arange(len(zero))
+        other = np.maximum.accumulate(np.where(zero, -1, places))
+        moved = np.maximum.accumulate(np.where(zero & moving, places, -1))
+        found: BoolArray = zero & ((moved > other) | (self._made_up & (other < 0)))
+        self._made_up = bool(found[-1])
+        return found
 
 
-def _between(entries: deque[tuple[int, FloatArray]], stamp: int) -> FloatArray:
-    first, before = entries[0]
-    if first == stamp:
-        return before
-    second, after = entries[1]
-    return before + (stamp - first) / (second - first) * (after - before)
+def _check_lengths(block: Block) -> None:
+    names = len(block.names)
+    for kind, values in zip(("position", "velocity", "effort"), block.arrays, strict=True):
+        if values.shape[1] not in ((names,) if kind == "position" else (0, names)):
+            raise RejectedError(f"{DRIVER_ERROR}{kind} has {values.shape[1]} entries for {names} names")

@@ -6,7 +6,7 @@ followed by a central difference of order six, so it is the derivative of the fi
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from typing import TypeVar
 
 import numpy as np
@@ -96,14 +96,6 @@ def cubic_weights(nodes: FloatArray, times: FloatArray) -> FloatArray:
     noisy = np.sum(weights**2, axis=1) > _LARGEST_NOISE_GAIN**2
     if np.any(noisy):
         weights[noisy] = np.stack(_line(nodes[noisy].T, times[noisy]), axis=1)
-    return weights
-
-
-def cubic_weights_at(nodes: Sequence[float], time: float) -> tuple[float, float, float, float]:
-    """:func:`cubic_weights` of one time, without the cost of arrays, for live streams."""
-    weights = _lagrange(nodes, time)
-    if sum(weight * weight for weight in weights) > _LARGEST_NOISE_GAIN**2:
-        return _line(nodes, time)
     return weights
 
 

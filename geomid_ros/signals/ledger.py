@@ -45,7 +45,7 @@ class Account:
 
 
 class Ledger:
-    """The accounts of all topics. Every message ends in one call of :meth:`accept`, :meth:`reject` or :meth:`drop`.
+    """The accounts of all topics. Every message is counted once, by :meth:`accept`, :meth:`reject` or :meth:`drop`.
 
     Any thread may call any method.
     """
@@ -76,26 +76,26 @@ class Ledger:
         for topic, other in accounts.items():
             self._topics[topic] = self._account(topic).plus(other)
 
-    def accept(self, topic: str) -> None:
-        """Count a message that is used."""
+    def accept(self, topic: str, count: int = 1) -> None:
+        """Count messages that are used."""
         with self._lock:
-            self._account(topic).accepted += 1
+            self._account(topic).accepted += count
 
-    def reject(self, topic: str, reason: str) -> None:
-        """Count a message that cannot be used for what it says."""
+    def reject(self, topic: str, reason: str, count: int = 1) -> None:
+        """Count messages that cannot be used for what they say."""
         with self._lock:
-            count_reason(self._account(topic).rejected, reason)
+            count_reason(self._account(topic).rejected, reason, count)
 
-    def drop(self, topic: str, reason: str) -> None:
-        """Count a message that is not looked at."""
+    def drop(self, topic: str, reason: str, count: int = 1) -> None:
+        """Count messages that are not looked at."""
         with self._lock:
-            count_reason(self._account(topic).dropped, reason)
+            count_reason(self._account(topic).dropped, reason, count)
 
-    def revoke(self, topic: str, reason: str) -> None:
-        """Count a message that was accepted as rejected."""
+    def revoke(self, topic: str, reason: str, count: int = 1) -> None:
+        """Count messages that were accepted as rejected."""
         with self._lock:
-            self._account(topic).accepted -= 1
-            count_reason(self._account(topic).rejected, reason)
+            self._account(topic).accepted -= count
+            count_reason(self._account(topic).rejected, reason, count)
 
     def note(self, topic: str, remark: str) -> None:
         """Count a peculiarity."""
@@ -111,8 +111,8 @@ class Ledger:
         return self._topics.setdefault(topic, Account())
 
 
-def count_reason(reasons: Counter[str], reason: str) -> None:
-    """Count a reason once more. Long reasons are cut short; those beyond a bound count as one."""
+def count_reason(reasons: Counter[str], reason: str, count: int = 1) -> None:
+    """Count a reason once more, or ``count`` times. Long reasons are cut short; those beyond a bound count as one."""
     reason = one_line(reason)
     short = reason if len(reason) <= _LONGEST_REASON else reason[:_LONGEST_REASON] + "..."
-    reasons[short if short in reasons or len(reasons) < _MOST_REASONS else _OTHER] += 1
+    reasons[short if short in reasons or len(reasons) < _MOST_REASONS else _OTHER] += count

@@ -7,7 +7,7 @@ from typing import Any, ClassVar, TypeAlias
 
 import numpy as np
 
-from geomid_ros.types import FloatArray, frozen
+from geomid_ros.types import FloatArray, IntArray, frozen
 
 JOINT_STATES = "joint_states"
 ODOM = "odom"
@@ -20,6 +20,11 @@ class _ReadOnly:
 
     __slots__ = ()
     _arrays: ClassVar[tuple[str, ...]]
+
+    @property
+    def arrays(self) -> tuple[FloatArray, ...]:
+        """Its numbers, in the order of the fields."""
+        return tuple(getattr(self, name) for name in self._arrays)
 
     def __post_init__(self) -> None:
         for name in self._arrays:
@@ -69,18 +74,55 @@ Message: TypeAlias = JointMessage | PoseMessage | WrenchMessage
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class Accepted:
-    """A message that was accepted: its topic, stamp [ns] and checked numbers in the robot's order, read-only.
+class Block:
+    """N messages of one topic that differ in their stamps and numbers only.
 
-    ``values`` are positions, velocities and efforts ``(3 joints,)``, a pose ``(7,)`` or a wrench ``(6,)``.
+    ``order (N,)`` says in which order the messages of several blocks came; ``stamps (N,)`` [ns] are -1 where they are
+    not valid; ``names`` are those of the joints, or the frame of a wrench. ``arrays`` are positions, velocities and
+    efforts ``(N, names)``, each of which may have no columns, poses ``(N, 7)`` or wrenches ``(N, 6)``.
     """
 
     topic: str
-    stamp: int
+    order: IntArray
+    stamps: IntArray
+    names: tuple[str, ...]
+    arrays: tuple[FloatArray, ...]
+
+    @staticmethod
+    def of(message: Message, place: int = 0) -> Block:
+        """A block of one message, the ``place``-th that came."""
+        names = message.names if isinstance(message, JointMessage) else ()
+        names = (message.frame,) if isinstance(message, WrenchMessage) else names
+        arrays = tuple(array[None] for array in message.arrays)
+        return Block(message.topic, np.array([place]), np.array([message.stamp]), names, arrays)
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Accepted:
+    """N messages that were accepted: their topic, stamps [ns] and checked numbers in the robot's order, read-only.
+
+    ``stamps (N,)``; ``values (N, numbers)`` are positions, velocities and efforts of all joints, one after the other, a
+    pose (7 numbers) or a wrench (6).
+    """
+
+    topic: str
+    stamps: IntArray
     values: FloatArray
 
     def __post_init__(self) -> None:
+        self.stamps.setflags(write=False)
         self.values.setflags(write=False)
+
+    def __len__(self) -> int:
+        return len(self.stamps)
+
+    def since(self, stamp: int) -> Accepted:
+        """Those with this stamp [ns] or a later one."""
+        return self.after(int(np.searchsorted(self.stamps, stamp)))
+
+    def after(self, count: int) -> Accepted:
+        """Those after the first ``count``."""
+        return Accepted(self.topic, self.stamps[count:], self.values[count:])
 
 
 def message_type(topic: str) -> str:

@@ -1,14 +1,15 @@
 """From messages to samples: which messages are used, in the order of each topic's stamps; a sampler does the rest.
 
-The node and the bag reader feed one message after the other and collect what samples have become ready; both get the
-same samples, with a fixed lag behind the data (:attr:`SignalPipeline.lag`).
+The bag reader feeds large blocks of messages, the node small ones, often of one message, and both collect what samples
+have become ready. They get the same samples, with a fixed lag behind the data (:attr:`SignalPipeline.lag`).
 """
 
 from __future__ import annotations
 
-import threading
-from collections import deque
+import operator
+from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
+from dataclasses import replace
 from functools import partial
 from typing import TypeAlias
 
@@ -18,17 +19,17 @@ from geomid_ros.errors import InputError, unknown_name
 from geomid_ros.model.columns import NO_COLUMNS, Columns
 from geomid_ros.model.samples import Samples
 from geomid_ros.model.sensors import WrenchSensor
-from geomid_ros.signals.joint_messages import JointParts, JointReader, Part, RejectedError, plausible
+from geomid_ros.signals.arrived import Arrived, poses, wrenches
+from geomid_ros.signals.joint_messages import FROZEN, JointReader, RejectedError
+from geomid_ros.signals.joint_parts import JointParts, Part
 from geomid_ros.signals.ledger import Ledger
-from geomid_ros.signals.messages import JOINT_STATES, ODOM, Accepted, JointMessage, Message, PoseMessage, WrenchMessage
+from geomid_ros.signals.messages import JOINT_STATES, ODOM, Accepted, Block, Message
 from geomid_ros.signals.sampler import Sampler
 from geomid_ros.signals.settings import SignalSettings
-from geomid_ros.signals.timeline import Timeline, Turn
-from geomid_ros.types import FloatArray
+from geomid_ros.signals.timeline import NOT_LATER, Timeline, Turn
+from geomid_ros.types import AnyArray, BoolArray, FloatArray, IntArray
 
 _DEFAULTS = SignalSettings()
-_MOST_BYTES = 100_000_000
-_BYTES_BESIDE_NUMBERS = 250  # of a message that is remembered
 
 _Source: TypeAlias = tuple[str, Part]
 """A topic, and if joint messages are merged, the joints of a publisher."""
@@ -80,7 +81,9 @@ class SignalPipeline:
         self._on_accepted = on_accepted
         self._reader = self._new_reader(self._joints)
         self._parts = JointParts(self._joints, self._max_gap, self._new_reader) if settings.merge else None
-        self._timelines: dict[_Source, Timeline] = {}
+        self._timelines: dict[_Source, Timeline[Arrived]] = {}
+        self._open: Counter[str] = Counter()  # messages of which nothing has become yet
+        self._joined: list[tuple[_Source, IntArray, IntArray, FloatArray]] = []  # that wait for the other parts
         topics = (*self._sensors, ODOM) if floating_base else tuple(self._sensors)
         self._sampler = Sampler(settings, self._continuous, topics, effect_columns, self.ledger)
 
@@ -97,7 +100,7 @@ class SignalPipeline:
     @property
     def held(self) -> int:
         """Number of messages that later ones will decide on."""
-        return sum(timeline.held for timeline in list(self._timelines.values()))
+        return sum(list(self._open.values()))
 
     @property
     def unmeasured(self) -> tuple[str, ...]:
@@ -110,65 +113,158 @@ class SignalPipeline:
         """The joints of publishers that have fallen silent, if joint messages are merged."""
         return self._parts.silent if self._parts else ()
 
-    def push(self, message: Message) -> None:
-        """Take a message; one that cannot be used is counted.
+    def push(self, messages: Message | Sequence[Block]) -> None:
+        """Take a message, or many; those that cannot be used are counted. If this fails, all that are left are dropped
+        and counted.
 
         Raises:
-            InputError: its sensor was not declared, or the cutoff is too high for the rate of the messages.
+            InputError: a sensor was not declared, or the cutoff is too high for the rate of the messages.
         """
-        if isinstance(message, WrenchMessage) and message.topic not in self._sensors:
-            raise unknown_name("wrench topic", message.topic, self._sensors)
+        blocks = messages if isinstance(messages, Sequence) else [Block.of(messages)]
+        for block in blocks:
+            self._open[block.topic] += len(block.stamps)
         try:
-            source = message.topic, self._part(message)
-        except RejectedError as error:
-            self.ledger.reject(message.topic, str(error))
-            return
-        if source not in self._timelines:
-            self._timelines[source] = Timeline(self._max_gap)
-        judged = self._timelines[source].judge(message)
-        for reason in judged.refused:
-            self.ledger.reject(message.topic, reason)
-        if judged.turn is not Turn.CONTINUED:
-            self.ledger.note(message.topic, judged.turn.value)
-        if judged.turn is Turn.RESET:
-            self._restart(source)
-        self._use_all(source, judged.use)
-
-    def _part(self, message: Message) -> Part:
-        return self._parts.part(message.names) if self._parts and isinstance(message, JointMessage) else ()
-
-    def _use_all(self, source: _Source, messages: Iterable[Message]) -> None:
-        todo = deque(messages)
-        try:
-            while todo:
-                self._use(source, todo.popleft())
-        except Exception as error:  # the caller counts the message that caused it
-            for _ in todo:
-                self.ledger.drop(source[0], f"{type(error).__name__} while another message was taken")
+            self._take(self._read(blocks))
+            self._join_parts()
+        except Exception as error:
+            self._drop_open(f"{type(error).__name__} while taking a message")
             raise
+        self._sampler.make_samples()
 
-    def _use(self, source: _Source, message: Message) -> None:
+    def _drop_open(self, reason: str) -> None:
+        """Drop the messages of which nothing has become."""
+        self._joined.clear()
+        held = Counter(dict.fromkeys(self._open, 0))
+        for (topic, _), timeline in self._timelines.items():
+            held[topic] += timeline.held
+        for topic, count in (self._open - held).items():
+            self.ledger.drop(topic, reason, count)
+        self._open = held
+
+    def _accepted(self, topic: str, count: int) -> None:
+        self.ledger.accept(topic, count)
+        self._open[topic] -= count
+
+    def _refused(self, topic: str, reason: str, count: int = 1) -> None:
+        if count:
+            self.ledger.reject(topic, reason, count)
+            self._open[topic] -= count
+
+    def _read(self, blocks: Iterable[Block]) -> dict[_Source, Arrived]:
+        """What messages say by themselves, by their source."""
+        found: dict[_Source, list[Arrived]] = {}
+        for block in blocks:
+            try:
+                source = block.topic, self._part(block)
+            except RejectedError as error:
+                self._refused(block.topic, str(error), len(block.stamps))
+                continue
+            numbers, refusals = self._numbers(source, block)
+            found.setdefault(source, []).append(Arrived(block.order, block.stamps, numbers, refusals))
+        return {source: Arrived.in_order(several) for source, several in found.items()}
+
+    def _part(self, block: Block) -> Part:
+        return self._parts.part(block.names) if self._parts and block.topic == JOINT_STATES else ()
+
+    def _numbers(self, source: _Source, block: Block) -> tuple[FloatArray, AnyArray]:
+        if block.topic == JOINT_STATES:
+            return self._reader_of(source).numbers(block)
+        if block.topic == ODOM:
+            return poses(block)
+        if block.topic not in self._sensors:
+            raise unknown_name("wrench topic", block.topic, self._sensors)
+        return wrenches(block, self._sensors[block.topic])
+
+    def _reader_of(self, source: _Source) -> JointReader:
+        return self._parts.readers[source[1]] if self._parts else self._reader
+
+    def _take(self, batch: dict[_Source, Arrived]) -> None:
+        """Judge the stamps of messages: those of a block at once, or if any is suspicious those of each half of it."""
+        for source in batch.keys() - self._timelines.keys():
+            self._timelines[source] = Timeline(self._max_gap)
+        count = sum(map(len, batch.values()))
+        if count == 1:
+            ((source, arrived),) = ((source, arrived) for source, arrived in batch.items() if len(arrived))
+            self._judge(source, arrived)
+        elif count:
+            judged = [(s, a, self._timelines[s].later(a.stamps, a.good)) for s, a in batch.items() if len(a)]
+            plain = [(source, arrived, later) for source, arrived, later in judged if later is not None]
+            if len(plain) == len(judged):
+                for source, arrived, later in plain:
+                    self._use_block(source, arrived, later)
+            else:
+                order = np.sort(np.concatenate([arrived.order for arrived in batch.values()]))
+                for first in (True, False):
+                    self._take({s: a.select((a.order < order[count // 2]) == first) for s, a in batch.items()})
+
+    def _judge(self, source: _Source, arrived: Arrived) -> None:
+        """Judge one message, and those that were held until it came."""
+        judged = self._timelines[source].judge(arrived)
+        for reason in judged.refused:
+            self._refused(source[0], reason)
+        if judged.turn is not Turn.CONTINUED:
+            self.ledger.note(source[0], judged.turn.value)
+        if judged.turn is Turn.RESET:
+            self._restart(source, arrived.order)
+        for message in judged.use:
+            self._use_held(source, message, arrived.order)
+
+    def _use_held(self, source: _Source, message: Arrived, order: IntArray) -> None:
+        """Use a message that was held, in the place of the one that has decided on it."""
+        self._use_block(source, replace(message, order=order), np.ones(1, dtype=np.bool_))
+
+    def _use_block(self, source: _Source, arrived: Arrived, later: BoolArray) -> None:
+        """Use what is good of messages whose stamps have been judged as if all that are ``later`` and good by
+        themselves were used; where one is not after all, and others depend on it, judge each half of them."""
+        used = later & arrived.good
+        stamps, values = arrived.stamps[used], arrived.numbers[used]
+        frozen = np.zeros(len(arrived), dtype=np.bool_)
+        if source[0] == JOINT_STATES and len(stamps):
+            try:
+                values, taken = self._reader_of(source).read(stamps, values, len(arrived))
+            except RejectedError as error:
+                if len(arrived) > 1:
+                    half = len(arrived) // 2
+                    for part in (slice(half), slice(half, None)):
+                        self._take({source: arrived.select(part)})
+                else:
+                    self._refused(source[0], str(error))
+                return
+            frozen[used] = ~taken
+            stamps = stamps[taken]
+        self._refused(source[0], NOT_LATER, int(np.sum(~later)))
+        self._refused(source[0], FROZEN, int(np.sum(frozen)))
+        for reason in arrived.refusals[later & ~arrived.good]:
+            self._refused(source[0], reason)
+        if len(stamps):
+            self._use(source, arrived.order[used & ~frozen], stamps, values)
+
+    def _use(self, source: _Source, order: IntArray, stamps: IntArray, values: FloatArray) -> None:
         topic, part = source
-        try:
-            values = self._numbers(part, message)
-        except RejectedError as error:
-            self.ledger.reject(topic, str(error))
-            return
-        self._timelines[source].advance(message.stamp)
-        if self._parts and part:
-            for stamp, whole in self._parts.add(part, message.stamp, values):
-                self._accept(Accepted(topic, stamp, whole))
+        self._timelines[source].advance(int(stamps[-1]))
+        if part:
+            self._joined.append((source, order, stamps, values))
         else:
-            self._accept(Accepted(topic, message.stamp, values))
-        self.ledger.accept(topic)
+            self._accept(Accepted(topic, stamps, values))
+        self._accepted(topic, len(stamps))
 
-    def _numbers(self, part: Part, message: Message) -> FloatArray:
-        """The checked numbers of a message. Raises RejectedError if they cannot be used."""
-        if isinstance(message, JointMessage):
-            return (self._parts.readers[part] if self._parts else self._reader).read(message)
-        if isinstance(message, PoseMessage):
-            return _pose(message)
-        return _wrench(message, self._sensors[message.topic])
+    def _join_parts(self) -> None:
+        """Join the messages of several publishers, in the order in which they came."""
+        rows = [
+            (place, source[1], stamp, row)
+            for source, order, stamps, values in self._joined
+            for place, stamp, row in zip(order.tolist(), stamps.tolist(), values, strict=True)
+        ]
+        self._joined.clear()
+        if not rows or self._parts is None:
+            return
+        found = [
+            whole
+            for _, part, stamp, row in sorted(rows, key=operator.itemgetter(0))
+            for whole in self._parts.add(part, stamp, row)
+        ]
+        if found:
+            self._accept(Accepted(JOINT_STATES, *map(np.array, zip(*found, strict=True))))
 
     def _accept(self, accepted: Accepted) -> None:
         self._on_accepted(accepted)
@@ -177,16 +273,18 @@ class SignalPipeline:
     def push_accepted(self, accepted: Accepted) -> None:
         """Take what another pipeline for the same robot has accepted, in the same order."""
         self._sampler.add(accepted)
-        self.ledger.accept(accepted.topic)
+        self.ledger.accept(accepted.topic, len(accepted))
+        self._sampler.make_samples()
 
     def release(self) -> None:
         """Reject the messages that are held: no more will come."""
         for (topic, _), timeline in self._timelines.items():
             for reason in timeline.release():
-                self.ledger.reject(topic, reason)
+                self._refused(topic, reason)
 
-    def _restart(self, source: _Source) -> None:
+    def _restart(self, source: _Source, order: IntArray) -> None:
         """Begin anew everywhere, as the clock of ``source`` was set back."""
+        self._join_parts()
         self._reader.restart()
         if self._parts:
             self._parts.restart()
@@ -194,70 +292,8 @@ class SignalPipeline:
         for other, timeline in self._timelines.items():
             if other != source:
                 for held in timeline.forget():
-                    self._use(other, held)
+                    self._use_held(other, held, order)
 
     def collect(self) -> Samples | None:
         """The samples that have become ready since the last call, oldest first; None if there are none."""
         return self._sampler.collect()
-
-
-class Recent:
-    """Remembers what a pipeline accepted in the last ``seconds`` of its stamps: its ``on_accepted``.
-
-    Less than that is kept where it would take too much memory. Any thread may call any method.
-    """
-
-    def __init__(self, seconds: float) -> None:
-        self._lock = threading.RLock()
-        self._nanoseconds = round(seconds * 1e9)
-        self._entries: deque[Accepted] = deque()
-        self._bytes = 0
-        self._last: dict[str, int] = {}
-
-    def __call__(self, accepted: Accepted) -> None:
-        """Keep the numbers of a message."""
-        topic, stamp = accepted.topic, accepted.stamp
-        with self._lock:
-            if stamp <= self._last.get(topic, 0):  # the clock was set back
-                self.clear()
-            self._last[topic] = stamp
-            self._entries.append(accepted)
-            self._bytes += _size(accepted)
-            while self._entries and (self._bytes > _MOST_BYTES or self._entries[0].stamp <= stamp - self._nanoseconds):
-                self._bytes -= _size(self._entries.popleft())
-
-    def clear(self) -> None:
-        """Forget everything."""
-        with self._lock:
-            self._entries.clear()
-            self._last.clear()
-            self._bytes = 0
-
-    def entries(self) -> list[Accepted]:
-        """All that is kept, in the order in which it came."""
-        with self._lock:
-            return list(self._entries)
-
-
-def _size(accepted: Accepted) -> int:
-    return accepted.values.nbytes + _BYTES_BESIDE_NUMBERS
-
-
-def _pose(message: PoseMessage) -> FloatArray:
-    if not np.all(plausible(message.pose)):
-        raise RejectedError("pose not finite")
-    norm = float(np.linalg.norm(message.pose[3:]))
-    if abs(norm - 1.0) > 1e-2:
-        raise RejectedError("quaternion is not of length 1")
-    values = message.pose.copy()
-    values[3:] /= norm
-    return values
-
-
-def _wrench(message: WrenchMessage, sensor: WrenchSensor) -> FloatArray:
-    declared = sensor.frame_id or sensor.frame
-    if message.frame and message.frame != declared:
-        raise RejectedError(f"frame '{message.frame}' is not the declared '{declared}'")
-    if not np.all(plausible(message.wrench[sensor.axis_indices])):
-        raise RejectedError("wrench not finite")
-    return message.wrench - sensor.sign * np.array(sensor.offset)

@@ -24,7 +24,8 @@ _EFFORTS = "joint_states.effort"  # stream of efforts with a delay; no topic has
 
 
 class Sampler:
-    """Takes accepted numbers with :meth:`add`; :meth:`collect` gives the samples that they complete."""
+    """Takes accepted numbers with :meth:`add`; :meth:`make_samples` makes the samples that they complete, and
+    :meth:`collect` gives them."""
 
     def __init__(
         self,
@@ -54,7 +55,7 @@ class Sampler:
         self._grid: Grid | None = None
         self._streams: dict[str, Stream[Any]] = {}
         self._waiting: deque[Accepted] = deque()
-        self._first_stamps: deque[int] = deque(maxlen=_MESSAGES_TO_INFER_PERIOD)
+        self._newest: dict[str, int] = {}  # stamp of each topic
         self._next_instant = 0
         self._pending: list[Samples] = []
         if settings.period > 0.0:
@@ -71,12 +72,13 @@ class Sampler:
         if self._grid is None:
             self._wait(accepted)
         else:
-            self._take(self._grid, accepted)
+            self._take(accepted)
 
     def restart(self) -> None:
         """Begin anew, as a clock was set back."""
+        self.make_samples()
         self._waiting.clear()
-        self._first_stamps.clear()
+        self._newest.clear()
         self._next_instant = 0
         if self._grid is not None:
             self._open_streams(self._grid)
@@ -84,33 +86,33 @@ class Sampler:
     def _wait(self, accepted: Accepted) -> None:
         """Keep what arrives before the period is known."""
         self._waiting.append(accepted)
-        if len(self._waiting) > _MOST_WAITING:
-            self._ledger.revoke(self._waiting.popleft().topic, "no joint states to go with")
-        if accepted.topic == JOINT_STATES:
-            self._first_stamps.append(accepted.stamp)
-            if len(self._first_stamps) == _MESSAGES_TO_INFER_PERIOD:
-                period = float(np.median(np.diff(self._first_stamps)))
-                self._start(max(PERIOD_ROUNDING, round(period / PERIOD_ROUNDING) * PERIOD_ROUNDING))
+        surplus = sum(map(len, self._waiting)) - _MOST_WAITING
+        while surplus > 0:
+            oldest = self._waiting.popleft()
+            given_up = min(surplus, len(oldest))
+            self._ledger.revoke(oldest.topic, "no joint states to go with", given_up)
+            if given_up < len(oldest):
+                self._waiting.appendleft(oldest.after(given_up))
+            surplus -= given_up
+        stamps = [each.stamps for each in self._waiting if each.topic == JOINT_STATES]
+        if sum(map(len, stamps)) >= _MESSAGES_TO_INFER_PERIOD:
+            period = float(np.median(np.diff(np.concatenate(stamps)[:_MESSAGES_TO_INFER_PERIOD])))
+            self._start(max(PERIOD_ROUNDING, round(period / PERIOD_ROUNDING) * PERIOD_ROUNDING))
 
-    def _take(self, grid: Grid, accepted: Accepted) -> None:
-        """Pass numbers on and make what samples they complete."""
-        stamp = accepted.stamp
-        parts = {accepted.topic: (stamp, accepted.values)}
+    def _take(self, accepted: Accepted) -> None:
+        stamps, values = accepted.stamps, accepted.values
+        self._streams[accepted.topic].push(stamps, values)
+        self._newest[accepted.topic] = int(stamps[-1])
         if accepted.topic == JOINT_STATES and self._effort_delay:
-            parts[_EFFORTS] = (stamp - self._effort_delay, accepted.values[2 * len(self._continuous) :])
-        for name, part in parts.items():
-            self._streams[name].push(*part)
-        self._make_samples(grid)
-        oldest = (stamp - _HORIZON - abs(self._effort_delay)) // grid.period - grid.lag
-        for name in parts:
-            self._streams[name].drop_before(oldest)
+            self._streams[_EFFORTS].push(stamps - self._effort_delay, values[:, 2 * len(self._continuous) :])
+            self._newest[_EFFORTS] = int(stamps[-1])
 
     def _start(self, period: int) -> None:
         grid = Grid(period, self._settings.cutoff, self._settings.samples_per_cutoff_period)
         self._grid = grid
         self._open_streams(grid)
         for accepted in self._waiting:
-            self._take(grid, accepted)
+            self._take(accepted)
         self._waiting.clear()
 
     def _open_streams(self, grid: Grid) -> None:
@@ -131,10 +133,10 @@ class Sampler:
         self._pending.clear()
         return samples
 
-    def _make_samples(self, grid: Grid) -> None:
-        """Make the samples for which every topic has numbers, and go on after pauses."""
-        streams = self._streams.values()
-        while True:
+    def make_samples(self) -> None:
+        """Make the samples for which every topic has numbers, going on after pauses; forget what is too old."""
+        grid, streams = self._grid, self._streams.values()
+        while grid is not None:
             ranges = [stream.segment.ready() for stream in streams]
             start = max([self._next_instant, *(r.start for r in ranges)])
             instants = range(-(-start // grid.stride) * grid.stride, min(r.stop for r in ranges), grid.stride)
@@ -145,6 +147,10 @@ class Sampler:
                     stream.drop_before(self._next_instant)
             elif not any(stream.skip_to(instants.start) for stream in streams):
                 break
+        for name, newest in self._newest.items():
+            if grid is not None:
+                oldest = (newest - _HORIZON - abs(self._effort_delay)) // grid.period - grid.lag
+                self._streams[name].forget(oldest)
 
     def _samples(self, grid: Grid, instants: range) -> Samples:
         count, joints = len(instants), len(self._continuous)
@@ -186,9 +192,8 @@ class VelocityChoice:
     _RELATIVE_DISAGREEMENT = 0.05
 
     def __init__(self, joints: int) -> None:
-        self._seen = np.zeros(joints)
-        self._difference = np.zeros(joints)
-        self._energy = np.zeros(joints)
+        self._seen = np.zeros(joints, dtype=np.int64)
+        self._means = np.zeros((2, joints))  # squares of the difference and of the derivative
 
     def choose(
         self, given: FloatArray, given_rate: FloatArray, derived: FloatArray, derived_rate: FloatArray
@@ -204,16 +209,16 @@ class VelocityChoice:
         Returns:
             Velocities and accelerations ``(N, joints)``.
         """
-        velocity, acceleration = derived.copy(), derived_rate.copy()
-        for row in range(len(derived)):
-            known = np.isfinite(given[row])
-            error = np.where(known, given[row] - derived[row], 0.0)
-            self._seen = np.where(known, self._seen + 1, 0.0)
-            share = 1.0 / np.minimum(np.maximum(self._seen, 1.0), self._MEMORY)
-            self._difference += share * (error**2 - self._difference)
-            self._energy += share * (derived[row] ** 2 - self._energy)
-            agrees = self._difference <= self._RELATIVE_DISAGREEMENT**2 * self._energy
-            use = known & agrees & (self._seen >= self._MEMORY)
-            velocity[row, use] = given[row, use]
-            acceleration[row, use] = given_rate[row, use]
-        return velocity, acceleration
+        known = np.isfinite(given)
+        squares = np.stack([np.where(known, given - derived, 0.0) ** 2, derived**2], axis=1)
+        places = np.arange(1, len(given) + 1)[:, None]
+        lost = np.maximum.accumulate(np.where(known, 0, places))
+        seen = places - lost + np.where(lost, 0, self._seen)
+        shares = 1.0 / np.clip(seen, 1, self._MEMORY)
+        means = np.empty_like(squares)
+        mean = self._means
+        for row, (share, square) in enumerate(zip(shares, squares, strict=True)):
+            means[row] = mean = mean + share * (square - mean)
+        use = known & (means[:, 0] <= self._RELATIVE_DISAGREEMENT**2 * means[:, 1]) & (seen >= self._MEMORY)
+        self._means, self._seen = mean, seen[-1]
+        return np.where(use, given, derived), np.where(use, given_rate, derived_rate)

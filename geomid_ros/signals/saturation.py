@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from geomid_ros.types import BoolArray, FloatArray
+from geomid_ros.types import BoolArray, FloatArray, IntArray
 
 STANDING = 1e-2
 """[rad/s, m/s] a slower robot may send the same numbers twice."""
@@ -28,7 +28,6 @@ class SaturationDetector:
         self._joints = joints
         self._largest = np.full(joints, np.finfo(np.float64).tiny)  # so zeros are never the largest
         self._step = np.full(joints, np.inf)  # smallest change of an effort, at least its sensor's resolution
-        self._far = np.full(joints, -np.inf)  # below this an effort is far from the largest
         self._messages = 0
         self._at_largest = np.zeros(joints, dtype=np.int64)  # of the messages so far
         self.restart()
@@ -42,50 +41,77 @@ class SaturationDetector:
         self._moved = np.zeros(self._joints, dtype=np.bool_)  # while its effort has been the largest
 
     def saturated(
-        self, stamp: int, effort: FloatArray, velocity: FloatArray, moving: bool, before: tuple[int, FloatArray] | None
+        self,
+        stamps: IntArray,
+        effort: FloatArray,
+        velocity: FloatArray,
+        moving: BoolArray,
+        before: tuple[int, FloatArray] | None,
     ) -> BoolArray:
-        """Take a message.
+        """Take N messages; what is found of several holds only if all of them are good, as each is compared with the
+        one before.
 
         Args:
-            stamp: [ns].
-            effort: ``(joints,)``, NaN where it is not measured; so is ``velocity``.
-            velocity: ``(joints,)``.
-            moving: whether the robot moves.
+            stamps: ``(N,)`` [ns].
+            effort: ``(N, joints)``, NaN where it is not measured; so is ``velocity``.
+            velocity: ``(N, joints)``.
+            moving: ``(N,)`` whether the robot moves.
             before: stamp and efforts of the last good message.
 
         Returns:
-            ``(joints,)`` which efforts are saturated.
+            ``(N, joints)`` which efforts are saturated.
         """
-        size = np.abs(effort)
-        self._messages += 1
-        if before is not None:
-            self._learn(effort, size, *before)
-        largest: BoolArray = size == self._largest
+        first, efforts = before or (0, np.full(self._joints, np.nan))
+        size, last = np.abs(effort), np.vstack([efforts, effort[:-1]])
+        numbers = np.broadcast_to(self._messages + 1 + np.arange(len(stamps))[:, None], size.shape)
+        record, grown, last_far = self._learn(numbers, size, np.abs(effort - last), np.abs(last), before is not None)
+        largest: BoolArray = size == record
         below = ~largest
-        self._at_largest += largest
-        self._largest_since[below] = stamp
-        self._last_below[below] = self._messages
-        self._moved[below] = False
-        self._last_far[size < self._far] = self._messages
-        if not largest.any():
-            return largest
-        self._moved |= largest & ~(np.abs(velocity) < STANDING)
-        longest = _FEWEST + _FLATTER * (self._last_below - self._last_far)  # that rounding could explain
-        long: BoolArray = self._messages - self._last_below >= longest
-        if not long.any():
-            return long
-        seldom = self._at_largest < _MOSTLY * self._messages
-        return long & self._moved & moving & seldom & (stamp - self._largest_since >= _SHORTEST)
+        last_below = _latest(np.where(below, numbers, np.where(grown, numbers - 1, _NEVER)), self._last_below)
+        ended = np.logical_or.accumulate(below | grown)  # what was the largest before these messages
+        since = np.concatenate([[first], stamps])[np.maximum(last_below - self._messages, 0)]
+        since = np.where(ended, since, self._largest_since)
+        moves = np.where(largest & ~(np.abs(velocity) < STANDING), numbers, _NEVER)
+        moved = (_latest(moves, np.full(self._joints, _NEVER)) > last_below) | (self._moved & ~ended)
+        count = self._at_largest + np.cumsum(largest, axis=0)
+        longest = _FEWEST + _FLATTER * (last_below - last_far)  # that rounding could explain
+        found: BoolArray = (numbers - last_below >= longest) & moved & moving[:, None]
+        found &= (count < _MOSTLY * numbers) & (stamps[:, None] - since >= _SHORTEST)
+        self._messages += len(stamps)
+        self._last_below, self._largest_since = last_below[-1], since[-1]
+        self._moved, self._at_largest = moved[-1], count[-1]
+        return found
 
-    def _learn(self, effort: FloatArray, size: FloatArray, stamp: int, last: FloatArray) -> None:
-        """Learn how large efforts become, and in which steps. ``stamp`` is that of the ``last`` efforts."""
-        change = np.abs(effort - last)
-        finer = (change > 0.0) & (change < self._step)
-        grown = size > self._largest
-        if finer.any() or grown.any():
-            self._step[finer] = change[finer]
-            self._largest[grown] = size[grown]
-            self._largest_since[grown], self._last_below[grown] = stamp, self._messages - 1
-            self._moved[grown] = False
-            self._far = self._largest - _FAR * self._step
-            self._last_far[np.abs(last) < self._far] = self._messages - 1
+    def _learn(
+        self, numbers: IntArray, size: FloatArray, change: FloatArray, last: FloatArray, known: bool
+    ) -> tuple[FloatArray, BoolArray, IntArray]:
+        """Learn how large efforts become, and in which steps.
+
+        Args:
+            numbers: of the messages ``(N, joints)``.
+            size: of their efforts ``(N, joints)``.
+            change: from those before ``(N, joints)``.
+            last: sizes of those before ``(N, joints)``.
+            known: whether there is a message before the first one; else that is not learnt from.
+
+        Returns:
+            ``(N, joints)`` the largest so far, where one is larger than ever, and the number of the last message in
+            which it was far below that.
+        """
+        sizes = np.vstack([self._largest, size])
+        sizes[1] = sizes[1] if known else np.nan
+        largest = np.fmax.accumulate(sizes)
+        step = np.fmin.accumulate(np.vstack([self._step, np.where(change > 0.0, change, np.inf)]))
+        far = largest[1:] - _FAR * step[1:]
+        grown: BoolArray = largest[1:] > largest[:-1]
+        news: BoolArray = np.any(grown | (step[1:] < step[:-1]), axis=1, keepdims=True)
+        were_far = np.where(news & (last < far), numbers - 1, _NEVER)
+        last_far = _latest(np.where(size < far, numbers, were_far), self._last_far)
+        self._largest, self._step, self._last_far = largest[-1], step[-1], last_far[-1]
+        return largest[1:], grown, last_far
+
+
+def _latest(numbers: IntArray, before: IntArray) -> IntArray:
+    """The largest number so far ``(N, joints)``."""
+    latest: IntArray = np.maximum(np.maximum.accumulate(numbers), before)
+    return latest

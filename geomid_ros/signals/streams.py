@@ -9,6 +9,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Callable
+from itertools import pairwise
 from typing import Generic, TypeVar
 
 import numpy as np
@@ -16,8 +17,9 @@ import numpy as np
 from geomid_ros.model import se3
 from geomid_ros.model.columns import Columns
 from geomid_ros.model.effects import Motion
-from geomid_ros.signals.kernels import cubic_weights, cubic_weights_at, derivative_kernels
-from geomid_ros.types import FloatArray
+from geomid_ros.signals.grid_values import GridValues
+from geomid_ros.signals.kernels import cubic_weights, derivative_kernels
+from geomid_ros.types import FloatArray, IntArray
 
 _SHARPER = 4.0  # cutoff of the motion that effects are computed on, in units of the filter's
 _SHARPEST = 0.4  # the highest such cutoff, as a share of the grid's rate
@@ -40,8 +42,8 @@ class Segment(ABC):
     """Numbers of one topic without a pause. :meth:`push` takes them, :meth:`filtered` gives filtered values."""
 
     @abstractmethod
-    def push(self, stamp: int, values: FloatArray) -> None:
-        """Take the values of a message stamped ``stamp`` [ns], later than the one before."""
+    def push(self, stamps: IntArray, values: FloatArray) -> None:
+        """Take the values ``(N, values)`` of messages with increasing ``stamps (N,)`` [ns], later than before."""
 
     @abstractmethod
     def ready(self) -> range:
@@ -74,17 +76,25 @@ class Stream(Generic[S]):
         """The oldest that is still needed."""
         return self._segments[0]
 
-    def push(self, stamp: int, values: FloatArray) -> None:
-        """Take the values of a message stamped ``stamp`` [ns], later than the one before."""
-        if self._last is not None and stamp - self._last > self._max_gap:
-            self._segments.append(self._new_segment())
-        self._last = stamp
-        self._segments[-1].push(stamp, values)
+    def push(self, stamps: IntArray, values: FloatArray) -> None:
+        """Take the values ``(N, values)`` of messages with increasing ``stamps (N,)`` [ns], later than before."""
+        first = stamps[0] if self._last is None else self._last
+        pauses = np.flatnonzero(np.diff(stamps, prepend=first) > self._max_gap)
+        for begin, end in pairwise(sorted({0, *pauses.tolist(), len(stamps)})):
+            if begin in pauses:
+                self._segments.append(self._new_segment())
+            self._segments[-1].push(stamps[begin:end], values[begin:end])
+        self._last = int(stamps[-1])
 
     def drop_before(self, instant: int) -> None:
         """Forget what is needed only for earlier instants."""
         self.skip_to(instant)
         self.segment.drop_before(instant)
+
+    def forget(self, instant: int) -> None:
+        """As :meth:`drop_before`, where there is anything that old."""
+        if len(self._segments) > 1 or self.segment.ready().start < instant:
+            self.drop_before(instant)
 
     def skip_to(self, instant: int) -> bool:
         """Drop the segments that end before this instant. Returns whether there was one."""
@@ -94,94 +104,64 @@ class Stream(Generic[S]):
         return len(self._segments) < count
 
 
-class _GridValues:
-    """Vectors at consecutive grid instants, the oldest at ``first``."""
-
-    def __init__(self) -> None:
-        self.first = 0
-        self.values = np.zeros((0, 0))  # a view of the used part of the room
-        self._room = self.values
-        self._used = 0
-
-    @property
-    def end(self) -> int:
-        """The instant after the last."""
-        return self.first + len(self.values)
-
-    def extend(self, start: int, values: FloatArray) -> None:
-        """Append ``values (N, ...)`` from instant ``start`` on, which is the end unless there are no values yet."""
-        if not len(self.values):
-            self.first, self.values = start, values[:0]
-        count = len(self.values) + len(values)
-        if self._used + len(values) > len(self._room):
-            self._room = np.empty((2 * count, values.shape[1]))
-            self._room[: len(self.values)] = self.values
-            self._used = len(self.values)
-        self._room[self._used : self._used + len(values)] = values
-        self._used += len(values)
-        self.values = self._room[self._used - count : self._used]
-
-    def correlated(self, instants: range, kernels: FloatArray, columns: int | None = None) -> FloatArray:
-        """Correlate with ``kernels (kernels, 2 half + 1)`` around each instant.
-
-        Args:
-            instants: N of them, each with ``half`` neighbours on both sides.
-            kernels: ``(kernels, 2 half + 1)``.
-            columns: how many of the values, all unless given.
-
-        Returns:
-            ``(kernels, N, values)``.
-        """
-        half = kernels.shape[1] // 2
-        values = self.values[instants.start - half - self.first : instants[-1] + half + 1 - self.first, :columns]
-        windows = np.lib.stride_tricks.sliding_window_view(values, 2 * half + 1, axis=0)[:: instants.step]
-        # Without BLAS: its rounding depends on how many instants are asked for at once.
-        return np.asarray(np.einsum("kl,ncl->knc", kernels, windows))
-
-    def inside(self, half: int) -> range:
-        """Instants with ``half`` neighbours on both sides."""
-        return range(self.first + half, self.end - half)
-
-    def drop_before(self, instant: int) -> None:
-        """Forget older instants."""
-        surplus = instant - self.first
-        if surplus > 0:
-            self.values = self.values[surplus:]
-            self.first += surplus
-
-
 class VectorSegment(Segment):
-    """Plain vectors, interpolated by local cubics and filtered component by component."""
+    """Plain vectors, interpolated by local cubics and filtered component by component.
+
+    They are interpolated when they are needed, as many at once as there are.
+    """
 
     def __init__(self, grid: Grid) -> None:
         self._grid = grid
-        self._nodes: list[tuple[int, FloatArray]] = []
-        self._on_grid = _GridValues()
+        self._nodes: list[tuple[IntArray, FloatArray]] = []  # those that later instants lie between
+        self._count = 0
+        self._last_stamps = [0, 0]
+        self._next: int | None = None  # instant to be interpolated
+        self._on_grid = GridValues()
 
-    def push(self, stamp: int, values: FloatArray) -> None:
-        self._nodes.append((stamp, values))
-        if len(self._nodes) < 4:
-            return
-        self._nodes = self._nodes[-4:]
-        start, end = self._nodes[1][0], self._nodes[2][0]
-        next_instant = self._on_grid.end if len(self._on_grid.values) else -(-start // self._grid.period)
-        instants = range(next_instant, end // self._grid.period + 1)
+    def push(self, stamps: IntArray, values: FloatArray) -> None:
+        if self._next is None and self._count + len(stamps) > 1:
+            self._next = -(-int(stamps[1 - self._count]) // self._grid.period)
+        self._count += len(stamps)
+        self._last_stamps = [*self._last_stamps, *stamps[-2:].tolist()][-2:]
+        self._nodes.append((stamps, values))
+
+    @property
+    def _reached(self) -> range:
+        """The instants between the second message and the last but one, that are not forgotten."""
+        if self._count < 4 or self._next is None:
+            return range(0)
+        first = self._on_grid.first if len(self._on_grid.values) else self._next
+        return range(first, self._last_stamps[0] // self._grid.period + 1)
+
+    def _interpolate(self) -> None:
+        """Bring the values to all instants that are reached."""
+        instants = range(self._next or 0, self._reached.stop)
         if not instants:
             return
-        origin = self._nodes[0][0]
-        nodes = [float(stamp - origin) for stamp, _ in self._nodes]
-        weights = np.array([cubic_weights_at(nodes, float(k * self._grid.period - origin)) for k in instants])
-        stacked = np.array([values for _, values in self._nodes])
-        self._on_grid.extend(instants.start, np.einsum("ni,ij->nj", weights, stacked))
+        stamps, values = (np.concatenate(parts) for parts in zip(*self._nodes, strict=True))
+        times = np.arange(instants.start, instants.stop) * self._grid.period
+        left = np.clip(np.searchsorted(stamps, times) - 2, 0, len(stamps) - 4)
+        origins = stamps[left]
+        nodes = (stamps[left[:, None] + np.arange(4)] - origins[:, None]).astype(float)
+        weights = cubic_weights(nodes, (times - origins).astype(float))
+        on_grid = weights[:, :1] * values[left]
+        for node in range(1, 4):
+            on_grid += weights[:, node, None] * values[left + node]
+        self._on_grid.extend(instants.start, on_grid)
+        self._next = instants.stop
+        self._nodes = [(stamps[-3:].copy(), values[-3:].copy())]
 
     def ready(self) -> range:
-        return self._on_grid.inside(self._grid.half)
+        reached, half = self._reached, self._grid.half
+        return range(reached.start + half, reached.stop - half)
 
     def filtered(self, instants: range) -> tuple[FloatArray, FloatArray, FloatArray]:
+        self._interpolate()
         value, first, second = self._on_grid.correlated(instants, self._grid.kernels)
         return value, first, second
 
     def drop_before(self, instant: int) -> None:
+        self._interpolate()
         self._on_grid.drop_before(instant - self._grid.half)
 
 
@@ -197,31 +177,32 @@ class JointSegment(VectorSegment):
         self._joints = joints
         self._columns = columns
         self._sharp_half = grid.sharp_kernels.shape[1] // 2
-        self._columns_on_grid = _GridValues()
-
-    def push(self, stamp: int, values: FloatArray) -> None:
-        super().push(stamp, values)
-        possible = self._on_grid.inside(self._sharp_half)
-        start = self._columns_on_grid.end if len(self._columns_on_grid.values) else possible.start
-        half, stride = self._grid.half, self._grid.stride
-        last_sample = (possible.stop - 1 - half) // stride * stride  # columns for later samples can wait
-        instants = range(start, last_sample + half + 1)
-        if instants:
-            motion = self._on_grid.correlated(instants, self._grid.sharp_kernels, self._joints)
-            self._columns_on_grid.extend(start, self._columns.values(Motion(*motion)).reshape(len(instants), -1))
+        self._columns_on_grid = GridValues()
 
     def ready(self) -> range:
-        motion, columns = super().ready(), self._columns_on_grid.inside(self._grid.half)
-        return range(max(motion.start, columns.start), min(motion.stop, columns.stop))
+        motion, margin = super().ready(), self._sharp_half
+        columns = self._columns_on_grid
+        start = columns.first + self._grid.half if len(columns.values) else motion.start + margin
+        return range(max(motion.start, start), motion.stop - margin)
 
     def effects(self, instants: range) -> FloatArray:
         """Filtered columns ``(N, joints, effects)`` at ``instants`` (all ready)."""
-        columns = self._columns_on_grid.correlated(instants, self._grid.kernels[:1])
+        self._interpolate()
+        half, known = self._grid.half, self._columns_on_grid
+        start = known.end if len(known.values) else self._on_grid.first + self._sharp_half
+        missing = range(start, instants[-1] + half + 1)
+        if missing:
+            motion = self._on_grid.correlated(missing, self._grid.sharp_kernels, self._joints)
+            known.extend(start, self._columns.values(Motion(*motion)).reshape(len(missing), -1))
+        columns = known.correlated(instants, self._grid.kernels[:1])
         return columns.reshape(len(instants), self._joints, -1)
 
     def drop_before(self, instant: int) -> None:
-        self._columns_on_grid.drop_before(instant - self._grid.half)
-        self._on_grid.drop_before(min(instant - self._grid.half, self._columns_on_grid.end - self._sharp_half))
+        self._interpolate()
+        known, before = self._columns_on_grid, instant - self._grid.half
+        known.drop_before(before)
+        end = known.end if len(known.values) else before
+        self._on_grid.drop_before(min(before, end - self._sharp_half))
 
 
 class PoseSegment(Segment):
@@ -241,9 +222,9 @@ class PoseSegment(Segment):
         self._stamps: list[int] = []
         self._poses: list[FloatArray] = []
 
-    def push(self, stamp: int, values: FloatArray) -> None:
-        self._stamps.append(stamp)
-        self._poses.append(values)
+    def push(self, stamps: IntArray, values: FloatArray) -> None:
+        self._stamps += stamps.tolist()
+        self._poses += list(values)
 
     def ready(self) -> range:
         if len(self._stamps) < 4:

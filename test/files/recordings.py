@@ -12,6 +12,7 @@ from typing import Any
 from rosbags.rosbag2 import Reader, StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
+from geomid_ros.signals.decoding import Raw
 from geomid_ros.signals.messages import JOINT_STATES, Message, parse
 
 BAGS = Path(__file__).parents[2] / "bags"
@@ -31,6 +32,12 @@ class Recorded:
     def parsed(self) -> Message:
         """As a pipeline takes it."""
         return parse(JOINT_STATES if self.topic == "/joint_states" else self.topic, self.message)
+
+    @property
+    def raw(self) -> Raw:
+        """As a worker takes it."""
+        topic = JOINT_STATES if self.topic == "/joint_states" else self.topic
+        return topic, bytes(TYPES.serialize_cdr(self.message, self.kind))
 
     def changed(self, **fields: Any) -> Recorded:
         """The same with other fields of the message."""

@@ -21,11 +21,10 @@ from geomid_ros.live import supervisor
 from geomid_ros.live.worker import Worker
 from geomid_ros.ros import main
 from geomid_ros.session.session import Session
-from geomid_ros.signals.messages import Message, WrenchMessage
 from geomid_ros.signals.pipeline import SignalPipeline
 
 VARIABLE = "GEOMID_TEST_FAULT"
-SLOW = 0.02  # [s] for a message
+SLOW = 0.01  # [s] for a message
 
 
 def fault() -> str:
@@ -82,9 +81,9 @@ def slowly(healthy: Any, *arguments: Any) -> Any:
     return healthy(*arguments)
 
 
-def a_little_slowly(healthy: Any, *arguments: Any) -> Any:
-    time.sleep(SLOW)
-    return healthy(*arguments)
+def a_little_slowly(healthy: Any, owner: Any, messages: list[Any]) -> Any:
+    time.sleep(SLOW * sum(message.topic == "/wrench" for message in messages))
+    return healthy(owner, messages)
 
 
 def shut_down(*_: Any) -> None:
@@ -93,11 +92,15 @@ def shut_down(*_: Any) -> None:
     rclpy.shutdown()
 
 
+def _healthily(healthy: Any, *arguments: Any) -> Any:
+    return healthy(*arguments)
+
+
 def of_wrenches(act: Callable[..., Any]) -> Callable[..., Any]:
     """The fault for wrenches; other messages are taken."""
 
-    def choose(healthy: Any, owner: Any, message: Message) -> Any:
-        return act(healthy, owner, message) if isinstance(message, WrenchMessage) else healthy(owner, message)
+    def choose(healthy: Any, owner: Any, topic: Any, *arguments: Any) -> Any:
+        return (act if "/wrench" in topic else _healthily)(healthy, owner, topic, *arguments)
 
     return choose
 
@@ -114,7 +117,8 @@ def run() -> None:
         "everything hangs": hang,
     })  # fmt: skip
     plant(Identifier, "add", {"rows fail": fail, "intake hangs": hang})
-    plant(SignalPipeline, "push", {"messages fail": of_wrenches(fail), "messages slow": of_wrenches(a_little_slowly)})
+    plant(SignalPipeline, "_use", {"messages fail": of_wrenches(fail)})
+    plant(Worker, "_take", {"messages slow": a_little_slowly})
     plant(Worker, "take", {"callback fails": of_wrenches(fail), "callback shuts down": of_wrenches(shut_down)})
     plant(Worker, "recent_messages", {"service fails": fail})
     plant(os, "fsync", {"disk full": full, "disk read-only": read_only, "disk slow": slowly, "everything hangs": hang})

@@ -7,11 +7,9 @@ import threading
 import time
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
-from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
-import numpy as np
 import pytest
 from files.recordings import BAGS
 
@@ -24,12 +22,12 @@ from geomid_ros.live.worker import Worker
 from geomid_ros.ros.diagnostics import Diagnostics
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.session import Session
-from geomid_ros.signals.messages import WrenchMessage
 
 from .stage import messages
 
 PATIENCE = 30.0
-JOINTS = [item.parsed for item in messages() if item.topic == "/joint_states"]
+STATES = [item for item in messages() if item.topic == "/joint_states"]
+JOINTS = [item.raw for item in STATES]
 SOON, NEVER = 0.01, 3600.0  # [s] periods of the solver
 
 
@@ -60,7 +58,7 @@ class Watched:
 
     def feed(self, begin: int = 0, end: int = len(JOINTS)) -> None:
         for message in JOINTS[begin:end]:
-            self.worker.take(message)
+            self.worker.take(*message)
 
     def final(self) -> Estimate | GeomidError:
         """The answer to a request for a final estimate."""
@@ -107,14 +105,16 @@ def test_without_rows_the_answer_is_an_error(quiet: Watched) -> None:
 
 def test_an_error_in_a_message_costs_the_message(quiet: Watched) -> None:
     quiet.feed(0, 100)
-    quiet.worker.take(replace(JOINTS[100], stamp="no stamp"))
-    quiet.worker.take(WrenchMessage("/undeclared", JOINTS[100].stamp, "", np.zeros(6)))
+    quiet.worker.take("joint_states", b"nonsense")
+    quiet.final()
+    quiet.worker.take("/undeclared", next(item.raw[1] for item in messages() if item.topic == "/wrench"))
+    quiet.final()
     quiet.feed(100)
     assert isinstance(quiet.final(), Estimate)
     status = quiet.worker.status(active=True)
-    assert status.accounts["joint_states"].dropped == {"TypeError while taking a message": 1}
+    assert status.accounts["joint_states"].rejected == {"not a valid sensor_msgs/msg/JointState": 1}
     assert status.accounts["/undeclared"].dropped == {"InputError while taking a message": 1}
-    assert status.failures.total() == 2
+    assert status.failures.total() == 1
     assert status.accounts["joint_states"].accepted == len(JOINTS)
 
 
@@ -345,8 +345,8 @@ def test_the_status_can_be_asked_for_all_the_time(busy: Watched) -> None:
 
 def feed_much(watched: Watched) -> None:
     for index, message in enumerate(JOINTS):
-        watched.worker.take(message)
-        watched.worker.take(replace(message, names=(f"joint {index}",) * 2))
+        watched.worker.take(*message)
+        watched.worker.take(*STATES[index].changed(name=[f"joint {index}"] * 3).raw)
         time.sleep(2e-4)
 
 

@@ -112,7 +112,7 @@ class Working:
         for number, item in enumerate(items):
             while not self.worker._inbox.empty():  # on a busy machine what waits for long is dropped
                 time.sleep(1e-4)
-            self.worker.take(item.parsed)
+            self.worker.take(*item.raw)
             if number % 20 == 0:
                 self.status()
 

@@ -9,7 +9,8 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from geomid_ros.model.samples import Samples
-from geomid_ros.signals.messages import JointMessage, Message, WrenchMessage
+from geomid_ros.signals.joint_messages import FROZEN, JointReader, RejectedError
+from geomid_ros.signals.messages import Block, JointMessage, Message, WrenchMessage
 from geomid_ros.signals.pipeline import SignalPipeline
 from geomid_ros.types import FloatArray, IntArray
 
@@ -87,6 +88,18 @@ def feed(pipeline: SignalPipeline, messages: Iterable[Message]) -> Samples:
     samples = pipeline.collect()
     assert samples is not None
     return samples
+
+
+def read(reader: JointReader, message: JointMessage) -> FloatArray:
+    """What a reader makes of one message ``(3 joints,)``. Raises RejectedError."""
+    block = Block.of(message)
+    numbers, (refusal,) = reader.numbers(block)
+    if refusal is not None:
+        raise RejectedError(refusal)
+    values, (taken,) = reader.read(block.stamps, numbers, among=1)
+    if not taken:
+        raise RejectedError(FROZEN)
+    return values[0]
 
 
 def without(message: JointMessage, joint: str) -> JointMessage:

@@ -11,10 +11,10 @@ import pytest
 from geomid_ros.errors import InputError
 from geomid_ros.model.samples import Samples
 from geomid_ros.model.sensors import WrenchSensor
+from geomid_ros.signals.grid_values import GridValues
 from geomid_ros.signals.messages import Message
 from geomid_ros.signals.pipeline import SignalPipeline
 from geomid_ros.signals.settings import SignalSettings
-from geomid_ros.signals.streams import _GridValues
 from geomid_ros.types import IntArray
 
 from .feeding import (
@@ -313,7 +313,7 @@ def test_topics_must_differ(topic: str) -> None:
 
 def test_values_on_the_grid_are_kept_in_little_room_however_many_pass() -> None:
     rng = np.random.default_rng(0)
-    passed, on_grid, expected = 1000, _GridValues(), rng.normal(size=(2, 3))
+    passed, on_grid, expected = 1000, GridValues(), rng.normal(size=(2, 3))
     on_grid.extend(passed, expected)
     for _ in range(2000):
         new = rng.normal(size=(rng.integers(1, 5), 3))

@@ -8,11 +8,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from geomid_ros.signals.joint_messages import JointParts, JointReader, RejectedError, plausible
+from geomid_ros.signals.arrived import plausible
+from geomid_ros.signals.joint_messages import JointReader, RejectedError
+from geomid_ros.signals.joint_parts import JointParts
 from geomid_ros.signals.messages import JointMessage
 from geomid_ros.signals.sampler import VelocityChoice
 
-from .feeding import START
+from .feeding import START, read
 
 NAMES = ("a", "b")
 STEP = 10_000_000  # [ns]
@@ -36,7 +38,7 @@ def message(index: int, effort: Any = (1.0, 2.0), **other: Any) -> JointMessage:
 
 def test_numbers_are_in_the_robot_s_order_and_efforts_in_its_units() -> None:
     mixed = {"position": (2.0, NAN, 1.0), "velocity": (4.0, 9.0, 3.0), "effort": (6.0, 1e99, 5.0)}
-    values = reader().read(message(0, names=("b", "other", "a"), **mixed))
+    values = read(reader(), message(0, names=("b", "other", "a"), **mixed))
     np.testing.assert_allclose(values, [1.0, 2.0, 3.0, 4.0, 5.0, -12.0])
 
 
@@ -46,90 +48,90 @@ def test_nothing_is_unmeasured_before_the_first_message() -> None:
 
 def test_an_effort_that_was_never_measured_is_left_out_from_the_start() -> None:
     own = reader()
-    values = own.read(message(0, effort=(1.0, NAN)))
+    values = read(own, message(0, effort=(1.0, NAN)))
     assert np.isnan(values[5])
     assert own.unmeasured == ("b",)
 
 
 def test_an_effort_that_fails_costs_messages_for_the_longest_gap_and_then_its_joint() -> None:
     own = reader()
-    own.read(message(0))
+    read(own, message(0))
     for index in range(1, 11):
         with pytest.raises(RejectedError, match="effort of 'b' missing"):
-            own.read(message(index, effort=(1.0, NAN)))
+            read(own, message(index, effort=(1.0, NAN)))
         assert own.unmeasured == ()
-    own.read(message(11, effort=(1.0, NAN)))
+    read(own, message(11, effort=(1.0, NAN)))
     assert own.unmeasured == ("b",)
-    own.read(message(12))
+    read(own, message(12))
     assert own.unmeasured == ()
 
 
 def test_after_a_clock_was_set_back_nothing_is_known_of_before() -> None:
     own = reader()
-    own.read(message(1000))
+    read(own, message(1000))
     own.restart()
     assert own.unmeasured == ()
-    assert np.isnan(own.read(message(0, effort=(1.0, NAN)))[5])
+    assert np.isnan(read(own, message(0, effort=(1.0, NAN)))[5])
 
 
 def test_zeros_are_no_efforts_while_the_robot_moves() -> None:
     """Of a robot that stands still they may be right; one that is not zero shows that there is a sensor."""
     own = reader()
-    still = own.read(JointMessage(START, NAMES, (0.0, 0.0), (0.0, 0.0), (0.0, 0.0)))
+    still = read(own, JointMessage(START, NAMES, (0.0, 0.0), (0.0, 0.0), (0.0, 0.0)))
     assert np.all(np.isnan(still[4:])), "nothing is known of the sensor yet"
-    moving = own.read(JointMessage(START + STEP, NAMES, (0.1, 0.0), (1.0, 0.0), (0.0, 0.0)))
+    moving = read(own, JointMessage(START + STEP, NAMES, (0.1, 0.0), (1.0, 0.0), (0.0, 0.0)))
     assert np.all(np.isnan(moving[4:]))
-    assert np.all(np.isfinite(own.read(message(2))[4:]))
+    assert np.all(np.isfinite(read(own, message(2))[4:]))
     with pytest.raises(RejectedError, match="is zero while the robot moves"):
-        own.read(JointMessage(START + 3 * STEP, NAMES, (0.3, 0.0), (1.0, 0.0), (0.0, 0.0)))
-    own.read(message(4))
-    resting = own.read(JointMessage(START + 5 * STEP, NAMES, (0.4, 0.0), (0.0, 0.0), (0.0, 0.0)))
+        read(own, JointMessage(START + 3 * STEP, NAMES, (0.3, 0.0), (1.0, 0.0), (0.0, 0.0)))
+    read(own, message(4))
+    resting = read(own, JointMessage(START + 5 * STEP, NAMES, (0.4, 0.0), (0.0, 0.0), (0.0, 0.0)))
     assert np.all(resting[4:] == 0.0), "a robot at rest may show zeros"
     later = JointMessage(START + 6 * STEP, NAMES, (0.5, 0.0), (1.0, 0.0), (0.0, 0.0))
     with pytest.raises(RejectedError, match="is zero while the robot moves"):
-        own.read(later)
+        read(own, later)
 
 
 @pytest.mark.parametrize(("velocity", "frozen"), [((1.0, 0.0), True), ((0.0, -1.0), True), ((0.009, 0.0), False)])
 def test_the_same_numbers_again_are_frozen_if_the_robot_moves(velocity: tuple[float, float], frozen: bool) -> None:
     own = reader()
-    own.read(message(0, velocity=velocity))
+    read(own, message(0, velocity=velocity))
     again = message(0, velocity=velocity, stamp=START + STEP)
     if frozen:
         with pytest.raises(RejectedError, match="frozen"):
-            own.read(again)
+            read(own, again)
     else:
-        own.read(again)
-    own.read(message(2, velocity=velocity))
+        read(own, again)
+    read(own, message(2, velocity=velocity))
 
 
 @pytest.mark.parametrize(("step", "frozen"), [(0.011, True), (0.009, False)])
 def test_without_velocities_positions_tell_whether_the_robot_moves(step: float, frozen: bool) -> None:
     """More than a hundredth of a radian per second, here in a second."""
     own, second = reader(), 1_000_000_000
-    own.read(message(0, position=(0.0, 0.0), velocity=()))
-    own.read(message(1, position=(0.0, -step), velocity=(), stamp=START + second))
+    read(own, message(0, position=(0.0, 0.0), velocity=()))
+    read(own, message(1, position=(0.0, -step), velocity=(), stamp=START + second))
     again = message(1, position=(0.0, -step), velocity=(), stamp=START + 2 * second)
     if frozen:
         with pytest.raises(RejectedError, match="frozen"):
-            own.read(again)
+            read(own, again)
     else:
-        own.read(again)
+        read(own, again)
 
 
 def test_one_number_that_changes_is_enough() -> None:
     own = reader()
-    own.read(message(0))
+    read(own, message(0))
     for change in ({"velocity": (1.0, -1.1)}, {"position": (0.0, 1e-9)}):
-        own.read(message(0, stamp=START + STEP, **change))
+        read(own, message(0, stamp=START + STEP, **change))
         own.restart()
-        own.read(message(0))
+        read(own, message(0))
 
 
 def test_positions_of_a_joint_without_end_go_on_and_those_of_others_jump() -> None:
     own = reader(continuous=(True, False))
     turn = 2.0 * np.pi
-    found = [own.read(message(k, position=(p, p)))[:2] for k, p in enumerate((3.0, 3.1 - turn, 3.2 - turn, 3.1, 0.1))]
+    found = [read(own, message(k, position=(p, p)))[:2] for k, p in enumerate((3.0, 3.1 - turn, 3.2 - turn, 3.1, 0.1))]
     np.testing.assert_allclose([joint[0] for joint in found], [3.0, 3.1, 3.2, 3.1, 0.1 + 0.0], atol=1e-12)
     np.testing.assert_allclose([joint[1] for joint in found], [3.0, 3.1 - turn, 3.2 - turn, 3.1, 0.1])
 
@@ -137,12 +139,14 @@ def test_positions_of_a_joint_without_end_go_on_and_those_of_others_jump() -> No
 def test_peculiarities_are_noted_once_and_not_without_end() -> None:
     notes: list[str] = []
     own = reader(notes)
-    own.read(message(0, velocity=()))
-    own.read(message(1, velocity=()))
+    read(own, message(0, velocity=()))
+    read(own, message(1, velocity=()))
     assert notes == ["no velocities: positions are differentiated"]
     for index in range(30):
         names = (*NAMES, f"extra {index}")
-        own.read(message(2 + index, names=names, position=(0.1 * index, 0.0, 0.0), velocity=(), effort=(1.0, 2.0, 3.0)))
+        read(
+            own, message(2 + index, names=names, position=(0.1 * index, 0.0, 0.0), velocity=(), effort=(1.0, 2.0, 3.0))
+        )
     assert len(notes) == len(NAMES) + 10
     assert notes[1] == "joint 'extra 0' is not one of the robot's: passed over"
 

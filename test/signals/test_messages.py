@@ -67,7 +67,7 @@ def accepted(*parsed: Any) -> tuple[list[tuple[str, int, list[float]]], SignalPi
     pipeline = SignalPipeline(["a", "b"], floating_base=True, sensors=sensors, on_accepted=seen.append)
     for message in parsed:
         pipeline.push(message)
-    return [(each.topic, each.stamp, each.values.tolist()) for each in seen], pipeline
+    return [(each.topic, int(each.stamps[0]), each.values[0].tolist()) for each in seen], pipeline
 
 
 @pytest.mark.parametrize("topic", TYPES)
@@ -137,7 +137,7 @@ def test_what_is_accepted_does_not_change() -> None:
     seen: list[Accepted] = []
     SignalPipeline(["a", "b"], on_accepted=seen.append).push(parse(JOINT_STATES, joint_state()))
     with pytest.raises(ValueError, match="read-only"):
-        seen[0].values[0] = 9.0
+        seen[0].values[0, 0] = 9.0
 
 
 @pytest.mark.parametrize("topic", MESSAGES)

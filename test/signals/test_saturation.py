@@ -9,7 +9,7 @@ from geomid_ros.signals.joint_messages import JointReader, RejectedError
 from geomid_ros.signals.messages import JointMessage
 from geomid_ros.types import BoolArray, FloatArray
 
-from .feeding import START
+from .feeding import START, read
 
 LARGEST = 40.0  # [N m]
 MAX_GAP = 500_000_000
@@ -34,8 +34,8 @@ def refused(efforts: FloatArray, rate: float, speed: float = 1.0) -> BoolArray:
         time = index / rate
         position, velocity, effort_pair = (speed * time, time), (speed, 1.0), (LARGEST * effort, 1.0 + time)
         try:
-            numbers = reader.read(
-                JointMessage(START + round(time * 1e9), ("one", "other"), position, velocity, effort_pair)
+            numbers = read(
+                reader, JointMessage(START + round(time * 1e9), ("one", "other"), position, velocity, effort_pair)
             )
         except RejectedError as error:
             result[index] = "effort of 'one' saturated" in str(error)
@@ -89,8 +89,8 @@ def test_what_was_the_largest_before_the_clock_was_set_back_may_be_so_after_it()
     reader = JointReader(("one",), np.ones(1), np.zeros(1, dtype=np.bool_), MAX_GAP, lambda _: None)
     for begin in (START, START - 10**10):
         for index, effort in enumerate(rounded(curve(0.2, 10.0, 2.0, phase=np.pi / 2), 8).tolist()):
-            reader.read(
-                JointMessage(begin + index * 10**8, ("one",), (0.1 * index,), (1.0,), (LARGEST * effort + 1.0,))
+            read(
+                reader, JointMessage(begin + index * 10**8, ("one",), (0.1 * index,), (1.0,), (LARGEST * effort + 1.0,))
             )
         reader.restart()
 

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from geomid_ros.model.columns import NO_COLUMNS
-from geomid_ros.signals.streams import Grid, JointSegment, PoseSegment, Segment, Stream, VectorSegment, _GridValues
+from geomid_ros.signals.grid_values import GridValues
+from geomid_ros.signals.streams import Grid, JointSegment, PoseSegment, Segment, Stream, VectorSegment
 from geomid_ros.types import FloatArray
 
 PERIOD = 10_000_000  # [ns]
@@ -20,16 +21,20 @@ def stamps(count: int, step: int = PERIOD, offset: int = 0) -> list[int]:
     return [START + offset + index * step for index in range(count)]
 
 
+def push(target: Segment | Stream[VectorSegment], stamp: int, values: FloatArray) -> None:
+    target.push(np.array([stamp]), values[None])
+
+
 def filled(segment: Segment, times: list[int], values: FloatArray | None = None) -> Segment:
     for index, stamp in enumerate(times):
-        segment.push(stamp, np.array([float(stamp - START)]) if values is None else values[index])
+        push(segment, stamp, np.array([float(stamp - START)]) if values is None else values[index])
     return segment
 
 
 def poses(times: list[int]) -> PoseSegment:
     segment = PoseSegment(GRID)
     for stamp in times:
-        segment.push(stamp, UNIT)
+        push(segment, stamp, UNIT)
     return segment
 
 
@@ -70,7 +75,7 @@ def test_poses_between_few_messages_are_interpolated_by_the_cubic_around_them() 
     segment = PoseSegment(GRID)
     for stamp in times:
         time = (stamp - START) * 1e-9
-        segment.push(stamp, np.concatenate([[time**3, 0.5 * time**2, time], UNIT[3:]]))
+        push(segment, stamp, np.concatenate([[time**3, 0.5 * time**2, time], UNIT[3:]]))
     ready = segment.ready()
     pose, velocity, acceleration = segment.filtered(ready)
     time = np.array([instant * PERIOD - START for instant in ready]) * 1e-9
@@ -127,8 +132,8 @@ def test_joints_wait_for_the_columns_of_effects() -> None:
     joints = JointSegment(GRID, 1, NO_COLUMNS)
     plain = VectorSegment(GRID)
     for stamp in stamps(200):
-        joints.push(stamp, np.array([1.0, 0.0, 0.0]))
-        plain.push(stamp, np.array([1.0, 0.0, 0.0]))
+        push(joints, stamp, np.array([1.0, 0.0, 0.0]))
+        push(plain, stamp, np.array([1.0, 0.0, 0.0]))
     sharp = GRID.lag - GRID.half
     assert joints.ready() == range(plain.ready().start + sharp, plain.ready().stop - sharp)
     assert joints.effects(joints.ready()).shape == (len(joints.ready()), 1, 0)
@@ -140,7 +145,7 @@ class TestStream:
     def stream(self, times: list[int]) -> Stream[VectorSegment]:
         stream = Stream(self.GAP, lambda: VectorSegment(GRID))
         for stamp in times:
-            stream.push(stamp, np.zeros(1))
+            push(stream, stamp, np.zeros(1))
         return stream
 
     @pytest.mark.parametrize(("pause", "parts"), [(GAP, 1), (GAP + 1, 2)])
@@ -170,7 +175,7 @@ class TestStream:
 
 class TestGridValues:
     def test_what_is_appended_is_there_until_it_is_dropped(self) -> None:
-        values, rng, expected, first = _GridValues(), np.random.default_rng(1), np.zeros((0, 2)), 100
+        values, rng, expected, first = GridValues(), np.random.default_rng(1), np.zeros((0, 2)), 100
         assert (values.end, len(values.values)) == (0, 0)
         end = first
         for _ in range(200):
@@ -189,13 +194,13 @@ class TestGridValues:
             assert len(values._room) <= 8 * (len(values.values) + 10)
 
     def test_dropping_before_the_first_does_nothing(self) -> None:
-        values = _GridValues()
+        values = GridValues()
         values.extend(10, np.ones((4, 1)))
         values.drop_before(9)
         assert (values.first, values.end, values.inside(1)) == (10, 14, range(11, 13))
 
     def test_values_are_correlated_with_kernels_around_each_instant(self) -> None:
-        values, numbers = _GridValues(), np.random.default_rng(2).normal(size=(30, 3))
+        values, numbers = GridValues(), np.random.default_rng(2).normal(size=(30, 3))
         values.extend(50, numbers)
         kernels = np.random.default_rng(3).normal(size=(2, 5))
         instants = range(55, 70, 3)

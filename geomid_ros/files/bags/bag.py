@@ -28,7 +28,8 @@ _FORMATS: dict[str, Callable[[Path], Storage]] = {".mcap": McapFile, ".db3": Dat
 _SUFFIXES = {"mcap": ".mcap", "sqlite3": ".db3"}  # by rosbag2's name of the format
 _TO_JAZZY = ("--dst-typestore", "ros2_jazzy")
 _METADATA = "metadata.yaml"
-_MOST_BYTES = 8_000_000  # of a message whose fields are read; a robot description has up to 5 MB
+_MOST_MESSAGES = 4096  # of a batch
+_MOST_BYTES = 8_000_000  # of a batch, and of a message whose fields are read; a robot description has up to 5 MB
 
 
 class Bag:
@@ -111,12 +112,40 @@ class Bag:
             if kind not in _typestore.types:
                 raise InputError(f"{where} is of the type {kind}, which is none of those that come with ROS 2")
             if len(data) > _MOST_BYTES:
-                raise InputError(f"{where} has {len(data)} bytes, more than the {_MOST_BYTES} that are read")
+                raise self._too_long(RawMessage(topic, time, kind, data))
             try:
                 yield topic, time, _typestore.deserialize_cdr(data, kind)
             except Exception as error:  # whatever bytes of another form make the code for this type raise
                 reason = (str(error).splitlines() or [type(error).__name__])[0]
-                raise InputError(f"{where} is not a valid {kind} ({reason}); {count} before it are") from error
+                raise self.not_valid(topic, time, kind, reason, count) from error
+
+    def _too_long(self, message: RawMessage) -> InputError:
+        where = f"{self.path}: message on {message.topic} at {message.time} ns"
+        return InputError(f"{where} has {len(message.data)} bytes, more than the {_MOST_BYTES} that are read")
+
+    def not_valid(self, topic: str, time: int, kind: str, reason: str, count: int) -> InputError:
+        """The error for a message whose bytes are not of its type, after ``count`` others."""
+        where = f"{self.path}: message on {topic} at {time} ns"
+        return InputError(f"{where} is not a valid {kind} ({reason}); {count} before it are")
+
+    def batches(self, topics: Collection[str]) -> Iterator[list[RawMessage]]:
+        """Everything on ``topics``, many messages at once.
+
+        Raises:
+            InputError: a message is too large.
+        """
+        batch: list[RawMessage] = []
+        size = 0
+        for message in self._raw_messages(topics):
+            batch.append(message)
+            size += len(message.data)
+            if len(batch) >= _MOST_MESSAGES or size > _MOST_BYTES:
+                if len(message.data) > _MOST_BYTES:
+                    raise self._too_long(message)
+                yield batch
+                batch, size = [], 0
+        if batch:
+            yield batch
 
     def raw_messages(self, topics: Collection[str]) -> Iterator[tuple[str, int, bytes]]:
         """Topic, time of recording [ns] and serialised message of everything on ``topics``."""

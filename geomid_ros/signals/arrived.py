@@ -1,0 +1,88 @@
+"""Messages as they arrived: their numbers in the robot's order, and which cannot be used by themselves."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from geomid_ros.model.sensors import WrenchSensor
+from geomid_ros.signals.messages import Block
+from geomid_ros.types import AnyArray, BoolArray, FloatArray, IntArray
+
+_LARGEST_NUMBER = 1e9  # in SI units
+_UNLIKE_ONE = 1e-2  # length of a quaternion
+
+
+def plausible(values: FloatArray) -> BoolArray:
+    """False for NaN, infinity and numbers that no robot measures."""
+    return np.abs(values) < _LARGEST_NUMBER
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Arrived:
+    """N messages of one source: the places in which they came, stamps, and numbers in the robot's order.
+
+    ``refusals`` are the reasons why some cannot be used for what they say by themselves, None for the others.
+    """
+
+    order: IntArray
+    stamps: IntArray
+    numbers: FloatArray
+    refusals: AnyArray
+
+    def __len__(self) -> int:
+        return len(self.stamps)
+
+    @property
+    def stamp(self) -> int:
+        """Of the first message."""
+        return int(self.stamps[0])
+
+    @property
+    def good(self) -> BoolArray:
+        """Which messages can be used by themselves ``(N,)``."""
+        return without_refusal(self.refusals)
+
+    def select(self, index: BoolArray | slice) -> Arrived:
+        """Some of them."""
+        return Arrived(self.order[index], self.stamps[index], self.numbers[index], self.refusals[index])
+
+    @staticmethod
+    def in_order(several: Sequence[Arrived]) -> Arrived:
+        """All of them, in the order in which they came."""
+        if len(several) == 1:
+            return several[0]
+        order = np.argsort(np.concatenate([each.order for each in several]), kind="stable")
+        parts = zip(*((e.order, e.stamps, e.numbers, e.refusals) for e in several), strict=True)
+        return Arrived(*(np.concatenate(part)[order] for part in parts))
+
+
+def without_refusal(refusals: AnyArray) -> BoolArray:
+    """Which elements are None."""
+    found: BoolArray = np.array([refusal is None for refusal in refusals.tolist()], dtype=np.bool_)
+    return found
+
+
+def poses(block: Block) -> tuple[FloatArray, AnyArray]:
+    """Poses ``(N, 7)`` with quaternions of length one, and why some cannot be used."""
+    values, refusals = block.arrays[0].copy(), np.full(len(block.stamps), None)
+    wild = ~plausible(values).all(axis=1)
+    values[wild] = np.nan
+    norms = np.linalg.norm(values[:, 3:], axis=1)
+    refusals[np.abs(norms - 1.0) > _UNLIKE_ONE] = "quaternion is not of length 1"
+    refusals[wild] = "pose not finite"
+    good = without_refusal(refusals)
+    values[good, 3:] /= norms[good, None]
+    return values, refusals
+
+
+def wrenches(block: Block, sensor: WrenchSensor) -> tuple[FloatArray, AnyArray]:
+    """Wrenches ``(N, 6)`` without the sensor's offset, and why some cannot be used."""
+    (values,), (frame,), declared = block.arrays, block.names, sensor.frame_id or sensor.frame
+    refusals = np.full(len(values), None)
+    refusals[~plausible(values[:, sensor.axis_indices]).all(axis=1)] = "wrench not finite"
+    if frame and frame != declared:
+        refusals[:] = f"frame '{frame}' is not the declared '{declared}'"
+    return values - sensor.sign * np.array(sensor.offset), refusals

@@ -1,0 +1,172 @@
+"""Serialised messages to blocks of numbers: the layout of the first message serves all that differ in numbers only."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cache
+from typing import Any, TypeAlias
+
+import numpy as np
+from rosbags.typesys import Stores, get_typestore
+
+from geomid_ros.signals.messages import JOINT_STATES, ODOM, Block, message_type, parse
+from geomid_ros.types import AnyArray, BoolArray, IntArray
+
+_MOST_LAYOUTS = 64
+_STAMP = slice(4, 12)  # seconds and nanoseconds, 4 bytes each
+_LITTLE_ENDIAN = b"\0\1"
+Raw: TypeAlias = tuple[str, bytes]
+"""A message as it came: the topic, as the pipeline calls it, and its bytes (CDR)."""
+
+
+@cache
+def _typestore() -> Any:
+    return get_typestore(Stores.ROS2_JAZZY)
+
+
+@dataclass(frozen=True)
+class _Layout:
+    """Where the numbers stand in messages of one ``size`` and the same texts and lengths.
+
+    ``fixed`` are the places of the bytes in which all of them are ``like`` each other, ``fields`` the place and length
+    of each array.
+    """
+
+    like: Block
+    fixed: IntArray
+    text: AnyArray
+    fields: tuple[tuple[int, int], ...]
+
+    def matches(self, data: AnyArray) -> BoolArray:
+        """Which messages ``(N, size)`` have this layout ``(N,)``."""
+        found: BoolArray = (data[:, self.fixed] == self.text).all(axis=1)
+        return found
+
+    def block(self, data: AnyArray, order: IntArray) -> Block:
+        """The numbers of messages ``(N, size)``."""
+        seconds, nanoseconds = np.frombuffer(data[:, _STAMP].tobytes(), "<u4").astype(np.int64).reshape(-1, 2).T
+        valid = (seconds < 1 << 31) & (nanoseconds < 1_000_000_000)
+        stamps = np.where(valid, seconds * 1_000_000_000 + nanoseconds, -1)
+        arrays = tuple(
+            np.frombuffer(data[:, begin : begin + 8 * count].tobytes(), "<f8").reshape(len(data), count)
+            for begin, count in self.fields
+        )
+        return Block(self.like.topic, order, stamps, self.like.names, arrays)
+
+
+class Decoder:
+    """Decodes messages of several topics; remembers the layouts that it has met."""
+
+    def __init__(self) -> None:
+        self._layouts: dict[tuple[str, int], list[_Layout]] = {}  # by topic and size
+
+    def blocks(self, messages: Sequence[Raw], refuse: Callable[[int, str], None]) -> list[Block]:
+        """All messages, in as few blocks as possible.
+
+        Args:
+            messages: in the order in which they came.
+            refuse: ``refuse(place, why)`` is told of messages that are not of their topic's type.
+        """
+        groups: dict[tuple[str, int], list[int]] = {}
+        for place, (topic, data) in enumerate(messages):
+            groups.setdefault((topic, len(data)), []).append(place)
+        return [block for group, places in groups.items() for block in self._decoded(group, places, messages, refuse)]
+
+    def _decoded(
+        self,
+        group: tuple[str, int],
+        places: list[int],
+        messages: Sequence[Raw],
+        refuse: Callable[[int, str], None],
+    ) -> list[Block]:
+        """The messages of one topic and size."""
+        data = np.frombuffer(b"".join([messages[place][1] for place in places]), np.uint8).reshape(len(places), -1)
+        left, blocks = np.array(places), []
+        layouts = deque(self._layouts.get(group, ()))
+        while len(left):
+            if not layouts:
+                place = int(left[0])
+                data, left = data[1:], left[1:]
+                try:
+                    block, new = _parsed(messages[place], place)
+                except ValueError as error:
+                    refuse(place, str(error))
+                else:
+                    blocks.append(block)
+                    layouts.extend(self._remembered(group, new))
+            else:
+                layout = layouts.popleft()
+                same = layout.matches(data)
+                if same.any():
+                    whole = bool(same.all())
+                    blocks.append(layout.block(data if whole else data[same], left if whole else left[same]))
+                    data, left = data[~same], left[~same]
+        return blocks
+
+    def _remembered(self, group: tuple[str, int], new: _Layout | None) -> list[_Layout]:
+        if new is None:
+            return []
+        if sum(map(len, self._layouts.values())) >= _MOST_LAYOUTS:  # the sender decides how many there are
+            self._layouts.clear()
+        self._layouts.setdefault(group, []).append(new)
+        return [new]
+
+
+def _parsed(raw: Raw, place: int) -> tuple[Block, _Layout | None]:
+    """A message that is read by rosbags, and its layout, if that is understood. Raises ValueError saying why not."""
+    topic, data = raw
+    try:
+        message = _typestore().deserialize_cdr(data, message_type(topic))
+        block = Block.of(parse(topic, message), place)
+    except Exception as error:  # whatever bytes of another form make the code for this type raise
+        raise ValueError((str(error).splitlines() or [type(error).__name__])[0]) from error
+    if data[:2] != _LITTLE_ENDIAN:
+        return block, None
+    return block, _layout(topic, data, message, block)
+
+
+def _layout(topic: str, data: bytes, message: Any, block: Block) -> _Layout | None:
+    """The layout of a message, unless its numbers are not found where it says."""
+    fixed, place = [slice(0, 2)], 12
+    texts = [message.header.frame_id, *([message.child_frame_id] if topic == ODOM else ())]
+    for text in texts:
+        place = _after_text(place, text, fixed)
+    if topic == JOINT_STATES:
+        place = _after_count(place, fixed)
+        for text in message.name:
+            place = _after_text(place, text, fixed)
+    fields = []
+    for array in block.arrays:
+        if topic == JOINT_STATES:
+            place = _after_count(place, fixed)
+        count = array.shape[1]
+        begin = _aligned(place, 8) if count else place
+        fields.append((begin, count))
+        place = begin + 8 * count
+    places = np.concatenate([np.arange(part.start, part.stop) for part in fixed])
+    if place > len(data):
+        return None
+    whole = np.frombuffer(data, np.uint8)[None]
+    layout = _Layout(block, places, whole[0, places], tuple(fields))
+    again = layout.block(whole, block.order)
+    same = all(a.tobytes() == b.tobytes() for a, b in zip(again.arrays, block.arrays, strict=True))
+    return layout if same and again.stamps[0] == block.stamps[0] else None
+
+
+def _aligned(place: int, size: int) -> int:
+    """The next place of a number of this size; CDR counts from the fifth byte."""
+    return place + (4 - place) % size
+
+
+def _after_text(place: int, text: str, fixed: list[slice]) -> int:
+    begin = _aligned(place, 4)
+    fixed.append(slice(begin, begin + 4 + len(text.encode()) + 1))
+    return int(fixed[-1].stop)
+
+
+def _after_count(place: int, fixed: list[slice]) -> int:
+    begin = _aligned(place, 4)
+    fixed.append(slice(begin, begin + 4))
+    return begin + 4

@@ -1,0 +1,149 @@
+"""The same messages in blocks of any size, or one by one: the same samples, the same counts."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from geomid_ros.model.samples import Samples
+from geomid_ros.model.sensors import WrenchSensor
+from geomid_ros.signals.messages import Accepted, Block, JointMessage, Message
+from geomid_ros.signals.pipeline import SignalPipeline
+from geomid_ros.signals.settings import SignalSettings
+
+from .feeding import JOINTS, balanced, in_time, jittered, joint_messages, regular, without, wrench_messages
+
+NAN = float("nan")
+
+
+def changed(message: Any, key: str, place: int, value: float) -> Any:
+    values = np.array(getattr(message, key), dtype=float)
+    values[place] = value
+    return replace(message, **{key: values})
+
+
+FAULTS: tuple[Callable[[Any], Any], ...] = (
+    lambda m: replace(m, stamp=0),
+    lambda m: replace(m, stamp=-1),
+    lambda m: replace(m, stamp=m.stamp - 15_000_000),
+    lambda m: replace(m, stamp=m.stamp - 3_000_000_000),
+    lambda m: replace(m, stamp=m.stamp + 3_000_000_000),
+    lambda m: replace(m, frame="base") if not isinstance(m, JointMessage) else replace(m, effort=()),
+    lambda m: changed(m, "effort", 2, NAN) if isinstance(m, JointMessage) else changed(m, "wrench", 0, NAN),
+    lambda m: changed(m, "position", 1, NAN) if isinstance(m, JointMessage) else m,
+    lambda m: replace(m, effort=[0.0] * 3) if isinstance(m, JointMessage) else m,
+    lambda m: replace(m, velocity=()) if isinstance(m, JointMessage) else m,
+    lambda m: replace(m, names=m.names[::-1]) if isinstance(m, JointMessage) else m,
+    lambda m: without(m, "elbow") if isinstance(m, JointMessage) else m,
+)
+
+
+def spoiled(seed: int, share: float) -> list[Message]:
+    """Messages of two topics with faults of all kinds, frozen ones and a clock that is set back."""
+    rng = np.random.default_rng(seed)
+    clean = in_time(joint_messages(jittered(0.01, 6.0, seed), velocity=True), wrench_messages(regular(0.004, 6.0)))
+    result: list[Message] = []
+    for index, message in enumerate([*clean, *clean[:900]] if seed % 2 else clean):
+        result.append(message)
+        if rng.random() < share:
+            result.append(FAULTS[rng.integers(len(FAULTS))](message))
+        if rng.random() < share and isinstance(message, JointMessage):
+            result += [replace(message, stamp=message.stamp + 1000 * step) for step in range(1, 4)]
+        if rng.random() < 0.1 * share:
+            result += [FAULTS[0](message)] * int(rng.integers(30)) + clean[index + 200 : index + 203]
+    return result
+
+
+def pipeline(seen: list[Accepted] | None = None, **settings: Any) -> SignalPipeline:
+    sensor = WrenchSensor("/wrench", "tool", "mounted", axes=("fx", "fz"))
+    told = {} if seen is None else {"on_accepted": seen.append}
+    return SignalPipeline(JOINTS, sensors=[sensor], settings=SignalSettings(**settings), continuous=["wrist"], **told)
+
+
+def blocks(messages: Sequence[Message]) -> list[Block]:
+    """Those of one layout in one block, as a decoder gives them."""
+    groups: dict[Any, list[Block]] = {}
+    for place, message in enumerate(messages):
+        one = Block.of(message, place)
+        groups.setdefault((one.topic, one.names, tuple(a.shape[1] for a in one.arrays)), []).append(one)
+    return [
+        Block(
+            several[0].topic,
+            np.concatenate([each.order for each in several]),
+            np.concatenate([each.stamps for each in several]),
+            several[0].names,
+            tuple(np.concatenate(parts) for parts in zip(*(each.arrays for each in several), strict=True)),
+        )
+        for several in groups.values()
+    ]
+
+
+def in_blocks(target: SignalPipeline, messages: Sequence[Message], size: int) -> Samples:
+    for begin in range(0, len(messages), size):
+        target.push(blocks(messages[begin : begin + size]))
+    samples = target.collect()
+    assert samples is not None
+    return samples
+
+
+def assert_same_to_the_last_digit(actual: Samples, expected: Samples) -> None:
+    for name, array in expected.arrays.items():
+        np.testing.assert_array_equal(actual.arrays[name], array, err_msg=name)
+
+
+@pytest.mark.parametrize("size", [2, 17, 400, 10_000])
+@pytest.mark.parametrize("share", [0.0, 0.004, 0.04])
+@pytest.mark.parametrize("seed", [0, 1])
+def test_blocks_of_any_size_make_the_same_samples(size: int, share: float, seed: int) -> None:
+    messages = spoiled(seed, share)
+    seen: tuple[list[Accepted], list[Accepted]] = ([], [])
+    alone, together = pipeline(seen[0]), pipeline(seen[1])
+    expected = in_blocks(alone, messages, 1)
+    assert_same_to_the_last_digit(in_blocks(together, messages, size), expected)
+    ledgers = alone.ledger.topics, together.ledger.topics
+    for topic, account in ledgers[0].items():
+        theirs = ledgers[1][topic]
+        assert (account.accepted, account.rejected) == (theirs.accepted, theirs.rejected)
+    assert alone.held == together.held
+    assert balanced(together, messages)
+    assert together.unmeasured == alone.unmeasured
+    for topic in ledgers[0]:
+        values = [np.concatenate([each.values for each in told if each.topic == topic]) for told in seen]
+        np.testing.assert_array_equal(*values)
+
+
+@pytest.mark.parametrize("size", [3, 50, 10_000])
+def test_parts_of_a_robot_are_joined_in_blocks_as_one_by_one(size: int) -> None:
+    """Two publishers, the second one a little later each time; both stop for a while and begin anew."""
+    part, other = (
+        [without(without(m, names[0]), names[1]) if len(names) > 1 else without(m, names[0]) for m in joint_messages(s)]
+        for names, s in (((JOINTS[0],), regular(0.01, 4.0)), (JOINTS[1:], regular(0.01, 4.0, offset=0.003)))
+    )
+    messages = [message for pair in zip(part, other, strict=True) for message in pair]
+    messages = [*messages, *messages[:300]]
+    alone, together = (SignalPipeline(JOINTS, settings=SignalSettings(period=0.01, merge=True)) for _ in range(2))
+    assert_same_to_the_last_digit(in_blocks(together, messages, size), in_blocks(alone, messages, 1))
+    assert together.ledger.topics == alone.ledger.topics
+
+
+def test_a_pause_of_frozen_messages_is_a_pause() -> None:
+    """Longer than the longest gap, within one block."""
+    clean = joint_messages(regular(0.01, 6.0), velocity=True)
+    messages = [replace(m, **{k: getattr(clean[200], k) for k in ("position", "velocity", "effort")})
+                if 200 < index < 300 else m for index, m in enumerate(clean)]  # fmt: skip
+    alone, together = (SignalPipeline(JOINTS, settings=SignalSettings(period=0.01)) for _ in range(2))
+    assert_same_to_the_last_digit(in_blocks(together, messages, 10_000), in_blocks(alone, messages, 1))
+    assert together.ledger.topics == alone.ledger.topics
+    assert sum(together.ledger.topics["joint_states"].rejected.values()) == 99
+
+
+def test_only_consecutive_windows_are_summed_tap_by_tap() -> None:
+    """Both ways of filtering give the same digits; which one is taken depends on the number of instants."""
+    messages = joint_messages(regular(0.001, 3.0))
+    settings = SignalSettings(period=0.001, cutoff=20.0)
+    alone, together = (SignalPipeline(JOINTS, settings=settings) for _ in range(2))
+    assert_same_to_the_last_digit(in_blocks(together, messages, 10_000), in_blocks(alone, messages, 7))

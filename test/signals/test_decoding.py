@@ -1,0 +1,150 @@
+"""Serialised messages are decoded by the layout of one of them: the same numbers as message by message."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from files.recordings import BAGS, TYPES, recorded
+
+from geomid_ros.signals.decoding import Decoder, Raw
+from geomid_ros.signals.messages import JOINT_STATES, ODOM, Block, message_type, parse
+
+NAMES = {"/joint_states": JOINT_STATES, "/wrench": "/wrench"}
+ITEMS = [item for item in recorded(BAGS / "arm3")[:200] if item.topic in NAMES]
+
+
+def serialised(topic: str, message: Any, little_endian: bool = True) -> Raw:
+    return topic, bytes(TYPES.serialize_cdr(message, message_type(topic), little_endian=little_endian))
+
+
+def messages() -> list[tuple[str, Any]]:
+    """Joint states in two orders, some of them without velocities, some of another length; and wrenches."""
+    result = []
+    for index, item in enumerate(ITEMS):
+        message = item.message
+        if item.topic == "/joint_states" and index % 7 == 3:
+            keys = ("position", "velocity", "effort")
+            message = replace(
+                message, name=message.name[::-1], **{key: getattr(message, key)[::-1].copy() for key in keys}
+            )
+        if item.topic == "/joint_states" and index % 11 == 4:
+            message = replace(message, velocity=np.zeros(0))
+        if item.topic == "/wrench" and index % 5 == 0:
+            message = replace(message, header=replace(message.header, frame_id="another" * (index % 3)))
+        result.append((NAMES[item.topic], message))
+    return result
+
+
+def fail(place: int, why: str) -> None:
+    pytest.fail(f"message {place}: {why}")
+
+
+def assert_read(blocks: list[Block], expected: list[tuple[str, Any]]) -> None:
+    """Every message is in one block, as the attributes of rosbags' say."""
+    found = {int(place): (block, row) for block in blocks for row, place in enumerate(block.order)}
+    assert sorted(found) == list(range(len(expected)))
+    for place, (topic, message) in enumerate(expected):
+        block, row = found[place]
+        one = Block.of(parse(topic, message))
+        assert (block.topic, block.names, block.stamps[row]) == (topic, one.names, one.stamps[0])
+        for actual, array in zip(block.arrays, one.arrays, strict=True):
+            np.testing.assert_array_equal(actual[row], array[0])
+
+
+@pytest.mark.parametrize("little_endian", [True, False])
+def test_messages_are_read_as_rosbags_reads_them(little_endian: bool) -> None:
+    expected = messages()
+    decoder = Decoder()
+    raw = [serialised(topic, message, little_endian) for topic, message in expected]
+    assert_read(decoder.blocks(raw, fail), expected)
+    again = decoder.blocks(raw[:50], fail)
+    assert_read(again, expected[:50])
+    if little_endian:
+        assert len(again) < 12, "known layouts"
+
+
+def test_a_pose_is_read_whatever_its_velocity_is() -> None:
+    kind = TYPES.types
+    vector = kind["geometry_msgs/msg/Vector3"]
+    poses = []
+    for index in range(5):
+        pose = kind["geometry_msgs/msg/Pose"](
+            kind["geometry_msgs/msg/Point"](1.0, 2.0, float(index)),
+            kind["geometry_msgs/msg/Quaternion"](0.0, 0.0, 0.6, 0.8),
+        )
+        twist = kind["geometry_msgs/msg/Twist"](vector(float(index), 0.0, 0.0), vector(0.0, 0.0, 0.0))
+        header = replace(ITEMS[0].message.header, frame_id="odometry")
+        poses.append(
+            kind["nav_msgs/msg/Odometry"](
+                header,
+                "base",
+                kind["geometry_msgs/msg/PoseWithCovariance"](pose, np.full(36, float(index))),
+                kind["geometry_msgs/msg/TwistWithCovariance"](twist, np.zeros(36)),
+            )
+        )
+    decoder, expected = Decoder(), [(ODOM, pose) for pose in poses]
+    raw = [serialised(*item) for item in expected]
+    assert_read(decoder.blocks(raw, fail), expected)
+    (block,) = decoder.blocks(raw, fail)
+    assert block.arrays[0].shape == (5, 7)
+
+
+@pytest.mark.parametrize(("seconds", "nanoseconds"), [(1, 1_000_000_000), (-1, 5), (-(2**31), 0), (2**31 - 1, 7)])
+def test_a_stamp_that_is_not_valid_is_said_to_be_so(seconds: int, nanoseconds: int) -> None:
+    first = ITEMS[0].message
+    stamp = type(first.header.stamp)(seconds, nanoseconds)
+    odd = replace(first, header=replace(first.header, stamp=stamp))
+    topic = NAMES[ITEMS[0].topic]
+    blocks = Decoder().blocks([serialised(topic, first), serialised(topic, odd)], fail)
+    stamps = np.concatenate([block.stamps for block in blocks])
+    assert stamps[1] == parse(topic, odd).stamp
+
+
+def test_what_lies_between_the_fields_does_not_matter() -> None:
+    """Some publishers leave what was in memory there."""
+    topic, message = next(item for item in messages() if item[0] == JOINT_STATES)
+    message = replace(message, header=replace(message.header, frame_id="ab"))
+    raw = serialised(topic, message)[1]
+    padded = bytearray(raw)
+    assert padded[16:19] == b"ab\0"
+    padded[19] = 77
+    decoder = Decoder()
+    decoder.blocks([(topic, raw)], fail)
+    (block,) = decoder.blocks([(topic, raw), (topic, bytes(padded))], fail)
+    np.testing.assert_array_equal(block.arrays[0][0], block.arrays[0][1])
+
+
+@pytest.mark.parametrize("spoil", ["cut", "longer", "text", "count", "big"])
+def test_other_bytes_are_refused_and_the_rest_is_read(spoil: str) -> None:
+    expected = [item for item in messages() if item[0] == JOINT_STATES][:20]
+    raw = [serialised(*item) for item in expected]
+    data = bytearray(raw[10][1])
+    if spoil == "cut":
+        data = data[:-9]
+    if spoil == "longer":
+        data += bytes(8)
+    if spoil == "text":
+        data[data.index(b"joint1")] = 0xFF
+    if spoil == "count":
+        data[data.index(b"joint1") - 8] = 200
+    if spoil == "big":
+        data[1] = 7
+    raw[10] = (JOINT_STATES, bytes(data))
+    refused: list[int] = []
+    decoder = Decoder()
+    decoder.blocks(raw[:3], fail)
+    blocks = decoder.blocks(raw, lambda place, _: refused.append(place))
+    assert refused == [10]
+    assert sum(len(block.stamps) for block in blocks) == 19
+
+
+def test_as_many_layouts_are_remembered_as_are_needed_and_no_more() -> None:
+    topic, message = next(item for item in messages() if item[0] == "/wrench")
+    decoder = Decoder()
+    for length in range(300):
+        other = replace(message, header=replace(message.header, frame_id="x" * length))
+        assert_read(decoder.blocks([serialised(topic, other)], fail), [(topic, other)])
+    assert 0 < sum(map(len, decoder._layouts.values())) <= 64
