@@ -29,7 +29,7 @@ def test_it_is_an_error_in_the_same_words_until_a_reset() -> None:
     try:
         for item in recorded(BAGS / "arm3"):
             if item.topic == "/joint_states":
-                worker.take(item.parsed)
+                worker.take(*item.raw)
         answers: queue.Queue[Estimate | GeomidError] = queue.Queue()
         worker.final_estimate(answers.put)
         assert isinstance(answers.get(timeout=PATIENCE), Estimate)
