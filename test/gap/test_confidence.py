@@ -312,3 +312,14 @@ def test_what_the_model_has_has_changed_by_more_than_it_was_unsure(change: float
     analysis.names.value = lambda _: 0.5 + change
     evidence = replace(SURE.evidence, analysis=analysis)
     assert evidence.confidence({}) == expected
+
+
+def test_a_name_that_shares_a_part_with_what_the_model_has_is_new() -> None:
+    """A spring beside an offset that is as it was."""
+    spring = replace(SURE, name=named("spring"))
+    analysis = spring.analysis
+    _, offset = spring.name.terms
+    analysis.search.prior.terms, analysis.search.prior.values = (offset,), np.array([0.5])
+    analysis.search.prior.spreads = np.array([0.1])
+    analysis.names.value = lambda _: 0.5
+    assert replace(spring.evidence, analysis=analysis).confidence({}) == "confident"

@@ -164,8 +164,10 @@ class Evidence:
     def _is_as_known(self) -> bool:
         """Whether what the model had may have been as wrong as the change is large."""
         prior, names = self.analysis.search.prior, self.analysis.names
-        own = [(prior.terms.index(term), names.value(term)) for term in self.candidate.terms if term in prior.terms]
-        return bool(own) and all(abs(value - prior.values[i]) < _SURE_OF_CHANGE * prior.spreads[i] for i, value in own)
+        if not self.candidate.terms or not set(self.candidate.terms) <= set(prior.terms):
+            return False
+        own = [(prior.terms.index(term), names.value(term)) for term in self.candidate.terms]
+        return all(abs(value - prior.values[i]) < _SURE_OF_CHANGE * prior.spreads[i] for i, value in own)
 
     @property
     def _is_small(self) -> bool:
