@@ -8,7 +8,7 @@ from geomid_ros.gap.evidence.noise import Autoregression
 from geomid_ros.gap.evidence.record import Records
 from geomid_ros.gap.fitting.fit import fit, unfitted
 from geomid_ros.gap.fitting.linearised_problem import LinearisedProblem, total_model
-from geomid_ros.gap.judgement.confidence import generalises
+from geomid_ros.gap.judgement.blocks import generalises
 from geomid_ros.model.samples import Samples
 
 from . import planted

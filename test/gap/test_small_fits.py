@@ -16,7 +16,7 @@ from geomid_ros.gap.evidence.design import Design
 from geomid_ros.gap.fitting import prior as before
 from geomid_ros.gap.fitting.fit import JointFit, fit, unfitted
 from geomid_ros.gap.fitting.prior import Prior
-from geomid_ros.gap.judgement.confidence import generalises
+from geomid_ros.gap.judgement.blocks import generalises, scattered
 from geomid_ros.gap.judgement.naming import parameters
 from geomid_ros.gap.search.score_test import improvement
 from geomid_ros.geometry import pseudo_inertia, spd
@@ -313,14 +313,17 @@ class TestScoreTest:
 class TestBlocks:
     """Blocks of time that are left out."""
 
-    def survives(self, values: FloatArray) -> bool:
-        """A name whose coefficient has these values in eight equal parts of time."""
+    def design(self, values: FloatArray) -> Design:
+        """Of a recording with a name whose coefficient has these values in eight equal parts of time."""
         recording = Recording(9, NAMES)
         column = recording.columns[TERM]
         recording.columns[TERM] = np.repeat(values, ROWS // 8) * column
         targets = recording.targets({TERM: 1.0})
         recording.columns[TERM] = column
-        design = recording.design_of(targets)
+        return recording.design_of(targets)
+
+    def survives(self, values: FloatArray) -> bool:
+        design = self.design(values)
         return generalises(design, fit(design, PRIOR, [VISCOUS]), VISCOUS, PRIOR)
 
     def test_what_is_there_in_every_block_generalises(self) -> None:
@@ -332,6 +335,25 @@ class TestBlocks:
     def test_what_is_there_in_most_does_and_what_changes_its_sign_does_not(self) -> None:
         assert self.survives(np.array([0.3, 0.3, 0.3, 0.0, 0.3, 0.3, 0.3, 0.3]))
         assert not self.survives(np.array([0.3, -0.25, 0.3, -0.25, 0.3, -0.25, 0.3, -0.25]))
+
+    def test_a_size_is_as_unsure_as_the_blocks_scatter(self) -> None:
+        """Eight values about their mean, against what white noise would leave of one value."""
+        values = np.array([0.3, -0.25, 0.35, -0.2, 0.25, -0.3, 0.3, -0.25])
+        constant, varying = (self.scattered(each) for each in (np.full(8, 0.1), values))
+        assert varying == pytest.approx(np.std(values, ddof=1) / np.sqrt(8.0), rel=0.25)
+        assert constant < 0.1 * varying
+
+    def scattered(self, values: FloatArray) -> float:
+        """The standard deviation of a coefficient that has these values in turn."""
+        design = self.design(values)
+        found = scattered(design, fit(design, PRIOR, [VISCOUS]))
+        place = found.place(TERM)
+        return float(np.sqrt(found.covariance[place, place]))
+
+    def test_no_tangent_coordinate_is_surer_than_its_noise_says(self) -> None:
+        design = designed(1)
+        found = fit(design, PRIOR, [VISCOUS])
+        assert np.all(np.diag(scattered(design, found).inverse) >= np.diag(found.inverse) * (1.0 - 1e-9))
 
     def test_of_a_payload_nothing_is_said(self) -> None:
         design = designed(1)

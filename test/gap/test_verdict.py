@@ -140,6 +140,7 @@ def test_what_a_curve_says_is_said_once() -> None:
 def test_findings_come_with_the_one_that_matters_most_first(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(verdict, "improvement", lambda *_: (0.0, 1.7))
     monkeypatch.setattr(verdict.naming, "parameters", lambda *_: {"coefficient": Quantity(0.5, 0.01, "N m s/rad")})
+    monkeypatch.setattr(verdict, "scattered", lambda _, found: found)
     beside = named("viscous_friction", 0)
     judged = Judged(others=[beside, curve(2)], losses={beside: 2000.0})
     rivals = {named("spring", 2): 500.0, named("spring", 0): 1500.0, named("effort_gain", 0): 8.0}

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from geomid_ros.gap.fitting.fit import fit
+from geomid_ros.gap.judgement.blocks import scattered
 from geomid_ros.gap.judgement.confidence import CONFIDENT_BESIDE_UNEXPLAINED, CONFIDENT_LOSS, is_open, open_curves
 from geomid_ros.gap.judgement.held_out import HeldOut
 from geomid_ros.gap.result import LinkChange
@@ -30,7 +31,8 @@ def changed_links(model: MeasurementModel, analysis: Analysis, unseen: HeldOut) 
 
 def _changes(model: MeasurementModel, analysis: Analysis, unseen: HeldOut) -> Iterator[LinkChange]:
     names, search = analysis.names, analysis.search
-    nominal, stds = search.prior.inertias[::10], np.sqrt(np.diag(names.covariance))[: len(search.prior.inertias) : 10]
+    covariance = scattered(search.design, names).covariance
+    nominal, stds = search.prior.inertias[::10], np.sqrt(np.diag(covariance))[: len(search.prior.inertias) : 10]
     left = bool(open_curves(analysis, unseen) or np.any(is_open(unseen)))
     for link, (was, std) in enumerate(zip(nominal, stds, strict=True)):
         change = float(names.inertias[link, 0] - was)

@@ -5,7 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from geomid_ros.gap.candidates import Candidate
+from geomid_ros.gap.fitting.fit import JointFit
 from geomid_ros.gap.judgement import naming
+from geomid_ros.gap.judgement.blocks import scattered
 from geomid_ros.gap.judgement.confidence import CONFIDENT_RIVAL, Evidence, is_open, moves_one_way, open_curves
 from geomid_ros.gap.judgement.held_out import HeldOut
 from geomid_ros.gap.judgement.locate import strongest
@@ -18,11 +20,15 @@ from geomid_ros.model.measurement import MeasurementModel
 
 def findings(model: MeasurementModel, analysis: Analysis, unseen: HeldOut) -> tuple[Finding, ...]:
     """The names, the one that matters most first, judged on what was fitted and on ``unseen`` data."""
-    found = [_finding(model, analysis, c, unseen) for c in analysis.whole.chosen if isinstance(c, Candidate)]
+    # Of the fit that is written and judged: beside curves that span a part of it, a size means something else.
+    sized = scattered(analysis.search.design, analysis.names)
+    found = [_finding(model, analysis, c, unseen, sized) for c in analysis.whole.chosen if isinstance(c, Candidate)]
     return tuple(sorted(found, key=lambda finding: -finding.loss))
 
 
-def _finding(model: MeasurementModel, analysis: Analysis, candidate: Candidate, unseen: HeldOut) -> Finding:
+def _finding(
+    model: MeasurementModel, analysis: Analysis, candidate: Candidate, unseen: HeldOut, sized: JointFit
+) -> Finding:
     whole, search = analysis.whole, analysis.search.unchanged(candidate)
     without = search.without(whole, candidate)
     loss = without.score - whole.score
@@ -30,8 +36,7 @@ def _finding(model: MeasurementModel, analysis: Analysis, candidate: Candidate, 
     joint, link = model.places.name(candidate.place), naming.link_name(model, candidate)
     close = [(EFFECTS[rival.effect](), rival.joint) for rival in rivals if rival.loss < CONFIDENT_RIVAL]
     load = analysis.problem.situation.usual_load(candidate.place) if candidate.effect.scanned else 0.0
-    # Of the fit that is written and judged: beside curves that span a part of it, a size means something else.
-    parameters = naming.parameters(model, analysis.names, candidate, _scanned_std(analysis, candidate), load)
+    parameters = naming.parameters(model, sized, candidate, _scanned_std(analysis, candidate), load)
     was = naming.known_before(model, analysis.search.prior, candidate, load)
     evidence = Evidence(model=model, analysis=analysis, unseen=unseen, candidate=candidate, rivals=rivals, loss=loss)
     confidence = evidence.confidence(parameters)
