@@ -83,6 +83,8 @@ class Gap:
             known=self.session.loaded.effects,
             simulated=self.simulated,
             not_simulated=self.not_simulated,
+            doubts=[finding.sentence for finding in self.session.findings],
+            warnings=self.session.warnings(),
         )
         write_gap_page(Path(path), page, lambda share: progress("drawing", share))
         return Path(path)
@@ -106,9 +108,10 @@ class Gap:
         return [self.report(folder / "report.html", progress=progress), folder / "gap.json", *files]
 
     def __repr__(self) -> str:
-        """The verdict, and a sentence for each finding."""
+        """What makes it doubtful, the verdict, and a sentence for each finding."""
+        doubts = [f"DOUBTFUL: {finding.sentence}" for finding in self.session.findings]
         sentences = [f"  {finding.sentence}" for finding in self.findings]
-        return "\n".join([f"Gap of {self.session.robot.name}: {verdict_sentence(self.result)}", *sentences])
+        return "\n".join([*doubts, f"Gap of {self.session.robot.name}: {verdict_sentence(self.result)}", *sentences])
 
 
 def find_gap(

@@ -114,14 +114,15 @@ class Identification:
         return [*files, picture]
 
     def __repr__(self) -> str:
-        """A line for each link."""
+        """What makes it doubtful, and a line for each link."""
+        doubts = [f"DOUBTFUL: {reason}" for reason in self.verdict.reasons]
         state = "converged" if self.estimate.converged else f"NOT converged ({self.estimate.reason})"
         lines = [
             f"  {link.name}: {link.mass:.3f} ± {link.std_mass:.3f} kg, {100 * link.from_data:.0f} % from data"
             for link in self.links
         ]
         heading = f"Identification of {self.session.robot.name}: {self.estimate.rows_accepted} rows, {state}"
-        return "\n".join([heading, *lines])
+        return "\n".join([*doubts, heading, *lines])
 
 
 def identify(

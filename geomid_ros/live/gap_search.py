@@ -9,8 +9,10 @@ from typing import Any
 
 from geomid_ros.errors import InputError
 from geomid_ros.files.models.gap_results import FORMAT, gap_document
+from geomid_ros.files.models.judgements import causes_entry
 from geomid_ros.gap.result import GapResult
 from geomid_ros.live.daemon import start_daemon
+from geomid_ros.plausibility.hypotheses import Finding
 from geomid_ros.report.gap_words import verdict_sentence
 from geomid_ros.session.gap import find_in_messages
 from geomid_ros.session.session import Session
@@ -22,16 +24,19 @@ _PATIENCE = 0.2  # [s] for a search to notice that it is to end
 @dataclass(frozen=True)
 class SearchStatus:
     """The state of a search in a ``sentence``; its ``stage`` while it runs, then its ``result``, or neither when it has
-    failed."""
+    failed; the ``causes`` that make it doubtful."""
 
     sentence: str
     stage: str = ""
     result: GapResult | None = None
+    causes: Sequence[Finding] = ()
 
     @property
     def document(self) -> dict[str, Any]:
         """The document of ``gap.json``; only the sentence, as ``error``, when the search failed."""
-        return gap_document(self.result, {}) if self.result else {"format": FORMAT, "error": self.sentence}
+        if not self.result:
+            return {"format": FORMAT, "error": self.sentence}
+        return gap_document(self.result, {}) | {"causes": causes_entry(self.causes)}
 
 
 class _EndedError(Exception):
@@ -73,8 +78,9 @@ class GapSearch:
 
     def _run(self, make_session: Callable[[], Session], messages: Sequence[Accepted]) -> None:
         try:
-            result = find_in_messages(make_session(), messages, self._progress)
-            status = SearchStatus(verdict_sentence(result), result=result)
+            session = make_session()
+            result = find_in_messages(session, messages, self._progress)
+            status = SearchStatus(verdict_sentence(result), result=result, causes=session.findings)
         except _EndedError:
             return
         except InputError as error:

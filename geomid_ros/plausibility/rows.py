@@ -35,11 +35,6 @@ class GravityRows:
     targets: FloatArray
     friction: FloatArray
 
-    def under(self, gravity: FloatArray) -> FloatArray:
-        """The regressor ``(N, channels, D)`` under a gravity ``(3,)`` [m/s^2]."""
-        whole: FloatArray = self.still + np.tensordot(gravity, self.by_gravity, 1)
-        return whole
-
 
 def gravity_rows(model: MeasurementModel, samples: Samples) -> GravityRows:
     """The rows of samples for a model's channels, of all links of its robot and without effects."""

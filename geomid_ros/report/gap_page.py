@@ -52,7 +52,8 @@ class GapPage:
     ``joints`` with ``units`` (rad or m) of their positions name the columns of the trace's motion. ``nominal
     (bodies, 10)`` are the model file's inertias of the result's bodies. ``rigid (N, channels)`` is what the final
     model predicts on the trace without any named effect. ``known`` are effects that the model had before.
-    ``simulated`` are simulations; if there are none, ``not_simulated`` says why.
+    ``simulated`` are simulations; if there are none, ``not_simulated`` says why. ``doubts`` say why the recording is
+    not to be believed, ``warnings`` what to be careful about.
     """
 
     robot: str
@@ -65,6 +66,8 @@ class GapPage:
     known: Sequence[KnownEffect] = ()
     simulated: Sequence[SimulatedAgain] = ()
     not_simulated: str = ""
+    doubts: Sequence[str] = ()
+    warnings: Sequence[str] = ()
 
 
 def write_gap_page(path: Path, page: GapPage, progress: Callable[[float], None]) -> None:

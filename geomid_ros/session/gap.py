@@ -123,6 +123,8 @@ def find_in_messages(session: Session, messages: Sequence[Accepted], progress: P
             f"too short: no usable samples in {sum(map(len, messages))} messages, which are fewer than the filter's "
             "window takes or their topics do not overlap; half a minute of motion is needed"
         )
+    session.check.add(samples)
+    session.judge()
     ((train, held_out),) = divided([samples], HELD_OUT)
     return find(session, Recordings(cutoff=cutoff, train=[train], held_out=[held_out]), progress)
 

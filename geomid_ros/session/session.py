@@ -106,7 +106,10 @@ class Session:
 
     def judge(self) -> None:
         """Judge the recording as a whole, by the samples that :attr:`check` was told of so far."""
-        self.findings = self.check.findings()
+        check = self.check
+        found = check.findings()
+        if check is self.check:  # nothing was forgotten meanwhile
+            self.findings = found
 
     def forget_findings(self) -> None:
         """Judge by the samples to come alone."""

@@ -106,13 +106,15 @@ COULOMB = {"effect": "coulomb_friction", "joint": "j1", "parameters": {"level": 
 
 def finding(effect: str, joint: str, confidence: str = "confident", **values: float) -> dict[str, Any]:
     parameters = {name: {"value": value, "std": 0.1, "unit": ""} for name, value in values.items()}
-    return {"effect": effect, "joint": joint, "confidence": confidence, "rivals": [], "parameters": parameters}
+    shared = {"confidence": confidence, "rivals": [], "loss": 100.0}
+    return {"effect": effect, "joint": joint, "parameters": parameters, **shared}
 
 
 def document(*findings: dict[str, Any], change: dict[str, Any] = COULOMB, alone: float = 4.0) -> dict[str, Any]:
     gap = {
         "verdict": "named",
         "findings": list(findings),
+        "links": [],
         "gap": {"after": {"j1": 1.2, "j2": None}},
         "resimulated": {"after": {"j1": 1.5, "j2": 3.0}},
     }

@@ -206,13 +206,13 @@ def test_bodies_close_to_impossible_stay_possible() -> None:
 @pytest.mark.parametrize(
     ("make", "message"),
     [
-        (Path.exists, "No such file"),
-        (Path.mkdir, "directory"),
-        (lambda path: path.write_bytes(b"<robot name='\xff\xfe'/>"), "utf-8"),
+        (Path.exists, "the robot description cannot be read .*No such file"),
+        (Path.mkdir, "no regular file, as a robot description is"),
+        (lambda path: path.write_bytes(b"<robot name='\xff\xfe'/>"), "the robot description cannot be read .*utf-8"),
     ],
 )
 def test_a_file_that_cannot_be_read_is_named(make: Callable[[Path], object], message: str, tmp_path: Path) -> None:
     path = tmp_path / "robot.urdf"
     make(path)
-    with pytest.raises(InputError, match=f"robot.urdf: the robot description cannot be read .*{message}"):
+    with pytest.raises(InputError, match=f"robot.urdf: {message}"):
         read_urdf(path)

@@ -204,7 +204,7 @@ class Rig:
     def assert_same_as_twin(self) -> None:
         """The estimate, once all messages have come, is that of a run without the bad ones; it is published."""
         if not self.twin.session.identifier.rows:
-            assert self.trigger("save") == (False, NOTHING)
+            assert self.stage.observer.trigger(f"/{self.name}/save") == (False, NOTHING)
             return
         links, estimate = self.published()["links"], self.twin.session.identifier.solve()
         for ours, theirs in zip(links, estimate.links, strict=True):
@@ -215,7 +215,7 @@ class Rig:
 
     def _saved(self, rows: int) -> Any:
         """What is saved now, if it is of so many rows."""
-        success, message = self.trigger("save")
+        success, message = self.stage.observer.trigger(f"/{self.name}/save")
         if not success:
             assert message == NOTHING, message
             return None

@@ -130,7 +130,8 @@ def test_the_lag_is_half_a_kernel() -> None:
 
 
 def test_too_coarse_a_grid_is_refused() -> None:
-    with pytest.raises(InputError, match=r"5 Hz is too high for data at 10 Hz: at most 4 Hz"):
+    mended = "set the parameter filter.cutoff to 4 or less"
+    with pytest.raises(InputError, match=f"5 Hz is too high for data at 10 Hz: {mended}"):
         derivative_kernels(5.0, 0.1)
     with pytest.raises(InputError, match="too high"):
         SignalPipeline(("joint",), settings=SignalSettings(period=0.1))

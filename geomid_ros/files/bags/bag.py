@@ -5,6 +5,7 @@ Files that are cut off are read as far as they are whole, and :attr:`Bag.warning
 
 from __future__ import annotations
 
+import os
 import shlex
 from collections import Counter
 from collections.abc import Callable, Collection, Iterator
@@ -165,10 +166,17 @@ class Bag:
 
 
 def bags_in(path: Path) -> list[Path]:
-    """The recordings in a folder that is none itself, by name; else the path alone."""
-    if not path.is_dir() or _is_bag(path):
-        return [path]
-    return sorted(inner for inner in path.iterdir() if inner.is_dir() and _is_bag(inner)) or [path]
+    """The recordings in a folder that is none itself, by name, as far as they may be read; else the path alone.
+
+    Raises InputError if the path cannot be looked at.
+    """
+    try:
+        if not path.is_dir() or _is_bag(path):
+            return [path]
+        inside = [inner for inner in path.iterdir() if os.access(inner, os.R_OK | os.X_OK) and inner.is_dir()]
+        return sorted(inner for inner in inside if _is_bag(inner)) or [path]
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read as a rosbag2 recording ({error})") from error
 
 
 def _is_bag(folder: Path) -> bool:

@@ -24,6 +24,8 @@ floor           {channel: the noise's standard deviation in N m or N}
 resimulated     {``before``, ``after``}, each {joint or wrench channel: error of held-out data simulated again in short
                 windows, in units of what noise makes of it}; null where it could not be simulated
 closed_loop     the same of efforts in closed loop under the recorded commands, or null
+causes          what makes the recording doubtful: list of {``kind``, ``places``, ``sentence``, ``settings`` (to write
+                into the configuration), ``sure``, ``rivals``}
 ==============  =======================================================================================================
 
 Numbers that do not exist (a channel without measurements, say) are null.

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 
+from geomid_ros.estimation.estimate import LinksInformation
 from geomid_ros.gap.fitting.fit import fit
+from geomid_ros.gap.fitting.prior import Prior
 from geomid_ros.gap.judgement.blocks import scattered
 from geomid_ros.gap.judgement.confidence import CONFIDENT_BESIDE_UNEXPLAINED, CONFIDENT_LOSS, is_open, open_curves
 from geomid_ros.gap.judgement.held_out import HeldOut
@@ -33,6 +36,7 @@ def _changes(model: MeasurementModel, analysis: Analysis, unseen: HeldOut) -> It
     names, search = analysis.names, analysis.search
     covariance = scattered(search.design, names).covariance
     nominal, stds = search.prior.inertias[::10], np.sqrt(np.diag(covariance))[: len(search.prior.inertias) : 10]
+    prior = _with_given_spreads(search.prior, names.inflation)
     left = bool(open_curves(analysis, unseen) or np.any(is_open(unseen)))
     for link, (was, std) in enumerate(zip(nominal, stds, strict=True)):
         change = float(names.inertias[link, 0] - was)
@@ -40,7 +44,8 @@ def _changes(model: MeasurementModel, analysis: Analysis, unseen: HeldOut) -> It
             continue
         spreads = names.spreads.copy()
         spreads[link] = _HELD * search.prior.spread
-        loss = fit(search.design, search.prior, names.chosen, names, spreads).score - names.score
+        held, free = (fit(search.design, prior, names.chosen, names, each).score for each in (spreads, names.spreads))
+        loss = held - free
         if loss > CONFIDENT_LOSS:
             body = model.robot.bodies[model.identified[link]]
             sure = loss > CONFIDENT_BESIDE_UNEXPLAINED or not left
@@ -52,3 +57,12 @@ def _changes(model: MeasurementModel, analysis: Analysis, unseen: HeldOut) -> It
                 loss=loss,
                 confidence="confident" if sure else "tentative",
             )
+
+
+def _with_given_spreads(prior: Prior, inflation: float) -> Prior:
+    """A prior under which scores of fits with given spreads can be compared: nothing is said of the spreads, and other
+    recordings are trusted as far as they were found to be right."""
+    known = prior.known
+    if known is not None:
+        known = LinksInformation(known.rows / np.sqrt(inflation), known.residuals / np.sqrt(inflation))
+    return replace(prior, certainty=0.0, known=known)
