@@ -9,6 +9,7 @@ from scipy.signal import lfilter
 
 from geomid_ros.errors import InputError
 from geomid_ros.estimation.identifier import Identifier
+from geomid_ros.gap.judgement import changed_links
 from geomid_ros.gap.result import GapResult
 from geomid_ros.gap.workflow import find_gap
 from geomid_ros.model.effects.viscous_friction import ViscousFriction
@@ -166,6 +167,18 @@ def test_a_link_is_heavier_by_a_payload_that_the_simulator_lacks_and_its_frictio
     assert abs(change.mass.value - PAYLOAD) < 3.0 * change.mass.std
     assert change.mass.std < 0.1 * PAYLOAD
     assert "more than" in change.sentence
+
+
+def test_links_that_have_not_changed_are_not_told_however_small_a_change_would_count(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """They differ by what noise makes of them, and nothing speaks for that."""
+    monkeypatch.setattr(changed_links, "_SURE", 0.0)
+    monkeypatch.setattr(changed_links, "_LEAST", 0.0)
+    inertias = planted.true_inertias(75, 0.2)
+    robot = planted.rigid(inertias)
+    recordings = [planted.recording(robot, 75)], [planted.recording(robot, 1075, 15.0)]
+    assert find_gap(planted.model(), *recordings, nominal=inertias.ravel()).links == ()
 
 
 def test_friction_that_has_grown_is_named_with_what_it_was() -> None:

@@ -51,6 +51,7 @@ class Pace:
             time.sleep(max(0.0, now - self._before))
             self._before = now
 
+
 LATE = "takes more than 4 s"
 """What `~/save` says where an estimate of all rows takes so long that the last one is saved."""
 
