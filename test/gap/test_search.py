@@ -10,6 +10,7 @@ import pytest
 from geomid_ros.gap.candidates import AnyCandidate, Candidate, Term
 from geomid_ros.gap.fitting.fit import JointFit
 from geomid_ros.gap.search.beam_search import LEAST_GAIN, Search
+from geomid_ros.model.effects.places import AtJoints
 from geomid_ros.model.effects.stribeck_friction import SPEEDS, StribeckFriction
 
 from .small import LINK, PAYLOAD, PRIOR, Recording, at, curve
@@ -229,6 +230,16 @@ def test_instead_of_a_name_a_curve_stands_at_the_same_joint() -> None:
     assert names(one.instead(one.fit([VISCOUS]), VISCOUS)) == {DRIFT}
     unlike = search({VISCOUS: [0.1 * STRONG]}, among=[VISCOUS], curves=[ELSEWHERE])
     assert unlike.instead(unlike.fit([VISCOUS]), VISCOUS) is None
+
+
+def test_instead_of_a_name_of_two_joints_curves_stand_at_both() -> None:
+    """A place of joints 0 and 1; a curve of another joint's motion may be what such a name says."""
+    pair = replace(VISCOUS, place=AtJoints(0, 1))
+    curves = [DRIFT, ELSEWHERE]
+    alike = {DRIFT.terms[0]: VISCOUS.terms[0], ELSEWHERE.terms[0]: OTHERS[0].terms[0]}
+    one = search({VISCOUS: [STRONG], OTHERS[0]: [STRONG]}, among=[VISCOUS, OTHERS[0]], curves=curves, alike=alike)
+    instead = one.instead(one.fit([pair]), pair)
+    assert names(instead) == {DRIFT, ELSEWHERE}
 
 
 def test_a_name_that_turns_all_columns_ends_a_search_unless_it_is_the_last() -> None:

@@ -13,7 +13,7 @@ from geomid_ros.gap.evidence.design import Design
 from geomid_ros.gap.fitting.fit import JointFit, fit
 from geomid_ros.gap.fitting.prior import Prior
 from geomid_ros.gap.search.score_test import improvement
-from geomid_ros.model.effects import Place
+from geomid_ros.model.effects import Place, joints_of
 
 Group: TypeAlias = tuple[str, Place] | tuple[str, int]
 
@@ -184,13 +184,15 @@ class Search:
         best = min((f for f in fits if self.possible(f)), key=lambda f: f.score, default=None)
         return best if best is not None and current.score - best.score > LEAST_GAIN else None
 
-    def instead(self, current: JointFit, candidate: AnyCandidate) -> JointFit | None:
-        """The best set in which a free curve at the same joint stands in the place of a name."""
+    def instead(self, current: JointFit, candidate: Candidate) -> JointFit | None:
+        """The best set in which free curves at the same joint, or at each of the same joints, stand in the place of a
+        name; None if none would help."""
         rest = self.without(current, candidate)
-        trials = self.ranked(rest, [c for c in self.curves if c.joint == candidate.joint])
-        if not trials or trials[0].gain < 0.0:
-            return None
-        return self.fit([*rest.chosen, trials[0].candidate], rest)
+        curves = []
+        for joint in joints_of(candidate.place):
+            trials = self.ranked(rest, [c for c in self.curves if c.joint == joint])
+            curves += [trial.candidate for trial in trials[:1] if trial.gain >= 0.0]
+        return self.fit([*rest.chosen, *curves], rest) if curves else None
 
     def settle(self, current: JointFit, to_the_end: bool = False) -> JointFit:
         """Grow, exchange and prune until nothing changes, or, unless ``to_the_end``, until a name is found that changes
