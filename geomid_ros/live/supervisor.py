@@ -19,7 +19,7 @@ from geomid_ros.signals.ledger import Ledger
 MOST_RESTARTS = 3
 FORGOTTEN = 3600.0  # [s] after which a restart does not count any more
 HANGING = 120.0  # [s] nothing takes so long on a busy machine, not even the first solve of a humanoid
-_PATIENCE = 0.9  # [s] for the threads to end; with the last checkpoint, and with all that takes, less than two
+_PATIENCE = 0.7  # [s] for the threads to end; with the last checkpoint, and with all that takes, less than two
 
 
 class Log(Protocol):

@@ -24,7 +24,7 @@ from geomid_ros.signals.messages import JOINT_STATES, Accepted, message_type
 from geomid_ros.types import FloatArray
 
 _LONGEST_WAIT = 0.75  # [s] while a message has waited for so long, new ones are dropped, and counted
-_PATIENCE = 0.8  # [s] for both threads to end
+_PATIENCE = 0.6  # [s] for both threads to end
 _TRANSITION = 2_000_000_000  # [ns] from the beginning of a gap until all rows show it
 _LATENCIES = 10_000  # last instants of which the latency is known
 _MOST_AT_ONCE = 1000  # messages

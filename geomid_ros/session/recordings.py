@@ -143,8 +143,8 @@ def read_samples(
     total = bag.count(list(names))
     decoder = Decoder()
     done = ready = 0
+    progress(f"reading {bag.path.name}", 0.0)
     for batch in bag.batches(list(names)):
-        progress(f"reading {bag.path.name}", done / max(total, 1))
 
         def refuse(place: int, why: str) -> None:
             topic, time, kind, _ = batch[place]  # noqa: B023 called at once
@@ -152,6 +152,7 @@ def read_samples(
 
         pipeline.push(decoder.blocks([(names[topic], data) for topic, _, _, data in batch], refuse))
         done += len(batch)
+        progress(f"reading {bag.path.name}", done / max(total, 1))
         samples = pipeline.collect()
         if samples is not None:
             ready += len(samples)
