@@ -99,7 +99,8 @@ class WrenchSensorCheck:
             return None
         if fit.slope < 0.0:
             settings = {f"wrench.{self._name}.sign": -self._sensor.sign}
-            what = f"its sign is reversed: write {written(settings)} (on the command line, a minus before the role)"
+            minus = "a minus before the role" if self._sensor.sign > 0.0 else "no minus before the role"
+            what = f"its sign is reversed: write {written(settings)} (on the command line, {minus})"
             return Finding(cause=self._cause(what, settings))
         if not 1.0 / _OTHER_UNIT < fit.slope < _OTHER_UNIT or fit.slope < 1.0 / _REASON:
             what = f"what it carries would weigh {fit.slope:.3g} times as much as in the URDF: is its unit another one?"
