@@ -87,7 +87,9 @@ class Session:
         joints = self.robot.joint_names
         named = {s.topic: name for name, s in zip(configuration["wrenches"], configuration.sensors, strict=True)}
         gains = configuration.signals(joints).effort_gains(joints)
-        self._new_check = partial(RecordingCheck, self.model, gains, named)
+        # Judged in another thread than rows are made in: pinocchio's buffers are not shared.
+        own = self.model.with_gravity(self.robot.gravity)
+        self._new_check = partial(RecordingCheck, own, gains, named)
         self.check = self._new_check()
         """Told of all samples, it judges them as a whole."""
         self.findings: tuple[Finding, ...] = ()
