@@ -112,8 +112,9 @@ class Observer:
 
     def trigger(self, service: str) -> tuple[bool, str]:
         """Whether a service succeeded, and what it said; asked again while a busy machine makes it late."""
+        end = time.monotonic() + 5.0 * PATIENCE
         response = self.call(Trigger, service, Trigger.Request())
-        while LATE in response.message:
+        while LATE in response.message and time.monotonic() < end:
             response = self.call(Trigger, service, Trigger.Request())
         return response.success, response.message
 
