@@ -36,6 +36,11 @@ class EffectTerm:
     place: Place
     index: int = 0
 
+    @property
+    def joints(self) -> tuple[int, ...]:
+        """The joints of its place."""
+        return joints_of(self.place)
+
 
 @dataclass(frozen=True)
 class CurveTerm:
@@ -44,6 +49,11 @@ class CurveTerm:
     joint: int
     curve: str
     index: int
+
+    @property
+    def joints(self) -> tuple[int, ...]:
+        """Its joint."""
+        return (self.joint,)
 
 
 Term: TypeAlias = EffectTerm | CurveTerm

@@ -314,6 +314,19 @@ def test_what_the_model_has_has_changed_by_more_than_it_was_unsure(change: float
     assert evidence.confidence({}) == expected
 
 
+@pytest.mark.parametrize(("gain", "expected"), [(0.5, "tentative"), (1.0, "confident"), (0.8, "confident")])
+def test_an_offset_behind_a_new_gain_is_as_it_was(gain: float, expected: Confidence) -> None:
+    """It was 1.0 of the measured effort: 2.0 of one that is divided by a gain of a half."""
+    offset = replace(SURE, name=named("effort_offset"))
+    analysis, found = offset.analysis, named("effort_gain")
+    (term,) = offset.name.terms
+    analysis.search.prior.terms, analysis.search.prior.values = (term,), np.array([1.0])
+    analysis.search.prior.spreads = np.array([0.02])
+    analysis.names.chosen = [found]
+    analysis.names.value = lambda of: 2.0 if of is term else gain - 1.0
+    assert replace(offset.evidence, analysis=analysis).confidence({}) == expected
+
+
 def test_a_name_that_shares_a_part_with_what_the_model_has_is_new() -> None:
     """A spring beside an offset that is as it was."""
     spring = replace(SURE, name=named("spring"))

@@ -18,6 +18,7 @@ from geomid_ros.gap.fitting.fit import JointFit, fit, unfitted
 from geomid_ros.gap.fitting.prior import Prior
 from geomid_ros.gap.judgement.blocks import generalises, scattered
 from geomid_ros.gap.judgement.naming import parameters
+from geomid_ros.gap.search.beam_search import Search
 from geomid_ros.gap.search.score_test import improvement
 from geomid_ros.geometry import pseudo_inertia, spd
 from geomid_ros.model.effects import AtSensor
@@ -235,6 +236,15 @@ class TestWhatTheModelHas:
         found = self.fit(0.3, 1e-3, chosen=(VISCOUS, OFFSET))
         assert found.terms == (TERM, OFFSET.terms[0])
         assert len(found.point.reals) == 2
+
+    def test_without_its_change_all_is_as_it_was_at_its_joint(self) -> None:
+        """And nothing is held elsewhere, or for a name of which the model has nothing."""
+        terms = (TERM, OFFSET.terms[0], ELSEWHERE.terms[0])
+        prior = replace(PRIOR, terms=terms, values=np.ones(3), spreads=np.ones(3))
+        search = Search(designed(5, 0.3), prior, [VISCOUS, OFFSET], [])
+        np.testing.assert_array_equal(search.unchanged(VISCOUS).prior.spreads < 0.1, [True, True, False])
+        other = Search(designed(5, 0.3), replace(prior, terms=terms[1:], values=np.ones(2), spreads=np.ones(2)), [], [])
+        assert other.unchanged(VISCOUS) is other
 
     def test_it_is_what_an_unfitted_model_says(self) -> None:
         prior = replace(PRIOR, terms=(TERM,), values=np.array([0.4]), spreads=np.array([0.05]))

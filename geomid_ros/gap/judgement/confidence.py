@@ -158,11 +158,28 @@ class Evidence:
     @property
     def _is_as_known(self) -> bool:
         """Whether what the model had may have been as wrong as the change is large."""
-        prior, names = self.analysis.search.prior, self.analysis.names
-        if not self.candidate.terms or not set(self.candidate.terms) <= set(prior.terms):
+        prior, names, candidate = self.analysis.search.prior, self.analysis.names, self.candidate
+        if not candidate.terms or not set(candidate.terms) <= set(prior.terms):
             return False
-        own = [(prior.terms.index(term), names.value(term)) for term in self.candidate.terms]
-        return all(abs(value - prior.values[i]) < _SURE_OF_CHANGE * prior.spreads[i] for i, value in own)
+        forms = candidate.effect.parameters[: len(candidate.terms)]
+        places = [prior.terms.index(term) for term in candidate.terms]
+        had = {form.name: float(prior.values[place]) for form, place in zip(forms, places, strict=False)}
+        expected = candidate.effect.behind_gain(had, self._gain).values()
+        return all(
+            abs(names.value(term) - value) < _SURE_OF_CHANGE * prior.spreads[place] / self._gain
+            for term, place, value in zip(candidate.terms, places, expected, strict=False)
+        )
+
+    @property
+    def _gain(self) -> float:
+        """The gain that was found at its joint; 1 without."""
+        names = self.analysis.names
+        gains = [
+            float(c.effect.transformed(np.array([names.value(c.terms[0])]))[0][0])
+            for c in names.chosen
+            if isinstance(c, Candidate) and c.effect.scales_measurement and c.place == self.candidate.place
+        ]
+        return gains[0] if gains and not self.candidate.effect.scales_measurement else 1.0
 
     @property
     def _is_small(self) -> bool:

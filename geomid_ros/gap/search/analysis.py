@@ -90,12 +90,10 @@ def analyse(
 
 
 def _tried(model: MeasurementModel, prior: Prior) -> list[Candidate]:
-    """All names for a robot. What the model has may have changed; it keeps the constants that are scanned."""
+    """All names for a robot. What the model has may have changed; it keeps its constants."""
     has = {(term.effect.name, term.place) for term in prior.terms if isinstance(term, EffectTerm)}
     known = set(prior.terms)
-    found = [
-        c for c in library.candidates(model) if c.effect.adds_up or c.group not in has or known.issuperset(c.terms)
-    ]
+    found = [c for c in library.candidates(model) if c.group not in has or known.issuperset(c.terms)]
     return [replace(c, scout=True) if known.issuperset(c.terms) else c for c in found]
 
 

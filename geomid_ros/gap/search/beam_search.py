@@ -53,16 +53,16 @@ class Search:
         self._unchanged: dict[AnyCandidate, Search] = {}
 
     def unchanged(self, candidate: AnyCandidate) -> Search:
-        """The search in which what the model has of a candidate is as it was; this one if it has nothing of it.
+        """The search in which what the model has of a candidate is as it was, and so is all that the model has at its
+        joint; this one if it has nothing of the candidate.
 
-        A name says that it has changed. Without the name it may still drift a little in the search, which hides what a
-        change is worth.
+        A name says that it has changed. Without the name it, and what is like it, may still drift in the search, which
+        hides what a change is worth.
         """
-        held = np.isin(
-            np.arange(len(self.prior.terms)), [i for i, t in enumerate(self.prior.terms) if t in candidate.terms]
-        )
-        if not np.any(held):
+        if not isinstance(candidate, Candidate) or not set(candidate.terms) & set(self.prior.terms):
             return self
+        joints = set(joints_of(candidate.place))
+        held = np.array([t in candidate.terms or not joints.isdisjoint(t.joints) for t in self.prior.terms])
         if candidate not in self._unchanged:
             prior = replace(self.prior, spreads=np.where(held, _UNCHANGED, 1.0) * self.prior.spreads)
             self._unchanged[candidate] = Search(self.design, prior, self.candidates, self.curves)
