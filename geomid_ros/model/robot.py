@@ -103,6 +103,16 @@ class Robot:
         self._moved_by = [self.bodies[index].joint - 1 for index in self._moved]
         self._to_joints = np.array([self.bodies[index].to_joint for index in self._moved])
 
+    @property
+    def speed_limits(self) -> FloatArray:
+        """The joints' limits in the URDF ``(joints,)`` [rad/s, m/s]; it may have none, or any placeholder."""
+        return frozen(self._model.velocityLimit[[joint.v for joint in self.joints]])
+
+    @property
+    def effort_limits(self) -> FloatArray:
+        """The same of efforts [N m, N]."""
+        return frozen(self._model.effortLimit[[joint.v for joint in self.joints]])
+
     def _without_locked(self, model: pin.Model) -> pin.Model:
         moving = {model.names[index]: index for index in range(self._first_joint, model.njoints)}
         for name in sorted(self._locked):

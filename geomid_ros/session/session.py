@@ -23,6 +23,7 @@ from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.robot import Robot
 from geomid_ros.model.samples import Samples
 from geomid_ros.session.configuration import Configuration
+from geomid_ros.signals.gates import Limits
 from geomid_ros.signals.ledger import Ledger
 from geomid_ros.signals.messages import JOINT_STATES, ODOM, Accepted
 from geomid_ros.signals.pipeline import SignalPipeline, ignore
@@ -141,6 +142,8 @@ class Session:
             sensors=self.model.sensors,
             settings=self.loaded.signals(settings or self.configuration.signals(joints), joints),
             continuous=[joint.name for joint in self.robot.joints if joint.continuous],
+            turning=[joint.name for joint in self.robot.joints if joint.unit == "N m"],
+            limits=Limits(self.robot.speed_limits, self.robot.effort_limits),
             effect_columns=effect_columns or self.model.columns,
             on_accepted=on_accepted,
             ledger=ledger,

@@ -20,6 +20,7 @@ from geomid_ros.model.columns import NO_COLUMNS, Columns
 from geomid_ros.model.samples import Samples
 from geomid_ros.model.sensors import WrenchSensor
 from geomid_ros.signals.arrived import Arrived, poses, wrenches
+from geomid_ros.signals.gates import JointGate, Limits
 from geomid_ros.signals.joint_messages import FROZEN, JointReader, RejectedError
 from geomid_ros.signals.joint_parts import JointParts, Part
 from geomid_ros.signals.ledger import Ledger
@@ -50,6 +51,8 @@ class SignalPipeline:
         sensors: Sequence[WrenchSensor] = (),
         settings: SignalSettings = _DEFAULTS,
         continuous: Sequence[str] = (),
+        turning: Sequence[str] = (),
+        limits: Limits | None = None,
         effect_columns: Columns = NO_COLUMNS,
         on_accepted: Callable[[Accepted], None] = ignore,
         ledger: Ledger | None = None,
@@ -62,6 +65,8 @@ class SignalPipeline:
             settings: of the filter and of efforts.
             continuous: the joints without end: their positions may jump by whole turns between messages, and are given
                 from -pi to pi in samples.
+            turning: the revolute joints: a step of a whole turn in their positions is the driver's, and is undone.
+            limits: of the joints.
             effect_columns: those that samples carry (:attr:`MeasurementModel.columns`).
             on_accepted: is told of every message that is accepted, as :meth:`push_accepted` takes it.
             ledger: is told what becomes of every message.
@@ -77,11 +82,15 @@ class SignalPipeline:
         self._max_gap = settings.max_gap_ns
         self._gains = settings.effort_gains(self._joints)
         self._continuous = np.array([joint in continuous for joint in self._joints], dtype=bool)
+        self._turning = np.array([joint in turning for joint in self._joints], dtype=bool)
+        self._limits = limits or Limits.none(len(self._joints))
         self.ledger = ledger or Ledger()
         self._on_accepted = on_accepted
         self._reader = self._new_reader(self._joints)
         self._parts = JointParts(self._joints, self._max_gap, self._new_reader) if settings.merge else None
+        self._gates: dict[_Source, JointGate] = {}
         self._timelines: dict[_Source, Timeline[Arrived]] = {}
+        self._arrived = 0  # messages
         self._open: Counter[str] = Counter()  # messages of which nothing has become yet
         self._joined: list[tuple[_Source, IntArray, IntArray, FloatArray]] = []  # that wait for the other parts
         topics = (*self._sensors, ODOM) if floating_base else tuple(self._sensors)
@@ -90,7 +99,14 @@ class SignalPipeline:
     def _new_reader(self, joints: Sequence[str]) -> JointReader:
         places = [self._joints.index(joint) for joint in joints]
         note = partial(self.ledger.note, JOINT_STATES)
-        return JointReader(joints, self._gains[places], self._continuous[places], self._max_gap, note)
+        return JointReader(
+            joints, self._gains[places], self._continuous[places], self._max_gap, note, self._turning[places]
+        )
+
+    def _new_gate(self, part: Part) -> JointGate:
+        joints = part or self._joints
+        places = [self._joints.index(joint) for joint in joints]
+        return JointGate(joints, Limits(self._limits.speed[places], self._limits.effort[places]))
 
     @property
     def lag(self) -> float:
@@ -119,7 +135,9 @@ class SignalPipeline:
         for block in blocks:
             self._open[block.topic] += len(block.stamps)
         try:
-            self._take(self._read(blocks))
+            batch = self._read(blocks)
+            self._arrived += sum(len(block.stamps) for block in blocks)
+            self._take(batch)
             self._join_parts()
         except Exception as error:
             self._drop_open(f"{type(error).__name__} while taking a message")
@@ -130,8 +148,8 @@ class SignalPipeline:
         """Drop the messages of which nothing has become."""
         self._joined.clear()
         held = Counter(dict.fromkeys(self._open, 0))
-        for (topic, _), timeline in self._timelines.items():
-            held[topic] += timeline.held
+        for (topic, _), holder in [*self._timelines.items(), *self._gates.items()]:
+            held[topic] += holder.held
         for topic, count in (self._open - held).items():
             self.ledger.drop(topic, reason, count)
         self._open = held
@@ -155,8 +173,16 @@ class SignalPipeline:
                 self._refused(block.topic, str(error), len(block.stamps))
                 continue
             numbers, refusals = self._numbers(source, block)
-            found.setdefault(source, []).append(Arrived(block.order, block.stamps, numbers, refusals))
-        return {source: Arrived.in_order(several) for source, several in found.items()}
+            found.setdefault(source, []).append(Arrived(block.order + self._arrived, block.stamps, numbers, refusals))
+        return {source: self._judged(source, Arrived.in_order(several)) for source, several in found.items()}
+
+    def _judged(self, source: _Source, arrived: Arrived) -> Arrived:
+        """Messages that their neighbours have decided on."""
+        if source[0] != JOINT_STATES:
+            return arrived
+        if source not in self._gates:
+            self._gates[source] = self._new_gate(source[1])
+        return self._gates[source].judge(arrived)
 
     def _part(self, block: Block) -> Part:
         return self._parts.part(block.names) if self._parts and block.topic == JOINT_STATES else ()
@@ -272,7 +298,10 @@ class SignalPipeline:
         self._sampler.make_samples()
 
     def release(self) -> None:
-        """Reject the messages that are held: no more will come."""
+        """Decide on the messages that are held: no more will come."""
+        self._take({source: held for source, gate in self._gates.items() if (held := gate.release()) is not None})
+        self._join_parts()
+        self._sampler.make_samples()
         for (topic, _), timeline in self._timelines.items():
             for reason in timeline.release():
                 self._refused(topic, reason)
