@@ -1,4 +1,4 @@
-"""From a bag's messages to samples, beside reading the bag's bytes: an arm of 7 joints at 1 kHz, a wrench per message."""
+"""From a bag's messages to samples, beside reading its bytes: an arm of 7 joints at 1 kHz, a wrench per message."""
 
 from __future__ import annotations
 

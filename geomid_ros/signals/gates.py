@@ -21,14 +21,22 @@ EARLY = "stamp ahead of its time"
 _MOST = 3  # messages in a row that a fault lasts
 _USUAL_STEP = 1.9  # periods between two stamps, above which one may be ahead
 _PERIODS, _FEWEST_PERIODS = 64, 4  # over which the period is measured
+_TURN = 2.0 * np.pi
 _FASTEST = 2.0 * np.pi  # [rad/s, m/s] no limit above is believed, as many URDFs have placeholders
 _TOO_FAST = 1.5  # times the limit
+_IN_BURSTS = 0.2
 _CHUNK = 128  # messages, of which the efforts' usual size and change are measured
 _FEWEST_CHUNKS = 2
 _TAIL = 6  # messages of a chunk, at either end, that do not count
 _SPIKE_IN_RANGE, _SPIKE_IN_CHANGES, _SPIKE_IN_LIMIT = 1.5, 8.0, 0.02
 _BACK = 0.25  # of its height, that is left after a spike
 _SHORTEST_CONTACT = 33e-3  # [s] a collision of 40 ms is larger than a quarter of its height for so long
+
+
+def in_bursts(stamps: IntArray) -> bool:
+    """Whether more than a fifth of the steps between increasing stamps are shorter than a quarter of the mean step."""
+    steps = np.diff(stamps)
+    return bool(np.mean(steps < 0.25 * np.mean(steps)) > _IN_BURSTS)
 
 
 @dataclass(frozen=True)
@@ -47,13 +55,15 @@ class Limits:
 class JointGate:
     """Refuses joint messages by their neighbours; see the module."""
 
-    def __init__(self, joints: tuple[str, ...], limits: Limits) -> None:
+    def __init__(self, joints: tuple[str, ...], limits: Limits, turning: BoolArray) -> None:
         """
         Args:
             joints: the robot's, in its order.
             limits: of these.
+            turning: ``(joints,)`` which are revolute: a whole turn is no jump.
         """
         self._joints = joints
+        self._turn = np.where(turning, _TURN, 0.0)
         speed = np.where(limits.speed > 0.0, np.minimum(limits.speed, _FASTEST), _FASTEST)
         self._speed = _TOO_FAST * speed
         self._least_spike = np.where(np.isfinite(limits.effort), _SPIKE_IN_LIMIT * limits.effort, 0.0)
@@ -126,12 +136,16 @@ class JointGate:
         periods = 1e-9 * (all_stamps[ends] - all_stamps[begins]) / np.maximum(ends - begins, 1)
         periods[ends - begins < _FEWEST_PERIODS] = np.inf
         steps = 1e-9 * (stamps - all_stamps[ends])
-        change = np.abs(numbers - before)
         reach = np.maximum(steps, periods)[:, None] * self._speed
         found: BoolArray = steps > _USUAL_STEP * periods
-        found |= (change[:, 0] > reach).any(axis=1)
-        found |= (change[:, 2] > self._spike).any(axis=1)
+        found |= (self._apart(numbers[:, 0], before[:, 0]) > reach).any(axis=1)
+        found |= (np.abs(numbers[:, 2] - before[:, 2]) > self._spike).any(axis=1)
         return found
+
+    def _apart(self, first: FloatArray, second: FloatArray) -> FloatArray:
+        """How far positions ``(..., joints)`` are apart, but for whole turns."""
+        apart = np.abs(first - second)
+        return np.asarray(np.abs(apart - self._turn * np.round(apart / _TURN)))
 
     @property
     def _spike(self) -> FloatArray:
@@ -139,7 +153,7 @@ class JointGate:
         if self._chunks < _FEWEST_CHUNKS:
             return np.full(len(self._joints), np.inf)
         usual = np.maximum(_SPIKE_IN_RANGE * (self._high - self._low), _SPIKE_IN_CHANGES * self._change)
-        return np.maximum(usual, self._least_spike)
+        return np.asarray(np.maximum(usual, self._least_spike))
 
     def _pass(self, stamps: IntArray, numbers: FloatArray) -> None:
         """Note messages that go on from the one before, or are real though they do not."""
@@ -185,11 +199,12 @@ class JointGate:
         away, back, later = numbers[:length], numbers[length], numbers[length + 1]
         elapsed = max(1e-9 * float(stamps[length] - self._stamps[-1]), (length + 1) * period)
         reach = elapsed * self._speed
-        far = np.min(np.minimum(np.abs(away[:, 0] - last[0]), np.abs(away[:, 0] - back[0])), axis=0)
-        jumps = (far > reach) & (np.abs(back[0] - last[0]) < reach) & (np.abs(later[0] - last[0]) < 2.0 * reach)
+        far = np.min(np.minimum(self._apart(away[:, 0], last[0]), self._apart(away[:, 0], back[0])), axis=0)
+        jumps = (far > reach) & (self._apart(back[0], last[0]) < reach)
+        jumps &= self._apart(later[0], last[0]) < 2.0 * reach
         if jumps.any():
             return f"position of '{self._joints[int(np.argmax(jumps))]}' jumps, and back, faster than it can move"
-        if length * period > _SHORTEST_CONTACT - period:
+        if elapsed > _SHORTEST_CONTACT:
             return ""
         height = np.min(np.minimum(np.abs(away[:, 2] - last[2]), np.abs(away[:, 2] - back[2])), axis=0)
         left = np.maximum(np.abs(back[2] - last[2]), np.abs(later[2] - last[2]))

@@ -182,7 +182,7 @@ class JointReader:
             self._note_once(f"positions of '{self._joints[joint]}' jump by whole turns: unwrapped")
         added = self._turns - np.cumsum(np.where(self._continuous | wraps, turns, 0.0), axis=0)
         positions += 2.0 * np.pi * added
-        return added
+        return np.asarray(added)
 
     def _frozen(self, stamps: IntArray, numbers: FloatArray) -> tuple[BoolArray, FloatArray]:
         """In which messages no number has changed, though by velocities, or else by the positions before, the robot

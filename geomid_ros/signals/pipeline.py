@@ -106,7 +106,8 @@ class SignalPipeline:
     def _new_gate(self, part: Part) -> JointGate:
         joints = part or self._joints
         places = [self._joints.index(joint) for joint in joints]
-        return JointGate(joints, Limits(self._limits.speed[places], self._limits.effort[places]))
+        limits = Limits(self._limits.speed[places], self._limits.effort[places])
+        return JointGate(joints, limits, self._turning[places] | self._continuous[places])
 
     @property
     def lag(self) -> float:
@@ -148,8 +149,10 @@ class SignalPipeline:
         """Drop the messages of which nothing has become."""
         self._joined.clear()
         held = Counter(dict.fromkeys(self._open, 0))
-        for (topic, _), holder in [*self._timelines.items(), *self._gates.items()]:
-            held[topic] += holder.held
+        for (topic, _), timeline in self._timelines.items():
+            held[topic] += timeline.held
+        for (topic, _), gate in self._gates.items():
+            held[topic] += gate.held
         for topic, count in (self._open - held).items():
             self.ledger.drop(topic, reason, count)
         self._open = held

@@ -11,13 +11,16 @@ import numpy as np
 
 from geomid_ros.model.columns import Columns
 from geomid_ros.model.samples import Samples
+from geomid_ros.signals.gates import in_bursts
 from geomid_ros.signals.ledger import Ledger
 from geomid_ros.signals.messages import JOINT_STATES, ODOM, Accepted
 from geomid_ros.signals.settings import PERIOD_ROUNDING, SignalSettings
 from geomid_ros.signals.streams import Grid, JointSegment, PoseSegment, Stream, VectorSegment
-from geomid_ros.types import BoolArray, FloatArray
+from geomid_ros.types import BoolArray, FloatArray, IntArray
 
 _MESSAGES_TO_INFER_PERIOD = 32
+IN_BURSTS = "messages come in bursts or pairs: their stamps are not those of the measurement"
+_MESSAGES_IN_BURSTS = 320  # that are needed where messages come in bursts
 _MOST_WAITING = 10_000  # messages kept until the period is known
 _HORIZON = 60_000_000_000  # [ns] a topic this far behind the others is not waited for
 _EFFORTS = "joint_states.effort"  # stream of efforts with a delay; no topic has that name
@@ -95,8 +98,10 @@ class Sampler:
                 self._waiting.appendleft(oldest.after(given_up))
             surplus -= given_up
         stamps = [each.stamps for each in self._waiting if each.topic == JOINT_STATES]
-        if sum(map(len, stamps)) >= _MESSAGES_TO_INFER_PERIOD:
-            period = float(np.median(np.diff(np.concatenate(stamps)[:_MESSAGES_TO_INFER_PERIOD])))
+        period = _inferred_period(np.concatenate(stamps)) if stamps else None
+        if period is not None:
+            if in_bursts(np.concatenate(stamps)[:_MESSAGES_TO_INFER_PERIOD]):
+                self._ledger.note(JOINT_STATES, IN_BURSTS)
             self._start(max(PERIOD_ROUNDING, round(period / PERIOD_ROUNDING) * PERIOD_ROUNDING))
 
     def _take(self, accepted: Accepted) -> None:
@@ -179,6 +184,23 @@ class Sampler:
             effects=self._joint_stream.segment.effects(instants),
             columns=self._effect_columns,
         )
+
+
+def _inferred_period(stamps: IntArray) -> float | None:
+    """The time between joint messages [ns] by the first stamps, None while there are too few of them.
+
+    It is the median step; but where messages come in bursts or pairs, of which the steps say nothing, the time from
+    the beginning of a burst to that of a later one, by the number of messages between.
+    """
+    if len(stamps) < _MESSAGES_TO_INFER_PERIOD:
+        return None
+    if not in_bursts(stamps[:_MESSAGES_TO_INFER_PERIOD]):
+        return float(np.median(np.diff(stamps[:_MESSAGES_TO_INFER_PERIOD])))
+    if len(stamps) < _MESSAGES_IN_BURSTS:
+        return None
+    steps = np.diff(stamps[:_MESSAGES_IN_BURSTS])
+    begins = np.flatnonzero(steps > np.mean(steps)) + 1
+    return float(stamps[begins[-1]] - stamps[begins[0]]) / float(begins[-1] - begins[0])
 
 
 class VelocityChoice:
