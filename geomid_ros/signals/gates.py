@@ -7,7 +7,7 @@ come, which show what it was: a fault that is over after three messages, or some
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -67,10 +67,6 @@ class JointGate:
         speed = np.where(limits.speed > 0.0, np.minimum(limits.speed, _FASTEST), _FASTEST)
         self._speed = _TOO_FAST * speed
         self._least_spike = np.where(np.isfinite(limits.effort), _SPIKE_IN_LIMIT * limits.effort, 0.0)
-        self.restart()
-
-    def restart(self) -> None:
-        """Begin anew, as a clock was set back."""
         self._held: Arrived | None = None
         self._stamps = np.zeros(0, dtype=np.int64)  # of the last messages that passed
         self._last: FloatArray | None = None  # numbers of the last one
@@ -95,7 +91,7 @@ class JointGate:
         arrived = new if self._held is None else Arrived.joined([self._held, new])
         places = np.flatnonzero(arrived.good & (arrived.stamps > 0))
         stamps, numbers = arrived.stamps[places], arrived.numbers[places]
-        place = 0
+        place, order = 0, arrived.order.copy()
         while place < len(places):
             room = _CHUNK - sum(map(len, self._efforts))
             part = slice(place, place + room)
@@ -108,6 +104,9 @@ class JointGate:
             window = slice(place, place + AHEAD + 1)
             if len(stamps[window]) <= AHEAD:
                 break
+            # Messages of other topics have their turn while these wait.
+            waiting = order[places[place] :]
+            np.maximum(waiting, arrived.order[places[place + AHEAD]], out=waiting)
             length, reason = self._fault(stamps[window], numbers[window])
             if length:
                 arrived.refusals[places[place : place + length]] = reason
@@ -117,7 +116,7 @@ class JointGate:
             place += length
         end = int(places[place]) if place < len(places) else len(arrived)
         self._held = arrived.select(slice(end, None)) if end < len(arrived) else None
-        return arrived.select(slice(end))
+        return replace(arrived, order=order).select(slice(end))
 
     @property
     def _period(self) -> float:
@@ -137,7 +136,7 @@ class JointGate:
         periods[ends - begins < _FEWEST_PERIODS] = np.inf
         steps = 1e-9 * (stamps - all_stamps[ends])
         reach = np.maximum(steps, periods)[:, None] * self._speed
-        found: BoolArray = steps > _USUAL_STEP * periods
+        found: BoolArray = (steps > _USUAL_STEP * periods) | (steps < 0.0)
         found |= (self._apart(numbers[:, 0], before[:, 0]) > reach).any(axis=1)
         found |= (np.abs(numbers[:, 2] - before[:, 2]) > self._spike).any(axis=1)
         return found
@@ -159,6 +158,8 @@ class JointGate:
         """Note messages that go on from the one before, or are real though they do not."""
         if not len(stamps):
             return
+        if len(self._stamps) and stamps[0] < self._stamps[-1]:  # other than it was, the clock says nothing of periods
+            self._stamps = self._stamps[:0]
         self._stamps = np.concatenate([self._stamps, stamps])[-_PERIODS - 1 :]
         self._last = numbers[-1]
         self._efforts.append(numbers[:, 2])

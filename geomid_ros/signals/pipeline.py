@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import operator
 from collections import Counter
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 from functools import partial
 from typing import TypeAlias
@@ -217,9 +217,8 @@ class SignalPipeline:
                 for source, arrived, later in plain:
                     self._use_block(source, arrived, later)
             else:
-                order = np.sort(np.concatenate([arrived.order for arrived in batch.values()]))
-                for first in (True, False):
-                    self._take({s: a.select((a.order < order[count // 2]) == first) for s, a in batch.items()})
+                for half in _halves(batch):
+                    self._take(half)
 
     def _judge(self, source: _Source, arrived: Arrived) -> None:
         """Judge one message, and those that were held until it came."""
@@ -324,3 +323,17 @@ class SignalPipeline:
     def collect(self) -> Samples | None:
         """The samples that have become ready since the last call, oldest first; None if there are none."""
         return self._sampler.collect()
+
+
+def _halves(batch: dict[_Source, Arrived]) -> Iterator[dict[_Source, Arrived]]:
+    """Those that came first, and the others; of one source where all came at once."""
+    order = np.sort(np.concatenate([arrived.order for arrived in batch.values()]))
+    middle = order[len(order) // 2]
+    bound = middle if middle > order[0] else middle + 1
+    if bound > order[-1]:
+        ((source, arrived),) = ((source, arrived) for source, arrived in batch.items() if len(arrived))
+        half = len(arrived) // 2
+        yield from ({source: arrived.select(part)} for part in (slice(half), slice(half, None)))
+    else:
+        yield {source: arrived.select(arrived.order < bound) for source, arrived in batch.items()}
+        yield {source: arrived.select(arrived.order >= bound) for source, arrived in batch.items()}

@@ -85,6 +85,7 @@ def blocks(messages: Sequence[Message]) -> list[Block]:
 def in_blocks(target: SignalPipeline, messages: Sequence[Message], size: int) -> Samples:
     for begin in range(0, len(messages), size):
         target.push(blocks(messages[begin : begin + size]))
+    target.release()
     samples = target.collect()
     assert samples is not None
     return samples
