@@ -29,6 +29,7 @@ from geomid_ros.plausibility.check import RecordingCheck
 from geomid_ros.plausibility.hypotheses import Finding
 from geomid_ros.plausibility.verdict import Verdict, verdict, worse_channels, worse_on_rows
 from geomid_ros.session.configuration import Configuration
+from geomid_ros.signals.gates import Limits
 from geomid_ros.signals.ledger import Ledger
 from geomid_ros.signals.messages import JOINT_STATES, ODOM, Accepted
 from geomid_ros.signals.pipeline import SignalPipeline, ignore
@@ -193,6 +194,8 @@ class Session:
             sensors=self.model.sensors,
             settings=self.loaded.signals(settings or self.configuration.signals(joints), joints),
             continuous=[joint.name for joint in self.robot.joints if joint.continuous],
+            turning=[joint.name for joint in self.robot.joints if joint.unit == "N m"],
+            limits=Limits(self.robot.speed_limits, self.robot.effort_limits),
             effect_columns=effect_columns or self.model.columns,
             on_accepted=on_accepted,
             ledger=ledger,

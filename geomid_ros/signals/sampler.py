@@ -13,11 +13,12 @@ from geomid_ros.model.columns import Columns
 from geomid_ros.model.samples import Samples
 from geomid_ros.signals.ledger import Ledger
 from geomid_ros.signals.messages import JOINT_STATES, ODOM, Accepted
+from geomid_ros.signals.periods import inferred_period
 from geomid_ros.signals.settings import PERIOD_ROUNDING, SignalSettings
 from geomid_ros.signals.streams import Grid, JointSegment, PoseSegment, Stream, VectorSegment
 from geomid_ros.types import BoolArray, FloatArray
 
-_MESSAGES_TO_INFER_PERIOD = 32
+IN_BURSTS = "messages come in bursts or pairs: their stamps are not those of the measurement"
 _MOST_WAITING = 10_000  # messages kept until the period is known
 _HORIZON = 60_000_000_000  # [ns] a topic this far behind the others is not waited for
 _EFFORTS = "joint_states.effort"  # stream of efforts with a delay; no topic has that name
@@ -95,8 +96,11 @@ class Sampler:
                 self._waiting.appendleft(oldest.after(given_up))
             surplus -= given_up
         stamps = [each.stamps for each in self._waiting if each.topic == JOINT_STATES]
-        if sum(map(len, stamps)) >= _MESSAGES_TO_INFER_PERIOD:
-            period = float(np.median(np.diff(np.concatenate(stamps)[:_MESSAGES_TO_INFER_PERIOD])))
+        found = inferred_period(np.concatenate(stamps)) if stamps else None
+        if found is not None:
+            period, in_bursts = found
+            if in_bursts:
+                self._ledger.note(JOINT_STATES, IN_BURSTS)
             self._start(max(PERIOD_ROUNDING, round(period / PERIOD_ROUNDING) * PERIOD_ROUNDING))
 
     def _take(self, accepted: Accepted) -> None:
