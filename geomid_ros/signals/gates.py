@@ -33,7 +33,9 @@ _BACK = 0.25  # of its height, that is left after a spike
 _SHORTEST_CONTACT = 33e-3  # [s] a collision of 40 ms is larger than a quarter of its height for so long
 _LEAST_SET, _LEAST_SET_IN_PERIODS = 20e-3, 1.5  # [s] that a clock is set by
 _REGULAR = 0.25  # periods, of the shortest step between stamps that are regular
-_SURE = 0.15  # of the time by which a clock was set, that the motion may be uncertain by
+_LIKELY, _MUCH_LESS_LIKELY = 9.0, 25.0  # squares of standard deviations, of a joint and of all
+_FINEST = 1e-6  # [rad, m] no position is measured better
+_BEND = 0.3  # of the way by a change of speed, that a motion may be off the mean speed
 
 
 @dataclass(frozen=True)
@@ -256,34 +258,42 @@ class JointGate:
         if np.any((steps < _REGULAR * period) | (steps > _USUAL_STEP * period)):
             return False
         before = 1e-9 * (self._stamps[-count:] - self._stamps[-1])
-        after = 1e-9 * (stamps - stamps[0])
-        passed, uncertain = self._time_passed(before, self._last[-count:, 0], after, numbers[:, 0], abs(step))
-        return uncertain < _SURE * abs(step - period) and abs(passed - period) < 0.5 * abs(step - period)
+        left, right = self._without_turns(self._last[-count:, 0], numbers[:, 0])
+        ends = _end(before, left), _end(1e-9 * (stamps - stamps[0]), right)
+        as_set, as_stamped = (_unlikely(*ends, time) for time in (period, step))
+        return as_set < _LIKELY * numbers.shape[2] and as_stamped > as_set + _MUCH_LESS_LIKELY
 
-    def _time_passed(
-        self, before: FloatArray, left: FloatArray, after: FloatArray, right: FloatArray, step: float
-    ) -> tuple[float, float]:
-        """The time [s] that has passed from the end of one piece of a motion to the begin of another, and its standard
-        deviation: by the way between them and the speeds at their ends, as parabolas have them.
+    def _without_turns(self, left: FloatArray, right: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Positions relative to the last of the first ones."""
+        apart = np.concatenate([left, right]) - left[-1]
+        whole = apart - self._turn * np.round(apart / _TURN)
+        return whole[: len(left)], whole[len(left) :]
 
-        Args:
-            before: ``(N,)`` [s] times, of which the last is zero.
-            left: ``(N, joints)`` positions then.
-            after: ``(N,)`` [s] times, of which the first is zero.
-            right: ``(N, joints)`` positions then.
-            step: [s] the time that the speeds may change in.
-        """
-        turns = self._turn * np.round((np.concatenate([left, right]) - left[-1]) / _TURN)
-        whole = np.concatenate([left, right]) - left[-1] - turns
-        ends, variance = [], np.zeros(left.shape[1])
-        for times, positions in ((before, whole[: len(left)]), (after, whole[len(left) :])):
-            terms = np.vander(times, 3, increasing=True)
-            fitted, *_ = np.linalg.lstsq(terms, positions, rcond=None)
-            ends.append(fitted)
-            variance += np.mean((positions - terms @ fitted) ** 2, axis=0)
-        way, speed = ends[1][0] - ends[0][0], 0.5 * (ends[0][1] + ends[1][1])
-        uncertain = 1e-12 + 4.0 * variance + (0.25 * step * (ends[1][1] - ends[0][1])) ** 2
-        weight = float(np.sum(speed**2 / uncertain))
-        if not weight:
-            return 0.0, np.inf
-        return float(np.sum(speed * way / uncertain)) / weight, weight**-0.5
+
+@dataclass(frozen=True, eq=False)
+class _End:
+    """Where a piece of a motion ends, or begins: ``place`` and ``speed`` ``(joints,)``, and their variances."""
+
+    place: FloatArray
+    speed: FloatArray
+    place_variance: FloatArray
+    speed_variance: FloatArray
+
+
+def _end(times: FloatArray, positions: FloatArray) -> _End:
+    """By parabolas through positions ``(N, joints)``, at time zero."""
+    terms = np.vander(times, 3, increasing=True)
+    fitted, *_ = np.linalg.lstsq(terms, positions, rcond=None)
+    spread = np.linalg.inv(terms.T @ terms)
+    noise = np.sum((positions - terms @ fitted) ** 2, axis=0) / (len(times) - 3) + _FINEST**2
+    return _End(fitted[0], fitted[1], spread[0, 0] * noise, spread[1, 1] * noise)
+
+
+def _unlikely(left: _End, right: _End, time: float) -> float:
+    """How unlikely it is that a time [s] has passed from the end of a motion to its next beginning: the sum of squares
+    of the joints' ways by the mean of the speeds, in standard deviations."""
+    error = right.place - left.place - 0.5 * time * (left.speed + right.speed)
+    variance = left.place_variance + right.place_variance
+    variance += 0.25 * time**2 * (left.speed_variance + right.speed_variance)
+    variance += (_BEND * time * (right.speed - left.speed)) ** 2
+    return float(np.sum(error**2 / variance))

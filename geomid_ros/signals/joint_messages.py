@@ -105,6 +105,9 @@ class JointReader:
         vector[:, 2] *= self._gains
         good = plausible(vector)
         if not good.all():
+            wild = ~good[:, 1] & ~np.isnan(vector[:, 1])  # NaN is what drivers send that measure no velocity
+            for row in np.flatnonzero(wild.any(axis=1)):
+                refusals[row] = f"velocity of '{self._joints[int(np.argmax(wild[row]))]}' not finite"
             vector[~good] = np.nan
             for row in np.flatnonzero(~good[:, 0].all(axis=1)):
                 joint = self._joints[int(np.argmin(good[row, 0]))]

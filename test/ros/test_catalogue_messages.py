@@ -75,6 +75,10 @@ CASES = {
         lambda m, w: [entry(m, "position", 0, 1e308), entry(m, "effort", 1, -1e308), with_force(w, y=1e308)],
         (POSITION, EFFORT, "/wrench rejected: wrench not finite"),
     ),
+    "95-infinite-speed": Case(
+        lambda m, _: [entry(m, "velocity", 1, INFINITY), entry(m, "velocity", 0, -INFINITY)],
+        tuple(f"joint_states rejected: velocity of '{name}' not finite" for name in ("joint3", "joint2")),
+    ),
     "6-effort-empty": Case(
         joint(lambda m: changed(m, effort=m.message.effort[:0])),
         (f"{DRIVER} no effort of 'joint1' or any other",),
