@@ -29,7 +29,7 @@ class Admission(Generic[S]):
         self._new_gate = new_gate
         self._gates: dict[S, JointGate | None] = {}
         self._waiting: dict[S, Arrived] = {}  # messages that are decided on, behind others that are not
-        self._set: dict[int, S] = {}  # sources whose clocks were set, by the place of the first message after it
+        self._changed: dict[int, tuple[S, str]] = {}  # what has changed, by the place of the first message after it
 
     @property
     def held(self) -> Counter[S]:
@@ -38,7 +38,7 @@ class Admission(Generic[S]):
         found.update({source: gate.held for source, gate in self._gates.items() if gate})
         return found
 
-    def take(self, new: Mapping[S, Arrived], newest: int) -> list[tuple[dict[S, Arrived], S | None]]:
+    def take(self, new: Mapping[S, Arrived], newest: int) -> list[tuple[dict[S, Arrived], tuple[S, str] | None]]:
         """Take messages, and let those go on that are decided on.
 
         Args:
@@ -46,18 +46,18 @@ class Admission(Generic[S]):
             newest: the place of the last one that came, of any source.
 
         Returns:
-            The messages that go on, and the source whose clock was set just before the first of them, if any was.
+            The messages that go on, and of which source something has changed just before the first of them, and what.
         """
         for source in new.keys() - self._gates.keys():
             self._gates[source] = self._new_gate(source)
         for source, gate in self._gates.items():
             self._decide(source, gate, new.get(source), newest)
         end = min([gate.first_held for gate in self._gates.values() if gate and gate.held], default=newest + 1)
-        result: list[tuple[dict[S, Arrived], S | None]] = []
+        result: list[tuple[dict[S, Arrived], tuple[S, str] | None]] = []
         before = None
-        for place in sorted(place for place in self._set if place < end):
+        for place in sorted(place for place in self._changed if place < end):
             result.append((self._before(place), before))
-            before = self._set.pop(place)
+            before = self._changed.pop(place)
         return [*result, (self._before(end), before)]
 
     def forget(self) -> Counter[S]:
@@ -67,7 +67,7 @@ class Admission(Generic[S]):
             if gate:
                 gate.forget()
         self._waiting.clear()
-        self._set.clear()
+        self._changed.clear()
         return held
 
     def _decide(self, source: S, gate: JointGate | None, arrived: Arrived | None, newest: int) -> None:
@@ -76,7 +76,7 @@ class Admission(Generic[S]):
             if decided is None:
                 return
             arrived = decided.messages
-            self._set |= dict.fromkeys(decided.set, source)
+            self._changed |= {place: (source, what) for place, what in decided.changed.items()}
         if arrived is not None:
             waiting = self._waiting.get(source)
             self._waiting[source] = arrived if waiting is None else Arrived.joined([waiting, arrived])

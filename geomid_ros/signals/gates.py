@@ -8,12 +8,13 @@ which passes.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-from enum import Enum
+from dataclasses import dataclass
 
 import numpy as np
 
 from geomid_ros.signals.arrived import Arrived
+from geomid_ros.signals.joint_messages import DRIVER_ERROR
+from geomid_ros.signals.motion_time import end_of, unlikely
 from geomid_ros.signals.usual_efforts import UsualEfforts
 from geomid_ros.types import BoolArray, FloatArray, IntArray
 
@@ -23,9 +24,15 @@ PATIENCE = 1000
 """Messages of all topics: after so many a suspicious one passes, though fewer of its own have come."""
 
 EARLY = "stamp ahead of its time"
+CLOCK_SET = "clock set: a new segment begins"
+UNIT_CHANGED = (
+    DRIVER_ERROR + "efforts change at once by a factor of {:g}, at all joints: another unit or sign begins; use one of "
+    "the two parts, with effort_gain for its unit"
+)
 _MOST = 3  # messages in a row that a fault lasts
 _USUAL_STEP = 1.9  # periods between two stamps, above which one may be ahead
-_PERIODS, _FEWEST_PERIODS = 64, 4  # over which the period is measured
+_LONGER = 1.1  # times the step that is usual where they are uneven
+_PERIODS, _FEWEST_PERIODS = 64, 32  # over which the period is measured; fewer may be one burst
 _TURN = 2.0 * np.pi
 _FASTEST = 2.0 * np.pi  # [rad/s, m/s] no limit above is believed, as many URDFs have placeholders
 _TOO_FAST = 1.5  # times the limit
@@ -34,8 +41,6 @@ _SHORTEST_CONTACT = 33e-3  # [s] a collision of 40 ms is larger than a quarter o
 _LEAST_SET, _LEAST_SET_IN_PERIODS = 20e-3, 1.5  # [s] that a clock is set by
 _REGULAR = 0.25  # periods, of the shortest step between stamps that are regular
 _LIKELY, _MUCH_LESS_LIKELY = 9.0, 25.0  # squares of standard deviations, of a joint and of all
-_FINEST = 1e-6  # [rad, m] no position is measured better
-_BEND = 0.3  # of the way by a change of speed, that a motion may be off the mean speed
 
 
 @dataclass(frozen=True)
@@ -55,22 +60,24 @@ class Limits:
         return Limits(self.speed[places], self.effort[places])
 
 
-class _Answer(Enum):
-    """What a suspicious message is."""
+@dataclass(frozen=True)
+class _Answer:
+    """What the first suspicious messages are, ``count`` of them: ``refused`` or, from the first one on, something
+    ``changed``, and in what way; else they are real, unless they are ``late``, which their stamps say."""
 
-    UNKNOWN = "more have to come"
-    REAL = "real"
-    LATE = "late: its stamp says so"
-    SET = "the first after the clock was set"
+    count: int = 1
+    refused: str = ""
+    changed: str = ""
+    late: bool = False
 
 
 @dataclass(frozen=True, eq=False)
 class Decided:
-    """Messages that are decided on, refused ones with the reason; ``set`` are the places, as they came, of those before
-    which the clock was set."""
+    """Messages that are decided on, refused ones with the reason; ``changed`` says by the place, as they came, of the
+    first message that is different what has changed: nothing is to be compared across it."""
 
     messages: Arrived
-    set: list[int] = field(default_factory=list)
+    changed: dict[int, str]
 
 
 class JointGate:
@@ -91,6 +98,8 @@ class JointGate:
         self._max_gap = max_gap
         self._held: Arrived | None = None
         self._decided = 0  # stamp of the last message, good by itself, that was decided on
+        self._period_before = np.inf
+        self._usual_step = 0.0  # [s] between stamps, where they are uneven
         self._stamps = np.zeros(0, dtype=np.int64)  # of the last messages that passed, of one segment
         self._last = np.zeros((0, 3, len(joints)))  # numbers of the very last ones
 
@@ -117,7 +126,7 @@ class JointGate:
         parts = [part for part in (self._held, new) if part is not None]
         if not parts:
             return None
-        arrived, set_at = Arrived.joined(parts), []
+        arrived, changed = Arrived.joined(parts), dict[int, str]()
         good = np.flatnonzero(arrived.good & (arrived.stamps > 0))
         places = good[np.diff(arrived.stamps[good], prepend=self._decided) != 0]
         stamps, numbers, order = arrived.stamps[places], arrived.numbers[places], arrived.order[places]
@@ -125,23 +134,23 @@ class JointGate:
         while place < len(places):
             last = order[place] + PATIENCE
             window = slice(place, place + min(AHEAD + 1, int(np.searchsorted(order[place:], last, side="right"))))
-            answer, length = self._answer(stamps[window], numbers[window])
-            if answer is _Answer.UNKNOWN and newest < last:
+            answer = self._answer(stamps[window], numbers[window], whole=newest >= last)
+            if answer is None:
                 break
-            if isinstance(answer, str):
-                arrived.refusals[places[place : place + length]] = answer
-            elif answer is not _Answer.LATE:
-                if answer is _Answer.SET:
-                    set_at.append(int(order[place]))
-                    self._stamps = self._stamps[:0]
+            if answer.refused:
+                arrived.refusals[places[place : place + answer.count]] = answer.refused
+            elif not answer.late:
+                if answer.changed:
+                    changed[int(order[place])] = answer.changed
+                    self._begin_anew()
                 self._pass(stamps[place : place + 1], numbers[place : place + 1])
-            place += length
+            place += answer.count
             place += self._pass_plain(stamps[place:], numbers[place:])
         end = int(places[place]) if place < len(places) else len(arrived)
         decided = good[good < end]
         self._decided = int(arrived.stamps[decided[-1]]) if len(decided) else self._decided
         self._held = arrived.select(slice(end, None)) if end < len(arrived) else None
-        return Decided(arrived.select(slice(end)), set_at)
+        return Decided(arrived.select(slice(end)), changed)
 
     def forget(self) -> None:
         """Give up the messages that are held."""
@@ -163,14 +172,22 @@ class JointGate:
             if len(stops) and suspicious[count]:
                 break
             if len(stops):
-                self._stamps, self._last = self._stamps[:0], self._last[:0]
+                self._begin_anew()
+                self._last = self._last[:0]
         return place
 
     @property
     def _period(self) -> float:
-        """Time between messages [s], from the span of the last ones; 0 until it is known."""
+        """Time between messages [s], from the span of the last ones; infinite until it is known."""
         count = len(self._stamps) - 1
-        return 1e-9 * float(self._stamps[-1] - self._stamps[0]) / count if count >= _FEWEST_PERIODS else 0.0
+        if count < _FEWEST_PERIODS:
+            return self._period_before
+        return 1e-9 * float(self._stamps[-1] - self._stamps[0]) / count
+
+    def _begin_anew(self) -> None:
+        """Compare stamps with those that come alone; the period is what it was."""
+        self._period_before = self._period
+        self._stamps = self._stamps[:0]
 
     def _suspicious(self, stamps: IntArray, numbers: FloatArray) -> tuple[BoolArray, BoolArray]:
         """Which messages do not go on from the one before, and which are further from it than the longest gap, both
@@ -181,14 +198,14 @@ class JointGate:
         ends = np.arange(len(passed) - 1, len(every) - 1)  # of the spans before each message
         begins = np.maximum(ends - _PERIODS, 0)
         periods = 1e-9 * (every[ends] - every[begins]) / np.maximum(ends - begins, 1)
-        periods[ends - begins < _FEWEST_PERIODS] = np.inf
+        periods[ends - begins < _FEWEST_PERIODS] = self._period_before
         steps = stamps - every[ends]
         seconds = 1e-9 * steps
         reach = np.maximum(seconds, periods)[:, None] * self._speed
         apart = np.abs(steps) > self._max_gap
-        found: BoolArray = (seconds > _USUAL_STEP * periods) | (steps < 0)
+        found: BoolArray = (seconds > np.maximum(_USUAL_STEP * periods, self._usual_step)) | (steps < 0)
         found |= (self._distance(numbers[:, 0], before[:, 0]) > reach).any(axis=1)
-        found |= (np.abs(numbers[:, 2] - before[:, 2]) > self._efforts.spike).any(axis=1)
+        found |= self._efforts.jump(before[:, 2], numbers[:, 2])
         return found & ~apart, apart
 
     def _distance(self, first: FloatArray, second: FloatArray) -> FloatArray:
@@ -201,23 +218,31 @@ class JointGate:
         if not len(stamps):
             return
         if len(self._stamps) and stamps[0] < self._stamps[-1]:  # other than it was, the clock says nothing of periods
-            self._stamps = self._stamps[:0]
+            self._begin_anew()
         self._stamps = np.concatenate([self._stamps, stamps])[-_PERIODS - 1 :]
         self._last = np.concatenate([self._last, numbers])[-AHEAD - 1 :]
-        self._efforts.add(numbers[:, 2])
+        if self._efforts.add(numbers[:, 2]) and len(self._stamps) > _PERIODS:
+            steps = np.partition(np.diff(self._stamps), -_MOST)
+            self._usual_step = _LONGER * 1e-9 * float(steps[-_MOST])
 
-    def _answer(self, stamps: IntArray, numbers: FloatArray) -> tuple[_Answer | str, int]:
-        """What the first of these messages, which is suspicious, is: the reason why it and others are refused, or that
-        it is real; and of how many messages that is true."""
+    def _answer(self, stamps: IntArray, numbers: FloatArray, *, whole: bool) -> _Answer | None:
+        """What the first of these messages, which is suspicious, is; None if more have to come, and ``whole`` is not
+        said."""
         if len(stamps) > 1 and stamps[0] <= self._stamps[-1] < stamps[1]:
-            return _Answer.LATE, 1
-        for length in range(1, min(_MOST, len(stamps) - 2) + 1):
-            reason = self._early(stamps, length) or self._excursion(stamps, numbers, length)
+            return _Answer(late=True)
+        for count in range(1, min(_MOST, len(stamps) - 2) + 1):
+            reason = self._early(stamps, count) or self._excursion(stamps, numbers, count)
             if reason:
-                return reason, length
+                return _Answer(count, refused=reason)
         if len(stamps) <= AHEAD:
-            return _Answer.UNKNOWN, 1
-        return (_Answer.SET if self._clock_was_set(stamps, numbers) else _Answer.REAL), 1
+            return _Answer() if whole else None
+        if self._clock_was_set(stamps, numbers):
+            return _Answer(changed=CLOCK_SET)
+        factor = self._efforts.factor(self._last[:, 2], numbers[:, 2])
+        if not factor:
+            return _Answer()
+        self._efforts.forget()
+        return _Answer(changed=UNIT_CHANGED.format(factor))
 
     def _early(self, stamps: IntArray, length: int) -> str:
         """The next two messages are later than the last good one, and not later than these."""
@@ -229,7 +254,7 @@ class JointGate:
         """Positions that jump away and come back faster than the joint can move, or efforts that do within less than a
         contact takes."""
         last, period = self._last[-1], self._period
-        if not period:
+        if not np.isfinite(period):
             return ""
         away, back, later = numbers[:length], numbers[length], numbers[length + 1]
         elapsed = max(1e-9 * float(stamps[length] - self._stamps[-1]), (length + 1) * period)
@@ -253,14 +278,14 @@ class JointGate:
         steps = 1e-9 * np.diff(stamps)
         step = 1e-9 * float(stamps[0] - self._stamps[-1])
         least = max(_LEAST_SET, _LEAST_SET_IN_PERIODS * period)
-        if not period or abs(step - period) < least or min(len(self._stamps), len(self._last)) < count:
+        if not np.isfinite(period) or abs(step - period) < least or min(len(self._stamps), len(self._last)) < count:
             return False
         if np.any((steps < _REGULAR * period) | (steps > _USUAL_STEP * period)):
             return False
         before = 1e-9 * (self._stamps[-count:] - self._stamps[-1])
         left, right = self._without_turns(self._last[-count:, 0], numbers[:, 0])
-        ends = _end(before, left), _end(1e-9 * (stamps - stamps[0]), right)
-        as_set, as_stamped = (_unlikely(*ends, time) for time in (period, step))
+        ends = end_of(before, left), end_of(1e-9 * (stamps - stamps[0]), right)
+        as_set, as_stamped = (unlikely(*ends, time) for time in (period, step))
         return as_set < _LIKELY * numbers.shape[2] and as_stamped > as_set + _MUCH_LESS_LIKELY
 
     def _without_turns(self, left: FloatArray, right: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -268,32 +293,3 @@ class JointGate:
         apart = np.concatenate([left, right]) - left[-1]
         whole = apart - self._turn * np.round(apart / _TURN)
         return whole[: len(left)], whole[len(left) :]
-
-
-@dataclass(frozen=True, eq=False)
-class _End:
-    """Where a piece of a motion ends, or begins: ``place`` and ``speed`` ``(joints,)``, and their variances."""
-
-    place: FloatArray
-    speed: FloatArray
-    place_variance: FloatArray
-    speed_variance: FloatArray
-
-
-def _end(times: FloatArray, positions: FloatArray) -> _End:
-    """By parabolas through positions ``(N, joints)``, at time zero."""
-    terms = np.vander(times, 3, increasing=True)
-    fitted, *_ = np.linalg.lstsq(terms, positions, rcond=None)
-    spread = np.linalg.inv(terms.T @ terms)
-    noise = np.sum((positions - terms @ fitted) ** 2, axis=0) / (len(times) - 3) + _FINEST**2
-    return _End(fitted[0], fitted[1], spread[0, 0] * noise, spread[1, 1] * noise)
-
-
-def _unlikely(left: _End, right: _End, time: float) -> float:
-    """How unlikely it is that a time [s] has passed from the end of a motion to its next beginning: the sum of squares
-    of the joints' ways by the mean of the speeds, in standard deviations."""
-    error = right.place - left.place - 0.5 * time * (left.speed + right.speed)
-    variance = left.place_variance + right.place_variance
-    variance += 0.25 * time**2 * (left.speed_variance + right.speed_variance)
-    variance += (_BEND * time * (right.speed - left.speed)) ** 2
-    return float(np.sum(error**2 / variance))

@@ -15,6 +15,7 @@ from geomid_ros.types import AnyArray, BoolArray, FloatArray, IntArray
 DRIVER_ERROR = "driver error: "
 """Reasons begin with this when the driver fills in its messages wrongly."""
 _UNLIKE_A_TURN = 0.5  # [rad] a step that is no further from a whole turn is the driver's
+UNWRAPPED = "jump by whole turns: unwrapped"
 FROZEN = "frozen: all numbers are those of the message before, though the robot moves"
 
 
@@ -187,7 +188,7 @@ class JointReader:
         turns = np.round(steps / (2.0 * np.pi))
         wraps = self._turning & (turns != 0.0) & (np.abs(steps - 2.0 * np.pi * turns) < _UNLIKE_A_TURN)
         for joint in np.flatnonzero(wraps.any(axis=0)):
-            self._note_once(f"positions of '{self._joints[joint]}' jump by whole turns: unwrapped")
+            self._note_once(f"positions of '{self._joints[joint]}' {UNWRAPPED}")
         added = self._turns - np.cumsum(np.where(self._continuous | wraps, turns, 0.0), axis=0)
         positions += 2.0 * np.pi * added
         return np.asarray(added)

@@ -33,7 +33,6 @@ from geomid_ros.types import AnyArray, BoolArray, FloatArray, IntArray
 
 _DEFAULTS = SignalSettings()
 
-CLOCK_SET = "clock set: a new segment begins"
 UNDECIDED = "came last, when too few followed to tell whether they are right"
 
 _Source: TypeAlias = tuple[str, Part]
@@ -150,9 +149,10 @@ class SignalPipeline:
         try:
             batch = self._read(blocks)
             self._arrived += sum(len(block.stamps) for block in blocks)
-            for admitted, source in self._admission.take(batch, self._arrived - 1):
-                if source is not None:
-                    self._begin_anew(source, admitted[source].order[:1])
+            for admitted, change in self._admission.take(batch, self._arrived - 1):
+                if change is not None:
+                    source, what = change
+                    self._begin_anew(source, what, admitted[source].order[:1])
                 self._take(admitted)
             self._join_parts()
         except Exception as error:
@@ -317,9 +317,9 @@ class SignalPipeline:
             for reason in timeline.release():
                 self._refused(topic, reason)
 
-    def _begin_anew(self, source: _Source, order: IntArray) -> None:
-        """Begin a new segment, as the clock of ``source`` was set by less than a gap."""
-        self.ledger.note(source[0], CLOCK_SET)
+    def _begin_anew(self, source: _Source, what: str, order: IntArray) -> None:
+        """Begin a new segment, as something has changed in the messages of ``source``: its clock, or a unit."""
+        self.ledger.note(source[0], what)
         if source in self._timelines:
             for reason in self._timelines[source].release():
                 self._refused(source[0], reason)

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from geomid_ros.types import FloatArray
+from geomid_ros.types import BoolArray, FloatArray
 
 _CHUNK = 128  # messages, of which the usual size and change are measured
 _FEWEST_CHUNKS = 2
 _TAIL = 6  # messages of a chunk, at either end, that do not count
+_OF_ALL, _LARGE = 0.6, 0.1  # of the sum over joints that changes with the unit; that sum, at least, in ranges
+_NEAR, _CLEAR = 3, 4.0  # messages; standard deviations
+_ALIKE, _OTHER = 0.3, 2.5  # how far factors of joints may be apart, as a share; the least factor
 _IN_RANGE, _IN_CHANGES, _IN_LIMIT = 1.5, 8.0, 0.02  # the height of a spike
 
 
@@ -20,13 +23,18 @@ class UsualEfforts:
         Args:
             limits: ``(joints,)`` of efforts, infinite where there is none.
         """
-        joints = len(limits)
         self._least = np.where(np.isfinite(limits), _IN_LIMIT * limits, 0.0)
+        self.forget()
+
+    def forget(self) -> None:
+        """Begin to learn anew."""
+        joints = len(self._least)
         self._chunk = np.empty((_CHUNK, joints))
         self._count = 0
         self._chunks = 0
         self._low, self._high = np.full(joints, np.inf), np.full(joints, -np.inf)
         self._change = np.zeros(joints)
+        self._inverse_range = np.zeros(joints)  # zero where it is not known
         self.spike = np.full(joints, np.inf)
         """The least height of a spike ``(joints,)``; infinite until it is known what is usual."""
 
@@ -35,13 +43,56 @@ class UsualEfforts:
         """Messages until the chunk is whole."""
         return _CHUNK - self._count
 
-    def add(self, efforts: FloatArray) -> None:
-        """Take the efforts ``(N, joints)`` of messages, at most as many as there is room for."""
+    def add(self, efforts: FloatArray) -> bool:
+        """Take the efforts ``(N, joints)`` of messages, at most as many as there is room for. Returns whether the chunk
+        was whole, so that something was learned."""
         self._chunk[self._count : self._count + len(efforts)] = efforts
         self._count += len(efforts)
-        if self._count == _CHUNK:
-            self._learn(self._chunk)
-            self._count = 0
+        if self._count < _CHUNK:
+            return False
+        self._learn(self._chunk)
+        self._count = 0
+        return True
+
+    def jump(self, before: FloatArray, after: FloatArray) -> BoolArray:
+        """Between which messages an effort changes by a spike's height, or all do as by another unit ``(N,)``.
+
+        Args:
+            before: ``(N, joints)`` efforts of one message each.
+            after: those of the next.
+        """
+        change = np.abs(after - before)
+        found: BoolArray = np.any(change > self.spike, axis=1)
+        if self._chunks >= _FEWEST_CHUNKS:
+            known = self._inverse_range > 0.0
+            sums = [np.abs(efforts[:, known]) @ self._inverse_range[known] for efforts in (after, before)]
+            size = np.maximum(*sums)
+            found = found | (change[:, known] @ self._inverse_range[known] > _OF_ALL * size) & (
+                size > _LARGE * np.sum(known)
+            )
+        return found
+
+    def factor(self, before: FloatArray, after: FloatArray) -> float:
+        """The factor by which all efforts change at once, as by another unit or sign; 0 if they do not.
+
+        Args:
+            before: ``(M, joints)`` of some messages.
+            after: ``(N, joints)`` of the next.
+        """
+        if self._chunks < _FEWEST_CHUNKS:
+            return 0.0
+        ends = before[-_NEAR:], after[:_NEAR]
+        means = [np.mean(end, axis=0) for end in ends]
+        noise = [_CLEAR * np.std(np.diff(end, axis=0), axis=0) for end in (before, after)]
+        clear = (np.abs(means[0]) > noise[0]) & (np.abs(means[1]) > noise[1]) & (self._inverse_range > 0.0)
+        if np.sum(clear) < 2:
+            return 0.0
+        ratios = means[1][clear] / means[0][clear]
+        factor = float(np.median(ratios))
+        alike = _ALIKE if len(ratios) > 2 else 0.5 * _ALIKE
+        if np.any(np.abs(ratios / factor - 1.0) > alike) or 1.0 / _OTHER < factor < _OTHER:
+            return 0.0
+        return float(f"{factor:.1g}")
 
     def _learn(self, efforts: FloatArray) -> None:
         measured = ~np.isnan(efforts).any(axis=0)
@@ -53,4 +104,6 @@ class UsualEfforts:
         self._chunks += 1
         if self._chunks >= _FEWEST_CHUNKS:
             height = np.maximum(_IN_RANGE * (self._high - self._low), _IN_CHANGES * self._change)
+            known = np.isfinite(self._low) & (self._high > self._low)
+            self._inverse_range = np.where(known, 1.0 / np.where(known, self._high - self._low, 1.0), 0.0)
             self.spike = np.where(np.isfinite(self._low), np.maximum(height, self._least), np.inf)
