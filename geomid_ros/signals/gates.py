@@ -26,8 +26,8 @@ PATIENCE = 1000
 EARLY = "stamp ahead of its time"
 CLOCK_SET = "clock set: a new segment begins"
 UNIT_CHANGED = (
-    DRIVER_ERROR + "efforts change at once by a factor of {:g}, at all joints: another unit or sign begins; use one of "
-    "the two parts, with effort_gain for its unit"
+    DRIVER_ERROR + "efforts change at once by a factor of about {:g}, at all joints: another unit or sign begins; use one "
+    "of the two parts, with effort_gain for its unit"
 )
 _MOST = 3  # messages in a row that a fault lasts
 _USUAL_STEP = 1.9  # periods between two stamps, above which one may be ahead

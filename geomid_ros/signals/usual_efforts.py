@@ -10,8 +10,9 @@ _CHUNK = 128  # messages, of which the usual size and change are measured
 _FEWEST_CHUNKS = 2
 _TAIL = 6  # messages of a chunk, at either end, that do not count
 _OF_ALL, _LARGE = 0.6, 0.1  # of the sum over joints that changes with the unit; that sum, at least, in ranges
-_NEAR, _CLEAR = 3, 4.0  # messages; standard deviations
-_ALIKE, _OTHER = 0.3, 2.5  # how far factors of joints may be apart, as a share; the least factor
+_NEAR = 3  # messages
+_ONE_JOINT, _ALIKE = 0.97, 0.93  # largest share of one joint; squared cosine of the efforts before and after
+_OTHER = 2.5  # least factor
 _IN_RANGE, _IN_CHANGES, _IN_LIMIT = 1.5, 8.0, 0.02  # the height of a spike
 
 
@@ -81,16 +82,12 @@ class UsualEfforts:
         """
         if self._chunks < _FEWEST_CHUNKS:
             return 0.0
-        ends = before[-_NEAR:], after[:_NEAR]
-        means = [np.mean(end, axis=0) for end in ends]
-        noise = [_CLEAR * np.std(np.diff(end, axis=0), axis=0) for end in (before, after)]
-        clear = (np.abs(means[0]) > noise[0]) & (np.abs(means[1]) > noise[1]) & (self._inverse_range > 0.0)
-        if np.sum(clear) < 2:
+        old, new = (np.mean(end, axis=0) * self._inverse_range for end in (before[-_NEAR:], after[:_NEAR]))
+        if not np.isfinite(old @ new) or not old.any() or np.max(old**2) > _ONE_JOINT * (old @ old):
             return 0.0
-        ratios = means[1][clear] / means[0][clear]
-        factor = float(np.median(ratios))
-        alike = _ALIKE if len(ratios) > 2 else 0.5 * _ALIKE
-        if np.any(np.abs(ratios / factor - 1.0) > alike) or 1.0 / _OTHER < factor < _OTHER:
+        alike = (old @ new) ** 2 > _ALIKE * (old @ old) * (new @ new)
+        factor = (old @ new) / (old @ old)
+        if not alike or 1.0 / _OTHER < factor < _OTHER:
             return 0.0
         return float(f"{factor:.1g}")
 

@@ -202,7 +202,43 @@ zero_effort = joints_only(lambda item, _: item.changed(effort=0.0 * item.message
 LEFT_OUT = "joint_states: no effort of 'joint3': what it says is left out"
 NONE_LEFT = "joint_states: no joint's effort is measured, no joint's equation is used: 'joint1', 'joint2', 'joint3'"
 
+
+def at_places(
+    change: Callable[[Recorded], Recorded], *places: int
+) -> tuple[Callable[[Recorded, int], Recorded], Callable[[Recorded, int, int], Recorded | None]]:
+    """Some joint messages changed, which are to be refused: what is sent, and what is spared."""
+
+    def chosen(item: Recorded, place: int) -> bool:
+        return item.topic == "/joint_states" and place // 2 in places
+
+    return (
+        lambda item, place: change(item) if chosen(item, place) else item,
+        lambda item, place, _: None if chosen(item, place) else item,
+    )
+
+
+def raised(item: Recorded, key: str, place: int, by: float) -> Recorded:
+    return with_numbers(item, key, place, getattr(item.message, key)[place] + by)
+
+
+wrapped = joints_only(lambda item, place: raised(item, "position", 0, 2.0 * np.pi) if place > 150 else item)
+glitching, without_glitches = at_places(lambda item: raised(item, "position", 0, 1.5), 50, 90)
+spiking, without_spikes = at_places(lambda item: raised(item, "effort", 1, -400.0), 120, 130)
+early, without_early = at_places(lambda item: later(item, 105_000_000), 50, 90)
+
 STREAMS = {
+    "71-wraps": Stream(
+        wrapped, ("joint_states: positions of 'joint2' jump by whole turns: unwrapped",), spare=lambda item, *_: item
+    ),
+    "73-position-glitches": Stream(
+        glitching,
+        ("joint_states rejected: position of 'joint2' jumps, and back, faster than it can move (2 messages)",),
+        spare=without_glitches,
+    ),
+    "74-effort-spikes": Stream(
+        spiking, ("joint_states rejected: effort of 'joint3' is a spike (2 messages)",), spare=without_spikes
+    ),
+    "75-stamps-ahead": Stream(early, (f"{STAMP} ahead of its time (2 messages)",), spare=without_early),
     "1-nan-effort-for-ever": Stream(no_effort_of_one, (LEFT_OUT,), spare=after_half_a_second(no_effort_of_one)),
     "5-velocity-empty": Stream(
         joints_only(lambda item, _: item.changed(velocity=item.message.velocity[:0])),
