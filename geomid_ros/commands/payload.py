@@ -15,7 +15,6 @@ from geomid_ros.commands.progress import progress_bar
 from geomid_ros.commands.tables import number_columns, plain_table, print_remarks, results_console
 from geomid_ros.estimation.estimate import QUANTITIES
 from geomid_ros.exports.formats import CONTROLLERS
-from geomid_ros.files.models.judgements import causes_entry
 from geomid_ros.plausibility.verdict import recording_status
 from geomid_ros.session.payload import GAIN
 
@@ -48,7 +47,7 @@ def payload(empty: Path, loaded: Path, urdf: Path, controller: str | None, as_js
     with progress_bar() as progress:
         found = geomid_ros.weigh_payload(empty, loaded, urdf, progress=progress, **options)
     if as_json:
-        click.echo(json.dumps(_document(found), indent=2))
+        click.echo(json.dumps(found.document, indent=2))
     else:
         _print(found, controller)
     sys.exit(recording_status(found.weighed.findings))
@@ -57,10 +56,8 @@ def payload(empty: Path, loaded: Path, urdf: Path, controller: str | None, as_js
 def _print(found: geomid_ros.Payload, controller: str | None) -> None:
     """Print the payload, what makes it doubtful first, and the commands that set it."""
     console = results_console()
-    low, high = found.interval
     print_remarks(console, [finding.sentence for finding in found.weighed.findings], found.weighed.warnings)
-    gain = f", an uncertain gain of {100.0 * found.weighed.gain:.3g} % included" if found.weighed.gain else ""
-    console.print(f"{found.mass:.3f} kg, from {low:.3f} to {high:.3f} kg (95 %{gain})")
+    console.print(found.sentence)
     table = plain_table(f"Payload in the axes of '{found.frame}'")
     table.add_column("quantity")
     number_columns(table, ["value", "std"])
@@ -73,18 +70,3 @@ def _print(found: geomid_ros.Payload, controller: str | None) -> None:
     console.print(table)
     if controller:
         click.echo(found.commands(controller), nl=False)
-
-
-def _document(found: geomid_ros.Payload) -> dict[str, Any]:
-    quantities, std = found.inertial.quantities.tolist(), found.inertial.std.tolist()
-    return {
-        "frame": found.frame,
-        "interval": list(found.interval),
-        "gain": found.weighed.gain,
-        "quantities": dict(zip(QUANTITIES, quantities, strict=True)),
-        "std": dict(zip(QUANTITIES, std, strict=True)),
-        "cannot_tell": list(found.weighed.cannot_tell),
-        "rms": found.weighed.rms,
-        "warnings": list(found.weighed.warnings),
-        "causes": causes_entry(found.weighed.findings),
-    }
