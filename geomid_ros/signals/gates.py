@@ -26,8 +26,8 @@ PATIENCE = 1000
 EARLY = "stamp ahead of its time"
 CLOCK_SET = "clock set: a new segment begins"
 UNIT_CHANGED = (
-    DRIVER_ERROR + "efforts change at once by a factor of about {:g}, at all joints: another unit or sign begins; use one "
-    "of the two parts, with effort_gain for its unit"
+    DRIVER_ERROR + "efforts change at once by a factor of about {:g}, at all joints: another unit or sign begins; use "
+    "one of the two parts, with effort_gain for its unit"
 )
 _MOST = 3  # messages in a row that a fault lasts
 _USUAL_STEP = 1.9  # periods between two stamps, above which one may be ahead
@@ -238,8 +238,9 @@ class JointGate:
             return _Answer() if whole else None
         if self._clock_was_set(stamps, numbers):
             return _Answer(changed=CLOCK_SET)
+        soon = 1e-9 * float(stamps[0] - self._stamps[-1]) <= _USUAL_STEP * self._period
         factor = self._efforts.factor(self._last[:, 2], numbers[:, 2])
-        if not factor:
+        if not factor or not soon:
             return _Answer()
         self._efforts.forget()
         return _Answer(changed=UNIT_CHANGED.format(factor))

@@ -22,10 +22,12 @@ _LOST = 1.5  # periods that a burst is late by, if messages are missing
 _FOLLOWS = 0.05  # of the time that a burst is late by, which the times are moved by
 
 
-def in_bursts(stamps: IntArray) -> bool:
-    """Whether more than a fifth of the steps between increasing stamps are shorter than a quarter of the mean step."""
+def in_bursts(stamps: IntArray, max_gap: int) -> bool:
+    """Whether more than a fifth of the steps between increasing stamps are shorter than a quarter of the mean step.
+    Steps longer than ``max_gap`` [ns] do not count."""
     steps = np.diff(stamps)
-    return bool(np.mean(steps < _SHORT * np.mean(steps)) > _IN_BURSTS)
+    steps = steps[steps <= max_gap]
+    return bool(len(steps) and np.mean(steps < _SHORT * np.mean(steps)) > _IN_BURSTS)
 
 
 class RegularClock:

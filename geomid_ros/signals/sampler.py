@@ -117,7 +117,7 @@ class Sampler:
         if len(stamps) < FEWEST:
             return False
         period = float(np.median(np.diff(stamps[:FEWEST])))
-        if in_bursts(stamps[:FEWEST]):
+        if in_bursts(stamps[:FEWEST], self._max_gap):
             if len(stamps) < FEWEST_IN_BURSTS:
                 return False
             clock = RegularClock(stamps[:FEWEST_IN_BURSTS])
@@ -156,7 +156,7 @@ class Sampler:
         """Say it if messages begin to come in bursts."""
         self._watched = np.concatenate([self._watched, stamps])
         while len(self._watched) >= FEWEST_IN_BURSTS:
-            if in_bursts(self._watched[:FEWEST_IN_BURSTS]):
+            if in_bursts(self._watched[:FEWEST_IN_BURSTS], self._max_gap):
                 self._ledger.note(JOINT_STATES, NOW_IN_BURSTS)
             self._watched = self._watched[FEWEST_IN_BURSTS:]
 
