@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,10 +16,14 @@ from geomid_ros.model.samples import Samples
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.session import Session
 from geomid_ros.signals.decoding import Decoder
-from geomid_ros.signals.gates import EARLY
+from geomid_ros.signals.gates import CLOCK_SET, EARLY, PATIENCE, UNIT_CHANGED
 from geomid_ros.signals.messages import JOINT_STATES, Block
+from geomid_ros.signals.pipeline import UNDECIDED
 from geomid_ros.signals.sampler import IN_BURSTS
 from geomid_ros.types import FloatArray, IntArray
+
+from .feeding import joint_messages, regular, wrench_messages
+from .spoiled import pipeline
 
 SHARED = Path(__file__).parents[3] / "shared" / "data"
 RECORDINGS = {
@@ -182,3 +187,63 @@ def test_the_period_of_bursts_and_pairs_is_that_of_their_span(size: int) -> None
     samples, _, noted = recording.read()
     assert np.diff(samples.stamps[:2]) == np.diff(period)
     assert IN_BURSTS in noted
+
+
+@pytest.mark.parametrize("step", [0.2, -0.2, 0.06])
+def test_a_clock_that_is_set_begins_a_segment(step: float, recording: Recording) -> None:
+    """Told by the motion; samples never mix what came before and after. Messages that are lost are no clock."""
+    place, count = int(np.argmax(np.abs(np.gradient(recording.position[:, recording.joint])[300:-300]))) + 300, 0.06
+    clean = recording.read()[0]
+    recording.stamps[place:] += round(step * 1e9)
+    samples, refused, noted = recording.read()
+    assert (refused, CLOCK_SET in noted) == ({}, True)
+    before = samples.stamps < recording.stamps[place - 1] - 1_000_000_000
+    first = int(np.argmax(~before))
+    for name in ("position", "effort"):
+        np.testing.assert_array_equal(samples.arrays[name][:first], clean.arrays[name][:first])
+        order = [recording.names.index(joint) for joint in recording.session.robot.joint_names]
+        low, high = (bound(getattr(recording, name)[:, order], axis=0) for bound in (np.min, np.max))
+        margin = 0.02 * (high - low)
+        assert np.all((samples.arrays[name] >= low - margin) & (samples.arrays[name] <= high + margin))
+    recording.stamps[place:] -= round(step * 1e9)
+    lost = np.arange(place, place + round(count / recording.period))
+    assert CLOCK_SET not in recording.read(without=lost)[2]
+
+
+@pytest.mark.parametrize("factor", [1000.0, 0.07, -1.0])
+def test_a_unit_that_changes_is_named(factor: float) -> None:
+    """And it begins a segment: no sample mixes both."""
+    recording = Recording("ur10")
+    recording.effort[1500:] *= factor
+    samples, refused, noted = recording.read()
+    (note,) = [note for note in noted if note.startswith(UNIT_CHANGED[:40])]
+    assert float(note.split("about ")[1].split(",")[0]) == pytest.approx(factor, rel=0.1)
+    assert refused == {}
+    assert np.max(np.diff(samples.stamps)) > 0.5e9
+
+
+def test_a_publisher_that_ends_holds_nothing_for_ever() -> None:
+    """Its last message is off, and no more come: it passes, and so does what came behind it on other topics."""
+    joints = joint_messages(regular(0.01, 3.0))
+    off = replace(joints[-1], position=joints[-1].position + 2.0)
+    wrench = wrench_messages(regular(0.001, 6.0, offset=2.99))
+    target = pipeline(merge=False)
+    for message in (*joints[:-1], off, *wrench[: PATIENCE - 1]):
+        target.push(message)
+    assert "/wrench" not in target.ledger.topics
+    for message in wrench[PATIENCE - 1 : PATIENCE + 20]:
+        target.push(message)
+    assert target.held == 0
+    assert target.ledger.topics[JOINT_STATES].accepted == len(joints)
+    assert target.ledger.topics["/wrench"].accepted == PATIENCE + 20
+
+
+def test_what_is_held_at_the_end_is_dropped_and_counted() -> None:
+    joints = joint_messages(regular(0.01, 3.0))
+    target = pipeline(merge=False)
+    for message in (*joints[:-3], replace(joints[-3], stamp=joints[-3].stamp + 200_000_000)):
+        target.push(message)
+    assert target.held == 1
+    target.release()
+    assert target.held == 0
+    assert target.ledger.topics[JOINT_STATES].dropped == {UNDECIDED: 1}
