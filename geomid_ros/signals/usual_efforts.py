@@ -67,7 +67,7 @@ class UsualEfforts:
         if self._chunks >= _FEWEST_CHUNKS:
             known = self._inverse_range > 0.0
             sums = [np.abs(efforts[:, known]) @ self._inverse_range[known] for efforts in (after, before)]
-            size = np.maximum(*sums)
+            size = np.where(np.minimum(*sums) > 0.0, np.maximum(*sums), 0.0)  # zeros are no efforts in another unit
             found = found | (change[:, known] @ self._inverse_range[known] > _OF_ALL * size) & (
                 size > _LARGE * np.sum(known)
             )
