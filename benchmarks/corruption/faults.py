@@ -11,7 +11,7 @@ import numpy as np
 from benchmarks.corruption.recording import Recording
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.samples import Samples
-from geomid_ros.types import FloatArray
+from geomid_ros.types import FloatArray, IntArray
 
 Plant: TypeAlias = Callable[[Recording, Any], Recording]
 """Plants a fault of a size in a recording."""
@@ -149,7 +149,85 @@ def _one(joint: Any) -> tuple[int, ...]:
     return (joint,)
 
 
+_SHARE = 0.01  # of the messages that are bad
+_FIRST = 300  # message that may be
+
+
+def _chosen(recording: Recording) -> IntArray:
+    """The places of bad messages, at random, none of them near another."""
+    places = np.arange(_FIRST, len(recording.stamps) - 20, round(1.0 / _SHARE))
+    return np.asarray(places + np.random.default_rng(0).integers(-30, 30, len(places)))
+
+
+def _widest(recording: Recording) -> int:
+    return int(np.argmax(np.ptp(recording.position, axis=0)))
+
+
+def _wrapped(recording: Recording, level: float) -> Recording:
+    """At a level [share of the joint's way]."""
+    position, joint = recording.position.copy(), _widest(recording)
+    at = np.quantile(position[:, joint], level)
+    position[:, joint] = np.remainder(position[:, joint] - at, 2.0 * np.pi) + at
+    return replace(recording, position=position)
+
+
+def _glitching(recording: Recording, by: float) -> Recording:
+    position, places = recording.position.copy(), _chosen(recording)
+    position[places, _widest(recording)] += by
+    return replace(recording, position=position)
+
+
+def _spiking(recording: Recording, ranges: float) -> Recording:
+    effort, places = recording.effort.copy(), _chosen(recording)
+    joint = int(np.argmax(np.ptp(effort, axis=0)))
+    effort[places, joint] += ranges * np.ptp(effort[:, joint])
+    return _efforts(recording, effort)
+
+
+def _early(recording: Recording, seconds: float) -> Recording:
+    stamps = recording.stamps.copy()
+    stamps[_chosen(recording)] += seconds
+    return replace(recording, stamps=stamps)
+
+
+def _clock_set(recording: Recording, seconds: float) -> Recording:
+    """Where the widest joint moves fastest."""
+    place = _FIRST + int(np.argmax(np.abs(np.diff(recording.position[_FIRST:-_FIRST, _widest(recording)]))))
+    stamps, wrench = recording.stamps.copy(), recording.wrench_stamps.copy()
+    wrench[wrench > stamps[place]] += seconds
+    stamps[place:] += seconds
+    return replace(recording, stamps=stamps, wrench_stamps=wrench)
+
+
+def _in_bursts(recording: Recording, size: int) -> Recording:
+    """Received when the last of each burst is."""
+    places = np.arange(len(recording.stamps))
+    lasts = np.minimum(places // size * size + size - 1, len(places) - 1)
+    return replace(recording, stamps=recording.stamps[lasts] + 1e-6 * (places % size))
+
+
+def _other_unit(recording: Recording, factor: float) -> Recording:
+    effort = recording.effort.copy()
+    effort[len(effort) // 2 :] *= factor
+    return _efforts(recording, effort)
+
+
+def _infinite(recording: Recording, speed: float) -> Recording:
+    velocity = np.zeros_like(recording.position) if recording.velocity is None else recording.velocity.copy()
+    velocity[_chosen(recording), 0] = speed
+    return replace(recording, velocity=velocity)
+
+
 FAULTS = [
+    Fault(row=71, name="wraps", plant=_wrapped, sizes=(0.5, 0.3, 0.8), noted="jump by whole turns"),
+    Fault(row=73, name="positions jump", plant=_glitching, sizes=(1.5, 0.3, -3.0), noted="jumps, and back"),
+    Fault(row=74, name="efforts spike", plant=_spiking, sizes=(20.0, 5.0, -3.0), noted="is a spike"),
+    Fault(row=75, name="stamps ahead", plant=_early, sizes=(0.03, 0.1, 0.4), noted="ahead of its time"),
+    Fault(row=76, name="clock set", plant=_clock_set, sizes=(0.2, -0.2, 0.1), noted="clock set"),
+    Fault(row=77, name="bursts", plant=_in_bursts, sizes=(20, 10, 4), kind="stream"),
+    Fault(row=83, name="unit in mid-run", plant=_other_unit, sizes=(1000.0, 0.07, -1.0), kind="stream"),
+    Fault(row=87, name="pairs and batches", plant=_in_bursts, sizes=(2, 3, 5), kind="stream"),
+    Fault(row=95, name="infinite speeds", plant=_infinite, sizes=(np.inf, -np.inf, 1e300), noted="velocity of"),
     Fault(
         row=72, name="positions in degrees", plant=_degrees, kind="degrees",
         sizes=("positions and speeds", "positions", "positions and speeds of one half"),

@@ -235,6 +235,12 @@ class Robot:
         return np.where(limits > 0.0, limits, np.inf)
 
     @property
+    def speed_limits(self) -> FloatArray:
+        """The joints' largest speeds in the URDF ``(joints,)`` [rad/s, m/s], infinite where it has none."""
+        limits = np.asarray(self._model.velocityLimit)[self._velocity_rows]
+        return np.where(limits > 0.0, limits, np.inf)
+
+    @property
     def position_limits(self) -> FloatArray:
         """The joints' lowest and highest positions in the URDF ``(joints, 2)`` [rad, m], infinite where it has none."""
         model = self._model

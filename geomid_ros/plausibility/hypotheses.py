@@ -20,6 +20,7 @@ KINDS = {
     "compensated": "gravity is not in the efforts",
     "unrelated": "efforts follow neither gravity nor motion",
     "constant": "an effort never changes",
+    "stream": "messages are not what a driver should send",
     "wrench": "a wrench sensor is not what it is declared to be",
 }
 """What may be wrong."""

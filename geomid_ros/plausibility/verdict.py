@@ -50,6 +50,7 @@ def verdict(
     model: MeasurementModel,
     worse: Sequence[str] = (),
     unmeasured: Sequence[str] = (),
+    peculiar: Sequence[str] = (),
 ) -> Verdict:
     """Judge a result.
 
@@ -59,6 +60,7 @@ def verdict(
         model: that was fitted.
         worse: the channels that it predicts worse than the URDF does, see :func:`worse_channels`.
         unmeasured: the joints whose efforts are missing.
+        peculiar: what is peculiar about the messages, in sentences.
     """
     reasons = [finding.sentence for finding in findings]
     warnings = [
@@ -66,7 +68,7 @@ def verdict(
         "something acts that the model lacks"
         for channel in worse
     ]
-    warnings += _masses(estimate, model)
+    warnings += [*_masses(estimate, model), *peculiar]
     if unmeasured:
         warnings.append(f"most of the time no effort is measured at {', '.join(map(repr, unmeasured))}: it is left out")
     word = DOUBTFUL if reasons else USABLE

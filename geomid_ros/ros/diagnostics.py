@@ -237,6 +237,7 @@ def _errors(status: Status, new: Status) -> list[str]:
             reason: count for reason, count in account.rejected.items() if nothing or reason.startswith(DRIVER_ERROR)
         }
         sentences += _most_frequent(_refusals(topic, Account(rejected=Counter(bad))))
+        sentences += [f"{topic}: {remark}" for remark in account.noted if remark.startswith(DRIVER_ERROR)]
     return sentences
 
 

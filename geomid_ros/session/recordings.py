@@ -157,6 +157,11 @@ def read_samples(
         if samples is not None:
             ready += len(samples)
             yield samples
+    pipeline.release()
+    samples = pipeline.collect()
+    if samples is not None:
+        ready += len(samples)
+        yield samples
     if ready == 0:
         raise InputError(_why_no_samples(bag, session, pipeline))
 

@@ -29,7 +29,9 @@ from geomid_ros.plausibility.check import RecordingCheck
 from geomid_ros.plausibility.hypotheses import Finding
 from geomid_ros.plausibility.verdict import Verdict, verdict, worse_channels, worse_on_rows
 from geomid_ros.session.configuration import Configuration
-from geomid_ros.signals.ledger import Ledger
+from geomid_ros.session.streams import faulty_streams, peculiarities
+from geomid_ros.signals.gates import Limits
+from geomid_ros.signals.ledger import Account, Ledger
 from geomid_ros.signals.messages import JOINT_STATES, ODOM, Accepted
 from geomid_ros.signals.pipeline import SignalPipeline, ignore
 from geomid_ros.signals.recent import Recent
@@ -94,6 +96,7 @@ class Session:
         """Told of all samples, it judges them as a whole."""
         self.findings: tuple[Finding, ...] = ()
         """What seems to be wrong with the recording as a whole."""
+        self._forgotten: dict[str, Account] = {}  # what the ledger had counted when findings were forgotten
         self.warm: WarmStart | None = None
         """Where the next solve may begin: the last estimate."""
         self._incomplete: list[str] = []  # sentences on the recordings that were read
@@ -111,11 +114,12 @@ class Session:
         check = self.check
         found = check.findings()
         if check is self.check:  # nothing was forgotten meanwhile
-            self.findings = found
+            self.findings = (*found, *faulty_streams(self.pipeline.ledger.topics, self._forgotten))
 
     def forget_findings(self) -> None:
         """Judge by the samples to come alone."""
         self.check, self.findings = self._new_check(), ()
+        self._forgotten = self.pipeline.ledger.topics
 
     def verdict(self, estimate: Estimate, batches: Sequence[Samples] = ()) -> Verdict:
         """Whether an estimate can be used.
@@ -125,7 +129,8 @@ class Session:
             batches: samples on which it is compared with the URDF; none to compare on its own rows.
         """
         worse = worse_channels(self.model, batches, estimate.parameters) if batches else worse_on_rows(estimate)
-        return verdict(estimate, self.findings, self.model, worse, self.check.unmeasured)
+        peculiar = peculiarities(self.pipeline.ledger.topics)
+        return verdict(estimate, self.findings, self.model, worse, self.check.unmeasured, peculiar)
 
     def warnings(self, estimate: Estimate | None = None) -> list[str]:
         """What makes results doubtful, in sentences: of the model, and of an estimate."""
@@ -193,6 +198,8 @@ class Session:
             sensors=self.model.sensors,
             settings=self.loaded.signals(settings or self.configuration.signals(joints), joints),
             continuous=[joint.name for joint in self.robot.joints if joint.continuous],
+            turning=[joint.name for joint in self.robot.joints if joint.unit == "N m"],
+            limits=Limits(self.robot.speed_limits, self.robot.effort_limits),
             effect_columns=effect_columns or self.model.columns,
             on_accepted=on_accepted,
             ledger=ledger,

@@ -45,18 +45,23 @@ class Arrived:
         """Which messages can be used by themselves ``(N,)``."""
         return without_refusal(self.refusals)
 
-    def select(self, index: BoolArray | slice) -> Arrived:
+    def select(self, index: BoolArray | IntArray | slice) -> Arrived:
         """Some of them."""
         return Arrived(self.order[index], self.stamps[index], self.numbers[index], self.refusals[index])
+
+    @staticmethod
+    def joined(several: Sequence[Arrived]) -> Arrived:
+        """All of them, one after the other."""
+        parts = zip(*((e.order, e.stamps, e.numbers, e.refusals) for e in several), strict=True)
+        return Arrived(*(np.concatenate(part) for part in parts))
 
     @staticmethod
     def in_order(several: Sequence[Arrived]) -> Arrived:
         """All of them, in the order in which they came."""
         if len(several) == 1:
             return several[0]
-        order = np.argsort(np.concatenate([each.order for each in several]), kind="stable")
-        parts = zip(*((e.order, e.stamps, e.numbers, e.refusals) for e in several), strict=True)
-        return Arrived(*(np.concatenate(part)[order] for part in parts))
+        whole = Arrived.joined(several)
+        return whole.select(np.argsort(whole.order, kind="stable"))
 
 
 def without_refusal(refusals: AnyArray) -> BoolArray:

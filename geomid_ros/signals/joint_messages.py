@@ -14,6 +14,8 @@ from geomid_ros.types import AnyArray, BoolArray, FloatArray, IntArray
 
 DRIVER_ERROR = "driver error: "
 """Reasons begin with this when the driver fills in its messages wrongly."""
+_UNLIKE_A_TURN = 0.5  # [rad] a step that is no further from a whole turn is the driver's
+UNWRAPPED = "jump by whole turns: unwrapped"
 FROZEN = "frozen: all numbers are those of the message before, though the robot moves"
 
 
@@ -28,7 +30,13 @@ class JointReader:
     """
 
     def __init__(
-        self, joints: Sequence[str], gains: FloatArray, continuous: BoolArray, max_gap: int, note: Callable[[str], None]
+        self,
+        joints: Sequence[str],
+        gains: FloatArray,
+        continuous: BoolArray,
+        max_gap: int,
+        note: Callable[[str], None],
+        turning: BoolArray | None = None,
     ) -> None:
         """
         Args:
@@ -37,12 +45,14 @@ class JointReader:
             continuous: ``(joints,)`` which have no end: their positions may jump by whole turns.
             max_gap: [ns].
             note: is told of peculiarities.
+            turning: ``(joints,)`` which are revolute: a step of a whole turn in their positions is the driver's.
         """
         self._joints = tuple(joints)
         self._gains = gains
         self._continuous = continuous
         self._max_gap = max_gap
         self._note = note
+        self._turning = np.zeros(len(joints), dtype=np.bool_) if turning is None else turning & ~continuous
         self._noted: set[str] = set()
         self._names: tuple[str, ...] = ()
         self._order = np.zeros(len(joints), dtype=np.int64)
@@ -53,6 +63,8 @@ class JointReader:
         """Begin anew, as a clock was set back."""
         self._stamp = 0
         self._last: FloatArray | None = None  # positions, velocities and efforts of the last message that was good
+        self._raw: FloatArray | None = None  # its positions as they were sent
+        self._turns = np.zeros(len(self._joints))  # that were added to them
         self._speed = 0.0
         self._made_up = True  # until an effort is seen that is not zero
         self._effort_stamps = np.zeros(len(self._joints), dtype=np.int64)
@@ -94,6 +106,9 @@ class JointReader:
         vector[:, 2] *= self._gains
         good = plausible(vector)
         if not good.all():
+            wild = ~good[:, 1] & ~np.isnan(vector[:, 1])  # NaN is what drivers send that measure no velocity
+            for row in np.flatnonzero(wild.any(axis=1)):
+                refusals[row] = f"velocity of '{self._joints[int(np.argmax(wild[row]))]}' not finite"
             vector[~good] = np.nan
             for row in np.flatnonzero(~good[:, 0].all(axis=1)):
                 joint = self._joints[int(np.argmin(good[row, 0]))]
@@ -126,7 +141,8 @@ class JointReader:
             raise
 
     def _read(self, stamps: IntArray, numbers: FloatArray, among: int) -> tuple[FloatArray, BoolArray]:
-        self._unwind(numbers[:, 0])
+        positions = numbers[:, 0].copy()
+        turns = self._unwind(numbers[:, 0])
         frozen, speeds = self._frozen(stamps, numbers)
         taken = ~frozen
         if frozen.any():
@@ -136,6 +152,7 @@ class JointReader:
         if len(stamps):
             self._check_effort(stamps, numbers, speeds > STANDING)
             self._stamp, self._last = int(stamps[-1]), numbers[-1].copy()
+            self._raw, self._turns = positions[taken][-1], turns[taken][-1]
         return numbers.reshape(len(stamps), 3 * len(self._joints)), taken
 
     def _order_of(self, names: tuple[str, ...]) -> IntArray:
@@ -161,13 +178,20 @@ class JointReader:
             self._noted.add(remark)
             self._note(remark)
 
-    def _unwind(self, positions: FloatArray) -> None:
-        """Add whole turns to the positions of continuous joints, so that they do not jump."""
-        if self._continuous.any():
-            own = positions[:, self._continuous]
-            last = own[:1] if self._last is None else self._last[:1, self._continuous]
-            turns = np.cumsum(np.round(np.diff(own, axis=0, prepend=last) / (2.0 * np.pi)), axis=0)
-            positions[:, self._continuous] = own - 2.0 * np.pi * turns
+    def _unwind(self, positions: FloatArray) -> FloatArray:
+        """Add whole turns to positions that jump by them: those of continuous joints, and of drivers that wrap.
+
+        Returns:
+            ``(N, joints)`` the turns that were added.
+        """
+        steps = np.diff(positions, axis=0, prepend=positions[:1] if self._raw is None else self._raw[None])
+        turns = np.round(steps / (2.0 * np.pi))
+        wraps = self._turning & (turns != 0.0) & (np.abs(steps - 2.0 * np.pi * turns) < _UNLIKE_A_TURN)
+        for joint in np.flatnonzero(wraps.any(axis=0)):
+            self._note_once(f"positions of '{self._joints[joint]}' {UNWRAPPED}")
+        added = self._turns - np.cumsum(np.where(self._continuous | wraps, turns, 0.0), axis=0)
+        positions += 2.0 * np.pi * added
+        return np.asarray(added)
 
     def _frozen(self, stamps: IntArray, numbers: FloatArray) -> tuple[BoolArray, FloatArray]:
         """In which messages no number has changed, though by velocities, or else by the positions before, the robot

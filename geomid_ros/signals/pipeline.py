@@ -19,7 +19,9 @@ from geomid_ros.errors import InputError, unknown_name
 from geomid_ros.model.columns import NO_COLUMNS, Columns
 from geomid_ros.model.samples import Samples
 from geomid_ros.model.sensors import WrenchSensor
+from geomid_ros.signals.admission import Admission
 from geomid_ros.signals.arrived import Arrived, poses, wrenches
+from geomid_ros.signals.gates import JointGate, Limits
 from geomid_ros.signals.joint_messages import FROZEN, JointReader, RejectedError
 from geomid_ros.signals.joint_parts import JointParts, Part
 from geomid_ros.signals.ledger import Ledger
@@ -30,6 +32,8 @@ from geomid_ros.signals.timeline import NOT_LATER, Timeline, Turn
 from geomid_ros.types import AnyArray, BoolArray, FloatArray, IntArray
 
 _DEFAULTS = SignalSettings()
+
+UNDECIDED = "came last, when too few followed to tell whether they are right"
 
 _Source: TypeAlias = tuple[str, Part]
 """A topic, and if joint messages are merged, the joints of a publisher."""
@@ -50,6 +54,8 @@ class SignalPipeline:
         sensors: Sequence[WrenchSensor] = (),
         settings: SignalSettings = _DEFAULTS,
         continuous: Sequence[str] = (),
+        turning: Sequence[str] = (),
+        limits: Limits | None = None,
         effect_columns: Columns = NO_COLUMNS,
         on_accepted: Callable[[Accepted], None] = ignore,
         ledger: Ledger | None = None,
@@ -62,6 +68,8 @@ class SignalPipeline:
             settings: of the filter and of efforts.
             continuous: the joints without end: their positions may jump by whole turns between messages, and are given
                 from -pi to pi in samples.
+            turning: the revolute joints: a step of a whole turn in their positions is the driver's, and is undone.
+            limits: of the joints.
             effect_columns: those that samples carry (:attr:`MeasurementModel.columns`).
             on_accepted: is told of every message that is accepted, as :meth:`push_accepted` takes it.
             ledger: is told what becomes of every message.
@@ -77,11 +85,15 @@ class SignalPipeline:
         self._max_gap = settings.max_gap_ns
         self._gains = settings.effort_gains(self._joints)
         self._continuous = np.array([joint in continuous for joint in self._joints], dtype=bool)
+        self._turning = np.array([joint in turning for joint in self._joints], dtype=bool)
+        self._limits = limits or Limits.none(len(self._joints))
         self.ledger = ledger or Ledger()
         self._on_accepted = on_accepted
         self._reader = self._new_reader(self._joints)
         self._parts = JointParts(self._joints, self._max_gap, self._new_reader) if settings.merge else None
+        self._admission: Admission[_Source] = Admission(self._new_gate)
         self._timelines: dict[_Source, Timeline[Arrived]] = {}
+        self._arrived = 0  # messages
         self._open: Counter[str] = Counter()  # messages of which nothing has become yet
         self._joined: list[tuple[_Source, IntArray, IntArray, FloatArray]] = []  # that wait for the other parts
         topics = (*self._sensors, ODOM) if floating_base else tuple(self._sensors)
@@ -90,7 +102,18 @@ class SignalPipeline:
     def _new_reader(self, joints: Sequence[str]) -> JointReader:
         places = [self._joints.index(joint) for joint in joints]
         note = partial(self.ledger.note, JOINT_STATES)
-        return JointReader(joints, self._gains[places], self._continuous[places], self._max_gap, note)
+        return JointReader(
+            joints, self._gains[places], self._continuous[places], self._max_gap, note, self._turning[places]
+        )
+
+    def _new_gate(self, source: _Source) -> JointGate | None:
+        topic, part = source
+        if topic != JOINT_STATES:
+            return None
+        joints = part or self._joints
+        places = [self._joints.index(joint) for joint in joints]
+        turning = self._turning[places] | self._continuous[places]
+        return JointGate(joints, self._limits.of(places), turning, self._max_gap)
 
     @property
     def lag(self) -> float:
@@ -124,7 +147,13 @@ class SignalPipeline:
         for block in blocks:
             self._open[block.topic] += len(block.stamps)
         try:
-            self._take(self._read(blocks))
+            batch = self._read(blocks)
+            self._arrived += sum(len(block.stamps) for block in blocks)
+            for admitted, change in self._admission.take(batch, self._arrived - 1):
+                if change is not None:
+                    source, what = change
+                    self._begin_anew(source, what, admitted[source].order[:1])
+                self._take(admitted)
             self._join_parts()
         except Exception as error:
             self._drop_open(f"{type(error).__name__} while taking a message")
@@ -137,6 +166,8 @@ class SignalPipeline:
         held = Counter(dict.fromkeys(self._open, 0))
         for (topic, _), timeline in self._timelines.items():
             held[topic] += timeline.held
+        for (topic, _), count in self._admission.held.items():
+            held[topic] += count
         for topic, count in (self._open - held).items():
             self.ledger.drop(topic, reason, count)
         self._open = held
@@ -160,7 +191,7 @@ class SignalPipeline:
                 self._refused(block.topic, str(error), len(block.stamps))
                 continue
             numbers, refusals = self._numbers(source, block)
-            found.setdefault(source, []).append(Arrived(block.order, block.stamps, numbers, refusals))
+            found.setdefault(source, []).append(Arrived(block.order + self._arrived, block.stamps, numbers, refusals))
         return {source: Arrived.in_order(several) for source, several in found.items()}
 
     def _part(self, block: Block) -> Part:
@@ -277,13 +308,26 @@ class SignalPipeline:
         self._sampler.make_samples()
 
     def release(self) -> None:
-        """Reject the messages that are held: no more will come."""
+        """Give up the messages that are held: no more will come."""
+        for (topic, _), count in self._admission.forget().items():
+            if count:
+                self.ledger.drop(topic, UNDECIDED, count)
+                self._open[topic] -= count
         for (topic, _), timeline in self._timelines.items():
             for reason in timeline.release():
                 self._refused(topic, reason)
 
+    def _begin_anew(self, source: _Source, what: str, order: IntArray) -> None:
+        """Begin a new segment, as something has changed in the messages of ``source``: its clock, or a unit."""
+        self.ledger.note(source[0], what)
+        if source in self._timelines:
+            for reason in self._timelines[source].release():
+                self._refused(source[0], reason)
+            self._timelines[source].forget()
+        self._restart(source, order)
+
     def _restart(self, source: _Source, order: IntArray) -> None:
-        """Begin anew everywhere, as the clock of ``source`` was set back."""
+        """Begin anew everywhere, as the clock of ``source`` was set."""
         self._join_parts()
         self._reader.restart()
         if self._parts:

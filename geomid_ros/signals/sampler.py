@@ -11,13 +11,23 @@ import numpy as np
 
 from geomid_ros.model.columns import Columns
 from geomid_ros.model.samples import Samples
+from geomid_ros.signals.joint_messages import DRIVER_ERROR
 from geomid_ros.signals.ledger import Ledger
 from geomid_ros.signals.messages import JOINT_STATES, ODOM, Accepted
+from geomid_ros.signals.periods import FEWEST, FEWEST_IN_BURSTS, RegularClock, in_bursts
 from geomid_ros.signals.settings import PERIOD_ROUNDING, SignalSettings
 from geomid_ros.signals.streams import Grid, JointSegment, PoseSegment, Stream, VectorSegment
-from geomid_ros.types import BoolArray, FloatArray
+from geomid_ros.types import BoolArray, FloatArray, IntArray
 
-_MESSAGES_TO_INFER_PERIOD = 32
+IN_BURSTS = (
+    DRIVER_ERROR + "messages come in bursts: their stamps do not say when they were measured, their numbers in the row "
+    "do; stamp them where they are measured"
+)
+NOW_IN_BURSTS = (
+    DRIVER_ERROR + "messages have begun to come in bursts: their stamps do not say when they were measured; stamp them "
+    "where they are measured"
+)
+UNEVEN = DRIVER_ERROR + "messages come in uneven bursts: nothing says when they were measured"
 _MOST_WAITING = 10_000  # messages kept until the period is known
 _HORIZON = 60_000_000_000  # [ns] a topic this far behind the others is not waited for
 _EFFORTS = "joint_states.effort"  # stream of efforts with a delay; no topic has that name
@@ -52,6 +62,8 @@ class Sampler:
         self._effect_columns = effect_columns
         self._ledger = ledger
         self._velocity = VelocityChoice(len(continuous))
+        self._clock: RegularClock | None = None  # of joint messages whose stamps do not say when they were measured
+        self._watched = np.zeros(0, dtype=np.int64)  # stamps of the last joint messages
         self._grid: Grid | None = None
         self._streams: dict[str, Stream[Any]] = {}
         self._waiting: deque[Accepted] = deque()
@@ -94,18 +106,59 @@ class Sampler:
             if given_up < len(oldest):
                 self._waiting.appendleft(oldest.after(given_up))
             surplus -= given_up
-        stamps = [each.stamps for each in self._waiting if each.topic == JOINT_STATES]
-        if sum(map(len, stamps)) >= _MESSAGES_TO_INFER_PERIOD:
-            period = float(np.median(np.diff(np.concatenate(stamps)[:_MESSAGES_TO_INFER_PERIOD])))
-            self._start(max(PERIOD_ROUNDING, round(period / PERIOD_ROUNDING) * PERIOD_ROUNDING))
+        while self._grid is None and self._begin():
+            pass
+
+    def _begin(self) -> bool:
+        """Start if the joint messages so far tell the period. Returns whether messages were given up, as they tell
+        nothing."""
+        parts = [each.stamps for each in self._waiting if each.topic == JOINT_STATES]
+        stamps = np.concatenate(parts) if parts else np.zeros(0, dtype=np.int64)
+        if len(stamps) < FEWEST:
+            return False
+        period = float(np.median(np.diff(stamps[:FEWEST])))
+        if in_bursts(stamps[:FEWEST], self._max_gap):
+            if len(stamps) < FEWEST_IN_BURSTS:
+                return False
+            clock = RegularClock(stamps[:FEWEST_IN_BURSTS])
+            if not clock.is_right:
+                self._give_up(FEWEST_IN_BURSTS)
+                return True
+            self._ledger.note(JOINT_STATES, IN_BURSTS)
+            self._clock, period = clock, clock.period
+        self._start(max(PERIOD_ROUNDING, round(period / PERIOD_ROUNDING) * PERIOD_ROUNDING))
+        return False
+
+    def _give_up(self, count: int) -> None:
+        """Give up the first joint messages that wait."""
+        self._ledger.revoke(JOINT_STATES, UNEVEN, count)
+        kept: deque[Accepted] = deque()
+        for each in self._waiting:
+            less = min(count, len(each)) if each.topic == JOINT_STATES else 0
+            count -= less
+            if less < len(each):
+                kept.append(each.after(less))
+        self._waiting = kept
 
     def _take(self, accepted: Accepted) -> None:
         stamps, values = accepted.stamps, accepted.values
+        if self._clock is not None and accepted.topic == JOINT_STATES:
+            stamps = self._clock.times(stamps)
+        elif accepted.topic == JOINT_STATES:
+            self._watch(stamps)
         self._streams[accepted.topic].push(stamps, values)
         self._newest[accepted.topic] = int(stamps[-1])
         if accepted.topic == JOINT_STATES and self._effort_delay:
             self._streams[_EFFORTS].push(stamps - self._effort_delay, values[:, 2 * len(self._continuous) :])
             self._newest[_EFFORTS] = int(stamps[-1])
+
+    def _watch(self, stamps: IntArray) -> None:
+        """Say it if messages begin to come in bursts."""
+        self._watched = np.concatenate([self._watched, stamps])
+        while len(self._watched) >= FEWEST_IN_BURSTS:
+            if in_bursts(self._watched[:FEWEST_IN_BURSTS], self._max_gap):
+                self._ledger.note(JOINT_STATES, NOW_IN_BURSTS)
+            self._watched = self._watched[FEWEST_IN_BURSTS:]
 
     def _start(self, period: int) -> None:
         grid = Grid(period, self._settings.cutoff, self._settings.samples_per_cutoff_period)

@@ -57,6 +57,10 @@ def _bags(name: str) -> str:
     return f"{_BAGS}::test_{name}"
 
 
+def _both(case: str) -> str:
+    return f"../session/test_streams.py::test_a_fault_gets_the_same_answer_in_a_bag_and_in_a_node[{case}]"
+
+
 def _disk(case: str) -> str:
     return f"test_catalogue_failures.py::test_a_disk_that_cannot_be_written_stops_nothing[{case}]"
 
@@ -103,7 +107,7 @@ CATALOGUE = (
     Fault(23, "older than a second", "R W, once the next message tells", (_message("23-older-than-a-second"),)),
     Fault(24, "simulation reset", "S W, after ten messages, which are used", (_jump("24-simulation-reset"),)),
     Fault(25, "bag in a loop", "S W, after ten messages, which are used", (_jump("25-bag-loop"),)),
-    Fault(26, "clock stepped back by less than `filter.max_gap`", "R W until it has caught up; by more, S", (f"{_STREAMS}26_a_clock_stepped_back_a_little_is_waited_out",)),
+    Fault(26, "clock stepped back by less than `filter.max_gap`", "S where the motion shows it (76), else R W until it has caught up; by more, S", (f"{_STREAMS}26_a_clock_stepped_back_a_little_is_waited_out",)),
     Fault(27, "a gap forward", "S W", (_jump("27-gap-forward"),)),
     Fault(28, "paused simulation", "R W", (f"{_STREAMS}28_a_paused_simulation",)),
     Fault(29, "simulated time without `/clock`", "W; data are taken by their own stamps", (f"{_GRAPH}29_simulated_time_without_a_clock",)),
@@ -148,12 +152,22 @@ CATALOGUE = (
     Fault(68, "a service where it makes no sense (the node has no lifecycle)", "answered with what is missing", ("test_services.py::test_services_without_a_robot_say_what_is_missing",)),
     Fault(69, "exception in a service", "answered with it, E", (f"{_FAILURES}69_an_exception_in_a_service_is_answered",)),
     Fault(70, "unknown or ill-typed parameter", "X naming it at the start; refused later", ("test_parameters.py::test_what_cannot_be_used_is_refused_with_one_message", "test_parameters.py::test_parameters_are_described")),
+    Fault(71, "a driver that wraps positions at a whole turn", "unwrapped, W", (_both("71-wraps"), _stream("71-wraps"))),
+    Fault(73, "positions that jump for up to three messages (encoder glitches)", "R W", (_both("73-position-glitches"), _stream("73-position-glitches"))),
+    Fault(74, "spikes of efforts, shorter than a contact", "R W", (_both("74-effort-spikes"), _stream("74-effort-spikes"))),
+    Fault(75, "stamps ahead of their time by less than `filter.max_gap`", "R W; the messages after are used", (_both("75-stamps-ahead"), _stream("75-stamps-ahead"))),
+    Fault(76, "clock set by less than `filter.max_gap` (NTP), told by the motion", "S W", (_both("76-clock-set-ahead"), _both("76-clock-set-back"))),
+    Fault(77, "receipt stamps in bursts (wireless)", "E; used by their numbers in the row if a period can be told, else R E", (_both("77-bursts"), "../signals/test_periods.py::test_uneven_bursts_are_refused")),
+    Fault(83, "effort unit or sign that changes in mid-run at all joints", "S E", (_both("83-unit-in-mid-run"),)),
+    Fault(85, "two thirds of a joint's efforts NaN; two publishers in a bag; a joint NaN throughout", "the ledger is printed and written, W", (_both("85-mostly-nan"), _both("85-two-publishers"), _both("85-nan-throughout"))),
+    Fault(87, "messages in pairs or batches (USB, EtherCAT)", "the period from the span of stamps, E", (_both("87-pairs"), _both("87-five-per-batch"))),
     Fault(89, "one part of a merged robot dies", "W naming its joints", (_console("89_a_part_that_falls_silent_is_named"),)),
     Fault(90, "messages are accepted, and no rows come of them", "W asking for the clocks of the topics", (_console("90_messages_of_which_nothing_comes_are_a_warning"),)),
     Fault(91, "the solving process is killed", "started again, after longer and longer pauses if it ends without a result, W; no message is lost", (_SOLVING + "91_a_node_whose_process_is_killed_goes_on", _SOLVING + "a_process_that_is_killed_is_replaced", _SOLVING + "one_that_ends_in_every_solve_is_started_after_pauses")),
     Fault(92, "slow solves now and then", "restarts of what hung count for an hour", (_console("92_hangs_are_forgotten_after_an_hour"),)),
     Fault(93, "a mimic joint that is not in the messages", "follows its master, whose effort bears both", ("../model/test_mimic.py::test_the_masters_efforts_make_the_energy_grow", "../model/test_mimic.py::test_a_recording_without_them_is_used", _console("93_a_mimic_joint_is_not_waited_for"))),
     Fault(94, "tf_prefix", "R E saying the prefix that was found", (_message("15-prefixed-names"), _REFUSALS)),
+    Fault(95, "an infinite speed", "R W", (_message("95-infinite-speed"), _both("95-infinite-speeds"))),
     Fault(97, "a recorder that was killed; a torn last file of a split bag; a missing footer", "what is whole is read, W with the count, status 0", (_bags("all_messages_that_are_whole_are_read"), _bags("the_last_file_of_a_split_bag_is_torn"), _bags("a_database_is_read_up_to_the_first_missing_page"), _bags("what_is_in_a_killed_recorders_log_is_read"), _bags("the_command_reads_what_is_whole_and_says_so"))),
     Fault(98, "a bag without checksums", "said that nothing is checked", (_bags("it_is_said_that_nothing_is_checked"),)),
     Fault(99, "ROS 1 bags; lz4; a folder of bags", "X with the command that converts; read; read", (_bags("the_command_for_a_bag_of_ros_1_makes_one_that_is_read"), _bags("lz4_is_read"), _bags("a_folder_of_bags_is_all_of_them"))),

@@ -75,6 +75,10 @@ CASES = {
         lambda m, w: [entry(m, "position", 0, 1e308), entry(m, "effort", 1, -1e308), with_force(w, y=1e308)],
         (POSITION, EFFORT, "/wrench rejected: wrench not finite"),
     ),
+    "95-infinite-speed": Case(
+        lambda m, _: [entry(m, "velocity", 1, INFINITY), entry(m, "velocity", 0, -INFINITY)],
+        tuple(f"joint_states rejected: velocity of '{name}' not finite" for name in ("joint3", "joint2")),
+    ),
     "6-effort-empty": Case(
         joint(lambda m: changed(m, effort=m.message.effort[:0])),
         (f"{DRIVER} no effort of 'joint1' or any other",),
@@ -198,7 +202,43 @@ zero_effort = joints_only(lambda item, _: item.changed(effort=0.0 * item.message
 LEFT_OUT = "joint_states: no effort of 'joint3': what it says is left out"
 NONE_LEFT = "joint_states: no joint's effort is measured, no joint's equation is used: 'joint1', 'joint2', 'joint3'"
 
+
+def at_places(
+    change: Callable[[Recorded], Recorded], *places: int
+) -> tuple[Callable[[Recorded, int], Recorded], Callable[[Recorded, int, int], Recorded | None]]:
+    """Some joint messages changed, which are to be refused: what is sent, and what is spared."""
+
+    def chosen(item: Recorded, place: int) -> bool:
+        return item.topic == "/joint_states" and place // 2 in places
+
+    return (
+        lambda item, place: change(item) if chosen(item, place) else item,
+        lambda item, place, _: None if chosen(item, place) else item,
+    )
+
+
+def raised(item: Recorded, key: str, place: int, by: float) -> Recorded:
+    return with_numbers(item, key, place, getattr(item.message, key)[place] + by)
+
+
+wrapped = joints_only(lambda item, place: raised(item, "position", 0, 2.0 * np.pi) if place > 150 else item)
+glitching, without_glitches = at_places(lambda item: raised(item, "position", 0, 1.5), 50, 90)
+spiking, without_spikes = at_places(lambda item: raised(item, "effort", 1, -400.0), 120, 130)
+early, without_early = at_places(lambda item: later(item, 105_000_000), 50, 90)
+
 STREAMS = {
+    "71-wraps": Stream(
+        wrapped, ("joint_states: positions of 'joint2' jump by whole turns: unwrapped",), spare=lambda item, *_: item
+    ),
+    "73-position-glitches": Stream(
+        glitching,
+        ("joint_states rejected: position of 'joint2' jumps, and back, faster than it can move",),
+        spare=without_glitches,
+    ),
+    "74-effort-spikes": Stream(
+        spiking, ("joint_states rejected: effort of 'joint3' is a spike",), spare=without_spikes
+    ),
+    "75-stamps-ahead": Stream(early, (f"{STAMP} ahead of its time",), spare=without_early),
     "1-nan-effort-for-ever": Stream(no_effort_of_one, (LEFT_OUT,), spare=after_half_a_second(no_effort_of_one)),
     "5-velocity-empty": Stream(
         joints_only(lambda item, _: item.changed(velocity=item.message.velocity[:0])),

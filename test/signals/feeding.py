@@ -82,9 +82,10 @@ def in_time(*topics: Iterable[Message]) -> list[Message]:
 
 
 def feed(pipeline: SignalPipeline, messages: Iterable[Message]) -> Samples:
-    """Push all messages, then collect."""
+    """Push all messages, and collect when no more will come."""
     for message in messages:
         pipeline.push(message)
+    pipeline.release()
     samples = pipeline.collect()
     assert samples is not None
     return samples

@@ -11,11 +11,13 @@ import pytest
 
 from geomid_ros.model.samples import Samples
 from geomid_ros.model.sensors import WrenchSensor
-from geomid_ros.signals.messages import Accepted, Block, JointMessage, Message
+from geomid_ros.signals.messages import Accepted, JointMessage, Message
 from geomid_ros.signals.pipeline import SignalPipeline
 from geomid_ros.signals.settings import SignalSettings
 
+from . import spoiled as randomly
 from .feeding import JOINTS, balanced, in_time, jittered, joint_messages, regular, without, wrench_messages
+from .spoiled import in_parts
 
 NAN = float("nan")
 
@@ -64,28 +66,8 @@ def pipeline(seen: list[Accepted] | None = None, **settings: Any) -> SignalPipel
     return SignalPipeline(JOINTS, sensors=[sensor], settings=SignalSettings(**settings), continuous=["wrist"], **told)
 
 
-def blocks(messages: Sequence[Message]) -> list[Block]:
-    """Those of one layout in one block, as a decoder gives them."""
-    groups: dict[Any, list[Block]] = {}
-    for place, message in enumerate(messages):
-        one = Block.of(message, place)
-        groups.setdefault((one.topic, one.names, tuple(a.shape[1] for a in one.arrays)), []).append(one)
-    return [
-        Block(
-            several[0].topic,
-            np.concatenate([each.order for each in several]),
-            np.concatenate([each.stamps for each in several]),
-            several[0].names,
-            tuple(np.concatenate(parts) for parts in zip(*(each.arrays for each in several), strict=True)),
-        )
-        for several in groups.values()
-    ]
-
-
 def in_blocks(target: SignalPipeline, messages: Sequence[Message], size: int) -> Samples:
-    for begin in range(0, len(messages), size):
-        target.push(blocks(messages[begin : begin + size]))
-    samples = target.collect()
+    samples = in_parts(target, messages, range(size, len(messages), size))
     assert samples is not None
     return samples
 
@@ -147,3 +129,29 @@ def test_only_consecutive_windows_are_summed_tap_by_tap() -> None:
     settings = SignalSettings(period=0.001, cutoff=20.0)
     alone, together = (SignalPipeline(JOINTS, settings=settings) for _ in range(2))
     assert_same_to_the_last_digit(in_blocks(together, messages, 10_000), in_blocks(alone, messages, 7))
+
+
+@pytest.mark.parametrize("merge", [False, True], ids=["one publisher", "two publishers"])
+@pytest.mark.parametrize("seed", range(12))
+def test_random_faults_in_random_blocks(seed: int, merge: bool) -> None:
+    assert_blocks_do_not_matter(np.random.default_rng(seed), merge=merge)
+
+
+def assert_blocks_do_not_matter(rng: np.random.Generator, *, merge: bool) -> None:
+    """One by one, in blocks of random sizes, and all at once: the same ledger, notes and samples, and all accounted
+    for."""
+    messages = randomly.spoiled(rng, merge=merge)
+    random = np.sort(rng.integers(0, len(messages), rng.integers(1, 60))).tolist()
+    found = []
+    for ends in (range(len(messages)), random, ()):
+        seen: list[Accepted] = []
+        target = randomly.pipeline(merge=merge, on_accepted=seen.append)
+        samples = in_parts(target, messages, ends)
+        assert target.held == 0
+        assert balanced(target, messages)
+        found.append((samples, target.ledger.topics, target.silent, target.unmeasured))
+    for samples, *others in found[1:]:
+        assert others == list(found[0][1:])
+        assert (samples is None) == (found[0][0] is None)
+        if samples is not None and found[0][0] is not None:
+            assert_same_to_the_last_digit(samples, found[0][0])

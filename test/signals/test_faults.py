@@ -81,6 +81,8 @@ BAD_JOINTS: dict[str, tuple[Callable[[JointMessage], JointMessage], str]] = {
     "NaN position": (lambda m: entry(soon(m), "position", 1, NAN), "position of 'elbow' not finite"),
     "infinite position": (lambda m: entry(soon(m), "position", 1, -INFINITY), "position of 'elbow' not finite"),
     "position of 1e308": (lambda m: entry(soon(m), "position", 1, 1e308), "position of 'elbow' not finite"),
+    "infinite velocity": (lambda m: entry(soon(m), "velocity", 1, INFINITY), "velocity of 'elbow' not finite"),
+    "velocity of 1e308": (lambda m: entry(soon(m), "velocity", 0, -1e308), "velocity of 'shoulder' not finite"),
     "NaN effort": (lambda m: entry(soon(m), "effort", 2, NAN), "effort of 'wrist' missing or not finite"),
     "infinite effort": (lambda m: entry(soon(m), "effort", 0, INFINITY), "effort of 'shoulder' missing or not finite"),
     "effort of 1e308": (lambda m: entry(soon(m), "effort", 1, 1e308), "effort of 'elbow' missing or not finite"),

@@ -37,9 +37,11 @@ def filtered(stamps: IntArray, values: FloatArray, rate: float) -> dict[str, Flo
 
 
 def responses(rate: float, frequencies: list[float]) -> dict[str, FloatArray]:
-    """What becomes of sines of these frequencies [Hz]."""
-    stamps = regular(1.0 / rate, 5.0)
-    return filtered(stamps, np.sin(2.0 * np.pi * np.outer(seconds(stamps), frequencies)), rate)
+    """What becomes of sines of these frequencies [Hz], by their amplitudes, which are those of motions."""
+    stamps, amplitude = regular(1.0 / rate, 5.0), 1.0 / max(1.0, *frequencies)
+    sines = amplitude * np.sin(2.0 * np.pi * np.outer(seconds(stamps), frequencies))
+    found = filtered(stamps, sines, rate)
+    return {kind: values / (1.0 if kind == "time" else amplitude) for kind, values in found.items()}
 
 
 def gain_and_phase(time: FloatArray, values: FloatArray, frequency: float) -> tuple[float, float]:

@@ -1,0 +1,292 @@
+"""Faults in the messages of a recording: read from a bag and received by a node they get the same answer."""
+
+from __future__ import annotations
+
+import queue
+from collections.abc import Callable
+from contextlib import closing
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from files.recordings import BAGS, Recorded, recorded, write_bag
+from ros.spoiling import later, stamp_of, stamped
+
+from geomid_ros.errors import GeomidError
+from geomid_ros.estimation.estimate import Estimate
+from geomid_ros.files.models.urdf import read_urdf
+from geomid_ros.live import worker as live
+from geomid_ros.live.worker import Worker
+from geomid_ros.model.sensors import WrenchSensor
+from geomid_ros.session.configuration import Configuration
+from geomid_ros.session.recordings import Bags, read_bags, take
+from geomid_ros.session.session import Session
+from geomid_ros.signals.gates import CLOCK_SET, EARLY
+from geomid_ros.signals.joint_messages import UNWRAPPED
+from geomid_ros.signals.sampler import IN_BURSTS
+from geomid_ros.types import FloatArray, IntArray
+
+PATIENCE = 60.0
+MIDDLE = 600  # of 1200 joint messages
+NAN = float("nan")
+
+
+@dataclass
+class Joints:
+    """The joint messages of the shipped arm, as arrays to be spoiled; ``kept`` are those that are sent. The clock of
+    all topics is set by ``step`` [ns] in the middle; a ``phantom`` publishes, too."""
+
+    stamps: IntArray
+    arrays: dict[str, FloatArray]
+    kept: Any
+    phantom: bool = False
+    step: int = 0
+
+    @staticmethod
+    def clean() -> Joints:
+        states = [item.message for item in whole() if item.topic == "/joint_states"]
+        stamps = np.array([stamp_of(item) for item in whole() if item.topic == "/joint_states"])
+        order = np.argsort(states[0].name)
+        arrays = {key: np.array([getattr(m, key)[order] for m in states]) for key in ("position", "velocity", "effort")}
+        return Joints(stamps, arrays, np.ones(len(stamps), dtype=bool))
+
+    @property
+    def widest(self) -> int:
+        """The joint that moves most."""
+        return int(np.argmax(np.ptp(self.arrays["position"], axis=0)))
+
+    def recorded(self) -> list[Recorded]:
+        """All messages of the recording with these joint messages."""
+        result, place = [], -1
+        for item in whole():
+            state = later(item, self.step * (place >= MIDDLE))
+            if item.topic == "/joint_states":
+                place += 1
+                if not self.kept[place]:
+                    continue
+                fields = {key: values[place].copy() for key, values in self.arrays.items()}
+                state = stamped(item.changed(name=sorted(item.message.name), **fields), int(self.stamps[place]))
+                state = later(state, self.step * (place >= MIDDLE))
+            result.append(state)
+            if item.topic == "/joint_states" and self.phantom:
+                result.append(later(state.changed(name=[f"left_{name}" for name in state.message.name]), 1_000_000))
+        return result
+
+
+@cache
+def whole() -> list[Recorded]:
+    return [item for item in recorded(BAGS / "arm7") if item.topic in ("/joint_states", "/wrench")]
+
+
+def session() -> Session:
+    configuration = Configuration().with_sensors([WrenchSensor.parse("/wrench:wrist_ft:mounted")])
+    return Session(read_urdf(BAGS / "arm7.urdf"), configuration, "arm7.urdf")
+
+
+def from_bag(joints: Joints, folder: Path) -> tuple[Session, Estimate]:
+    """As ``geomid identify`` reads it."""
+    found = session()
+    bag = write_bag(folder, joints.recorded())
+    train, _ = read_bags(found, Bags(fitted=[bag], hold_out=0.0))
+    take(found, train)
+    return found, found.identifier.solve()
+
+
+def from_node(joints: Joints) -> tuple[Session, Estimate, Any]:
+    """As the node's threads take it, message by message; with the status that its diagnostics are made of."""
+    found, answers = session(), queue.Queue[Estimate | GeomidError]()
+    with closing(Worker(found, 3600.0, lambda *_: None, lambda *_: None)) as worker:
+        for item in joints.recorded():
+            worker.take(*item.raw)
+        worker.final_estimate(answers.put)
+        estimate = answers.get(timeout=PATIENCE)
+        assert isinstance(estimate, Estimate), estimate
+        status = worker.status(active=True)
+    return found, estimate, status
+
+
+@cache
+def clean_estimate() -> Estimate:
+    found = session()
+    for item in whole():
+        found.pipeline.push(item.parsed)
+    samples = found.pipeline.collect()
+    assert samples is not None
+    found.identifier.add(samples)
+    return found.identifier.solve()
+
+
+@dataclass(frozen=True, kw_only=True)
+class Case:
+    """``spoil`` changes the joint messages, and returns those that are to be refused.
+
+    ``refused``: a part of the reason; ``noted``: a part of a note; ``doubtful``: whether the
+    result is; ``sigmas``: how far off the estimate of the clean recording may be [standard deviations]; None if it is
+    to be that of the recording without the messages that are refused.
+    """
+
+    spoil: Callable[[Joints], IntArray]
+    refused: str = ""
+    noted: str = ""
+    doubtful: bool = False
+    sigmas: float | None = None
+
+
+NOTHING = np.zeros(0, dtype=np.int64)
+CHOSEN = np.array([420, 633, 871, 1033])
+
+
+def wraps(joints: Joints) -> IntArray:
+    """In the middle of the joint's way."""
+    position = joints.arrays["position"][:, joints.widest]
+    middle = float(np.median(position))
+    position[:] = np.remainder(position - middle, 2.0 * np.pi) + middle
+    return NOTHING
+
+
+def glitches(joints: Joints) -> IntArray:
+    position = joints.arrays["position"][:, joints.widest]
+    places = np.flatnonzero(np.abs(position) > 0.3)[100::50]
+    position[places] = 0.0
+    return places
+
+
+def spikes(joints: Joints) -> IntArray:
+    joints.arrays["effort"][CHOSEN, 1] -= 3.0 * np.ptp(joints.arrays["effort"][:, 1])
+    return CHOSEN
+
+
+def early(joints: Joints) -> IntArray:
+    joints.stamps[CHOSEN] += np.array([25, 55, 105, 405]) * 1_000_000
+    return CHOSEN
+
+
+def clock_set(step: int) -> Callable[[Joints], IntArray]:
+    def spoil(joints: Joints) -> IntArray:
+        joints.step = step
+        return NOTHING
+
+    return spoil
+
+
+def in_bursts(size: int, apart: int) -> Callable[[Joints], IntArray]:
+    """Stamped when they arrive, a burst at once."""
+
+    def spoil(joints: Joints) -> IntArray:
+        places = np.arange(len(joints.stamps))
+        lasts = np.minimum(places // size * size + size - 1, len(places) - 1)
+        joints.stamps[:] = joints.stamps[lasts] + apart * (places % size)
+        return NOTHING
+
+    return spoil
+
+
+def another_unit(joints: Joints) -> IntArray:
+    joints.arrays["effort"][MIDDLE:] *= 1000.0
+    return NOTHING
+
+
+def mostly_nan(joints: Joints) -> IntArray:
+    places = np.flatnonzero(np.arange(len(joints.stamps)) % 3 > 0)
+    joints.arrays["effort"][places, 2] = NAN
+    return places
+
+
+def nan_throughout(joints: Joints) -> IntArray:
+    joints.arrays["effort"][:, 6] = NAN
+    return NOTHING
+
+
+def two_publishers(joints: Joints) -> IntArray:
+    joints.phantom = True
+    return np.arange(len(joints.stamps))
+
+
+def infinite_speeds(joints: Joints) -> IntArray:
+    joints.arrays["velocity"][CHOSEN, 3] = np.array([1.0, -1.0, 1.0, -1.0]) * np.inf
+    return CHOSEN
+
+
+CASES = {
+    "71-wraps": Case(spoil=wraps, noted=UNWRAPPED, sigmas=1e-3),
+    "73-position-glitches": Case(spoil=glitches, refused="jumps, and back, faster than it can move"),
+    "74-effort-spikes": Case(spoil=spikes, refused="effort of 'joint2' is a spike"),
+    "75-stamps-ahead": Case(spoil=early, refused=EARLY),
+    "76-clock-set-ahead": Case(spoil=clock_set(200_000_000), noted=CLOCK_SET, sigmas=1.0),
+    "76-clock-set-back": Case(spoil=clock_set(-200_000_000), noted=CLOCK_SET, sigmas=1.0),
+    "77-bursts": Case(spoil=in_bursts(20, 100_000), noted=IN_BURSTS, doubtful=True, sigmas=1.0),
+    "83-unit-in-mid-run": Case(spoil=another_unit, noted="efforts change at once by a factor of about", doubtful=True),
+    "85-mostly-nan": Case(spoil=mostly_nan, refused="effort of 'joint3' missing or not finite"),
+    "85-nan-throughout": Case(spoil=nan_throughout, sigmas=np.inf),
+    "85-two-publishers": Case(spoil=two_publishers, refused="the messages' names have the prefix 'left_'"),
+    "87-pairs": Case(spoil=in_bursts(2, 1000), noted=IN_BURSTS, doubtful=True, sigmas=1.0),
+    "87-five-per-batch": Case(spoil=in_bursts(5, 1000), noted=IN_BURSTS, doubtful=True, sigmas=1.0),
+    "95-infinite-speeds": Case(spoil=infinite_speeds, refused="velocity of 'joint4' not finite"),
+}
+
+
+def numbers(estimate: Estimate) -> tuple[FloatArray, FloatArray]:
+    """Masses and centres of mass, and their standard deviations."""
+    values = [(link.mass, *link.com) for link in estimate.links]
+    spread = [(link.std_mass, *link.std_com) for link in estimate.links]
+    return np.array(values), np.array(spread)
+
+
+@pytest.fixture(autouse=True)
+def patience(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The machine may be busy."""
+    monkeypatch.setattr(live, "_PATIENCE", PATIENCE)
+    monkeypatch.setattr(live, "_LONGEST_WAIT", PATIENCE)
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_a_fault_gets_the_same_answer_in_a_bag_and_in_a_node(name: str, tmp_path: Path) -> None:
+    case, joints = CASES[name], Joints.clean()
+    refused = case.spoil(joints)
+    found, estimate = from_bag(joints, tmp_path / "bag")
+    theirs, their_estimate, status = from_node(joints)
+
+    np.testing.assert_allclose(numbers(their_estimate)[0], numbers(estimate)[0], rtol=1e-9, atol=1e-12)
+    account, their_account = (each.pipeline.ledger.topics["joint_states"] for each in (found, theirs))
+    assert account == their_account
+    assert account.received == (2 if joints.phantom else 1) * len(joints.stamps)
+    assert found.pipeline.ledger.topics["/wrench"].rejected == {}
+
+    assert all(case.refused in reason for reason in account.rejected)
+    assert account.rejected.total() == len(refused)
+    assert bool(case.refused) == bool(len(refused))
+    assert any(case.noted in remark for remark in account.noted) or not case.noted
+
+    document = found.document(estimate)
+    assert document["messages"]["joint_states"]["rejected"] == dict(sorted(account.rejected.items()))
+    assert (document["verdict"]["result"] == "doubtful") == case.doubtful
+    said = [*document["verdict"]["reasons"], *document["warnings"]]
+    for part in filter(None, (case.refused, case.noted.removeprefix("driver error: "))):
+        assert any(part in sentence for sentence in said), said
+    if name == "85-nan-throughout":
+        assert any("'joint7'" in sentence for sentence in said)
+
+    assert_named_by_diagnostics(status, case)
+    if case.sigmas is None and not case.doubtful:
+        joints.kept[refused], joints.phantom = joints.phantom, False
+        expected = from_bag(joints, tmp_path / "without")[1]
+        np.testing.assert_allclose(numbers(estimate)[0], numbers(expected)[0], rtol=1e-9, atol=1e-12)
+    elif case.sigmas is not None:
+        expected, spread = numbers(clean_estimate())
+        assert np.max(np.abs(numbers(estimate)[0] - expected) / spread) <= case.sigmas
+
+
+def assert_named_by_diagnostics(status: Any, case: Case) -> None:
+    """The next diagnostics say it, as an error if the result is doubtful, else as a warning."""
+    pytest.importorskip("diagnostic_msgs")
+    from geomid_ros.ros.diagnostics import Diagnostics  # noqa: PLC0415 needs ROS
+
+    diagnostics = Diagnostics("geomid")
+    diagnostics.array(status)
+    for part in filter(None, (case.refused, case.noted)):
+        levels = [complaint.error for complaint in diagnostics.complaints if part in complaint.sentence]
+        assert levels, diagnostics.complaints
+        assert case.doubtful in levels

@@ -1,0 +1,249 @@
+"""What neighbours and limits do not allow is refused, and what is real passes; in blocks of any size."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from files.recordings import BAGS
+
+from geomid_ros.files.bags.bag import Bag
+from geomid_ros.files.models.urdf import read_urdf
+from geomid_ros.model.samples import Samples
+from geomid_ros.session.configuration import Configuration
+from geomid_ros.session.session import Session
+from geomid_ros.signals.decoding import Decoder
+from geomid_ros.signals.gates import CLOCK_SET, EARLY, PATIENCE, UNIT_CHANGED
+from geomid_ros.signals.messages import JOINT_STATES, Block
+from geomid_ros.signals.pipeline import UNDECIDED
+from geomid_ros.signals.sampler import IN_BURSTS
+from geomid_ros.types import FloatArray, IntArray
+
+from .feeding import joint_messages, regular, wrench_messages
+from .spoiled import pipeline
+
+SHARED = Path(__file__).parents[3] / "shared" / "data"
+RECORDINGS = {
+    "simulated": (BAGS / "arm7", BAGS / "arm7.urdf"),
+    "ur10": (SHARED / "ur10_unisa_rosbag2/ur10_exciting_trajectory", SHARED / "ur10_unisa_rosbag2/ur10.urdf"),
+    "lwr4": (SHARED / "kuka_lwr4_hw/measurements_1", SHARED / "kuka_lwr4_hw/kuka_lwr4.urdf"),
+}
+FIRST = 300  # message that is spoiled
+
+
+class Recording:
+    """The joint messages of a bag as arrays."""
+
+    def __init__(self, name: str) -> None:
+        bag, urdf = RECORDINGS[name]
+        if not bag.exists():
+            pytest.skip(f"{bag} is absent")
+        self.session = Session(read_urdf(urdf), Configuration(), urdf.name)
+        with Bag(bag) as opened:
+            raw = [(JOINT_STATES, data) for _, _, data in opened.raw_messages(["/joint_states"])]
+        (block,) = [block for block in Decoder().blocks(raw, lambda *_: None) if len(block.stamps) > 1]
+        self.names = block.names
+        self.stamps: IntArray = block.stamps.copy()
+        self.position, self.velocity, self.effort = (array.copy() for array in block.arrays)
+        self.period = float(np.median(np.diff(self.stamps))) * 1e-9
+        self.joint = int(np.argmax(np.ptp(self.position, axis=0)))
+        self.loaded = int(np.argmax(np.ptp(self.effort, axis=0)))
+        self.range = float(np.ptp(self.effort[:, self.loaded]))
+
+    def chosen(self, count: int) -> IntArray:
+        """Messages to spoil, far from each other."""
+        return np.linspace(FIRST, len(self.stamps) - 20, count).astype(np.int64)
+
+    def read(self, size: int = 4096, without: IntArray | None = None) -> tuple[Samples, dict[str, int], dict[str, int]]:
+        """Samples, why messages were refused, and what was noted."""
+        kept = np.ones(len(self.stamps), dtype=bool)
+        kept[[] if without is None else without] = False
+        arrays = [array[kept] for array in (self.position, self.velocity, self.effort)]
+        stamps, pipeline = self.stamps[kept], self.session.new_pipeline()
+        for begin in range(0, len(stamps), size):
+            part = slice(begin, begin + size)
+            order = np.arange(len(stamps[part]))
+            pipeline.push([Block(JOINT_STATES, order, stamps[part], self.names, tuple(a[part] for a in arrays))])
+        pipeline.release()
+        assert pipeline.held == 0
+        samples, account = pipeline.collect(), pipeline.ledger.topics[JOINT_STATES]
+        assert samples is not None
+        assert account.received == len(stamps)
+        return samples, dict(account.rejected), dict(account.noted)
+
+
+@pytest.fixture(params=RECORDINGS)
+def recording(request: pytest.FixtureRequest) -> Recording:
+    return Recording(request.param)
+
+
+def assert_equal(actual: Samples, expected: Samples) -> None:
+    for name, array in expected.arrays.items():
+        np.testing.assert_allclose(actual.arrays[name], array, rtol=0, atol=1e-9, err_msg=name)
+
+
+def contact(recording: Recording, begin: int) -> FloatArray:
+    """A collision of 40 ms, twice as high as all efforts together."""
+    time = (recording.stamps - recording.stamps[begin]) * 1e-9
+    return np.where((time >= 0.0) & (time <= 0.04), 2.0 * recording.range * np.sin(np.pi * time / 0.04), 0.0)
+
+
+def far_off(recording: Recording, places: IntArray) -> None:
+    recording.position[places, recording.joint] += 1.5
+
+
+def jumps(recording: Recording, places: IntArray) -> None:
+    recording.position[places, recording.joint] += 0.3
+
+
+def spikes(recording: Recording, places: IntArray) -> None:
+    recording.effort[places, recording.loaded] -= 3.0 * recording.range
+
+
+def early(recording: Recording, places: IntArray) -> None:
+    recording.stamps[places] += round((4.5 * recording.period + 0.02) * 1e9)
+
+
+FAULTS: dict[str, tuple[Callable[[Recording, IntArray], None], str]] = {
+    "positions far off": (far_off, "jumps, and back"),
+    "positions off": (jumps, "jumps, and back"),
+    "spikes of effort": (spikes, "is a spike"),
+    "stamps ahead": (early, EARLY),
+}
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+def test_a_fault_is_refused_and_leaves_no_trace(fault: str, recording: Recording) -> None:
+    """The samples are those of a recording without these messages; nothing else is refused."""
+    spoil, reason = FAULTS[fault]
+    places = recording.chosen(4)
+    expected, before, _ = recording.read(without=places)
+    spoil(recording, places)
+    samples, refused, _ = recording.read()
+    assert_equal(samples, expected)
+    new = {why: count - before.get(why, 0) for why, count in refused.items() if count != before.get(why, 0)}
+    assert sum(new.values()) == len(places)
+    assert all(reason in why for why in new)
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+def test_what_is_refused_does_not_depend_on_how_many_come_at_once(fault: str) -> None:
+    recording = Recording("simulated")
+    FAULTS[fault][0](recording, np.concatenate([recording.chosen(6), recording.chosen(6) + 1]))
+    expected = recording.read(1)
+    for size in (2, 7, 130, 1000):
+        samples, refused, noted = recording.read(size)
+        assert_equal(samples, expected[0])
+        assert (refused, noted) == expected[1:]
+    assert sum(expected[1].values()) >= 12
+
+
+def test_a_driver_that_wraps_is_unwrapped(recording: Recording) -> None:
+    """In the middle of the joint's way; no other number changes, and it is said."""
+    expected, _, noted = recording.read()
+    whole = recording.position[:, recording.joint]
+    middle = float(np.median(whole))
+    recording.position[:, recording.joint] = np.remainder(whole - middle, 2.0 * np.pi) + middle
+    samples, _, now = recording.read()
+    turns = (samples.position - expected.position) / (2.0 * np.pi)
+    np.testing.assert_allclose(turns, np.round(turns[:1]) * np.ones_like(turns), atol=1e-9)
+    np.testing.assert_allclose(samples.velocity, expected.velocity, atol=1e-8)
+    assert [note for note in now if note not in noted] == [
+        f"positions of '{recording.names[recording.joint]}' jump by whole turns: unwrapped"
+    ]
+
+
+def test_what_is_real_passes(recording: Recording) -> None:
+    """A recording as it is, a collision of 40 ms, a payload, a joint that stops at once, and lost messages."""
+    _, before, _ = recording.read()
+    assert before == {}
+    recording.effort[:, recording.loaded] += contact(recording, 700)
+    assert recording.read()[1] == {}
+    recording.effort[1000:] += 0.3 * np.ptp(recording.effort, axis=0)
+    assert recording.read()[1] == {}
+    stop = round(0.3 / recording.period)
+    recording.position[900 : 900 + stop, recording.joint] = recording.position[900, recording.joint]
+    assert recording.read()[1] == {}
+    lost = np.flatnonzero(np.random.default_rng(1).random(len(recording.stamps)) < 0.05)
+    assert recording.read(without=lost)[1] == {}
+
+
+def test_what_is_over_sooner_than_a_collision_is_a_spike(recording: Recording) -> None:
+    """Two messages of it."""
+    recording.effort[700:702, recording.loaded] += 2.0 * recording.range
+    refused = recording.read()[1]
+    assert list(refused.values()) == [2]
+
+
+@pytest.mark.parametrize("size", [2, 5])
+def test_the_period_of_bursts_and_pairs_is_that_of_their_span(size: int) -> None:
+    recording = Recording("simulated")
+    period = recording.read()[0].stamps[:2]
+    places = np.arange(len(recording.stamps))
+    recording.stamps = recording.stamps[places // size * size] + 1000 * (places % size)
+    samples, _, noted = recording.read()
+    assert np.diff(samples.stamps[:2]) == np.diff(period)
+    assert IN_BURSTS in noted
+
+
+@pytest.mark.parametrize("step", [0.2, -0.2, 0.06])
+def test_a_clock_that_is_set_begins_a_segment(step: float, recording: Recording) -> None:
+    """Told by the motion; samples never mix what came before and after. Messages that are lost are no clock."""
+    place, count = int(np.argmax(np.abs(np.gradient(recording.position[:, recording.joint])[300:-300]))) + 300, 0.06
+    clean = recording.read()[0]
+    recording.stamps[place:] += round(step * 1e9)
+    samples, refused, noted = recording.read()
+    assert (refused, CLOCK_SET in noted) == ({}, True)
+    before = samples.stamps < recording.stamps[place - 1] - 1_000_000_000
+    first = int(np.argmax(~before))
+    for name in ("position", "effort"):
+        np.testing.assert_array_equal(samples.arrays[name][:first], clean.arrays[name][:first])
+        order = [recording.names.index(joint) for joint in recording.session.robot.joint_names]
+        low, high = (bound(getattr(recording, name)[:, order], axis=0) for bound in (np.min, np.max))
+        margin = 0.02 * (high - low)
+        assert np.all((samples.arrays[name] >= low - margin) & (samples.arrays[name] <= high + margin))
+    recording.stamps[place:] -= round(step * 1e9)
+    lost = np.arange(place, place + round(count / recording.period))
+    assert CLOCK_SET not in recording.read(without=lost)[2]
+
+
+@pytest.mark.parametrize("factor", [1000.0, 0.07, -1.0])
+def test_a_unit_that_changes_is_named(factor: float) -> None:
+    """And it begins a segment: no sample mixes both."""
+    recording = Recording("ur10")
+    recording.effort[1500:] *= factor
+    samples, refused, noted = recording.read()
+    (note,) = [note for note in noted if note.startswith(UNIT_CHANGED[:40])]
+    assert float(note.split("about ")[1].split(",")[0]) == pytest.approx(factor, rel=0.1)
+    assert refused == {}
+    assert np.max(np.diff(samples.stamps)) > 0.5e9
+
+
+def test_a_publisher_that_ends_holds_nothing_for_ever() -> None:
+    """Its last message is off, and no more come: it passes, and so does what came behind it on other topics."""
+    joints = joint_messages(regular(0.01, 3.0))
+    off = replace(joints[-1], position=joints[-1].position + 2.0)
+    wrench = wrench_messages(regular(0.001, 6.0, offset=2.99))
+    target = pipeline(merge=False)
+    for message in (*joints[:-1], off, *wrench[: PATIENCE - 1]):
+        target.push(message)
+    assert "/wrench" not in target.ledger.topics
+    for message in wrench[PATIENCE - 1 : PATIENCE + 20]:
+        target.push(message)
+    assert target.held == 0
+    assert target.ledger.topics[JOINT_STATES].accepted == len(joints)
+    assert target.ledger.topics["/wrench"].accepted == PATIENCE + 20
+
+
+def test_what_is_held_at_the_end_is_dropped_and_counted() -> None:
+    joints = joint_messages(regular(0.01, 3.0))
+    target = pipeline(merge=False)
+    for message in (*joints[:-3], replace(joints[-3], stamp=joints[-3].stamp + 200_000_000)):
+        target.push(message)
+    assert target.held == 1
+    target.release()
+    assert target.held == 0
+    assert target.ledger.topics[JOINT_STATES].dropped == {UNDECIDED: 1}
