@@ -24,7 +24,7 @@ _pool = ThreadPoolExecutor(_THREADS, thread_name_prefix="geomid-projection")
 
 @dataclass(frozen=True, eq=False)
 class Evaluation:
-    """Half of an objective at a point: its value, its gradient ``(D,)`` and its Hessian ``(D, D)`` along geodesics.
+    """Half of an objective at a point: its value, its gradient ``(D,)`` and its Hessian ``(D, D)`` along its steps.
 
     ``information`` is the part of the Hessian that the rows contribute at distance zero (Gauss-Newton): with weights
     from true standard deviations it is the Fisher information of the rows.
@@ -49,6 +49,9 @@ class Objective(Protocol):
 
     def evaluate(self, point: Point) -> Evaluation:
         """Value, gradient and Hessian at ``point``."""
+
+    def step(self, point: Point, tangent: FloatArray) -> Point:
+        """The end of the step that leaves ``point`` with tangent coordinates ``(D,)``."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,6 +128,10 @@ class GeodesicObjective(_WeightedObjective):
         """Sum of all weights."""
         return float(np.sum(self.weights)) + self.prior_weight
 
+    def step(self, point: Point, tangent: FloatArray) -> Point:
+        """The end of a geodesic."""
+        return self.manifold.exp(point, tangent)
+
     def evaluate(self, point: Point) -> Evaluation:
         """Half of (19) at ``point`` with its derivatives in the tangent coordinates there."""
         value, gradient, hessian = _prior_terms(self.manifold, point, self.prior, self.prior_weights)
@@ -170,6 +177,10 @@ class ResidualObjective(_WeightedObjective):
         """The factor of the squared distance to the prior."""
         return self.gamma / (1.0 + self.gamma) * self.scale
 
+    def step(self, point: Point, tangent: FloatArray) -> Point:
+        """The end of a straight line, along which the rows' part is exactly quadratic."""
+        return self.manifold.straight(point, tangent)
+
     def evaluate(self, point: Point) -> Evaluation:
         """Half of the objective at ``point`` with its derivatives in the tangent coordinates there."""
         value, gradient, hessian = _prior_terms(self.manifold, point, self.prior, self.prior_weights)
@@ -177,7 +188,8 @@ class ResidualObjective(_WeightedObjective):
         normals = self.manifold.whiten(point, self.rows) / self.sigmas[:, None]
         slope = residuals @ normals
         information = normals.T @ normals
-        hessian += information + linear_hessian(self.manifold, slope)
+        # Along a straight line the rows have no curvature but their information; the prior has that of the line.
+        hessian += information + linear_hessian(self.manifold, -gradient)
         return Evaluation(value + 0.5 * float(residuals @ residuals), gradient + slope, information, hessian)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -114,10 +115,8 @@ def choose_gamma(
 ) -> float:
     """The weight of the prior with which rows that were held out are predicted best.
 
-    The rows, in the order of time, make three blocks: few, because blocks beside each other are alike. Each is judged
-    by the fit to the two others, for every weight of a grid, and the squared errors are pooled, so that a
-    block that cannot be predicted at all counts. The minimum is that of a parabola through the best weight and its
-    neighbours, in logarithms. The paper's weight where there are fewer rows than parameters.
+    The weights of a grid are tried from strong to weak, each weaker one at a multiple of the cost, until one predicts
+    every block worse than the best so far. The paper's weight where there are fewer rows than parameters.
 
     Args:
         manifold: Where the parameters live.
@@ -127,22 +126,49 @@ def choose_gamma(
     """
     if len(targets) < manifold.dimension:
         return PAPER
+    losses: list[FloatArray] = []
+    for loss in held_out_losses(manifold, rows, targets, prior, objective):
+        losses.append(loss)
+        if np.all(loss > min(losses, key=np.sum)):
+            break
+    return best_weight(losses)
+
+
+def held_out_losses(
+    manifold: ParameterManifold, rows: FloatArray, targets: FloatArray, prior: Point, objective: str
+) -> Iterator[FloatArray]:
+    """For each weight of the grid, from strong to weak: the squared errors of each block at the fit to the others.
+
+    The rows, in the order of time, make three blocks: few, because blocks beside each other are alike.
+    """
     blocks = np.array_split(np.arange(len(targets)), _BLOCKS)
-    losses = np.zeros(len(_GRID))
-    for held_out in blocks:
-        fitted = np.setdiff1d(np.arange(len(targets)), held_out)
-        augmented = np.column_stack([rows[fitted], targets[fitted]])
-        if objective == "residual":
-            augmented = triangular(augmented)
-        of_what = ResidualObjective if objective == "residual" else GeodesicObjective
-        point, ones = prior, np.ones(len(augmented))
-        for index, gamma in enumerate(_GRID):  # from strong to weak priors, each from where the last one ended
+    of_what = ResidualObjective if objective == "residual" else GeodesicObjective
+    fitted = [np.column_stack([np.delete(rows, block, 0), np.delete(targets, block)]) for block in blocks]
+    if objective == "residual":
+        fitted = [triangular(augmented) for augmented in fitted]
+    points = [prior] * len(blocks)
+    for gamma in _GRID:
+        losses = np.empty(len(blocks))
+        for index, (held_out, augmented) in enumerate(zip(blocks, fitted, strict=True)):
+            ones = np.ones(len(augmented))
             minimised = of_what(manifold, augmented[:, :-1], augmented[:, -1], ones, prior, gamma)
-            point = trust_region(minimised, point, _START_TOLERANCE * gamma).point
-            losses[index] += np.sum((rows[held_out] @ point.parameters - targets[held_out]) ** 2)
-    best = int(np.argmin(losses))
-    middle = min(max(best, 1), len(_GRID) - 2)
-    slope, bend = np.polyfit([-1.0, 0.0, 1.0], np.log(losses[middle - 1 : middle + 2] + np.finfo(float).tiny), 2)[1::-1]
+            points[index] = trust_region(minimised, points[index], _START_TOLERANCE * gamma).point
+            losses[index] = np.sum((rows[held_out] @ points[index].parameters - targets[held_out]) ** 2)
+        yield losses
+
+
+def best_weight(losses: Sequence[FloatArray]) -> float:
+    """The weight of the grid, whose first weights have these ``losses`` by block, that predicts best.
+
+    The blocks' losses are added, so that a block that cannot be predicted at all counts. The minimum is that of a
+    parabola through the best weight and its neighbours, in logarithms; the strongest weight, if that is the best.
+    """
+    totals = np.log(np.sum(losses, axis=1) + np.finfo(float).tiny)
+    best = int(np.argmin(totals))
+    if best == 0:
+        return float(_GRID[0])
+    middle = min(best, len(totals) - 2)
+    slope, bend = np.polyfit([-1.0, 0.0, 1.0], totals[middle - 1 : middle + 2], 2)[1::-1]
     offset = np.clip(-0.5 * slope / bend, -1.0, 1.0) if bend > 0.0 else best - middle
     return float(_GRID[middle] * (_GRID[1] / _GRID[0]) ** offset)
 

@@ -100,7 +100,7 @@ def _tried(objective: Objective, point: Point, evaluation: Evaluation, tangent: 
     an infinite value, so that a shorter step is tried."""
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
         try:
-            candidate = objective.manifold.exp(point, tangent)
+            candidate = objective.step(point, tangent)
             trial = objective.evaluate(candidate)
         except LinAlgError:
             return point, replace(evaluation, value=np.inf)

@@ -22,6 +22,8 @@ import numpy as np
 from geomid_ros.geometry import pseudo_inertia, spd, symmetric
 from geomid_ros.types import FloatArray, frozen
 
+_SMALLEST_FACTOR = 0.05  # by which one straight step shrinks a positive number or an inertia at most
+
 
 @dataclass(frozen=True, eq=False)
 class Point:
@@ -56,6 +58,12 @@ class Point:
         """The linear parameters ``(D,)``."""
         inertial = pseudo_inertia.to_parameters(self.pseudo_inertias).ravel()
         return frozen(np.concatenate([inertial, self.positives, self.reals]))
+
+
+def _lengthened(steps: FloatArray) -> FloatArray:
+    """``1 + step`` where that is well above zero."""
+    bent = np.maximum(0.5 * np.exp(2.0 * np.minimum(steps + 0.5, 0.0)), _SMALLEST_FACTOR)
+    return np.where(steps > -0.5, 1.0 + steps, bent)
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,6 +112,21 @@ class ParameterManifold:
         return Point(
             spd.congruence(base.root, spd.sym_exp(matrices)),
             base.positives * np.exp(tangent[self.positive]),
+            base.reals + self.scales * tangent[self.real],
+        )
+
+    def straight(self, base: Point, tangent: FloatArray) -> Point:
+        """The end of a straight line of the parameters that leaves ``base`` with tangent coordinates ``(D,)``.
+
+        Precise data confine the parameters to a thin slab of straight hyperplanes, which a geodesic leaves after a
+        short way. Where the line would leave the cone, the eigenvalue approaches zero instead.
+        """
+        matrices = symmetric.to_matrix(tangent[self.inertial].reshape(self.links, symmetric.SIZE))
+        values, vectors = np.linalg.eigh(matrices)
+        whitened = (vectors * _lengthened(values)[..., None, :]) @ np.swapaxes(vectors, -1, -2)
+        return Point(
+            spd.congruence(base.root, whitened),
+            base.positives * _lengthened(tangent[self.positive]),
             base.reals + self.scales * tangent[self.real],
         )
 
