@@ -11,6 +11,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from benchmarks import (
+    choice,
     coverage,
     human,
     intake,
@@ -39,6 +40,7 @@ EXPERIMENTS: dict[str, Callable[[Report], None]] = {
     "arm": measured_arm.run,
     "gaps": measured_gaps.run,
     "speed": speed.run,
+    "choice": choice.run,
     "scale": scale.run,
     "streaming": streaming.run,
     "payload": payload.run,

@@ -10,6 +10,7 @@ from geomid_ros.estimation.objective import Evaluation, linear_hessian
 from geomid_ros.geometry.manifold import ParameterManifold, Point
 from geomid_ros.types import FloatArray
 
+
 @dataclass(frozen=True, eq=False)
 class StraightManifold(ParameterManifold):
     """The manifold with steps along straight lines of the parameters instead of geodesics."""
