@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from itertools import compress
 
 import numpy as np
-from scipy.fft import dct
 
 from geomid_ros.errors import InputError, unknown_name
 from geomid_ros.estimation import starting_point, uncertainty
@@ -209,6 +208,8 @@ def _geodesic_objective(objective: ResidualObjective) -> GeodesicObjective:
     much noise as the others has no projection. The combination starts from the principal directions at the prior, in
     the metric there, and fixes their signs by the residuals, so that it depends on no choice of frames or units.
     """
+    from scipy.fft import dct  # noqa: PLC0415 of this objective alone
+
     manifold, prior = objective.manifold, objective.prior
     left, values, _ = np.linalg.svd(manifold.whiten(prior, objective.rows), full_matrices=False)
     left = left.T[values >= _ROUNDING * values[0]]  # what no parameters can change has no directions of its own

@@ -7,11 +7,13 @@ from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from functools import cached_property
+from importlib import import_module
+from types import ModuleType
 from typing import Protocol
 
 import numpy as np
 
-from geomid_ros.geometry import projection, symmetric
+from geomid_ros.geometry import symmetric
 from geomid_ros.geometry.manifold import ParameterManifold, Point
 from geomid_ros.types import BoolArray, FloatArray, IntArray, frozen
 
@@ -85,6 +87,11 @@ class _WeightedObjective(ABC):
         return frozen(self.prior_weight * self.confidence * np.ones(self.manifold.dimension))
 
 
+def _kernels() -> ModuleType:
+    """The compiled projections: only (19) needs them, and to import their compiler takes longer than to solve."""
+    return import_module("geomid_ros.geometry.projection")
+
+
 class GeodesicObjective(_WeightedObjective):
     """(19) for the rows; one whose hyperplane has no projection from the prior is set aside."""
 
@@ -96,7 +103,7 @@ class GeodesicObjective(_WeightedObjective):
     @cached_property
     def set_aside(self) -> BoolArray:
         """Rows that take no part because Proposition 2 gives them no projection from the prior, ``(N,)``."""
-        return np.asarray(self._at_prior[1] != projection.ROOT)
+        return np.asarray(self._at_prior[1] != _kernels().ROOT)
 
     @cached_property
     def value_at_prior(self) -> float:
@@ -113,7 +120,7 @@ class GeodesicObjective(_WeightedObjective):
 
         def measure(chunk: slice) -> None:
             normals = self.manifold.whiten(point, self.rows[chunk])
-            halves[chunk], statuses[chunk] = projection.measure(self.manifold, point, normals, self.targets[chunk])
+            halves[chunk], statuses[chunk] = _kernels().measure(self.manifold, point, normals, self.targets[chunk])
 
         list(_pool.map(measure, _chunks(len(self.rows))))
         return halves, statuses
@@ -146,7 +153,7 @@ class GeodesicObjective(_WeightedObjective):
     def _row_terms(self, point: Point, chunk: slice) -> tuple[float, FloatArray, FloatArray, FloatArray]:
         weights = self.weights[chunk]
         normals = self.manifold.whiten(point, self.rows[chunk])
-        projected = projection.project(self.manifold, point, normals, self.targets[chunk], weights)
+        projected = _kernels().project(self.manifold, point, normals, self.targets[chunk], weights)
         scaled = projected.direction * np.sqrt(weights)[:, None]
         return (
             float(weights @ projected.half_squared),
@@ -210,13 +217,14 @@ def _prior_terms(
     manifold: ParameterManifold, point: Point, prior: Point, weights: FloatArray
 ) -> tuple[float, FloatArray, FloatArray]:
     """Weights ``(D,)`` are equal within a block, so that the Hessian stays symmetric."""
-    to_prior = manifold.log(point, prior)
-    hessian = weights[:, None] * manifold.half_squared_distance_hessian(point, prior)
+    to_prior, curvature = manifold.log_and_hessian(point, prior)
+    hessian = weights[:, None] * curvature
     return 0.5 * float(weights @ to_prior**2), -weights * to_prior, hessian
 
 
 _UNITS = symmetric.to_matrix(np.eye(symmetric.SIZE))
-_PRODUCTS = np.einsum("kim,lmj->klij", _UNITS, _UNITS)
+_PRODUCTS = 0.5 * np.einsum("kim,lmj->klij", _UNITS, _UNITS).reshape(symmetric.SIZE, symmetric.SIZE, -1)
+_PRODUCTS = (_PRODUCTS + _PRODUCTS.transpose(1, 0, 2)).reshape(-1, _PRODUCTS.shape[-1])
 
 
 def linear_hessian(manifold: ParameterManifold, slope: FloatArray) -> FloatArray:
@@ -225,10 +233,10 @@ def linear_hessian(manifold: ParameterManifold, slope: FloatArray) -> FloatArray
     Per link ``tr(X exp(tQ))`` has the second derivative ``tr(X Q^2)``; a positive coefficient's is the first again.
     """
     hessian = np.zeros((manifold.dimension, manifold.dimension))
-    for index in range(manifold.links):
-        matrix = symmetric.to_matrix(slope[manifold.link(index)])
-        block = np.einsum("ij,klji->kl", matrix, _PRODUCTS)
-        hessian[manifold.link(index), manifold.link(index)] = 0.5 * (block + block.T)
+    matrices = symmetric.to_matrix(slope[manifold.inertial].reshape(manifold.links, symmetric.SIZE))
+    blocks = matrices.reshape(manifold.links, -1) @ _PRODUCTS.T
+    for index, block in enumerate(blocks.reshape(-1, symmetric.SIZE, symmetric.SIZE)):
+        hessian[manifold.link(index), manifold.link(index)] = block
     positive = np.arange(manifold.positive.start, manifold.positive.stop)
     hessian[positive, positive] = slope[positive]
     return hessian

@@ -54,14 +54,14 @@ class ProfileObjective:
         squares = np.maximum(moved @ vector, self.least)
         weights = self.counts / squares
         slope = self.manifold.whiten(point, (weights @ moved)[None, :-1])[0]
-        rows = np.tensordot(weights, self.products[:, :-1, :-1], axes=1)
+        rows = np.tensordot(weights, self.products, axes=1)[:-1, :-1]
         off = self.known @ np.append(point.parameters - self.prior.parameters, 1.0)
         normals = self.manifold.whiten(point, self.known[:, :-1])
         slope += off @ normals
         information = self.manifold.whiten(point, self.manifold.whiten(point, rows).T) + normals.T @ normals
-        to_prior = self.manifold.log(point, self.prior)
+        to_prior, curvature = self.manifold.log_and_hessian(point, self.prior)
         root = np.sqrt(self.weights)
-        curvature = root[:, None] * self.manifold.half_squared_distance_hessian(point, self.prior) * root
+        curvature = root[:, None] * curvature * root
         value = 0.5 * float(self.counts @ np.log(squares) + self.weights @ to_prior**2 + off @ off)
         # Along a straight line the data have no curvature but their information; the prior has that of the line.
         hessian = information + curvature + linear_hessian(self.manifold, self.weights * to_prior)
