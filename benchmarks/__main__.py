@@ -12,6 +12,7 @@ from pathlib import Path
 
 from benchmarks import (
     choice,
+    command_line,
     coverage,
     human,
     intake,
@@ -41,6 +42,7 @@ EXPERIMENTS: dict[str, Callable[[Report], None]] = {
     "gaps": measured_gaps.run,
     "speed": speed.run,
     "choice": choice.run,
+    "command_line": command_line.run,
     "scale": scale.run,
     "streaming": streaming.run,
     "payload": payload.run,

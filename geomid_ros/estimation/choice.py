@@ -16,6 +16,7 @@ from functools import cached_property
 import numpy as np
 
 from geomid_ros.estimation.fit import CERTAINTY, Problem
+from geomid_ros.estimation.objective import Evaluation
 from geomid_ros.estimation.profile_objective import ProfileObjective, StraightManifold
 from geomid_ros.estimation.solvers import trust_region
 from geomid_ros.geometry.manifold import Point
@@ -185,9 +186,14 @@ class _Fit:
         return self.rows.fit(self.columns, firm=True) if loose else self
 
     @cached_property
+    def evaluation(self) -> Evaluation:
+        """The objective there."""
+        return self.objective.evaluate(self.point)
+
+    @cached_property
     def hessian(self) -> FloatArray:
         """Information ``(D, D)`` of the rows and of the prior, in tangent coordinates."""
-        return self.objective.evaluate(self.point).information + np.diag(self.objective.weights)
+        return self.evaluation.information + np.diag(self.objective.weights)
 
     @cached_property
     def score(self) -> float:
@@ -198,7 +204,7 @@ class _Fit:
         width = 20.0 * float(np.sum(np.log(self.spreads)))
         width += CERTAINTY * float(np.sum(relative**-2 + 2.0 * np.log(relative)))
         penalty = len(self.columns) * float(np.log(max(np.max(self.rows.counts), 1.0)))
-        return 2.0 * self.objective.evaluate(self.point).value + float(volume) + width + penalty
+        return 2.0 * self.evaluation.value + float(volume) + width + penalty
 
     @cached_property
     def weights(self) -> FloatArray:
