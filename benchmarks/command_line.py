@@ -45,7 +45,7 @@ def run(report: Report) -> None:
     rows.append(_line("geomid identify, UR10", whole["geomid identify"], "naive.py", whole["naive.py"], "2.1, aim 1.3"))
     caption = (
         f"Processor seconds of whole processes, best of {_ROUNDS} in turns. naive.py reads the bag with rosbags, "
-        "filters with scipy, builds pinocchio's regressor and solves least squares; it checks nothing and draws nothing."
+        "filters with scipy, builds pinocchio's regressor and solves least squares; it checks and draws nothing."
     )
     report.table("The command line", ["", "s", "beside", "s", "ratio", "must be"], rows[1:], caption)
     report.result("command_line", {"short": short, "whole": whole})
