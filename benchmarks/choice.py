@@ -42,7 +42,7 @@ def run(report: Report) -> None:
         f"Rows of joint efforts without effects, Remark 3. Processor seconds, best of {_ROUNDS} in turns. On ur10 at "
         "most 1/5 of the whole search, aim 1/15; everywhere the same choice."
     )
-    headings = ["", "rows", "whole grid [s]", "until it is worse [s]", "ratio", "weight", "of the whole grid"]
+    headings = ["", "rows", "whole grid [s]", "ends early [s]", "ratio", "weight", "of the whole grid"]
     report.table("Choice of the prior's weight by held-out rows", headings, table, caption)
     report.result("choice", results)
 

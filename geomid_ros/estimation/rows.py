@@ -115,8 +115,8 @@ def choose_gamma(
 ) -> float:
     """The weight of the prior with which rows that were held out are predicted best.
 
-    The weights of a grid are tried from strong to weak, each weaker one at a multiple of the cost, until one predicts
-    every block worse than the best so far. The paper's weight where there are fewer rows than parameters.
+    The weights of a grid are tried from strong to weak, until two in succession predict worse than the best so far: the
+    weak ones take longest. The paper's weight where there are fewer rows than parameters.
 
     Args:
         manifold: Where the parameters live.
@@ -126,44 +126,44 @@ def choose_gamma(
     """
     if len(targets) < manifold.dimension:
         return PAPER
-    losses: list[FloatArray] = []
+    losses: list[float] = []
     for loss in held_out_losses(manifold, rows, targets, prior, objective):
         losses.append(loss)
-        if np.all(loss > min(losses, key=np.sum)):
+        if len(losses) > 2 + np.argmin(losses):
             break
     return best_weight(losses)
 
 
 def held_out_losses(
     manifold: ParameterManifold, rows: FloatArray, targets: FloatArray, prior: Point, objective: str
-) -> Iterator[FloatArray]:
-    """For each weight of the grid, from strong to weak: the squared errors of each block at the fit to the others.
+) -> Iterator[float]:
+    """For each weight of the grid, from strong to weak: the squared error of all blocks, each at the fit to the others.
 
-    The rows, in the order of time, make three blocks: few, because blocks beside each other are alike.
+    The rows, in the order of time, make three blocks: few, because blocks beside each other are alike. Their errors are
+    added, so that a block that cannot be predicted at all counts.
     """
-    blocks = np.array_split(np.arange(len(targets)), _BLOCKS)
+    blocks = np.array_split(np.column_stack([rows, targets]), _BLOCKS)
     of_what = ResidualObjective if objective == "residual" else GeodesicObjective
-    fitted = [np.column_stack([np.delete(rows, block, 0), np.delete(targets, block)]) for block in blocks]
     if objective == "residual":
-        fitted = [triangular(augmented) for augmented in fitted]
-    points = [prior] * len(blocks)
+        blocks = [triangular(block) for block in blocks]
+    fitted = [np.concatenate([*blocks[:index], *blocks[index + 1 :]]) for index in range(_BLOCKS)]
+    points = [prior] * _BLOCKS
     for gamma in _GRID:
-        losses = np.empty(len(blocks))
-        for index, (held_out, augmented) in enumerate(zip(blocks, fitted, strict=True)):
-            ones = np.ones(len(augmented))
-            minimised = of_what(manifold, augmented[:, :-1], augmented[:, -1], ones, prior, gamma)
+        loss = 0.0
+        for index, (held_out, others) in enumerate(zip(blocks, fitted, strict=True)):
+            minimised = of_what(manifold, others[:, :-1], others[:, -1], np.ones(len(others)), prior, gamma)
             points[index] = trust_region(minimised, points[index], _START_TOLERANCE * gamma).point
-            losses[index] = np.sum((rows[held_out] @ points[index].parameters - targets[held_out]) ** 2)
-        yield losses
+            loss += float(np.sum((held_out @ np.append(points[index].parameters, -1.0)) ** 2))
+        yield loss
 
 
-def best_weight(losses: Sequence[FloatArray]) -> float:
-    """The weight of the grid, whose first weights have these ``losses`` by block, that predicts best.
+def best_weight(losses: Sequence[float]) -> float:
+    """The weight of the grid, whose first weights have these ``losses``, that predicts best.
 
-    The blocks' losses are added, so that a block that cannot be predicted at all counts. The minimum is that of a
-    parabola through the best weight and its neighbours, in logarithms; the strongest weight, if that is the best.
+    The minimum is that of a parabola through the best weight and its neighbours, in logarithms; the strongest weight, if
+    that is the best.
     """
-    totals = np.log(np.sum(losses, axis=1) + np.finfo(float).tiny)
+    totals = np.log(np.array(losses) + np.finfo(float).tiny)
     best = int(np.argmin(totals))
     if best == 0:
         return float(_GRID[0])
