@@ -160,8 +160,8 @@ def held_out_losses(
 def best_weight(losses: Sequence[float]) -> float:
     """The weight of the grid, whose first weights have these ``losses``, that predicts best.
 
-    The minimum is that of a parabola through the best weight and its neighbours, in logarithms; the strongest weight, if
-    that is the best.
+    The minimum is that of a parabola through the best weight and its neighbours, in logarithms; the strongest weight,
+    if that is the best.
     """
     totals = np.log(np.array(losses) + np.finfo(float).tiny)
     best = int(np.argmin(totals))
