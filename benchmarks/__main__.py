@@ -27,6 +27,7 @@ from benchmarks import (
     simulated_person,
     speed,
     streaming,
+    warm,
 )
 from benchmarks.problem import DataAbsentError
 from benchmarks.report import Report, chosen
@@ -45,6 +46,7 @@ EXPERIMENTS: dict[str, Callable[[Report], None]] = {
     "command_line": command_line.run,
     "scale": scale.run,
     "streaming": streaming.run,
+    "warm": warm.run,
     "payload": payload.run,
     "load": load.run,
     "intake": intake.run,

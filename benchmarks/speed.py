@@ -145,7 +145,7 @@ def _warm_update() -> float:
     session.identifier.add(samples.select(slice(instants)))
     cold = session.identifier.solve()
     session.identifier.add(samples.select(slice(instants, instants + _NEW_INSTANTS)))
-    warm = WarmStart(cold.parameters)
+    warm = WarmStart(cold.parameters, spreads=cold.spreads)
     return best_of(lambda: session.identifier.solve(warm))
 
 

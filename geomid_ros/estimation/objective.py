@@ -200,6 +200,50 @@ class ResidualObjective(_WeightedObjective):
         return Evaluation(value + 0.5 * float(residuals @ residuals), gradient + slope, information, hessian)
 
 
+@dataclass(frozen=True, eq=False)
+class ProductsObjective:
+    """Remark 3 from products alone: an evaluation costs no more for many rows than for few, but its rounding grows with
+    the square of the rows' condition.
+
+    Attributes:
+        manifold, prior: As of :class:`ResidualObjective`.
+        products: ``(D + 1, D + 1)``, of the columns ``[A b]`` by each other, of rows of standard deviation 1.
+        prior_weights: ``(D,)``, the factors of the squared distance to the prior.
+    """
+
+    manifold: ParameterManifold
+    products: FloatArray
+    prior: Point
+    prior_weights: FloatArray
+
+    @cached_property
+    def measured_weight(self) -> float:
+        """Sum of the rows' weights (Remark 2)."""
+        return float(np.trace(self._information(self.prior)))
+
+    @property
+    def scale(self) -> float:
+        """The rows' weights and the mean weight of the prior."""
+        return self.measured_weight + float(np.mean(self.prior_weights))
+
+    def step(self, point: Point, tangent: FloatArray) -> Point:
+        """The end of a straight line."""
+        return self.manifold.straight(point, tangent)
+
+    def evaluate(self, point: Point) -> Evaluation:
+        """As :meth:`ResidualObjective.evaluate`."""
+        value, gradient, hessian = _prior_terms(self.manifold, point, self.prior, self.prior_weights)
+        vector = np.append(point.parameters, -1.0)
+        moved = self.products @ vector
+        information = self._information(point)
+        hessian += information + linear_hessian(self.manifold, -gradient)
+        slope = self.manifold.whiten(point, moved[None, :-1])[0]
+        return Evaluation(value + 0.5 * float(vector @ moved), gradient + slope, information, hessian)
+
+    def _information(self, point: Point) -> FloatArray:
+        return self.manifold.whiten(point, self.manifold.whiten(point, self.products[:-1, :-1]).T)
+
+
 def row_weights(manifold: ParameterManifold, prior: Point, rows: FloatArray, sigmas: FloatArray) -> FloatArray:
     """Weights ``(N,)`` of Remark 2."""
     weights = np.empty(len(rows))
@@ -234,7 +278,7 @@ def linear_hessian(manifold: ParameterManifold, slope: FloatArray) -> FloatArray
     """
     hessian = np.zeros((manifold.dimension, manifold.dimension))
     matrices = symmetric.to_matrix(slope[manifold.inertial].reshape(manifold.links, symmetric.SIZE))
-    blocks = matrices.reshape(manifold.links, -1) @ _PRODUCTS.T
+    blocks = matrices.reshape(manifold.links, _PRODUCTS.shape[1]) @ _PRODUCTS.T
     for index, block in enumerate(blocks.reshape(-1, symmetric.SIZE, symmetric.SIZE)):
         hessian[manifold.link(index), manifold.link(index)] = block
     positive = np.arange(manifold.positive.start, manifold.positive.stop)
