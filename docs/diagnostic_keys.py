@@ -13,7 +13,8 @@ import numpy as np
 
 from geomid_ros.estimation.estimate import Estimate, LinkEstimate, LinksInformation
 from geomid_ros.gap.result import GapResult
-from geomid_ros.live.gap_search import SearchStatus
+from geomid_ros.live.background_search import SearchStatus
+from geomid_ros.live.gap_search import FoundGap
 from geomid_ros.live.saving import Checkpoints, CheckpointStatus
 from geomid_ros.live.status import Status
 from geomid_ros.monitoring.change_detection import ChannelGap
@@ -83,7 +84,7 @@ _SAID_WITH_X = {f"com {axis}{what}" for axis in "yz" for what in ("", " std")}
 
 def rows() -> Iterator[tuple[str, str, str]]:
     """Status, key and meaning. Raises KeyError for a key without meaning, or a meaning without key."""
-    array = Diagnostics(_NODE).array(_everything(), SearchStatus("", result=_search_result()), _checkpoints())
+    array = Diagnostics(_NODE).array(_everything(), SearchStatus("", result=FoundGap(_search_result())), _checkpoints())
     for status in array.status:
         name = status.name.removeprefix(f"{_NODE}: ")
         keys = [pair.key for pair in status.values if pair.key not in _SAID_WITH_X]

@@ -32,6 +32,8 @@ _MEANINGS = {
     "while somebody listens",
     "~/markers": "ellipsoids for RViz, blue where known from the prior, orange where from the data",
     "~/gap": "what `~/find_gap` found, as `gap.json`; with nothing but `error` in it where nothing can be said",
+    "~/payload": "what `~/payload/loaded` weighed, as `geomid payload --json` prints it; with nothing but `error` in "
+    "it where nothing can be said",
     "/diagnostics": "at 1 Hz: the stream and every link, see docs/reference.md; the stream's warns when a gap opens",
     "~/start": "take data",
     "~/stop": "take no data; rows and estimate are kept",
@@ -39,6 +41,8 @@ _MEANINGS = {
     "~/save": "solve for all data so far, and write `estimate.json` and `identified.urdf` into `output_folder`",
     "~/find_gap": "look for a gap in the last `gap.memory` seconds, beside everything else; "
     "answers on `~/gap` and in the diagnostics",
+    "~/payload/empty": "remember the last `gap.memory` seconds as the robot's motion without a payload",
+    "~/payload/loaded": "weigh what it has carried since then; answers on `~/payload`",
 }
 
 

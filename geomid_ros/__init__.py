@@ -23,9 +23,10 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from geomid_ros.api.gap import Gap, find_gap
     from geomid_ros.api.identify import Identification, identify
-    from geomid_ros.api.payload import Payload, weigh_payload
+    from geomid_ros.api.payload import weigh_payload
     from geomid_ros.errors import GeomidError, InputError
     from geomid_ros.estimation.rows import RowsSolution, solve_rows
+    from geomid_ros.exports.weighed_payload import Payload
     from geomid_ros.model.effects import Effect, JointEffect, JointMotion, ParameterForm, register
 
 __version__ = "0.1.0"
@@ -51,10 +52,11 @@ __all__ = [
 _NAMES = {
     "geomid_ros.api.gap": ("Gap", "find_gap"),
     "geomid_ros.api.identify": ("Identification", "identify"),
-    "geomid_ros.api.payload": ("Payload", "weigh_payload"),
+    "geomid_ros.api.payload": ("weigh_payload",),
     "geomid_ros.errors": ("GeomidError", "InputError"),
     "geomid_ros.estimation.rows": ("RowsSolution", "solve_rows"),
     "geomid_ros.model.effects": ("Effect", "JointEffect", "JointMotion", "ParameterForm", "register"),
+    "geomid_ros.exports.weighed_payload": ("Payload",),
 }
 _HOMES = {name: module for module, names in _NAMES.items() for name in names}
 

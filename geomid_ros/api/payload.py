@@ -2,45 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 from geomid_ros.api.arguments import Config, PathLike, Paths, Texts, bag_paths, configuration, description
 from geomid_ros.errors import InputError
-from geomid_ros.exports.formats import CONTROLLERS
-from geomid_ros.exports.inertial import Export, Summand, UncertainInertia, total
+from geomid_ros.exports.weighed_payload import Payload, weigh_at
 from geomid_ros.model.samples import Samples
-from geomid_ros.session.payload import GAIN, WeighedPayload, weigh
+from geomid_ros.session.payload import GAIN, payload_session
 from geomid_ros.session.recordings import Bags, Progress, Topics, read_bags, silent
 from geomid_ros.session.session import Session
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Payload:
-    """What was weighed, in the axes and about the origin of the link ``frame``.
-
-    Attributes:
-        weighed: the payload in the axes of the moving link that carries it, with how well it is known.
-        inertial: the same in those of ``frame``.
-    """
-
-    frame: str
-    weighed: WeighedPayload
-    inertial: UncertainInertia
-
-    @property
-    def mass(self) -> float:
-        """[kg]."""
-        return self.inertial.mass
-
-    @property
-    def interval(self) -> tuple[float, float]:
-        """The 95 % interval of the mass [kg], with the uncertainty of the efforts' gain."""
-        return self.weighed.interval
-
-    def commands(self, controller: str) -> str:
-        """The text that sets the payload at a controller: ``ur`` or ``franka``. Raises InputError for one that the
-        controller refuses."""
-        return CONTROLLERS[controller].commands(Export(f"payload at '{self.frame}'", self.frame, self.inertial))
 
 
 def weigh_payload(
@@ -80,27 +48,16 @@ def weigh_payload(
     """
     if not 0.0 <= gain < 1.0:
         raise InputError(f"gain is {gain:g}, expected a number from 0 to 1")
-    # What imitates a payload, springs and friction in proportion to the load, is not looked for here.
-    parameters = configuration(config, model=None, floating_base=floating_base, wrench=wrench, candidates=[])
+    parameters = configuration(config, model=None, floating_base=floating_base, wrench=wrench)
     text, source = description(urdf)
-    session = Session(text, parameters, source)
-    robot = session.robot
-    link = session.model.body_names[-1] if frame is None else robot.carrier(frame)
+    session = payload_session(text, parameters, source)
     topics = Topics(joint_topic, odom_topic)
     before, after = (_all(session, bags, topics, progress) for bags in (empty, loaded))
     progress("solving", 0.0)
-    weighed = weigh(session, before, after, link, gain)
-    own = frame or link
-    return Payload(frame=own, weighed=weighed, inertial=_seen_from(session, weighed, own))
+    return weigh_at(session, before, after, frame or "", gain)
 
 
 def _all(session: Session, bags: Paths, topics: Topics, progress: Progress) -> list[Samples]:
     """All samples of some bags."""
     train, _ = read_bags(session, Bags(fitted=bag_paths(bags), hold_out=0.0, topics=topics), progress)
     return train
-
-
-def _seen_from(session: Session, weighed: WeighedPayload, frame: str) -> UncertainInertia:
-    """The payload in the axes of another link that is fixed to the one that carries it."""
-    inertial = UncertainInertia(weighed.quantities, weighed.std)
-    return total([Summand(inertial, session.robot.fixed_placement(weighed.link, frame))], f"the payload at '{frame}'")

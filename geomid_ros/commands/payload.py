@@ -44,7 +44,7 @@ def payload(empty: Path, loaded: Path, urdf: Path, controller: str | None, as_js
     with progress_bar() as progress:
         found = geomid_ros.weigh_payload(empty, loaded, urdf, progress=progress, **options)
     if as_json:
-        click.echo(json.dumps(results.document(found), indent=2))
+        click.echo(json.dumps(found.document, indent=2))
     else:
         results.show(found, controller)
     sys.exit(recording_status(found.weighed.findings))

@@ -209,7 +209,7 @@ class Saving:
             if last is None:
                 answer((False, f"no estimate yet: the first one takes more than {_LATE:g} s; ask again later"))
                 return
-            late = f"; it is of {last.rows_accepted} rows, and one of all rows takes more than {_LATE:g} s"
+            late = f"; it is of {last.rows_accepted} rows; one of all rows takes more than {_LATE:g} s, and follows"
             self.begin(session, last, lambda saved: answer((saved[0], saved[1] + late)))
 
         start_later(_LATE, save_last)

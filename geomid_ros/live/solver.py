@@ -52,6 +52,7 @@ class Solver:
         self._epoch = 0  # a result of an earlier one is thrown away
         self.solves = 0  # estimates made so far
         self._solved_rows = 0
+        self._from_scratch: tuple[tuple[int, int], Estimate] | None = None  # the last, and of which epoch and rows
         self.changed_sensors: tuple[str, ...] = ()  # topics of those whose rows are left out
         self._asking: list[Done] = []
         self.detector = self._new_detector()
@@ -80,7 +81,8 @@ class Solver:
             self._epoch += 1
 
     def ask(self, done: Done) -> None:
-        """Solve from scratch. ``done`` is called with the result, in the solver's thread."""
+        """Solve from scratch, unless that was done for the same rows. ``done`` is called with the result, in the
+        solver's thread."""
         with self._lock:
             self._asking.append(done)
         self._requests.put(done)
@@ -131,7 +133,7 @@ class Solver:
                 return
             with activity.doing(SOLVING):
                 self._detect_changes()
-                result = self._solve_once(None)
+                result = self._solve_from_scratch()
                 self._judge()
             with self._lock:
                 if done not in self._asking:  # it was told that it took too long
@@ -189,6 +191,16 @@ class Solver:
             if warm is None or self.problem or self._session.identifier.outgrown(warm.rows):
                 return None
             return warm
+
+    def _solve_from_scratch(self) -> Estimate | GeomidError:
+        """What is asked for twice is solved once: who has asked again was told that it takes long."""
+        with self._lock:
+            data = self._epoch, self._session.identifier.rows
+        if self._from_scratch is not None and self._from_scratch[0] == data:
+            return self._from_scratch[1]
+        result = self._solve_once(None)
+        self._from_scratch = (data, result) if isinstance(result, Estimate) else None
+        return result
 
     def _solve_once(self, warm: WarmStart | None) -> Estimate | GeomidError:
         with self._lock:

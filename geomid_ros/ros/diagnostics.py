@@ -13,7 +13,8 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from geomid_ros.errors import one_line
 from geomid_ros.estimation.estimate import QUANTITIES, Estimate, LinkEstimate
 from geomid_ros.estimation.identifier import STANDING_STILL
-from geomid_ros.live.gap_search import SearchStatus
+from geomid_ros.live.background_search import SearchStatus
+from geomid_ros.live.gap_search import FoundGap
 from geomid_ros.live.saving import CheckpointStatus
 from geomid_ros.live.status import Status
 from geomid_ros.model.channels import is_of
@@ -48,7 +49,7 @@ class Diagnostics:
         """What the last diagnostics say is wrong with the stream."""
 
     def array(
-        self, status: Status, search: SearchStatus | None = None, checkpoints: CheckpointStatus | None = None
+        self, status: Status, search: SearchStatus[FoundGap] | None = None, checkpoints: CheckpointStatus | None = None
     ) -> DiagnosticArray:
         """The state of the stream and of every link.
 
@@ -186,10 +187,10 @@ def _time(stamp: int) -> str:
     return datetime.fromtimestamp(stamp * 1e-9, UTC).strftime("%Y-%m-%d %H:%M:%S UTC")
 
 
-def _search(name: str, search: SearchStatus) -> DiagnosticStatus:
-    result = search.result
-    if search.stage or result is None:
+def _search(name: str, search: SearchStatus[FoundGap]) -> DiagnosticStatus:
+    if search.stage or search.result is None:
         return _status(name, DiagnosticStatus.OK if search.stage else DiagnosticStatus.WARN, search.sentence, {})
+    result = search.result.result
     values: dict[str, object] = {"verdict": result.verdict}
     values |= {f"finding {number}": finding.sentence for number, finding in enumerate(result.findings, start=1)}
     values |= {

@@ -23,7 +23,9 @@ from std_srvs.srv import Trigger
 
 from geomid_ros.errors import GeomidError, InputError
 from geomid_ros.estimation.estimate import Estimate
-from geomid_ros.live.gap_search import GapSearch
+from geomid_ros.live.background_search import BackgroundSearch
+from geomid_ros.live.gap_search import look_for_gap
+from geomid_ros.live.payload_search import NO_DATA, PayloadSearch
 from geomid_ros.live.saving import Saving
 from geomid_ros.live.solving_process import SolvingProcess
 from geomid_ros.live.status import Status
@@ -35,7 +37,6 @@ from geomid_ros.ros.inputs import Inputs
 from geomid_ros.ros.outputs import Outputs, latched
 from geomid_ros.ros.starting import starting_ros
 from geomid_ros.session.configuration import PARAMETERS, Configuration, Parameter, find_parameter
-from geomid_ros.session.gap import gap_session
 from geomid_ros.session.session import Session
 from geomid_ros.signals.ledger import Ledger, count_reason
 from geomid_ros.signals.messages import JOINT_STATES, ODOM
@@ -70,7 +71,8 @@ class GeomidNode(Node):
         self._console = Console(self.get_logger())
         self._active: bool = self._configuration["active"]
         self._outputs = Outputs(self)
-        self._search = GapSearch(self._outputs.finding)
+        self._search = BackgroundSearch("no finding", self._outputs.finding)
+        self._payload = PayloadSearch(self._configuration, self._outputs.payload)
         self._saving = Saving(self._configuration["output_folder"])
         self._urdf = ""  # the latest description, not necessarily the worker's
         self._problem = ""  # with the robot description
@@ -90,7 +92,9 @@ class GeomidNode(Node):
         self._serve("start", partial(self._set_active, active=True))
         self._serve("stop", partial(self._set_active, active=False))
         self._serve("reset", self._reset)
-        self._serve("find_gap", self._find_gap)
+        self._serve("find_gap", partial(self._look, self._find_gap))
+        self._serve("payload/empty", partial(self._look, self._payload.take_empty))
+        self._serve("payload/loaded", partial(self._look, self._payload.take_loaded))
         # In a group of its own: other callbacks of its group, of messages too, would wait for the disk.
         self.create_service(Trigger, "~/save", self._save, callback_group=MutuallyExclusiveCallbackGroup())
         self._inputs.listen(JointState, JOINT_STATES, self._take, several=self._configuration["merge_joint_states"])
@@ -196,26 +200,25 @@ class GeomidNode(Node):
             except GeomidError as error:
                 return False, str(error)
         self._supervisor.reset()
+        self._payload.forget()
         return True, "all rows forgotten"
 
-    def _find_gap(self) -> tuple[bool, str]:
-        refusal = self._start_search()
-        return not refusal, refusal or "looking; the finding comes on ~/gap"
-
-    def _start_search(self) -> str:
-        """Begin to look for a gap. Returns what is in the way, if anything."""
+    def _look(self, act: Callable[[Worker], tuple[bool, str]]) -> tuple[bool, str]:
+        """Look at what was measured lately, if anything is remembered."""
         if self._worker is None:
-            return NO_DESCRIPTION
-        if self._search.running:
-            return "already looking; the finding comes on ~/gap"
+            return False, NO_DESCRIPTION
         if self._configuration["gap.memory"] == 0.0:
-            return "nothing to look at: the parameter gap.memory is 0"
-        messages = self._worker.recent_messages()
+            return False, "nothing to look at: the parameter gap.memory is 0"
+        return act(self._worker)
+
+    def _find_gap(self, worker: Worker) -> tuple[bool, str]:
+        if self._search.running:
+            return False, "already looking; the finding comes on ~/gap"
+        messages = worker.recent_messages()
         if not messages:
-            return "no data yet"
-        urdf = self._worker.session.urdf
-        self._search.start(lambda: gap_session(urdf, self._configuration, "robot_description"), messages)
-        return ""
+            return False, NO_DATA
+        self._search.start(partial(look_for_gap, worker.session.urdf, self._configuration, messages))
+        return True, "looking; the finding comes on ~/gap"
 
     async def _save(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         if self._worker is None:
@@ -229,6 +232,7 @@ class GeomidNode(Node):
     def close(self) -> None:
         """End the threads within two seconds, and save the last estimate in the output folder, if there is one."""
         self._search.close()
+        self._payload.close()
         self._supervisor.close(self._save_last)
 
     def _save_last(self, session: Session, estimate: Estimate, patience: float) -> None:

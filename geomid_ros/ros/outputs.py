@@ -15,9 +15,12 @@ from std_msgs.msg import ColorRGBA, String
 from visualization_msgs.msg import Marker, MarkerArray
 
 from geomid_ros.estimation.estimate import Estimate, LinkEstimate
+from geomid_ros.exports.weighed_payload import Payload
+from geomid_ros.files.models.gap_results import FORMAT
 from geomid_ros.files.models.urdf import with_identified_inertias
 from geomid_ros.geometry import pseudo_inertia
-from geomid_ros.live.gap_search import SearchStatus
+from geomid_ros.live.background_search import SearchStatus
+from geomid_ros.live.gap_search import FoundGap
 from geomid_ros.model.robot import Robot
 from geomid_ros.model.samples import Samples
 from geomid_ros.session.session import Session
@@ -41,6 +44,7 @@ class Outputs:
         self._identified = node.create_publisher(String, "~/robot_description", latched())
         self._ellipsoids = node.create_publisher(MarkerArray, "~/markers", latched())
         self._findings = node.create_publisher(String, "~/gap", latched())
+        self._payloads = node.create_publisher(String, "~/payload", latched())
 
     def prediction(self, session: Session, samples: Samples, parameters: FloatArray) -> None:
         """Publish the efforts that ``parameters (D,)`` predict for samples, if anybody subscribes."""
@@ -59,9 +63,14 @@ class Outputs:
         markers = [_marker(index, link, stamp) for index, link in enumerate(estimate.links)]
         self._ellipsoids.publish(MarkerArray(markers=markers))
 
-    def finding(self, status: SearchStatus) -> None:
+    def finding(self, status: SearchStatus[FoundGap]) -> None:
         """Publish the result of a search for a gap."""
-        self._findings.publish(String(data=json.dumps(status.document, indent=2)))
+        self._findings.publish(String(data=json.dumps({"format": FORMAT, **status.document}, indent=2)))
+        self._node.get_logger().info(status.sentence)
+
+    def payload(self, status: SearchStatus[Payload]) -> None:
+        """Publish a payload that was weighed, or why it was not."""
+        self._payloads.publish(String(data=json.dumps(status.document, indent=2)))
         self._node.get_logger().info(status.sentence)
 
 

@@ -85,7 +85,9 @@ PARAMETERS = (
     Parameter("still_speed", 1e-3, "slower than this everywhere counts as standing still [rad/s, m/s]", 0.0, 10.0),
     Parameter("still_distance", 1e-2, "at a standstill, a pose nearer to the last one is not new [rad, m]", 0.0, 10.0),
     Parameter("solve_period", 1.0, "seconds between estimates while data come in [s]", 0.001, 3600.0),
-    Parameter("gap.memory", 120.0, "seconds of messages that ~/find_gap looks at; 0: none are kept [s]", 0.0, 3600.0),
+    Parameter("gap.memory", 120.0, "seconds of messages for ~/find_gap and ~/payload; 0: none [s]", 0.0, 3600.0),
+    Parameter("payload.frame", "", "flange whose payload is weighed; empty: the last link that moves"),
+    Parameter("payload.gain", 0.03, "standard deviation of the efforts' common gain; 0: calibrated sensors", 0.0, 0.99),
     Parameter("active", True, "take data from the start; otherwise wait for ~/start"),
     Parameter("checkpoint.folder", "", "folder, of this node alone, to go on from after a crash; empty: none is kept"),
     Parameter("checkpoint.period", 2.0, "seconds between checkpoints; a crash loses hardly more [s]", 0.1, 3600.0),
@@ -94,7 +96,16 @@ PARAMETERS = (
 # All others say what a row is: rows of before serve as long as they are the same.
 _NOT_OF_ROWS = (
     *("robot_description", "model", "known", "gamma", "objective", "solver", "sigma.*", "still_speed"),
-    *("still_distance", "solve_period", "gap.memory", "active", "checkpoint.folder", "checkpoint.period"),
+    *(
+        "still_distance",
+        "solve_period",
+        "gap.memory",
+        "payload.frame",
+        "payload.gain",
+        "active",
+        "checkpoint.folder",
+        "checkpoint.period",
+    ),
     "output_folder",
 )
 _BY_NAME = {parameter.name: parameter for parameter in PARAMETERS}

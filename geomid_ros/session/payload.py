@@ -15,6 +15,7 @@ from geomid_ros.estimation.starting_point import USUAL_SPREAD_OF_LINKS
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.model.samples import Samples
 from geomid_ros.plausibility.hypotheses import Finding
+from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.session import Session
 from geomid_ros.types import FloatArray
 
@@ -60,6 +61,15 @@ class WeighedPayload:
         """The 95 % interval of the mass [kg], along the geodesic: of its logarithm."""
         factor = float(np.exp(1.96 * self.std[0] / self.mass))
         return self.mass / factor, self.mass * factor
+
+
+def payload_session(urdf: str, configuration: Configuration, source: str) -> Session:
+    """A session without what imitates a payload: springs, and friction in proportion to the load, are not looked for.
+
+    Raises:
+        InputError: the description and the configuration do not fit together.
+    """
+    return Session(urdf, configuration.with_values({"candidates": []}), source)
 
 
 def weigh(

@@ -328,6 +328,20 @@ def test_the_intake_outlives_whatever_fails_behind_a_message(quiet: Watched, mon
     assert status.rows_made == status.rows + status.rows_rejected.total()
 
 
+def test_what_is_asked_for_again_is_not_solved_again(quiet: Watched) -> None:
+    """Who was told that it takes long asks again, and would wait for ever; new rows, or a reset, count."""
+    quiet.feed(0, 200)
+    first = quiet.final()
+    solves = quiet.worker.solver.solves
+    assert quiet.final() is first
+    assert quiet.worker.solver.solves == solves
+    quiet.feed(200, 400)
+    assert quiet.final().rows_accepted > first.rows_accepted
+    quiet.worker.reset()
+    quiet.feed(0, 200)
+    assert quiet.final() is not first
+
+
 def test_the_status_can_be_asked_for_all_the_time(busy: Watched) -> None:
     """While ledgers get new reasons, and rows are counted."""
     feeding = threading.Thread(target=feed_much, args=(busy,))

@@ -1,0 +1,89 @@
+"""A weighed payload at the flange: for people, files and controllers."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from geomid_ros.estimation.estimate import QUANTITIES
+from geomid_ros.exports.formats import CONTROLLERS
+from geomid_ros.exports.inertial import Export, Summand, UncertainInertia, total
+from geomid_ros.files.models.judgements import causes_entry
+from geomid_ros.model.samples import Samples
+from geomid_ros.session.payload import GAIN, WeighedPayload, weigh
+from geomid_ros.session.session import Session
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Payload:
+    """What was weighed, in the axes and about the origin of the link ``frame``.
+
+    Attributes:
+        weighed: the payload in the axes of the moving link that carries it, with how well it is known.
+        inertial: the same in those of ``frame``.
+    """
+
+    frame: str
+    weighed: WeighedPayload
+    inertial: UncertainInertia
+
+    @property
+    def mass(self) -> float:
+        """[kg]."""
+        return self.inertial.mass
+
+    @property
+    def interval(self) -> tuple[float, float]:
+        """The 95 % interval of the mass [kg], with the uncertainty of the efforts' gain."""
+        return self.weighed.interval
+
+    @property
+    def sentence(self) -> str:
+        """The mass with its interval, and where it hangs."""
+        low, high = self.interval
+        gain = f", an uncertain gain of {100.0 * self.weighed.gain:.3g} % included" if self.weighed.gain else ""
+        return f"{self.mass:.3f} kg, from {low:.3f} to {high:.3f} kg (95 %{gain}), at '{self.frame}'"
+
+    @property
+    def document(self) -> dict[str, Any]:
+        """All of it, for JSON."""
+        quantities, std = self.inertial.quantities.tolist(), self.inertial.std.tolist()
+        return {
+            "frame": self.frame,
+            "interval": list(self.interval),
+            "gain": self.weighed.gain,
+            "quantities": dict(zip(QUANTITIES, quantities, strict=True)),
+            "std": dict(zip(QUANTITIES, std, strict=True)),
+            "cannot_tell": list(self.weighed.cannot_tell),
+            "rms": self.weighed.rms,
+            "warnings": list(self.weighed.warnings),
+            "causes": causes_entry(self.weighed.findings),
+        }
+
+    def commands(self, controller: str) -> str:
+        """The text that sets the payload at a controller: ``ur`` or ``franka``. Raises InputError for one that the
+        controller refuses."""
+        return CONTROLLERS[controller].commands(Export(f"payload at '{self.frame}'", self.frame, self.inertial))
+
+
+def weigh_at(
+    session: Session, empty: Sequence[Samples], loaded: Sequence[Samples], frame: str, gain: float = GAIN
+) -> Payload:
+    """Weigh what hangs at a link of the URDF.
+
+    Args:
+        session: of :func:`payload_session`.
+        empty: samples without the payload.
+        loaded: samples with it.
+        frame: the flange; empty for the last link that moves.
+        gain: see :func:`weigh`.
+
+    Raises:
+        InputError: the frame is no link that moves, or nothing was measured.
+    """
+    link = session.robot.carrier(frame) if frame else session.model.body_names[-1]
+    weighed = weigh(session, empty, loaded, link, gain)
+    own = UncertainInertia(weighed.quantities, weighed.std)
+    placed = Summand(own, session.robot.fixed_placement(link, frame or link))
+    return Payload(frame=frame or link, weighed=weighed, inertial=total([placed], f"the payload at '{frame or link}'"))
