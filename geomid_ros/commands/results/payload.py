@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import click
 
-from geomid_ros.exports.weighed_payload import Payload
 from geomid_ros.commands.tables import number_columns, plain_table, print_remarks, results_console
 from geomid_ros.estimation.estimate import QUANTITIES
+from geomid_ros.exports.weighed_payload import Payload
 
 _UNITS = ("kg", *("m",) * 3, *("kg m^2",) * 6)
 
