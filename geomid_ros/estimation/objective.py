@@ -174,10 +174,18 @@ class ResidualObjective(_WeightedObjective):
     """
 
     @cached_property
+    def _augmented(self) -> FloatArray:
+        return np.column_stack([self.rows, self.targets]) / self.sigmas[:, None]
+
+    @cached_property
+    def products(self) -> FloatArray:
+        """The columns ``[A b]`` by each other, of rows of standard deviation 1, ``(D + 1, D + 1)``."""
+        return self._augmented.T @ self._augmented
+
+    @cached_property
     def scale(self) -> float:
         """Sum of all weights."""
-        total = float(np.sum(row_weights(self.manifold, self.prior, self.rows, self.sigmas)))
-        return (1.0 + self.gamma) * total
+        return (1.0 + self.gamma) * float(np.trace(_information(self.manifold, self.prior, self.products)))
 
     @cached_property
     def prior_weight(self) -> float:
@@ -191,10 +199,9 @@ class ResidualObjective(_WeightedObjective):
     def evaluate(self, point: Point) -> Evaluation:
         """Half of the objective at ``point`` with its derivatives in the tangent coordinates there."""
         value, gradient, hessian = _prior_terms(self.manifold, point, self.prior, self.prior_weights)
-        residuals = (self.rows @ point.parameters - self.targets) / self.sigmas
-        normals = self.manifold.whiten(point, self.rows) / self.sigmas[:, None]
-        slope = residuals @ normals
-        information = normals.T @ normals
+        residuals = self._augmented @ np.append(point.parameters, -1.0)
+        slope = self.manifold.whiten(point, (residuals @ self._augmented)[None, :-1])[0]
+        information = _information(self.manifold, point, self.products)
         # Along a straight line the rows have no curvature but their information; the prior has that of the line.
         hessian += information + linear_hessian(self.manifold, -gradient)
         return Evaluation(value + 0.5 * float(residuals @ residuals), gradient + slope, information, hessian)
@@ -219,7 +226,7 @@ class ProductsObjective:
     @cached_property
     def measured_weight(self) -> float:
         """Sum of the rows' weights (Remark 2)."""
-        return float(np.trace(self._information(self.prior)))
+        return float(np.trace(_information(self.manifold, self.prior, self.products)))
 
     @property
     def scale(self) -> float:
@@ -235,13 +242,15 @@ class ProductsObjective:
         value, gradient, hessian = _prior_terms(self.manifold, point, self.prior, self.prior_weights)
         vector = np.append(point.parameters, -1.0)
         moved = self.products @ vector
-        information = self._information(point)
+        information = _information(self.manifold, point, self.products)
         hessian += information + linear_hessian(self.manifold, -gradient)
         slope = self.manifold.whiten(point, moved[None, :-1])[0]
         return Evaluation(value + 0.5 * float(vector @ moved), gradient + slope, information, hessian)
 
-    def _information(self, point: Point) -> FloatArray:
-        return self.manifold.whiten(point, self.manifold.whiten(point, self.products[:-1, :-1]).T)
+
+def _information(manifold: ParameterManifold, point: Point, products: FloatArray) -> FloatArray:
+    """Information ``(D, D)`` of rows with these products of their columns."""
+    return manifold.whiten(point, manifold.whiten(point, products[:-1, :-1]).T)
 
 
 def row_weights(manifold: ParameterManifold, prior: Point, rows: FloatArray, sigmas: FloatArray) -> FloatArray:

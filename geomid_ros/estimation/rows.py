@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from geomid_ros.errors import InputError, unknown_name
-from geomid_ros.estimation.objective import GeodesicObjective, ResidualObjective
+from geomid_ros.estimation.objective import GeodesicObjective, ProductsObjective, ResidualObjective
 from geomid_ros.estimation.solvers import SOLVERS, Solution, trust_region
 from geomid_ros.estimation.summary import triangular
 from geomid_ros.geometry import pseudo_inertia
@@ -22,7 +22,7 @@ OBJECTIVES = ("residual", "geodesic")
 _GRID = 10.0 ** -np.arange(1.0, 7.0)
 _BLOCKS = 3
 _START_TOLERANCE = 1e-4
-_JITTER = 1e-10  # relative, with which any matrix of products has a Cholesky factor
+_RADIUS = 10.0  # geodesic distance: straight steps never leave the cone
 _LEAST_GRADIENT = 1e-14  # relative to the sum of the weights; rounding allows no less
 
 
@@ -183,15 +183,13 @@ def _from_remark_3(objective: GeodesicObjective, start: Point, tolerance: float,
 
 
 def _minimiser_of_remark_3(objective: GeodesicObjective | ResidualObjective) -> Point:
-    """Roughly, as a start: from the rows' least-squares content, by a Cholesky factor, which is the fastest way."""
-    whitened = np.column_stack([objective.rows, objective.targets]) / objective.sigmas[:, None]
-    products = whitened.T @ whitened
-    jitter = _JITTER * np.diag(np.diag(products) + np.finfo(float).tiny)
-    factor = np.linalg.cholesky(products + jitter).T.astype(np.float64)
-    content = ResidualObjective(
-        objective.manifold, factor[:, :-1], factor[:, -1], np.ones(len(factor)), objective.prior, objective.gamma
-    )
-    return trust_region(content, objective.prior, _START_TOLERANCE).point
+    """Roughly, as a start, from products of the rows, which is the fastest way."""
+    manifold, prior = objective.manifold, objective.prior
+    if isinstance(objective, GeodesicObjective):
+        rows, targets, sigmas = objective.rows, objective.targets, objective.sigmas
+        objective = ResidualObjective(manifold, rows, targets, sigmas, prior, objective.gamma)
+    content = ProductsObjective(manifold, objective.products, prior, objective.prior_weights)
+    return trust_region(content, prior, _START_TOLERANCE, radius=_RADIUS).point
 
 
 def _check(rows: FloatArray, targets: FloatArray, sigmas: FloatArray, prior: FloatArray) -> None:
