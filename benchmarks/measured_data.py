@@ -2,7 +2,7 @@
 
 Reads the recordings in ../shared/data, which are not part of this repository:
 
-    python -m benchmarks.measured_data [SET ...] [--gap] [--out after.json] [--before before.json]
+    python -m benchmarks.measured_data [SET ...] [--gap] [--paper] [--out after.json] [--before before.json]
 
 A sample moves if its joint is faster than 5 % of that joint's largest speed in the test part. With ``--before`` every
 total is printed beside that of an earlier run.
@@ -39,6 +39,7 @@ from geomid_ros.types import FloatArray
 
 DATA = Path(__file__).parents[2] / "shared" / "data"
 _MOVING = 0.05
+PAPER = "geomid, (19)"
 
 
 @dataclass(frozen=True)
@@ -99,8 +100,8 @@ class Comparison:
     seconds: float
 
 
-def compare(case: Case) -> Comparison:
-    """Fit every method to the same rows and try it on the same held-out samples."""
+def compare(case: Case, paper: bool) -> Comparison:
+    """Fit every method to the same rows and try it on the same held-out samples; ``paper``: (19) of the paper, too."""
     validate = [DATA / name for name in case.validate]
     bags = [DATA / name for name in case.train]
     begin = time.process_time()
@@ -113,10 +114,13 @@ def compare(case: Case) -> Comparison:
         "least squares": _least_squares(session, found.train),
         "geomid": np.asarray(found.estimate.parameters),
     }
+    errors = {method: session.rms([test], parameters) for method, parameters in solutions.items()}
+    if paper:
+        solutions[PAPER], errors[PAPER] = _paper(case, bags, validate)
     optional = {(c.effect.name, c.place_name) for c in session.model.coefficients if c.optional}
     return Comparison(
         found.estimate.channels,
-        {method: session.rms([test], parameters) for method, parameters in solutions.items()},
+        errors,
         _moving(session, test, solutions["geomid"]),
         {method: _possible(session, parameters) for method, parameters in solutions.items()},
         found.estimate,
@@ -124,6 +128,14 @@ def compare(case: Case) -> Comparison:
         tuple(found.warnings),
         seconds,
     )
+
+
+def _paper(case: Case, bags: list[Path], validate: list[Path]) -> tuple[FloatArray, FloatArray]:
+    """Parameters and held-out RMS ``(channels,)`` with the paper's objective."""
+    options = {**case.options, "config": {**case.options.get("config", {}), "objective": "geodesic"}}
+    found = geomid_ros.identify(bags, DATA / case.urdf, validate=validate, **options)
+    parameters = np.asarray(found.estimate.parameters)
+    return parameters, found.session.rms([Samples.concatenate(list(found.held_out))], parameters)
 
 
 def _columns(session: Session) -> FloatArray:
@@ -197,7 +209,7 @@ def main() -> None:
     kept: dict[str, Any] = {}
     for name in arguments.sets or CASES:
         try:
-            found = compare(CASES[name])
+            found = compare(CASES[name], arguments.paper)
         except GeomidError as error:
             print(f"{name}: refused: {error}\n")
             kept[name] = {"refused": str(error)}
@@ -206,6 +218,7 @@ def main() -> None:
         kept[name] = {
             "total": float(np.nansum(found.errors["geomid"])),
             "moving": float(np.nansum(found.moving)),
+            "paper": float(np.nansum(found.errors[PAPER])) if arguments.paper else None,
             "errors": dict(zip(found.channels, found.errors["geomid"].tolist(), strict=True)),
             "masses": {link.name: link.mass for link in found.estimate.links},
             "added": found.added,
@@ -222,6 +235,7 @@ def _parsed() -> argparse.Namespace:
     parser = argparse.ArgumentParser(prog="python -m benchmarks.measured_data", description=__doc__)
     parser.add_argument("sets", nargs="*", metavar="SET", help=f"of {', '.join(CASES)}; all unless given")
     parser.add_argument("--gap", action="store_true", help="run the gap workflow, too")
+    parser.add_argument("--paper", action="store_true", help="minimise the paper's (19), too")
     parser.add_argument("--out", type=Path, help="file for the figures (JSON)")
     parser.add_argument("--before", type=Path, help="figures of an earlier run to print beside")
     return parser.parse_args()
