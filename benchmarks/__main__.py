@@ -11,6 +11,8 @@ from collections.abc import Callable
 from pathlib import Path
 
 from benchmarks import (
+    choice,
+    command_line,
     coverage,
     human,
     intake,
@@ -25,6 +27,7 @@ from benchmarks import (
     simulated_person,
     speed,
     streaming,
+    warm,
 )
 from benchmarks.problem import DataAbsentError
 from benchmarks.report import Report, chosen
@@ -39,8 +42,11 @@ EXPERIMENTS: dict[str, Callable[[Report], None]] = {
     "arm": measured_arm.run,
     "gaps": measured_gaps.run,
     "speed": speed.run,
+    "choice": choice.run,
+    "command_line": command_line.run,
     "scale": scale.run,
     "streaming": streaming.run,
+    "warm": warm.run,
     "payload": payload.run,
     "load": load.run,
     "intake": intake.run,

@@ -25,9 +25,9 @@ from geomid_ros.session.recordings import Topics, read_samples
 from geomid_ros.session.session import Session
 from geomid_ros.simulation.hidden import Hidden
 from geomid_ros.simulation.options import SimulationOptions
+from geomid_ros.simulation.recording import simulate
 from geomid_ros.simulation.robot import build_robot
 from geomid_ros.simulation.robots import robot_description
-from geomid_ros.simulation.simulate import simulate
 
 _ROBOT, _SENSOR_LINK, _LAST_LINK = "arm7", "wrist_ft", "tool"
 _MASS = 1.0  # kg

@@ -11,8 +11,10 @@ import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
 
+import clarabel
 import cvxpy
 import numpy as np
+from scipy import sparse
 from scipy.optimize import least_squares
 
 from benchmarks.problem import Problem
@@ -64,6 +66,32 @@ def euclidean_lmi(problem: Problem, weight: float) -> FloatArray:
     unknown = cvxpy.Variable(problem.manifold.dimension)
     _solve(cvxpy.sum_squares(rows @ unknown - targets), possible(problem.manifold, unknown))
     return np.asarray(unknown.value)
+
+
+def direct_lmi(problem: Problem, weight: float) -> FloatArray:
+    """:func:`euclidean_lmi` by Clarabel itself, on the Gram matrix: the fastest way to its solution."""
+    rows, targets = problem.train.whitened
+    gram, slope, size = rows.T @ rows, rows.T @ targets, problem.manifold.dimension
+    scale = np.trace(gram)
+    quadratic = gram / scale + weight * np.eye(size)
+    upper = np.triu_indices(4)  # by columns of the lower triangle, which are those of the upper by rows
+    units = np.where(upper[0] == upper[1], 1.0, np.sqrt(2.0))[:, None] * _UNITS[:, upper[1], upper[0]].T
+    order = np.lexsort((upper[0], upper[1]))
+    links = problem.manifold.links
+    cone = sparse.block_diag([*[-units[order]] * links], format="csc")
+    cone.resize((cone.shape[0], size))
+    settings = clarabel.DefaultSettings()
+    settings.verbose = False
+    settings.max_threads = 1
+    solver = clarabel.DefaultSolver(
+        sparse.csc_matrix(np.triu(quadratic)),
+        -(slope / scale + weight * problem.prior),
+        cone,
+        np.zeros(cone.shape[0]),
+        [clarabel.PSDTriangleConeT(4)] * links,
+        settings,
+    )
+    return np.asarray(solver.solve().x)
 
 
 def constant_pullback(problem: Problem, weight: float) -> FloatArray:

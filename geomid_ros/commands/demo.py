@@ -6,23 +6,19 @@ import json
 import os
 import sys
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
-from rich.console import Console
-from rich.live import Live
-from rich.table import Table
 
 import geomid_ros
 from geomid_ros.commands.options import OUT
-from geomid_ros.commands.progress import progress_bar
-from geomid_ros.commands.tables import results_console
 from geomid_ros.errors import InputError
-from geomid_ros.files.models.results import read_estimate
-from geomid_ros.files.models.urdf import read_urdf
-from geomid_ros.report.sheet import write_picture
-from geomid_ros.session.configuration import Configuration
-from geomid_ros.session.session import Session
+
+if TYPE_CHECKING:
+    from rich.console import Console
+    from rich.table import Table
+
+    from geomid_ros.session.session import Session
 
 _WRENCH = {
     "wrenches": ["wrist"],
@@ -42,8 +38,18 @@ def demo(out: Path, rate: float) -> None:
     the estimates as they arrive. The arm's true inertias differ from its URDF by about 20 %; the node knows nothing of
     them.
     """
+    from rich.live import Live
+
+    from geomid_ros.commands.progress import progress_bar
+    from geomid_ros.commands.tables import results_console
+    from geomid_ros.files.models.results import read_estimate
+    from geomid_ros.files.models.urdf import read_urdf
+    from geomid_ros.report.sheet import write_picture
+    from geomid_ros.session.configuration import Configuration
+    from geomid_ros.session.session import Session
+
     try:
-        from geomid_ros.ros.live_run import LiveRun  # noqa: PLC0415 the other commands need no ROS
+        from geomid_ros.ros.live_run import LiveRun
     except ImportError as error:
         raise InputError(f"ROS 2 is needed for the demonstration, and cannot be imported ({error})") from error
     bag, urdf = shared_file("bags/arm7"), shared_file("bags/arm7.urdf")
@@ -89,6 +95,8 @@ def _true_mass(session: Session, name: str, truth: dict[str, float]) -> float:
 
 
 def _table(session: Session, masses: dict[str, float], truth: dict[str, float], rows: str | None) -> Table:
+    from rich.table import Table
+
     table = Table(title="link masses [kg]", caption=f"{rows} rows" if rows else "waiting for the robot")
     for heading in ("link", "URDF", "identified", "truth"):
         table.add_column(heading, justify="left" if heading == "link" else "right", min_width=10)

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
 from geomid_ros.errors import InputError
 from geomid_ros.exports.formats import CONTROLLERS, DESCRIPTIONS
-from geomid_ros.exports.inertial import Export
-from geomid_ros.exports.model import Model, read_model
-from geomid_ros.exports.payload import attached, chosen, difference, each_link
+
+if TYPE_CHECKING:
+    from geomid_ros.exports.inertial import Export
+    from geomid_ros.exports.model import Model
 
 
 @click.command()
@@ -38,6 +40,8 @@ def export(model: Path, tool: str, frame: str | None, links: str | None, without
     inertial of every link, or with --frame of a payload. Standard deviations stand beside the numbers. What the data
     did not show is not exported as a payload.
     """
+    from geomid_ros.exports.model import read_model
+
     read = read_model(model)
     if tool in CONTROLLERS:
         controller = CONTROLLERS[tool]
@@ -52,12 +56,17 @@ def _inertials(model: Model, frame: str | None, links: str | None, without: Path
         return [_payload(model, frame, links, without)]
     if links or without:
         raise click.UsageError("Missing option '--frame': in the axes of which link?")
+    from geomid_ros.exports.payload import each_link
+
     return each_link(model)
 
 
 def _payload(model: Model, frame: str, links: str | None, without: Path | None) -> Export:
     if links and without:
         raise click.UsageError("A payload is either --links or what a model --without it lacks.")
+    from geomid_ros.exports.model import read_model
+    from geomid_ros.exports.payload import attached, chosen, difference
+
     if without:
         return difference(model, read_model(without), frame)
     if links:

@@ -4,28 +4,13 @@ from __future__ import annotations
 
 import json
 import sys
-from collections import Counter
-from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import click
-import numpy as np
-from rich.console import Console
-from rich.table import Table
 
 import geomid_ros
 from geomid_ros.commands.options import OUT, URDF, recording_options
-from geomid_ros.commands.progress import progress_bar
-from geomid_ros.commands.tables import lines, number_columns, plain_table, print_remarks, results_console, say
-from geomid_ros.estimation.estimate import QUANTITIES, EffectEstimate, Estimate, LinkEstimate
-from geomid_ros.files.models.effect_forms import is_coefficient
-from geomid_ros.files.models.results import model_effects
-from geomid_ros.model.effects import EFFECTS, KnownEffect
-from geomid_ros.report import gap_words
-from geomid_ros.signals.ledger import Account
-
-_MOST_REASONS = 5
 
 
 @click.command()
@@ -51,6 +36,9 @@ def identify(bags: tuple[Path, ...], urdf: Path, effects: str | None, out: Path,
     Reads BAGS (folders, or .mcap and .db3 files) and writes estimate.json, identified.urdf and identification.png. How
     well the result predicts is judged on data that were held out: the end of each bag, or the bags of --validate.
     """
+    from geomid_ros.commands.progress import progress_bar
+    from geomid_ros.commands.results import identification
+
     chosen_effects = [] if effects == "none" else _names(effects)
     for name in ("candidates", "links"):
         options[name] = _names(options[name] or None)
@@ -60,7 +48,7 @@ def identify(bags: tuple[Path, ...], urdf: Path, effects: str | None, out: Path,
     if as_json:
         click.echo(json.dumps(found.document, indent=2))
     else:
-        _print(found)
+        identification.show(found)
         click.echo(f"\nWritten: {', '.join(map(str, files))}")
     sys.exit(found.verdict.status)
 
@@ -68,127 +56,3 @@ def identify(bags: tuple[Path, ...], urdf: Path, effects: str | None, out: Path,
 def _names(text: str | None) -> list[str] | None:
     """Names that are separated by commas, if there are any."""
     return None if text is None else [name.strip() for name in text.split(",")]
-
-
-def _print_messages(console: Console, topics: Mapping[str, Account]) -> None:
-    """Print of each topic how many messages were used, and why others were not."""
-    for topic, account in topics.items():
-        refused = account.rejected + account.dropped
-        reasons = "".join(f"; {count} {reason}" for reason, count in refused.most_common(_MOST_REASONS))
-        noted = "".join(f"; noted: {remark} ({count})" for remark, count in account.noted.most_common(_MOST_REASONS))
-        say(console, "", f"{topic}: {account.accepted} of {account.received} messages used{reasons}{noted}")
-
-
-def _print(found: geomid_ros.Identification) -> None:
-    """Print links, effects and how well each channel is predicted, on held-out data where there are any."""
-    console = results_console()
-    estimate = found.estimate
-    state = "converged" if estimate.converged else f"NOT converged ({estimate.reason})"
-    print_remarks(console, found.verdict.reasons, found.warnings, found.session.notes)
-    _print_messages(console, found.session.pipeline.ledger.topics)
-    console.print(
-        f"{estimate.rows_accepted} rows, {state} in {estimate.seconds:.1f} s, prior's weight {estimate.gamma:.1e}",
-    )
-    console.print(_links_table(found))
-    if estimate.known:
-        console.print(_known_table(estimate))
-    of_joints = _at_every_joint(estimate.effects)
-    if of_joints:
-        console.print(_joint_effects_table(of_joints))
-    said = {(effect.name, effect.joint) for effect in of_joints}
-    every = model_effects(estimate, found.session.loaded.effects)
-    others = [e for e in every if (e.effect, e.joint) not in said or not is_coefficient(e)]
-    if others:
-        console.print(_other_effects_table(others))
-    console.print(_channels_table(found))
-
-
-def _links_table(found: geomid_ros.Identification) -> Table:
-    """Mass, centre of mass, their standard deviations and where they came from."""
-    model = found.session.model
-    nominal = dict(zip(model.body_names, model.nominal_inertias.reshape(-1, 10)[:, 0], strict=True))
-    table = plain_table("Links")
-    table.add_column("\nlink", overflow="fold", min_width=14)
-    headings = ("mass [kg]\nURDF", "\nidentified", "centre of\nmass [m]", "from\ndata", "dist. to\nprior")
-    number_columns(table, headings)
-    table.add_column("cannot be\ntold alone", min_width=10)
-    for link in found.links:
-        names = lines([link.name, *(f"+ {name}" for name in link.merged)])
-        masses = f"{nominal[link.name]:.3f}", f"{link.mass:.3f} ± {link.std_mass:.3f}"
-        com = lines(f"{c:+.3f} ± {s:.3f}" for c, s in zip(link.com, link.std_com, strict=True))
-        shares = f"{100 * link.from_data:.0f} %", f"{link.distance_from_prior:.2f}"
-        table.add_row(names, *masses, com, *shares, _cannot_tell(link))
-    return table
-
-
-def _cannot_tell(link: LinkEstimate) -> str:
-    if len(link.cannot_tell) == len(QUANTITIES):
-        return "anything"
-    parts = ["mass"] if "mass" in link.cannot_tell else []
-    for letter, name in (("c", "centre of mass"), ("I", "inertia")):
-        group = [quantity for quantity in QUANTITIES if quantity.startswith(letter)]
-        untold = [quantity for quantity in group if quantity in link.cannot_tell]
-        parts += [name] if len(untold) == len(group) else untold
-    return ", ".join(parts)
-
-
-def _known_table(estimate: Estimate) -> Table:
-    table = plain_table("Weighed masses")
-    table.add_column("what", overflow="fold")
-    number_columns(table, ["weighed [kg]", "identified [kg]", "difference [std weighed]"])
-    for known in estimate.known:
-        table.add_row(
-            known.name,
-            f"{known.given:.3f} ± {known.given_std:.3f}",
-            f"{known.mass:.3f} ± {known.std:.3f}",
-            f"{(known.mass - known.given) / known.given_std:+.1f}",
-        )
-    return table
-
-
-def _at_every_joint(effects: Sequence[EffectEstimate]) -> list[EffectEstimate]:
-    """The effects that most joints have, for a table with a row for each joint."""
-    of_joints = [effect for effect in effects if EFFECTS[effect.name].place == "joint"]
-    joints, counts = {effect.joint for effect in of_joints}, Counter(effect.name for effect in of_joints)
-    return [effect for effect in of_joints if 2 * counts[effect.name] > len(joints)]
-
-
-def _other_effects_table(effects: Sequence[KnownEffect]) -> Table:
-    """Those of several parameters, those at other places, and those that hold as the model says them."""
-    table = plain_table("Other effects")
-    for heading in ("effect", "where", "parameter"):
-        table.add_column(heading, overflow="fold")
-    number_columns(table, ["value"])
-    for effect in effects:
-        names = lines(name.replace("_", " ") for name in effect.parameters)
-        values = lines(map(gap_words.measured, effect.parameters.values()))
-        table.add_row(gap_words.headline(effect.effect), gap_words.place(effect.joint), names, values)
-    return table
-
-
-def _joint_effects_table(effects: Sequence[EffectEstimate]) -> Table:
-    """An empty cell where a joint does not have an effect that others have."""
-    names = list(dict.fromkeys(effect.name for effect in effects))
-    joints = list(dict.fromkeys(effect.joint for effect in effects))
-    cells = {(effect.name, effect.joint): f"{effect.value:.3g} ± {effect.std:.1g}" for effect in effects}
-    table = plain_table("Joint effects")
-    table.add_column("joint", overflow="fold")
-    for name in names:
-        units = {effect.unit for effect in effects if effect.name == name}
-        first, _, second = name.partition("_")
-        number_columns(table, [f"{first}\n{second}\n[{', '.join(sorted(units))}]"])
-    for joint in joints:
-        table.add_row(joint, *(cells.get((name, joint), "") for name in names))
-    return table
-
-
-def _channels_table(found: geomid_ros.Identification) -> Table:
-    table = plain_table("RMS of what remains, on " + ("held-out data" if found.held_out else "the same data"))
-    table.add_column("channel", overflow="fold")
-    number_columns(table, ["unit", "URDF", "identified", "explained"])
-    for channel in found.session.model.channels:
-        before, now = found.rms_nominal[channel.name], found.rms[channel.name]
-        if np.isfinite(now):
-            share = f"{100.0 * (1.0 - now / before):.0f} %" if before > 0 else ""
-            table.add_row(channel.name, channel.unit, f"{before:.3g}", f"{now:.3g}", share)
-    return table

@@ -11,14 +11,7 @@ import click
 
 import geomid_ros
 from geomid_ros.commands.options import URDF
-from geomid_ros.commands.progress import progress_bar
-from geomid_ros.commands.tables import number_columns, plain_table, print_remarks, results_console
-from geomid_ros.estimation.estimate import QUANTITIES
 from geomid_ros.exports.formats import CONTROLLERS
-from geomid_ros.plausibility.verdict import recording_status
-from geomid_ros.session.payload import GAIN
-
-_UNITS = ("kg", *("m",) * 3, *("kg m^2",) * 6)
 
 
 @click.command()
@@ -30,7 +23,7 @@ _UNITS = ("kg", *("m",) * 3, *("kg m^2",) * 6)
 @click.option(
     "--gain",
     type=click.FloatRange(0.0, 1.0, max_open=True),
-    default=GAIN,
+    default=0.03,
     show_default=True,
     help="Standard deviation of the efforts' common gain; 0 for calibrated torque sensors.",
 )
@@ -44,29 +37,14 @@ def payload(empty: Path, loaded: Path, urdf: Path, controller: str | None, as_js
     Compares two recordings (folders, or .mcap and .db3 files) in which all joints move: EMPTY without the payload and
     LOADED with it. Prints mass, centre of mass and inertia in the axes of the flange, with the interval of the mass.
     """
+    from geomid_ros.commands.progress import progress_bar
+    from geomid_ros.commands.results import payload as results
+    from geomid_ros.plausibility.verdict import recording_status
+
     with progress_bar() as progress:
         found = geomid_ros.weigh_payload(empty, loaded, urdf, progress=progress, **options)
     if as_json:
         click.echo(json.dumps(found.document, indent=2))
     else:
-        _print(found, controller)
+        results.show(found, controller)
     sys.exit(recording_status(found.weighed.findings))
-
-
-def _print(found: geomid_ros.Payload, controller: str | None) -> None:
-    """Print the payload, what makes it doubtful first, and the commands that set it."""
-    console = results_console()
-    print_remarks(console, [finding.sentence for finding in found.weighed.findings], found.weighed.warnings)
-    console.print(found.sentence)
-    table = plain_table(f"Payload in the axes of '{found.frame}'")
-    table.add_column("quantity")
-    number_columns(table, ["value", "std"])
-    table.add_column("unit")
-    table.add_column("told by the motions")
-    rows = zip(QUANTITIES, found.inertial.quantities, found.inertial.std, _UNITS, strict=True)
-    for name, value, std, unit in rows:
-        told = "no" if name in found.weighed.cannot_tell else "yes"
-        table.add_row(name, f"{value:.4g}", f"{std:.2g}", unit, told)
-    console.print(table)
-    if controller:
-        click.echo(found.commands(controller), nl=False)

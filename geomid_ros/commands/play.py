@@ -6,9 +6,7 @@ from pathlib import Path
 
 import click
 
-from geomid_ros.commands.progress import progress_bar
 from geomid_ros.errors import InputError, printable
-from geomid_ros.session.configuration import Configuration
 
 
 @click.command()
@@ -28,8 +26,11 @@ def play(bag: Path, rate: float, wait: float, topic: tuple[str, ...], config: Pa
 
     Only those that geomid reads: joint_states, odom and robot_description in any namespace, and /clock.
     """
+    from geomid_ros.commands.progress import progress_bar
+    from geomid_ros.session.configuration import Configuration
+
     try:
-        from geomid_ros.ros.player import play as published  # noqa: PLC0415 the other commands need no ROS
+        from geomid_ros.ros.player import play as published
     except ImportError as error:
         raise InputError(f"ROS 2 is needed to play a bag, and cannot be imported ({error})") from error
     sensors = Configuration.read(config).sensors if config else []

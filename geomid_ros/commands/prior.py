@@ -2,34 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from pathlib import Path
+from typing import TYPE_CHECKING
 from xml.etree.ElementTree import Element
 
 import click
-import numpy as np
 
-from geomid_ros.commands.progress import progress_bar
-from geomid_ros.commands.tables import number_columns, plain_table, results_console
 from geomid_ros.errors import InputError, unknown_name
-from geomid_ros.files.disk import write_text
-from geomid_ros.files.models.urdf import inertia_of, read_urdf, with_inertials
-from geomid_ros.files.shapes.meshes import MeshFinder
-from geomid_ros.files.shapes.shapes import ShapeReader
-from geomid_ros.model import shapes
-from geomid_ros.model.robot import Robot
-from geomid_ros.model.samples import Samples
-from geomid_ros.model.shape_prior import (
-    IMPOSSIBLE,
-    LinkPrior,
-    ShapedUrdf,
-    ShapePrior,
-    Solid,
-    massless_links,
-    shape_prior,
-)
-from geomid_ros.model.urdf_tree import UrdfTree
-from geomid_ros.report.prior_picture import PlacedLink, prior_picture
+
+if TYPE_CHECKING:
+    from geomid_ros.files.shapes.shapes import ShapeReader
+    from geomid_ros.model.robot import Robot
+    from geomid_ros.model.shape_prior import ShapePrior, Solid
+    from geomid_ros.model.urdf_tree import UrdfTree
 
 # Of machines: thin covers, and more than solid steel. Outside, it is more likely that a mesh is in other units.
 _LIGHTEST, _HEAVIEST = 50.0, 20_000.0  # [kg/m^3]
@@ -73,6 +59,15 @@ def prior(urdf: Path, mass: float, keep: str | None, package_path: dict[str, Pat
     shapes, or the visual ones if it has no others. A mesh that is not closed counts as its convex hull. Links without
     shapes stay as they are. The result is a prior to identify from, not an estimate.
     """
+    from geomid_ros.commands.progress import progress_bar
+    from geomid_ros.commands.results import shapes
+    from geomid_ros.files.disk import write_text
+    from geomid_ros.files.models.urdf import inertia_of, read_urdf, with_inertials
+    from geomid_ros.files.shapes.meshes import MeshFinder
+    from geomid_ros.files.shapes.shapes import ShapeReader
+    from geomid_ros.model.robot import Robot
+    from geomid_ros.model.shape_prior import ShapedUrdf, shape_prior
+
     text = read_urdf(urdf)
     robot = ShapedUrdf(text, str(urdf))
     kept = [name.strip() for name in keep.split(",")] if keep else []
@@ -86,7 +81,7 @@ def prior(urdf: Path, mass: float, keep: str | None, package_path: dict[str, Pat
     inertias = {link.name: inertia_of(link.parameters) for link in result.links if link.parameters is not None}
     written = with_inertials(text, inertias)
     write_text(out, written)
-    _print(result, kept)
+    shapes.show(result, kept)
     warnings = [*reader.warnings, *_warnings(result, robot.tree)]
     files = [out]
     try:
@@ -105,6 +100,8 @@ def prior(urdf: Path, mass: float, keep: str | None, package_path: dict[str, Pat
 
 def _solids(reader: ShapeReader, links: dict[str, Element]) -> dict[str, Solid]:
     """The shapes of these links, of those that have any."""
+    from geomid_ros.commands.progress import progress_bar
+
     solids = {}
     with progress_bar() as progress:
         for index, (name, link) in enumerate(links.items()):
@@ -116,6 +113,8 @@ def _solids(reader: ShapeReader, links: dict[str, Element]) -> dict[str, Solid]:
 
 def _warnings(result: ShapePrior, tree: UrdfTree) -> Iterator[str]:
     """What a user should know before the result is used."""
+    from geomid_ros.model.shape_prior import IMPOSSIBLE, massless_links
+
     if not _LIGHTEST <= result.density <= _HEAVIEST:
         yield (
             f"a density of {result.density:.3g} kg/m³ is not that of a machine. Is the mass right, are the meshes in "
@@ -136,6 +135,11 @@ def _warnings(result: ShapePrior, tree: UrdfTree) -> Iterator[str]:
 
 def _draw(path: Path, robot: Robot, result: ShapePrior) -> None:
     """The links in the robot's zero pose."""
+    import numpy as np
+
+    from geomid_ros.model.samples import Samples
+    from geomid_ros.report.prior_picture import PlacedLink, prior_picture
+
     none, zero = np.zeros((1, 0)), np.zeros((1, len(robot.joints)))
     pose = Samples(
         stamps=np.zeros(1, dtype=np.int64),
@@ -151,26 +155,3 @@ def _draw(path: Path, robot: Robot, result: ShapePrior) -> None:
     frames = robot.link_frames(pose)
     title = f"{robot.name}: {result.mass:.4g} kg in shapes of {result.density:.4g} kg/m³"
     prior_picture(path, title, [PlacedLink(link, *frames[link.name]) for link in result.links])
-
-
-def _print(prior: ShapePrior, kept: Sequence[str]) -> None:
-    """Print the links of a prior that was made from shapes, before and after."""
-    table = plain_table(f"Links filled with {prior.density:.4g} kg/m³")
-    for heading in ("\nlink", "\nshape"):
-        table.add_column(heading, overflow="fold")
-    number_columns(table, ["volume\n[litre]", "mass [kg]\nURDF", "\nprior"])
-    table.add_column("the URDF's\ninertial")
-    for link in prior.links:
-        before = "" if link.before.parameters is None else f"{link.before.mass:.3f}"
-        after = f"{link.mass:.3f}" if link.mass else ""
-        volume = f"{1000.0 * shapes.volume(link.solid.moments):.3f}" if link.solid else ""
-        table.add_row(link.name, _shape(link, kept), volume, before, after, link.verdict or "plausible")
-    table.add_section()
-    table.add_row("together", "", "", f"{prior.mass_before:.3f}", f"{prior.mass:.3f}", "")
-    results_console().print(table)
-
-
-def _shape(link: LinkPrior, kept: Sequence[str]) -> str:
-    if link.name in kept:
-        return "kept as it is"
-    return link.solid.shape if link.solid else "none, stays as it is"

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
-from geomid_ros.commands.progress import progress_bar
 from geomid_ros.simulation import (
     EFFECTS,
     LINK_MASS,
@@ -16,11 +15,12 @@ from geomid_ros.simulation import (
     WRIST_FRAME,
     Hidden,
     SimulationOptions,
-    SimulationResult,
     parse_hidden,
     robot_names,
 )
-from geomid_ros.simulation import simulate as record
+
+if TYPE_CHECKING:
+    from geomid_ros.simulation import SimulationResult
 
 _DEFAULT = SimulationOptions()
 _HIDE = f"""\b
@@ -77,6 +77,9 @@ def simulate(
     that moves has other inertias, and friction, rotor inertia and offsets at every joint, or with --hide nothing but
     what that says. Needs MuJoCo (pip install mujoco).
     """
+    from geomid_ros.commands.progress import progress_bar
+    from geomid_ros.simulation import simulate as record
+
     frame = wrench_frame or (WRIST_FRAME if wrench else None)
     chosen = SimulationOptions(hide=_requests(hide), wrench_frame=frame, motion_period=period, **options)
     with progress_bar() as progress:

@@ -16,6 +16,7 @@ from functools import cached_property
 import numpy as np
 
 from geomid_ros.estimation.fit import CERTAINTY, Problem
+from geomid_ros.estimation.objective import Evaluation
 from geomid_ros.estimation.profile_objective import ProfileObjective, StraightManifold
 from geomid_ros.estimation.solvers import trust_region
 from geomid_ros.geometry.manifold import Point
@@ -108,6 +109,11 @@ class _Rows:
         return self.problem.independent * products
 
     @cached_property
+    def all_products(self) -> FloatArray:
+        """The same of all folds, ``(channels, D + 1, D + 1)``."""
+        return np.asarray(np.sum(self.products, axis=0))
+
+    @cached_property
     def counts(self) -> FloatArray:
         """Independent rows of each channel."""
         return self.problem.independent * self.problem.counts[: len(self.problem.model.channels)]
@@ -115,7 +121,7 @@ class _Rows:
     @cached_property
     def scales(self) -> FloatArray:
         """Of each coefficient: the one with which its column is as large as a channel that it reaches."""
-        squares = np.diagonal(np.sum(self.products, axis=0), axis1=1, axis2=2)
+        squares = np.diagonal(self.all_products, axis1=1, axis2=2)
         own, target = squares[:, self.first : -1], squares[:, -1:]
         size = np.where(own > 0.0, target / np.where(own > 0.0, own, 1.0), np.inf)
         best = np.sqrt(np.min(size, axis=0, initial=np.inf))
@@ -134,7 +140,7 @@ class _Rows:
             known[start.columns] = start.point.parameters
             point, spreads = manifold.point(known[columns]), start.spreads
         own = np.append(columns, self.size)
-        products = np.sum(self.products, axis=0)[:, own[:, None], own]
+        products = self.all_products[:, own[:, None], own]
         least = _LEAST_SHARE * products[:, -1, -1] + np.finfo(float).tiny
         weighed = self.problem.known
         off = weighed.rows[:, columns] @ prior.parameters - weighed.targets
@@ -180,9 +186,14 @@ class _Fit:
         return self.rows.fit(self.columns, firm=True) if loose else self
 
     @cached_property
+    def evaluation(self) -> Evaluation:
+        """The objective there."""
+        return self.objective.evaluate(self.point)
+
+    @cached_property
     def hessian(self) -> FloatArray:
         """Information ``(D, D)`` of the rows and of the prior, in tangent coordinates."""
-        return self.objective.evaluate(self.point).information + np.diag(self.objective.weights)
+        return self.evaluation.information + np.diag(self.objective.weights)
 
     @cached_property
     def score(self) -> float:
@@ -193,7 +204,7 @@ class _Fit:
         width = 20.0 * float(np.sum(np.log(self.spreads)))
         width += CERTAINTY * float(np.sum(relative**-2 + 2.0 * np.log(relative)))
         penalty = len(self.columns) * float(np.log(max(np.max(self.rows.counts), 1.0)))
-        return 2.0 * self.objective.evaluate(self.point).value + float(volume) + width + penalty
+        return 2.0 * self.evaluation.value + float(volume) + width + penalty
 
     @cached_property
     def weights(self) -> FloatArray:
@@ -213,7 +224,7 @@ class _Fit:
     def gains(self, columns: IntArray) -> FloatArray:
         """By how much each of other ``columns`` would improve the likelihood, by the score test; 0 for a coefficient
         that would have a sign that it cannot have."""
-        products = np.einsum("c,fcij->ij", self.weights, self.rows.products)
+        products = np.tensordot(self.weights, self.rows.all_products, axes=1)
         slopes = products[np.ix_(columns, np.append(self.columns, self.rows.size))] @ np.append(
             self.point.parameters, -1.0
         )
@@ -233,12 +244,12 @@ class _Fit:
         parameters = np.append(self.point.parameters, -1.0)
         whitener = self.objective.manifold.whiten(self.point, np.eye(len(own) - 1))
         squares = np.zeros(products.shape[:2])
-        for fold, total in enumerate(np.einsum("c,fcij->fij", self.weights, products)):
+        for fold, total in enumerate(np.einsum("c,fcij->fij", self.weights, products, optimize=True)):
             slope = whitener.T @ (total[:-1] @ parameters)
             information = whitener.T @ total[:-1, :-1] @ whitener
             step = whitener @ np.linalg.solve(self.hessian - information, slope)
             moved = parameters + np.append(step, 0.0)
-            squares[fold] = np.einsum("i,cij,j->c", moved, products[fold], moved)
+            squares[fold] = (products[fold] @ moved) @ moved
         return squares
 
 

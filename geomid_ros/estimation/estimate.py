@@ -126,6 +126,7 @@ class Estimate:
         channels: Names of the measured channels.
         sigmas, rms_nominal, rms: ``(channels,)`` in the channels' units: standard deviations, and RMS residuals of the
             nominal and of the identified model; NaN where nothing was measured.
+        spreads: Of the links' priors ``(links,)``, geodesic distances, as found from the data.
         information: What the data say of all links together.
         warnings: What makes the result doubtful, in sentences.
     """
@@ -142,6 +143,7 @@ class Estimate:
     parameters: FloatArray
     channels: tuple[str, ...]
     sigmas: FloatArray
+    spreads: FloatArray
     rms_nominal: FloatArray
     rms: FloatArray
     information: LinksInformation

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from itertools import compress
 
 import numpy as np
-from scipy.fft import dct
 
 from geomid_ros.errors import InputError, unknown_name
 from geomid_ros.estimation import starting_point, uncertainty
@@ -72,10 +71,12 @@ class EstimatorSettings:
 @dataclass(frozen=True, eq=False)
 class WarmStart:
     """Where the last solve ended: the next one begins at these ``parameters (D,)``, in which the coefficients are zero
-    that were left out, and leaves out the same. They were chosen for so many ``rows``."""
+    that were left out, and leaves out the same. They were chosen for so many ``rows``. ``spreads (links,)``: those of
+    the priors that it found; the usual ones unless given."""
 
     parameters: FloatArray
     rows: int = 0
+    spreads: FloatArray | None = None
 
 
 def estimate(
@@ -118,7 +119,13 @@ def estimate(
     columns = choose(whole) if warm is None else _kept(model, warm)
     problem = subproblem(whole, columns)
     start = None if warm is None else problem.manifold.point(warm.parameters[columns])
-    found = fit(problem, start, tolerance=settings.tolerance, max_steps=settings.max_steps)
+    found = fit(
+        problem,
+        start,
+        None if warm is None else warm.spreads,
+        tolerance=settings.tolerance,
+        max_steps=settings.max_steps,
+    )
     return _estimate(problem, columns, model, found, settings, begin)
 
 
@@ -151,10 +158,10 @@ def _estimate(
         tolerance = max(settings.tolerance * float(np.min(prior_weights)) / geodesic.scale, np.finfo(float).eps)
         solution = SOLVERS[settings.solver](geodesic, solution.point, tolerance, settings.max_steps)
     measured = problem.rows(fitted.sigmas)
-    folds = _folds(summary, fitted.sigmas, manifold, solution.point)
+    contents = summary.products(fitted.sigmas, manifold.dimension)
     found = uncertainty.estimate_uncertainty(
-        folds,
-        _rows_at(manifold, solution.point, known.rows, known.targets),
+        [_fold_at(manifold, solution.point, products) for products in contents],
+        _fold_at(manifold, solution.point, known.products),
         1.0 / problem.independent,
         prior_weights,
         manifold.log(solution.point, prior_point),
@@ -175,6 +182,7 @@ def _estimate(
         parameters=frozen(parameters),
         channels=tuple(channel.name for channel in model.channels),
         sigmas=frozen(fitted.sigmas[: len(model.channels)]),
+        spreads=frozen(fitted.spreads),
         rms_nominal=frozen(summary.rms(model.nominal_parameters)),
         rms=frozen(summary.rms(solution.point.parameters)),
         information=uncertainty.links_information(manifold, prior_point, solution.point, measured, known, found),
@@ -209,6 +217,8 @@ def _geodesic_objective(objective: ResidualObjective) -> GeodesicObjective:
     much noise as the others has no projection. The combination starts from the principal directions at the prior, in
     the metric there, and fixes their signs by the residuals, so that it depends on no choice of frames or units.
     """
+    from scipy.fft import dct  # noqa: PLC0415 of this objective alone
+
     manifold, prior = objective.manifold, objective.prior
     left, values, _ = np.linalg.svd(manifold.whiten(prior, objective.rows), full_matrices=False)
     left = left.T[values >= _ROUNDING * values[0]]  # what no parameters can change has no directions of its own
@@ -221,17 +231,11 @@ def _geodesic_objective(objective: ResidualObjective) -> GeodesicObjective:
     )
 
 
-def _folds(
-    summary: RowSummary, sigmas: FloatArray, manifold: ParameterManifold, point: Point
-) -> list[uncertainty.Fold]:
-    """The folds that have rows."""
-    contents = (summary.compressed(sigmas, manifold.dimension, [fold]) for fold in range(summary.folds))
-    return [_rows_at(manifold, point, rows, targets) for rows, targets in contents if len(rows)]
-
-
-def _rows_at(manifold: ParameterManifold, point: Point, rows: FloatArray, targets: FloatArray) -> uncertainty.Fold:
-    normals = manifold.whiten(point, rows)
-    return uncertainty.Fold((rows @ point.parameters - targets) @ normals, normals.T @ normals)
+def _fold_at(manifold: ParameterManifold, point: Point, products: FloatArray) -> uncertainty.Fold:
+    """Rows of standard deviation 1, of which these are the ``products (D + 1, D + 1)`` of all columns ``[A b]``."""
+    slope = products[:-1] @ np.append(point.parameters, -1.0)
+    half = manifold.whiten(point, products[:-1, :-1])
+    return uncertainty.Fold(manifold.whiten(point, slope[None])[0], manifold.whiten(point, half.T))
 
 
 def _parameter_groups(model: MeasurementModel, manifold: ParameterManifold) -> list[uncertainty.ParameterGroup]:

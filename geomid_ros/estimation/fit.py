@@ -14,7 +14,7 @@ from functools import cached_property
 
 import numpy as np
 
-from geomid_ros.estimation.objective import ResidualObjective, row_weights
+from geomid_ros.estimation.objective import ProductsObjective, ResidualObjective, row_weights
 from geomid_ros.estimation.solvers import Solution, trust_region
 from geomid_ros.estimation.starting_point import (
     USUAL_SPREAD_OF_LINKS,
@@ -90,6 +90,21 @@ class Problem:
         return [joined(parts) for parts in self.summary.parts()]
 
     @cached_property
+    def products(self) -> FloatArray:
+        """The columns ``[A b]`` of each group by each other, ``(groups, D + 1, D + 1)``."""
+        size = self.manifold.dimension + 1
+        products = np.zeros((len(self.factors), size, size))
+        for group, factor, own in zip(self.summary.groups, self.factors, products, strict=True):
+            columns = np.append(group.columns, size - 1)
+            own[columns[:, None], columns] = factor.T @ factor
+        return products
+
+    @cached_property
+    def known_products(self) -> FloatArray:
+        """The same of the weighed masses, with the weight that they have among rows of which only a share counts."""
+        return np.asarray(max(1.0, 1.0 / self.independent) * self.known.products)
+
+    @cached_property
     def counts(self) -> FloatArray:
         """Rows of each group."""
         return np.array([sum(part.count for part in parts) for parts in self.summary.parts()])
@@ -105,8 +120,8 @@ class Problem:
 
     def squares(self, parameters: FloatArray) -> FloatArray:
         """Sums of squares of each group's residuals."""
-        pairs = zip(self.summary.groups, self.factors, strict=True)
-        return np.array([np.sum((f @ np.append(parameters[c.columns], -1.0)) ** 2) for c, f in pairs])
+        vector = np.append(parameters, -1.0)
+        return np.asarray(np.maximum((self.products @ vector) @ vector, 0.0))
 
     def noise(self, parameters: FloatArray) -> FloatArray:
         """The standard deviation of each group that is most likely at ``parameters (D,)``.
@@ -161,6 +176,7 @@ class Fit:
 def fit(
     problem: Problem,
     start: Point | None = None,
+    spreads: FloatArray | None = None,
     *,
     tolerance: float,
     max_steps: int,
@@ -170,19 +186,21 @@ def fit(
     Args:
         problem: what is fitted.
         start: where to start; the prior unless given.
+        spreads: of the links, to start with; the usual ones unless given.
         tolerance: largest geodesic distance of the result from the minimum.
         max_steps: of the solver, for each noise and spreads.
     """
     point = start or problem.prior_point
-    spreads = problem.usual
+    spreads = problem.usual if spreads is None or problem.gamma is not None else spreads
     sigmas = problem.noise(point.parameters) if start is not None else problem.first_noise
     for _ in range(_ROUNDS):
-        objective = _objective(problem, sigmas, spreads)
-        point = trust_region(objective, point, _gradient(objective, tolerance), max_steps).point
+        rough = _rough(problem, sigmas, spreads)
+        solution = trust_region(rough, point, _gradient(rough, tolerance), max_steps)
+        point = solution.point
         before = np.concatenate([sigmas, spreads])
         sigmas = problem.noise(point.parameters)
         if problem.gamma is None:
-            spreads = _spreads(problem, objective, point)
+            spreads = _spreads(problem, rough, solution)
         if np.all(np.abs(np.log(np.concatenate([sigmas, spreads]) / before)) < _SETTLED):
             break
     objective = _objective(problem, sigmas, spreads)
@@ -191,7 +209,25 @@ def fit(
     return Fit(problem=problem, objective=objective, solution=solution, sigmas=sigmas, spreads=spreads, gamma=gamma)
 
 
-def _gradient(objective: ResidualObjective, tolerance: float) -> float:
+def _rough(problem: Problem, sigmas: FloatArray, spreads: FloatArray) -> ProductsObjective:
+    """The objective for this noise and these spreads of the links, for the search for both."""
+    products = np.tensordot(sigmas**-2.0, problem.products, axes=1)
+    measured = ProductsObjective(problem.manifold, products, problem.prior_point, np.zeros(problem.manifold.dimension))
+    weights = _prior_weights(problem, spreads, measured.measured_weight)
+    return replace(measured, products=products + problem.known_products, prior_weights=weights)
+
+
+def _prior_weights(problem: Problem, spreads: FloatArray, measured: float) -> FloatArray:
+    """Weights ``(D,)`` of the squared distance to the prior, for these spreads of the links and rows of this weight."""
+    usual = usual_spreads(problem.manifold)
+    usual[problem.manifold.inertial] = np.repeat(spreads, 10)
+    if problem.gamma is not None:
+        return np.asarray(problem.gamma * measured * (USUAL_SPREAD_OF_LINKS / usual) ** 2)
+    # Of the rows only a share counts: in units of all of them the prior, and what was weighed, are as much heavier.
+    return np.asarray(usual**-2.0 / problem.independent)
+
+
+def _gradient(objective: ResidualObjective | ProductsObjective, tolerance: float) -> float:
     """The prior bounds the curvature from below: a gradient of ``tolerance`` times its weight is at most that far
     off."""
     return max(tolerance * min(float(np.min(objective.prior_weights)) / objective.scale, 1.0), _LEAST_GRADIENT)
@@ -201,12 +237,7 @@ def _objective(problem: Problem, sigmas: FloatArray, spreads: FloatArray) -> Res
     """The objective for this noise and these spreads of the links."""
     manifold, prior = problem.manifold, problem.prior_point
     measured = problem.rows(sigmas)
-    usual = usual_spreads(manifold)
-    usual[manifold.inertial] = np.repeat(spreads, 10)
-    # Of the rows only a share counts: in units of all of them the prior, and what was weighed, are as much heavier.
-    weights = usual**-2.0 / problem.independent
-    if problem.gamma is not None:
-        weights = problem.gamma * _measured_weight(problem, sigmas) * (USUAL_SPREAD_OF_LINKS / usual) ** 2
+    weights = _prior_weights(problem, spreads, _measured_weight(problem, sigmas))
     factor = np.sqrt(max(1.0, 1.0 / problem.independent))
     rows = np.concatenate([measured[0], factor * problem.known.rows])
     targets = np.concatenate([measured[1], factor * problem.known.targets])
@@ -224,13 +255,13 @@ def _measured_weight(problem: Problem, sigmas: FloatArray) -> float:
     return float(np.sum(row_weights(problem.manifold, problem.prior_point, rows, np.ones(len(rows)))))
 
 
-def _spreads(problem: Problem, objective: ResidualObjective, point: Point) -> FloatArray:
+def _spreads(problem: Problem, objective: ProductsObjective, solution: Solution) -> FloatArray:
     """MacKay's re-estimate of each link's: the mean square of its error, what the data leave undetermined included."""
     manifold = problem.manifold
     links = manifold.inertial
-    information = objective.evaluate(point).information + np.diag(objective.prior_weights)
+    information = solution.evaluation.information + np.diag(objective.prior_weights)
     unsure = np.diag(np.linalg.inv(problem.independent * information))[links]
-    errors = manifold.log(problem.prior_point, point)[links] ** 2 + unsure
+    errors = manifold.log(problem.prior_point, solution.point)[links] ** 2 + unsure
     squares = np.sum(errors.reshape(-1, 10), axis=1) + CERTAINTY * problem.usual**2
     spreads: FloatArray = np.sqrt(squares / (10.0 + CERTAINTY))
     return spreads

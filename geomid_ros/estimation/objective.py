@@ -7,11 +7,13 @@ from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from functools import cached_property
+from importlib import import_module
+from types import ModuleType
 from typing import Protocol
 
 import numpy as np
 
-from geomid_ros.geometry import projection, symmetric
+from geomid_ros.geometry import symmetric
 from geomid_ros.geometry.manifold import ParameterManifold, Point
 from geomid_ros.types import BoolArray, FloatArray, IntArray, frozen
 
@@ -24,7 +26,7 @@ _pool = ThreadPoolExecutor(_THREADS, thread_name_prefix="geomid-projection")
 
 @dataclass(frozen=True, eq=False)
 class Evaluation:
-    """Half of an objective at a point: its value, its gradient ``(D,)`` and its Hessian ``(D, D)`` along geodesics.
+    """Half of an objective at a point: its value, its gradient ``(D,)`` and its Hessian ``(D, D)`` along its steps.
 
     ``information`` is the part of the Hessian that the rows contribute at distance zero (Gauss-Newton): with weights
     from true standard deviations it is the Fisher information of the rows.
@@ -49,6 +51,9 @@ class Objective(Protocol):
 
     def evaluate(self, point: Point) -> Evaluation:
         """Value, gradient and Hessian at ``point``."""
+
+    def step(self, point: Point, tangent: FloatArray) -> Point:
+        """The end of the step that leaves ``point`` with tangent coordinates ``(D,)``."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,6 +87,11 @@ class _WeightedObjective(ABC):
         return frozen(self.prior_weight * self.confidence * np.ones(self.manifold.dimension))
 
 
+def _kernels() -> ModuleType:
+    """The compiled projections: only (19) needs them, and to import their compiler takes longer than to solve."""
+    return import_module("geomid_ros.geometry.projection")
+
+
 class GeodesicObjective(_WeightedObjective):
     """(19) for the rows; one whose hyperplane has no projection from the prior is set aside."""
 
@@ -93,7 +103,7 @@ class GeodesicObjective(_WeightedObjective):
     @cached_property
     def set_aside(self) -> BoolArray:
         """Rows that take no part because Proposition 2 gives them no projection from the prior, ``(N,)``."""
-        return np.asarray(self._at_prior[1] != projection.ROOT)
+        return np.asarray(self._at_prior[1] != _kernels().ROOT)
 
     @cached_property
     def value_at_prior(self) -> float:
@@ -110,7 +120,7 @@ class GeodesicObjective(_WeightedObjective):
 
         def measure(chunk: slice) -> None:
             normals = self.manifold.whiten(point, self.rows[chunk])
-            halves[chunk], statuses[chunk] = projection.measure(self.manifold, point, normals, self.targets[chunk])
+            halves[chunk], statuses[chunk] = _kernels().measure(self.manifold, point, normals, self.targets[chunk])
 
         list(_pool.map(measure, _chunks(len(self.rows))))
         return halves, statuses
@@ -124,6 +134,10 @@ class GeodesicObjective(_WeightedObjective):
     def scale(self) -> float:
         """Sum of all weights."""
         return float(np.sum(self.weights)) + self.prior_weight
+
+    def step(self, point: Point, tangent: FloatArray) -> Point:
+        """The end of a geodesic."""
+        return self.manifold.exp(point, tangent)
 
     def evaluate(self, point: Point) -> Evaluation:
         """Half of (19) at ``point`` with its derivatives in the tangent coordinates there."""
@@ -139,7 +153,7 @@ class GeodesicObjective(_WeightedObjective):
     def _row_terms(self, point: Point, chunk: slice) -> tuple[float, FloatArray, FloatArray, FloatArray]:
         weights = self.weights[chunk]
         normals = self.manifold.whiten(point, self.rows[chunk])
-        projected = projection.project(self.manifold, point, normals, self.targets[chunk], weights)
+        projected = _kernels().project(self.manifold, point, normals, self.targets[chunk], weights)
         scaled = projected.direction * np.sqrt(weights)[:, None]
         return (
             float(weights @ projected.half_squared),
@@ -160,25 +174,83 @@ class ResidualObjective(_WeightedObjective):
     """
 
     @cached_property
+    def _augmented(self) -> FloatArray:
+        return np.column_stack([self.rows, self.targets]) / self.sigmas[:, None]
+
+    @cached_property
+    def products(self) -> FloatArray:
+        """The columns ``[A b]`` by each other, of rows of standard deviation 1, ``(D + 1, D + 1)``."""
+        return self._augmented.T @ self._augmented
+
+    @cached_property
     def scale(self) -> float:
         """Sum of all weights."""
-        total = float(np.sum(row_weights(self.manifold, self.prior, self.rows, self.sigmas)))
-        return (1.0 + self.gamma) * total
+        return (1.0 + self.gamma) * float(np.trace(_information(self.manifold, self.prior, self.products)))
 
     @cached_property
     def prior_weight(self) -> float:
         """The factor of the squared distance to the prior."""
         return self.gamma / (1.0 + self.gamma) * self.scale
 
+    def step(self, point: Point, tangent: FloatArray) -> Point:
+        """The end of a straight line, along which the rows' part is exactly quadratic."""
+        return self.manifold.straight(point, tangent)
+
     def evaluate(self, point: Point) -> Evaluation:
         """Half of the objective at ``point`` with its derivatives in the tangent coordinates there."""
         value, gradient, hessian = _prior_terms(self.manifold, point, self.prior, self.prior_weights)
-        residuals = (self.rows @ point.parameters - self.targets) / self.sigmas
-        normals = self.manifold.whiten(point, self.rows) / self.sigmas[:, None]
-        slope = residuals @ normals
-        information = normals.T @ normals
-        hessian += information + linear_hessian(self.manifold, slope)
+        residuals = self._augmented @ np.append(point.parameters, -1.0)
+        slope = self.manifold.whiten(point, (residuals @ self._augmented)[None, :-1])[0]
+        information = _information(self.manifold, point, self.products)
+        # Along a straight line the rows have no curvature but their information; the prior has that of the line.
+        hessian += information + linear_hessian(self.manifold, -gradient)
         return Evaluation(value + 0.5 * float(residuals @ residuals), gradient + slope, information, hessian)
+
+
+@dataclass(frozen=True, eq=False)
+class ProductsObjective:
+    """Remark 3 from products alone: an evaluation costs no more for many rows than for few, but its rounding grows with
+    the square of the rows' condition.
+
+    Attributes:
+        manifold, prior: As of :class:`ResidualObjective`.
+        products: ``(D + 1, D + 1)``, of the columns ``[A b]`` by each other, of rows of standard deviation 1.
+        prior_weights: ``(D,)``, the factors of the squared distance to the prior.
+    """
+
+    manifold: ParameterManifold
+    products: FloatArray
+    prior: Point
+    prior_weights: FloatArray
+
+    @cached_property
+    def measured_weight(self) -> float:
+        """Sum of the rows' weights (Remark 2)."""
+        return float(np.trace(_information(self.manifold, self.prior, self.products)))
+
+    @property
+    def scale(self) -> float:
+        """The rows' weights and the mean weight of the prior."""
+        return self.measured_weight + float(np.mean(self.prior_weights))
+
+    def step(self, point: Point, tangent: FloatArray) -> Point:
+        """The end of a straight line."""
+        return self.manifold.straight(point, tangent)
+
+    def evaluate(self, point: Point) -> Evaluation:
+        """As :meth:`ResidualObjective.evaluate`."""
+        value, gradient, hessian = _prior_terms(self.manifold, point, self.prior, self.prior_weights)
+        vector = np.append(point.parameters, -1.0)
+        moved = self.products @ vector
+        information = _information(self.manifold, point, self.products)
+        hessian += information + linear_hessian(self.manifold, -gradient)
+        slope = self.manifold.whiten(point, moved[None, :-1])[0]
+        return Evaluation(value + 0.5 * float(vector @ moved), gradient + slope, information, hessian)
+
+
+def _information(manifold: ParameterManifold, point: Point, products: FloatArray) -> FloatArray:
+    """Information ``(D, D)`` of rows with these products of their columns."""
+    return manifold.whiten(point, manifold.whiten(point, products[:-1, :-1]).T)
 
 
 def row_weights(manifold: ParameterManifold, prior: Point, rows: FloatArray, sigmas: FloatArray) -> FloatArray:
@@ -198,13 +270,14 @@ def _prior_terms(
     manifold: ParameterManifold, point: Point, prior: Point, weights: FloatArray
 ) -> tuple[float, FloatArray, FloatArray]:
     """Weights ``(D,)`` are equal within a block, so that the Hessian stays symmetric."""
-    to_prior = manifold.log(point, prior)
-    hessian = weights[:, None] * manifold.half_squared_distance_hessian(point, prior)
+    to_prior, curvature = manifold.log_and_hessian(point, prior)
+    hessian = weights[:, None] * curvature
     return 0.5 * float(weights @ to_prior**2), -weights * to_prior, hessian
 
 
 _UNITS = symmetric.to_matrix(np.eye(symmetric.SIZE))
-_PRODUCTS = np.einsum("kim,lmj->klij", _UNITS, _UNITS)
+_PRODUCTS = 0.5 * np.einsum("kim,lmj->klij", _UNITS, _UNITS).reshape(symmetric.SIZE, symmetric.SIZE, -1)
+_PRODUCTS = (_PRODUCTS + _PRODUCTS.transpose(1, 0, 2)).reshape(-1, _PRODUCTS.shape[-1])
 
 
 def linear_hessian(manifold: ParameterManifold, slope: FloatArray) -> FloatArray:
@@ -213,10 +286,10 @@ def linear_hessian(manifold: ParameterManifold, slope: FloatArray) -> FloatArray
     Per link ``tr(X exp(tQ))`` has the second derivative ``tr(X Q^2)``; a positive coefficient's is the first again.
     """
     hessian = np.zeros((manifold.dimension, manifold.dimension))
-    for index in range(manifold.links):
-        matrix = symmetric.to_matrix(slope[manifold.link(index)])
-        block = np.einsum("ij,klji->kl", matrix, _PRODUCTS)
-        hessian[manifold.link(index), manifold.link(index)] = 0.5 * (block + block.T)
+    matrices = symmetric.to_matrix(slope[manifold.inertial].reshape(manifold.links, symmetric.SIZE))
+    blocks = matrices.reshape(manifold.links, _PRODUCTS.shape[1]) @ _PRODUCTS.T
+    for index, block in enumerate(blocks.reshape(-1, symmetric.SIZE, symmetric.SIZE)):
+        hessian[manifold.link(index), manifold.link(index)] = block
     positive = np.arange(manifold.positive.start, manifold.positive.stop)
     hessian[positive, positive] = slope[positive]
     return hessian

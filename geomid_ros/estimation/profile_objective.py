@@ -7,29 +7,17 @@ from dataclasses import dataclass
 import numpy as np
 
 from geomid_ros.estimation.objective import Evaluation, linear_hessian
-from geomid_ros.geometry import spd, symmetric
 from geomid_ros.geometry.manifold import ParameterManifold, Point
 from geomid_ros.types import FloatArray
-
-_SMALLEST_FACTOR = 0.05  # by which one step shrinks an inertia at most
 
 
 @dataclass(frozen=True, eq=False)
 class StraightManifold(ParameterManifold):
-    """The manifold with steps along straight lines of the parameters instead of geodesics.
-
-    Precise data confine the inertias to a thin slab of straight hyperplanes, which a geodesic leaves after a short way.
-    Where a straight step would leave the cone, the eigenvalue approaches zero instead.
-    """
+    """The manifold with steps along straight lines of the parameters instead of geodesics."""
 
     def exp(self, base: Point, tangent: FloatArray) -> Point:
         """The end of the straight step that leaves ``base`` with tangent coordinates ``(D,)``."""
-        matrices = symmetric.to_matrix(tangent[self.inertial].reshape(self.links, symmetric.SIZE))
-        values, vectors = np.linalg.eigh(matrices)
-        bent = np.maximum(0.5 * np.exp(2.0 * np.minimum(values + 0.5, 0.0)), _SMALLEST_FACTOR)
-        factors = np.where(values > -0.5, 1.0 + values, bent)
-        whitened = (vectors * factors[..., None, :]) @ np.swapaxes(vectors, -1, -2)
-        return Point(spd.congruence(base.root, whitened), base.positives, base.reals + self.scales * tangent[self.real])
+        return self.straight(base, tangent)
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,6 +38,10 @@ class ProfileObjective:
         """Number of all rows."""
         return float(np.sum(self.counts))
 
+    def step(self, point: Point, tangent: FloatArray) -> Point:
+        """The end of a step along a straight line."""
+        return self.manifold.straight(point, tangent)
+
     def squares(self, point: Point) -> FloatArray:
         """Sums of squares ``(C,)`` of the channels at ``point``, at least ``least (C,)``."""
         vector = np.append(point.parameters, -1.0)
@@ -62,14 +54,14 @@ class ProfileObjective:
         squares = np.maximum(moved @ vector, self.least)
         weights = self.counts / squares
         slope = self.manifold.whiten(point, (weights @ moved)[None, :-1])[0]
-        rows = np.tensordot(weights, self.products[:, :-1, :-1], axes=1)
+        rows = np.tensordot(weights, self.products, axes=1)[:-1, :-1]
         off = self.known @ np.append(point.parameters - self.prior.parameters, 1.0)
         normals = self.manifold.whiten(point, self.known[:, :-1])
         slope += off @ normals
         information = self.manifold.whiten(point, self.manifold.whiten(point, rows).T) + normals.T @ normals
-        to_prior = self.manifold.log(point, self.prior)
+        to_prior, curvature = self.manifold.log_and_hessian(point, self.prior)
         root = np.sqrt(self.weights)
-        curvature = root[:, None] * self.manifold.half_squared_distance_hessian(point, self.prior) * root
+        curvature = root[:, None] * curvature * root
         value = 0.5 * float(self.counts @ np.log(squares) + self.weights @ to_prior**2 + off @ off)
         # Along a straight line the data have no curvature but their information; the prior has that of the line.
         hessian = information + curvature + linear_hessian(self.manifold, self.weights * to_prior)

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from geomid_ros.errors import InputError, unknown_name
-from geomid_ros.estimation.objective import GeodesicObjective, ResidualObjective
+from geomid_ros.estimation.objective import GeodesicObjective, ProductsObjective, ResidualObjective
 from geomid_ros.estimation.solvers import SOLVERS, Solution, trust_region
 from geomid_ros.estimation.summary import triangular
 from geomid_ros.geometry import pseudo_inertia
@@ -21,7 +22,7 @@ OBJECTIVES = ("residual", "geodesic")
 _GRID = 10.0 ** -np.arange(1.0, 7.0)
 _BLOCKS = 3
 _START_TOLERANCE = 1e-4
-_JITTER = 1e-10  # relative, with which any matrix of products has a Cholesky factor
+_RADIUS = 10.0  # geodesic distance: straight steps never leave the cone
 _LEAST_GRADIENT = 1e-14  # relative to the sum of the weights; rounding allows no less
 
 
@@ -114,10 +115,8 @@ def choose_gamma(
 ) -> float:
     """The weight of the prior with which rows that were held out are predicted best.
 
-    The rows, in the order of time, make three blocks: few, because blocks beside each other are alike. Each is judged
-    by the fit to the two others, for every weight of a grid, and the squared errors are pooled, so that a
-    block that cannot be predicted at all counts. The minimum is that of a parabola through the best weight and its
-    neighbours, in logarithms. The paper's weight where there are fewer rows than parameters.
+    The weights of a grid are tried from strong to weak, until two in succession predict worse than the best so far: the
+    weak ones take longest. The paper's weight where there are fewer rows than parameters.
 
     Args:
         manifold: Where the parameters live.
@@ -127,22 +126,49 @@ def choose_gamma(
     """
     if len(targets) < manifold.dimension:
         return PAPER
-    blocks = np.array_split(np.arange(len(targets)), _BLOCKS)
-    losses = np.zeros(len(_GRID))
-    for held_out in blocks:
-        fitted = np.setdiff1d(np.arange(len(targets)), held_out)
-        augmented = np.column_stack([rows[fitted], targets[fitted]])
-        if objective == "residual":
-            augmented = triangular(augmented)
-        of_what = ResidualObjective if objective == "residual" else GeodesicObjective
-        point, ones = prior, np.ones(len(augmented))
-        for index, gamma in enumerate(_GRID):  # from strong to weak priors, each from where the last one ended
-            minimised = of_what(manifold, augmented[:, :-1], augmented[:, -1], ones, prior, gamma)
-            point = trust_region(minimised, point, _START_TOLERANCE * gamma).point
-            losses[index] += np.sum((rows[held_out] @ point.parameters - targets[held_out]) ** 2)
-    best = int(np.argmin(losses))
-    middle = min(max(best, 1), len(_GRID) - 2)
-    slope, bend = np.polyfit([-1.0, 0.0, 1.0], np.log(losses[middle - 1 : middle + 2] + np.finfo(float).tiny), 2)[1::-1]
+    losses: list[float] = []
+    for loss in held_out_losses(manifold, rows, targets, prior, objective):
+        losses.append(loss)
+        if len(losses) > 2 + np.argmin(losses):
+            break
+    return best_weight(losses)
+
+
+def held_out_losses(
+    manifold: ParameterManifold, rows: FloatArray, targets: FloatArray, prior: Point, objective: str
+) -> Iterator[float]:
+    """For each weight of the grid, from strong to weak: the squared error of all blocks, each at the fit to the others.
+
+    The rows, in the order of time, make three blocks: few, because blocks beside each other are alike. Their errors are
+    added, so that a block that cannot be predicted at all counts.
+    """
+    blocks = np.array_split(np.column_stack([rows, targets]), _BLOCKS)
+    of_what = ResidualObjective if objective == "residual" else GeodesicObjective
+    if objective == "residual":
+        blocks = [triangular(block) for block in blocks]
+    fitted = [np.concatenate([*blocks[:index], *blocks[index + 1 :]]) for index in range(_BLOCKS)]
+    points = [prior] * _BLOCKS
+    for gamma in _GRID:
+        loss = 0.0
+        for index, (held_out, others) in enumerate(zip(blocks, fitted, strict=True)):
+            minimised = of_what(manifold, others[:, :-1], others[:, -1], np.ones(len(others)), prior, gamma)
+            points[index] = trust_region(minimised, points[index], _START_TOLERANCE * gamma).point
+            loss += float(np.sum((held_out @ np.append(points[index].parameters, -1.0)) ** 2))
+        yield loss
+
+
+def best_weight(losses: Sequence[float]) -> float:
+    """The weight of the grid, whose first weights have these ``losses``, that predicts best.
+
+    The minimum is that of a parabola through the best weight and its neighbours, in logarithms; the strongest weight,
+    if that is the best.
+    """
+    totals = np.log(np.array(losses) + np.finfo(float).tiny)
+    best = int(np.argmin(totals))
+    if best == 0:
+        return float(_GRID[0])
+    middle = min(best, len(totals) - 2)
+    slope, bend = np.polyfit([-1.0, 0.0, 1.0], totals[middle - 1 : middle + 2], 2)[1::-1]
     offset = np.clip(-0.5 * slope / bend, -1.0, 1.0) if bend > 0.0 else best - middle
     return float(_GRID[middle] * (_GRID[1] / _GRID[0]) ** offset)
 
@@ -157,15 +183,13 @@ def _from_remark_3(objective: GeodesicObjective, start: Point, tolerance: float,
 
 
 def _minimiser_of_remark_3(objective: GeodesicObjective | ResidualObjective) -> Point:
-    """Roughly, as a start: from the rows' least-squares content, by a Cholesky factor, which is the fastest way."""
-    whitened = np.column_stack([objective.rows, objective.targets]) / objective.sigmas[:, None]
-    products = whitened.T @ whitened
-    jitter = _JITTER * np.diag(np.diag(products) + np.finfo(float).tiny)
-    factor = np.linalg.cholesky(products + jitter).T.astype(np.float64)
-    content = ResidualObjective(
-        objective.manifold, factor[:, :-1], factor[:, -1], np.ones(len(factor)), objective.prior, objective.gamma
-    )
-    return trust_region(content, objective.prior, _START_TOLERANCE).point
+    """Roughly, as a start, from products of the rows, which is the fastest way."""
+    manifold, prior = objective.manifold, objective.prior
+    if isinstance(objective, GeodesicObjective):
+        rows, targets, sigmas = objective.rows, objective.targets, objective.sigmas
+        objective = ResidualObjective(manifold, rows, targets, sigmas, prior, objective.gamma)
+    content = ProductsObjective(manifold, objective.products, prior, objective.prior_weights)
+    return trust_region(content, prior, _START_TOLERANCE, radius=_RADIUS).point
 
 
 def _check(rows: FloatArray, targets: FloatArray, sigmas: FloatArray, prior: FloatArray) -> None:

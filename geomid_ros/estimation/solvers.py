@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from scipy.linalg import LinAlgError, cho_factor, cho_solve
+from numpy.linalg import LinAlgError
 
 from geomid_ros.estimation.objective import Evaluation, Objective
 from geomid_ros.geometry.manifold import Point
@@ -100,7 +100,7 @@ def _tried(objective: Objective, point: Point, evaluation: Evaluation, tangent: 
     an infinite value, so that a shorter step is tried."""
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
         try:
-            candidate = objective.manifold.exp(point, tangent)
+            candidate = objective.step(point, tangent)
             trial = objective.evaluate(candidate)
         except LinAlgError:
             return point, replace(evaluation, value=np.inf)
@@ -140,10 +140,10 @@ class _QuadraticModel:
     def _newton_step(self) -> FloatArray | None:
         """The step without damping, or None where the Hessian is not positive definite."""
         try:
-            factor = cho_factor(self._hessian)
+            np.linalg.cholesky(self._hessian)
         except LinAlgError:
             return None
-        return np.asarray(-cho_solve(factor, self._gradient))
+        return np.asarray(-np.linalg.solve(self._hessian, self._gradient))
 
     @cached_property
     def _eigen(self) -> tuple[FloatArray, FloatArray]:

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
+from itertools import chain
+
 import numpy as np
-from scipy.linalg import lstsq
-from scipy.optimize import nnls
-from scipy.sparse.csgraph import connected_components
 
 from geomid_ros.errors import InputError
 from geomid_ros.estimation.summary import RowSummary, joined
@@ -24,6 +23,7 @@ _LEAST_MOTION = 0.1
 _LEAST_SIGMA_SHARE = 1e-3
 _ROUNDING = 1e-9
 _ROUNDING_COLUMN = 1e-12
+_ROUNDING_SLOPE = 1e-13
 # Usual error of priors, per direction of the tangent space: inertias from CAD a fifth; positive coefficients a factor
 # of e, for they are a first fit that absorbs what the inertias cannot explain; real ones a fifth of what their channel
 # measures.
@@ -56,8 +56,12 @@ def _least_residual(factor: FloatArray) -> tuple[float, int]:
     sizes = np.linalg.norm(factor[:, :-1], axis=0)
     some = sizes > _ROUNDING_COLUMN * np.max(sizes, initial=0.0)
     regressor = factor[:, :-1][:, some] / sizes[some]
-    # By QR iteration: LAPACK's divide and conquer, which numpy takes, does not always converge.
-    solution, _, rank, _ = lstsq(regressor, factor[:, -1], cond=_ROUNDING, lapack_driver="gelss")
+    try:
+        solution, _, rank, _ = np.linalg.lstsq(regressor, factor[:, -1], rcond=_ROUNDING)
+    except np.linalg.LinAlgError:  # LAPACK's divide and conquer does not always converge; its QR iteration does
+        from scipy.linalg import lstsq  # noqa: PLC0415 seldom needed
+
+        solution, _, rank, _ = lstsq(regressor, factor[:, -1], cond=_ROUNDING, lapack_driver="gelss")
     return float(np.linalg.norm(factor[:, -1] - regressor @ solution)), int(rank)
 
 
@@ -122,9 +126,12 @@ def _sharing_effects(model: MeasurementModel) -> list[list[int]]:
     first = len(model.nominal_inertias)
     columns = range(first, model.dimension)
     has = np.array([np.isin(columns, channel.columns) for channel in model.channels])
-    _, label = connected_components(has @ has.T)
-    with_effects = np.any(has, axis=1)
-    return [np.flatnonzero(with_effects & (label == group)).tolist() for group in np.unique(label[with_effects])]
+    groups: list[list[int]] = []
+    for channel in np.flatnonzero(np.any(has, axis=1)).tolist():
+        sharing = [group for group in groups if np.any(has[group] & has[channel])]
+        others = [group for group in groups if group not in sharing]
+        groups = [*others, sorted([*chain(*sharing), channel])]
+    return sorted(groups)
 
 
 def _together(columns: list[IntArray], factors: list[FloatArray], sizes: FloatArray) -> tuple[IntArray, FloatArray]:
@@ -168,8 +175,32 @@ def _fitted_effects(
     regressor = factor[:, :-1][:, ~inertial]
     split = np.hstack([regressor, -regressor[:, ~positive]])
     damping = _NOISE_MOTION * np.sqrt(count) * np.eye(split.shape[1])
-    halves, _ = nnls(np.concatenate([split, damping]), np.append(remainder, np.zeros(len(damping))))
+    halves = _non_negative(np.concatenate([split, damping]), np.append(remainder, np.zeros(len(damping))))
     fitted = halves[: len(chosen)]
     fitted[~positive] -= halves[len(chosen) :]
     column_sizes = np.maximum(np.linalg.norm(regressor, axis=0) / np.sqrt(count), _LEAST_MOTION)
     return np.asarray(np.where(positive, np.maximum(fitted, _LEAST_SHARE * size / column_sizes), fitted))
+
+
+def _non_negative(regressor: FloatArray, targets: FloatArray) -> FloatArray:
+    """The ``x >= 0`` with the least ``|regressor x - targets|`` (Lawson & Hanson 1974), of independent columns."""
+    x, free = np.zeros(regressor.shape[1]), np.zeros(regressor.shape[1], dtype=bool)
+    least = _ROUNDING_SLOPE * np.linalg.norm(regressor, axis=0) * np.linalg.norm(targets)
+    for _ in range(3 * len(x)):
+        slopes = np.where(free, -np.inf, regressor.T @ (targets - regressor @ x) - least)
+        if np.all(slopes <= 0.0):
+            break
+        free[np.argmax(slopes)] = True
+        while np.any(free):
+            best = np.zeros(len(x))
+            best[free] = np.linalg.lstsq(regressor[:, free], targets, rcond=None)[0]
+            blocked = free & (best <= 0.0)
+            if not np.any(blocked):
+                x = best
+                break
+            # As far as the first of them reaches zero, where it stays.
+            ways = np.maximum(np.where(blocked, x - best, 1.0), np.finfo(float).tiny)
+            shares = np.where(blocked, x / ways, np.inf)
+            free &= shares > np.min(shares)
+            x = np.where(free, x + np.min(shares) * (best - x), 0.0)
+    return x

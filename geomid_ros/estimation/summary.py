@@ -10,7 +10,7 @@ motion. Of C channels the group c is settled, the group C + c is not.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal, cast
 
@@ -224,6 +224,18 @@ class RowSummary:
             counts.flat[index] = sum(part.count for part in parts)
         total = np.sum(counts, axis=0)
         return np.asarray(np.sqrt(np.sum(errors, axis=0) / np.where(total > 0.0, total, np.nan)))
+
+    def products(self, sigmas: FloatArray, dimension: int) -> Iterator[FloatArray]:
+        """Of each fold that has rows: the columns ``[A b]`` of its rows by each other, ``(D + 1, D + 1)``, in units of
+        the standard deviations ``(groups,)``."""
+        places = [np.append(group.columns, dimension) for group in self.groups]
+        for parts in zip(*self.parts(), strict=True):
+            products = np.zeros((dimension + 1, dimension + 1))
+            for part, own, sigma in zip(parts, places, sigmas, strict=True):
+                if len(part.factor):
+                    products[own[:, None], own] += part.factor.T @ part.factor / sigma**2
+            if np.any(products):
+                yield products
 
     def compressed(
         self, sigmas: FloatArray, dimension: int, folds: Sequence[int] | None = None

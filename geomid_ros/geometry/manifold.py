@@ -22,6 +22,8 @@ import numpy as np
 from geomid_ros.geometry import pseudo_inertia, spd, symmetric
 from geomid_ros.types import FloatArray, frozen
 
+_SMALLEST_FACTOR = 0.05  # by which one straight step shrinks a positive number or an inertia at most
+
 
 @dataclass(frozen=True, eq=False)
 class Point:
@@ -42,20 +44,38 @@ class Point:
             object.__setattr__(self, name, frozen(getattr(self, name)))
 
     @cached_property
+    def _decomposed(self) -> tuple[FloatArray, FloatArray]:
+        return np.linalg.eigh(self.pseudo_inertias)
+
+    @cached_property
     def root(self) -> FloatArray:
         """Symmetric square roots of the pseudo-inertias, ``(links, 4, 4)``."""
-        return frozen(spd.spd_sqrt(self.pseudo_inertias))
+        values, vectors = self._decomposed
+        return frozen(spd.composed(np.sqrt(values), vectors))
 
     @cached_property
     def inverse_root(self) -> FloatArray:
         """Inverses of the square roots, ``(links, 4, 4)``."""
-        return frozen(spd.spd_inv_sqrt(self.pseudo_inertias))
+        values, vectors = self._decomposed
+        return frozen(spd.composed(1.0 / np.sqrt(values), vectors))
+
+    @cached_property
+    def links_jacobian(self) -> FloatArray:
+        """Derivative of each link's parameters by its tangent coordinates, ``(links, 10, 10)``."""
+        basis = pseudo_inertia.COEFFICIENT_BASIS[None]
+        return frozen(symmetric.to_vector(spd.congruence(self.root[:, None], basis)))
 
     @cached_property
     def parameters(self) -> FloatArray:
         """The linear parameters ``(D,)``."""
         inertial = pseudo_inertia.to_parameters(self.pseudo_inertias).ravel()
         return frozen(np.concatenate([inertial, self.positives, self.reals]))
+
+
+def _lengthened(steps: FloatArray) -> FloatArray:
+    """``1 + step`` where that is well above zero."""
+    bent = np.maximum(0.5 * np.exp(2.0 * np.minimum(steps + 0.5, 0.0)), _SMALLEST_FACTOR)
+    return np.where(steps > -0.5, 1.0 + steps, bent)
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,9 +127,32 @@ class ParameterManifold:
             base.reals + self.scales * tangent[self.real],
         )
 
+    def straight(self, base: Point, tangent: FloatArray) -> Point:
+        """The end of a straight line of the parameters that leaves ``base`` with tangent coordinates ``(D,)``.
+
+        Precise data confine the parameters to a thin slab of straight hyperplanes, which a geodesic leaves after a
+        short way. Where the line would leave the cone, the eigenvalue approaches zero instead.
+        """
+        matrices = symmetric.to_matrix(tangent[self.inertial].reshape(self.links, symmetric.SIZE))
+        values, vectors = np.linalg.eigh(matrices)
+        whitened = (vectors * _lengthened(values)[..., None, :]) @ np.swapaxes(vectors, -1, -2)
+        return Point(
+            spd.congruence(base.root, whitened),
+            base.positives * _lengthened(tangent[self.positive]),
+            base.reals + self.scales * tangent[self.real],
+        )
+
     def log(self, base: Point, point: Point) -> FloatArray:
         """Tangent coordinates ``(D,)`` at ``base`` of the geodesic to ``point`` (8)."""
-        whitened = spd.spd_log(spd.congruence(base.inverse_root, point.pseudo_inertias))
+        return self._log(base, point, *self._logarithm(base, point))
+
+    def _logarithm(self, base: Point, point: Point) -> tuple[FloatArray, FloatArray]:
+        """Eigenvalues ``(links, 4)`` and eigenvectors of the links' logarithms."""
+        values, vectors = np.linalg.eigh(spd.congruence(base.inverse_root, point.pseudo_inertias))
+        return np.log(values), vectors
+
+    def _log(self, base: Point, point: Point, values: FloatArray, vectors: FloatArray) -> FloatArray:
+        whitened = spd.composed(values, vectors)
         positive, real = np.log(point.positives / base.positives), (point.reals - base.reals) / self.scales
         return np.concatenate([symmetric.to_vector(whitened).ravel(), positive, real])
 
@@ -119,11 +162,15 @@ class ParameterManifold:
 
     def half_squared_distance_hessian(self, base: Point, point: Point) -> FloatArray:
         """Hessian ``(D, D)`` of ``d(base, point)^2/2`` by the tangent coordinates at ``base``."""
-        log = spd.spd_log(spd.congruence(base.inverse_root, point.pseudo_inertias))
+        return self.log_and_hessian(base, point)[1]
+
+    def log_and_hessian(self, base: Point, point: Point) -> tuple[FloatArray, FloatArray]:
+        """:meth:`log` and :meth:`half_squared_distance_hessian` by one decomposition."""
+        logarithm = self._logarithm(base, point)
         hessian = np.eye(self.dimension)
-        for index, block in enumerate(spd.half_squared_distance_hessian(log)):
+        for index, block in enumerate(spd.half_squared_distance_hessian(*logarithm)):
             hessian[self.link(index), self.link(index)] = block
-        return hessian
+        return self._log(base, point, *logarithm), hessian
 
     def jacobian(self, base: Point) -> tuple[FloatArray, FloatArray]:
         """Derivative of the parameters by the tangent coordinates at ``base``, by blocks.
@@ -133,16 +180,15 @@ class ParameterManifold:
         Returns:
             The links' blocks ``(links, 10, 10)`` and the diagonal of the rest ``(positives + reals,)``.
         """
-        basis = pseudo_inertia.COEFFICIENT_BASIS[None]
-        blocks = symmetric.to_vector(spd.congruence(base.root[:, None], basis))
-        return blocks, np.concatenate([base.positives, self.scales])
+        return base.links_jacobian, np.concatenate([base.positives, self.scales])
 
     def whiten(self, base: Point, rows: FloatArray) -> FloatArray:
         """Coordinates ``(N, D)`` of rows ``(N, D)`` at ``base``; their norm is the rows' dual norm there."""
         blocks, diagonal = self.jacobian(base)
         whitened = np.empty(rows.shape)
-        for index in range(self.links):
-            whitened[:, self.link(index)] = rows[:, self.link(index)] @ blocks[index]
+        by_link = (rows[:, self.inertial], whitened[:, self.inertial])
+        before, after = (part.reshape(len(rows), self.links, symmetric.SIZE).swapaxes(0, 1) for part in by_link)
+        np.matmul(before, blocks, out=after)
         start = self.inertial.stop
         whitened[:, start:] = rows[:, start:] * diagonal
         return whitened

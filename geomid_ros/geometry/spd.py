@@ -19,7 +19,12 @@ from geomid_ros.types import FloatArray
 
 def _apply_to_eigenvalues(function: Callable[[FloatArray], FloatArray], matrix: FloatArray) -> FloatArray:
     values, vectors = np.linalg.eigh(matrix)
-    return np.asarray((vectors * function(values)[..., None, :]) @ np.swapaxes(vectors, -1, -2))
+    return composed(function(values), vectors)
+
+
+def composed(values: FloatArray, vectors: FloatArray) -> FloatArray:
+    """The symmetric matrices ``(..., n, n)`` with these eigenvalues ``(..., n)`` and orthonormal eigenvectors."""
+    return np.asarray((vectors * values[..., None, :]) @ np.swapaxes(vectors, -1, -2))
 
 
 def sym_exp(matrix: FloatArray) -> FloatArray:
@@ -57,14 +62,14 @@ def distance(a: FloatArray, b: FloatArray) -> FloatArray:
     return np.asarray(np.sqrt(np.sum(np.log(relative_eigenvalues(a, b)) ** 2, axis=-1)))
 
 
-def half_squared_distance_hessian(log: FloatArray) -> FloatArray:
+def half_squared_distance_hessian(values: FloatArray, vectors: FloatArray) -> FloatArray:
     """Hessian ``(..., 10, 10)`` of ``d(P, P_0)^2/2`` at P along geodesics, of 4x4 matrices, in whitened coordinates.
 
-    ``log (..., 4, 4)`` is ``log(P^-1/2 P_0 P^-1/2)``. In its eigenbasis the Hessian is diagonal with the entries
-    ``x coth x``, x half the difference of two eigenvalues (Pennec 2006, "A Riemannian framework for tensor computing",
-    gives the derivative of the logarithm it follows from); it is never below the identity.
+    ``values (..., 4)`` and ``vectors (..., 4, 4)`` are the eigenvalues and eigenvectors of ``log(P^-1/2 P_0 P^-1/2)``.
+    In this basis the Hessian is diagonal with the entries ``x coth x``, x half the difference of two eigenvalues
+    (Pennec 2006, "A Riemannian framework for tensor computing", gives the derivative of the logarithm it follows from);
+    it is never below the identity.
     """
-    values, vectors = np.linalg.eigh(log)
     half = 0.5 * (values[..., symmetric.ROWS] - values[..., symmetric.COLUMNS])
     safe = np.where(np.abs(half) < 1e-6, 1.0, half)
     entries = np.where(np.abs(half) < 1e-6, 1.0, safe / np.tanh(safe))

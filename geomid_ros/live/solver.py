@@ -236,7 +236,7 @@ class Solver:
             self.problem = ""
             self.estimate = estimate
             chosen = rows if warm is None else warm.rows
-            self._session.warm = WarmStart(estimate.parameters, chosen)
+            self._session.warm = WarmStart(estimate.parameters, chosen, estimate.spreads)
             return True
 
     def _fail(self, error: Exception) -> None:

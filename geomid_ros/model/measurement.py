@@ -40,6 +40,8 @@ from geomid_ros.model.samples import Samples
 from geomid_ros.model.sensors import WORLD_FRAMES, WrenchSensor
 from geomid_ros.types import FloatArray, IntArray
 
+_AT_ONCE = 1000  # instants
+
 
 @dataclass(frozen=True, kw_only=True)
 class Coefficient:
@@ -430,9 +432,15 @@ class MeasurementModel:
         return Columns.of([*own, *((SIGN, REST) if self.layout.efforts else ())])
 
     def predict(self, samples: Samples, parameters: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Measured and predicted values of every channel, each ``(N, channels)``, at parameters ``(D,)``."""
-        rows = self.rows(samples)
-        return rows.targets, rows.coefficients @ parameters
+        """Measured values of every channel ``(N, channels)``, and predicted ones at parameters ``(D,)``, or at several
+        ``(D, K)``: ``(N, channels, K)``."""
+        # Rows are many times as large as the samples that they are made of: not all at once.
+        measured, predicted = [], []
+        for begin in range(0, max(len(samples), 1), _AT_ONCE):
+            rows = self.rows(samples.select(slice(begin, begin + _AT_ONCE)))
+            measured.append(rows.targets)
+            predicted.append(rows.coefficients @ parameters)
+        return np.concatenate(measured), np.concatenate(predicted)
 
     def predicted_efforts(self, samples: Samples, parameters: FloatArray) -> FloatArray:
         """Efforts ``(N, joints)`` as they would be measured, with the links that are not identified and the known

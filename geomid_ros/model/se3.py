@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import pinocchio as pin
-from scipy.spatial.transform import Rotation
 
 from geomid_ros.types import FloatArray
 
@@ -13,6 +12,8 @@ _SMALL_ANGLE = 0.1
 
 def relative_log(reference: FloatArray, poses: FloatArray) -> FloatArray:
     """``log(reference^-1 pose)`` of each of ``poses (N, 7)``, ``(N, 6)`` as (linear, angular)."""
+    from scipy.spatial.transform import Rotation  # noqa: PLC0415 of floating bases alone
+
     back = Rotation.from_quat(reference[3:]).inv()
     angular = (back * Rotation.from_quat(poses[:, 3:])).as_rotvec()
     displacement = back.apply(poses[:, :3] - reference[:3])

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 import shlex
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -14,7 +14,6 @@ from xml.etree.ElementTree import Element, SubElement, TreeBuilder, tostring
 import numpy as np
 from defusedxml.common import DefusedXmlException
 from defusedxml.ElementTree import DefusedXMLParser, ParseError
-from scipy.spatial.transform import Rotation
 
 from geomid_ros.errors import InputError
 from geomid_ros.geometry import pseudo_inertia
@@ -265,9 +264,21 @@ def inertial_parameters(link: Element, source: str) -> FloatArray | None:
     angles = read_numbers(inertial, "origin", ("rpy",), [0.0, 0.0, 0.0], where)
     if mass == 0.0:
         return None
-    axes = Rotation.from_euler("xyz", angles).as_matrix()
+    axes = axes_of(angles)
     central = axes @ pseudo_inertia.inertia_matrix(np.array(entries)) @ axes.T
     return pseudo_inertia.assemble(np.array(mass), np.array(centre), central)
+
+
+def axes_of(angles: Sequence[float]) -> FloatArray:
+    """Rotation matrix ``(3, 3)`` of URDF's roll, pitch and yaw [rad]: about fixed axes, x first."""
+    (r, p, y), (s_r, s_p, s_y) = np.cos(angles), np.sin(angles)
+    return np.array(
+        [
+            [y * p, y * s_p * s_r - s_y * r, y * s_p * r + s_y * s_r],
+            [s_y * p, s_y * s_p * s_r + y * r, s_y * s_p * r - y * s_r],
+            [-s_p, p * s_r, p * r],
+        ]
+    )
 
 
 def read_numbers(

@@ -11,7 +11,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import cho_solve, cholesky
 
 from geomid_ros.types import BoolArray, FloatArray
 
@@ -97,9 +96,10 @@ def _solved(
         right[own] = weights[channel] * products.crossed[channel, rank:]
     for _ in range(4):
         free = np.flatnonzero(~held)
-        factor = cholesky(matrix[np.ix_(free, free)], lower=True, check_finite=False)
+        among = matrix[np.ix_(free, free)]
+        factor = np.linalg.cholesky(among)
         mean = np.zeros(len(precision))
-        mean[free] = cho_solve((factor, True), right[free], check_finite=False)
+        mean[free] = np.linalg.solve(among, right[free])
         pull = right - matrix @ mean  # of what is held: positive if it would become so
         changed = np.where(held, pull <= 0.0, mean < 0.0) & bounded
         if np.array_equal(changed, held):

@@ -109,11 +109,11 @@ def worse_channels(model: MeasurementModel, batches: Sequence[Samples], paramete
     """
     if not batches:
         return []
-    samples = Samples.concatenate(list(batches))
-    rows = model.rows(samples)
-    errors = [(rows.coefficients @ p - rows.targets) ** 2 for p in (parameters, model.nominal_parameters)]
-    blocks = np.unique(samples.stamps // _BLOCK, return_inverse=True)[1]
-    means = [_means(error, blocks) for error in errors]
+    both = np.column_stack([parameters, model.nominal_parameters])
+    pairs = [model.predict(samples, both) for samples in batches]
+    errors = np.concatenate([(predicted - measured[:, :, None]) ** 2 for measured, predicted in pairs])
+    blocks = np.unique(np.concatenate([samples.stamps for samples in batches]) // _BLOCK, return_inverse=True)[1]
+    means = [_means(error, blocks) for error in np.moveaxis(errors, 2, 0)]
     worse = []
     for channel, own, nominal in zip(model.channels, *(mean.T for mean in means), strict=True):
         known = np.isfinite(own) & np.isfinite(nominal)

@@ -42,7 +42,8 @@ def main() -> None:
         if not is_lack_of_memory(error):
             raise
         print(f"geomid_node: {TOO_LITTLE_MEMORY}", file=sys.stderr)
-        sys.exit(2)
+        sys.stderr.flush()
+        os._exit(2)  # libraries that are half loaded crash when they are unloaded
 
 
 def _on_signal(act: Callable[[], object]) -> None:

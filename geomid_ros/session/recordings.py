@@ -18,6 +18,7 @@ from geomid_ros.session.wrench_guard import WrenchGuard
 from geomid_ros.signals.decoding import Decoder
 from geomid_ros.signals.messages import JOINT_STATES, ODOM, message_type
 from geomid_ros.signals.pipeline import SignalPipeline
+from geomid_ros.types import BoolArray
 
 HELD_OUT = 0.3
 """Share of a recording's time, at the end, that is judged on unless the user says otherwise."""
@@ -90,8 +91,13 @@ def divided(batches: Sequence[Samples], share: float) -> list[tuple[Samples, Sam
     """
     end = int(batches[-1].stamps[-1]) + 1
     boundary = end - round(share * (end - int(batches[0].stamps[0])))
-    early = [samples.stamps < boundary for samples in batches]
-    return [(samples.select(first), samples.select(~first)) for samples, first in zip(batches, early, strict=True)]
+    return [_divided(samples, samples.stamps < boundary) for samples in batches]
+
+
+def _divided(samples: Samples, early: BoolArray) -> tuple[Samples, Samples]:
+    """A piece, or no instant of it, where it is on one side: most are, and need no copy."""
+    pair = [samples if np.all(chosen) else samples.select(chosen) for chosen in (early, ~early)]
+    return pair[0], pair[1]
 
 
 def read_bags(session: Session, bags: Bags, progress: Progress = silent) -> tuple[list[Samples], list[Samples]]:

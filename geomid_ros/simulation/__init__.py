@@ -1,15 +1,23 @@
 """Robots simulated by MuJoCo that record rosbags: planted truth for demonstrations and tests.
 
 The bag holds only what a real robot would publish; the truth goes into a file beside it. Nothing here shares code with
-the estimator, and MuJoCo is imported when a simulation starts, not before.
+the estimator, and MuJoCo is imported when a simulation starts, not before. What records is loaded when it is
+first used.
 """
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
 
 from geomid_ros.simulation.effects.sizes import SIZES
 from geomid_ros.simulation.hidden import NOTHING, Hidden, parse_hidden
 from geomid_ros.simulation.options import MOTIONS, SimulationOptions
 from geomid_ros.simulation.realistic.robot import LINK_MASS
 from geomid_ros.simulation.robots import WRIST_FRAME, robot_names
-from geomid_ros.simulation.simulate import SimulationResult, simulate
+
+if TYPE_CHECKING:
+    from geomid_ros.simulation.recording import SimulationResult, simulate
 
 EFFECTS = tuple(SIZES)
 """Names of the effects that can be hidden."""
@@ -27,3 +35,10 @@ __all__ = [
     "robot_names",
     "simulate",
 ]
+
+
+def __getattr__(name: str) -> Any:
+    """Load ``simulate`` and its result with all that they need."""
+    if name not in ("SimulationResult", "simulate"):
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(import_module("geomid_ros.simulation.recording"), name)

@@ -20,8 +20,8 @@ from benchmarks.blind.realistic.sizing import LEAST, MOST, sized
 from geomid_ros.simulation import Hidden, SimulationOptions
 from geomid_ros.simulation.effects.measurement import sensed
 from geomid_ros.simulation.realistic.robot import build_realistic
+from geomid_ros.simulation.recording import closed_loop, record
 from geomid_ros.simulation.robots import robot_description
-from geomid_ros.simulation.simulate import closed_loop, record
 from geomid_ros.types import FloatArray
 
 pytest.importorskip("mujoco")

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import inspect
+import os
 import subprocess
 import sys
 
@@ -14,7 +16,10 @@ from geomid_ros.commands.root import COMMANDS, root
 from .running import done
 
 NAMES = sorted(COMMANDS)
-HEAVY = ("pinocchio", "numba", "numpy", "matplotlib", "scipy", "rclpy")
+LIBRARIES = {
+    *("jinja2", "matplotlib", "mujoco", "numba", "pinocchio", "plotly", "rclpy", "rosbags", "scipy", "trimesh", "yaml"),
+}
+HEAVY = LIBRARIES | {"numpy", "rich"}
 
 
 def command(name: str) -> click.Command:
@@ -30,10 +35,46 @@ def test_the_commands() -> None:
     assert all(f"  {name} " in text for name in NAMES)
 
 
-def test_the_list_loads_nothing_of_the_commands() -> None:
-    run = "from geomid_ros.commands.root import root\nroot(['--help'], standalone_mode=False)"
-    script = f"import sys\n{run}\nassert not sys.modules.keys() & {set(HEAVY)!r}, sys.modules.keys()"
-    subprocess.run([sys.executable, "-c", script], capture_output=True, check=True, timeout=60)
+def loaded(*arguments: str, completing: str = "") -> set[str]:
+    """The modules that a process of ``geomid`` has imported when it ends; ``completing``: the line to complete."""
+    script = (
+        "import atexit, sys\n"
+        "sys.argv[0] = 'geomid'\n"
+        "atexit.register(lambda: print(*sys.modules, file=sys.__stdout__))\n"
+        "from geomid_ros.commands.root import main\n"
+        "main()"
+    )
+    asked = {"_GEOMID_COMPLETE": "bash_complete", "COMP_WORDS": completing, "COMP_CWORD": str(completing.count(" "))}
+    command = [sys.executable, "-c", script, *arguments]
+    environment = os.environ | (asked if completing else {})
+    run = subprocess.run(command, env=environment, capture_output=True, text=True, check=False, timeout=60)
+    assert not completing or "--urdf" in run.stdout or "identify" in run.stdout, run.stderr
+    assert "Traceback" not in run.stderr
+    modules = set(run.stdout.splitlines()[-1].split())
+    assert {"click", "geomid_ros"} <= modules
+    return modules
+
+
+@pytest.mark.parametrize(
+    "arguments", [("--help",), ("--version",), (), ("unknown",), ("--unknown",), ("identify", "--help"), ("identify",)]
+)
+def test_what_computes_nothing_loads_nothing_that_computes(arguments: tuple[str, ...]) -> None:
+    assert not loaded(*arguments) & HEAVY
+
+
+@pytest.mark.parametrize("line", ["geomid ", "geomid id", "geomid identify --u"])
+def test_completion_loads_nothing_that_computes(line: str) -> None:
+    assert not loaded(completing=line) & HEAVY
+
+
+def test_the_list_of_commands_loads_none_of_them() -> None:
+    for modules in (loaded("--help"), loaded(completing="geomid ")):
+        assert not {f"geomid_ros.commands.{name}" for name in NAMES} & modules
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_help_of_a_command_loads_no_library_that_the_command_needs(name: str) -> None:
+    assert not loaded(name, "--help") & LIBRARIES
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -52,6 +93,11 @@ def test_every_option_is_explained(name: str) -> None:
             assert parameter.help.endswith((".", "]", ")")), parameter.help
         else:
             assert str(parameter.human_readable_name) in (command(name).help or "")
+
+
+def test_the_gain_is_that_of_the_front_door() -> None:
+    option = next(parameter for parameter in command("payload").params if parameter.name == "gain")
+    assert option.default == inspect.signature(geomid_ros.weigh_payload).parameters["gain"].default
 
 
 def test_version() -> None:

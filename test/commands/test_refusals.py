@@ -221,7 +221,7 @@ def test_no_traceback_in_a_process_of_its_own(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("module", ["geomid_ros", "geomid_ros.ros.main"])
-@pytest.mark.parametrize("megabytes", [300, 400])
+@pytest.mark.parametrize("megabytes", [200, 300])
 def test_too_little_memory_is_said_in_one_sentence(megabytes: int, module: str) -> None:
     """Whichever of the libraries finds no room."""
     if module != "geomid_ros":

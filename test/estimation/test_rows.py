@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 import pytest
 from geometry import bodies
 
 from geomid_ros.errors import InputError
+from geomid_ros.estimation import rows
 from geomid_ros.estimation.rows import PAPER, solve_rows
 from geomid_ros.geometry import projection, pseudo_inertia, spd
 from geomid_ros.types import FloatArray
@@ -184,6 +187,30 @@ def test_the_weight_that_is_chosen_predicts_fresh_rows_nearly_as_well_as_the_bes
 
     best = min(error(gamma) for gamma in 10.0 ** -np.arange(1.0, 6.5, 0.5))
     assert error(None) < 1.15 * best
+
+
+def test_the_choice_ends_where_two_weights_in_succession_predict_worse(monkeypatch: pytest.MonkeyPatch) -> None:
+    """One alone may be a fluke."""
+    case, taken = problem(1, LINKS), []
+
+    def losses(*_: object) -> Iterator[float]:
+        for loss in (9.0, 10.0, 7.5, 8.4, 8.0, 3.0):
+            taken.append(loss)
+            yield loss
+
+    monkeypatch.setattr(rows, "held_out_losses", losses)
+    chosen = rows.choose_gamma(LINKS, case.rows, case.targets, case.prior, "residual")
+    assert len(taken) == 5
+    assert chosen == rows.best_weight(taken[:4]) == pytest.approx(10.0**-3, rel=0.5)
+
+
+def test_the_best_weight_is_the_minimum_of_a_parabola_through_the_logarithms() -> None:
+    decades = np.arange(1.0, 7.0)
+    for minimum in (2.6, 3.0, 4.4):
+        losses = np.exp((decades - minimum) ** 2)
+        assert np.log10(rows.best_weight(list(losses))) == pytest.approx(-minimum)
+        assert rows.best_weight(list(losses[:5])) == pytest.approx(rows.best_weight(list(losses)))
+    assert rows.best_weight([1.0, 1.1]) == 0.1
 
 
 def test_few_rows_leave_the_weight_to_the_paper() -> None:

@@ -53,6 +53,7 @@ def estimate_of(*links: LinkEstimate, effects: tuple[EffectEstimate, ...] = ()) 
         parameters=parameters,
         channels=("joint1", "joint2"),
         sigmas=of_channels,
+        spreads=np.full(len(links), 0.2),
         rms_nominal=2.0 * of_channels,
         rms=of_channels,
         information=LinksInformation(information, np.diag(information)),

@@ -19,7 +19,7 @@ from geomid_ros.simulation import Hidden, SimulationOptions, simulate
 from geomid_ros.simulation.realistic.friction import LuGre
 from geomid_ros.simulation.realistic.robot import LINK_MASS, RealisticRobot, build_realistic
 from geomid_ros.simulation.realistic.sensors import kept
-from geomid_ros.simulation.simulate import closed_loop, record
+from geomid_ros.simulation.recording import closed_loop, record
 from geomid_ros.types import FloatArray
 
 from .independent import true_urdf

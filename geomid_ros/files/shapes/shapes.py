@@ -9,14 +9,13 @@ from xml.etree.ElementTree import Element
 
 import numpy as np
 import trimesh
-from scipy.spatial.transform import Rotation
 from trimesh import creation
 
 from geomid_ros.errors import InputError
 from geomid_ros.files.shapes.meshes import MeshFinder, read_mesh
 from geomid_ros.model import shapes
 from geomid_ros.model.shape_prior import Solid
-from geomid_ros.model.urdf_tree import read_numbers
+from geomid_ros.model.urdf_tree import axes_of, read_numbers
 from geomid_ros.types import FloatArray, IntArray
 
 # Attributes of the primitives and how many numbers they hold.
@@ -159,5 +158,5 @@ def _placement(element: Element, where: str) -> FloatArray:
     placement = np.eye(4)
     placement[:3, 3] = read_numbers(element, "origin", ("xyz",), [0.0, 0.0, 0.0], where)
     angles = read_numbers(element, "origin", ("rpy",), [0.0, 0.0, 0.0], where)
-    placement[:3, :3] = Rotation.from_euler("xyz", angles).as_matrix()
+    placement[:3, :3] = axes_of(angles)
     return placement

@@ -1,0 +1,1 @@
+"""What the commands print, loaded once there is something to print."""

@@ -1,0 +1,127 @@
+"""The verdict on a gap, its findings, channels and candidates, as tables."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from itertools import pairwise
+
+from rich.table import Table
+
+from geomid_ros.api.gap import Gap
+from geomid_ros.commands.tables import lines, number_columns, plain_table, print_remarks, results_console, say
+from geomid_ros.gap.result import GapResult
+from geomid_ros.report import gap_words
+from geomid_ros.report.simulated_again import SimulatedAgain
+
+_MOST_CANDIDATES = 8
+_MOST_RIVALS = 3
+_MOST_SENTENCES = 4
+_BAR = 24  # characters
+_AFTER, _INERTIAS, _BEFORE = "█", "▓", "░"
+
+
+def show(found: Gap) -> None:
+    """Print the verdict, what was found, the gap of every channel, candidates, and what to record next."""
+    console = results_console()
+    result = found.result
+    print_remarks(
+        console, [finding.sentence for finding in found.session.findings], found.session.warnings(), found.session.notes
+    )
+    say(console, result.verdict.upper(), f"  {gap_words.verdict_sentence(result)}")
+    for sentence in gap_words.in_short(result):
+        say(console, "", sentence)
+    if result.findings:
+        console.print(_findings_table(result))
+    for sentence in _sentences(result):
+        say(console, "", sentence)
+    console.print(_channels_table(result))
+    for simulation in found.simulated:
+        console.print(_simulated_table(simulation))
+    if found.not_simulated:
+        say(console, "Not simulated again", f"  {found.not_simulated}")
+    if result.ranking and result.verdict != "no gap":
+        console.print(_candidates_table(result))
+    for joint, times, variables in gap_words.not_explained(result):
+        left = f"{joint}: {gap_words.ratio(times)} times the floor remain, depending on {variables}"
+        say(console, "Not explained", f"  {left}")
+    record = gap_words.to_record(result)
+    if record:
+        say(console, "To record next", "")
+        for what in record:
+            say(console, "", f"- {what}")
+
+
+def _findings_table(result: GapResult) -> Table:
+    table = plain_table("What was found")
+    table.add_column("effect", no_wrap=True)
+    table.add_column("where", overflow="fold", min_width=16)
+    table.add_column("parameter")
+    number_columns(table, ["value"])
+    table.add_column("confidence")
+    number_columns(table, ["closes", "separable"])
+    for finding in result.findings:
+        names = lines(name.replace("_", " ") for name in finding.parameters)
+        values = lines(map(gap_words.measured, finding.parameters.values()))
+        where = gap_words.place(finding.joint, finding.link)
+        shares = (gap_words.percent(finding.share), gap_words.percent(finding.separability))
+        table.add_row(gap_words.headline(finding.effect), where, names, values, finding.confidence, *shares)
+    return table
+
+
+def _sentences(result: GapResult) -> Iterator[str]:
+    """One of each finding, with its rivals where there are any to choose from; of many findings only of these."""
+    few = len(result.findings) <= _MOST_SENTENCES
+    for finding in result.findings:
+        rivals = [f"{gap_words.title(rival)} (worse by {rival.loss:.1f})" for rival in finding.rivals[:_MOST_RIVALS]]
+        ambiguous = finding.confidence == "ambiguous" and rivals
+        if few or ambiguous:
+            yield f"{finding.sentence}{' Rivals: ' + ', '.join(rivals) + '.' if ambiguous else ''}"
+
+
+def _channels_table(result: GapResult) -> Table:
+    table = plain_table("Gap on held-out data, in units of the noise floor (1 is as good as any model can be)")
+    table.add_column("\nchannel", overflow="fold")
+    number_columns(table, ["\nfloor", "\nnominal", "inertias\nonly", "with\neffect", "\nexpected"])
+    table.add_column(
+        f"how far above the floor, logarithmic\n{_AFTER} after {_INERTIAS} inertias only {_BEFORE} nominal"
+    )
+    gaps = (result.gap.before, result.gap.inertias_only, result.gap.after)
+    end = max(2.0, *(gap_words.worst(values) for values in gaps))
+    for k, (name, unit, floor) in enumerate(zip(result.channels, result.units, result.floor, strict=True)):
+        before, inertias, after, expected = (float(values[k]) for values in (*gaps, result.gap.expected))
+        if math.isfinite(before):
+            numbers = (gap_words.ratio(value) for value in (before, inertias, after, expected))
+            table.add_row(name, f"{floor:.2g} {unit}", *numbers, _bar(before, inertias, after, end))
+    return table
+
+
+def _bar(before: float, inertias: float, after: float, end: float) -> str:
+    """Three bars in one line, the shortest in front."""
+    bars = ((after, _AFTER), (inertias, _INERTIAS), (before, _BEFORE))
+    lengths = sorted((_length(value, end), mark) for value, mark in bars)
+    return "".join(mark * (length - shorter) for (shorter, _), (length, mark) in pairwise([(0, ""), *lengths]))
+
+
+def _length(value: float, end: float) -> int:
+    return round(_BAR * math.log(max(value, 1.0)) / math.log(end)) if math.isfinite(value) else 0
+
+
+def _simulated_table(simulation: SimulatedAgain) -> Table:
+    how = {"windows": "in short windows", "closed_loop": "in closed loop"}[simulation.kind]
+    table = plain_table(f"Simulated again {how}\n(times the noise)")
+    table.add_column("channel", overflow="fold")
+    number_columns(table, ["before", "after"])
+    for name, before in simulation.errors["before"].items():
+        table.add_row(name, gap_words.ratio(before), gap_words.ratio(simulation.errors["after"][name]))
+    return table
+
+
+def _candidates_table(result: GapResult) -> Table:
+    table = plain_table("Candidates, the best first")
+    table.add_column("candidate", overflow="fold")
+    number_columns(table, ["improves by", "separable", "chosen"])
+    for entry in result.ranking[:_MOST_CANDIDATES]:
+        chosen = "yes" if entry.chosen else ""
+        table.add_row(gap_words.title(entry), f"{entry.gain:.1f}", gap_words.percent(entry.separability), chosen)
+    return table

@@ -1,0 +1,30 @@
+"""A payload that was weighed, as a table."""
+
+from __future__ import annotations
+
+import click
+
+from geomid_ros.commands.tables import number_columns, plain_table, print_remarks, results_console
+from geomid_ros.estimation.estimate import QUANTITIES
+from geomid_ros.exports.weighed_payload import Payload
+
+_UNITS = ("kg", *("m",) * 3, *("kg m^2",) * 6)
+
+
+def show(found: Payload, controller: str | None) -> None:
+    """Print the payload, what makes it doubtful first, and the commands that set it."""
+    console = results_console()
+    print_remarks(console, [finding.sentence for finding in found.weighed.findings], found.weighed.warnings)
+    console.print(found.sentence)
+    table = plain_table(f"Payload in the axes of '{found.frame}'")
+    table.add_column("quantity")
+    number_columns(table, ["value", "std"])
+    table.add_column("unit")
+    table.add_column("told by the motions")
+    rows = zip(QUANTITIES, found.inertial.quantities, found.inertial.std, _UNITS, strict=True)
+    for name, value, std, unit in rows:
+        told = "no" if name in found.weighed.cannot_tell else "yes"
+        table.add_row(name, f"{value:.4g}", f"{std:.2g}", unit, told)
+    console.print(table)
+    if controller:
+        click.echo(found.commands(controller), nl=False)
