@@ -10,6 +10,7 @@ from scipy.optimize import nnls
 
 from geomid_ros.errors import InputError
 from geomid_ros.estimation.starting_point import (
+    _non_negative,
     channel_sizes,
     first_sigmas,
     prior_parameters,
@@ -181,3 +182,17 @@ def test_a_prior_that_cannot_be_is_refused(change: object, named: str) -> None:
     case = arm("arm3", 0, seconds=1)
     with pytest.raises(InputError, match=named):
         prior_parameters(case.model, summary(case), change(case.truth))
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_non_negative_least_squares_are_those_of_scipy(seed: int) -> None:
+    """Of columns of very different sizes, some of them nearly alike."""
+    rng = np.random.default_rng(seed)
+    regressor = rng.normal(size=(60, 12)) * 10.0 ** rng.uniform(-3.0, 3.0, size=12)
+    regressor[:, 3] = regressor[:, 4] + 1e-4 * np.linalg.norm(regressor[:, 4]) * rng.normal(size=60)
+    targets = regressor @ rng.normal(size=12) + rng.normal(size=60)
+    expected, least = nnls(regressor, targets)
+    found = _non_negative(regressor, targets)
+    assert np.all(found >= 0.0)
+    assert np.linalg.norm(regressor @ found - targets) == pytest.approx(least, rel=1e-9)
+    np.testing.assert_allclose(regressor @ found, regressor @ expected, rtol=0.0, atol=1e-6 * np.linalg.norm(targets))

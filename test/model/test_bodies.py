@@ -10,6 +10,7 @@ import pytest
 
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.robot import Robot
+from geomid_ros.model.urdf_tree import axes_of
 from geomid_ros.types import FloatArray
 
 from .robots import Reference, random_samples, urdf, with_values
@@ -218,3 +219,9 @@ def test_parameters_cannot_be_changed_in_place() -> None:
     for array in (body.parameters, body.to_joint):
         with pytest.raises(ValueError, match="read-only"):
             array[0] = 0.0
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_roll_pitch_and_yaw_are_those_of_the_urdf_reader(seed: int) -> None:
+    angles = np.random.default_rng(seed).uniform(-4.0, 4.0, 3).tolist()
+    np.testing.assert_allclose(axes_of(angles), pin.rpy.rpyToMatrix(*angles), atol=1e-15)
