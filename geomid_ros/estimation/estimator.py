@@ -25,6 +25,7 @@ from geomid_ros.model.weighed_masses import WeighedMass, WeighedRows, weighed_ro
 from geomid_ros.types import FloatArray, IntArray, frozen
 
 _FAR = 2.0  # times the usual distance
+_SAME_MASS = 0.2  # logarithm of the ratio of masses
 _ROUNDING = 1e-9
 # A quantity is called identifiable when the data at least halved the standard deviation that the prior alone leaves.
 _IDENTIFIABLE = 0.5
@@ -196,9 +197,12 @@ def _run_away(model: MeasurementModel, fitted: Fit, point: Point) -> Iterator[st
     spreads, pairs = fitted.spreads, zip(fitted.problem.prior_point.pseudo_inertias, point.pseudo_inertias, strict=True)
     for name, spread, usual, (prior, found) in zip(model.body_names, spreads, fitted.problem.usual, pairs, strict=True):
         if spread > _FAR * usual:
+            what = f"{found[3, 3]:.3g} kg instead of {prior[3, 3]:.3g}"
+            if abs(np.log(found[3, 3] / prior[3, 3])) < _SAME_MASS:
+                what = "its centre of mass or its inertia, not its mass"
             yield (
-                f"link '{name}' is far from what was known of it: {found[3, 3]:.3g} kg instead of {prior[3, 3]:.3g}; "
-                "if it cannot be so, it has swallowed an effect that the model lacks"
+                f"link '{name}' is far from what was known of it: {what}; if it cannot be so, it has swallowed an "
+                "effect that the model lacks"
             )
 
 

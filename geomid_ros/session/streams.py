@@ -8,6 +8,7 @@ from geomid_ros.plausibility.hypotheses import Cause, Finding
 from geomid_ros.signals.gates import CLOCK_SET
 from geomid_ros.signals.joint_messages import DRIVER_ERROR, UNWRAPPED
 from geomid_ros.signals.ledger import Account
+from geomid_ros.signals.sampler import SCALED
 
 
 def faulty_streams(accounts: Mapping[str, Account], before: Mapping[str, Account]) -> list[Finding]:
@@ -36,5 +37,5 @@ def peculiarities(accounts: Mapping[str, Account]) -> list[str]:
             ((reason, most),) = account.rejected.most_common(1)
             refused = f"{account.rejected.total()} of {account.received} messages are refused"
             found.append(f"{topic}: {refused}, {most} of them: {reason}")
-        found += [f"{topic}: {remark}" for remark in account.noted if remark.endswith((CLOCK_SET, UNWRAPPED))]
+        found += [f"{topic}: {remark}" for remark in account.noted if remark.endswith((CLOCK_SET, UNWRAPPED, SCALED))]
     return found

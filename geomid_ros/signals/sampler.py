@@ -23,6 +23,10 @@ IN_BURSTS = (
     DRIVER_ERROR + "messages come in bursts: their stamps do not say when they were measured, their numbers in the row "
     "do; stamp them where they are measured"
 )
+SCALED = (
+    "velocities are the positions' derivatives but for a factor: do the stamps run too fast or too slow, or is their "
+    "unit another one? They are not used"
+)
 NOW_IN_BURSTS = (
     DRIVER_ERROR + "messages have begun to come in bursts: their stamps do not say when they were measured; stamp them "
     "where they are measured"
@@ -62,6 +66,7 @@ class Sampler:
         self._effect_columns = effect_columns
         self._ledger = ledger
         self._velocity = VelocityChoice(len(continuous))
+        self._noted_scale = False
         self._clock: RegularClock | None = None  # of joint messages whose stamps do not say when they were measured
         self._watched = np.zeros(0, dtype=np.int64)  # stamps of the last joint messages
         self._grid: Grid | None = None
@@ -212,6 +217,9 @@ class Sampler:
         position = value[:, 0]
         position[:, self._continuous] = np.remainder(position[:, self._continuous] + np.pi, 2.0 * np.pi) - np.pi
         velocity, acceleration = self._velocity.choose(value[:, 1], first[:, 1], first[:, 0], second[:, 0])
+        if not self._noted_scale and self._velocity.scaled.any():
+            self._noted_scale = True
+            self._ledger.note(JOINT_STATES, SCALED)
         effort = self._streams[_EFFORTS].segment.filtered(instants)[0] if self._effort_delay else value[:, 2]
         pose = base_velocity = base_acceleration = np.zeros((count, 0))
         if self._floating_base:
@@ -243,10 +251,22 @@ class VelocityChoice:
 
     _MEMORY = 100
     _RELATIVE_DISAGREEMENT = 0.05
+    _MANY, _IN_PROPORTION = 300, 0.99
 
     def __init__(self, joints: int) -> None:
         self._seen = np.zeros(joints, dtype=np.int64)
         self._means = np.zeros((2, joints))  # squares of the difference and of the derivative
+        self._sums = np.zeros(
+            (3, joints)
+        )  # of the velocity's square, of its product with the derivative, of its square
+        self._known = np.zeros(joints, dtype=np.int64)
+
+    @property
+    def scaled(self) -> BoolArray:
+        """At which joints the messages' velocities are the derivatives but for a factor ``(joints,)``."""
+        given, both, derived = self._sums
+        told = (self._known >= self._MANY) & (both > 0.0) & (both**2 > self._IN_PROPORTION * given * derived)
+        return np.asarray(told & (np.abs(both - derived) > self._RELATIVE_DISAGREEMENT * derived))
 
     def choose(
         self, given: FloatArray, given_rate: FloatArray, derived: FloatArray, derived_rate: FloatArray
@@ -263,6 +283,9 @@ class VelocityChoice:
             Velocities and accelerations ``(N, joints)``.
         """
         known = np.isfinite(given)
+        own = np.where(known, given, 0.0)
+        self._sums += [np.sum(own**2, axis=0), np.sum(own * derived, axis=0), np.sum(known * derived**2, axis=0)]
+        self._known += np.sum(known, axis=0)
         squares = np.stack([np.where(known, given - derived, 0.0) ** 2, derived**2], axis=1)
         places = np.arange(1, len(given) + 1)[:, None]
         lost = np.maximum.accumulate(np.where(known, 0, places))

@@ -9,7 +9,9 @@ import numpy as np
 import pytest
 
 from geomid_ros.model.samples import Samples
+from geomid_ros.signals.messages import JOINT_STATES
 from geomid_ros.signals.pipeline import SignalPipeline
+from geomid_ros.signals.sampler import SCALED
 from geomid_ros.signals.settings import SignalSettings
 from geomid_ros.types import FloatArray
 
@@ -64,6 +66,16 @@ WRONG = {
 @pytest.mark.parametrize("case", WRONG)
 def test_a_wrong_velocity_is_not_used(case: str) -> None:
     assert_same(fed(WRONG[case](true_velocity())), derivatives(), tolerance=0.0)
+
+
+@pytest.mark.parametrize(("factor", "noted"), [(1.0, False), (1.02, False), (1.1, True), (0.714, True), (-1.0, False)])
+def test_velocities_in_another_unit_of_time_are_told(factor: float, noted: bool) -> None:
+    """As are stamps that run too fast; a joint that is reversed is another fault."""
+    velocity = factor * true_velocity()
+    messages = [replace(m, velocity=row) for m, row in zip(joint_messages(STAMPS), velocity, strict=True)]
+    target = SignalPipeline(JOINTS, settings=SETTINGS)
+    feed(target, messages)
+    assert (SCALED in target.ledger.topics[JOINT_STATES].noted) == noted
 
 
 def test_a_good_velocity_is_used() -> None:
