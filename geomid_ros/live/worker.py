@@ -141,9 +141,9 @@ class Worker:
             active=active,
             problems=tuple(filter(None, (*self._sensors_left_out, *self._causes(sure=True), self._intake_is_late))),
             warnings=(
+                *self.session.warnings(self.solver.estimate),
                 *self._causes(sure=False),
                 *filter(None, (self.solver.problem, self._solver_is_late, self._silence)),
-                *self.session.warnings(self.solver.estimate),
             ),
             failures=failures,
             topics=self.session.topics,

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import json
 import queue
 import threading
 import time
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -101,6 +103,17 @@ def test_without_rows_the_answer_is_an_error(quiet: Watched) -> None:
     quiet.feed()
     assert isinstance(quiet.final(), Estimate)
     assert quiet.worker.status(active=True).warnings == ()
+
+
+def test_a_doubtful_model_is_warned_of_first(quiet: Watched, tmp_path: Path) -> None:
+    quiet.feed()
+    document = quiet.session.document(quiet.final())
+    model = tmp_path / "estimate.json"
+    model.write_text(json.dumps(document | {"verdict": {"result": "doubtful", "reasons": ["gravity is missing"]}}))
+    with closing(Watched(NEVER, model=str(model))) as watched:
+        status = Diagnostics("geomid").array(watched.worker.status(active=False)).status[0]
+    assert status.level == b"\x01"
+    assert status.message.startswith(f"{model}: this model's verdict is 'doubtful': gravity is missing")
 
 
 def test_an_error_in_a_message_costs_the_message(quiet: Watched) -> None:
