@@ -30,7 +30,7 @@ def written(folder: Path, *findings: Finding) -> Path:
     """The model of the small arm from a recording with these findings."""
     robot = Robot(ARM)
     inertias = {body.name: body.parameters for body in robot.bodies}
-    write_model(folder, MeasurementModel(robot, ()), ARM, inertias, (), GRAVITY, findings)
+    write_model(folder, MeasurementModel(robot, ()), ARM, inertias, (), GRAVITY, findings=findings)
     return folder / "estimate.json"
 
 
