@@ -120,6 +120,14 @@ def _dead(recording: Recording, joint: int) -> Recording:
     return _scaled(recording, joint, 0.0)
 
 
+def _stuck(recording: Recording, where: tuple[int, float]) -> Recording:
+    """One joint's, at a value."""
+    joint, value = where
+    effort = recording.effort.copy()
+    effort[:, joint] = value
+    return _efforts(recording, effort)
+
+
 def _mounted(recording: Recording, angle: float) -> Recording:
     """The configuration has gravity in another direction than it is, by an angle [deg]."""
     gravity = recording.gravity
@@ -237,6 +245,10 @@ FAULTS = [
         refused="no effort",
     ),
     Fault(row=78, name="an effort is zero", plant=_dead, sizes=(0, 2, -1), kind="constant", joints=_one),
+    Fault(
+        row=78, name="an effort is constant", plant=_stuck, sizes=((0, 1.0), (2, -20.0), (-1, 0.3)), kind="constant",
+        joints=lambda where: where[:1],
+    ),
     Fault(row=78, name="gravity compensated", plant=_compensated, sizes=(0.0, 0.1, -0.1), kind="compensated"),
     Fault(row=78, name="external efforts", plant=_external, sizes=(0.01, 0.1, 1.0), kind="unrelated"),
     Fault(row=79, name="all reversed", plant=_reversed_by, sizes=(-1.0, -0.7, -1.5), kind="sign"),
