@@ -52,7 +52,7 @@ _RATE = 100.0  # Hz
 _PERIOD = 20.0  # [s] after which the motion is the same again
 _NOISE = 0.2  # N m
 _LONGEST_LIFE = 4.0  # [s] from the start, or the first estimate, to the kill: two periods of checkpoints
-_LONGEST_STANDSTILL = 300.0  # [s] for an estimate, or for a checkpoint to be begun
+_LONGEST_WAIT = 300.0  # [s] for an estimate, or for a checkpoint to be begun
 _BURST = 0.006  # [s] in which a checkpoint is written
 # The node, which first says when all that it consists of was imported.
 _NODE = (
@@ -252,7 +252,7 @@ def _found(pattern: str, text: str) -> float:
 
 
 def _wait(look: Callable[[], bool], process: subprocess.Popen[bytes], robot: _Robot, log: Path) -> None:
-    end = time.monotonic() + _LONGEST_STANDSTILL
+    end = time.monotonic() + _LONGEST_WAIT
     while not look():
         if process.poll() is not None or time.monotonic() > end:
             ended = process.poll()

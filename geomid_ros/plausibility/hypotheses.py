@@ -14,6 +14,7 @@ from geomid_ros.types import IntArray
 KINDS = {
     "sign": "efforts are reversed",
     "order": "efforts of two joints are exchanged",
+    "names": "names of joints are exchanged",
     "gain": "efforts are in another unit",
     "degrees": "positions are in degrees",
     "gravity": "gravity acts in another direction",
@@ -107,7 +108,7 @@ class Hypothesis:
 
     def is_better(self, nominal: Evidence, instants: int) -> bool:
         """Whether the evidence asks for it."""
-        least = _GAIN_OF_ORDER if self.cause.kind == "order" else _GAIN
+        least = _GAIN_OF_ORDER if self.cause.kind in ("order", "names") else _GAIN
         gain = self.gain(nominal, instants)
         return gain > least and gain * instants > _LEAST
 
@@ -120,7 +121,7 @@ class Hypothesis:
         concerned = list(self.concerned)
         after = self.evidence.sigmas[concerned]
         before = nominal.sigmas[self.sources][concerned]
-        if self.cause.kind in ("sign", "order") and np.any(after > FOLLOWS):
+        if self.cause.kind in ("sign", "order", "names") and np.any(after > FOLLOWS):
             return False
         if self.cause.kind == "gain":  # of which the friction that is fitted as it is explains as much
             return bool(np.any(after < FOLLOWS))

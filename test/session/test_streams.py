@@ -123,9 +123,9 @@ def clean_estimate() -> Estimate:
 class Case:
     """``spoil`` changes the joint messages, and returns those that are to be refused.
 
-    ``refused``: a part of the reason; ``noted``: a part of a note; ``cause``: of what the recording seems to be; ``doubtful``: whether the
-    result is; ``sigmas``: how far off the estimate of the clean recording may be [standard deviations]; None if it is
-    to be that of the recording without the messages that are refused.
+    ``refused``: a part of the reason; ``noted``: a part of a note; ``cause``: a part of what the recording seems to
+    be; ``doubtful``: whether the result is; ``sigmas``: how far off the estimate of the clean recording may be
+    [standard deviations]; None if it is to be that of the recording without the messages that are refused.
     """
 
     spoil: Callable[[Joints], IntArray]
