@@ -30,7 +30,6 @@ _DEGREE = np.pi / 180.0
 _DIRECTIONS, _UNITS = 20, 10  # that gravity and units may well have
 _MOST, _LEAST = 2.0, 0.03  # efforts as shares of the URDF's limits: those of right ones are between
 _ABSURD = 30.0
-_BEYOND = 0.1  # [rad, m] of its limits no joint is
 
 
 class EffortCheck:
@@ -126,8 +125,6 @@ class EffortCheck:
             order = np.arange(len(self._robot.joints))
             order[self._joints] = self._joints[sources]
             samples = self._samples.with_joints(order)
-            if not self._within_limits(samples):
-                continue
             firsts, seconds = ([self._names[pair[end]] for pair in pairs] for end in (0, 1))
             yield Hypothesis(
                 cause=words.exchanged_names(firsts, seconds),
@@ -136,10 +133,6 @@ class EffortCheck:
                 sources=sources,
                 concerned=[place for pair in pairs for place in pair],
             )
-
-    def _within_limits(self, samples: Samples) -> bool:
-        low, high = self._robot.position_limits.T
-        return bool(np.all((samples.position > low - _BEYOND) & (samples.position < high + _BEYOND)))
 
     def _units(self, world: World, nominal: Evidence) -> Iterator[Hypothesis]:
         count = len(self._joints)

@@ -28,6 +28,7 @@ KINDS = {
 
 FOLLOWS = 0.85
 """A channel follows the model if no more than this share of its standard deviation is left."""
+_MOST_LEFT = {"sign": FOLLOWS, "order": FOLLOWS, "names": 0.7}  # wrists are alike: of them all would fit a little
 _BETTER = 0.75
 _GAIN, _GAIN_OF_ORDER = 0.25, 0.4  # nats per instant; there are many pairs of joints, and wrists are alike
 _OVERWHELMING = 0.5  # nats per instant: then it may be the links alone that become much more probable
@@ -121,7 +122,7 @@ class Hypothesis:
         concerned = list(self.concerned)
         after = self.evidence.sigmas[concerned]
         before = nominal.sigmas[self.sources][concerned]
-        if self.cause.kind in ("sign", "order", "names") and np.any(after > FOLLOWS):
+        if self.cause.kind in _MOST_LEFT and np.any(after > _MOST_LEFT[self.cause.kind]):
             return False
         if self.cause.kind == "gain":  # of which the friction that is fitted as it is explains as much
             return bool(np.any(after < FOLLOWS))
