@@ -11,8 +11,8 @@ import numpy as np
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.samples import Samples
 from geomid_ros.plausibility import words
-from geomid_ros.plausibility.evidence import Evidence
-from geomid_ros.plausibility.hypotheses import FOLLOWS, Cause, Finding, Hypothesis, decide
+from geomid_ros.plausibility.evidence import LEAST_SIGMA, Evidence
+from geomid_ros.plausibility.hypotheses import FOLLOWS, GAIN_OF_ORDER, Cause, Finding, Hypothesis, decide
 from geomid_ros.plausibility.instants import FEWEST
 from geomid_ros.plausibility.names import exchanges_of_names
 from geomid_ros.plausibility.readings import Efforts, Reading, World, as_it_is
@@ -74,7 +74,7 @@ class EffortCheck:
         tried = [
             *self._signs(world),
             *self._orders(world),
-            *self._names_exchanged(),
+            *self._names_exchanged(nominal),
             *self._units(world, nominal),
             *self._gravities(efforts),
             *self._compensated(efforts),
@@ -115,8 +115,11 @@ class EffortCheck:
             cause = words.exchanged_efforts(self._names[first], self._names[second])
             yield self._tried(world, Reading(sources, np.ones(count)), cause, [first, second], len(pairs))
 
-    def _names_exchanged(self) -> Iterator[Hypothesis]:
-        """Positions and efforts of one joint are those of another."""
+    def _names_exchanged(self, nominal: Evidence) -> Iterator[Hypothesis]:
+        """Positions and efforts of one joint are those of another; not tried where so little is left to explain that
+        it could not be told."""
+        if np.sum(np.log(nominal.sigmas / LEAST_SIGMA)) < GAIN_OF_ORDER:
+            return
         exchanges = exchanges_of_names(self._names)
         for pairs in exchanges:
             sources = np.arange(len(self._joints))

@@ -30,7 +30,9 @@ FOLLOWS = 0.85
 """A channel follows the model if no more than this share of its standard deviation is left."""
 _MOST_LEFT = {"sign": FOLLOWS, "order": FOLLOWS, "names": 0.7}  # wrists are alike: of them all would fit a little
 _BETTER = 0.75
-_GAIN, _GAIN_OF_ORDER = 0.25, 0.4  # nats per instant; there are many pairs of joints, and wrists are alike
+_GAIN = 0.25  # nats per instant
+GAIN_OF_ORDER = 0.4
+"""The least gain where joints are exchanged [nats per instant]: there are many pairs, and wrists are alike."""
 _OVERWHELMING = 0.5  # nats per instant: then it may be the links alone that become much more probable
 _LEAST = 10.0  # nats in all
 _RIVAL = 0.1  # nats per instant
@@ -109,7 +111,7 @@ class Hypothesis:
 
     def is_better(self, nominal: Evidence, instants: int) -> bool:
         """Whether the evidence asks for it."""
-        least = _GAIN_OF_ORDER if self.cause.kind in ("order", "names") else _GAIN
+        least = GAIN_OF_ORDER if self.cause.kind in ("order", "names") else _GAIN
         gain = self.gain(nominal, instants)
         return gain > least and gain * instants > _LEAST
 

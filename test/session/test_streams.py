@@ -221,6 +221,13 @@ def stuck(value: float) -> Callable[[Joints], IntArray]:
     return spoil
 
 
+def renamed(joints: Joints) -> IntArray:
+    """Two joints have each other's names."""
+    for array in joints.arrays.values():
+        array[:, [1, 2]] = array[:, [2, 1]]
+    return NOTHING
+
+
 STUCK = "the effort of 'joint3' never changes though the joint moves"
 CASES = {
     "71-wraps": Case(spoil=wraps, noted=UNWRAPPED, sigmas=1e-3),
@@ -232,6 +239,9 @@ CASES = {
     "77-bursts": Case(spoil=in_bursts(20, 100_000), noted=IN_BURSTS, doubtful=True, sigmas=1.0),
     "78-an-effort-is-constant": Case(spoil=stuck(-3.7), cause=STUCK, doubtful=True, sigmas=np.inf),
     "78-an-effort-is-zero": Case(spoil=stuck(0.0), cause=STUCK, doubtful=True, sigmas=np.inf),
+    "82-names-exchanged": Case(
+        spoil=renamed, cause="the names of joints 'joint2' and 'joint3' are exchanged", doubtful=True, sigmas=np.inf
+    ),
     "83-unit-in-mid-run": Case(spoil=another_unit, noted="efforts change at once by a factor of about", doubtful=True),
     "85-mostly-nan": Case(spoil=mostly_nan, refused="effort of 'joint3' missing or not finite"),
     "85-nan-throughout": Case(spoil=nan_throughout, sigmas=np.inf),
