@@ -100,7 +100,7 @@ class Comparison:
     seconds: float
 
 
-def compare(case: Case, paper: bool) -> Comparison:
+def compare(case: Case, paper: bool = False) -> Comparison:
     """Fit every method to the same rows and try it on the same held-out samples; ``paper``: (19) of the paper, too."""
     validate = [DATA / name for name in case.validate]
     bags = [DATA / name for name in case.train]

@@ -139,6 +139,7 @@ def _estimate() -> Estimate:
         parameters=np.ones(10),
         channels=("CHANNEL",),
         sigmas=one,
+        spreads=one,
         rms_nominal=one,
         rms=one,
         information=LinksInformation(np.eye(10), np.zeros(10)),

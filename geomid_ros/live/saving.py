@@ -30,6 +30,9 @@ _SHORTEST_PAUSE = 0.1  # share of the period, between checkpoints that take long
 
 _LONG = 1.0  # [s] that saving may take without a word
 
+FOLLOWS = "and follows"
+"""In an answer: what was saved is not of all data yet."""
+
 Answer: TypeAlias = tuple[bool, str]
 """Whether an estimate was saved, and a sentence."""
 
@@ -209,7 +212,7 @@ class Saving:
             if last is None:
                 answer((False, f"no estimate yet: the first one takes more than {_LATE:g} s; ask again later"))
                 return
-            late = f"; it is of {last.rows_accepted} rows; one of all rows takes more than {_LATE:g} s, and follows"
+            late = f"; it is of {last.rows_accepted} rows; one of all rows takes more than {_LATE:g} s, {FOLLOWS}"
             self.begin(session, last, lambda saved: answer((saved[0], saved[1] + late)))
 
         start_later(_LATE, save_last)

@@ -16,17 +16,19 @@ import rclpy
 import yaml
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import InertiaStamped
+from rclpy.client import Client
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.utilities import try_shutdown
 from std_srvs.srv import Trigger
 
 from geomid_ros.errors import GeomidError
 from geomid_ros.files.models.urdf import read_urdf
+from geomid_ros.live.saving import FOLLOWS
 from geomid_ros.ros.starting import starting_ros
 from geomid_ros.session.configuration import Configuration
 
 _START_TIMEOUT = 20.0
-_SAVE_TIMEOUT = 30.0
+_SAVE_TIMEOUT = 60.0
 _AFTERWARDS = 1.2  # [s] in which the estimates that the save published arrive, and the diagnostics after it
 
 
@@ -99,11 +101,17 @@ class LiveRun:
         client = self._watcher.create_client(Trigger, "geomid/save")
         if not client.wait_for_service(timeout_sec=_START_TIMEOUT):
             raise GeomidError("the node offers no service to save with")
-        answer = client.call_async(Trigger.Request())
-        rclpy.spin_until_future_complete(self._watcher, answer, timeout_sec=_SAVE_TIMEOUT)
-        result = answer.result()
+        end = time.monotonic() + _SAVE_TIMEOUT
+        result = self._ask(client)
+        while result is not None and FOLLOWS in result.message and time.monotonic() < end:
+            result = self._ask(client)
         if result is None or not result.success:
             raise GeomidError(f"the node could not save: {result.message if result else 'no answer'}")
         end = time.monotonic() + _AFTERWARDS
         while time.monotonic() < end:
             rclpy.spin_once(self._watcher, timeout_sec=0.05)
+
+    def _ask(self, client: Client) -> Trigger.Response | None:
+        answer = client.call_async(Trigger.Request())
+        rclpy.spin_until_future_complete(self._watcher, answer, timeout_sec=_SAVE_TIMEOUT)
+        return answer.result()

@@ -36,6 +36,7 @@ _PERIODS, _FEWEST_PERIODS = 64, 32  # over which the period is measured; fewer m
 _TURN = 2.0 * np.pi
 _FASTEST = 2.0 * np.pi  # [rad/s, m/s] no limit above is believed, as many URDFs have placeholders
 _TOO_FAST = 1.5  # times the limit
+_CLEAR = 4.0  # times the steps of the messages around
 _BACK = 0.25  # of its height, that is left after a spike
 _SHORTEST_CONTACT = 33e-3  # [s] a collision of 40 ms is larger than a quarter of its height for so long
 _LEAST_SET, _LEAST_SET_IN_PERIODS = 20e-3, 1.5  # [s] that a clock is set by
@@ -263,6 +264,7 @@ class JointGate:
         far = np.min(np.minimum(self._distance(away[:, 0], last[0]), self._distance(away[:, 0], back[0])), axis=0)
         jumps = (far > reach) & (self._distance(back[0], last[0]) < reach)
         jumps &= self._distance(later[0], last[0]) < 2.0 * reach
+        jumps &= far > _CLEAR * np.maximum(self._largest_step(self._last), self._largest_step(numbers[length:]))
         if jumps.any():
             return f"position of '{self._joints[int(np.argmax(jumps))]}' jumps, and back, faster than it can move"
         if elapsed > _SHORTEST_CONTACT:
@@ -271,6 +273,11 @@ class JointGate:
         left = np.maximum(np.abs(back[2] - last[2]), np.abs(later[2] - last[2]))
         spikes = (height > self._efforts.spike) & (left < _BACK * height)
         return f"effort of '{self._joints[int(np.argmax(spikes))]}' is a spike" if spikes.any() else ""
+
+    def _largest_step(self, numbers: FloatArray) -> FloatArray:
+        """Between positions of messages in a row ``(joints,)``: what moves fast anyway may be faster than thought."""
+        steps = self._distance(numbers[1:, 0], numbers[:-1, 0])
+        return np.asarray(np.max(steps, axis=0, initial=0.0))
 
     def _clock_was_set(self, stamps: IntArray, numbers: FloatArray) -> bool:
         """Whether by the motion only a period has passed between the last good message and the first of these, from

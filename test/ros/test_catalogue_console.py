@@ -327,9 +327,7 @@ def test_101_what_takes_too_long_is_said(estimate: Any, monkeypatch: pytest.Monk
     saving.Saving(str(tmp_path)).begin_when_solved(worker, answers.put)
     success, message = answers.get(timeout=30.0)
     assert success == (estimate is not None)
-    expected = (
-        "no estimate yet: the first one takes more than" if estimate is None else "it is of 7 rows, and one of all"
-    )
+    expected = "no estimate yet: the first one takes more than" if estimate is None else "it is of 7 rows; one of all"
     assert expected in message
     assert worker.saved == ([] if estimate is None else [estimate])
     with pytest.raises(queue.Empty):
