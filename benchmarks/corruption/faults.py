@@ -69,6 +69,18 @@ def _exchanged(recording: Recording, pair: tuple[int, int]) -> Recording:
     return _efforts(recording, effort)
 
 
+def _renamed(recording: Recording, pair: tuple[int, int]) -> Recording:
+    """Two joints have each other's names."""
+    order = np.arange(recording.effort.shape[1])
+    order[list(pair)] = order[list(reversed(pair))]
+    return replace(
+        recording,
+        position=recording.position[:, order],
+        velocity=None if recording.velocity is None else recording.velocity[:, order],
+        effort=recording.effort[:, order],
+    )
+
+
 def _amperes(recording: Recording, seed: int) -> Recording:
     gains = np.random.default_rng(seed).uniform(8.0, 15.0, recording.effort.shape[1])
     return _efforts(recording, recording.effort / gains)
@@ -118,6 +130,14 @@ def _constant(recording: Recording, value: float) -> Recording:
 
 def _dead(recording: Recording, joint: int) -> Recording:
     return _scaled(recording, joint, 0.0)
+
+
+def _stuck(recording: Recording, where: tuple[int, float]) -> Recording:
+    """One joint's, at a value."""
+    joint, value = where
+    effort = recording.effort.copy()
+    effort[:, joint] = value
+    return _efforts(recording, effort)
 
 
 def _mounted(recording: Recording, angle: float) -> Recording:
@@ -237,11 +257,16 @@ FAULTS = [
         refused="no effort",
     ),
     Fault(row=78, name="an effort is zero", plant=_dead, sizes=(0, 2, -1), kind="constant", joints=_one),
+    Fault(
+        row=78, name="an effort is constant", plant=_stuck, sizes=((0, 1.0), (2, -20.0), (-1, 0.3)), kind="constant",
+        joints=lambda where: where[:1],
+    ),
     Fault(row=78, name="gravity compensated", plant=_compensated, sizes=(0.0, 0.1, -0.1), kind="compensated"),
     Fault(row=78, name="external efforts", plant=_external, sizes=(0.01, 0.1, 1.0), kind="unrelated"),
     Fault(row=79, name="all reversed", plant=_reversed_by, sizes=(-1.0, -0.7, -1.5), kind="sign"),
     Fault(row=79, name="one reversed", plant=_one_reversed, sizes=(0, 2, -1), kind="sign", joints=_one),
     Fault(row=79, name="two exchanged", plant=_exchanged, sizes=((0, 1), (1, 2), (2, 4)), kind="order", joints=tuple),
+    Fault(row=82, name="names exchanged", plant=_renamed, sizes=((0, 1), (1, 2), (2, 4)), kind="names", joints=tuple),
     Fault(row=80, name="another unit", plant=_reversed_by, sizes=(1000.0, 0.07, 0.01), kind="gain"),
     Fault(row=80, name="amperes", plant=_amperes, sizes=(0, 1, 2), kind="gain"),
     Fault(row=80, name="one in mN m", plant=_one_in_mnm, sizes=(1, 2, 3), kind="gain", joints=_one),

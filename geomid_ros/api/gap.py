@@ -14,6 +14,7 @@ from geomid_ros.files.models.gap_results import gap_document
 from geomid_ros.files.models.judgements import causes_entry
 from geomid_ros.gap.result import Finding, GapResult, Verdict
 from geomid_ros.model.samples import Samples
+from geomid_ros.plausibility.verdict import recording_verdict
 from geomid_ros.report.gap_page import GapPage, write_gap_page
 from geomid_ros.report.gap_words import verdict_sentence
 from geomid_ros.report.simulated_again import SimulatedAgain, position_units, simulated_again
@@ -57,7 +58,7 @@ class Gap:
     def document(self) -> dict[str, Any]:
         """All numbers, as ``gap.json`` has them."""
         document = gap_document(self.result, {simulation.kind: simulation.errors for simulation in self.simulated})
-        return document | {"causes": causes_entry(self.session.findings)}
+        return document | {"causes": causes_entry(self.session.findings), "warnings": self.session.warnings()}
 
     def report(self, path: PathLike, *, progress: Progress = silent) -> Path:
         """Write everything with pictures on one HTML page that needs no network.
@@ -109,7 +110,7 @@ class Gap:
 
     def __repr__(self) -> str:
         """What makes it doubtful, the verdict, and a sentence for each finding."""
-        doubts = [f"DOUBTFUL: {finding.sentence}" for finding in self.session.findings]
+        doubts = recording_verdict(self.session.findings).remarks
         sentences = [f"  {finding.sentence}" for finding in self.findings]
         return "\n".join([*doubts, f"Gap of {self.session.robot.name}: {verdict_sentence(self.result)}", *sentences])
 

@@ -57,7 +57,7 @@ class Identification:
     @property
     def warnings(self) -> list[str]:
         """What to know of the result, in sentences, beside the :attr:`verdict`."""
-        return [*self.verdict.warnings, *self.session.warnings(self.estimate)]
+        return self.session.warnings(self.estimate, self.verdict)
 
     @cached_property
     def verdict(self) -> Verdict:
@@ -114,15 +114,14 @@ class Identification:
         return [*files, picture]
 
     def __repr__(self) -> str:
-        """What makes it doubtful, and a line for each link."""
-        doubts = [f"DOUBTFUL: {reason}" for reason in self.verdict.reasons]
+        """Why it should not be used, and a line for each link."""
         state = "converged" if self.estimate.converged else f"NOT converged ({self.estimate.reason})"
         lines = [
             f"  {link.name}: {link.mass:.3f} ± {link.std_mass:.3f} kg, {100 * link.from_data:.0f} % from data"
             for link in self.links
         ]
         heading = f"Identification of {self.session.robot.name}: {self.estimate.rows_accepted} rows, {state}"
-        return "\n".join([*doubts, heading, *lines])
+        return "\n".join([*self.verdict.remarks, heading, *lines])
 
 
 def identify(

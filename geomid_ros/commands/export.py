@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from geomid_ros.errors import InputError
+from geomid_ros.errors import InputError, one_line
 from geomid_ros.exports.formats import CONTROLLERS, DESCRIPTIONS
 
 if TYPE_CHECKING:
@@ -38,11 +38,9 @@ def export(model: Path, tool: str, frame: str | None, links: str | None, without
     FROM is an estimate.json with its identified.urdf beside it, or any URDF. For ur (Universal Robots) and franka, that
     is the payload at the flange, as commands for the controller and its ROS driver; for moveit, gazebo and mujoco, the
     inertial of every link, or with --frame of a payload. Standard deviations stand beside the numbers. What the data
-    did not show is not exported as a payload.
+    did not show is not exported as a payload. A model whose verdict is not 'usable' is warned of.
     """
-    from geomid_ros.exports.model import read_model
-
-    read = read_model(model)
+    read = _read(model)
     if tool in CONTROLLERS:
         controller = CONTROLLERS[tool]
         payload = _payload(read, frame or _flange(read, controller.flange), links, without)
@@ -64,14 +62,23 @@ def _inertials(model: Model, frame: str | None, links: str | None, without: Path
 def _payload(model: Model, frame: str, links: str | None, without: Path | None) -> Export:
     if links and without:
         raise click.UsageError("A payload is either --links or what a model --without it lacks.")
-    from geomid_ros.exports.model import read_model
     from geomid_ros.exports.payload import attached, chosen, difference
 
     if without:
-        return difference(model, read_model(without), frame)
+        return difference(model, _read(without), frame)
     if links:
         return chosen(model, [name.strip() for name in links.split(",")], frame)
     return attached(model, frame)
+
+
+def _read(path: Path) -> Model:
+    """Read a model, and warn of one that should not be used."""
+    from geomid_ros.exports.model import read_model
+
+    model = read_model(path)
+    if model.doubt:
+        click.echo(f"Warning: {one_line(model.doubt)}", err=True)
+    return model
 
 
 def _flange(model: Model, ending: str) -> str:

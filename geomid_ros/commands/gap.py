@@ -39,7 +39,7 @@ def gap(
         raise click.UsageError("Missing option '--urdf', or '--model' with identified.urdf beside it.")
     from geomid_ros.commands.progress import progress_bar
     from geomid_ros.commands.results import gap as results
-    from geomid_ros.plausibility.verdict import recording_status
+    from geomid_ros.plausibility.verdict import recording_verdict
 
     with progress_bar() as progress:
         found = geomid_ros.find_gap(bags, urdf, model=model, progress=progress, **options)
@@ -49,4 +49,4 @@ def gap(
     else:
         results.show(found)
         click.echo(f"\nWritten: {', '.join(map(str, files))}")
-    sys.exit(recording_status(found.session.findings))
+    sys.exit(recording_verdict(found.session.findings).status)

@@ -39,7 +39,6 @@ def payload(empty: Path, loaded: Path, urdf: Path, controller: str | None, as_js
     """
     from geomid_ros.commands.progress import progress_bar
     from geomid_ros.commands.results import payload as results
-    from geomid_ros.plausibility.verdict import recording_status
 
     with progress_bar() as progress:
         found = geomid_ros.weigh_payload(empty, loaded, urdf, progress=progress, **options)
@@ -47,4 +46,4 @@ def payload(empty: Path, loaded: Path, urdf: Path, controller: str | None, as_js
         click.echo(json.dumps(found.document, indent=2))
     else:
         results.show(found, controller)
-    sys.exit(recording_status(found.weighed.findings))
+    sys.exit(found.weighed.verdict.status)

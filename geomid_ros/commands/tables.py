@@ -11,6 +11,7 @@ from rich.table import Table
 from rich.text import Text
 
 from geomid_ros.errors import one_line
+from geomid_ros.plausibility.verdict import Verdict
 
 _WIDTH_OF_FILES = 110
 
@@ -23,9 +24,9 @@ def results_console() -> Console:
     return console
 
 
-def print_remarks(console: Console, doubts: Iterable[str], warnings: Iterable[str], notes: Iterable[str] = ()) -> None:
+def print_remarks(console: Console, verdict: Verdict, warnings: Iterable[str], notes: Iterable[str] = ()) -> None:
     """Print why a result cannot be used, what to be careful about, and what is worth knowing."""
-    for heading, sentences in (("DOUBTFUL", doubts), ("Warning", warnings), ("Note", notes)):
+    for heading, sentences in ((verdict.word.upper(), verdict.reasons), ("Warning", warnings), ("Note", notes)):
         for sentence in sentences:
             say(console, f"{heading}:", f" {sentence}")
 

@@ -14,6 +14,7 @@ from geomid_ros.estimation.estimate import QUANTITIES
 from geomid_ros.exports.inertial import UncertainInertia
 from geomid_ros.files.models.effect_forms import is_body
 from geomid_ros.files.models.joint_frames import joint_frames
+from geomid_ros.files.models.judgements import doubt
 from geomid_ros.files.models.loaded_model import LoadedModel
 from geomid_ros.files.models.results import known_inertias, read_estimate
 from geomid_ros.files.models.urdf import read_urdf
@@ -55,6 +56,7 @@ class Model:
         placements: Homogeneous matrices ``(4, 4)`` of all links in the root's frame, with all joints at zero.
         bodies: The links with a mass.
         estimated: The links that were identified.
+        doubt: Why it should not be used, in a sentence; empty if nothing speaks against it.
     """
 
     source: str
@@ -62,6 +64,7 @@ class Model:
     placements: Mapping[str, FloatArray]
     bodies: Mapping[str, MassiveLink]
     estimated: tuple[str, ...]
+    doubt: str
 
     def placement(self, link: str, frame: str) -> FloatArray:
         """The homogeneous matrix ``(4, 4)`` from a link's coordinates to those of the link ``frame``."""
@@ -86,7 +89,8 @@ def read_model(path: Path) -> Model:
     tree = parse(text, str(urdf))
     bodies = _urdf_bodies(tree) if document is None else _estimated_bodies(document, tree, str(path))
     estimated = () if document is None else tuple(str(link["name"]) for link in document["links"])
-    return Model(str(path), tree, _placements(text, tree, str(urdf)), bodies, estimated)
+    reason = "" if document is None else doubt(document, str(path))
+    return Model(str(path), tree, _placements(text, tree, str(urdf)), bodies, estimated, reason)
 
 
 def _placements(urdf: str, tree: UrdfTree, source: str) -> dict[str, FloatArray]:

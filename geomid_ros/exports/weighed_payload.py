@@ -9,7 +9,7 @@ from typing import Any
 from geomid_ros.estimation.estimate import QUANTITIES
 from geomid_ros.exports.formats import CONTROLLERS
 from geomid_ros.exports.inertial import Export, Summand, UncertainInertia, total
-from geomid_ros.files.models.judgements import causes_entry
+from geomid_ros.files.models.judgements import verdict_entry
 from geomid_ros.model.samples import Samples
 from geomid_ros.session.payload import GAIN, WeighedPayload, weigh
 from geomid_ros.session.session import Session
@@ -58,7 +58,7 @@ class Payload:
             "cannot_tell": list(self.weighed.cannot_tell),
             "rms": self.weighed.rms,
             "warnings": list(self.weighed.warnings),
-            "causes": causes_entry(self.weighed.findings),
+            "verdict": verdict_entry(self.weighed.verdict, self.weighed.findings),
         }
 
     def commands(self, controller: str) -> str:

@@ -19,10 +19,11 @@ from geomid_ros.signals.messages import Accepted
 
 @dataclass(frozen=True)
 class FoundGap:
-    """The ``result`` of a search, and the ``causes`` that make it doubtful."""
+    """The ``result`` of a search, the ``causes`` that make it doubtful, and ``warnings`` beside."""
 
     result: GapResult
     causes: Sequence[Finding] = ()
+    warnings: Sequence[str] = ()
 
     @property
     def sentence(self) -> str:
@@ -32,7 +33,7 @@ class FoundGap:
     @property
     def document(self) -> dict[str, Any]:
         """The document of ``gap.json``."""
-        return gap_document(self.result, {}) | {"causes": causes_entry(self.causes)}
+        return gap_document(self.result, {}) | {"causes": causes_entry(self.causes), "warnings": [*self.warnings]}
 
 
 def look_for_gap(urdf: str, configuration: Configuration, messages: Sequence[Accepted], progress: Progress) -> FoundGap:
@@ -42,4 +43,5 @@ def look_for_gap(urdf: str, configuration: Configuration, messages: Sequence[Acc
         InputError: too little was measured.
     """
     session = gap_session(urdf, configuration, "robot_description")
-    return FoundGap(find_in_messages(session, messages, progress), session.findings)
+    result = find_in_messages(session, messages, progress)
+    return FoundGap(result, session.findings, session.warnings())

@@ -23,7 +23,10 @@ from geomid_ros.signals.ledger import count_reason
 from geomid_ros.signals.messages import JOINT_STATES, Accepted, message_type
 from geomid_ros.types import FloatArray
 
-_LONGEST_WAIT = 0.75  # [s] while a message has waited for so long, new ones are dropped, and counted
+# A burst is taken whole; what nobody takes out of the inbox, or would be later than is of use, is dropped and counted.
+_LONGEST_STANDSTILL = 0.75  # [s] of the intake, while messages wait
+_MOST_WAITING = 10_000  # messages
+_MOST_BYTES = 50_000_000  # of them
 _PATIENCE = 0.6  # [s] for both threads to end
 _TRANSITION = 2_000_000_000  # [ns] from the beginning of a gap until all rows show it
 _LATENCIES = 10_000  # last instants of which the latency is known
@@ -77,7 +80,8 @@ class Worker:
         self._rows_lost: Counter[str] = Counter()  # replaced as a whole
         self._receipt_to_row: deque[float] = deque(maxlen=_LATENCIES)
         self._wrenches = WrenchGuard(session)
-        self._last_taken = time.perf_counter()  # when the message that the intake took last was received, or later
+        self._got_on = time.perf_counter()  # when the intake was done with something last, or nothing waited
+        self._bytes_put = self._bytes_got = 0  # into the inbox, and out of it
         self._inbox: queue.SimpleQueue[_Task | None] = queue.SimpleQueue()
         self._intake = start_daemon("intake", self._take_messages)
 
@@ -102,13 +106,19 @@ class Worker:
         self._inbox.put(None)
 
     def take(self, topic: str, data: bytes) -> None:
-        """Put a message, serialised, into the queue, or drop it while others have waited there for too long."""
+        """Put a message, serialised, into the queue, or drop it while too many wait there or nobody takes them."""
         now = time.perf_counter()
-        if self._inbox.empty():
-            self._last_taken = now
-        elif now - self._last_taken > _LONGEST_WAIT:
+        waiting = self._inbox.qsize()
+        if not waiting:
+            self._got_on = now
+        elif (
+            waiting >= _MOST_WAITING
+            or self._bytes_put - self._bytes_got > _MOST_BYTES
+            or now - self._got_on > _LONGEST_STANDSTILL
+        ):
             self.ledger.drop(topic, "queue full")
             return
+        self._bytes_put += len(data)
         self._inbox.put(_Received(topic, data, now))
 
     def reset(self) -> None:
@@ -141,9 +151,9 @@ class Worker:
             active=active,
             problems=tuple(filter(None, (*self._sensors_left_out, *self._causes(sure=True), self._intake_is_late))),
             warnings=(
+                *self.session.warnings(self.solver.estimate),
                 *self._causes(sure=False),
                 *filter(None, (self.solver.problem, self._solver_is_late, self._silence)),
-                *self.session.warnings(self.solver.estimate),
             ),
             failures=failures,
             topics=self.session.topics,
@@ -190,7 +200,7 @@ class Worker:
 
     def _put(self, task: _Reset | Done) -> None:
         if self._inbox.empty():
-            self._last_taken = time.perf_counter()
+            self._got_on = time.perf_counter()
         self._inbox.put(task)
 
     def _take_messages(self) -> None:
@@ -200,6 +210,7 @@ class Worker:
             except Exception as error:  # noqa: BLE001 the thread must outlive it; the diagnostics report it
                 self._fail("the intake failed", error)
             self._in_hand = 0
+            self._got_on = time.perf_counter()
 
     def _tasks(self) -> Iterator[list[_Received] | _Reset | Done]:
         """What there is to do, until the end; messages that wait come together."""
@@ -218,6 +229,7 @@ class Worker:
                 return
             if isinstance(task, _Received):
                 messages.append(task)
+                self._bytes_got += len(task.data)
                 self._in_hand = len(messages)
             else:
                 yield task
@@ -226,7 +238,6 @@ class Worker:
         if isinstance(task, _Reset):
             self._forget()
         elif isinstance(task, list):
-            self._last_taken = task[-1].time
             with self.activity.doing(task[0].topic):
                 self._take(task)
         else:

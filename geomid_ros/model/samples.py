@@ -77,6 +77,12 @@ class Samples:
         arrays: dict[str, Any] = {name: array[index] for name, array in self.arrays.items()}
         return replace(self, **arrays)
 
+    def with_joints(self, order: IntArray) -> Samples:
+        """The samples in which joint j does what joint ``order[j]`` did; ``order (joints,)``."""
+        of_joints = ("position", "velocity", "acceleration", "effort", "effects")
+        arrays: dict[str, Any] = {name: self.arrays[name][:, order] for name in of_joints}
+        return replace(self, **arrays)
+
     def stretches(self) -> list[Samples]:
         """The parts without a pause between them: a step longer than 1.5 times the median one."""
         steps = np.diff(self.stamps)

@@ -11,9 +11,10 @@ import numpy as np
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.samples import Samples
 from geomid_ros.plausibility import words
-from geomid_ros.plausibility.evidence import Evidence
-from geomid_ros.plausibility.hypotheses import FOLLOWS, Cause, Finding, Hypothesis, decide
+from geomid_ros.plausibility.evidence import LEAST_SIGMA, Evidence
+from geomid_ros.plausibility.hypotheses import FOLLOWS, GAIN_OF_ORDER, Cause, Finding, Hypothesis, decide
 from geomid_ros.plausibility.instants import FEWEST
+from geomid_ros.plausibility.names import exchanges_of_names
 from geomid_ros.plausibility.readings import Efforts, Reading, World, as_it_is
 from geomid_ros.plausibility.rows import gravity_rows, prior_factor
 from geomid_ros.types import FloatArray
@@ -55,6 +56,7 @@ class EffortCheck:
         limits = self._robot.effort_limits[self._joints]
         self._loads = np.quantile(np.abs(self._samples.effort[:, self._joints]), 0.99, axis=0) / limits
         """The largest efforts as shares of the URDF's limits ``(C,)``."""
+        self._factor = prior_factor(model)
         self._enough = len(self._samples) >= FEWEST and bool(np.any(moves)) and len(self._joints) > 0
 
     def findings(self) -> list[Finding]:
@@ -72,6 +74,7 @@ class EffortCheck:
         tried = [
             *self._signs(world),
             *self._orders(world),
+            *self._names_exchanged(nominal),
             *self._units(world, nominal),
             *self._gravities(efforts),
             *self._compensated(efforts),
@@ -85,7 +88,7 @@ class EffortCheck:
     def _efforts(self, samples: Samples) -> Efforts:
         rows = gravity_rows(self._model, samples)
         prior = np.array([body.parameters for body in self._robot.bodies]).ravel()
-        return Efforts.of(rows, self._joints, prior, prior_factor(self._model))
+        return Efforts.of(rows, self._joints, prior, self._factor)
 
     def _signs(self, world: World) -> Iterator[Hypothesis]:
         count = len(self._joints)
@@ -111,6 +114,28 @@ class EffortCheck:
             sources[[first, second]] = second, first
             cause = words.exchanged_efforts(self._names[first], self._names[second])
             yield self._tried(world, Reading(sources, np.ones(count)), cause, [first, second], len(pairs))
+
+    def _names_exchanged(self, nominal: Evidence) -> Iterator[Hypothesis]:
+        """Positions and efforts of one joint are those of another; not tried where so little is left to explain that
+        it could not be told."""
+        if np.sum(np.log(nominal.sigmas / LEAST_SIGMA)) < GAIN_OF_ORDER:
+            return
+        exchanges = exchanges_of_names(self._names)
+        for pairs in exchanges:
+            sources = np.arange(len(self._joints))
+            for first, second in pairs:
+                sources[[first, second]] = second, first
+            order = np.arange(len(self._robot.joints))
+            order[self._joints] = self._joints[sources]
+            samples = self._samples.with_joints(order)
+            firsts, seconds = ([self._names[pair[end]] for pair in pairs] for end in (0, 1))
+            yield Hypothesis(
+                cause=words.exchanged_names(firsts, seconds),
+                evidence=World(self._efforts(samples), self._robot.gravity).judge(as_it_is(len(sources))),
+                choices=len(exchanges),
+                sources=sources,
+                concerned=[place for pair in pairs for place in pair],
+            )
 
     def _units(self, world: World, nominal: Evidence) -> Iterator[Hypothesis]:
         count = len(self._joints)

@@ -14,7 +14,8 @@ import numpy as np
 
 from geomid_ros.types import BoolArray, FloatArray
 
-_LEAST_SIGMA = 0.1  # of a channel's standard deviation: no model is believed to be better
+LEAST_SIGMA = 0.1
+"""Of a channel's standard deviation: no model is believed to be better."""
 _ROUNDS = 12
 _SETTLED = 1e-3
 _LARGEST_OFFSET = 3.0  # in standard deviations of a channel
@@ -68,7 +69,7 @@ def evidence(products: Products, tolerated: FloatArray) -> Evidence:
     for _ in range(_ROUNDS):
         mean, log_determinant, active = _solved(products, sigmas, precision, bounded, active)
         squares = _squares(products, mean)
-        before, sigmas = sigmas, np.sqrt(np.maximum(squares / products.counts, _LEAST_SIGMA**2))
+        before, sigmas = sigmas, np.sqrt(np.maximum(squares / products.counts, LEAST_SIGMA**2))
         if np.all(np.abs(np.log(sigmas / before)) < _SETTLED):
             break
     weighted = float(np.sum(squares / sigmas**2) + precision @ mean**2)

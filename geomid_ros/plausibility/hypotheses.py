@@ -14,6 +14,7 @@ from geomid_ros.types import IntArray
 KINDS = {
     "sign": "efforts are reversed",
     "order": "efforts of two joints are exchanged",
+    "names": "names of joints are exchanged",
     "gain": "efforts are in another unit",
     "degrees": "positions are in degrees",
     "gravity": "gravity acts in another direction",
@@ -27,8 +28,11 @@ KINDS = {
 
 FOLLOWS = 0.85
 """A channel follows the model if no more than this share of its standard deviation is left."""
+_MOST_LEFT = {"sign": FOLLOWS, "order": FOLLOWS, "names": 0.7}  # wrists are alike: of them all would fit a little
 _BETTER = 0.75
-_GAIN, _GAIN_OF_ORDER = 0.25, 0.4  # nats per instant; there are many pairs of joints, and wrists are alike
+_GAIN = 0.25  # nats per instant
+GAIN_OF_ORDER = 0.4
+"""The least gain where joints are exchanged [nats per instant]: there are many pairs, and wrists are alike."""
 _OVERWHELMING = 0.5  # nats per instant: then it may be the links alone that become much more probable
 _LEAST = 10.0  # nats in all
 _RIVAL = 0.1  # nats per instant
@@ -107,7 +111,7 @@ class Hypothesis:
 
     def is_better(self, nominal: Evidence, instants: int) -> bool:
         """Whether the evidence asks for it."""
-        least = _GAIN_OF_ORDER if self.cause.kind == "order" else _GAIN
+        least = GAIN_OF_ORDER if self.cause.kind in ("order", "names") else _GAIN
         gain = self.gain(nominal, instants)
         return gain > least and gain * instants > _LEAST
 
@@ -120,7 +124,7 @@ class Hypothesis:
         concerned = list(self.concerned)
         after = self.evidence.sigmas[concerned]
         before = nominal.sigmas[self.sources][concerned]
-        if self.cause.kind in ("sign", "order") and np.any(after > FOLLOWS):
+        if self.cause.kind in _MOST_LEFT and np.any(after > _MOST_LEFT[self.cause.kind]):
             return False
         if self.cause.kind == "gain":  # of which the friction that is fitted as it is explains as much
             return bool(np.any(after < FOLLOWS))

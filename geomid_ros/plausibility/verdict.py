@@ -43,6 +43,11 @@ class Verdict:
         """The exit status."""
         return STATUS[self.word]
 
+    @property
+    def remarks(self) -> list[str]:
+        """The reasons, each with the verdict before it."""
+        return [f"{self.word.upper()}: {reason}" for reason in self.reasons]
+
 
 def verdict(
     estimate: Estimate,
@@ -62,7 +67,6 @@ def verdict(
         unmeasured: the joints whose efforts are missing.
         peculiar: what is peculiar about the messages, in sentences.
     """
-    reasons = [finding.sentence for finding in findings]
     warnings = [
         f"'{channel}' is predicted worse than by the URDF: the motion tells too little of what acts there, or "
         "something acts that the model lacks"
@@ -71,9 +75,21 @@ def verdict(
     warnings += [*_masses(estimate, model), *peculiar]
     if unmeasured:
         warnings.append(f"most of the time no effort is measured at {', '.join(map(repr, unmeasured))}: it is left out")
-    word = DOUBTFUL if reasons else USABLE
-    if not estimate.converged and not findings:
-        word = NOT_CONVERGED
+    return recording_verdict(findings, "" if estimate.converged else estimate.reason, warnings)
+
+
+def recording_verdict(findings: Sequence[Finding], stopped: str = "", warnings: Sequence[str] = ()) -> Verdict:
+    """Judge what was made of a recording.
+
+    Args:
+        findings: what seems to be wrong with it.
+        stopped: why the solver stopped before it converged; empty if it converged.
+        warnings: what to know beside.
+    """
+    reasons = [finding.sentence for finding in findings]
+    if stopped:
+        reasons.append(f"the solver did not converge: {stopped}")
+    word = DOUBTFUL if findings else NOT_CONVERGED if stopped else USABLE
     return Verdict(word=word, reasons=tuple(reasons), warnings=tuple(warnings))
 
 
@@ -86,11 +102,6 @@ def _masses(estimate: Estimate, model: MeasurementModel) -> Iterator[str]:
             f"the links weigh {found:.3g} kg in all instead of the URDF's {nominal:.3g} kg, which no such robot does: "
             "predictions may hold, these masses do not"
         )
-
-
-def recording_status(findings: Sequence[Finding]) -> int:
-    """The exit status of what was made of a recording by another way than an estimate."""
-    return STATUS[DOUBTFUL if findings else USABLE]
 
 
 def worse_on_rows(estimate: Estimate) -> list[str]:

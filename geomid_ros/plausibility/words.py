@@ -47,6 +47,16 @@ def exchanged_efforts(first: str, second: str) -> Cause:
     return Cause(kind="order", sentence=sentence, places=(first, second))
 
 
+def exchanged_names(joints: Sequence[str], others: Sequence[str]) -> Cause:
+    """Each of some joints has the name of another one."""
+    pairs = ", ".join(f"'{joint}' and '{other}'" for joint, other in zip(joints, others, strict=True))
+    sentence = (
+        f"the names of joints {pairs} are exchanged: the other way round positions and efforts are those of this "
+        "robot; correct the names where the messages are made, or in the URDF"
+    )
+    return Cause(kind="names", sentence=sentence, places=(*joints, *others))
+
+
 def other_unit(joints: Sequence[str], gains: Iterable[float], factor: float, of_all: bool) -> Cause:
     """Efforts have to be multiplied by a factor; ``gains`` are those that result."""
     settings = gain_settings(joints, gains, of_all)

@@ -115,5 +115,5 @@ def _simulated(
 
 def _write(folder: Path, session: Session, inertias: FloatArray, effects: Sequence[KnownEffect]) -> list[Path]:
     by_name = dict(zip(session.model.body_names, inertias, strict=True))
-    gravity = session.configuration.gravity
-    return write_model(folder, session.model, session.urdf, by_name, effects, gravity)
+    gravity, findings = session.configuration.gravity, session.findings
+    return write_model(folder, session.model, session.urdf, by_name, effects, gravity, findings=findings)

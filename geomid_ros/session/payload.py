@@ -8,13 +8,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from geomid_ros.errors import InputError
-from geomid_ros.estimation.estimate import LinkEstimate
+from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.estimation.estimator import estimate
 from geomid_ros.estimation.identifier import Identifier
 from geomid_ros.estimation.starting_point import USUAL_SPREAD_OF_LINKS
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.model.samples import Samples
 from geomid_ros.plausibility.hypotheses import Finding
+from geomid_ros.plausibility.verdict import Verdict, recording_verdict
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.session import Session
 from geomid_ros.types import FloatArray
@@ -40,6 +41,7 @@ class WeighedPayload:
         rms: what remains on both recordings by channel [N m, N].
         warnings: what makes the result doubtful.
         findings: what seems to be wrong with the recordings as a whole.
+        verdict: whether the result can be used.
     """
 
     link: str
@@ -50,6 +52,7 @@ class WeighedPayload:
     rms: dict[str, float]
     warnings: tuple[str, ...]
     findings: tuple[Finding, ...]
+    verdict: Verdict
 
     @property
     def mass(self) -> float:
@@ -102,10 +105,11 @@ def weigh(
     prior[first : first + 10] = _usual(model.nominal_inertias.reshape(-1, 10), model.body_names.index(link))
     spreads = np.append(np.full(len(model.identified), USUAL_SPREAD_OF_LINKS), _SPREAD)
     found = estimate(carrying, identifier.snapshot(), settings, prior, spreads=spreads)
-    return _payload(link, found.links[-1], gain, dict(zip(found.channels, found.rms.tolist(), strict=True)), session)
+    return _payload(link, found, gain, session)
 
 
-def _payload(link: str, body: LinkEstimate, gain: float, rms: dict[str, float], session: Session) -> WeighedPayload:
+def _payload(link: str, found: Estimate, gain: float, session: Session) -> WeighedPayload:
+    body = found.links[-1]
     quantities = pseudo_inertia.quantities_of(body.parameters)
     std = np.concatenate([[body.std_mass], body.std_com, pseudo_inertia.inertia_entries(body.std_inertia)])
     scaled = np.array([1.0, *np.zeros(3), *np.ones(6)], dtype=bool)
@@ -116,9 +120,10 @@ def _payload(link: str, body: LinkEstimate, gain: float, rms: dict[str, float], 
         std=std,
         gain=gain,
         cannot_tell=body.cannot_tell,
-        rms=rms,
+        rms=dict(zip(found.channels, found.rms.tolist(), strict=True)),
         warnings=tuple(session.warnings()),
         findings=session.findings,
+        verdict=recording_verdict(session.findings, "" if found.converged else found.reason),
     )
 
 

@@ -132,9 +132,16 @@ class Session:
         peculiar = peculiarities(self.pipeline.ledger.topics)
         return verdict(estimate, self.findings, self.model, worse, self.check.unmeasured, peculiar)
 
-    def warnings(self, estimate: Estimate | None = None) -> list[str]:
-        """What makes results doubtful, in sentences: of the model, and of an estimate."""
-        found = [*self._incomplete, *self.robot.repaired.values(), self.loaded.not_predicted]
+    def warnings(self, estimate: Estimate | None = None, verdict: Verdict | None = None) -> list[str]:
+        """What makes results doubtful, in sentences: of the model it began with, of an estimate and its verdict."""
+        judged = verdict.warnings if verdict is not None else ()
+        found = [
+            self.loaded.doubt,
+            *judged,
+            *self._incomplete,
+            *self.robot.repaired.values(),
+            self.loaded.not_predicted,
+        ]
         return [*filter(None, found), *(estimate.warnings if estimate is not None else ())]
 
     @property
@@ -255,7 +262,7 @@ class Session:
         judged = verdict or self.verdict(estimate)
         return document | {
             "verdict": verdict_entry(judged, self.findings),
-            "warnings": [*judged.warnings, *self.warnings(estimate)],
+            "warnings": self.warnings(estimate, judged),
             "messages": {topic: account_entry(account) for topic, account in self.pipeline.ledger.topics.items()},
         }
 

@@ -65,6 +65,21 @@ def test_what_the_torques_alone_do_not_show_is_refused(estimates: dict[str, Path
     assert "not known" in done("export", numbers, "--for", "franka", "--frame", "link3")
 
 
+def test_a_doubtful_model_is_told_first_and_exported(estimates: dict[str, Path], tmp_path: Path) -> None:
+    document = json.loads(estimates["wrist"].read_text())
+    document["verdict"] |= {"result": "doubtful", "reasons": ["the efforts are reversed", "gravity is missing"]}
+    model = tmp_path / "estimate.json"
+    model.write_text(json.dumps(document))
+    (tmp_path / "identified.urdf").write_text(estimates["wrist"].with_name("identified.urdf").read_text())
+    options = ("--for", "ur", "--frame", "tool", "--links", "wrist_ft")
+    result = geomid("export", model, *options)
+    assert result.exit_code == 0
+    said = f"Warning: {model}: this model's verdict is 'doubtful': the efforts are reversed; gravity is missing\n"
+    assert result.stderr == said
+    assert result.output.startswith(said)
+    assert result.stdout == done("export", estimates["wrist"], *options)
+
+
 def test_descriptions_show_every_link_with_how_sure_it_is(estimates: dict[str, Path]) -> None:
     links = json.loads(estimates["wrist"].read_text())["links"]
     for tool in ("moveit", "gazebo", "mujoco"):

@@ -20,7 +20,7 @@ from geomid_ros.model.robot import Robot
 from geomid_ros.simulation import SimulationOptions, simulate
 from geomid_ros.simulation.hidden import Hidden
 
-from .running import done, refused
+from .running import done, geomid, refused
 
 URDF = BAGS / "arm3.urdf"
 LEVEL = 1.0  # of the friction that is hidden at joint2 [N m]
@@ -127,7 +127,9 @@ def model(folder: Path) -> Path:
         for body in Robot(read_urdf(URDF)).bodies
     ]
     effect = {"name": "coulomb_friction", "joint": "joint2", "value": LEVEL}
-    (known / "estimate.json").write_text(json.dumps({"format": 1, "links": links, "effects": [effect]}))
+    verdict = {"result": "doubtful", "reasons": ["gravity is missing"]}
+    document = {"format": 1, "links": links, "effects": [effect], "verdict": verdict}
+    (known / "estimate.json").write_text(json.dumps(document))
     return known / "estimate.json"
 
 
@@ -135,12 +137,23 @@ def test_what_the_model_knows_is_no_gap(found: tuple[Path, str], rubbing: Path, 
     """The description is found beside the estimate; what is printed is gap.json."""
     document = json.loads(done("gap", rubbing, "--model", model, "--out", tmp_path, "--json"))
     assert document == read(tmp_path)
+    assert document["warnings"][0] == f"{model}: this model's verdict is 'doubtful': gravity is missing"
     assert document["gap"]["before"]["joint2"] < 0.3 * read(found[0])["gap"]["before"]["joint2"]
     assert document["closed_loop"] is None
     effects = read_sidecar(tmp_path / "effects.yaml").effects
     levels = [e.parameters["level"].value for e in effects if e.joint == "joint2" and "level" in e.parameters]
     assert sum(levels) == pytest.approx(LEVEL, rel=0.05), "once, whether something was named anew or not"
     assert "already in the model" in (tmp_path / "report.html").read_text()
+
+
+def test_the_model_of_a_doubtful_recording_is_marked_so(rubbing: Path, tmp_path: Path) -> None:
+    parameters = tmp_path / "reversed.yaml"
+    parameters.write_text("/**: {ros__parameters: {effort_gain: -1.0}}")
+    result = geomid("gap", rubbing, "--urdf", URDF, "--config", parameters, "--out", tmp_path / "out")
+    assert result.exit_code == 4, result.output
+    verdict = read_estimate(tmp_path / "out/estimate.json")["verdict"]
+    assert (verdict["result"], verdict["causes"]) == ("doubtful", read(tmp_path / "out")["causes"])
+    assert result.stdout.lstrip().startswith("DOUBTFUL: ")
 
 
 def test_nothing_hidden_is_nothing_found(tmp_path: Path) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +13,7 @@ from files.recordings import BAGS
 from matplotlib.figure import Figure
 
 from geomid_ros.api import identify as front_door
+from geomid_ros.estimation.estimator import EstimatorSettings
 from geomid_ros.files.models.urdf import read_urdf
 from geomid_ros.model.effects import DEFAULT_CANDIDATES, DEFAULT_EFFECTS
 from geomid_ros.model.robot import Robot
@@ -304,6 +306,36 @@ def test_a_reversed_sensor_is_named_and_its_rows_are_left_out(tmp_path: Path) ->
     assert cause["settings"] == {"wrench.sensor0.sign": 1.0}
     assert read(tmp_path)["rows"]["rejected"]["wrench doubtful: /wrench"] > 0
     assert result.stdout.lstrip().startswith("DOUBTFUL: the wrench sensor /wrench: its sign is reversed")
+
+
+def test_a_doubtful_model_to_start_from_is_told_first(plain: dict[str, Any], tmp_path: Path) -> None:
+    model = tmp_path / "before.json"
+    model.write_text(json.dumps(plain | {"verdict": {"result": "not converged", "reasons": ["300 steps"]}}))
+    said = f"{model}: this model's verdict is 'not converged': 300 steps"
+    text = done(*identify("arm3", "--model", model, "--out", tmp_path / "out"))
+    assert text.lstrip().startswith("Warning: ")
+    assert "".join(said.split()) in "".join(text.partition("joint_states:")[0].split())
+    assert read(tmp_path / "out")["warnings"][0] == said
+    assert read(tmp_path / "out")["verdict"]["result"] == "usable"
+
+
+def test_a_fit_that_did_not_converge_says_so_first(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("geomid_ros.session.configuration.EstimatorSettings", partial(EstimatorSettings, max_steps=1))
+    result = geomid(*identify("arm3", "--out", tmp_path))
+    assert result.exit_code == 3, result.output
+    assert result.stdout.lstrip().startswith("NOT CONVERGED: the solver did not converge: ")
+    assert read(tmp_path)["verdict"]["reasons"] == [f"the solver did not converge: {read(tmp_path)['reason']}"]
+
+
+def test_a_payload_that_did_not_converge_says_so_first(monkeypatch: pytest.MonkeyPatch) -> None:
+    weighing = ("payload", BAGS / "arm3", BAGS / "arm3", "--urdf", BAGS / "arm3.urdf")
+    assert json.loads(done(*weighing, "--json"))["verdict"] == {"result": "usable", "reasons": [], "causes": []}
+    monkeypatch.setattr("geomid_ros.session.configuration.EstimatorSettings", partial(EstimatorSettings, max_steps=1))
+    result = geomid(*weighing)
+    assert result.exit_code == 3, result.output
+    assert result.stdout.lstrip().startswith("NOT CONVERGED: the solver did not converge: ")
+    document = json.loads(geomid(*weighing, "--json").stdout)
+    assert document["verdict"]["result"] == "not converged"
 
 
 def test_a_gain_of_the_wrong_sign_is_named_with_its_mending(tmp_path: Path) -> None:

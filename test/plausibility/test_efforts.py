@@ -92,6 +92,48 @@ def test_the_efforts_of_two_joints_are_exchanged(robot: Case) -> None:
         assert (cause.kind, cause.places) == ("order", (names[first], names[first + 1]))
 
 
+def test_two_joints_have_each_others_names(robot: Case) -> None:
+    names = robot.model.robot.joint_names
+    for first in range(len(names) - 1):
+        order = np.arange(len(names))
+        order[[first, first + 1]] = first + 1, first
+        cause = named(robot.model, robot.samples.with_joints(order))
+        assert (cause.kind, cause.places) == ("names", (names[first], names[first + 1]))
+
+
+def two_arms() -> tuple[Robot, list[str]]:
+    """Two of the small arm on one base, bent to either side; the left one is heavier."""
+    parts = []
+    for side, place, mass in (("left", 1.0, 2.0), ("right", -1.0, 1.0)):
+        for number, (axis, length) in enumerate((("0 0 1", 0.2), ("0 1 0", 0.4), (f"{place} 1 0", 0.4)), 1):
+            parent = "base" if number == 1 else f"{side}_link{number - 1}"
+            origin = f"0 {0.3 * place} 0" if number == 1 else f"{length} {0.1 * place} 0.1"
+            parts.append(
+                f'<link name="{side}_link{number}"><inertial><origin xyz="0.15 {0.05 * place} 0.02"/>'
+                f'<mass value="{mass * (4 - number)}"/>'
+                '<inertia ixx="0.02" ixy="0" ixz="0" iyy="0.03" iyz="0" izz="0.03"/></inertial></link>'
+                f'<joint name="{side}_joint{number}" type="revolute"><parent link="{parent}"/>'
+                f'<child link="{side}_link{number}"/><origin xyz="{origin}"/><axis xyz="{axis}"/>'
+                '<limit lower="-9" upper="9" effort="99" velocity="9"/></joint>'
+            )
+    own = Robot(f'<robot name="two"><link name="base"/>{"".join(parts)}</robot>')
+    return own, list(own.joint_names)
+
+
+def test_left_and_right_are_exchanged() -> None:
+    own, names = two_arms()
+    model = MeasurementModel(own, ())
+    moving = motion(np.random.default_rng(6), len(names), 20.0)
+    feels = efforts(own, truth(np.random.default_rng(5), own), moving)
+    sound = samples(moving, feels + 0.05 * np.random.default_rng(8).normal(size=feels.shape))
+    assert findings(model, sound) == ()
+    order = np.roll(np.arange(len(names)), len(names) // 2)
+    assert names[order[0]].replace("left", "right") == names[0].replace("left", "right")
+    cause = named(model, sound.with_joints(order))
+    assert cause.kind == "names"
+    assert set(cause.places) == set(names)
+
+
 @pytest.mark.parametrize("factor", [1000.0, 0.07, 0.01])
 def test_all_efforts_are_in_another_unit(robot: Case, factor: float) -> None:
     """The factor is told as far as the masses are known."""

@@ -18,7 +18,7 @@ from unittest.mock import patch
 import numpy as np
 
 from geomid_ros.estimation.identifier import Identifier
-from geomid_ros.live import supervisor
+from geomid_ros.live import supervisor, worker
 from geomid_ros.live.worker import Worker
 from geomid_ros.ros import main
 from geomid_ros.session.session import Session
@@ -26,6 +26,7 @@ from geomid_ros.signals.pipeline import SignalPipeline
 
 VARIABLE = "GEOMID_TEST_FAULT"
 SLOW = 0.01  # [s] for a message
+AT_ONCE, SLOW_MACHINE = 100, 0.003  # messages that are taken together, and [s] for each on a slow machine
 HANGING = ("solver hangs", "solver computes for ever", "intake hangs", "everything hangs")
 
 
@@ -103,6 +104,11 @@ def a_little_slowly(healthy: Any, owner: Any, messages: list[Any]) -> Any:
     return healthy(owner, messages)
 
 
+def as_a_slow_machine(healthy: Any, owner: Any, messages: list[Any]) -> Any:
+    time.sleep(SLOW_MACHINE * len(messages))
+    return healthy(owner, messages)
+
+
 def shut_down(*_: Any) -> None:
     import rclpy  # noqa: PLC0415
 
@@ -135,11 +141,12 @@ def run() -> None:
     })  # fmt: skip
     plant(Identifier, "add", {"rows fail": fail, "intake hangs": hang})
     plant(SignalPipeline, "_use", {"messages fail": of_wrenches(fail)})
-    plant(Worker, "_take", {"messages slow": a_little_slowly})
+    plant(Worker, "_take", {"messages slow": a_little_slowly, "machine slow": as_a_slow_machine})
     plant(Worker, "take", {"callback fails": of_wrenches(fail), "callback shuts down": of_wrenches(shut_down)})
     plant(Worker, "recent_messages", {"service fails": fail})
     plant(os, "fsync", {"disk full": full, "disk read-only": read_only, "disk slow": slowly, "everything hangs": hang})
     plant(Session, "save", {"saving fails": fail})
+    worker._MOST_AT_ONCE = AT_ONCE
     watch = Watch()
     supervisor.Supervisor.restart_what_hangs = lambda self: watch(self)  # noqa: PLW0108 an object is no method
     main.main()

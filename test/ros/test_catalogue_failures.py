@@ -120,6 +120,31 @@ def test_31_what_does_not_fit_into_the_queue_is_dropped(faulty: Faulty) -> None:
     rig.assert_same_as_twin()
 
 
+def without_trace(values: dict[str, str]) -> dict[str, str]:
+    """How many messages have not been taken so far."""
+    return {key: value for key, value in values.items() if key.endswith(("dropped: queue full", " lost"))}
+
+
+def test_96_a_burst_of_thousands_after_silence_is_taken(faulty: Faulty) -> None:
+    """By a machine that needs nine seconds for what comes in two."""
+    rig = faulty.rig
+    _, after, begin, _ = begun(rig)
+    missing = without_trace(rig.settled(begin - 1))
+    rig.stage.observer.spin(2.0)
+    whole = rig.shifted(GOOD)
+    again = [later(item, seconds * SECOND) for seconds in (10, 20) for item in whole]
+    burst = [*after, *again[:2700]]
+    assert len(burst) == 3000
+    with faulty.has("machine slow"):
+        for begins in range(0, len(burst), 750):
+            rig.send(burst[begins : begins + 750], pause=0.0)
+            rig.stage.observer.spin(0.5)
+        rig.twin.feed(burst)
+        values = rig.settled(begin)
+    assert without_trace(values) == missing
+    rig.assert_same_as_twin()
+
+
 FAILURES = {
     "51-callback": (
         "callback fails",

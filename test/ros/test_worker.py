@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import json
 import queue
 import threading
 import time
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -35,7 +37,7 @@ SOON, NEVER = 0.01, 3600.0  # [s] periods of the solver
 def patience(monkeypatch: pytest.MonkeyPatch) -> None:
     """The machine may be busy."""
     monkeypatch.setattr(module, "_PATIENCE", PATIENCE)
-    monkeypatch.setattr(module, "_LONGEST_WAIT", PATIENCE)
+    monkeypatch.setattr(module, "_LONGEST_STANDSTILL", PATIENCE)
 
 
 class Watched:
@@ -101,6 +103,17 @@ def test_without_rows_the_answer_is_an_error(quiet: Watched) -> None:
     quiet.feed()
     assert isinstance(quiet.final(), Estimate)
     assert quiet.worker.status(active=True).warnings == ()
+
+
+def test_a_doubtful_model_is_warned_of_first(quiet: Watched, tmp_path: Path) -> None:
+    quiet.feed()
+    document = quiet.session.document(quiet.final())
+    model = tmp_path / "estimate.json"
+    model.write_text(json.dumps(document | {"verdict": {"result": "doubtful", "reasons": ["gravity is missing"]}}))
+    with closing(Watched(NEVER, model=str(model))) as watched:
+        status = Diagnostics("geomid").array(watched.worker.status(active=False)).status[0]
+    assert status.level == b"\x01"
+    assert status.message.startswith(f"{model}: this model's verdict is 'doubtful': gravity is missing")
 
 
 def test_an_error_in_a_message_costs_the_message(quiet: Watched) -> None:
@@ -280,14 +293,14 @@ def standing_still(watched: Watched) -> Iterator[None]:
 
 @pytest.fixture
 def now(monkeypatch: pytest.MonkeyPatch) -> list[float]:
-    """The time by which messages wait; after one second others are dropped."""
+    """The time of the intake; after a second's standstill messages are dropped."""
     time_of_day = [0.0]
-    monkeypatch.setattr(module, "_LONGEST_WAIT", 1.0)
+    monkeypatch.setattr(module, "_LONGEST_STANDSTILL", 1.0)
     monkeypatch.setattr(module, "time", SimpleNamespace(perf_counter=lambda: time_of_day[0], monotonic=time.monotonic))
     return time_of_day
 
 
-def test_what_comes_while_others_have_waited_for_long_is_dropped(quiet: Watched, now: list[float]) -> None:
+def test_what_comes_while_nobody_takes_any_is_dropped(quiet: Watched, now: list[float]) -> None:
     """The first of those that wait tells for how long."""
     with standing_still(quiet):
         for now[0], begin, end in ((10.0, 0, 20), (10.9, 20, 50), (11.1, 50, 200)):
@@ -299,6 +312,42 @@ def test_what_comes_while_others_have_waited_for_long_is_dropped(quiet: Watched,
     account = quiet.worker.status(active=True).accounts["joint_states"]
     assert account.dropped == {"queue full": 150}
     assert (account.accepted, account.received) == (110, 260)
+
+
+def test_what_waits_is_bounded_by_number_and_bytes(quiet: Watched, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What was taken out has room again."""
+    monkeypatch.setattr(module, "_MOST_WAITING", 30)
+    for _ in range(2):
+        with standing_still(quiet):
+            quiet.feed(0, 40)
+        quiet.final()
+    monkeypatch.setattr(module, "_MOST_BYTES", 19 * len(JOINTS[0][1]))
+    for _ in range(2):
+        with standing_still(quiet):
+            quiet.feed(0, 40)
+        quiet.final()
+    account = quiet.worker.status(active=True).accounts["joint_states"]
+    assert (account.received, account.dropped) == (160, {"queue full": 2 * 10 + 2 * 20})
+
+
+def test_a_burst_is_taken_however_long_it_waits(
+    quiet: Watched, now: list[float], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As long as the intake gets on; as much comes as it takes."""
+    taken = 0
+
+    def take_some_time(_: Any) -> None:
+        nonlocal taken
+        taken, now[0] = taken + 1, now[0] + 0.9
+        if taken <= 20:
+            quiet.worker.take(*JOINTS[10 + taken])
+
+    monkeypatch.setattr(module, "_MOST_AT_ONCE", 1)
+    monkeypatch.setattr(quiet.worker, "_take", take_some_time)
+    with standing_still(quiet):
+        quiet.feed(0, 10)
+    wait_until(lambda: taken + quiet.worker.status(active=True).account("joint_states").dropped.total() >= 30)
+    assert taken == 30
 
 
 def test_what_comes_behind_a_task_after_a_pause_is_taken(quiet: Watched, now: list[float]) -> None:

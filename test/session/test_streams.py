@@ -123,14 +123,15 @@ def clean_estimate() -> Estimate:
 class Case:
     """``spoil`` changes the joint messages, and returns those that are to be refused.
 
-    ``refused``: a part of the reason; ``noted``: a part of a note; ``doubtful``: whether the
-    result is; ``sigmas``: how far off the estimate of the clean recording may be [standard deviations]; None if it is
-    to be that of the recording without the messages that are refused.
+    ``refused``: a part of the reason; ``noted``: a part of a note; ``cause``: a part of what the recording seems to
+    be; ``doubtful``: whether the result is; ``sigmas``: how far off the estimate of the clean recording may be
+    [standard deviations]; None if it is to be that of the recording without the messages that are refused.
     """
 
     spoil: Callable[[Joints], IntArray]
     refused: str = ""
     noted: str = ""
+    cause: str = ""
     doubtful: bool = False
     sigmas: float | None = None
 
@@ -210,6 +211,24 @@ def infinite_speeds(joints: Joints) -> IntArray:
     return CHOSEN
 
 
+def stuck(value: float) -> Callable[[Joints], IntArray]:
+    """One joint's effort, as long as it is recorded."""
+
+    def spoil(joints: Joints) -> IntArray:
+        joints.arrays["effort"][:, 2] = value
+        return NOTHING
+
+    return spoil
+
+
+def renamed(joints: Joints) -> IntArray:
+    """Two joints have each other's names."""
+    for array in joints.arrays.values():
+        array[:, [1, 2]] = array[:, [2, 1]]
+    return NOTHING
+
+
+STUCK = "the effort of 'joint3' never changes though the joint moves"
 CASES = {
     "71-wraps": Case(spoil=wraps, noted=UNWRAPPED, sigmas=1e-3),
     "73-position-glitches": Case(spoil=glitches, refused="jumps, and back, faster than it can move"),
@@ -218,6 +237,11 @@ CASES = {
     "76-clock-set-ahead": Case(spoil=clock_set(200_000_000), noted=CLOCK_SET, sigmas=1.0),
     "76-clock-set-back": Case(spoil=clock_set(-200_000_000), noted=CLOCK_SET, sigmas=1.0),
     "77-bursts": Case(spoil=in_bursts(20, 100_000), noted=IN_BURSTS, doubtful=True, sigmas=1.0),
+    "78-an-effort-is-constant": Case(spoil=stuck(-3.7), cause=STUCK, doubtful=True, sigmas=np.inf),
+    "78-an-effort-is-zero": Case(spoil=stuck(0.0), cause=STUCK, doubtful=True, sigmas=np.inf),
+    "82-names-exchanged": Case(
+        spoil=renamed, cause="the names of joints 'joint2' and 'joint3' are exchanged", doubtful=True, sigmas=np.inf
+    ),
     "83-unit-in-mid-run": Case(spoil=another_unit, noted="efforts change at once by a factor of about", doubtful=True),
     "85-mostly-nan": Case(spoil=mostly_nan, refused="effort of 'joint3' missing or not finite"),
     "85-nan-throughout": Case(spoil=nan_throughout, sigmas=np.inf),
@@ -239,7 +263,7 @@ def numbers(estimate: Estimate) -> tuple[FloatArray, FloatArray]:
 def patience(monkeypatch: pytest.MonkeyPatch) -> None:
     """The machine may be busy."""
     monkeypatch.setattr(live, "_PATIENCE", PATIENCE)
-    monkeypatch.setattr(live, "_LONGEST_WAIT", PATIENCE)
+    monkeypatch.setattr(live, "_LONGEST_STANDSTILL", PATIENCE)
 
 
 @pytest.mark.parametrize("name", CASES)
@@ -264,7 +288,7 @@ def test_a_fault_gets_the_same_answer_in_a_bag_and_in_a_node(name: str, tmp_path
     assert document["messages"]["joint_states"]["rejected"] == dict(sorted(account.rejected.items()))
     assert (document["verdict"]["result"] == "doubtful") == case.doubtful
     said = [*document["verdict"]["reasons"], *document["warnings"]]
-    for part in filter(None, (case.refused, case.noted.removeprefix("driver error: "))):
+    for part in filter(None, (case.refused, case.cause, case.noted.removeprefix("driver error: "))):
         assert any(part in sentence for sentence in said), said
     if name == "85-nan-throughout":
         assert any("'joint7'" in sentence for sentence in said)
@@ -286,7 +310,7 @@ def assert_named_by_diagnostics(status: Any, case: Case) -> None:
 
     diagnostics = Diagnostics("geomid")
     diagnostics.array(status)
-    for part in filter(None, (case.refused, case.noted)):
+    for part in filter(None, (case.refused, case.noted, case.cause)):
         levels = [complaint.error for complaint in diagnostics.complaints if part in complaint.sentence]
         assert levels, diagnostics.complaints
         assert case.doubtful in levels

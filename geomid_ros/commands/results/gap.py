@@ -11,6 +11,7 @@ from rich.table import Table
 from geomid_ros.api.gap import Gap
 from geomid_ros.commands.tables import lines, number_columns, plain_table, print_remarks, results_console, say
 from geomid_ros.gap.result import GapResult
+from geomid_ros.plausibility.verdict import recording_verdict
 from geomid_ros.report import gap_words
 from geomid_ros.report.simulated_again import SimulatedAgain
 
@@ -25,9 +26,7 @@ def show(found: Gap) -> None:
     """Print the verdict, what was found, the gap of every channel, candidates, and what to record next."""
     console = results_console()
     result = found.result
-    print_remarks(
-        console, [finding.sentence for finding in found.session.findings], found.session.warnings(), found.session.notes
-    )
+    print_remarks(console, recording_verdict(found.session.findings), found.session.warnings(), found.session.notes)
     say(console, result.verdict.upper(), f"  {gap_words.verdict_sentence(result)}")
     for sentence in gap_words.in_short(result):
         say(console, "", sentence)

@@ -35,7 +35,7 @@ def show(found: Identification) -> None:
     console = results_console()
     estimate = found.estimate
     state = "converged" if estimate.converged else f"NOT converged ({estimate.reason})"
-    print_remarks(console, found.verdict.reasons, found.warnings, found.session.notes)
+    print_remarks(console, found.verdict, found.warnings, found.session.notes)
     _print_messages(console, found.session.pipeline.ledger.topics)
     console.print(
         f"{estimate.rows_accepted} rows, {state} in {estimate.seconds:.1f} s, prior's weight {estimate.gamma:.1e}",

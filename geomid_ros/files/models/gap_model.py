@@ -1,8 +1,8 @@
 """The model with what the gap workflow found, as files: ``estimate.json``, URDF, MJCF and the sidecar of effects.
 
 ``estimate.json`` is a starting point like any other (:mod:`geomid_ros.files.models.results`), with less in it: of links
-``name``, ``merged``, ``mass``, ``com`` and ``inertia``; ``effects`` of one coefficient at a joint; and ``added``, the
-other effects, as the sidecar has them.
+``name``, ``merged``, ``mass``, ``com`` and ``inertia``; ``effects`` of one coefficient at a joint; ``added``, the other
+effects, as the sidecar has them; and the ``verdict`` on the recording that it is from.
 """
 
 from __future__ import annotations
@@ -14,12 +14,15 @@ from typing import Any
 
 from geomid_ros.files.disk import write_json, write_text
 from geomid_ros.files.models.effect_forms import coefficient_entry, combined, effect_entry, is_coefficient
+from geomid_ros.files.models.judgements import verdict_entry
 from geomid_ros.files.models.mjcf import mjcf
 from geomid_ros.files.models.results import FORMAT, link_entry
 from geomid_ros.files.models.sidecar import write_sidecar
 from geomid_ros.files.models.urdf import Inertia, inertia_of, with_effects, with_inertials
 from geomid_ros.model.effects import KnownEffect
 from geomid_ros.model.measurement import MeasurementModel
+from geomid_ros.plausibility.hypotheses import Finding
+from geomid_ros.plausibility.verdict import recording_verdict
 from geomid_ros.types import FloatArray
 
 ESTIMATE, URDF, MJCF, EFFECTS_FILE = "estimate.json", "identified.urdf", "identified.xml", "effects.yaml"
@@ -40,18 +43,21 @@ def write_model(
     inertias: Mapping[str, FloatArray],
     effects: Iterable[KnownEffect],
     gravity: FloatArray,
+    findings: Sequence[Finding] = (),
 ) -> list[Path]:
     """Write the model with ``inertias (10,)`` of identified bodies by name and all of its ``effects`` into ``folder``;
     returns the files.
 
-    ``gravity (3,)`` is that of a base which stands straight. Of effects that are there twice, see
+    ``gravity (3,)`` is that of a base which stands straight; ``findings`` are what seems to be wrong with the recording
+    that the model is from. Of effects that are there twice, see
     :func:`~geomid_ros.files.models.effect_forms.combined`.
     """
     effects = combined(effects)
     bodies = {name: inertia_of(parameters) for name, parameters in inertias.items()}
     merged = {body.name: body.merged for body in model.robot.bodies if body.name in bodies}
     removed = [name for names in merged.values() for name in names]
-    write_json(folder / ESTIMATE, _estimate(bodies, merged, effects))
+    judged = {"verdict": verdict_entry(recording_verdict(findings), findings)}
+    write_json(folder / ESTIMATE, _estimate(bodies, merged, effects) | judged)
     write_text(folder / URDF, with_effects(with_inertials(urdf, bodies, removed), effects))
     write_text(folder / MJCF, mjcf(model.robot, inertias, effects, model.sensors, gravity))
     write_sidecar(folder / EFFECTS_FILE, model.robot.name, effects)

@@ -26,6 +26,7 @@ resimulated     {``before``, ``after``}, each {joint or wrench channel: error of
 closed_loop     the same of efforts in closed loop under the recorded commands, or null
 causes          what makes the recording doubtful: list of {``kind``, ``places``, ``sentence``, ``settings`` (to write
                 into the configuration), ``sure``, ``rivals``}
+warnings        what else to know, in sentences: of the recording, and of the model that it was compared with
 ==============  =======================================================================================================
 
 Numbers that do not exist (a channel without measurements, say) are null.

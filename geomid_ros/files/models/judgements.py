@@ -1,12 +1,17 @@
-"""What ``estimate.json`` says of the recording: the verdict with its causes, and what became of the messages."""
+"""What ``estimate.json`` says of the recording: the verdict with its causes, and what became of the messages.
+
+The verdict is read again wherever the estimate is used.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import reprlib
+from collections.abc import Mapping, Sequence
 from typing import Any
 
+from geomid_ros.errors import InputError, unknown_name
 from geomid_ros.plausibility.hypotheses import Cause, Finding
-from geomid_ros.plausibility.verdict import Verdict
+from geomid_ros.plausibility.verdict import NOT_CONVERGED, STATUS, USABLE, Verdict
 from geomid_ros.signals.ledger import Account
 
 
@@ -17,6 +22,24 @@ def verdict_entry(verdict: Verdict, findings: Sequence[Finding]) -> dict[str, An
         "reasons": list(verdict.reasons),
         "causes": causes_entry(findings),
     }
+
+
+def doubt(document: Mapping[str, Any], source: str) -> str:
+    """Why the estimate of a document should not be used, in a sentence; empty if nothing speaks against it.
+
+    Raises:
+        InputError: the verdict is none; the message names the file ``source``.
+    """
+    stopped = {"result": NOT_CONVERGED, "reasons": [str(document.get("reason", ""))]}
+    entry = document.get("verdict", stopped if document.get("converged") is False else {"result": USABLE})
+    if not isinstance(entry, dict) or not isinstance(reasons := entry.get("reasons", []), list):
+        raise InputError(f"{source}: the verdict is {reprlib.repr(entry)}, expected a result with a list of reasons")
+    word = str(entry.get("result"))
+    if word not in STATUS:
+        raise InputError(f"{source}: {unknown_name('verdict', word, STATUS)}")
+    if word == USABLE:
+        return ""
+    return f"{source}: this model's verdict is '{word}': {'; '.join(map(str, reasons)) or 'no reason is given'}"
 
 
 def causes_entry(findings: Sequence[Finding]) -> list[dict[str, Any]]:

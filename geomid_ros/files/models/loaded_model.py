@@ -25,6 +25,7 @@ from geomid_ros.files.models.effect_forms import (
     payload_parameters,
     turned_gravity,
 )
+from geomid_ros.files.models.judgements import doubt
 from geomid_ros.files.models.results import known_inertias, known_information, read_estimate
 from geomid_ros.files.models.sidecar import effect_of
 from geomid_ros.model.effects import (
@@ -48,13 +49,14 @@ from geomid_ros.types import FloatArray
 class LoadedModel:
     """The ``inertias (10,)`` of bodies by name, without payloads, and the ``effects`` that the file ``source`` says;
     ``known`` of these bodies together, in their order; the fixed links that are ``merged`` into them, where the file
-    says so."""
+    says so; and the ``doubt`` that its verdict casts on all of it, in a sentence."""
 
     source: str = ""
     inertias: Mapping[str, FloatArray] | None = None
     effects: tuple[KnownEffect, ...] = ()
     known: LinksInformation | None = None
     merged: Mapping[str, frozenset[str]] = field(default_factory=dict)
+    doubt: str = ""
 
     @staticmethod
     def read(path: str) -> LoadedModel:
@@ -70,7 +72,8 @@ class LoadedModel:
         ]
         inertias = known_inertias(document, path)
         known = known_information(document, inertias, path)
-        return LoadedModel(path, inertias, tuple(combined(effects)), known, _merged(document, path))
+        merged = _merged(document, path)
+        return LoadedModel(path, inertias, tuple(combined(effects)), known, merged, doubt(document, path))
 
     def refitted(
         self, model: MeasurementModel, coefficients: FloatArray, beside: Sequence[KnownEffect] = ()
