@@ -7,6 +7,7 @@ import queue
 import re
 import time
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -56,7 +57,7 @@ class TestConsole:
     @pytest.fixture
     def clock(self, monkeypatch: pytest.MonkeyPatch) -> list[float]:
         now = [5.0]
-        monkeypatch.setattr(module.time, "monotonic", lambda: now[0])
+        monkeypatch.setattr(module, "time", SimpleNamespace(monotonic=lambda: now[0]))
         return now
 
     def test_what_lasts_is_said_once_a_minute(self, clock: list[float]) -> None:
@@ -261,7 +262,7 @@ class Hanging:
 def test_92_hangs_are_forgotten_after_an_hour(monkeypatch: pytest.MonkeyPatch) -> None:
     """One slow solve in two hours is restarted for ever; four in a row are left alone, until an hour has passed."""
     now = [10_000.0]
-    monkeypatch.setattr(supervisor.time, "monotonic", lambda: now[0])
+    monkeypatch.setattr(supervisor, "time", SimpleNamespace(monotonic=lambda: now[0]))
     monkeypatch.setattr(Activity, "current", ("solving", 1e6))
     ignored: Any = None
     watched = Supervisor(Configuration({}), Ledger(), Lines(), on_samples=ignored, on_estimate=ignored, solving=None)
