@@ -6,7 +6,8 @@ VENV ?= .venv$(addprefix -,$(filter-out python3,$(notdir $(PYTHON))))
 BIN := $(VENV)/bin
 PIP_INSTALL := $(BIN)/python -m pip install -qq --disable-pip-version-check
 # Tests of the node wait for it most of the time: more of them than there are processors run side by side.
-PYTEST_ARGS ?= --numprocesses 3 --dist loadscope
+# One that hangs fails, and says where; the longest takes a minute.
+PYTEST_ARGS ?= --numprocesses 3 --dist loadscope --timeout 600
 BENCH_ARGS ?=
 # The tests start many processes: what is compiled is kept, or each would compile it anew.
 unexport PYTHONDONTWRITEBYTECODE
