@@ -6,7 +6,8 @@ from geomid_ros.api.arguments import Config, PathLike, Paths, Texts, bag_paths, 
 from geomid_ros.errors import InputError
 from geomid_ros.exports.weighed_payload import Payload, weigh_at
 from geomid_ros.model.samples import Samples
-from geomid_ros.session.payload import GAIN, payload_session
+from geomid_ros.session.configuration import GAIN
+from geomid_ros.session.payload import payload_session
 from geomid_ros.session.recordings import Bags, Progress, Topics, read_bags, silent
 from geomid_ros.session.session import Session
 

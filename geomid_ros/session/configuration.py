@@ -52,6 +52,8 @@ _SIDES = ("motor", "link")
 _OF_ROS = ("use_sim_time", "qos_overrides.", "start_type_description_service")
 _KINDS = {bool: "true or false", float: "a number", str: "a text"}
 
+GAIN = 0.03
+"""Standard deviation of the efforts' common gain, relative, unless it is known: of torques from motor currents."""
 PARAMETERS = (
     Parameter("robot_description", "", "URDF text; empty: taken from the topic robot_description"),
     Parameter("model", "", "estimate.json of an earlier run to start from instead of the URDF's inertias"),
@@ -87,7 +89,7 @@ PARAMETERS = (
     Parameter("solve_period", 1.0, "seconds between estimates while data come in [s]", 0.001, 3600.0),
     Parameter("gap.memory", 120.0, "seconds of messages for ~/find_gap and ~/payload; 0: none [s]", 0.0, 3600.0),
     Parameter("payload.frame", "", "flange whose payload is weighed; empty: the last link that moves"),
-    Parameter("payload.gain", 0.03, "standard deviation of the efforts' common gain; 0: calibrated sensors", 0.0, 0.99),
+    Parameter("payload.gain", GAIN, "standard deviation of the efforts' common gain; 0: calibrated sensors", 0.0, 0.99),
     Parameter("active", True, "take data from the start; otherwise wait for ~/start"),
     Parameter("checkpoint.folder", "", "folder, of this node alone, to go on from after a crash; empty: none is kept"),
     Parameter("checkpoint.period", 2.0, "seconds between checkpoints; a crash loses hardly more [s]", 0.1, 3600.0),

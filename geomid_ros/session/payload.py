@@ -16,12 +16,10 @@ from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.model.samples import Samples
 from geomid_ros.plausibility.hypotheses import Finding
 from geomid_ros.plausibility.verdict import Verdict, recording_verdict
-from geomid_ros.session.configuration import Configuration
+from geomid_ros.session.configuration import GAIN, Configuration
 from geomid_ros.session.session import Session
 from geomid_ros.types import FloatArray
 
-GAIN = 0.03
-"""Standard deviation of the efforts' common gain, relative, unless it is known: of torques from motor currents."""
 _SPREAD = 3.0  # a geodesic distance: a payload may weigh a tenth or ten times of what is usual
 _MASS = 0.2  # of the mean link's
 _SIZE = 0.1  # [m] radius of gyration about a plane through its centre

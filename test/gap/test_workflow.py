@@ -1,6 +1,7 @@
 """The whole workflow on planted robots, and what it refuses."""
 
 from collections.abc import Callable
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -167,6 +168,24 @@ def test_a_link_is_heavier_by_a_payload_that_the_simulator_lacks_and_its_frictio
     assert abs(change.mass.value - PAYLOAD) < 3.0 * change.mass.std
     assert change.mass.std < 0.1 * PAYLOAD
     assert "more than" in change.sentence
+
+
+def test_that_a_link_has_changed_does_not_make_its_mass_sure(monkeypatch: pytest.MonkeyPatch) -> None:
+    """It is said how unsure it is; at five deviations the rest of the link may be what has changed."""
+    inertias = planted.true_inertias(75, 0.2)
+    lighter = inertias.copy()
+    lighter[-1] *= 0.7
+    robot = planted.rigid(inertias)
+    recordings = [planted.recording(robot, 75)], [planted.recording(robot, 1075, 15.0)]
+    (sure,) = find_gap(planted.model(), *recordings, nominal=lighter.ravel()).links
+    assert sure.confidence == "confident"
+    more = sure.mass.value / sure.mass.std / 5.0
+    scattered = changed_links.scattered
+    monkeypatch.setattr(
+        changed_links, "scattered", lambda *args: SimpleNamespace(covariance=more**2 * scattered(*args).covariance)
+    )
+    (unsure,) = find_gap(planted.model(), *recordings, nominal=lighter.ravel()).links
+    assert (unsure.confidence, unsure.loss) == ("tentative", pytest.approx(sure.loss))
 
 
 def test_links_that_have_not_changed_are_not_told_however_small_a_change_would_count(
