@@ -6,7 +6,6 @@ from geomid_ros.api.arguments import Config, PathLike, Paths, Texts, bag_paths, 
 from geomid_ros.errors import InputError
 from geomid_ros.exports.weighed_payload import Payload, weigh_at
 from geomid_ros.model.samples import Samples
-from geomid_ros.session.configuration import GAIN
 from geomid_ros.session.payload import payload_session
 from geomid_ros.session.recordings import Bags, Progress, Topics, read_bags, silent
 from geomid_ros.session.session import Session
@@ -18,7 +17,7 @@ def weigh_payload(
     urdf: PathLike,
     *,
     frame: str | None = None,
-    gain: float = GAIN,
+    gain: float | None = None,
     config: Config | None = None,
     floating_base: bool = False,
     wrench: Texts = (),
@@ -35,8 +34,9 @@ def weigh_payload(
         empty: rosbag folders, or .mcap and .db3 files, without the payload.
         loaded: the same with it.
         urdf: path or text of the robot description.
-        frame: the flange, a link of the URDF; None for the last link that moves.
-        gain: standard deviation of the efforts' common gain, relative; 0 for calibrated torque sensors.
+        frame: the flange, a link of the URDF; None for the configured ``payload.frame``, or the last link that moves.
+        gain: standard deviation of the efforts' common gain, relative; 0 for calibrated torque sensors; None for the
+            configured ``payload.gain``.
         config: the node's parameter file (YAML), or parameters by their full names.
         floating_base: whether the base moves; its pose is read from ``odom_topic``.
         wrench: wrench sensors, as ``TOPIC:FRAME:ROLE[:AXES]``; ``ROLE`` is mounted or external.
@@ -47,7 +47,7 @@ def weigh_payload(
     Raises:
         InputError: a file, an argument or the data cannot be used; the message names it and says what to do.
     """
-    if not 0.0 <= gain < 1.0:
+    if gain is not None and not 0.0 <= gain < 1.0:
         raise InputError(f"gain is {gain:g}, expected a number from 0 to 1")
     parameters = configuration(config, model=None, floating_base=floating_base, wrench=wrench)
     text, source = description(urdf)
@@ -55,7 +55,8 @@ def weigh_payload(
     topics = Topics(joint_topic, odom_topic)
     before, after = (_all(session, bags, topics, progress) for bags in (empty, loaded))
     progress("solving", 0.0)
-    return weigh_at(session, before, after, frame or "", gain)
+    own_gain = parameters["payload.gain"] if gain is None else gain
+    return weigh_at(session, before, after, frame or parameters["payload.frame"], own_gain)
 
 
 def _all(session: Session, bags: Paths, topics: Topics, progress: Progress) -> list[Samples]:

@@ -18,14 +18,12 @@ from geomid_ros.exports.formats import CONTROLLERS
 @click.argument("empty", type=click.Path(path_type=Path))
 @click.argument("loaded", type=click.Path(path_type=Path))
 @click.option("--urdf", required=True, **URDF)
-@click.option("--frame", metavar="LINK", help="The flange.  [default: the last link that moves]")
+@click.option("--frame", metavar="LINK", help="The flange.  [default: payload.frame, or the last link that moves]")
 @click.option("--for", "controller", type=click.Choice([*CONTROLLERS]), help="Print the commands that set the payload.")
 @click.option(
     "--gain",
     type=click.FloatRange(0.0, 1.0, max_open=True),
-    default=0.03,
-    show_default=True,
-    help="Standard deviation of the efforts' common gain; 0 for calibrated torque sensors.",
+    help="Standard deviation of the efforts' common gain; 0 for calibrated torque sensors.  [default: payload.gain]",
 )
 @click.option("--joint-topic", default="joint_states", show_default=True, help="Topic of the joint states.")
 @click.option("--wrench", multiple=True, metavar="TOPIC:FRAME:ROLE[:AXES]", help="A wrench topic, as in identify.")

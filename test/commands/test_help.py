@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import inspect
 import os
 import subprocess
 import sys
@@ -93,11 +92,6 @@ def test_every_option_is_explained(name: str) -> None:
             assert parameter.help.endswith((".", "]", ")")), parameter.help
         else:
             assert str(parameter.human_readable_name) in (command(name).help or "")
-
-
-def test_the_gain_is_that_of_the_front_door() -> None:
-    option = next(parameter for parameter in command("payload").params if parameter.name == "gain")
-    assert option.default == inspect.signature(geomid_ros.weigh_payload).parameters["gain"].default
 
 
 def test_version() -> None:

@@ -40,6 +40,10 @@ def test_a_payload_is_weighed_live(tmp_path: Path) -> None:
     loaded = simulated(tmp_path / "loaded", 2, Hidden("payload", "tool", MASS))
     bags = [tmp_path / "empty", tmp_path / "loaded"]
     offline = json.loads(done("payload", *bags, "--urdf", BAGS / "arm3.urdf", "--json"))
+    config = tmp_path / "payload.yaml"
+    config.write_text("geomid: {ros__parameters: {payload: {gain: 0.2, frame: tool}}}", encoding="utf-8")
+    unsure = json.loads(done("payload", *bags, "--urdf", BAGS / "arm3.urdf", "--config", config, "--json"))
+    assert (unsure["gain"], unsure["frame"], offline["gain"]) == (0.2, "tool", 0.03)
     with staged(tmp_path) as stage:
         node = stage.node({"robot_description": description("arm3")})
         ask = stage.observer.trigger
