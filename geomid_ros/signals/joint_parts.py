@@ -11,25 +11,47 @@ import numpy as np
 from geomid_ros.signals.joint_messages import DRIVER_ERROR, JointReader, RejectedError
 from geomid_ros.types import FloatArray
 
-_SILENT = 1_000_000_000  # [ns] behind the other parts
+SILENT = 1_000_000_000
+"""[ns] behind the other parts, for which a part is not missed."""
 _MOST_WAITING = 10_000  # messages of a part, while another is silent
+_FEWEST = 3  # messages of each part, that tell its period
+_MISSED = 2.5  # periods of a part, between which its numbers are on the line
 
 Part: TypeAlias = tuple[str, ...]
 """The robot's joints that come together, in the robot's order."""
 
 
 class JointParts:
-    """Joins messages of several publishers, each with some of the joints, at the stamps that all have reached.
+    """Joins messages of several publishers, each with some of the joints, at the stamps of the fastest of them.
 
-    Where the parts' stamps differ, two messages of a part that are no further apart than ``max_gap`` [ns] are
-    interpolated linearly.
+    The others' numbers are on the line between two of their messages, unless these are further apart than ``max_gap``
+    and than their period explains. Efforts that come more seldom than ``resolved`` are left out: nothing is known of
+    them between two messages, while positions go on.
     """
 
-    def __init__(self, joints: Sequence[str], max_gap: int, make_reader: Callable[[Part], JointReader]) -> None:
+    def __init__(
+        self,
+        joints: Sequence[str],
+        max_gap: int,
+        resolved: int,
+        make_reader: Callable[[Part], JointReader],
+        note: Callable[[str], None],
+    ) -> None:
+        """
+        Args:
+            joints: the robot's.
+            max_gap: [ns].
+            resolved: [ns] the longest period at which efforts can be filtered.
+            make_reader: of a part's messages.
+            note: is told of parts that are too slow.
+        """
         self._joints = tuple(joints)
         self._max_gap = max_gap
+        self._resolved = resolved
         self._make_reader = make_reader
+        self._note = note
         self.readers: dict[Part, JointReader] = {}
+        self._periods: dict[Part, int] = {}  # [ns] of all parts, once they are known
         self.restart()
 
     def restart(self) -> None:
@@ -37,14 +59,23 @@ class JointParts:
         for reader in self.readers.values():
             reader.restart()
         self._waiting: dict[Part, deque[tuple[int, FloatArray]]] = {part: deque() for part in self.readers}
-        self._last = 0
 
     @property
     def silent(self) -> tuple[str, ...]:
         """The joints of which nothing has come for long, while something came of others."""
         newest = max((reader.stamp for reader in self.readers.values()), default=0)
-        heard = [joint for part, reader in self.readers.items() if newest - reader.stamp <= _SILENT for joint in part]
+        heard = [
+            joint
+            for part, reader in self.readers.items()
+            if newest - reader.stamp <= max(SILENT, self._longest_gap(part))
+            for joint in part
+        ]
         return tuple(joint for joint in self._joints if joint not in heard) if newest else ()
+
+    @property
+    def unmeasured(self) -> tuple[str, ...]:
+        """The joints whose efforts are left out, as they come too seldom."""
+        return tuple(joint for part in self._periods if self._is_slow(part) for joint in part)
 
     def part(self, names: Sequence[str]) -> Part:
         """The part of a message with these names. Raises RejectedError if it is of several, or of none."""
@@ -66,26 +97,58 @@ class JointParts:
         waiting.append((stamp, values.reshape(3, -1)))
         if len(waiting) > _MOST_WAITING:
             waiting.popleft()
-        if sum(map(len, self._waiting)) < len(self._joints) or not all(self._waiting.values()):
+        if not self._periods:
+            self._measure_periods()
+        if not self._periods:
             return
-        common = min(entries[-1][0] for entries in self._waiting.values())
-        begin = max(entries[0][0] for entries in self._waiting.values())
-        if common <= self._last or common < begin:
-            return
-        self._last = common
-        for entries in self._waiting.values():
-            while len(entries) > 1 and entries[1][0] <= common:
-                entries.popleft()
-        if all(self._is_between(entries, common) for entries in self._waiting.values()):
-            yield common, self._at(common)
+        fastest = self._waiting[min(self._periods, key=lambda each: self._periods[each])]
+        while fastest and all(entries and entries[-1][0] >= fastest[0][0] for entries in self._waiting.values()):
+            common = fastest[0][0]
+            for entries in self._waiting.values():
+                while len(entries) > 1 and entries[1][0] <= common:
+                    entries.popleft()
+            if all(self._is_known(each, common) for each in self._waiting):
+                yield common, self._at(common)
+            fastest.popleft()
 
-    def _is_between(self, entries: deque[tuple[int, FloatArray]], stamp: int) -> bool:
-        return entries[0][0] == stamp or entries[1][0] - entries[0][0] <= self._max_gap
+    def _measure_periods(self) -> None:
+        """Measure how fast the parts are, when all joints have been heard for long enough to tell."""
+        if sum(map(len, self._waiting)) < len(self._joints):
+            return
+        firsts = {part: entries[0][0] for part, entries in self._waiting.items() if len(entries) >= _FEWEST}
+        newest = max(entries[-1][0] for entries in self._waiting.values() if entries)
+        if len(firsts) < len(self._waiting) or newest - max(firsts.values()) < SILENT:
+            return
+        for part, entries in self._waiting.items():  # the first ones may have come in a burst
+            spans = (newest - firsts[part]) // len(entries), (entries[-1][0] - firsts[part]) // (len(entries) - 1)
+            self._periods[part] = max(spans)
+        for part in self._periods:
+            if self._is_slow(part):
+                named = ", ".join(map(repr, part))
+                rate = 1e9 / self._periods[part]
+                self._note(f"only {rate:.1f} messages per second of {named}: the efforts there are left out")
+
+    def _is_slow(self, part: Part) -> bool:
+        """Whether efforts come too seldom to be filtered."""
+        return self._periods[part] > self._resolved
+
+    def _longest_gap(self, part: Part) -> int:
+        return max(self._max_gap, int(_MISSED * self._periods.get(part, 0)))
+
+    def _is_known(self, part: Part, stamp: int) -> bool:
+        """Whether the numbers of a part are known at a stamp, which its messages have reached."""
+        entries = self._waiting[part]
+        return entries[0][0] == stamp or (
+            entries[0][0] < stamp and entries[1][0] - entries[0][0] <= self._longest_gap(part)
+        )
 
     def _at(self, stamp: int) -> FloatArray:
         whole = np.empty((3, len(self._joints)))
         for part, entries in self._waiting.items():
-            whole[:, [self._joints.index(joint) for joint in part]] = _between(entries, stamp)
+            numbers = _between(entries, stamp)
+            if self._is_slow(part):
+                numbers = np.concatenate([numbers[:2], np.full_like(numbers[2:], np.nan)])
+            whole[:, [self._joints.index(joint) for joint in part]] = numbers
         return whole.ravel()
 
 

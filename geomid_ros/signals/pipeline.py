@@ -23,7 +23,7 @@ from geomid_ros.signals.admission import Admission
 from geomid_ros.signals.arrived import Arrived, poses, wrenches
 from geomid_ros.signals.gates import JointGate, Limits
 from geomid_ros.signals.joint_messages import FROZEN, JointReader, RejectedError
-from geomid_ros.signals.joint_parts import JointParts, Part
+from geomid_ros.signals.joint_parts import SILENT, JointParts, Part
 from geomid_ros.signals.ledger import Ledger
 from geomid_ros.signals.messages import JOINT_STATES, ODOM, Accepted, Block, Message
 from geomid_ros.signals.sampler import Sampler
@@ -90,7 +90,11 @@ class SignalPipeline:
         self.ledger = ledger or Ledger()
         self._on_accepted = on_accepted
         self._reader = self._new_reader(self._joints)
-        self._parts = JointParts(self._joints, self._max_gap, self._new_reader) if settings.merge else None
+        resolved = round(0.5e9 / settings.cutoff)
+        note = partial(self.ledger.note, JOINT_STATES)
+        self._parts = (
+            JointParts(self._joints, self._max_gap, resolved, self._new_reader, note) if settings.merge else None
+        )
         self._admission: Admission[_Source] = Admission(self._new_gate)
         self._timelines: dict[_Source, Timeline[Arrived]] = {}
         self._arrived = 0  # messages
@@ -128,8 +132,10 @@ class SignalPipeline:
     @property
     def unmeasured(self) -> tuple[str, ...]:
         """The joints whose efforts are left out, as they have not been measured for long."""
-        readers = self._parts.readers.values() if self._parts else (self._reader,)
-        return tuple(joint for reader in readers for joint in reader.unmeasured)
+        if self._parts is None:
+            return self._reader.unmeasured
+        failed = [joint for reader in self._parts.readers.values() for joint in reader.unmeasured]
+        return tuple(dict.fromkeys([*failed, *self._parts.unmeasured]))
 
     @property
     def silent(self) -> tuple[str, ...]:
@@ -212,7 +218,7 @@ class SignalPipeline:
     def _take(self, batch: dict[_Source, Arrived]) -> None:
         """Judge the stamps of messages: those of a block at once, or if any is suspicious those of each half of it."""
         for source in batch.keys() - self._timelines.keys():
-            self._timelines[source] = Timeline(self._max_gap)
+            self._timelines[source] = Timeline(max(self._max_gap, SILENT) if source[1] else self._max_gap)
         count = sum(map(len, batch.values()))
         if count == 1:
             ((source, arrived),) = ((source, arrived) for source, arrived in batch.items() if len(arrived))

@@ -9,7 +9,7 @@ from files.recordings import TYPES, Recorded
 from sensor_msgs.msg import JointState
 
 from .observer import MATCHING, plenty
-from .rig import AFTER, BEFORE, rigged
+from .rig import AFTER, BEFORE, Twin, rigged
 
 
 def part(item: Recorded, places: slice) -> Recorded:
@@ -39,3 +39,23 @@ def test_16_two_arms_are_put_together(tmp_path: Path) -> None:
         assert "publishers" not in rig.stream(rig.arrays[-1]).message
         rig.assert_same_as_twin()
         node.destroy_node()
+
+
+def test_88_a_slow_gripper_does_not_slow_down_the_arm(tmp_path: Path) -> None:
+    """The last joint comes twice per second: the others' rows are those at the arm's rate, and it is told."""
+    sent = []
+    for place, item in enumerate(item for item in BEFORE + AFTER):
+        if item.topic == "/joint_states":
+            sent += [part(item, slice(0, -1))] + ([part(item, slice(-1, None))] if place % 100 < 2 else [])
+        else:
+            sent.append(item)
+    with rigged(tmp_path, merge_joint_states=True) as rig:
+        rig.twin = Twin(merge_joint_states=True)
+        rig.send(sent)
+        rig.twin.feed(sent)
+        values = rig.settled()
+        assert values["joint_states accepted"] == values["joint_states received"]
+        rig.says(0, None, "messages per second of")
+        rig.assert_same_as_twin()
+        samples = rig.twin.session.pipeline
+        assert len(samples.unmeasured) == 1

@@ -5,13 +5,14 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
 from geomid_ros.model.samples import Samples
 from geomid_ros.signals.messages import JointMessage
 from geomid_ros.signals.pipeline import SignalPipeline
 from geomid_ros.signals.settings import SignalSettings
 
-from .feeding import JOINTS, assert_same, balanced, feed, in_time, joint_messages, regular
+from .feeding import JOINTS, Motion, assert_same, balanced, feed, in_time, joint_messages, regular
 
 STAMPS = regular(0.01, 4.0)
 WHOLE = joint_messages(STAMPS, velocity=True)
@@ -58,6 +59,50 @@ def test_parts_with_stamps_of_their_own_meet_on_the_line_between() -> None:
     shared = samples.select(np.isin(samples.stamps, truth.stamps))
     assert np.max(np.abs(shared.position - truth.position)) < 1e-4
     assert np.max(np.abs(shared.effort - truth.effort)) < 1e-3 * np.max(np.abs(truth.effort))
+
+
+@pytest.mark.parametrize("first", ["shoulder", "wrist"])
+def test_a_slow_part_does_not_slow_down_the_others(first: str) -> None:
+    """A gripper at 2 Hz that hardly moves: the arm is what it is without, the gripper's efforts are left out. Which of
+    them begins does not matter."""
+    slow_stamps = regular(0.5, 8.0, 0.0 if first == "wrist" else 0.003)
+    motion = Motion(amplitudes=np.array([[1.0, 0.2], [0.8, 0.1], [0.0, 0.0]]))
+    arm = [only(message, "shoulder", "elbow") for message in joint_messages(regular(0.01, 8.0), motion, velocity=True)]
+    gripper = [only(message, "wrist") for message in joint_messages(slow_stamps, motion, velocity=True)]
+    pipeline, messages = merging(), in_time(arm, gripper)
+    samples = feed(pipeline, messages)
+    truth = feed(merging(merge=False), joint_messages(regular(0.01, 8.0), motion, velocity=True))
+    truth = truth.select(np.isin(truth.stamps, samples.stamps))
+    assert np.ptp(samples.stamps) > 6.0e9
+    assert len(truth) == len(samples), "at the arm's rate"
+    for name in ("position", "velocity", "acceleration", "effort"):
+        np.testing.assert_allclose(getattr(samples, name)[:, :2], getattr(truth, name)[:, :2], atol=1e-9)
+    assert np.all(np.isnan(samples.effort[:, 2]))
+    assert not np.any(samples.velocity[:, 2])
+    assert balanced(pipeline, messages)
+    assert pipeline.unmeasured == ("wrist",)
+    assert pipeline.silent == ()
+    notes = pipeline.ledger.topics["joint_states"].noted
+    assert any("only 2.0 messages per second of 'wrist'" in note for note in notes)
+
+
+def test_a_slow_part_that_falls_silent_is_missed() -> None:
+    """Between the last message before and the first one after nothing is made up."""
+    arm = [only(message, "shoulder", "elbow") for message in joint_messages(regular(0.01, 12.0), velocity=True)]
+    stamps = regular(0.5, 12.0)
+    heard = stamps[(stamps < stamps[10]) | (stamps > stamps[16])]
+    gripper = [only(message, "wrist") for message in joint_messages(heard, velocity=True)]
+    pipeline = merging()
+    silent = []
+    for message in in_time(arm, gripper):
+        pipeline.push(message)
+        silent.append(pipeline.silent)
+    samples = pipeline.collect()
+    assert ("wrist",) in silent
+    assert silent[-1] == ()
+    assert samples is not None
+    assert not np.any((samples.stamps > stamps[9]) & (samples.stamps < stamps[17]))
+    assert np.any(samples.stamps > stamps[17])
 
 
 def test_others_messages_are_named() -> None:
