@@ -11,7 +11,9 @@ import numpy as np
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.samples import Samples
 from geomid_ros.plausibility import words
+from geomid_ros.plausibility.changes import Changes
 from geomid_ros.plausibility.evidence import LEAST_SIGMA, Evidence
+from geomid_ros.plausibility.flexible import FlexibleFit
 from geomid_ros.plausibility.hypotheses import FOLLOWS, GAIN_OF_ORDER, Cause, Finding, Hypothesis, decide
 from geomid_ros.plausibility.instants import FEWEST
 from geomid_ros.plausibility.names import exchanges_of_names
@@ -71,6 +73,7 @@ class EffortCheck:
         efforts = self._efforts(self._samples)
         world = World(efforts, self._robot.gravity)
         nominal = world.judge(as_it_is(len(self._joints)))
+        fit = FlexibleFit(world, self._samples, self._joints)
         tried = [
             *self._signs(world),
             *self._orders(world),
@@ -79,6 +82,7 @@ class EffortCheck:
             *self._gravities(efforts),
             *self._compensated(efforts),
             *self._degrees(),
+            *Changes(self._model, self._samples, self._joints, efforts, fit).hypotheses(nominal),
         ]
         best = max([nominal, *(h.evidence for h in tried if h.allowed)], key=lambda found: found.log)
         if np.all(best.sigmas > FOLLOWS):

@@ -19,6 +19,7 @@ KINDS = {
     "degrees": "positions are in degrees",
     "gravity": "gravity acts in another direction",
     "compensated": "gravity is not in the efforts",
+    "changed": "something changes during the recording",
     "unrelated": "efforts follow neither gravity nor motion",
     "constant": "an effort never changes",
     "stream": "messages are not what a driver should send",

@@ -103,6 +103,79 @@ def no_gravity(joints: Sequence[str]) -> Cause:
     return Cause(kind="compensated", sentence=sentence, settings=settings, places=tuple(joints))
 
 
+def from_on(time: float) -> str:
+    """When something is another."""
+    return f"from about {time:.0f} s after the beginning on"
+
+
+def until(time: float) -> str:
+    """When something is another."""
+    return f"until about {time:.0f} s after the beginning"
+
+
+BIT_BY_BIT = "in the course of the recording, bit by bit"
+"""How something changes."""
+_APART = "record again, or use the part before or the part after that alone"
+
+
+def change(joint: str, size: float, unit: str) -> str:
+    """By how much the effort of a joint is another."""
+    return f"'{joint}' by {size:+.3g} {unit}"
+
+
+def other_offset(joints: Sequence[str], said: Sequence[str], when: str) -> Cause:
+    """The constant part of efforts changes."""
+    sentence = (
+        f"the efforts of {', '.join(said)} are others {when}, whatever the robot does: was a sensor set to zero, or "
+        f"does something else act there? {_advice(when)}"
+    )
+    return Cause(kind="changed", sentence=sentence, places=tuple(joints))
+
+
+def gain_changes(joints: Sequence[str], factor: float, when: str, of_all: bool) -> Cause:
+    """Efforts change by a factor."""
+    who = "the efforts of all joints are" if of_all else f"the effort of joint '{joints[0]}' is"
+    sentence = (
+        f"{who} {factor:.2f} times as large {when}: does the unit change, or the torque of a motor with its warmth? "
+        f"{_advice(when)}"
+    )
+    return Cause(kind="changed", sentence=sentence, places=tuple(joints))
+
+
+def gravity_goes(joints: Sequence[str], when: str) -> Cause:
+    """Gravity is in the efforts for a part of the time."""
+    sentence = f"gravity is not in the efforts {when}: its compensation is switched; {_APART}"
+    return Cause(kind="changed", sentence=sentence, places=tuple(joints))
+
+
+def payload_changes(link: str, mass: float, joints: Sequence[str], when: str) -> Cause:
+    """Something is taken up or put down."""
+    what = "more" if mass > 0.0 else "less"
+    sentence = (
+        f"'{link}' carries about {abs(mass):.2g} kg {what} {when}: something is taken up or put down; identify the "
+        f"robot without it from a recording without it ({_APART})"
+    )
+    return Cause(kind="changed", sentence=sentence, places=tuple(joints))
+
+
+def displaced(joint: str, size: float, turns: bool) -> str:
+    """By how much the position of a joint is off."""
+    return f"'{joint}' by {np.degrees(size):+.0f} degrees" if turns else f"'{joint}' by {1000.0 * size:+.0f} mm"
+
+
+def other_zero(joints: Sequence[str], said: Sequence[str], when: str) -> Cause:
+    """Positions are others than they were."""
+    sentence = (
+        f"the positions of {', '.join(said)} are off {when}: does a coupling slip, or was an encoder set to zero? "
+        f"{_advice(when)}"
+    )
+    return Cause(kind="changed", sentence=sentence, places=tuple(joints))
+
+
+def _advice(when: str) -> str:
+    return "Mend that and record again" if when == BIT_BY_BIT else _APART[0].upper() + _APART[1:]
+
+
 def unrelated(joints: Sequence[str]) -> Cause:
     """No model explains the efforts."""
     sentence = (
