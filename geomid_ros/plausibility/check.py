@@ -42,8 +42,7 @@ class RecordingCheck:
     def add(self, samples: Samples) -> None:
         """Take samples, in the order of time of each recording."""
         self._instants.add(samples)
-        if self._sensors:
-            self._stretch.add(samples)
+        self._stretch.add(samples)
 
     @property
     def due(self) -> bool:
@@ -55,7 +54,9 @@ class RecordingCheck:
         samples, self._judged_at = self._instants.samples, self._instants.taken
         if samples is None:
             return ()
-        efforts = EffortCheck(self._model, samples, self._gains).findings() if self._efforts_alone else []
+        efforts = []
+        if self._efforts_alone:
+            efforts = EffortCheck(self._model, samples, self._gains, self._stretch.samples).findings()
         return (*efforts, *filter(None, map(self._wrench, self._sensors)))
 
     @property

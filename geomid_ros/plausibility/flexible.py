@@ -58,7 +58,6 @@ class FlexibleFit:
         self.instants = float(np.mean(self._counts))
         """How many instants there are, on average over channels."""
         curves = by_channel(_curves(samples.position[:, joints], friction, world.predicted) * self.spread[:, None])
-        self._links = links
         self._columns = np.concatenate([links, curves], axis=2)
         self._friction = friction
         self._nominal = self._evidence(self._columns)
@@ -68,7 +67,12 @@ class FlexibleFit:
     @property
     def rigid(self) -> FloatArray:
         """What the fitted links take ``(N, C)``."""
-        return np.asarray(self._predicted + self._links @ self._nominal.links[: self._rank])
+        return np.asarray(self._predicted + self._columns[:, :, : self._rank] @ self.links)
+
+    @property
+    def links(self) -> FloatArray:
+        """The links' errors ``(r,)`` that are found, see :meth:`World.links`."""
+        return self._nominal.links[: self._rank]
 
     def promise(self, columns: FloatArray) -> float:
         """About the least that :meth:`gain` finds, at the noise that is left without the columns [nats per instant].

@@ -20,6 +20,7 @@ KINDS = {
     "gravity": "gravity acts in another direction",
     "compensated": "gravity is not in the efforts",
     "changed": "something changes during the recording",
+    "late": "efforts are those of another time",
     "unrelated": "efforts follow neither gravity nor motion",
     "constant": "an effort never changes",
     "stream": "messages are not what a driver should send",

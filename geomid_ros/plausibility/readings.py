@@ -162,9 +162,9 @@ class World:
         alike = crossed > _ALIKE * np.sqrt(size * np.sum(own**2, axis=0))
         return crossed / size, alike & (np.std(own, axis=0) > _PART * self.spread)
 
-    def links(self, found: Evidence) -> FloatArray:
-        """The errors ``(D,)`` of the links that evidence has found, in units of the factor of their covariance."""
-        return np.asarray(self._basis @ found.links)
+    def links(self, found: FloatArray) -> FloatArray:
+        """The errors ``(D,)`` of the links that evidence has found ``(r,)``, in units of the factor of their covariance."""
+        return np.asarray(self._basis @ found)
 
     def slopes(self) -> tuple[FloatArray, FloatArray]:
         """Of each channel the slope of what is measured over what the URDF predicts, and their squared correlation,

@@ -176,6 +176,28 @@ def _advice(when: str) -> str:
     return "Mend that and record again" if when == BIT_BY_BIT else _APART[0].upper() + _APART[1:]
 
 
+def all_late(joints: Sequence[str], lag: float) -> Cause:
+    """All efforts are late or early."""
+    first, second = ("efforts", "positions") if lag > 0.0 else ("positions", "efforts")
+    held = "they are filtered, held or polled in the driver" + (", or positions are set-points" if lag > 0.0 else "")
+    sentence = (
+        f"the {first} come about {1000.0 * abs(lag):.0f} ms later than the {second} that they belong to: {held}. Record "
+        "both as they are measured, with the stamp of that time (a delay alone is found by 'geomid gap')"
+    )
+    return Cause(kind="late", sentence=sentence, places=tuple(joints))
+
+
+def some_late(joints: Sequence[str], lags: Iterable[float]) -> Cause:
+    """The efforts of some joints are late or early."""
+    times = [f"{1000.0 * abs(lag):.0f} ms {'late' if lag > 0.0 else 'early'}" for lag in lags]
+    said = ", ".join(f"'{joint}' about {time}" for joint, time in zip(joints, times, strict=True))
+    sentence = (
+        f"efforts do not come at the time of the motion that they belong to: that of {said}; are they filtered or held "
+        "in the driver, or polled one after the other? Record all joints with the stamp of their measurement"
+    )
+    return Cause(kind="late", sentence=sentence, places=tuple(joints))
+
+
 def unrelated(joints: Sequence[str]) -> Cause:
     """No model explains the efforts."""
     sentence = (
