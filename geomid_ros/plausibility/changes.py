@@ -41,15 +41,15 @@ class _Kind:
 
     Attributes:
         columns: ``(N, C, k)`` its efforts, by standard deviations of its size.
-        said: what it says, from the coefficients and when it changes; None if it is too small or cannot be.
+        said: what it says, from what was fitted and when it changes; None if it is too small or cannot be.
         grows: whether it may also do so bit by bit.
-        ends: whether it may also be so until some instant.
+        first: whether it is so until some instant, not from then on.
     """
 
     columns: FloatArray
-    said: Callable[[FloatArray, str], tuple[Cause, list[int]] | None]
+    said: Callable[[Gain, str], tuple[Cause, list[int]] | None]
     grows: bool = False
-    ends: bool = False
+    first: bool = False
 
 
 class Changes:
@@ -78,7 +78,7 @@ class Changes:
             if self._fit.promise(columns) < _WORTH:
                 continue
             gain, always = self._fit.gain(columns), self._fit.gain(kind.columns)
-            said = kind.said(gain.coefficients, when)
+            said = kind.said(gain, when)
             if said is not None:
                 beyond = gain.beyond(always) if always.per_instant > 0.0 else gain
                 yield hypothesis(said[0], said[1], beyond, nominal, len(self._samples), len(_PLACES))
@@ -88,8 +88,6 @@ class Changes:
         tried = [self._from(kind, place) for place in _PLACES]
         best = int(np.argmax([self._fit.promise(columns) for columns, _ in tried]))
         near = [tried[best], *(self._from(kind, _PLACES[best] + by) for by in _NEARER)]
-        if kind.ends:
-            near += [(kind.columns - columns, words.until(self._time(_PLACES[best]))) for columns, _ in near[:1]]
         if kind.grows:
             share = (np.arange(len(self._samples)) / len(self._samples))[:, None, None]
             near.append((share * kind.columns, words.BIT_BY_BIT))
@@ -97,7 +95,8 @@ class Changes:
 
     def _from(self, kind: _Kind, place: float) -> tuple[FloatArray, str]:
         later = np.arange(len(self._samples)) >= place * len(self._samples)
-        return later[:, None, None] * kind.columns, words.from_on(self._time(place))
+        when = words.until if kind.first else words.from_on
+        return (later != kind.first)[:, None, None] * kind.columns, when(self._time(place))
 
     def _time(self, place: float) -> float:
         """Since the first instant [s]; of recordings one after the other, all of theirs."""
@@ -112,7 +111,8 @@ class Changes:
         yield _Kind(gain, self._gain, grows=True)
         yield _Kind(by_channel(gain), self._gain_of_one, grows=True)
         gravity = np.tensordot(robot.gravity, self._efforts.by_gravity, 1) @ self._efforts.prior
-        yield _Kind(gravity[:, :, None], self._gravity, ends=True)
+        for first in (False, True):
+            yield _Kind(gravity[:, :, None], self._gravity, first=first)
         bodies = self._efforts.prior.reshape(-1, 10)
         for place, body in enumerate(robot.bodies):
             if len(robot.subtree(body.name)) == 1:
@@ -132,42 +132,47 @@ class Changes:
             found.append((rows @ self._efforts.prior - now) / _STEP)
         return np.stack(found, axis=2)
 
-    def _offset(self, coefficients: FloatArray, when: str) -> tuple[Cause, list[int]] | None:
-        main = _main(coefficients, _LEAST_OFFSET)
-        steps = coefficients * self._fit.spread
+    def _offset(self, gain: Gain, when: str) -> tuple[Cause, list[int]] | None:
+        main = _main(gain.coefficients, _LEAST_OFFSET)
+        steps = gain.coefficients * self._fit.spread
         said = [words.change(self._names[c], steps[c], self._units[c]) for c in main]
         return (words.other_offset([self._names[c] for c in main], said, when), main) if main else None
 
-    def _gain(self, coefficients: FloatArray, when: str) -> tuple[Cause, list[int]] | None:
-        factor = 1.0 + _GAIN * float(coefficients[0])
+    def _gain(self, gain: Gain, when: str) -> tuple[Cause, list[int]] | None:
+        factor = 1.0 + _GAIN * float(gain.coefficients[0]) * float(np.median(self._share_of_first(gain)))
         if abs(factor - 1.0) < _LEAST_GAIN:
             return None
         return words.gain_changes(self._names, factor, when, True), [*range(len(self._names))]
 
-    def _gain_of_one(self, coefficients: FloatArray, when: str) -> tuple[Cause, list[int]] | None:
-        main = _main(_GAIN * coefficients, _LEAST_GAIN)
+    def _gain_of_one(self, gain: Gain, when: str) -> tuple[Cause, list[int]] | None:
+        steps = _GAIN * gain.coefficients * self._share_of_first(gain)
+        main = _main(steps, _LEAST_GAIN)
         if len(main) != 1:
             return None
-        factor = 1.0 + _GAIN * float(coefficients[main[0]])
+        factor = 1.0 + float(steps[main[0]])
         return words.gain_changes([self._names[main[0]]], factor, when, False), main
 
-    def _gravity(self, coefficients: FloatArray, when: str) -> tuple[Cause, list[int]] | None:
-        if not _ALL[0] < coefficients[0] < _ALL[1]:
+    def _share_of_first(self, gain: Gain) -> FloatArray:
+        """What was fitted to all of the time, as shares of what links take before it changes ``(C,)``."""
+        return np.asarray(np.std(self._fit.rigid, axis=0) / np.maximum(np.std(gain.rigid, axis=0), 1e-9))
+
+    def _gravity(self, gain: Gain, when: str) -> tuple[Cause, list[int]] | None:
+        if not _ALL[0] < gain.coefficients[0] < _ALL[1]:
             return None
         return words.gravity_goes(self._names, when), [*range(len(self._names))]
 
-    def _payload(self, link: str, masses: FloatArray) -> Callable[[FloatArray, str], tuple[Cause, list[int]] | None]:
-        def said(coefficients: FloatArray, when: str) -> tuple[Cause, list[int]] | None:
-            mass, whole = float(masses @ coefficients), float(np.sum(self._efforts.prior[::10]))
+    def _payload(self, link: str, masses: FloatArray) -> Callable[[Gain, str], tuple[Cause, list[int]] | None]:
+        def said(gain: Gain, when: str) -> tuple[Cause, list[int]] | None:
+            mass, whole = float(masses @ gain.coefficients), float(np.sum(self._efforts.prior[::10]))
             if abs(mass) < _LEAST_MASS * whole:
                 return None
             return words.payload_changes(link, mass, self._names, when), [*range(len(self._names))]
 
         return said
 
-    def _zero(self, coefficients: FloatArray, when: str) -> tuple[Cause, list[int]] | None:
-        main = _main(_ZERO * coefficients, _LEAST_ZERO)
-        said = [words.displaced(self._names[c], -_ZERO * coefficients[c], self._units[c] != "N") for c in main]
+    def _zero(self, gain: Gain, when: str) -> tuple[Cause, list[int]] | None:
+        main = _main(_ZERO * gain.coefficients, _LEAST_ZERO)
+        said = [words.displaced(self._names[c], -_ZERO * gain.coefficients[c], self._units[c] != "N") for c in main]
         everywhere = [*range(len(self._names))]  # efforts of all joints depend on it
         return (words.other_zero([self._names[c] for c in main], said, when), everywhere) if main else None
 

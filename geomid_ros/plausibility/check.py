@@ -38,6 +38,8 @@ class RecordingCheck:
         self._instants = Instants()
         self._stretch = Stretch()
         self._judged_at = 0.0
+        self.remarks: list[str] = []
+        """What to know of a recording that may be right, once it has been judged."""
 
     def add(self, samples: Samples) -> None:
         """Take samples, in the order of time of each recording."""
@@ -56,7 +58,8 @@ class RecordingCheck:
             return ()
         efforts = []
         if self._efforts_alone:
-            efforts = EffortCheck(self._model, samples, self._gains, self._stretch.samples).findings()
+            check = EffortCheck(self._model, samples, self._gains, self._stretch.samples)
+            efforts, self.remarks = check.findings(), check.remarks
         return (*efforts, *filter(None, map(self._wrench, self._sensors)))
 
     @property

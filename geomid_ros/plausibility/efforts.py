@@ -20,6 +20,7 @@ from geomid_ros.plausibility.lags import Lags, Pairs
 from geomid_ros.plausibility.names import exchanges_of_names
 from geomid_ros.plausibility.readings import Efforts, Reading, World, as_it_is
 from geomid_ros.plausibility.rows import gravity_rows, prior_factor
+from geomid_ros.plausibility.unmeasured import frozen, is_model
 from geomid_ros.types import FloatArray
 
 MEASURED = 0.5
@@ -64,6 +65,8 @@ class EffortCheck:
         """The largest efforts as shares of the URDF's limits ``(C,)``."""
         self._factor = prior_factor(model)
         self._enough = len(self._samples) >= FEWEST and bool(np.any(moves)) and len(self._joints) > 0
+        self.remarks: list[str] = []
+        """What to know of efforts that may be right, once they have been judged."""
 
     def _usable(self, samples: Samples) -> Samples:
         return samples.select(np.all(np.isfinite(samples.effort[:, self._joints]), axis=1))
@@ -72,15 +75,17 @@ class EffortCheck:
         """What is wrong; empty if nothing is, or nothing can be told."""
         found = [Finding(cause=words.constant(self._constant))] if self._constant else []
         if self._enough:
-            own = self._judged()
+            efforts = self._efforts(self._samples)
+            world = World(efforts, self._robot.gravity)
+            fit = FlexibleFit(world, self._samples, self._joints)
+            found += [Finding(cause=c) for c in frozen(self._names, self._samples, world.measured, fit.rigid)]
+            own = self._judged(efforts, world, fit)
             found += [own] if own is not None else []
+            self.remarks = [words.MODEL] if is_model(world.measured, world.predicted) else []
         return found
 
-    def _judged(self) -> Finding | None:
-        efforts = self._efforts(self._samples)
-        world = World(efforts, self._robot.gravity)
+    def _judged(self, efforts: Efforts, world: World, fit: FlexibleFit) -> Finding | None:
         nominal = world.judge(as_it_is(len(self._joints)))
-        fit = FlexibleFit(world, self._samples, self._joints)
         tried = [
             *self._signs(world),
             *self._orders(world),
@@ -239,7 +244,7 @@ class EffortCheck:
     def _late(self, nominal: Evidence) -> Iterator[Hypothesis]:
         if self._pairs is not None:
             efforts = self._efforts(self._pairs.now)
-            yield from Lags(self._model, self._pairs, self._joints, efforts).hypotheses(nominal)
+            yield from Lags(self._model, self._pairs, self._joints, efforts).hypotheses(nominal, len(self._samples))
 
     def _tried(
         self,

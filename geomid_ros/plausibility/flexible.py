@@ -27,11 +27,13 @@ class Gain:
         per_instant: gain of log evidence [nats].
         ratios: ``(C,)`` of what is left, over what is left without the columns.
         coefficients: ``(k,)`` of the columns.
+        rigid: ``(N, C)`` what the links take beside them.
     """
 
     per_instant: float
     ratios: FloatArray
     coefficients: FloatArray
+    rigid: FloatArray
 
     def beyond(self, other: Gain) -> Gain:
         """What these columns explain more than others do."""
@@ -67,7 +69,7 @@ class FlexibleFit:
     @property
     def rigid(self) -> FloatArray:
         """What the fitted links take ``(N, C)``."""
-        return np.asarray(self._predicted + self._columns[:, :, : self._rank] @ self.links)
+        return self._rigid(self.links)
 
     @property
     def links(self) -> FloatArray:
@@ -94,7 +96,11 @@ class FlexibleFit:
             per_instant=(found.log - self._nominal.log) / self.instants,
             ratios=found.sigmas / self._nominal.sigmas,
             coefficients=found.links[self._columns.shape[2] :],
+            rigid=self._rigid(found.links[: self._rank]),
         )
+
+    def _rigid(self, links: FloatArray) -> FloatArray:
+        return np.asarray(self._predicted + self._columns[:, :, : self._rank] @ links)
 
     def _evidence(self, columns: FloatArray) -> Evidence:
         """The evidence of columns ``(N, C, k)`` whose coefficients have unit variance, and friction."""

@@ -63,15 +63,15 @@ class Lags:
         self._fit = FlexibleFit(self._world, pairs.now, joints)
         self._efforts = efforts
 
-    def hypotheses(self, nominal: Evidence) -> Iterator[Hypothesis]:
-        """Lags, as far as they explain anything; ``nominal`` is the evidence of none."""
+    def hypotheses(self, nominal: Evidence, instants: int) -> Iterator[Hypothesis]:
+        """Lags, as far as they explain anything; ``nominal`` is the evidence of none, from so many instants."""
         count = len(self._names)
         rates = -_USUAL * self._rates()
         common = gain = self._fit.gain(rates[:, :, None])
         lag = _USUAL * float(gain.coefficients[0])
         if _LEAST < abs(lag) < _MOST:
             cause = words.all_late(self._names, lag)
-            yield hypothesis(cause, [*range(count)], gain, nominal, len(self._pairs.now), 1)
+            yield hypothesis(cause, [*range(count)], gain, nominal, instants, 1)
         if count == 1:
             return
         alone = by_channel(rates[:, :, None])
@@ -84,7 +84,7 @@ class Lags:
             gain = self._fit.gain(alone[:, :, main])
         if main:
             cause = words.some_late([self._names[c] for c in main], lags[main])
-            yield hypothesis(cause, main, gain, nominal, len(self._pairs.now), count)
+            yield hypothesis(cause, main, gain, nominal, instants, count)
 
     def _rates(self) -> FloatArray:
         """By how much the efforts of the fitted links change ``(N, C)`` [N m/s]."""

@@ -129,7 +129,7 @@ def other_offset(joints: Sequence[str], said: Sequence[str], when: str) -> Cause
         f"the efforts of {', '.join(said)} are others {when}, whatever the robot does: was a sensor set to zero, or "
         f"does something else act there? {_advice(when)}"
     )
-    return Cause(kind="changed", sentence=sentence, places=tuple(joints))
+    return Cause(kind="offset", sentence=sentence, places=tuple(joints))
 
 
 def gain_changes(joints: Sequence[str], factor: float, when: str, of_all: bool) -> Cause:
@@ -139,13 +139,13 @@ def gain_changes(joints: Sequence[str], factor: float, when: str, of_all: bool) 
         f"{who} {factor:.2f} times as large {when}: does the unit change, or the torque of a motor with its warmth? "
         f"{_advice(when)}"
     )
-    return Cause(kind="changed", sentence=sentence, places=tuple(joints))
+    return Cause(kind="drift", sentence=sentence, places=tuple(joints))
 
 
 def gravity_goes(joints: Sequence[str], when: str) -> Cause:
     """Gravity is in the efforts for a part of the time."""
     sentence = f"gravity is not in the efforts {when}: its compensation is switched; {_APART}"
-    return Cause(kind="changed", sentence=sentence, places=tuple(joints))
+    return Cause(kind="switched", sentence=sentence, places=tuple(joints))
 
 
 def payload_changes(link: str, mass: float, joints: Sequence[str], when: str) -> Cause:
@@ -155,7 +155,7 @@ def payload_changes(link: str, mass: float, joints: Sequence[str], when: str) ->
         f"'{link}' carries about {abs(mass):.2g} kg {what} {when}: something is taken up or put down; identify the "
         f"robot without it from a recording without it ({_APART})"
     )
-    return Cause(kind="changed", sentence=sentence, places=tuple(joints))
+    return Cause(kind="payload", sentence=sentence, places=tuple(joints))
 
 
 def displaced(joint: str, size: float, turns: bool) -> str:
@@ -169,7 +169,7 @@ def other_zero(joints: Sequence[str], said: Sequence[str], when: str) -> Cause:
         f"the positions of {', '.join(said)} are off {when}: does a coupling slip, or was an encoder set to zero? "
         f"{_advice(when)}"
     )
-    return Cause(kind="changed", sentence=sentence, places=tuple(joints))
+    return Cause(kind="slip", sentence=sentence, places=tuple(joints))
 
 
 def _advice(when: str) -> str:
@@ -196,6 +196,22 @@ def some_late(joints: Sequence[str], lags: Iterable[float]) -> Cause:
         "in the driver, or polled one after the other? Record all joints with the stamp of their measurement"
     )
     return Cause(kind="late", sentence=sentence, places=tuple(joints))
+
+
+def frozen(joint: str, begin: float, end: float, asked: float) -> Cause:
+    """An effort stays the same for a while."""
+    sentence = (
+        f"the effort of joint '{joint}' is exactly the same from about {begin:.0f} s to {end:.0f} s, while gravity and "
+        f"motion change what is needed by {asked:.3g}: it is not measured then; leave that part out"
+    )
+    return Cause(kind="constant", sentence=sentence, places=(joint,))
+
+
+MODEL = (
+    "the efforts are those of the URDF's own model, without friction or errors: a simulation of it, or what a controller "
+    "computes. If a robot was to be measured, record its measured efforts"
+)
+"""What efforts are that nobody measures."""
 
 
 def unrelated(joints: Sequence[str]) -> Cause:

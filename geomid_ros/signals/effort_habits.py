@@ -68,6 +68,12 @@ class EffortHabits:
                 self._learn(self._stamps, self._efforts)
                 self._count = 0
 
+    @property
+    def _range(self) -> FloatArray:
+        """From the smallest effort to the largest ``(J,)``; zero where none is measured."""
+        measured = np.isfinite(self._low)
+        return np.subtract(self._high, self._low, out=np.zeros(len(measured)), where=measured)
+
     def _learn(self, stamps: IntArray, efforts: FloatArray) -> None:
         known = np.isfinite(efforts)
         self._chunks += 1
@@ -86,7 +92,7 @@ class EffortHabits:
         for which, number, way in ((at_zero, self._jumps, self._jumped), (~at_zero, self._changes, self._way)):
             number += np.sum(which & (change > 0.0), axis=0)
             way += np.sum(np.where(which & (change > 0.0), change, 0.0), axis=0)
-        margin = _ENDS * (self._high - self._low)
+        margin = _ENDS * self._range
         up, down = efforts > self._high - margin, efforts < self._low + margin
         self._overflows += [np.sum(up[:-1] & down[1:], axis=0), np.sum(down[:-1] & up[1:], axis=0)]
         seldom = efforts[::_EVERY]
@@ -98,7 +104,7 @@ class EffortHabits:
         """Which joints are concerned ``(J,)``, by what is wrong; each joint by one thing alone."""
         count, every = np.maximum(self._messages, 1.0), np.maximum(self._changes + self._jumps, 1.0)
         spread = np.sqrt(np.maximum(self._squares / count - (self._sum / count) ** 2, 0.0))
-        usual, full = self._way / np.maximum(self._changes, 1.0), self._high - self._low
+        usual, full = self._way / np.maximum(self._changes, 1.0), self._range
         many = (self._changes + self._jumps >= _MANY) & (spread > 0.0)
         coarse = many & (self._step > _COARSE * spread)
         fine = many & ~coarse
