@@ -1,7 +1,7 @@
-"""Whether something changes during a recording: offsets, gains, what is carried, gravity in the efforts, zeros of positions.
+"""Whether something changes during a recording: offsets, gains, what is carried, gravity in efforts, positions.
 
-Each is fitted as it would be from some instant on, or as it would grow, beside all that links, friction and curves explain of
-the whole recording. What a robot does as it warms up, or where its friction follows another law, is explained by those.
+Each is fitted as it would be from some instant on, or as it would grow, beside all that links, friction and curves
+explain of the whole recording. What a robot does where its friction follows another law is explained by those.
 """
 
 from __future__ import annotations

@@ -1,5 +1,7 @@
-"""The most that links, friction and curves of each joint's own motion explain of efforts: what is to be named beside them must
-explain much more."""
+"""The most that links, friction and curves of each joint's own motion explain of efforts.
+
+What is to be named beside them must explain much more.
+"""
 
 from __future__ import annotations
 

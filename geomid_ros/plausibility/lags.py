@@ -1,7 +1,7 @@
 """Whether efforts belong to the motion that they are recorded with, or to that of a little earlier or later.
 
-To first order a lag adds the derivative of the efforts, times the lag. What the links take tells it: friction turns about with
-the motion at once, and what it leaves unexplained there looks like a lag. So it is fitted beside the curves of friction.
+To first order a lag adds the derivative of the efforts, times the lag. What the links take tells it: friction turns
+about at once, and what is left unexplained there looks like a lag. So it is fitted beside the curves of friction.
 """
 
 from __future__ import annotations

@@ -163,7 +163,7 @@ class World:
         return crossed / size, alike & (np.std(own, axis=0) > _PART * self.spread)
 
     def links(self, found: FloatArray) -> FloatArray:
-        """The errors ``(D,)`` of the links that evidence has found ``(r,)``, in units of the factor of their covariance."""
+        """The links' errors ``(D,)`` in units of their covariance's factor, of those that evidence finds ``(r,)``."""
         return np.asarray(self._basis @ found)
 
     def slopes(self) -> tuple[FloatArray, FloatArray]:

@@ -181,8 +181,8 @@ def all_late(joints: Sequence[str], lag: float) -> Cause:
     first, second = ("efforts", "positions") if lag > 0.0 else ("positions", "efforts")
     held = "they are filtered, held or polled in the driver" + (", or positions are set-points" if lag > 0.0 else "")
     sentence = (
-        f"the {first} come about {1000.0 * abs(lag):.0f} ms later than the {second} that they belong to: {held}. Record "
-        "both as they are measured, with the stamp of that time (a delay alone is found by 'geomid gap')"
+        f"the {first} come about {1000.0 * abs(lag):.0f} ms later than the {second} that they belong to: {held}. "
+        "Record both as they are measured, with the stamp of that time (a delay alone is found by 'geomid gap')"
     )
     return Cause(kind="late", sentence=sentence, places=tuple(joints))
 
@@ -208,8 +208,8 @@ def frozen(joint: str, begin: float, end: float, asked: float) -> Cause:
 
 
 MODEL = (
-    "the efforts are those of the URDF's own model, without friction or errors: a simulation of it, or what a controller "
-    "computes. If a robot was to be measured, record its measured efforts"
+    "the efforts are those of the URDF's own model, without friction or errors: a simulation of it, or what a "
+    "controller computes. If a robot was to be measured, record its measured efforts"
 )
 """What efforts are that nobody measures."""
 

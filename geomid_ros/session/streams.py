@@ -11,6 +11,8 @@ from geomid_ros.signals.joint_messages import DRIVER_ERROR, UNWRAPPED
 from geomid_ros.signals.ledger import Account
 from geomid_ros.signals.sampler import SCALED
 
+_TOLD = (CLOCK_SET, UNWRAPPED, SCALED, COARSE)
+
 
 def faulty_streams(accounts: Mapping[str, Account], before: Mapping[str, Account]) -> list[Finding]:
     """The faults of drivers that make all of their messages doubtful.
@@ -38,5 +40,5 @@ def peculiarities(accounts: Mapping[str, Account]) -> list[str]:
             ((reason, most),) = account.rejected.most_common(1)
             refused = f"{account.rejected.total()} of {account.received} messages are refused"
             found.append(f"{topic}: {refused}, {most} of them: {reason}")
-        found += [f"{topic}: {remark}" for remark in account.noted if remark.endswith((CLOCK_SET, UNWRAPPED, SCALED, COARSE))]
+        found += [f"{topic}: {remark}" for remark in account.noted if remark.endswith(_TOLD)]
     return found

@@ -35,7 +35,7 @@ class EffortHabits:
             wrong: told what makes efforts doubtful.
             note: told what is to be known of them.
         """
-        self._joints, self._turning = joints, turning
+        self._joints, self._turning = tuple(joints), turning
         self._wrong, self._note = wrong, note
         count = len(joints)
         self._stamps = np.zeros(_CHUNK, dtype=np.int64)
@@ -72,7 +72,8 @@ class EffortHabits:
     def _range(self) -> FloatArray:
         """From the smallest effort to the largest ``(J,)``; zero where none is measured."""
         measured = np.isfinite(self._low)
-        return np.subtract(self._high, self._low, out=np.zeros(len(measured)), where=measured)
+        nothing = np.zeros(len(measured))
+        return np.asarray(np.subtract(self._high, self._low, out=nothing, where=measured))
 
     def _learn(self, stamps: IntArray, efforts: FloatArray) -> None:
         known = np.isfinite(efforts)
@@ -89,9 +90,9 @@ class EffortHabits:
         self._least = np.fmin(self._least, np.fmin.reduce(np.where(size > 0.0, size, np.inf), axis=0))
         self._step = np.fmin(self._step, np.fmin.reduce(np.where(change > 0.0, change, np.inf), axis=0))
         at_zero = np.diff((size == 0.0).astype(np.int8), axis=0) != 0
-        for which, number, way in ((at_zero, self._jumps, self._jumped), (~at_zero, self._changes, self._way)):
-            number += np.sum(which & (change > 0.0), axis=0)
-            way += np.sum(np.where(which & (change > 0.0), change, 0.0), axis=0)
+        jumps, changes = at_zero & (change > 0.0), ~at_zero & (change > 0.0)
+        self._jumps, self._jumped = self._jumps + np.sum(jumps, axis=0), self._jumped + _sum(change, jumps)
+        self._changes, self._way = self._changes + np.sum(changes, axis=0), self._way + _sum(change, changes)
         margin = _ENDS * self._range
         up, down = efforts > self._high - margin, efforts < self._low + margin
         self._overflows += [np.sum(up[:-1] & down[1:], axis=0), np.sum(down[:-1] & up[1:], axis=0)]
@@ -118,7 +119,7 @@ class EffortHabits:
         same &= np.outer(self._turning, self._turning)
         return {
             "come only every {:.1g} s, and are the same numbers in between": held,
-            "fall to exactly zero, and rise again, at once: a dead band, or a drive that is switched off or braked": zero,
+            "fall to exactly zero, and rise again, at once: a dead band, or a drive switched off or braked": zero,
             "jump from one end of their range to the other: their numbers overflow": over,
             "are the same numbers: one of them is a copy": same.any(axis=0) | same.any(axis=1),
             COARSE: coarse,
@@ -128,9 +129,13 @@ class EffortHabits:
         """Tell what is found twice in a row, once."""
         found = self._kinds()
         for what, joints in found.items():
-            if joints.any() and what not in self._told and np.array_equal(joints, self._before.get(what)):
+            if what not in self._told and joints.any() and np.array_equal(joints, self._before.get(what, ~joints)):
                 self._told.add(what)
                 every = np.median(self._time / np.maximum(self._changes + self._jumps, 1.0)[joints])
                 who = "all joints" if joints.all() else ", ".join(repr(self._joints[j]) for j in np.flatnonzero(joints))
                 (self._note if what == COARSE else self._wrong)(f"efforts of {who} {what.format(every)}")
         self._before = found
+
+
+def _sum(values: FloatArray, which: BoolArray) -> FloatArray:
+    return np.asarray(np.sum(np.where(which, values, 0.0), axis=0))

@@ -116,7 +116,13 @@ class SaturationDetector:
         return largest[1:], grown, last_far
 
     def _learn_held(
-        self, numbers: IntArray, new: BoolArray, last: FloatArray, largest: FloatArray, grown: BoolArray, moving: BoolArray
+        self,
+        numbers: IntArray,
+        new: BoolArray,
+        last: FloatArray,
+        largest: FloatArray,
+        grown: BoolArray,
+        moving: BoolArray,
     ) -> IntArray:
         """Learn for how many messages efforts stay the same though they are not the largest: those of a driver that
         renews them seldom do.

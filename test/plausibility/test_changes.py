@@ -1,4 +1,4 @@
-"""What changes during a recording is named with its time; robots that warm up, or stand for a while, are not doubted."""
+"""What changes during a recording is named with its time; robots that warm up, or stand for a while, are sound."""
 
 from __future__ import annotations
 
@@ -167,4 +167,6 @@ def test_what_was_always_so_does_not_change(robot: Case) -> None:
     """A zero that is off throughout is another fault than one that slips."""
     position = robot.samples.position.copy()
     position[:, 1] += np.radians(12.0)
-    assert all(finding.cause.kind not in CHANGES for finding in findings(robot, replace(robot.samples, position=position)))
+    assert all(
+        finding.cause.kind not in CHANGES for finding in findings(robot, replace(robot.samples, position=position))
+    )
