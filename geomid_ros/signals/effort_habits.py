@@ -6,10 +6,11 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
+from geomid_ros.signals.saturation import STANDING
 from geomid_ros.types import BoolArray, FloatArray, IntArray
 
 _CHUNK = 128  # messages that are learned from at once
-_FEWEST_CHUNKS = 4
+_FEWEST_CHUNKS, _SELDOM = 4, 16  # chunks before anything is told, and between two looks later on
 _LONGEST_HELD = 0.05  # [s] what is renewed at 20 Hz or more is hardly late
 _HELD = 4.0  # smallest changes, that one is on average: a coarse sensor's are one
 _COARSE = 0.25  # standard deviations
@@ -39,9 +40,9 @@ class EffortHabits:
         self._wrong, self._note = wrong, note
         count = len(joints)
         self._stamps = np.zeros(_CHUNK, dtype=np.int64)
-        self._efforts = np.zeros((_CHUNK, count))
+        self._positions, self._efforts = np.zeros((_CHUNK, count)), np.zeros((_CHUNK, count))
         self._count = self._chunks = 0
-        self._time = 0.0  # [s]
+        self._time, self._renewed = np.zeros(count), np.zeros(count)  # [s], and changes, while the joint moves
         self._messages, self._sum, self._squares, self._zeros = (np.zeros(count) for _ in range(4))
         self._first: FloatArray | None = None
         self._low, self._high = np.full(count, np.inf), np.full(count, -np.inf)
@@ -54,18 +55,25 @@ class EffortHabits:
         self._before: dict[str, BoolArray] = {}
         self._told: set[str] = set()
 
-    def add(self, stamps: IntArray, efforts: FloatArray) -> None:
-        """Take messages that are used: stamps ``(N,)`` [ns] and efforts ``(N, J)``, NaN where not measured."""
+    def add(self, stamps: IntArray, positions: FloatArray, efforts: FloatArray) -> None:
+        """Take messages that are used.
+
+        Args:
+            stamps: ``(N,)`` [ns].
+            positions: ``(N, J)``.
+            efforts: ``(N, J)``, NaN where not measured.
+        """
         taken = 0
         while taken < len(stamps):
             part = slice(taken, taken + _CHUNK - self._count)
             end = self._count + len(stamps[part])
             self._stamps[self._count : end] = stamps[part]
+            self._positions[self._count : end] = positions[part]
             self._efforts[self._count : end] = efforts[part]
             taken += end - self._count
             self._count = end
             if end == _CHUNK:
-                self._learn(self._stamps, self._efforts)
+                self._learn(self._efforts)
                 self._count = 0
 
     @property
@@ -75,11 +83,10 @@ class EffortHabits:
         nothing = np.zeros(len(measured))
         return np.asarray(np.subtract(self._high, self._low, out=nothing, where=measured))
 
-    def _learn(self, stamps: IntArray, efforts: FloatArray) -> None:
+    def _learn(self, efforts: FloatArray) -> None:
         known = np.isfinite(efforts)
         self._chunks += 1
         self._first = np.where(known[0], efforts[0], 0.0) if self._first is None else self._first
-        self._time += float(stamps[-1] - stamps[0]) * 1e-9
         off = np.where(known, efforts - self._first, 0.0)
         size, change = np.abs(efforts), np.abs(np.diff(efforts, axis=0))
         self._messages += np.sum(known, axis=0)
@@ -93,23 +100,34 @@ class EffortHabits:
         jumps, changes = at_zero & (change > 0.0), ~at_zero & (change > 0.0)
         self._jumps, self._jumped = self._jumps + np.sum(jumps, axis=0), self._jumped + _sum(change, jumps)
         self._changes, self._way = self._changes + np.sum(changes, axis=0), self._way + _sum(change, changes)
+        period = 1e-9 * float(np.median(np.diff(self._stamps)))
+        moving = np.abs(np.diff(self._positions, axis=0)) > STANDING * period
+        self._time, self._renewed = (
+            self._time + period * np.sum(moving, axis=0),
+            self._renewed + _sum(change > 0.0, moving),
+        )
         margin = _ENDS * self._range
         up, down = efforts > self._high - margin, efforts < self._low + margin
         self._overflows += [np.sum(up[:-1] & down[1:], axis=0), np.sum(down[:-1] & up[1:], axis=0)]
         seldom = efforts[::_EVERY]
         self._alike += np.sum((seldom[:, :, None] == seldom[:, None]) & (seldom[:, :, None] != 0.0), axis=0)
-        if self._chunks >= _FEWEST_CHUNKS:
+        if self._chunks >= _FEWEST_CHUNKS and (self._chunks < _SELDOM or self._chunks % _SELDOM == 0):
             self._tell()
 
     def _kinds(self) -> dict[str, BoolArray]:
         """Which joints are concerned ``(J,)``, by what is wrong; each joint by one thing alone."""
-        count, every = np.maximum(self._messages, 1.0), np.maximum(self._changes + self._jumps, 1.0)
+        count = np.maximum(self._messages, 1.0)
         spread = np.sqrt(np.maximum(self._squares / count - (self._sum / count) ** 2, 0.0))
         usual, full = self._way / np.maximum(self._changes, 1.0), self._range
         many = (self._changes + self._jumps >= _MANY) & (spread > 0.0)
         coarse = many & (self._step > _COARSE * spread)
         fine = many & ~coarse
-        held = fine & (self._time > _LONGEST_HELD * every) & (usual > _HELD * self._step)
+        held = (
+            fine
+            & (self._renewed >= _MANY)
+            & (self._time > _LONGEST_HELD * self._renewed)
+            & (usual > _HELD * self._step)
+        )
         share = self._zeros / count
         dead = (share > _ZEROS) & (self._least > _GAP * spread)
         braked = (share > _ZERO_RUNS) & (self._jumps >= _MANY) & (self._jumped > _BRAKED * usual * self._jumps)
@@ -131,7 +149,7 @@ class EffortHabits:
         for what, joints in found.items():
             if what not in self._told and joints.any() and np.array_equal(joints, self._before.get(what, ~joints)):
                 self._told.add(what)
-                every = np.median(self._time / np.maximum(self._changes + self._jumps, 1.0)[joints])
+                every = np.median(self._time[joints] / np.maximum(self._renewed[joints], 1.0))
                 who = "all joints" if joints.all() else ", ".join(repr(self._joints[j]) for j in np.flatnonzero(joints))
                 (self._note if what == COARSE else self._wrong)(f"efforts of {who} {what.format(every)}")
         self._before = found

@@ -153,7 +153,7 @@ class JointReader:
             stamps, numbers, speeds = stamps[taken], numbers[taken], speeds[taken]
         if len(stamps):
             self._check_effort(stamps, numbers, speeds > STANDING)
-            self._habits.add(stamps, numbers[:, 2])
+            self._habits.add(stamps, numbers[:, 0], numbers[:, 2])
             self._stamp, self._last = int(stamps[-1]), numbers[-1].copy()
             self._raw, self._turns = positions[taken][-1], turns[taken][-1]
         return numbers.reshape(len(stamps), 3 * len(self._joints)), taken

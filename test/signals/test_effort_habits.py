@@ -14,14 +14,17 @@ COUNT, PERIOD = 3000, 10_000_000
 NAMES = ("one", "two", "three")
 
 
-def told(efforts: FloatArray, turning: bool = True, piece: int = 50) -> tuple[list[str], list[str]]:
+def told(efforts: FloatArray, turning: bool = True, piece: int = 50, speed: float = 0.1) -> tuple[list[str], list[str]]:
     """What is wrong, and what is noted."""
     wrong: list[str] = []
     noted: list[str] = []
     habits = EffortHabits(NAMES, np.full(3, turning), wrong.append, noted.append)
     stamps = np.arange(COUNT) * PERIOD
+    stamps[COUNT // 2 :] += 100_000_000_000  # a pause is no rate
+    positions = np.cumsum(speed * np.ones((COUNT, 3)), axis=0) * PERIOD * 1e-9
     for begin in range(0, COUNT, piece):
-        habits.add(stamps[begin : begin + piece], efforts[begin : begin + piece])
+        part = slice(begin, begin + piece)
+        habits.add(stamps[part], positions[part], efforts[part])
     return wrong, noted
 
 
@@ -100,6 +103,10 @@ def test_real_efforts(seed: int, step: float, noise: float) -> None:
 
 def test_what_is_told_depends_on_the_messages_alone() -> None:
     assert told(cut(usual()), piece=1) == told(cut(usual()), piece=3000)
+
+
+def test_a_robot_that_stands_may_send_the_same_for_long() -> None:
+    assert told(held(usual()), speed=0.0) == ([], [])
 
 
 def test_efforts_that_are_not_measured_are_passed_over() -> None:
