@@ -126,18 +126,18 @@ def change(joint: str, size: float, unit: str) -> str:
 def other_offset(joints: Sequence[str], said: Sequence[str], when: str) -> Cause:
     """The constant part of efforts changes."""
     sentence = (
-        f"the efforts of {', '.join(said)} are others {when}, whatever the robot does: was a sensor set to zero, or "
-        f"does something else act there? {_advice(when)}"
+        f"efforts are shifted {when}, whatever the robot does: {', '.join(said)}; was a sensor set to zero, or does "
+        f"something else act there? {_advice(when)}"
     )
     return Cause(kind="offset", sentence=sentence, places=tuple(joints))
 
 
 def gain_changes(joints: Sequence[str], factor: float, when: str, of_all: bool) -> Cause:
     """Efforts change by a factor."""
-    who = "the efforts of all joints are" if of_all else f"the effort of joint '{joints[0]}' is"
+    who = "the efforts of all joints" if of_all else f"the effort of joint '{joints[0]}'"
     sentence = (
-        f"{who} {factor:.2f} times as large {when}: does the unit change, or the torque of a motor with its warmth? "
-        f"{_advice(when)}"
+        f"{who} changed to {factor:.2f} times as much {when}: does the unit change, or the torque of a motor with its "
+        f"warmth? {_advice(when)}"
     )
     return Cause(kind="drift", sentence=sentence, places=tuple(joints))
 
@@ -166,7 +166,7 @@ def displaced(joint: str, size: float, turns: bool) -> str:
 def other_zero(joints: Sequence[str], said: Sequence[str], when: str) -> Cause:
     """Positions are others than they were."""
     sentence = (
-        f"the positions of {', '.join(said)} are off {when}: does a coupling slip, or was an encoder set to zero? "
+        f"positions are off {when}: {', '.join(said)}; does a coupling slip, or was an encoder set to zero? "
         f"{_advice(when)}"
     )
     return Cause(kind="slip", sentence=sentence, places=tuple(joints))

@@ -109,7 +109,7 @@ def test_something_is_taken_up_or_put_down(robot: Case, mass: float) -> None:
 def test_all_efforts_change_by_a_factor(robot: Case) -> None:
     effort = np.where(later(robot), 0.6, 1.0) * robot.samples.effort
     cause = changed(robot, replace(robot.samples, effort=effort), "drift")
-    (factor,) = re.findall(r"([\d.]+) times as large", cause.sentence)
+    (factor,) = re.findall(r"([\d.]+) times as much", cause.sentence)
     assert float(factor) == pytest.approx(0.6, abs=0.1)
 
 
