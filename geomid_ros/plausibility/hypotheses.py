@@ -22,7 +22,7 @@ KINDS = {
     "offset": "the offset of an effort changes during the recording",
     "drift": "the gain of efforts changes during the recording",
     "switched": "gravity is in the efforts for a part of the time",
-    "payload": "what is carried changes during the recording",
+    "load": "what is carried changes during the recording",
     "slip": "the zero of a position changes during the recording",
     "late": "efforts are those of another time",
     "unrelated": "efforts follow neither gravity nor motion",

@@ -155,7 +155,7 @@ def payload_changes(link: str, mass: float, joints: Sequence[str], when: str) ->
         f"'{link}' carries about {abs(mass):.2g} kg {what} {when}: something is taken up or put down; identify the "
         f"robot without it from a recording without it ({_APART})"
     )
-    return Cause(kind="payload", sentence=sentence, places=tuple(joints))
+    return Cause(kind="load", sentence=sentence, places=tuple(joints))
 
 
 def displaced(joint: str, size: float, turns: bool) -> str:

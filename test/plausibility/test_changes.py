@@ -33,7 +33,7 @@ def named(of: Case, recorded: Samples) -> Cause:
     return finding.cause
 
 
-CHANGES = {"offset", "drift", "switched", "payload", "slip"}
+CHANGES = {"offset", "drift", "switched", "load", "slip"}
 
 
 def changed(of: Case, recorded: Samples, kind: str) -> Cause:
@@ -100,7 +100,7 @@ def test_something_is_taken_up_or_put_down(robot: Case, mass: float) -> None:
     heavy = loaded(robot.true, 1.0)
     first, second = (robot.true, heavy) if mass > 0.0 else (heavy, robot.true)
     effort = np.where(later(robot), felt(robot, second), felt(robot, first))
-    cause = changed(robot, replace(robot.samples, effort=effort), "payload")
+    cause = changed(robot, replace(robot.samples, effort=effort), "load")
     (size, way) = re.findall(r"carries about ([\d.]+) kg (more|less)", cause.sentence)[0]
     assert way == ("more" if mass > 0.0 else "less")
     assert float(size) == pytest.approx(1.0, rel=0.5)
