@@ -131,6 +131,17 @@ def test_an_effort_is_frozen_for_a_while(robot: Case) -> None:
     assert "from about 7 s to 15 s" in first.cause.sentence
 
 
+def test_efforts_of_the_urdf_itself_are_remarked_on(robot: Case) -> None:
+    """A simulation of it may be meant, so it is no doubt; a real robot has friction."""
+    urdf = Truth(np.array([body.parameters for body in robot.model.robot.bodies]), {})
+    for true, remarks in ((urdf, 1), (robot.true, 0)):
+        check = RecordingCheck(robot.model, np.ones(len(robot.model.robot.joints)), {})
+        feels = efforts(robot.model.robot, true, robot.samples)  # type: ignore[arg-type]  # it has the motion's names
+        check.add(replace(robot.samples, effort=feels))
+        assert check.findings() == ()
+        assert len(check.remarks) == remarks
+
+
 def test_friction_that_warms_up_is_no_fault(robot: Case) -> None:
     """By a fifth, as oil does."""
     cold = dict(robot.true.effects)
