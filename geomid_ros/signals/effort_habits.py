@@ -53,7 +53,7 @@ class EffortHabits:
         self._overflows = np.zeros((2, count))
         self._alike = np.zeros((count, count))
         self._before: dict[str, BoolArray] = {}
-        self._told: set[str] = set()
+        self._told: dict[str, BoolArray] = {}
 
     def add(self, stamps: IntArray, positions: FloatArray, efforts: FloatArray) -> None:
         """Take messages that are used.
@@ -144,11 +144,13 @@ class EffortHabits:
         }
 
     def _tell(self) -> None:
-        """Tell what is found twice in a row, once."""
+        """Tell of each joint once what is found twice in a row."""
         found = self._kinds()
-        for what, joints in found.items():
-            if what not in self._told and joints.any() and np.array_equal(joints, self._before.get(what, ~joints)):
-                self._told.add(what)
+        for what, now in found.items():
+            told = self._told.get(what, np.zeros_like(now))
+            joints = now & self._before.get(what, told) & ~told
+            if joints.any():
+                self._told[what] = told | joints
                 every = np.median(self._time[joints] / np.maximum(self._renewed[joints], 1.0))
                 who = "all joints" if joints.all() else ", ".join(repr(self._joints[j]) for j in np.flatnonzero(joints))
                 (self._note if what == COARSE else self._wrong)(f"efforts of {who} {what.format(every)}")
