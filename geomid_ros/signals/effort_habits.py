@@ -10,7 +10,7 @@ from geomid_ros.signals.saturation import STANDING
 from geomid_ros.types import BoolArray, FloatArray, IntArray
 
 _CHUNK = 128  # messages that are learned from at once
-_FEWEST_CHUNKS, _SELDOM = 4, 16  # chunks before anything is told, and between two looks later on
+_FEWEST_CHUNKS, _MANY_CHUNKS, _SELDOM = 4, 64, 16  # after so many: told, seldom looked at; between two looks then
 _LONGEST_HELD = 0.05  # [s] what is renewed at 20 Hz or more is hardly late
 _HELD = 4.0  # smallest changes, that one is on average: a coarse sensor's are one
 _COARSE = 0.25  # standard deviations
@@ -104,14 +104,14 @@ class EffortHabits:
         moving = np.abs(np.diff(self._positions, axis=0)) > STANDING * period
         self._time, self._renewed = (
             self._time + period * np.sum(moving, axis=0),
-            self._renewed + _sum(change > 0.0, moving),
+            self._renewed + np.sum(moving & (change > 0.0), axis=0),
         )
         margin = _ENDS * self._range
         up, down = efforts > self._high - margin, efforts < self._low + margin
         self._overflows += [np.sum(up[:-1] & down[1:], axis=0), np.sum(down[:-1] & up[1:], axis=0)]
         seldom = efforts[::_EVERY]
         self._alike += np.sum((seldom[:, :, None] == seldom[:, None]) & (seldom[:, :, None] != 0.0), axis=0)
-        if self._chunks >= _FEWEST_CHUNKS and (self._chunks < _SELDOM or self._chunks % _SELDOM == 0):
+        if self._chunks >= _FEWEST_CHUNKS and (self._chunks < _MANY_CHUNKS or self._chunks % _SELDOM == 0):
             self._tell()
 
     def _kinds(self) -> dict[str, BoolArray]:
