@@ -16,7 +16,7 @@ from geomid_ros.plausibility.hypotheses import FOLLOWS, GAIN_OF_ORDER, Cause, Fi
 from geomid_ros.plausibility.instants import FEWEST
 from geomid_ros.plausibility.names import exchanges_of_names
 from geomid_ros.plausibility.readings import Efforts, Reading, World, as_it_is
-from geomid_ros.plausibility.rows import gravity_rows, prior_factor
+from geomid_ros.plausibility.rows import effort_rows, friction_columns, gravity_rows, prior_factor
 from geomid_ros.types import FloatArray
 
 MEASURED = 0.5
@@ -56,6 +56,7 @@ class EffortCheck:
         limits = self._robot.effort_limits[self._joints]
         self._loads = np.quantile(np.abs(self._samples.effort[:, self._joints]), 0.99, axis=0) / limits
         """The largest efforts as shares of the URDF's limits ``(C,)``."""
+        self._prior = np.array([body.parameters for body in self._robot.bodies]).ravel()
         self._factor = prior_factor(model)
         self._enough = len(self._samples) >= FEWEST and bool(np.any(moves)) and len(self._joints) > 0
 
@@ -68,16 +69,14 @@ class EffortCheck:
         return found
 
     def _judged(self) -> Finding | None:
-        efforts = self._efforts(self._samples)
-        world = World(efforts, self._robot.gravity)
+        world = self._world(self._samples)
         nominal = world.judge(as_it_is(len(self._joints)))
         tried = [
             *self._signs(world),
             *self._orders(world),
             *self._names_exchanged(nominal),
             *self._units(world, nominal),
-            *self._gravities(efforts),
-            *self._compensated(efforts),
+            *self._weights(),
             *self._degrees(),
         ]
         best = max([nominal, *(h.evidence for h in tried if h.allowed)], key=lambda found: found.log)
@@ -85,10 +84,18 @@ class EffortCheck:
             return Finding(cause=words.unrelated(self._names))
         return decide(tried, nominal, len(self._samples))
 
+    def _world(self, samples: Samples) -> World:
+        """This robot in the motion of samples."""
+        regressor = effort_rows(self._model, samples, self._robot.gravity)[:, self._joints]
+        return World(self._efforts(samples), regressor)
+
     def _efforts(self, samples: Samples) -> Efforts:
-        rows = gravity_rows(self._model, samples)
-        prior = np.array([body.parameters for body in self._robot.bodies]).ravel()
-        return Efforts.of(rows, self._joints, prior, self._factor)
+        return Efforts(
+            measured=samples.effort[:, self._joints],
+            friction=friction_columns(samples)[:, self._joints],
+            prior=self._prior,
+            factor=self._factor,
+        )
 
     def _signs(self, world: World) -> Iterator[Hypothesis]:
         count = len(self._joints)
@@ -131,7 +138,7 @@ class EffortCheck:
             firsts, seconds = ([self._names[pair[end]] for pair in pairs] for end in (0, 1))
             yield Hypothesis(
                 cause=words.exchanged_names(firsts, seconds),
-                evidence=World(self._efforts(samples), self._robot.gravity).judge(as_it_is(len(sources))),
+                evidence=self._world(samples).judge(as_it_is(len(sources))),
                 choices=len(exchanges),
                 sources=sources,
                 concerned=[place for pair in pairs for place in pair],
@@ -173,37 +180,37 @@ class EffortCheck:
         beyond = bool(np.median(self._loads) > _MOST or np.max(self._loads) < _LEAST)
         return float(np.median(predicted / world.spread)), beyond
 
-    def _gravities(self, efforts: Efforts) -> Iterator[Hypothesis]:
-        count = len(self._joints)
-        size = float(np.linalg.norm(self._robot.gravity))
+    def _weights(self) -> Iterator[Hypothesis]:
+        """Gravity acts in another direction, or is not in the efforts."""
+        nominal = self._robot.gravity
+        size = float(np.linalg.norm(nominal))
         if size == 0.0:
             return
-        gravity = efforts.fitted_gravity(efforts.prior)
-        for start in (1.0, -1.0):
-            direction = start * gravity / max(float(np.linalg.norm(gravity)), 1e-9)
-            other = World(efforts, size * direction)
-            first = other.judge(as_it_is(count))
-            refined = efforts.fitted_gravity(efforts.prior + efforts.factor @ other.links(first))
-            refined /= max(float(np.linalg.norm(refined)), 1e-9)
-            for aim in (direction, refined):
-                yield self._gravity(efforts, size * aim)
+        efforts = self._efforts(self._samples)
+        still, by_gravity = (rows[..., self._joints, :] for rows in gravity_rows(self._model, self._samples))
+        everywhere = range(len(self._joints))
 
-    def _gravity(self, efforts: Efforts, gravity: FloatArray) -> Hypothesis:
-        nominal = self._robot.gravity
-        tilted = bool(gravity @ nominal < _TILT * (nominal @ nominal))
-        cause = words.other_gravity(gravity, self._names)
-        count = len(self._joints)
-        reading, world = as_it_is(count), World(efforts, gravity)
-        return self._tried(world, reading, cause, range(count), _DIRECTIONS, allowed=tilted)
+        def world(gravity: FloatArray) -> World:
+            return World(efforts, still + np.tensordot(gravity, by_gravity, 1))
 
-    def _compensated(self, efforts: Efforts) -> Iterator[Hypothesis]:
-        count = len(self._joints)
-        if not np.any(self._robot.gravity):
-            return
-        cause = words.no_gravity(self._names)
-        worlds = World(efforts, np.zeros(3)), World(efforts, self._robot.gravity, weightless=True)
-        for world in worlds:
-            yield self._tried(world, as_it_is(count), cause, range(count), 2)
+        def turned(gravity: FloatArray) -> Hypothesis:
+            tilted = bool(gravity @ nominal < _TILT * size**2)
+            cause = words.other_gravity(gravity, self._names)
+            reading = as_it_is(len(self._joints))
+            return self._tried(world(gravity), reading, cause, everywhere, _DIRECTIONS, allowed=tilted)
+
+        fitted = efforts.fitted_gravity(still, by_gravity, efforts.prior)
+        for start in (size, -size):
+            direction = start * fitted / max(float(np.linalg.norm(fitted)), 1e-9)
+            other = world(direction)
+            links = efforts.prior + efforts.factor @ other.links(other.judge(as_it_is(len(self._joints))))
+            refined = efforts.fitted_gravity(still, by_gravity, links)
+            yield turned(direction)
+            yield turned(size * refined / max(float(np.linalg.norm(refined)), 1e-9))
+        weightless = World(efforts, still + np.tensordot(nominal, by_gravity, 1), predicted=still @ efforts.prior)
+        for without in (World(efforts, still), weightless):
+            cause = words.no_gravity(self._names)
+            yield self._tried(without, as_it_is(len(self._joints)), cause, everywhere, 2)
 
     def _degrees(self) -> Iterator[Hypothesis]:
         samples = self._samples
@@ -216,7 +223,7 @@ class EffortCheck:
             acceleration=scale * samples.acceleration,
         )
         count = len(self._joints)
-        world = World(self._efforts(small), self._robot.gravity)
+        world = self._world(small)
         low, high = self._robot.position_limits.T
         beyond = np.any((samples.position < low - 0.5) | (samples.position > high + 0.5), axis=0)
         wide = np.max(np.abs(samples.position), axis=0) > 2.0 * np.pi

@@ -8,7 +8,6 @@ from functools import cached_property
 import numpy as np
 
 from geomid_ros.plausibility.evidence import Evidence, Products, evidence
-from geomid_ros.plausibility.rows import GravityRows
 from geomid_ros.types import BoolArray, FloatArray, IntArray
 
 _ROUNDING = 1e-10
@@ -32,43 +31,35 @@ def as_it_is(channels: int) -> Reading:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Efforts:
-    """Efforts of C joints at N instants, and all that a model says of them.
+    """Efforts of C joints at N instants, and what is known of them without the motion of links.
 
     Attributes:
         measured: ``(N, C)``.
-        spread: ``(C,)`` their standard deviations.
-        rows: what they say of the links, by the part of gravity.
-        friction: ``(N, C, 4)`` see :class:`GravityRows`.
+        friction: ``(N, C, 4)`` see :class:`EffortRows`.
         prior: ``(D,)`` the URDF's parameters.
         factor: ``(D, D)`` of the covariance of their errors.
     """
 
     measured: FloatArray
-    spread: FloatArray
-    still: FloatArray
-    by_gravity: FloatArray
     friction: FloatArray
     prior: FloatArray
     factor: FloatArray
 
-    @staticmethod
-    def of(rows: GravityRows, joints: IntArray, prior: FloatArray, factor: FloatArray) -> Efforts:
-        """The efforts of these joints, all of which are measured at all instants."""
-        measured = rows.targets[:, joints]
-        return Efforts(
-            measured=measured,
-            spread=np.std(measured, axis=0),
-            still=rows.still[:, joints],
-            by_gravity=rows.by_gravity[:, :, joints],
-            friction=rows.friction[:, joints],
-            prior=prior,
-            factor=factor,
-        )
+    @cached_property
+    def spread(self) -> FloatArray:
+        """Their standard deviations ``(C,)``."""
+        return np.asarray(np.std(self.measured, axis=0))
 
-    def fitted_gravity(self, parameters: FloatArray) -> FloatArray:
-        """The gravity ``(3,)`` [m/s^2] under which links with these parameters ``(D,)`` explain efforts best."""
-        left = (self.measured - self.still @ parameters) / self.spread
-        gravity = (self.by_gravity @ parameters) / self.spread  # (3, N, C)
+    def fitted_gravity(self, still: FloatArray, by_gravity: FloatArray, parameters: FloatArray) -> FloatArray:
+        """The gravity ``(3,)`` [m/s^2] under which links with these parameters ``(D,)`` explain efforts best.
+
+        Args:
+            still: ``(N, C, D)`` rows without gravity.
+            by_gravity: ``(3, N, C, D)`` rows per unit of gravity along each axis.
+            parameters: of the links.
+        """
+        left = (self.measured - still @ parameters) / self.spread
+        gravity = (by_gravity @ parameters) / self.spread  # (3, N, C)
         both = np.concatenate([gravity, left[None]]).transpose(2, 1, 0)
         both = _without(self.friction, both)
         return np.asarray(np.linalg.lstsq(both[:, :, :3].reshape(-1, 3), both[:, :, 3].ravel(), rcond=1e-6)[0])
@@ -81,26 +72,34 @@ def _without(friction: FloatArray, columns: FloatArray) -> FloatArray:
 
 
 class World:
-    """A robot under a gravity: judges readings of efforts."""
+    """A robot in motion under gravity: judges readings of efforts."""
 
-    def __init__(self, efforts: Efforts, gravity: FloatArray, *, weightless: bool = False) -> None:
+    def __init__(
+        self,
+        efforts: Efforts,
+        regressor: FloatArray,
+        *,
+        predicted: FloatArray | None = None,
+        more: FloatArray | None = None,
+    ) -> None:
         """
         Args:
-            efforts: what was measured, and what the model says of it.
-            gravity: ``(3,)`` [m/s^2].
-            weightless: what the URDF's links weigh is not in the efforts, while their errors' weight is.
+            efforts: what was measured.
+            regressor: ``(N, C, D)`` of the efforts over the links' parameters.
+            predicted: ``(N, C)`` what the URDF predicts; that of the regressor unless given.
+            more: ``(N, C, k)`` other unknowns' effects on efforts, per standard deviation of what they may well be.
         """
         self._efforts, self._friction = efforts.measured, efforts.friction
         self.spread = efforts.spread
-        regressor = efforts.still + np.tensordot(gravity, efforts.by_gravity, 1)
-        self.predicted = (efforts.still if weightless else regressor) @ efforts.prior
+        self.predicted = regressor @ efforts.prior if predicted is None else predicted
         """What the URDF predicts ``(N, C)``."""
         whitened = regressor @ efforts.factor
         scaled = whitened / self.spread[None, :, None]
         gram = np.tensordot(scaled, scaled, ((0, 1), (0, 1)))
         values, vectors = np.linalg.eigh(gram)
         self._basis = vectors[:, values > _ROUNDING * values[-1]]
-        self._columns = np.concatenate([whitened @ self._basis, self._friction], axis=2)
+        columns = [whitened @ self._basis, *([] if more is None else [more]), self._friction]
+        self._columns = np.concatenate(columns, axis=2)
 
     @cached_property
     def _unknowns(self) -> FloatArray:
@@ -153,7 +152,11 @@ class World:
 
     def links(self, found: Evidence) -> FloatArray:
         """The errors ``(D,)`` of the links that evidence has found, in units of the factor of their covariance."""
-        return np.asarray(self._basis @ found.links)
+        return np.asarray(self._basis @ found.links[: self._basis.shape[1]])
+
+    def others(self, found: Evidence) -> FloatArray:
+        """The other unknowns ``(k,)`` that evidence has found, in standard deviations."""
+        return np.asarray(found.links[self._basis.shape[1] :])
 
     def slopes(self) -> tuple[FloatArray, FloatArray]:
         """Of each channel the slope of what is measured over what the URDF predicts, and their squared correlation,
