@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from copy import copy
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -35,20 +36,17 @@ class Efforts:
 
     Attributes:
         measured: ``(N, C)``.
+        spread: ``(C,)`` standard deviations of the numbers that were measured.
         friction: ``(N, C, 4)`` see :class:`EffortRows`.
         prior: ``(D,)`` the URDF's parameters.
         factor: ``(D, D)`` of the covariance of their errors.
     """
 
     measured: FloatArray
+    spread: FloatArray
     friction: FloatArray
     prior: FloatArray
     factor: FloatArray
-
-    @cached_property
-    def spread(self) -> FloatArray:
-        """Their standard deviations ``(C,)``."""
-        return np.asarray(np.std(self.measured, axis=0))
 
     def fitted_gravity(self, still: FloatArray, by_gravity: FloatArray, parameters: FloatArray) -> FloatArray:
         """The gravity ``(3,)`` [m/s^2] under which links with these parameters ``(D,)`` explain efforts best.
@@ -74,20 +72,12 @@ def _without(friction: FloatArray, columns: FloatArray) -> FloatArray:
 class World:
     """A robot in motion under gravity: judges readings of efforts."""
 
-    def __init__(
-        self,
-        efforts: Efforts,
-        regressor: FloatArray,
-        *,
-        predicted: FloatArray | None = None,
-        more: FloatArray | None = None,
-    ) -> None:
+    def __init__(self, efforts: Efforts, regressor: FloatArray, predicted: FloatArray | None = None) -> None:
         """
         Args:
             efforts: what was measured.
             regressor: ``(N, C, D)`` of the efforts over the links' parameters.
             predicted: ``(N, C)`` what the URDF predicts; that of the regressor unless given.
-            more: ``(N, C, k)`` other unknowns' effects on efforts, per standard deviation of what they may well be.
         """
         self._efforts, self._friction = efforts.measured, efforts.friction
         self.spread = efforts.spread
@@ -98,8 +88,22 @@ class World:
         gram = np.tensordot(scaled, scaled, ((0, 1), (0, 1)))
         values, vectors = np.linalg.eigh(gram)
         self._basis = vectors[:, values > _ROUNDING * values[-1]]
-        columns = [whitened @ self._basis, *([] if more is None else [more]), self._friction]
-        self._columns = np.concatenate(columns, axis=2)
+        self._columns = np.concatenate([whitened @ self._basis, self._friction], axis=2)
+
+    def with_unknown(self, column: FloatArray, centre: float) -> World:
+        """The same with another unknown, which is normal with unit variance.
+
+        Args:
+            column: ``(N, C)`` what one of it adds to the efforts.
+            centre: its most probable value, as seen from the one that this world has.
+        """
+        world = copy(self)
+        rank = self._columns.shape[2] - 4
+        world.predicted = self.predicted + centre * column
+        world._columns = np.insert(self._columns, rank, column, axis=2)
+        for name in ("_unknowns", "_crossed"):
+            world.__dict__.pop(name, None)
+        return world
 
     @cached_property
     def _unknowns(self) -> FloatArray:
@@ -120,9 +124,19 @@ class World:
         tolerated[:, 0] = _OFFSET
         return np.asarray(tolerated)
 
-    def judge(self, reading: Reading) -> Evidence:
-        """The evidence of a reading."""
-        return evidence(self._products(reading), self._tolerated)
+    def judge(self, reading: Reading, *, either_sign: bool = False) -> Evidence:
+        """The evidence of a reading; with friction of either sign if wanted."""
+        return evidence(self._products(reading), self._tolerated, either_sign=either_sign)
+
+    def friction(self, found: Evidence) -> FloatArray:
+        """What viscous and dry friction take, as they were found, in standard deviations ``(N, C)``."""
+        return np.einsum("nck,ck->nc", self._friction[:, :, 1:3], found.friction[:, 1:3])
+
+    def explained(self, found: Evidence) -> FloatArray:
+        """What efforts as they are are explained by, in standard deviations ``(N, C)``."""
+        rank = self._columns.shape[2] - 4
+        links = self.predicted + self._columns[:, :, :rank] @ found.links
+        return links / self.spread + np.einsum("nck,ck->nc", self._friction, found.friction)
 
     def _products(self, reading: Reading) -> Products:
         channels = np.arange(len(reading.sources))
@@ -153,10 +167,6 @@ class World:
     def links(self, found: Evidence) -> FloatArray:
         """The errors ``(D,)`` of the links that evidence has found, in units of the factor of their covariance."""
         return np.asarray(self._basis @ found.links[: self._basis.shape[1]])
-
-    def others(self, found: Evidence) -> FloatArray:
-        """The other unknowns ``(k,)`` that evidence has found, in standard deviations."""
-        return np.asarray(found.links[self._basis.shape[1] :])
 
     def slopes(self) -> tuple[FloatArray, FloatArray]:
         """Of each channel the slope of what is measured over what the URDF predicts, and their squared correlation,

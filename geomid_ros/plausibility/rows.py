@@ -8,8 +8,8 @@ import numpy as np
 
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.geometry.manifold import ParameterManifold
-from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.moving import SIGN
+from geomid_ros.model.robot import Robot
 from geomid_ros.model.samples import Samples
 from geomid_ros.types import FloatArray
 
@@ -18,7 +18,7 @@ _PAYLOAD = 0.1  # of the whole robot's mass, at each end of a chain: robots carr
 _SIZE = 0.1  # [m] its radius of gyration about a plane through its centre
 
 
-def gravity_rows(model: MeasurementModel, samples: Samples) -> tuple[FloatArray, FloatArray]:
+def gravity_rows(robot: Robot, samples: Samples) -> tuple[FloatArray, FloatArray]:
     """The rows of efforts over all links' parameters: without gravity ``(N, joints, D)``, and per unit of gravity along
     each axis of the base ``(3, N, joints, D)``."""
     at_rest = replace(
@@ -28,13 +28,13 @@ def gravity_rows(model: MeasurementModel, samples: Samples) -> tuple[FloatArray,
         base_velocity=np.zeros_like(samples.base_velocity),
         base_acceleration=np.zeros_like(samples.base_acceleration),
     )
-    by_gravity = np.array([effort_rows(model, at_rest, axis) for axis in np.eye(3)])
-    return effort_rows(model, samples, np.zeros(3)), by_gravity
+    by_gravity = np.array([effort_rows(robot, at_rest, axis) for axis in np.eye(3)])
+    return effort_rows(robot, samples, np.zeros(3)), by_gravity
 
 
-def effort_rows(model: MeasurementModel, samples: Samples, gravity: FloatArray) -> FloatArray:
+def effort_rows(robot: Robot, samples: Samples, gravity: FloatArray) -> FloatArray:
     """The rows ``(N, joints, D)`` of efforts over all links' parameters."""
-    robot = model.robot.with_gravity(gravity)
+    robot = robot.with_gravity(gravity)
     rows = [robot.joint_effort_rows(q, v, a) for q, v, a in zip(*robot.configuration(samples), strict=True)]
     return np.array(rows).reshape(len(samples), len(robot.joints), -1)
 
@@ -46,10 +46,9 @@ def friction_columns(samples: Samples) -> FloatArray:
     return np.stack(columns, axis=2)
 
 
-def prior_factor(model: MeasurementModel) -> FloatArray:
+def prior_factor(robot: Robot) -> FloatArray:
     """A factor ``(D, D)`` of the covariance of what the URDF may be wrong by: every link's shape and mass, and a
     payload at each end of a chain."""
-    robot = model.robot
     bodies = np.array([body.parameters for body in robot.bodies])
     manifold = ParameterManifold(len(bodies), 0, np.zeros(0))
     blocks, _ = manifold.jacobian(manifold.point(bodies.ravel()))

@@ -117,3 +117,61 @@ def constant(joints: Sequence[str]) -> Cause:
     named = ", ".join(f"'{joint}'" for joint in joints)
     sentence = f"the effort of {named} never changes though the joint moves: it is not measured"
     return Cause(kind="constant", sentence=sentence, places=tuple(joints))
+
+
+def overcompensated(joints: Sequence[str]) -> Cause:
+    """Friction drives the motion."""
+    named = ", ".join(f"'{joint}'" for joint in joints)
+    sentence = (
+        f"at {named} friction seems to drive the motion: more friction is compensated than there is, while weights and "
+        "inertias are those of this robot. Record efforts that are measured before friction is compensated, or compensate less"
+    )
+    return Cause(kind="friction", sentence=sentence, places=tuple(joints))
+
+
+def magnitudes(joints: Sequence[str]) -> Cause:
+    """Efforts have lost their sign."""
+    named = ", ".join(f"'{joint}'" for joint in joints)
+    sentence = (
+        f"the effort of {named} has no sign: it never changes it though this robot's gravity and motion do. Record "
+        "efforts with their sign"
+    )
+    return Cause(kind="magnitude", sentence=sentence, places=tuple(joints))
+
+
+def other_zero(joint: str, zero: float, deviation: float) -> Cause:
+    """A joint counts from another zero: ``zero`` [rad] has to be added to its positions."""
+    sentence = (
+        f"the zero of joint '{joint}' seems to be off: {_degrees(zero, deviation)} to be added to its positions before "
+        "efforts follow this robot's gravity and motion. Calibrate the joint, or turn its frame in the URDF"
+    )
+    return Cause(kind="zero", sentence=sentence, places=(joint,))
+
+
+def turned_axis(joint: str, zero: float, deviation: float) -> Cause:
+    """A joint counts the other way round."""
+    zeros = "" if abs(zero) < _LEAST_ZERO else f", and {_degrees(zero, deviation)} to be added to its positions then"
+    sentence = (
+        f"joint '{joint}' seems to turn the other way round than its axis in the URDF: with position, velocity and effort "
+        f"reversed efforts follow this robot's gravity and motion{zeros}. Correct the signs where the messages are made, "
+        "or the axis in the URDF"
+    )
+    return Cause(kind="axis", sentence=sentence, places=(joint,))
+
+
+def absolute(joint: str, other: str, share: float) -> Cause:
+    """The position of a joint holds that of another one, too."""
+    sentence = (
+        f"the position of joint '{joint}' seems to hold that of '{other}', too (an angle against the base, not against "
+        f"the link before): {'less' if share > 0.0 else 'with'} the position of '{other}' efforts follow this robot's "
+        "gravity and motion. Send the angle between the links"
+    )
+    return Cause(kind="absolute", sentence=sentence, places=(joint, other))
+
+
+_LEAST_ZERO = np.radians(5.0)
+
+
+def _degrees(zero: float, deviation: float) -> str:
+    turn = np.degrees((zero + np.pi) % (2.0 * np.pi) - np.pi)
+    return f"about {turn:.0f} (+-{max(2.0 * np.degrees(deviation), 1.0):.0f}) degrees have"
