@@ -354,14 +354,12 @@ class Robot:
         placements = {link: self.placement(link) for link in self.tree.links}
         return {link: (np.array(m.rotation), np.array(m.translation)) for link, m in placements.items()}
 
-    def parallel_joints(self, joint: int) -> Iterator[tuple[int, float]]:
-        """The joints that carry one, whose axes are parallel to its own where all joints stand at zero: their places, and
-        1 or -1 for axes of opposite direction."""
+    def parallel_joints(self, joint: int) -> list[int]:
+        """The places of the joints that carry one, whose axes are parallel to its own where all joints stand at zero."""
         child = next(j.child for j in self.tree.joints if j.name == self.joint_names[joint])
         axes = self.frame_jacobian(pin.neutral(self._model), child)[3:]
-        for other, alike in enumerate(axes[:, joint] @ axes):
-            if other != joint and abs(alike) > _PARALLEL:
-                yield other, float(np.sign(alike))
+        alike = np.abs(axes[:, joint] @ axes) > _PARALLEL
+        return [other for other in np.flatnonzero(alike).tolist() if other != joint]
 
     def parent_body(self, link: str) -> str | None:
         """The nearest body above ``link``; the root link if there is none, None for the root itself."""

@@ -39,7 +39,7 @@ class Encoder:
         sign: of position, speed and effort.
         zero: [rad] what has to be added.
         other: the place of a joint whose position is counted, too, or none.
-        share: 1 or -1, where axes are antiparallel.
+        share: 1 or -1.
     """
 
     joint: int
@@ -104,8 +104,8 @@ def _far(robot: Robot, turning: list[int]) -> Iterator[Encoder]:
         for sign in (1.0, -1.0):
             for quarters in (0, 1, 2, -1) if sign < 0.0 else (1, 2, -1):
                 yield Encoder(joint, sign, quarters * _RIGHT)
-        for other, share in robot.parallel_joints(joint):
-            if other in turning:
+        for other in robot.parallel_joints(joint):
+            for share in (1.0, -1.0) if other in turning else ():
                 yield Encoder(joint, other=other, share=share)
 
 

@@ -37,6 +37,7 @@ FOLLOWS = 0.85
 """A channel follows the model if no more than this share of its standard deviation is left."""
 _MOST_LEFT = {"sign": FOLLOWS, "order": FOLLOWS, "names": 0.7}  # wrists are alike: of them all would fit a little
 _BETTER = 0.75
+_WORSE = 1.2  # two standard errors of a standard deviation over some 50 independent instants
 _GAIN = 0.25  # nats per instant
 GAIN_OF_ORDER = 0.4
 """The least gain where joints are exchanged or counted otherwise [nats per instant]: there are many ways, and wrists
@@ -126,6 +127,14 @@ class Hypothesis:
         gain = self.gain(nominal, instants)
         return gain > least and gain * instants > _LEAST
 
+    def is_consistent(self, nominal: Evidence) -> bool:
+        """Whether it explains none of the channels concerned much worse than as they are, as what is true does not; what
+        has lost its sign is smoother than what it should be."""
+        if self.cause.kind == "magnitude":
+            return True
+        after = self.evidence.sigmas[list(self.concerned)]
+        return bool(np.all(after < _WORSE * nominal.sigmas[self.sources][list(self.concerned)]))
+
     def explains(self, nominal: Evidence, instants: int) -> bool:
         """Whether the channels concerned follow the model then, and one of them much better than as it is.
 
@@ -145,7 +154,9 @@ class Hypothesis:
         """Whether all speaks for it."""
         if not self.allowed:
             return False
-        return self.settled or (self.is_better(nominal, instants) and self.explains(nominal, instants))
+        if self.settled:
+            return True
+        return self.is_better(nominal, instants) and self.is_consistent(nominal) and self.explains(nominal, instants)
 
 
 def decide(tried: Sequence[Hypothesis], nominal: Evidence, instants: int) -> Finding | None:
@@ -155,6 +166,8 @@ def decide(tried: Sequence[Hypothesis], nominal: Evidence, instants: int) -> Fin
     ordered = sorted((h for h in tried if h.settled or h.score > least), key=lambda hypothesis: -hypothesis.score)
     named = [hypothesis for hypothesis in ordered if hypothesis.is_named(nominal, instants)]
     better = [h for h in ordered if h.allowed and h.alone and h.is_better(nominal, instants)]
+    misfits = [h for h in better if not h.is_consistent(nominal)]
+    better = [h for h in better if h not in misfits and not any(_contradicts(o, h) for o in misfits)]
     best = next((h for h in named if h in better and not any(_contradicts(o, h) for o in better)), None)
     if best is None and not any(
         h.allowed and h.alone and h.cause.kind != "gain" and h.gain(nominal, instants) > _RIVAL for h in tried

@@ -157,12 +157,23 @@ class World:
     def fitted_slopes(self, found: Evidence) -> tuple[FloatArray, BoolArray]:
         """How many times as much the links that were found take as the URDF's, and whether that can be told: they
         explain a good part of what was measured, and do so as the URDF's do ``(C,)``."""
+        slopes, alike = self._compared(found)
+        return slopes, alike > _ALIKE
+
+    def opposite(self, found: Evidence) -> BoolArray:
+        """Whether the links that were found take the opposite of what the URDF's do ``(C,)``: as if of mass below zero,
+        which is what shows efforts with the wrong sign where links explain a good part of them."""
+        return self._compared(found)[1] < -_ALIKE
+
+    def _compared(self, found: Evidence) -> tuple[FloatArray, FloatArray]:
+        """The slopes of what links take that were found over what the URDF's do, and their correlations, which are zero
+        where they explain little of what was measured ``(C,)``."""
         rank = self._columns.shape[2] - 4
         own = self.predicted + self._columns[:, :, :rank] @ found.links
         own, nominal = own - np.mean(own, axis=0), self.predicted - np.mean(self.predicted, axis=0)
         crossed, size = np.sum(own * nominal, axis=0), np.maximum(np.sum(nominal**2, axis=0), 1e-30)
-        alike = crossed > _ALIKE * np.sqrt(size * np.sum(own**2, axis=0))
-        return crossed / size, alike & (np.std(own, axis=0) > _PART * self.spread)
+        alike = crossed / np.maximum(np.sqrt(size * np.sum(own**2, axis=0)), 1e-30)
+        return crossed / size, np.where(np.std(own, axis=0) > _PART * self.spread, alike, 0.0)
 
     def links(self, found: Evidence) -> FloatArray:
         """The errors ``(D,)`` of the links that evidence has found, in units of the factor of their covariance."""

@@ -25,12 +25,15 @@ def sign_hypotheses(subject: Subject, world: World) -> Iterator[Hypothesis]:
     count = len(subject.joints)
     everywhere = as_it_is(count)
     cause = words.reversed_efforts(subject.names, subject.gains, True)
-    yield subject.hypothesis(cause, world.judge(Reading(everywhere.sources, -everywhere.gains)), 1)
+    found = world.judge(Reading(everywhere.sources, -everywhere.gains))
+    yield subject.hypothesis(cause, found, 1, allowed=not np.any(world.opposite(found)))
     for joint in range(count) if count > 1 else ():
         gains = everywhere.gains.copy()
         gains[joint] = -1.0
         cause = words.reversed_efforts([subject.names[joint]], [subject.gains[joint]], False)
-        yield subject.hypothesis(cause, world.judge(Reading(everywhere.sources, gains)), count, concerned=[joint])
+        found = world.judge(Reading(everywhere.sources, gains))
+        upright = not world.opposite(found)[joint]
+        yield subject.hypothesis(cause, found, count, concerned=[joint], allowed=upright)
 
 
 def order_hypotheses(subject: Subject, world: World) -> Iterator[Hypothesis]:
@@ -52,7 +55,7 @@ def friction_hypotheses(subject: Subject, world: World) -> Iterator[Hypothesis]:
     velocity = subject.samples.velocity[:, subject.joints]
     drives = (np.mean(friction * velocity, axis=0) < 0.0) & (np.sqrt(np.mean(friction**2, axis=0)) > LEAST_SIGMA)
     concerned = np.flatnonzero(drives).tolist()
-    if concerned:
+    if concerned and not np.any(world.opposite(found)):
         cause = words.overcompensated([subject.names[joint] for joint in concerned])
         yield subject.hypothesis(cause, found, 1, concerned=concerned)
 
