@@ -9,6 +9,7 @@ import numpy as np
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.samples import Samples
 from geomid_ros.plausibility import words
+from geomid_ros.plausibility.descriptions import impossible_description
 from geomid_ros.plausibility.encoders import encoder_hypotheses
 from geomid_ros.plausibility.evidence import LEAST_SIGMA, Evidence
 from geomid_ros.plausibility.hypotheses import FOLLOWS, GAIN_OF_ORDER, Finding, Hypothesis, decide
@@ -21,6 +22,7 @@ from geomid_ros.plausibility.signs import (
     order_hypotheses,
     sign_hypotheses,
 )
+from geomid_ros.plausibility.standstill import frozen_position
 from geomid_ros.plausibility.subject import Subject
 from geomid_ros.plausibility.units import unit_hypotheses
 from geomid_ros.plausibility.weights import gravity_hypotheses
@@ -61,6 +63,9 @@ class EffortCheck:
 
     def _judged(self) -> Finding | None:
         subject = self._subject
+        plain = impossible_description(subject) or frozen_position(subject)
+        if plain is not None:
+            return Finding(cause=plain)
         world = subject.world(subject.samples)
         nominal = world.judge(as_it_is(len(subject.joints)))
         tried = [*self._tried(world, nominal)]

@@ -37,7 +37,8 @@ FOLLOWS = 0.85
 """A channel follows the model if no more than this share of its standard deviation is left."""
 _MOST_LEFT = {"sign": FOLLOWS, "order": FOLLOWS, "names": 0.7}  # wrists are alike: of them all would fit a little
 _BETTER = 0.75
-_WORSE = 1.2  # two standard errors of a standard deviation over some 50 independent instants
+_SCATTER = 0.15  # of the log of a standard deviation over some 50 independent instants, one and a half standard errors
+_MISFIT = 0.1  # of the gain: a cause that is true explains no channel worse
 _GAIN = 0.25  # nats per instant
 GAIN_OF_ORDER = 0.4
 """The least gain where joints are exchanged or counted otherwise [nats per instant]: there are many ways, and wrists
@@ -127,13 +128,16 @@ class Hypothesis:
         gain = self.gain(nominal, instants)
         return gain > least and gain * instants > _LEAST
 
-    def is_consistent(self, nominal: Evidence) -> bool:
-        """Whether it explains none of the channels concerned much worse than as they are, as what is true does not; what
-        has lost its sign is smoother than what it should be."""
+    def is_consistent(self, nominal: Evidence, instants: int) -> bool:
+        """Whether what it explains worse than it is, of the channels concerned, is little beside what it gains.
+
+        What has lost its sign is smoother than what it should be, and compared with nothing.
+        """
         if self.cause.kind == "magnitude":
             return True
-        after = self.evidence.sigmas[list(self.concerned)]
-        return bool(np.all(after < _WORSE * nominal.sigmas[self.sources][list(self.concerned)]))
+        concerned = list(self.concerned)
+        worse = np.log(self.evidence.sigmas[concerned] / nominal.sigmas[self.sources][concerned])
+        return float(np.sum(worse[worse > _SCATTER])) < _MISFIT * self.gain(nominal, instants)
 
     def explains(self, nominal: Evidence, instants: int) -> bool:
         """Whether the channels concerned follow the model then, and one of them much better than as it is.
@@ -156,7 +160,7 @@ class Hypothesis:
             return False
         if self.settled:
             return True
-        return self.is_better(nominal, instants) and self.is_consistent(nominal) and self.explains(nominal, instants)
+        return self.is_better(nominal, instants) and self.is_consistent(nominal, instants) and self.explains(nominal, instants)
 
 
 def decide(tried: Sequence[Hypothesis], nominal: Evidence, instants: int) -> Finding | None:
@@ -166,7 +170,7 @@ def decide(tried: Sequence[Hypothesis], nominal: Evidence, instants: int) -> Fin
     ordered = sorted((h for h in tried if h.settled or h.score > least), key=lambda hypothesis: -hypothesis.score)
     named = [hypothesis for hypothesis in ordered if hypothesis.is_named(nominal, instants)]
     better = [h for h in ordered if h.allowed and h.alone and h.is_better(nominal, instants)]
-    misfits = [h for h in better if not h.is_consistent(nominal)]
+    misfits = [h for h in better if not h.is_consistent(nominal, instants)]
     better = [h for h in better if h not in misfits and not any(_contradicts(o, h) for o in misfits)]
     best = next((h for h in named if h in better and not any(_contradicts(o, h) for o in better)), None)
     if best is None and not any(

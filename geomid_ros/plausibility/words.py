@@ -71,6 +71,8 @@ def other_unit(joints: Sequence[str], gains: Iterable[float], factor: float, of_
 def _unit(factor: float) -> str:
     if 0.5e-3 < factor < 2e-3:
         return " (in mN m?)"
+    if 250.0 < factor < 4000.0:
+        return " (in kN m, or are the masses of the URDF in grams?)"
     return " (in amperes, or on the motor's side of the gear?)" if factor > 1.0 else ""
 
 
@@ -167,6 +169,32 @@ def absolute(joint: str, other: str, share: float) -> Cause:
         "gravity and motion. Send the angle between the links"
     )
     return Cause(kind="absolute", sentence=sentence, places=(joint, other))
+
+
+def frozen(joint: str, share: float) -> Cause:
+    """A position that stands still."""
+    sentence = (
+        f"the position of joint '{joint}' stands exactly still for {share:.0%} of the time, while efforts are not those of "
+        "that pose: is its encoder cut off, or does the driver repeat an old value? Leave that stretch out"
+    )
+    return Cause(kind="frozen", sentence=sentence, places=(joint,))
+
+
+def far_centre(link: str, distance: float, length: float) -> Cause:
+    """Centres of mass in another unit."""
+    sentence = (
+        f"the URDF has the centre of mass of link '{link}' {distance:.3g} m from its frame, though all links together are "
+        f"{length:.3g} m long: are the centres of mass in mm? They have to be in m"
+    )
+    return Cause(kind="description", sentence=sentence, places=(link,))
+
+
+def too_heavy(mass: float, reason: str) -> Cause:
+    """Masses in another unit."""
+    sentence = (
+        f"by the URDF the links weigh {mass:.3g} kg in all, and {reason}: are the masses in grams? They have to be in kg"
+    )
+    return Cause(kind="description", sentence=sentence)
 
 
 _LEAST_ZERO = np.radians(5.0)
