@@ -13,7 +13,8 @@ from geomid_ros.types import BoolArray, FloatArray
 
 _STILL = 1e-6  # of the joint's way
 _LONG, _SHORT = 0.1, 0.5  # of all instants: a stretch that the others can judge
-_FAR = 3.0  # times what is left at other instants
+_SMEARED = 3  # instants at the ends, at which a filter makes a motion of the step that follows
+_FAR = 2.0  # times what is left at other instants
 
 
 def frozen_position(subject: Subject) -> Cause | None:
@@ -24,7 +25,7 @@ def frozen_position(subject: Subject) -> Cause | None:
     """
     for joint, position in enumerate(subject.samples.position.T):
         still = _longest_still(position)
-        if _LONG < np.mean(still) < _SHORT and np.count_nonzero(~still) >= FEWEST:
+        if _LONG < np.mean(still) < _SHORT and np.count_nonzero(~still) >= FEWEST + 2 * _SMEARED:
             inside, outside = _left(subject, still)
             if np.any(inside > _FAR * outside):
                 return words.frozen(subject.robot.joint_names[joint], float(np.mean(still)))
@@ -44,13 +45,13 @@ def _longest_still(position: FloatArray) -> BoolArray:
 def _left(subject: Subject, still: BoolArray) -> tuple[FloatArray, FloatArray]:
     """The RMS of what links and friction, fitted to the other instants, leave of efforts beyond dry friction: at these
     instants, and at the others ``(C,)``."""
-    samples = subject.samples.select(~still)
-    world = subject.world(samples)
+    smeared = np.convolve(still, np.ones(2 * _SMEARED + 1), mode="same") > 0.0
+    world = subject.world(subject.samples.select(~smeared))
     found = world.judge(as_it_is(len(subject.joints)))
     links = subject.prior + subject.factor @ world.links(found)
     efforts = subject.efforts(subject.samples)
     left = (efforts.measured - subject.regressor(subject.samples) @ links) / world.spread
     left -= np.einsum("nck,ck->nc", efforts.friction, found.friction)
     beyond = np.maximum(np.abs(left) - np.where(still[:, None], found.friction[:, 2], 0.0), 0.0)
-    inside, outside = (np.sqrt(np.mean(beyond[chosen] ** 2, axis=0)) for chosen in (still, ~still))
+    inside, outside = (np.sqrt(np.mean(beyond[chosen] ** 2, axis=0)) for chosen in (still, ~smeared))
     return inside, np.maximum(outside, found.sigmas)

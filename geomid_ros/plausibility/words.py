@@ -34,14 +34,18 @@ def reversed_efforts(joints: Sequence[str], gains: Iterable[float], of_all: bool
     """The efforts of joints, or of all of them, have the opposite sign."""
     settings = gain_settings(joints, [-gain for gain in gains], of_all)
     who = "the efforts of all joints are" if of_all else f"the effort of joint '{joints[0]}' is"
-    sentence = f"{who} reversed: with {written(settings)} they follow this robot's gravity and motion"
+    sentence = f"{who} reversed: with {written(settings)} {_would_follow(of_all)} this robot's gravity and motion"
     return Cause(kind="sign", sentence=sentence, settings=settings, places=tuple(joints))
+
+
+def _would_follow(of_all: bool) -> str:
+    return "they would follow" if of_all else "it would follow"
 
 
 def exchanged_efforts(first: str, second: str) -> Cause:
     """The efforts of two joints are exchanged."""
     sentence = (
-        f"the efforts of joints '{first}' and '{second}' are exchanged: the other way round they follow this robot's "
+        f"the efforts of joints '{first}' and '{second}' are exchanged: the other way round they would follow this robot's "
         "gravity and motion; correct their order where the messages are made, or the names in the URDF"
     )
     return Cause(kind="order", sentence=sentence, places=(first, second))
@@ -51,7 +55,7 @@ def exchanged_names(joints: Sequence[str], others: Sequence[str]) -> Cause:
     """Each of some joints has the name of another one."""
     pairs = ", ".join(f"'{joint}' and '{other}'" for joint, other in zip(joints, others, strict=True))
     sentence = (
-        f"the names of joints {pairs} are exchanged: the other way round positions and efforts are those of this "
+        f"the names of joints {pairs} are exchanged: the other way round positions and efforts would be those of this "
         "robot; correct the names where the messages are made, or in the URDF"
     )
     return Cause(kind="names", sentence=sentence, places=(*joints, *others))
@@ -63,8 +67,8 @@ def other_unit(joints: Sequence[str], gains: Iterable[float], factor: float, of_
     who = "the efforts of all joints are" if of_all else f"the effort of joint '{joints[0]}' is"
     sentence = (
         f"{who} about 1/{factor:.3g}" if factor > 1.0 else f"{who} about {1.0 / factor:.3g} times"
-    ) + f" of what this robot needs in N m{_unit(factor)}: with about {written(settings)} they follow its gravity and "
-    sentence += "motion (the data cannot tell the exact factor from the masses)"
+    ) + f" of what this robot needs in N m{_unit(factor)}: with about {written(settings)} {_would_follow(of_all)} its "
+    sentence += "gravity and motion (the data cannot tell the exact factor from the masses)"
     return Cause(kind="gain", sentence=sentence, settings=settings, places=tuple(joints))
 
 
@@ -79,7 +83,7 @@ def _unit(factor: float) -> str:
 def degrees(joints: Sequence[str]) -> Cause:
     """Positions and speeds are in degrees."""
     sentence = (
-        "joint positions are in degrees: taken so, the efforts follow this robot's gravity and motion; messages have "
+        "joint positions are in degrees: taken so, the efforts would follow this robot's gravity and motion; messages have "
         "to be in rad and rad/s"
     )
     return Cause(kind="degrees", sentence=sentence, places=tuple(joints))
