@@ -355,7 +355,7 @@ class Robot:
         return {link: (np.array(m.rotation), np.array(m.translation)) for link, m in placements.items()}
 
     def parallel_joints(self, joint: int) -> list[int]:
-        """The places of the joints that carry one, whose axes are parallel to its own where all joints stand at zero."""
+        """The places of the joints that carry one and whose axes are parallel to its own where all stand at zero."""
         child = next(j.child for j in self.tree.joints if j.name == self.joint_names[joint])
         axes = self.frame_jacobian(pin.neutral(self._model), child)[3:]
         alike = np.abs(axes[:, joint] @ axes) > _PARALLEL

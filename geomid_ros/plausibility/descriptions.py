@@ -11,9 +11,9 @@ from geomid_ros.plausibility import words
 from geomid_ros.plausibility.hypotheses import Cause
 from geomid_ros.plausibility.subject import Subject
 from geomid_ros.plausibility.units import REASON
-from geomid_ros.types import FloatArray
+from geomid_ros.types import BoolArray, FloatArray
 
-_FARTHEST = 10.0  # times all lengths together, of a centre of mass: halfway, in logarithms, from 1 to 1000 of them is 30
+_FARTHEST = 10.0  # times all lengths together, of a centre of mass: in mm it is a hundred times as far or more
 _HALF = 0.5
 
 
@@ -32,7 +32,8 @@ def impossible_description(subject: Subject) -> Cause | None:
         excess = _weights(subject) / robot.effort_limits
     if np.max(excess) > REASON**2:
         joint = int(np.argmax(excess))
-        return words.too_heavy(total, f"joint '{robot.joint_names[joint]}' would carry {excess[joint]:.0f} times its limit")
+        name = robot.joint_names[joint]
+        return words.too_heavy(total, f"joint '{name}' would carry {excess[joint]:.0f} times its limit")
     if np.mean(_denser_than_steel(bodies)) > _HALF:
         return words.too_heavy(total, "most of its links would be denser than steel")
     return None
@@ -54,8 +55,8 @@ def _weights(subject: Subject) -> FloatArray:
     return weights
 
 
-def _denser_than_steel(bodies: FloatArray) -> FloatArray:
+def _denser_than_steel(bodies: FloatArray) -> BoolArray:
     """Whether bodies ``(B, 10)`` are smaller than steel balls of their masses."""
     traces = [np.trace(pseudo_inertia.central_inertia(body)) for body in bodies]  # twice that of the second moments
     least = [6.0 * body[0] * pseudo_inertia.least_gyration(body[0]) ** 2 for body in bodies]
-    return np.array(traces) < np.array(least)
+    return np.asarray(np.array(traces) < np.array(least))

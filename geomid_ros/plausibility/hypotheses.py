@@ -160,7 +160,8 @@ class Hypothesis:
             return False
         if self.settled:
             return True
-        return self.is_better(nominal, instants) and self.is_consistent(nominal, instants) and self.explains(nominal, instants)
+        asked_for = self.is_better(nominal, instants) and self.is_consistent(nominal, instants)
+        return asked_for and self.explains(nominal, instants)
 
 
 def decide(tried: Sequence[Hypothesis], nominal: Evidence, instants: int) -> Finding | None:

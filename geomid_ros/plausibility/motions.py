@@ -52,6 +52,4 @@ def degree_hypotheses(subject: Subject) -> Iterator[Hypothesis]:
         velocity=scale * samples.velocity,
         acceleration=scale * samples.acceleration,
     )
-    yield subject.hypothesis(
-        words.degrees(subject.names), subject.world(small).judge(as_it_is(len(subject.joints))), 1
-    )
+    yield subject.hypothesis(words.degrees(subject.names), subject.world(small).judge(as_it_is(len(subject.joints))), 1)

@@ -100,7 +100,7 @@ class World:
         world = copy(self)
         rank = self._columns.shape[2] - 4
         world.predicted = self.predicted + centre * column
-        world._columns = np.insert(self._columns, rank, column, axis=2)
+        world._columns = np.insert(self._columns, rank, column, axis=2)  # noqa: SLF001 its own
         for name in ("_unknowns", "_crossed"):
             world.__dict__.pop(name, None)
         return world
@@ -130,13 +130,13 @@ class World:
 
     def friction(self, found: Evidence) -> FloatArray:
         """What viscous and dry friction take, as they were found, in standard deviations ``(N, C)``."""
-        return np.einsum("nck,ck->nc", self._friction[:, :, 1:3], found.friction[:, 1:3])
+        return np.asarray(np.einsum("nck,ck->nc", self._friction[:, :, 1:3], found.friction[:, 1:3]))
 
     def explained(self, found: Evidence) -> FloatArray:
         """What efforts as they are are explained by, in standard deviations ``(N, C)``."""
         rank = self._columns.shape[2] - 4
         links = self.predicted + self._columns[:, :, :rank] @ found.links
-        return links / self.spread + np.einsum("nck,ck->nc", self._friction, found.friction)
+        return np.asarray(links / self.spread + np.einsum("nck,ck->nc", self._friction, found.friction))
 
     def _products(self, reading: Reading) -> Products:
         channels = np.arange(len(reading.sources))

@@ -81,7 +81,7 @@ def verdict(
     factor = _mass_factor(estimate, model)
     if 1.0 / _ABSURD <= factor <= _ABSURD:
         return judged
-    reason = f"{_weigh(estimate, model)}: no such robot does, and what it is identified from is not what it is declared to be"
+    reason = f"{_weigh(estimate, model)}: no such robot does, so the recording or the URDF is not what it should be"
     return replace(judged, word=DOUBTFUL, reasons=(*judged.reasons, reason))
 
 
@@ -105,8 +105,8 @@ def _masses(estimate: Estimate, model: MeasurementModel) -> Iterator[str]:
     factor = _mass_factor(estimate, model)
     if not 1.0 / _REASON <= factor <= _REASON and 1.0 / _ABSURD <= factor <= _ABSURD:
         yield (
-            f"{_weigh(estimate, model)}: the motion tells too little of masses, or effects that the model lacks stand in "
-            "for them; use the predictions, not the masses, or weigh a part (--known)"
+            f"{_weigh(estimate, model)}: the motion tells too little of masses, or effects that the model lacks "
+            "stand in for them; use the predictions, not the masses, or weigh a part (--known)"
         )
 
 

@@ -45,8 +45,8 @@ def _would_follow(of_all: bool) -> str:
 def exchanged_efforts(first: str, second: str) -> Cause:
     """The efforts of two joints are exchanged."""
     sentence = (
-        f"the efforts of joints '{first}' and '{second}' are exchanged: the other way round they would follow this robot's "
-        "gravity and motion; correct their order where the messages are made, or the names in the URDF"
+        f"the efforts of joints '{first}' and '{second}' are exchanged: the other way round they would follow this "
+        "robot's gravity and motion; correct their order where the messages are made, or the names in the URDF"
     )
     return Cause(kind="order", sentence=sentence, places=(first, second))
 
@@ -83,8 +83,8 @@ def _unit(factor: float) -> str:
 def degrees(joints: Sequence[str]) -> Cause:
     """Positions and speeds are in degrees."""
     sentence = (
-        "joint positions are in degrees: taken so, the efforts would follow this robot's gravity and motion; messages have "
-        "to be in rad and rad/s"
+        "joint positions are in degrees: taken so, the efforts would follow this robot's gravity and motion; messages "
+        "have to be in rad and rad/s"
     )
     return Cause(kind="degrees", sentence=sentence, places=tuple(joints))
 
@@ -130,7 +130,8 @@ def overcompensated(joints: Sequence[str]) -> Cause:
     named = ", ".join(f"'{joint}'" for joint in joints)
     sentence = (
         f"at {named} friction seems to drive the motion: more friction is compensated than there is, while weights and "
-        "inertias are those of this robot. Record efforts that are measured before friction is compensated, or compensate less"
+        "inertias are those of this robot. Record efforts that are measured before friction is compensated, or "
+        "compensate less"
     )
     return Cause(kind="friction", sentence=sentence, places=tuple(joints))
 
@@ -158,9 +159,9 @@ def turned_axis(joint: str, zero: float, deviation: float) -> Cause:
     """A joint counts the other way round."""
     zeros = "" if abs(zero) < _LEAST_ZERO else f", and {_degrees(zero, deviation)} to be added to its positions then"
     sentence = (
-        f"joint '{joint}' seems to turn the other way round than its axis in the URDF: with position, velocity and effort "
-        f"reversed efforts follow this robot's gravity and motion{zeros}. Correct the signs where the messages are made, "
-        "or the axis in the URDF"
+        f"joint '{joint}' seems to turn the other way round than its axis in the URDF: with position, velocity and "
+        f"effort reversed efforts would follow this robot's gravity and motion{zeros}. Correct the signs where the "
+        "messages are made, or the axis in the URDF"
     )
     return Cause(kind="axis", sentence=sentence, places=(joint,))
 
@@ -178,8 +179,8 @@ def absolute(joint: str, other: str, share: float) -> Cause:
 def frozen(joint: str, share: float) -> Cause:
     """A position that stands still."""
     sentence = (
-        f"the position of joint '{joint}' stands exactly still for {share:.0%} of the time, while efforts are not those of "
-        "that pose: is its encoder cut off, or does the driver repeat an old value? Leave that stretch out"
+        f"the position of joint '{joint}' stands exactly still for {share:.0%} of the time, while efforts are not "
+        "those of that pose: is its encoder cut off, or does the driver repeat an old value? Leave that stretch out"
     )
     return Cause(kind="frozen", sentence=sentence, places=(joint,))
 
@@ -187,8 +188,8 @@ def frozen(joint: str, share: float) -> Cause:
 def far_centre(link: str, distance: float, length: float) -> Cause:
     """Centres of mass in another unit."""
     sentence = (
-        f"the URDF has the centre of mass of link '{link}' {distance:.3g} m from its frame, though all links together are "
-        f"{length:.3g} m long: are the centres of mass in mm? They have to be in m"
+        f"the URDF has the centre of mass of link '{link}' {distance:.3g} m from its frame, though all links together "
+        f"are {length:.3g} m long: are the centres of mass in mm? They have to be in m"
     )
     return Cause(kind="description", sentence=sentence, places=(link,))
 
@@ -196,7 +197,8 @@ def far_centre(link: str, distance: float, length: float) -> Cause:
 def too_heavy(mass: float, reason: str) -> Cause:
     """Masses in another unit."""
     sentence = (
-        f"by the URDF the links weigh {mass:.3g} kg in all, and {reason}: are the masses in grams? They have to be in kg"
+        f"by the URDF the links weigh {mass:.3g} kg in all, and {reason}: are the masses in grams? They have to "
+        "be in kg"
     )
     return Cause(kind="description", sentence=sentence)
 

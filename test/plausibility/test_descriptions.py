@@ -6,9 +6,9 @@ import re
 
 import numpy as np
 import pytest
-from estimation.arms import samples, shipped, truth
 from estimation.arms import efforts as feels
 from estimation.arms import motion as moving
+from estimation.arms import samples, shipped, truth
 
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.robot import Robot
