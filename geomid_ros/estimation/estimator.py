@@ -201,8 +201,8 @@ def _run_away(model: MeasurementModel, fitted: Fit, point: Point) -> Iterator[st
             if abs(np.log(found[3, 3] / prior[3, 3])) < _SAME_MASS:
                 what = "its centre of mass or its inertia, not its mass"
             yield (
-                f"link '{name}' is far from what was known of it: {what}; if it cannot be so, it has swallowed an "
-                "effect that the model lacks"
+                f"link '{name}' is far from what was known of it: {what}; if it cannot be so, it stands in for an "
+                "effect that the model lacks, as a spring, a payload or other friction ('geomid gap' looks for it)"
             )
 
 

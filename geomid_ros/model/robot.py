@@ -17,6 +17,7 @@ from geomid_ros.model.samples import Samples
 from geomid_ros.types import FloatArray, frozen
 
 GRAVITY = np.array([0.0, 0.0, -9.81])
+_PARALLEL = 0.99  # scalar product of two axes
 _ROOT_JOINT = "floating base of geomid_ros"  # must not be the name of a joint of the URDF
 
 
@@ -352,6 +353,13 @@ class Robot:
         self.update_motion(q, v, a)
         placements = {link: self.placement(link) for link in self.tree.links}
         return {link: (np.array(m.rotation), np.array(m.translation)) for link, m in placements.items()}
+
+    def parallel_joints(self, joint: int) -> list[int]:
+        """The places of the joints that carry one and whose axes are parallel to its own where all stand at zero."""
+        child = next(j.child for j in self.tree.joints if j.name == self.joint_names[joint])
+        axes = self.frame_jacobian(pin.neutral(self._model), child)[3:]
+        alike = np.abs(axes[:, joint] @ axes) > _PARALLEL
+        return [other for other in np.flatnonzero(alike).tolist() if other != joint]
 
     def parent_body(self, link: str) -> str | None:
         """The nearest body above ``link``; the root link if there is none, None for the root itself."""

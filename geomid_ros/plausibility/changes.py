@@ -11,15 +11,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from geomid_ros.model.measurement import MeasurementModel
-from geomid_ros.model.samples import Samples
 from geomid_ros.plausibility import words
 from geomid_ros.plausibility.evidence import Evidence
 from geomid_ros.plausibility.flexible import FlexibleFit, Gain, by_channel
 from geomid_ros.plausibility.hypotheses import Cause, Hypothesis
-from geomid_ros.plausibility.readings import Efforts
 from geomid_ros.plausibility.rows import payload_factor
-from geomid_ros.types import FloatArray, IntArray
+from geomid_ros.plausibility.subject import Subject
+from geomid_ros.types import FloatArray
 
 _PLACES = np.arange(1, 10) / 10.0  # of the instants, from which on something may be another
 _NEARER = (-0.05, 0.05)
@@ -55,21 +53,16 @@ class _Kind:
 class Changes:
     """Looks for what changes during a recording."""
 
-    def __init__(
-        self, model: MeasurementModel, samples: Samples, joints: IntArray, efforts: Efforts, fit: FlexibleFit
-    ) -> None:
+    def __init__(self, subject: Subject, fit: FlexibleFit) -> None:
         """
         Args:
-            model: of the robot.
-            samples: N instants.
-            joints: ``(C,)`` places of the joints whose efforts are judged.
-            efforts: theirs.
-            fit: of those.
+            subject: what is judged.
+            fit: of it.
         """
-        self._model, self._samples, self._joints, self._efforts, self._fit = model, samples, joints, efforts, fit
-        self._names = [model.robot.joint_names[joint] for joint in joints]
-        self._units = [model.robot.joints[joint].unit for joint in joints]
-        self._regressor = efforts.still + np.tensordot(model.robot.gravity, efforts.by_gravity, 1)
+        self._subject, self._fit = subject, fit
+        self._samples, self._names = subject.samples, subject.names
+        self._units = [subject.robot.joints[joint].unit for joint in subject.joints]
+        self._regressor = subject.regressor(subject.samples)
 
     def hypotheses(self, nominal: Evidence) -> Iterator[Hypothesis]:
         """What may change, as far as it explains anything; ``nominal`` is the evidence of nothing that does."""
@@ -104,16 +97,16 @@ class Changes:
         return float(np.sum(steps[: int(place * len(self._samples))])) * 1e-9
 
     def _kinds(self) -> Iterator[_Kind]:
-        fit, robot = self._fit, self._model.robot
+        fit, robot, prior = self._fit, self._subject.robot, self._subject.prior
         offsets = np.broadcast_to(fit.spread[None, :, None], (*fit.measured.shape, 1))
         yield _Kind(by_channel(offsets), self._offset, grows=True)
         gain = _GAIN * fit.rigid[:, :, None]
         yield _Kind(gain, self._gain, grows=True)
         yield _Kind(by_channel(gain), self._gain_of_one, grows=True)
-        gravity = np.tensordot(robot.gravity, self._efforts.by_gravity, 1) @ self._efforts.prior
+        gravity = (self._regressor - self._subject.regressor(self._samples, weightless=True)) @ prior
         for first in (False, True):
             yield _Kind(gravity[:, :, None], self._gravity, first=first)
-        bodies = self._efforts.prior.reshape(-1, 10)
+        bodies = prior.reshape(-1, 10)
         for place, body in enumerate(robot.bodies):
             if len(robot.subtree(body.name)) == 1:
                 factor = payload_factor(bodies, place)
@@ -123,13 +116,13 @@ class Changes:
 
     def _by_position(self) -> FloatArray:
         """Derivatives of the URDF's efforts by the positions of the joints ``(N, C, C)``."""
-        bare = MeasurementModel(self._model.robot, (), self._model.sensors)
-        now, found = self._regressor @ self._efforts.prior, []
-        for joint in self._joints:
+        prior, found = self._subject.prior, []
+        now = self._regressor @ prior
+        for joint in self._subject.joints:
             position = self._samples.position.copy()
             position[:, joint] += _STEP
-            rows = bare.rows(replace(self._samples, position=position)).coefficients[:, self._joints]
-            found.append((rows @ self._efforts.prior - now) / _STEP)
+            moved = self._subject.regressor(replace(self._samples, position=position)) @ prior
+            found.append((moved - now) / _STEP)
         return np.stack(found, axis=2)
 
     def _offset(self, gain: Gain, when: str) -> tuple[Cause, list[int]] | None:
@@ -163,7 +156,7 @@ class Changes:
 
     def _payload(self, link: str, masses: FloatArray) -> Callable[[Gain, str], tuple[Cause, list[int]] | None]:
         def said(gain: Gain, when: str) -> tuple[Cause, list[int]] | None:
-            mass, whole = float(masses @ gain.coefficients), float(np.sum(self._efforts.prior[::10]))
+            mass, whole = float(masses @ gain.coefficients), float(np.sum(self._subject.prior[::10]))
             if abs(mass) < _LEAST_MASS * whole:
                 return None
             return words.payload_changes(link, mass, self._names, when), [*range(len(self._names))]
@@ -174,7 +167,7 @@ class Changes:
         main = _main(_ZERO * gain.coefficients, _LEAST_ZERO)
         said = [words.displaced(self._names[c], -_ZERO * gain.coefficients[c], self._units[c] != "N") for c in main]
         everywhere = [*range(len(self._names))]  # efforts of all joints depend on it
-        return (words.other_zero([self._names[c] for c in main], said, when), everywhere) if main else None
+        return (words.zero_changes([self._names[c] for c in main], said, when), everywhere) if main else None
 
 
 def _main(sizes: FloatArray, least: float) -> list[int]:
@@ -186,8 +179,7 @@ def hypothesis(
     cause: Cause, concerned: list[int], gain: Gain, nominal: Evidence, instants: int, choices: int
 ) -> Hypothesis:
     """A cause that gains so much, beside others that are compared with the same nominal evidence."""
-    found = Evidence(
-        log=nominal.log + gain.per_instant * instants, sigmas=nominal.sigmas * gain.ratios, links=nominal.links
-    )
+    log = nominal.log + gain.per_instant * instants
+    found = replace(nominal, log=log, sigmas=nominal.sigmas * gain.ratios)
     sources = np.arange(len(nominal.sigmas))
     return Hypothesis(cause=cause, evidence=found, choices=choices, sources=sources, concerned=concerned)

@@ -46,42 +46,54 @@ class Evidence:
         log: the log evidence.
         sigmas: ``(C,)`` of what is left, in standard deviations of the measured channels.
         links: ``(r,)`` the links' errors.
+        deviations: ``(r,)`` their standard deviations.
+        friction: ``(C, 4)`` its coefficients, in standard deviations of the measured channels.
     """
 
     log: float
     sigmas: FloatArray
     links: FloatArray
+    deviations: FloatArray
+    friction: FloatArray
 
 
-def evidence(products: Products, tolerated: FloatArray) -> Evidence:
+def evidence(products: Products, tolerated: FloatArray, *, either_sign: bool = False) -> Evidence:
     """The evidence of a hypothesis.
 
     Args:
         products: of the columns and targets that it says.
         tolerated: ``(C, 4)`` standard deviations of friction's coefficients: about what explains all of a channel.
+        either_sign: whether viscous and dry friction may be below zero.
     """
     channels, size = products.crossed.shape
     rank = size - 4
     precision = np.concatenate([np.ones(rank), (1.0 / tolerated**2).ravel()])
-    bounded = np.concatenate([np.zeros(rank, dtype=bool), np.tile([False, True, True, True], channels)])
-    active = np.zeros(len(precision), dtype=bool)  # coefficients that are held at zero
+    of_friction = [False, not either_sign, not either_sign, True]
+    bounded = np.concatenate([np.zeros(rank, dtype=bool), np.tile(of_friction, channels)])
+    held = np.zeros(len(precision), dtype=bool)  # coefficients that are held at zero
     sigmas = np.full(channels, 0.5)
     for _ in range(_ROUNDS):
-        mean, log_determinant, active = _solved(products, sigmas, precision, bounded, active)
+        mean, posterior, held = _solved(products, sigmas, precision, bounded, held)
         squares = _squares(products, mean)
         before, sigmas = sigmas, np.sqrt(np.maximum(squares / products.counts, LEAST_SIGMA**2))
         if np.all(np.abs(np.log(sigmas / before)) < _SETTLED):
             break
     weighted = float(np.sum(squares / sigmas**2) + precision @ mean**2)
     noise = float(products.counts @ np.log(2.0 * np.pi * sigmas**2))
-    return Evidence(log=-0.5 * (weighted + noise + log_determinant), sigmas=sigmas, links=mean[:rank])
+    log_determinant = float(np.linalg.slogdet(posterior)[1] - np.sum(np.log(precision[~held])))
+    return Evidence(
+        log=-0.5 * (weighted + noise + log_determinant),
+        sigmas=sigmas,
+        links=mean[:rank],
+        deviations=np.sqrt(np.diag(np.linalg.inv(posterior))[:rank]),
+        friction=mean[rank:].reshape(channels, 4),
+    )
 
 
 def _solved(
     products: Products, sigmas: FloatArray, precision: FloatArray, bounded: BoolArray, held: BoolArray
-) -> tuple[FloatArray, float, BoolArray]:
-    """The most probable unknowns ``(r + 4 C,)``, the log determinant of their precision over that before, and which of
-    them are held at zero."""
+) -> tuple[FloatArray, FloatArray, BoolArray]:
+    """The most probable unknowns ``(r + 4 C,)``, the precision of those that are free, and which are held at zero."""
     channels, size = products.crossed.shape
     rank = size - 4
     weights = sigmas**-2.0
@@ -96,9 +108,9 @@ def _solved(
         matrix[own, own] += weights[channel] * products.unknowns[channel, rank:, rank:]
         right[own] = weights[channel] * products.crossed[channel, rank:]
     for _ in range(4):
+        before = held
         free = np.flatnonzero(~held)
         among = matrix[np.ix_(free, free)]
-        factor = np.linalg.cholesky(among)
         mean = np.zeros(len(precision))
         mean[free] = np.linalg.solve(among, right[free])
         pull = right - matrix @ mean  # of what is held: positive if it would become so
@@ -106,9 +118,7 @@ def _solved(
         if np.array_equal(changed, held):
             break
         held = changed
-    mean = np.where(bounded, np.maximum(mean, 0.0), mean)
-    log_determinant = 2.0 * float(np.sum(np.log(np.diag(factor)))) - float(np.sum(np.log(precision[free])))
-    return mean, log_determinant, held
+    return np.where(bounded, np.maximum(mean, 0.0), mean), among, before
 
 
 def _squares(products: Products, mean: FloatArray) -> FloatArray:

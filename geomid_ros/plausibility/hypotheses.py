@@ -16,6 +16,13 @@ KINDS = {
     "order": "efforts of two joints are exchanged",
     "names": "names of joints are exchanged",
     "gain": "efforts are in another unit",
+    "magnitude": "efforts have no sign",
+    "friction": "more friction is compensated than there is",
+    "zero": "the zero of a joint is off",
+    "axis": "a joint turns the other way round",
+    "absolute": "the position of a joint holds that of another one, too",
+    "description": "the robot description cannot be that of this robot",
+    "frozen": "the position of a joint stands still while the joint moves",
     "degrees": "positions are in degrees",
     "gravity": "gravity acts in another direction",
     "compensated": "gravity is not in the efforts",
@@ -36,9 +43,13 @@ FOLLOWS = 0.85
 """A channel follows the model if no more than this share of its standard deviation is left."""
 _MOST_LEFT = {"sign": FOLLOWS, "order": FOLLOWS, "names": 0.7}  # wrists are alike: of them all would fit a little
 _BETTER = 0.75
+_SCATTER = 0.15  # of the log of a standard deviation over some 50 independent instants, one and a half standard errors
+_MISFIT = 0.1  # of the gain: a cause that is true explains no channel worse
 _GAIN = 0.25  # nats per instant
 GAIN_OF_ORDER = 0.4
-"""The least gain where joints are exchanged [nats per instant]: there are many pairs, and wrists are alike."""
+"""The least gain where joints are exchanged or counted otherwise [nats per instant]: there are many ways, and wrists
+are alike."""
+_OF_MANY = ("order", "names", "zero", "axis", "absolute")
 _OVERWHELMING = 0.5  # nats per instant: then it may be the links alone that become much more probable
 _LEAST = 10.0  # nats in all
 _RIVAL = 0.1  # nats per instant
@@ -95,6 +106,7 @@ class Hypothesis:
         sources: ``(C,)`` which measured channel each judged one is.
         concerned: the channels that it changes.
         allowed: whether what is known beside the evidence allows it.
+        alone: whether it may be named by itself, or only beside another cause.
         settled: whether what is known beside the evidence settles it.
     """
 
@@ -104,6 +116,7 @@ class Hypothesis:
     sources: IntArray
     concerned: Sequence[int]
     allowed: bool = True
+    alone: bool = True
     settled: bool = False
 
     @property
@@ -117,9 +130,20 @@ class Hypothesis:
 
     def is_better(self, nominal: Evidence, instants: int) -> bool:
         """Whether the evidence asks for it."""
-        least = GAIN_OF_ORDER if self.cause.kind in ("order", "names") else _GAIN
+        least = GAIN_OF_ORDER if self.cause.kind in _OF_MANY else _GAIN
         gain = self.gain(nominal, instants)
         return gain > least and gain * instants > _LEAST
+
+    def is_consistent(self, nominal: Evidence, instants: int) -> bool:
+        """Whether what it explains worse than it is, of the channels concerned, is little beside what it gains.
+
+        What has lost its sign is smoother than what it should be, and compared with nothing.
+        """
+        if self.cause.kind == "magnitude":
+            return True
+        concerned = list(self.concerned)
+        worse = np.log(self.evidence.sigmas[concerned] / nominal.sigmas[self.sources][concerned])
+        return float(np.sum(worse[worse > _SCATTER])) < _MISFIT * self.gain(nominal, instants)
 
     def explains(self, nominal: Evidence, instants: int) -> bool:
         """Whether the channels concerned follow the model then, and one of them much better than as it is.
@@ -140,17 +164,24 @@ class Hypothesis:
         """Whether all speaks for it."""
         if not self.allowed:
             return False
-        return self.settled or (self.is_better(nominal, instants) and self.explains(nominal, instants))
+        if self.settled:
+            return True
+        asked_for = self.is_better(nominal, instants) and self.is_consistent(nominal, instants)
+        return asked_for and self.explains(nominal, instants)
 
 
 def decide(tried: Sequence[Hypothesis], nominal: Evidence, instants: int) -> Finding | None:
     """What is wrong: the best hypothesis if all speaks for it, told as suspected if only the evidence does."""
-    ordered = sorted(tried, key=lambda hypothesis: -hypothesis.score)
+    aside = [h.score for h in tried if not h.alone and h.is_named(nominal, instants)]
+    least = max(aside, default=-np.inf) - _RIVAL * instants  # what explains less is explained by what is not named
+    ordered = sorted((h for h in tried if h.settled or h.score > least), key=lambda hypothesis: -hypothesis.score)
     named = [hypothesis for hypothesis in ordered if hypothesis.is_named(nominal, instants)]
-    better = [h for h in ordered if h.allowed and h.is_better(nominal, instants)]
+    better = [h for h in ordered if h.allowed and h.alone and h.is_better(nominal, instants)]
+    misfits = [h for h in better if not h.is_consistent(nominal, instants)]
+    better = [h for h in better if h not in misfits and not any(_contradicts(o, h) for o in misfits)]
     best = next((h for h in named if h in better and not any(_contradicts(o, h) for o in better)), None)
     if best is None and not any(
-        h.allowed and h.cause.kind != "gain" and h.gain(nominal, instants) > _RIVAL for h in tried
+        h.allowed and h.alone and h.cause.kind != "gain" and h.gain(nominal, instants) > _RIVAL for h in tried
     ):
         best = next((h for h in named if h.settled), None)
     if best is None:

@@ -11,7 +11,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.samples import Samples
 from geomid_ros.plausibility import words
 from geomid_ros.plausibility.changes import hypothesis
@@ -19,8 +18,8 @@ from geomid_ros.plausibility.evidence import Evidence
 from geomid_ros.plausibility.flexible import FlexibleFit, by_channel
 from geomid_ros.plausibility.hypotheses import Hypothesis
 from geomid_ros.plausibility.instants import FEWEST, STEP
-from geomid_ros.plausibility.readings import Efforts, World
-from geomid_ros.types import FloatArray, IntArray
+from geomid_ros.plausibility.subject import Subject
+from geomid_ros.types import FloatArray
 
 _PAIRS = 200
 _USUAL = 0.1  # [s] a lag that is tried
@@ -49,22 +48,20 @@ class Pairs:
 class Lags:
     """Looks for efforts that come late or early."""
 
-    def __init__(self, model: MeasurementModel, pairs: Pairs, joints: IntArray, efforts: Efforts) -> None:
+    def __init__(self, subject: Subject, pairs: Pairs) -> None:
         """
         Args:
-            model: of the robot.
-            pairs: instants of a stretch.
-            joints: ``(C,)`` places of the joints whose efforts are judged.
-            efforts: theirs, at the first instants of the pairs.
+            subject: what is judged.
+            pairs: instants of a stretch of it.
         """
-        self._model, self._pairs, self._joints = model, pairs, joints
-        self._names = [model.robot.joint_names[joint] for joint in joints]
-        self._world = World(efforts, model.robot.gravity)
-        self._fit = FlexibleFit(self._world, pairs.now, joints)
-        self._efforts = efforts
+        self._subject, self._pairs = subject, pairs
+        self._names = subject.names
+        self._world = subject.world(pairs.now)
+        self._fit = FlexibleFit(self._world, pairs.now, subject.joints)
 
-    def hypotheses(self, nominal: Evidence, instants: int) -> Iterator[Hypothesis]:
-        """Lags, as far as they explain anything; ``nominal`` is the evidence of none, from so many instants."""
+    def hypotheses(self, nominal: Evidence) -> Iterator[Hypothesis]:
+        """Lags, as far as they explain anything; ``nominal`` is the evidence of none."""
+        instants = len(self._subject.samples)
         count = len(self._names)
         rates = -_USUAL * self._rates()
         common = gain = self._fit.gain(rates[:, :, None])
@@ -88,8 +85,7 @@ class Lags:
 
     def _rates(self) -> FloatArray:
         """By how much the efforts of the fitted links change ``(N, C)`` [N m/s]."""
-        links = self._efforts.prior + self._efforts.factor @ self._world.links(self._fit.links)
-        bare = MeasurementModel(self._model.robot, (), self._model.sensors)
-        later = bare.rows(self._pairs.later).coefficients[:, self._joints] @ links
+        links = self._subject.prior + self._subject.factor @ self._world.links(self._fit.links)
+        later = self._subject.regressor(self._pairs.later) @ links
         times = (self._pairs.later.stamps - self._pairs.now.stamps) * 1e-9
         return np.asarray((later - self._fit.rigid) / times[:, None])

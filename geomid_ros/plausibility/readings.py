@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
+from copy import copy
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 
 from geomid_ros.plausibility.evidence import Evidence, Products, evidence
-from geomid_ros.plausibility.rows import GravityRows
 from geomid_ros.types import BoolArray, FloatArray, IntArray
 
 _ROUNDING = 1e-10
@@ -32,43 +32,32 @@ def as_it_is(channels: int) -> Reading:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Efforts:
-    """Efforts of C joints at N instants, and all that a model says of them.
+    """Efforts of C joints at N instants, and what is known of them without the motion of links.
 
     Attributes:
         measured: ``(N, C)``.
-        spread: ``(C,)`` their standard deviations.
-        rows: what they say of the links, by the part of gravity.
-        friction: ``(N, C, 4)`` see :class:`GravityRows`.
+        spread: ``(C,)`` standard deviations of the numbers that were measured.
+        friction: ``(N, C, 4)`` see :class:`EffortRows`.
         prior: ``(D,)`` the URDF's parameters.
         factor: ``(D, D)`` of the covariance of their errors.
     """
 
     measured: FloatArray
     spread: FloatArray
-    still: FloatArray
-    by_gravity: FloatArray
     friction: FloatArray
     prior: FloatArray
     factor: FloatArray
 
-    @staticmethod
-    def of(rows: GravityRows, joints: IntArray, prior: FloatArray, factor: FloatArray) -> Efforts:
-        """The efforts of these joints, all of which are measured at all instants."""
-        measured = rows.targets[:, joints]
-        return Efforts(
-            measured=measured,
-            spread=np.std(measured, axis=0),
-            still=rows.still[:, joints],
-            by_gravity=rows.by_gravity[:, :, joints],
-            friction=rows.friction[:, joints],
-            prior=prior,
-            factor=factor,
-        )
+    def fitted_gravity(self, still: FloatArray, by_gravity: FloatArray, parameters: FloatArray) -> FloatArray:
+        """The gravity ``(3,)`` [m/s^2] under which links with these parameters ``(D,)`` explain efforts best.
 
-    def fitted_gravity(self, parameters: FloatArray) -> FloatArray:
-        """The gravity ``(3,)`` [m/s^2] under which links with these parameters ``(D,)`` explain efforts best."""
-        left = (self.measured - self.still @ parameters) / self.spread
-        gravity = (self.by_gravity @ parameters) / self.spread  # (3, N, C)
+        Args:
+            still: ``(N, C, D)`` rows without gravity.
+            by_gravity: ``(3, N, C, D)`` rows per unit of gravity along each axis.
+            parameters: of the links.
+        """
+        left = (self.measured - still @ parameters) / self.spread
+        gravity = (by_gravity @ parameters) / self.spread  # (3, N, C)
         both = np.concatenate([gravity, left[None]]).transpose(2, 1, 0)
         both = _without(self.friction, both)
         return np.asarray(np.linalg.lstsq(both[:, :, :3].reshape(-1, 3), both[:, :, 3].ravel(), rcond=1e-6)[0])
@@ -81,19 +70,18 @@ def _without(friction: FloatArray, columns: FloatArray) -> FloatArray:
 
 
 class World:
-    """A robot under a gravity: judges readings of efforts."""
+    """A robot in motion under gravity: judges readings of efforts."""
 
-    def __init__(self, efforts: Efforts, gravity: FloatArray, *, weightless: bool = False) -> None:
+    def __init__(self, efforts: Efforts, regressor: FloatArray, predicted: FloatArray | None = None) -> None:
         """
         Args:
-            efforts: what was measured, and what the model says of it.
-            gravity: ``(3,)`` [m/s^2].
-            weightless: what the URDF's links weigh is not in the efforts, while their errors' weight is.
+            efforts: what was measured.
+            regressor: ``(N, C, D)`` of the efforts over the links' parameters.
+            predicted: ``(N, C)`` what the URDF predicts; that of the regressor unless given.
         """
         self.measured, self._friction = efforts.measured, efforts.friction
         self.spread = efforts.spread
-        regressor = efforts.still + np.tensordot(gravity, efforts.by_gravity, 1)
-        self.predicted = (efforts.still if weightless else regressor) @ efforts.prior
+        self.predicted = regressor @ efforts.prior if predicted is None else predicted
         """What the URDF predicts ``(N, C)``."""
         whitened = regressor @ efforts.factor
         scaled = whitened / self.spread[None, :, None]
@@ -112,6 +100,21 @@ class World:
     def tolerated(self) -> FloatArray:
         """Standard deviations of friction's coefficients, see :func:`evidence` ``(C, 4)``."""
         return self._tolerated
+
+    def with_unknown(self, column: FloatArray, centre: float) -> World:
+        """The same with another unknown, which is normal with unit variance.
+
+        Args:
+            column: ``(N, C)`` what one of it adds to the efforts.
+            centre: its most probable value, as seen from the one that this world has.
+        """
+        world = copy(self)
+        rank = self._columns.shape[2] - 4
+        world.predicted = self.predicted + centre * column
+        world._columns = np.insert(self._columns, rank, column, axis=2)  # noqa: SLF001 its own
+        for name in ("_unknowns", "_crossed"):
+            world.__dict__.pop(name, None)
+        return world
 
     @cached_property
     def _unknowns(self) -> FloatArray:
@@ -132,9 +135,19 @@ class World:
         tolerated[:, 0] = _OFFSET
         return np.asarray(tolerated)
 
-    def judge(self, reading: Reading) -> Evidence:
-        """The evidence of a reading."""
-        return evidence(self._products(reading), self._tolerated)
+    def judge(self, reading: Reading, *, either_sign: bool = False) -> Evidence:
+        """The evidence of a reading; with friction of either sign if wanted."""
+        return evidence(self._products(reading), self._tolerated, either_sign=either_sign)
+
+    def friction(self, found: Evidence) -> FloatArray:
+        """What viscous and dry friction take, as they were found, in standard deviations ``(N, C)``."""
+        return np.asarray(np.einsum("nck,ck->nc", self._friction[:, :, 1:3], found.friction[:, 1:3]))
+
+    def explained(self, found: Evidence) -> FloatArray:
+        """What efforts as they are are explained by, in standard deviations ``(N, C)``."""
+        rank = self._columns.shape[2] - 4
+        links = self.predicted + self._columns[:, :, :rank] @ found.links
+        return np.asarray(links / self.spread + np.einsum("nck,ck->nc", self._friction, found.friction))
 
     def _products(self, reading: Reading) -> Products:
         channels = np.arange(len(reading.sources))
@@ -155,16 +168,27 @@ class World:
     def fitted_slopes(self, found: Evidence) -> tuple[FloatArray, BoolArray]:
         """How many times as much the links that were found take as the URDF's, and whether that can be told: they
         explain a good part of what was measured, and do so as the URDF's do ``(C,)``."""
+        slopes, alike = self._compared(found)
+        return slopes, alike > _ALIKE
+
+    def opposite(self, found: Evidence) -> BoolArray:
+        """Whether the links that were found take the opposite of what the URDF's do ``(C,)``: as if of mass below zero,
+        which is what shows efforts with the wrong sign where links explain a good part of them."""
+        return self._compared(found)[1] < -_ALIKE
+
+    def _compared(self, found: Evidence) -> tuple[FloatArray, FloatArray]:
+        """The slopes of what links take that were found over what the URDF's do, and their correlations, which are zero
+        where they explain little of what was measured ``(C,)``."""
         rank = self._columns.shape[2] - 4
         own = self.predicted + self._columns[:, :, :rank] @ found.links
         own, nominal = own - np.mean(own, axis=0), self.predicted - np.mean(self.predicted, axis=0)
         crossed, size = np.sum(own * nominal, axis=0), np.maximum(np.sum(nominal**2, axis=0), 1e-30)
-        alike = crossed > _ALIKE * np.sqrt(size * np.sum(own**2, axis=0))
-        return crossed / size, alike & (np.std(own, axis=0) > _PART * self.spread)
+        alike = crossed / np.maximum(np.sqrt(size * np.sum(own**2, axis=0)), 1e-30)
+        return crossed / size, np.where(np.std(own, axis=0) > _PART * self.spread, alike, 0.0)
 
     def links(self, found: FloatArray) -> FloatArray:
         """The links' errors ``(D,)`` in units of their covariance's factor, of those that evidence finds ``(r,)``."""
-        return np.asarray(self._basis @ found)
+        return np.asarray(self._basis @ found[: self._basis.shape[1]])
 
     def slopes(self) -> tuple[FloatArray, FloatArray]:
         """Of each channel the slope of what is measured over what the URDF predicts, and their squared correlation,

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.geometry.manifold import ParameterManifold
-from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.moving import SIGN
+from geomid_ros.model.robot import Robot
 from geomid_ros.model.samples import Samples
 from geomid_ros.types import FloatArray
 
@@ -18,28 +18,9 @@ _PAYLOAD = 0.1  # of the whole robot's mass, at each end of a chain: robots carr
 _SIZE = 0.1  # [m] its radius of gyration about a plane through its centre
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
-class GravityRows:
-    """What N instants say of the links, by the part that gravity has in it.
-
-    Attributes:
-        still: ``(N, channels, D)`` without gravity.
-        by_gravity: ``(3, N, channels, D)`` per unit of gravity along each axis of the base.
-        targets: ``(N, channels)`` measured, NaN where not.
-        friction: ``(N, joints, 4)`` what may be added at a joint: a constant, and per positive unit viscous friction,
-            dry friction and rotor inertia.
-    """
-
-    still: FloatArray
-    by_gravity: FloatArray
-    targets: FloatArray
-    friction: FloatArray
-
-
-def gravity_rows(model: MeasurementModel, samples: Samples) -> GravityRows:
-    """The rows of samples for a model's channels, of all links of its robot and without effects."""
-    bare = MeasurementModel(model.robot, (), model.sensors)
-    still, targets = _rows(bare, samples, np.zeros(3))
+def gravity_rows(robot: Robot, samples: Samples) -> tuple[FloatArray, FloatArray]:
+    """The rows of efforts over all links' parameters: without gravity ``(N, joints, D)``, and per unit of gravity along
+    each axis of the base ``(3, N, joints, D)``."""
     at_rest = replace(
         samples,
         velocity=np.zeros_like(samples.velocity),
@@ -47,22 +28,27 @@ def gravity_rows(model: MeasurementModel, samples: Samples) -> GravityRows:
         base_velocity=np.zeros_like(samples.base_velocity),
         base_acceleration=np.zeros_like(samples.base_acceleration),
     )
-    by_gravity = np.array([_rows(bare, at_rest, axis)[0] for axis in np.eye(3)])
-    friction = np.stack(
-        [np.ones(samples.velocity.shape), samples.velocity, samples.column(SIGN), samples.acceleration], axis=2
-    )
-    return GravityRows(still=still, by_gravity=by_gravity, targets=targets, friction=friction)
+    by_gravity = np.array([effort_rows(robot, at_rest, axis) for axis in np.eye(3)])
+    return effort_rows(robot, samples, np.zeros(3)), by_gravity
 
 
-def _rows(model: MeasurementModel, samples: Samples, gravity: FloatArray) -> tuple[FloatArray, FloatArray]:
-    rows = model.with_gravity(gravity).rows(samples)
-    return rows.coefficients, rows.targets
+def effort_rows(robot: Robot, samples: Samples, gravity: FloatArray) -> FloatArray:
+    """The rows ``(N, joints, D)`` of efforts over all links' parameters."""
+    robot = robot.with_gravity(gravity)
+    rows = [robot.joint_effort_rows(q, v, a) for q, v, a in zip(*robot.configuration(samples), strict=True)]
+    return np.array(rows).reshape(len(samples), len(robot.joints), -1)
 
 
-def prior_factor(model: MeasurementModel) -> FloatArray:
+def friction_columns(samples: Samples) -> FloatArray:
+    """What may be added at each joint ``(N, joints, 4)``: a constant, and per positive unit viscous friction, dry
+    friction and rotor inertia."""
+    columns = [np.ones(samples.velocity.shape), samples.velocity, samples.column(SIGN), samples.acceleration]
+    return np.stack(columns, axis=2)
+
+
+def prior_factor(robot: Robot) -> FloatArray:
     """A factor ``(D, D)`` of the covariance of what the URDF may be wrong by: every link's shape and mass, and a
     payload at each end of a chain."""
-    robot = model.robot
     bodies = np.array([body.parameters for body in robot.bodies])
     manifold = ParameterManifold(len(bodies), 0, np.zeros(0))
     blocks, _ = manifold.jacobian(manifold.point(bodies.ravel()))

@@ -37,7 +37,7 @@ def frozen(names: list[str], samples: Samples, measured: FloatArray, rigid: Floa
             enough = end - begin >= _FEWEST and np.mean(others) < _SELDOM
             if enough and asked > _ASKED * np.std(effort):
                 times = [float(samples.stamps[place] - samples.stamps[0]) * 1e-9 for place in (begin, end)]
-                found.append(words.frozen(name, times[0], times[1], asked))
+                found.append(words.frozen_effort(name, times[0], times[1], asked))
                 break
     return found
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -18,6 +18,7 @@ STATUS = {USABLE: 0, NOT_CONVERGED: 3, DOUBTFUL: 4}
 """Exit status of each verdict; 2 is that of a refusal."""
 
 _REASON = 4.0  # no URDF is wrong by more in the mass of the whole robot
+_ABSURD = _REASON**2  # nor is what little motion tells of masses
 _BLOCK = 1_000_000_000  # [ns] errors so far apart are independent
 _FEWEST_BLOCKS = 4
 _SCATTER = 3.0  # standard errors of the mean over blocks
@@ -75,7 +76,13 @@ def verdict(
     warnings += [*_masses(estimate, model), *peculiar]
     if unmeasured:
         warnings.append(f"most of the time no effort is measured at {', '.join(map(repr, unmeasured))}: it is left out")
-    return recording_verdict(findings, "" if estimate.converged else estimate.reason, warnings)
+    stopped = "" if estimate.converged else estimate.reason
+    judged = recording_verdict(findings, stopped, warnings)
+    factor = _mass_factor(estimate, model)
+    if 1.0 / _ABSURD <= factor <= _ABSURD:
+        return judged
+    reason = f"{_weigh(estimate, model)}: no such robot does, so the recording or the URDF is not what it should be"
+    return replace(judged, word=DOUBTFUL, reasons=(*judged.reasons, reason))
 
 
 def recording_verdict(findings: Sequence[Finding], stopped: str = "", warnings: Sequence[str] = ()) -> Verdict:
@@ -95,13 +102,25 @@ def recording_verdict(findings: Sequence[Finding], stopped: str = "", warnings: 
 
 def _masses(estimate: Estimate, model: MeasurementModel) -> Iterator[str]:
     """Whether all links together weigh what such a robot may weigh."""
-    nominal = float(np.sum(model.nominal_inertias.reshape(-1, 10)[:, 0]))
-    found = sum(link.mass for link in estimate.links)
-    if not nominal / _REASON <= found <= _REASON * nominal:
+    factor = _mass_factor(estimate, model)
+    if not 1.0 / _REASON <= factor <= _REASON and 1.0 / _ABSURD <= factor <= _ABSURD:
         yield (
-            f"the links weigh {found:.3g} kg in all instead of the URDF's {nominal:.3g} kg, which no such robot does: "
-            "predictions may hold, these masses do not"
+            f"{_weigh(estimate, model)}: the motion tells too little of masses, or effects that the model lacks "
+            "stand in for them; use the predictions, not the masses, or weigh a part (--known)"
         )
+
+
+def _mass_factor(estimate: Estimate, model: MeasurementModel) -> float:
+    return float(sum(link.mass for link in estimate.links)) / _nominal_mass(model)
+
+
+def _nominal_mass(model: MeasurementModel) -> float:
+    return float(np.sum(model.nominal_inertias.reshape(-1, 10)[:, 0]))
+
+
+def _weigh(estimate: Estimate, model: MeasurementModel) -> str:
+    found = sum(link.mass for link in estimate.links)
+    return f"the links weigh {found:.3g} kg in all instead of the URDF's {_nominal_mass(model):.3g} kg"
 
 
 def worse_on_rows(estimate: Estimate) -> list[str]:

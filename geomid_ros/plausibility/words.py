@@ -34,15 +34,19 @@ def reversed_efforts(joints: Sequence[str], gains: Iterable[float], of_all: bool
     """The efforts of joints, or of all of them, have the opposite sign."""
     settings = gain_settings(joints, [-gain for gain in gains], of_all)
     who = "the efforts of all joints are" if of_all else f"the effort of joint '{joints[0]}' is"
-    sentence = f"{who} reversed: with {written(settings)} they follow this robot's gravity and motion"
+    sentence = f"{who} reversed: with {written(settings)} {_would_follow(of_all)} this robot's gravity and motion"
     return Cause(kind="sign", sentence=sentence, settings=settings, places=tuple(joints))
+
+
+def _would_follow(of_all: bool) -> str:
+    return "they would follow" if of_all else "it would follow"
 
 
 def exchanged_efforts(first: str, second: str) -> Cause:
     """The efforts of two joints are exchanged."""
     sentence = (
-        f"the efforts of joints '{first}' and '{second}' are exchanged: the other way round they follow this robot's "
-        "gravity and motion; correct their order where the messages are made, or the names in the URDF"
+        f"the efforts of joints '{first}' and '{second}' are exchanged: the other way round they would follow this "
+        "robot's gravity and motion; correct their order where the messages are made, or the names in the URDF"
     )
     return Cause(kind="order", sentence=sentence, places=(first, second))
 
@@ -51,7 +55,7 @@ def exchanged_names(joints: Sequence[str], others: Sequence[str]) -> Cause:
     """Each of some joints has the name of another one."""
     pairs = ", ".join(f"'{joint}' and '{other}'" for joint, other in zip(joints, others, strict=True))
     sentence = (
-        f"the names of joints {pairs} are exchanged: the other way round positions and efforts are those of this "
+        f"the names of joints {pairs} are exchanged: the other way round positions and efforts would be those of this "
         "robot; correct the names where the messages are made, or in the URDF"
     )
     return Cause(kind="names", sentence=sentence, places=(*joints, *others))
@@ -63,22 +67,24 @@ def other_unit(joints: Sequence[str], gains: Iterable[float], factor: float, of_
     who = "the efforts of all joints are" if of_all else f"the effort of joint '{joints[0]}' is"
     sentence = (
         f"{who} about 1/{factor:.3g}" if factor > 1.0 else f"{who} about {1.0 / factor:.3g} times"
-    ) + f" of what this robot needs in N m{_unit(factor)}: with about {written(settings)} they follow its gravity and "
-    sentence += "motion (the data cannot tell the exact factor from the masses)"
+    ) + f" of what this robot needs in N m{_unit(factor)}: with about {written(settings)} {_would_follow(of_all)} its "
+    sentence += "gravity and motion (the data cannot tell the exact factor from the masses)"
     return Cause(kind="gain", sentence=sentence, settings=settings, places=tuple(joints))
 
 
 def _unit(factor: float) -> str:
     if 0.5e-3 < factor < 2e-3:
         return " (in mN m?)"
+    if 250.0 < factor < 4000.0:
+        return " (in kN m, or are the masses of the URDF in grams?)"
     return " (in amperes, or on the motor's side of the gear?)" if factor > 1.0 else ""
 
 
 def degrees(joints: Sequence[str]) -> Cause:
     """Positions and speeds are in degrees."""
     sentence = (
-        "joint positions are in degrees: taken so, the efforts follow this robot's gravity and motion; messages have "
-        "to be in rad and rad/s"
+        "joint positions are in degrees: taken so, the efforts would follow this robot's gravity and motion; messages "
+        "have to be in rad and rad/s"
     )
     return Cause(kind="degrees", sentence=sentence, places=tuple(joints))
 
@@ -163,7 +169,7 @@ def displaced(joint: str, size: float, turns: bool) -> str:
     return f"'{joint}' by {np.degrees(size):+.0f} degrees" if turns else f"'{joint}' by {1000.0 * size:+.0f} mm"
 
 
-def other_zero(joints: Sequence[str], said: Sequence[str], when: str) -> Cause:
+def zero_changes(joints: Sequence[str], said: Sequence[str], when: str) -> Cause:
     """Positions are others than they were."""
     sentence = (
         f"positions are off {when}: {', '.join(said)}; does a coupling slip, or was an encoder set to zero? "
@@ -198,7 +204,7 @@ def some_late(joints: Sequence[str], lags: Iterable[float]) -> Cause:
     return Cause(kind="late", sentence=sentence, places=tuple(joints))
 
 
-def frozen(joint: str, begin: float, end: float, asked: float) -> Cause:
+def frozen_effort(joint: str, begin: float, end: float, asked: float) -> Cause:
     """An effort stays the same for a while."""
     sentence = (
         f"the effort of joint '{joint}' is exactly the same from about {begin:.0f} s to {end:.0f} s, while gravity and "
@@ -228,3 +234,89 @@ def constant(joints: Sequence[str]) -> Cause:
     named = ", ".join(f"'{joint}'" for joint in joints)
     sentence = f"the effort of {named} never changes though the joint moves: it is not measured"
     return Cause(kind="constant", sentence=sentence, places=tuple(joints))
+
+
+def overcompensated(joints: Sequence[str]) -> Cause:
+    """Friction drives the motion."""
+    named = ", ".join(f"'{joint}'" for joint in joints)
+    sentence = (
+        f"at {named} friction seems to drive the motion: more friction is compensated than there is, while weights and "
+        "inertias are those of this robot. Record efforts that are measured before friction is compensated, or "
+        "compensate less"
+    )
+    return Cause(kind="friction", sentence=sentence, places=tuple(joints))
+
+
+def magnitudes(joints: Sequence[str]) -> Cause:
+    """Efforts have lost their sign."""
+    named = ", ".join(f"'{joint}'" for joint in joints)
+    sentence = (
+        f"the effort of {named} has no sign: it never changes it though this robot's gravity and motion do. Record "
+        "efforts with their sign"
+    )
+    return Cause(kind="magnitude", sentence=sentence, places=tuple(joints))
+
+
+def other_zero(joint: str, zero: float, deviation: float) -> Cause:
+    """A joint counts from another zero: ``zero`` [rad] has to be added to its positions."""
+    sentence = (
+        f"the zero of joint '{joint}' seems to be off: {_degrees(zero, deviation)} to be added to its positions before "
+        "efforts follow this robot's gravity and motion. Calibrate the joint, or turn its frame in the URDF"
+    )
+    return Cause(kind="zero", sentence=sentence, places=(joint,))
+
+
+def turned_axis(joint: str, zero: float, deviation: float) -> Cause:
+    """A joint counts the other way round."""
+    zeros = "" if abs(zero) < _LEAST_ZERO else f", and {_degrees(zero, deviation)} to be added to its positions then"
+    sentence = (
+        f"joint '{joint}' seems to turn the other way round than its axis in the URDF: with position, velocity and "
+        f"effort reversed efforts would follow this robot's gravity and motion{zeros}. Correct the signs where the "
+        "messages are made, or the axis in the URDF"
+    )
+    return Cause(kind="axis", sentence=sentence, places=(joint,))
+
+
+def absolute(joint: str, other: str, share: float) -> Cause:
+    """The position of a joint holds that of another one, too."""
+    sentence = (
+        f"the position of joint '{joint}' seems to hold that of '{other}', too (an angle against the base, not against "
+        f"the link before): {'less' if share > 0.0 else 'with'} the position of '{other}' efforts follow this robot's "
+        "gravity and motion. Send the angle between the links"
+    )
+    return Cause(kind="absolute", sentence=sentence, places=(joint, other))
+
+
+def frozen_position(joint: str, share: float) -> Cause:
+    """A position that stands still."""
+    sentence = (
+        f"the position of joint '{joint}' stands exactly still for {share:.0%} of the time, while efforts are not "
+        "those of that pose: is its encoder cut off, or does the driver repeat an old value? Leave that stretch out"
+    )
+    return Cause(kind="frozen", sentence=sentence, places=(joint,))
+
+
+def far_centre(link: str, distance: float, length: float) -> Cause:
+    """Centres of mass in another unit."""
+    sentence = (
+        f"the URDF has the centre of mass of link '{link}' {distance:.3g} m from its frame, though all links together "
+        f"are {length:.3g} m long: are the centres of mass in mm? They have to be in m"
+    )
+    return Cause(kind="description", sentence=sentence, places=(link,))
+
+
+def too_heavy(mass: float, reason: str) -> Cause:
+    """Masses in another unit."""
+    sentence = (
+        f"by the URDF the links weigh {mass:.3g} kg in all, and {reason}: are the masses in grams? They have to "
+        "be in kg"
+    )
+    return Cause(kind="description", sentence=sentence)
+
+
+_LEAST_ZERO = np.radians(5.0)
+
+
+def _degrees(zero: float, deviation: float) -> str:
+    turn = np.degrees((zero + np.pi) % (2.0 * np.pi) - np.pi)
+    return f"about {turn:.0f} (+-{max(2.0 * np.degrees(deviation), 1.0):.0f}) degrees have"

@@ -63,7 +63,7 @@ class WrenchSensorCheck:
         bare = MeasurementModel(model.robot, (), model.sensors)
         self._channels = list(model.layout.wrenches[sensor.topic])
         self._prior = bare.nominal_parameters
-        self._factor = _FREE * prior_factor(model)
+        self._factor = _FREE * prior_factor(model.robot)
         rows = bare.rows(samples)
         self._regressor = rows.coefficients[:, self._channels]
         self._wrench = rows.targets[:, self._channels]

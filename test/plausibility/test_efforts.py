@@ -232,3 +232,17 @@ def test_of_a_robot_that_stands_still_nothing_is_said(robot: Case) -> None:
 
 def test_of_three_seconds_nothing_is_said(robot: Case) -> None:
     assert findings(robot.model, changed(robot, np.negative).select(slice(250))) == ()
+
+
+def test_efforts_without_a_sign_are_named(robot: Case) -> None:
+    """Of the first joint, which has no weight to carry and goes to and fro."""
+    cause = named(robot.model, changed(robot, lambda effort: np.column_stack([np.abs(effort[:, :1]), effort[:, 1:]])))
+    assert (cause.kind, cause.places) == ("magnitude", (robot.model.robot.joint_names[0],))
+
+
+def test_friction_that_is_compensated_too_much_is_not_a_sign(robot: Case) -> None:
+    """Weights and inertias decide on the sign, whatever friction does."""
+    own = robot.samples
+    size = 1.5 * np.std(own.effort, axis=0)
+    cause = named(robot.model, replace(own, effort=own.effort - size * np.tanh(own.velocity / 0.05)))
+    assert cause.kind == "friction"

@@ -40,13 +40,18 @@ def test_the_exit_status() -> None:
     assert judged(estimate, FINDING).reasons == (FINDING.sentence,)
 
 
-@pytest.mark.parametrize(("factor", "said"), [(1.0, False), (3.0, False), (6.0, True), (0.15, True)])
-def test_masses_beyond_reason_are_told(factor: float, said: bool) -> None:
+@pytest.mark.parametrize(
+    ("factor", "said", "status"),
+    [(1.0, False, 0), (3.0, False, 0), (6.0, True, 0), (0.15, True, 0), (40.0, False, 4), (0.02, False, 4)],
+)
+def test_masses_beyond_reason_are_told(factor: float, said: bool, status: int) -> None:
+    """A little beyond it in a warning, far beyond it the result is doubtful."""
     _, estimate = solved()
     links = tuple(replace(link, mass=factor * link.mass) for link in estimate.links)
     result = judged(replace(estimate, links=links))
     assert bool(result.warnings) == said
-    assert result.status == 0
+    assert result.status == status
+    assert any("kg in all" in reason for reason in result.reasons) == (status == 4)
 
 
 def test_missing_efforts_are_told() -> None:
