@@ -79,24 +79,23 @@ def encoder_hypotheses(subject: Subject, world: World, nominal: Evidence) -> Ite
     """
     turning = [place for place, joint in enumerate(subject.robot.joints) if joint.unit != "N"]
     links = subject.prior + subject.factor @ world.links(nominal.links)
-    near = []
+    near, far = [], list(_far(subject.robot, turning))
     for joint in turning:
         encoder = Encoder(joint)
         found = world.with_unknown(_rate(subject, encoder, links), 0.0).judge(as_it_is(len(subject.joints)))
-        near.append((found.log, encoder))
-    far = list(_screened(subject, turning))
+        near.append((found.log - nominal.log, encoder))
     choices = len(near) + len(far)
-    best = [e for found in (near, far) for _, e in sorted(found, key=lambda pair: -pair[0])[:_BEST]]
-    for encoder in best:
-        yield _hypothesis(subject, encoder, choices)
+    for judged in (near, _screened(subject, far)):
+        best = sorted(judged, key=lambda pair: -pair[0])[:_BEST]
+        yield from (_hypothesis(subject, encoder, choices) for gain, encoder in best if gain > 0.0)
 
 
-def _screened(subject: Subject, turning: list[int]) -> Iterator[tuple[float, Encoder]]:
-    """Encoders that are no linearisation away, with their log evidence at a few instants."""
-    samples = subject.samples
+def _screened(subject: Subject, encoders: list[Encoder]) -> list[tuple[float, Encoder]]:
+    """Encoders that are no linearisation away, with their gain of log evidence at a few instants."""
+    samples, reading = subject.samples, as_it_is(len(subject.joints))
     few = samples.select(slice(None, None, -(-len(samples) // _FEW)))
-    for encoder in _far(subject.robot, turning):
-        yield subject.world(encoder.read(few)).judge(as_it_is(len(subject.joints))).log, encoder
+    nominal = subject.world(few).judge(reading).log
+    return [(subject.world(encoder.read(few)).judge(reading).log - nominal, encoder) for encoder in encoders]
 
 
 def _far(robot: Robot, turning: list[int]) -> Iterator[Encoder]:

@@ -14,22 +14,31 @@ from geomid_ros.types import BoolArray, FloatArray
 _STILL = 1e-6  # of the joint's way
 _LONG, _SHORT = 0.1, 0.5  # of all instants: a stretch that the others can judge
 _SMEARED = 3  # instants at the ends, at which a filter makes a motion of the step that follows
+_MOVING = 0.1  # of a joint's way, or of an effort's range
 _FAR = 2.0  # times what is left at other instants
 
 
 def frozen_position(subject: Subject) -> Cause | None:
-    """A joint whose position stands exactly still for long, while efforts are not those of that pose.
+    """A joint whose position stands exactly still for long, while others move and efforts are not those of that pose.
 
-    The links are fitted to the other instants, and predict these. Where a joint really stands still its effort may be
-    off by its dry friction, and no other effort is.
+    The links are fitted to the other instants, and predict these. Where a joint really stands still, its brake holds it
+    without any effort or its effort may be off by dry friction, and no other effort is off. A robot that stands still
+    as a whole tells nothing.
     """
-    for joint, position in enumerate(subject.samples.position.T):
+    positions, efforts = subject.samples.position, subject.samples.effort[:, subject.joints]
+    for joint, position in enumerate(positions.T):
         still = _longest_still(position)
         if _LONG < np.mean(still) < _SHORT and np.count_nonzero(~still) >= FEWEST + 2 * _SMEARED:
+            changes = np.ptp(efforts[still], axis=0) > _MOVING * np.ptp(efforts, axis=0)
             inside, outside = _left(subject, still)
-            if np.any(inside > _FAR * outside):
+            if np.any(_moving(positions, still)) and np.any((inside > _FAR * outside) & changes):
                 return words.frozen_position(subject.robot.joint_names[joint], float(np.mean(still)))
     return None
+
+
+def _moving(positions: FloatArray, chosen: BoolArray) -> BoolArray:
+    """Which joints ``(joints,)`` move at the chosen instants."""
+    return np.asarray(np.ptp(positions[chosen], axis=0) > _MOVING * np.ptp(positions, axis=0))
 
 
 def _longest_still(position: FloatArray) -> BoolArray:
