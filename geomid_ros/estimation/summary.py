@@ -11,7 +11,7 @@ motion. Of C channels the group c is settled, the group C + c is not.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Literal, cast
 
 import numpy as np
@@ -31,6 +31,10 @@ class ChannelSummary:
     factor: FloatArray
     count: float = 0.0
     time: float = 0.0
+
+    def copy(self) -> ChannelSummary:
+        """A copy that later changes of this one do not change; no array is ever changed in place."""
+        return ChannelSummary(self.factor, self.count, self.time)
 
     def fade(self, share: float) -> None:
         """Multiply the weights of all rows by ``share``."""
@@ -93,6 +97,7 @@ class RowSummary:
         self._summaries = [
             [ChannelSummary(np.zeros((0, len(c.columns) + 1))) for c in self.groups] for _ in range(folds)
         ]
+        self._complete = True  # nothing waits, and all weights are those of now
         self._factors: tuple[FloatArray, ...] | None = None  # of all rows of each group, while none are added
         # Rows, their targets, and their times.
         self._waiting: list[list[list[tuple[FloatArray, float, float]]]] = [
@@ -120,6 +125,7 @@ class RowSummary:
 
         By ``elapsed`` [s] all earlier rows grow older. ``unsettled (channels,)`` says which rows are.
         """
+        self._complete = False
         self._time += elapsed
         self.weight *= float(np.exp(-elapsed / self._forgetting_time))
         fold = self._instants // self._block % self.folds
@@ -147,8 +153,6 @@ class RowSummary:
 
     def _absorb(self, fold: int, index: int) -> None:
         part, waiting = self._summaries[fold][index], self._waiting[fold][index]
-        if not waiting and part.time == self._time:
-            return
         remaining = float(self._remaining(part.time))
         if remaining < 1.0:  # otherwise copies share the factor
             part.fade(remaining)
@@ -166,9 +170,11 @@ class RowSummary:
     def parts(self, folds: Sequence[int] | None = None) -> list[list[ChannelSummary]]:
         """Per group the summaries of the chosen folds (all unless given), everything added so far included."""
         chosen = range(self.folds) if folds is None else folds
-        for fold in chosen:
-            for index in range(len(self.groups)):
-                self._absorb(fold, index)
+        if not self._complete:
+            for fold in chosen:
+                for index in range(len(self.groups)):
+                    self._absorb(fold, index)
+            self._complete = folds is None
         return [[self._summaries[fold][index] for fold in chosen] for index in range(len(self.groups))]
 
     def factors(self, folds: Sequence[int] | None = None) -> tuple[FloatArray, ...]:
@@ -188,9 +194,9 @@ class RowSummary:
         """A copy in which only the ``chosen`` of the D parameters are left; ``channels`` are those of what is left."""
         copy = self._copy(channels)
         for index, group in enumerate(self.groups):
-            kept = [*np.flatnonzero(np.isin(group.columns, chosen)).tolist(), -1]
+            kept = np.append(np.flatnonzero(np.isin(group.columns, chosen)), -1)
             for fold in copy._summaries:  # noqa: SLF001 its own
-                fold[index].factor = fold[index].factor[:, kept]
+                fold[index].factor = fold[index].factor.take(kept, axis=1)
         return copy
 
     def snapshot(self) -> RowSummary:
@@ -201,7 +207,7 @@ class RowSummary:
         copy = RowSummary(channels, self.folds, self._block, self._forgetting_time)
         copy._instants, copy._time = self._instants, self._time
         copy.rows, copy.weight = self.rows, self.weight
-        copy._summaries = [[replace(part) for part in fold] for fold in zip(*self.parts(), strict=True)]
+        copy._summaries = [[part.copy() for part in fold] for fold in zip(*self.parts(), strict=True)]
         return copy
 
     def state(self) -> SummaryState:
@@ -230,6 +236,7 @@ class RowSummary:
         ]
         self._instants, self._time = state.instants, state.time
         self.rows, self.weight = state.rows, state.weight
+        self._complete, self._factors = True, None
         self._summaries = summaries
         self._waiting = [[[] for _ in self.groups] for _ in range(self.folds)]
 
