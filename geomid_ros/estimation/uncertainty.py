@@ -198,7 +198,7 @@ def prior_spreads(rows: Fold, from_prior: FloatArray, groups: Sequence[Parameter
     for index, group in enumerate(groups):
         member[group.columns] = index
     pull = rows.information @ from_prior + rows.gradient
-    extrapolation, begun = Extrapolation(), np.log(usual)
+    extrapolation, found, begun = Extrapolation(), usual, np.log(usual)
     for _ in range(_ROUNDS):
         # In units of the spreads, in which the prior's part is the identity.
         spreads = np.exp(begun)[member]
@@ -209,9 +209,9 @@ def prior_spreads(rows: Fold, from_prior: FloatArray, groups: Sequence[Parameter
         squares = np.bincount(member, moved**2) + _CERTAINTY_OF_USUAL * usual**2
         counts = np.bincount(member, determined) + _CERTAINTY_OF_USUAL
         # Few rows of many parameters can be fitted at any distance.
-        ended = np.log(np.minimum(np.sqrt(squares / counts), _LARGEST_SPREAD * usual))
-        begun = extrapolation.next(begun, ended)
-    return np.asarray(np.exp(ended)[member])
+        found = np.minimum(np.sqrt(squares / counts), _LARGEST_SPREAD * usual)
+        begun = extrapolation.next(begun, np.log(found))
+    return np.asarray(found[member])
 
 
 def physical_sensitivity(manifold: ParameterManifold, point: Point, step: float = _STEP) -> FloatArray:
