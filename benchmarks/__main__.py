@@ -11,6 +11,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from benchmarks import (
+    batches,
     choice,
     command_line,
     coverage,
@@ -50,6 +51,7 @@ EXPERIMENTS: dict[str, Callable[[Report], None]] = {
     "payload": payload.run,
     "load": load.run,
     "intake": intake.run,
+    "batches": batches.run,
 }
 
 

@@ -11,7 +11,6 @@ from multiprocessing import get_context
 from pathlib import Path
 from typing import ParamSpec, TypeVar
 
-from benchmarks import peers
 from benchmarks.problem import Problem
 from geomid_ros.types import FloatArray
 
@@ -58,6 +57,8 @@ def best_of(action: Callable[[], object], repeats: int = _REPEATS, enough: float
 
 
 def _measure(problem: Problem, name: str, weight: float) -> Measurement:
+    from benchmarks import peers  # noqa: PLC0415 what else is measured needs no peers
+
     fit = peers.method(name).fit
     before = resident("VmRSS")
     begin = time.perf_counter()

@@ -34,12 +34,22 @@ def _arm(report: Report, seconds: float) -> None:
     _steady(report, "arm", "arm7", {"solve_period": 0.001}, seconds)
 
 
+def _calm(report: Report, seconds: float) -> None:
+    _steady(report, "calm", "arm7", {}, seconds, 100.0)
+
+
+def _plain(report: Report, seconds: float) -> None:
+    _steady(report, "plain", "arm7", {}, seconds)
+
+
 def _body(report: Report, seconds: float) -> None:
     _steady(report, "body", "body30", {}, seconds)
 
 
-def _steady(report: Report, name: str, robot: str, parameters: dict[str, Any], seconds: float) -> None:
-    outcome = steady(robots()[robot], parameters, seconds)
+def _steady(
+    report: Report, name: str, robot: str, parameters: dict[str, Any], seconds: float, rate: float = 1000.0
+) -> None:
+    outcome = steady(robots()[robot], parameters, seconds, rate)
     headings = ["", *_COUNTS, *(f"{q} [ms]" for q in QUANTILES), "longest queue", "solves", "MB start, full, end"]
     row = [
         robot,
@@ -52,10 +62,11 @@ def _steady(report: Report, name: str, robot: str, parameters: dict[str, Any], s
     caption = (
         f"{parameters or 'Default parameters'}. From receipt to row: the highest that any diagnostics after the first "
         "tenth told, each of the last 10,000 instants; the filter's fixed lag is not in it. The node and the "
-        f"process that solves for it took {100.0 * outcome.processor:.0f} % of a core, and the memory; "
+        f"process that solves for it took {100.0 * outcome.processor:.0f} % of a core, and the memory; the node alone "
+        f"{outcome.microseconds:.0f} us of processor time for a message; "
         f"the publisher was at most {outcome.latest:.0f} ms late. "
     )
-    report.table(f"{seconds:g} s at 1 kHz", headings, [row], caption + _machine())
+    report.table(f"{seconds:g} s at {rate:g} Hz", headings, [row], caption + _machine())
     report.result(name, asdict(outcome) | {"unaccounted": outcome.unaccounted})
 
 
@@ -124,6 +135,8 @@ class Scenario:
 
 SCENARIOS = {
     "arm": Scenario(_arm, 600.0, "seconds", 60.0),
+    "plain": Scenario(_plain, 300.0, "seconds", 60.0),
+    "calm": Scenario(_calm, 300.0, "seconds", 60.0),
     "body": Scenario(_body, 300.0, "seconds", 60.0),
     "overload": Scenario(_overload, 10.0, "seconds", 5.0),
     "day": Scenario(_day, 24.0, "hours", 2.0),

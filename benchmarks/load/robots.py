@@ -19,7 +19,7 @@ from geomid_ros.types import FloatArray
 
 _NOISE = 0.2  # N m, N
 _TONES = 5
-_AMPLITUDE = 0.3  # [rad] of each
+_AMPLITUDE = 0.1  # [rad] of each: together slower than the limits, as real robots are
 _HIGHEST = 1.0  # [Hz] of a tone, about
 _BATCH = 500  # instants: the rows of many at once would not fit into memory
 _LIMBS = {"left_arm": 7, "right_arm": 7, "left_leg": 6, "right_leg": 6}

@@ -8,15 +8,14 @@ from typing import Any
 from benchmarks.load.robots import Robot
 from benchmarks.load.watched import QUANTILES, Account, sent_by, watched
 
-_RATE = 1000.0  # Hz
 _FULL = 150.0  # [s] after which all that the node remembers for a while is there: gap.memory and a little
 
 
 @dataclass(frozen=True)
 class Steady:
     """Messages ``sent`` in ``seconds`` and what became of them; ``latency`` [ms] from receipt to row, ``longest_queue``
-    and ``solves``; resident ``memory`` [MB] at the start, when the buffer was full, and in the end; share of one core
-    that the node took; the ``latest`` [ms] that the publisher was behind."""
+    and ``solves``; resident ``memory`` [MB] at the start, when the buffer was full, and in the end; shares of one core
+    that node and solving process took, and the node alone; the ``latest`` [ms] that the publisher was behind."""
 
     robot: str
     seconds: float
@@ -27,6 +26,7 @@ class Steady:
     solves: int
     memory: tuple[float, float, float]
     processor: float
+    node_processor: float
     latest: float
 
     @property
@@ -34,12 +34,17 @@ class Steady:
         """Messages that are in no account."""
         return self.sent - self.account.received - self.account.lost
 
+    @property
+    def microseconds(self) -> float:
+        """Processor time of the node alone for a message."""
+        return 1e6 * self.node_processor * self.seconds / max(self.account.received, 1)
 
-def steady(robot: Robot, parameters: dict[str, Any], seconds: float) -> Steady:
-    """Let a node take a robot's messages for some time."""
+
+def steady(robot: Robot, parameters: dict[str, Any], seconds: float, rate: float) -> Steady:
+    """Let a node take a robot's messages, ``rate`` [Hz] of each topic, for some time."""
     with watched(robot, parameters) as node:
-        start, processor = node.memory, node.processor
-        publisher = node.publish((seconds, _RATE))
+        start, processor, own = node.memory, node.processor, node.own_processor
+        publisher = node.publish((seconds, rate))
         full, begin = 0.0, None
         while publisher.running:
             node.stage.observer.spin(1.0)
@@ -48,6 +53,7 @@ def steady(robot: Robot, parameters: dict[str, Any], seconds: float) -> Steady:
                 full = node.memory
         (sent,) = sent_by(publisher)
         processor = (node.processor - processor) / (sent.end - sent.begin)
+        own = (node.own_processor - own) / (sent.end - sent.begin)
         node.settle()
         during = [values for when, values in node.told if when > sent.begin + 0.1 * seconds]
         return Steady(
@@ -60,5 +66,6 @@ def steady(robot: Robot, parameters: dict[str, Any], seconds: float) -> Steady:
             int(node.values["solves"]),
             (start, full, node.memory),
             processor,
+            own,
             1e3 * sent.late,
         )

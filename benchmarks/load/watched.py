@@ -78,6 +78,11 @@ class Watched:
         """Seconds used so far, by the solving process too."""
         return sum(map(processor_seconds, family(self.process.pid)))
 
+    @property
+    def own_processor(self) -> float:
+        """Seconds used so far by the node alone."""
+        return processor_seconds(self.process.pid)
+
     def publish(self, *phases: tuple[float, float]) -> Process:
         """Start to publish: seconds and rates [Hz]."""
         return self.stage.start(

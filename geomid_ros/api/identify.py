@@ -90,9 +90,8 @@ class Identification:
 
     def plot(self) -> Figure:
         """Draw the bodies, before and after, and the channels, measured and predicted."""
-        shown = Samples.concatenate([*(self.held_out or self.train)])
         of_what = "held-out data" if self.held_out else "training data"
-        return draw_identification(self.session, self.estimate, shown, of_what)
+        return draw_identification(self.session, self.estimate, self.held_out or self.train, of_what)
 
     def save(self, folder: PathLike, *, progress: Progress = silent) -> list[Path]:
         """Write estimate.json, identified.urdf and identification.png.

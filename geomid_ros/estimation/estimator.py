@@ -158,7 +158,6 @@ def _estimate(
         prior_weights = geodesic.prior_weights
         tolerance = max(settings.tolerance * float(np.min(prior_weights)) / geodesic.scale, np.finfo(float).eps)
         solution = SOLVERS[settings.solver](geodesic, solution.point, tolerance, settings.max_steps)
-    measured = problem.rows(fitted.sigmas)
     contents = summary.products(fitted.sigmas, manifold.dimension)
     found = uncertainty.estimate_uncertainty(
         [_fold_at(manifold, solution.point, products) for products in contents],
@@ -186,7 +185,7 @@ def _estimate(
         spreads=frozen(fitted.spreads),
         rms_nominal=frozen(summary.rms(model.nominal_parameters)),
         rms=frozen(summary.rms(solution.point.parameters)),
-        information=uncertainty.links_information(manifold, prior_point, solution.point, measured, known, found),
+        information=uncertainty.links_information(manifold, prior_point, solution.point, fitted.rows, known, found),
         known=_known(known, manifold, solution.point, found),
         warnings=tuple(_run_away(model, fitted, solution.point)),
     )

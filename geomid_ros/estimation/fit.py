@@ -14,7 +14,8 @@ from functools import cached_property
 
 import numpy as np
 
-from geomid_ros.estimation.objective import ProductsObjective, ResidualObjective, row_weights
+from geomid_ros.estimation.fixed_point import Extrapolation
+from geomid_ros.estimation.objective import ProductsObjective, ResidualObjective, dual_square, row_weights
 from geomid_ros.estimation.solvers import Solution, trust_region
 from geomid_ros.estimation.starting_point import (
     USUAL_SPREAD_OF_LINKS,
@@ -23,7 +24,7 @@ from geomid_ros.estimation.starting_point import (
     scales_of_reals,
     usual_spreads,
 )
-from geomid_ros.estimation.summary import RowSummary, compressed, joined
+from geomid_ros.estimation.summary import RowSummary
 from geomid_ros.geometry.manifold import ParameterManifold, Point
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.weighed_masses import WeighedRows
@@ -35,6 +36,7 @@ INDEPENDENT = 2.67
 """Independent rows per period of the filter's cutoff, which leaves nothing above 1.5 times this frequency."""
 _ROUNDS = 60
 _SETTLED = 1e-7  # relative change of standard deviations and spreads, which falls to about a third in a round
+_SETTLED_WARM = 1e-8  # the same where rounds are extrapolated, so that few more are needed
 _LEAST_GRADIENT = 1e-14  # relative to the sum of the weights; rounding allows no less
 
 
@@ -85,16 +87,11 @@ class Problem:
         return self.manifold.point(self.prior)
 
     @cached_property
-    def factors(self) -> list[FloatArray]:
-        """All rows of each group."""
-        return [joined(parts) for parts in self.summary.parts()]
-
-    @cached_property
     def products(self) -> FloatArray:
         """The columns ``[A b]`` of each group by each other, ``(groups, D + 1, D + 1)``."""
         size = self.manifold.dimension + 1
-        products = np.zeros((len(self.factors), size, size))
-        for group, factor, own in zip(self.summary.groups, self.factors, products, strict=True):
+        products = np.zeros((len(self.summary.groups), size, size))
+        for group, factor, own in zip(self.summary.groups, self.summary.factors(), products, strict=True):
             columns = np.append(group.columns, size - 1)
             own[columns[:, None], columns] = factor.T @ factor
         return products
@@ -105,9 +102,19 @@ class Problem:
         return np.asarray(max(1.0, 1.0 / self.independent) * self.known.products)
 
     @cached_property
+    def row_weights(self) -> FloatArray:
+        """Of each group: the sum of the weights (Remark 2) of its rows, if their standard deviation is 1."""
+        return np.array([dual_square(self.manifold, self.prior_point, own) for own in self.products])
+
+    @cached_property
+    def known_weight(self) -> float:
+        """The same of the weighed masses."""
+        return dual_square(self.manifold, self.prior_point, self.known_products)
+
+    @cached_property
     def counts(self) -> FloatArray:
         """Rows of each group."""
-        return np.array([sum(part.count for part in parts) for parts in self.summary.parts()])
+        return self.summary.counts()
 
     @cached_property
     def least_sigmas(self) -> FloatArray:
@@ -116,7 +123,7 @@ class Problem:
 
     def rows(self, sigmas: FloatArray) -> tuple[FloatArray, FloatArray]:
         """All measured rows, in units of their standard deviations ``(groups,)``."""
-        return compressed(self.summary.groups, self.factors, sigmas, self.manifold.dimension)
+        return self.summary.compressed(sigmas, self.manifold.dimension)
 
     def squares(self, parameters: FloatArray) -> FloatArray:
         """Sums of squares of each group's residuals."""
@@ -153,6 +160,7 @@ class Fit:
 
     Attributes:
         problem: what was fitted.
+        rows: what was measured, ``(N, D)`` and ``(N,)`` of standard deviation 1.
         objective: what was minimised, with the noise and the prior's weights that were found.
         solution: where it ended.
         sigmas: standard deviations ``(groups,)``.
@@ -161,6 +169,7 @@ class Fit:
     """
 
     problem: Problem
+    rows: tuple[FloatArray, FloatArray]
     objective: ResidualObjective
     solution: Solution
     sigmas: FloatArray
@@ -193,28 +202,37 @@ def fit(
     point = start or problem.prior_point
     spreads = problem.usual if spreads is None or problem.gamma is not None else spreads
     sigmas = problem.noise(point.parameters) if start is not None else problem.first_noise
+    # Near its fixed point the iteration is linear: it can be extrapolated, and one step for each noise is enough.
+    extrapolation, most, settled = (None, max_steps, _SETTLED) if start is None else (Extrapolation(), 1, _SETTLED_WARM)
     for _ in range(_ROUNDS):
         rough = _rough(problem, sigmas, spreads)
-        solution = trust_region(rough, point, _gradient(rough, tolerance), max_steps)
+        solution = trust_region(rough, point, _gradient(rough, tolerance), most)
         point = solution.point
-        before = np.concatenate([sigmas, spreads])
+        begun = np.log(np.concatenate([sigmas, spreads]))
         sigmas = problem.noise(point.parameters)
         if problem.gamma is None:
             spreads = _spreads(problem, rough, solution)
-        if np.all(np.abs(np.log(np.concatenate([sigmas, spreads]) / before)) < _SETTLED):
+        ended = np.log(np.concatenate([sigmas, spreads]))
+        if np.all(np.abs(ended - begun) < settled):
             break
-    objective = _objective(problem, sigmas, spreads)
+        if extrapolation is not None:
+            sigmas, spreads = np.split(np.exp(extrapolation.next(begun, ended)), [len(sigmas)])
+    rows = problem.rows(sigmas)
+    objective = _objective(problem, rows, spreads)
     solution = trust_region(objective, point, _gradient(objective, tolerance), max_steps)
-    gamma = problem.gamma or objective.prior_weight / _measured_weight(problem, sigmas)
-    return Fit(problem=problem, objective=objective, solution=solution, sigmas=sigmas, spreads=spreads, gamma=gamma)
+    gamma = problem.gamma or objective.prior_weight / _measured_weight(problem, rows)
+    return Fit(
+        problem=problem, rows=rows, objective=objective, solution=solution, sigmas=sigmas, spreads=spreads, gamma=gamma
+    )
 
 
 def _rough(problem: Problem, sigmas: FloatArray, spreads: FloatArray) -> ProductsObjective:
     """The objective for this noise and these spreads of the links, for the search for both."""
-    products = np.tensordot(sigmas**-2.0, problem.products, axes=1)
-    measured = ProductsObjective(problem.manifold, products, problem.prior_point, np.zeros(problem.manifold.dimension))
-    weights = _prior_weights(problem, spreads, measured.measured_weight)
-    return replace(measured, products=products + problem.known_products, prior_weights=weights)
+    precisions = sigmas**-2.0
+    products = np.tensordot(precisions, problem.products, axes=1) + problem.known_products
+    measured = float(precisions @ problem.row_weights)
+    weights = _prior_weights(problem, spreads, measured)
+    return ProductsObjective(problem.manifold, products, problem.prior_point, weights, measured + problem.known_weight)
 
 
 def _prior_weights(problem: Problem, spreads: FloatArray, measured: float) -> FloatArray:
@@ -233,11 +251,10 @@ def _gradient(objective: ResidualObjective | ProductsObjective, tolerance: float
     return max(tolerance * min(float(np.min(objective.prior_weights)) / objective.scale, 1.0), _LEAST_GRADIENT)
 
 
-def _objective(problem: Problem, sigmas: FloatArray, spreads: FloatArray) -> ResidualObjective:
-    """The objective for this noise and these spreads of the links."""
+def _objective(problem: Problem, measured: tuple[FloatArray, FloatArray], spreads: FloatArray) -> ResidualObjective:
+    """The objective for these rows and these spreads of the links."""
     manifold, prior = problem.manifold, problem.prior_point
-    measured = problem.rows(sigmas)
-    weights = _prior_weights(problem, spreads, _measured_weight(problem, sigmas))
+    weights = _prior_weights(problem, spreads, _measured_weight(problem, measured))
     factor = np.sqrt(max(1.0, 1.0 / problem.independent))
     rows = np.concatenate([measured[0], factor * problem.known.rows])
     targets = np.concatenate([measured[1], factor * problem.known.targets])
@@ -249,9 +266,9 @@ def _objective(problem: Problem, sigmas: FloatArray, spreads: FloatArray) -> Res
     )
 
 
-def _measured_weight(problem: Problem, sigmas: FloatArray) -> float:
+def _measured_weight(problem: Problem, measured: tuple[FloatArray, FloatArray]) -> float:
     """The sum of the measured rows' weights."""
-    rows, _ = problem.rows(sigmas)
+    rows, _ = measured
     return float(np.sum(row_weights(problem.manifold, problem.prior_point, rows, np.ones(len(rows)))))
 
 

@@ -185,7 +185,7 @@ class ResidualObjective(_WeightedObjective):
     @cached_property
     def scale(self) -> float:
         """Sum of all weights."""
-        return (1.0 + self.gamma) * float(np.trace(_information(self.manifold, self.prior, self.products)))
+        return (1.0 + self.gamma) * dual_square(self.manifold, self.prior, self.products)
 
     @cached_property
     def prior_weight(self) -> float:
@@ -216,22 +216,19 @@ class ProductsObjective:
         manifold, prior: As of :class:`ResidualObjective`.
         products: ``(D + 1, D + 1)``, of the columns ``[A b]`` by each other, of rows of standard deviation 1.
         prior_weights: ``(D,)``, the factors of the squared distance to the prior.
+        rows_weight: Sum of the rows' weights (Remark 2).
     """
 
     manifold: ParameterManifold
     products: FloatArray
     prior: Point
     prior_weights: FloatArray
-
-    @cached_property
-    def measured_weight(self) -> float:
-        """Sum of the rows' weights (Remark 2)."""
-        return float(np.trace(_information(self.manifold, self.prior, self.products)))
+    rows_weight: float
 
     @property
     def scale(self) -> float:
         """The rows' weights and the mean weight of the prior."""
-        return self.measured_weight + float(np.mean(self.prior_weights))
+        return self.rows_weight + float(np.mean(self.prior_weights))
 
     def step(self, point: Point, tangent: FloatArray) -> Point:
         """The end of a straight line."""
@@ -251,6 +248,15 @@ class ProductsObjective:
 def _information(manifold: ParameterManifold, point: Point, products: FloatArray) -> FloatArray:
     """Information ``(D, D)`` of rows with these products of their columns."""
     return manifold.whiten(point, manifold.whiten(point, products[:-1, :-1]).T)
+
+
+def dual_square(manifold: ParameterManifold, point: Point, products: FloatArray) -> float:
+    """Sum of the squared dual norms at ``point`` of rows with these products of their columns: of their weights (Remark
+    2), if they have the standard deviation 1."""
+    blocks, diagonal = manifold.jacobian(point)
+    metric = blocks @ np.swapaxes(blocks, -1, -2)
+    rest = np.diagonal(products)[manifold.inertial.stop : manifold.dimension]
+    return float(np.sum(metric * products[manifold.links_blocks]) + rest @ diagonal**2)
 
 
 def row_weights(manifold: ParameterManifold, prior: Point, rows: FloatArray, sigmas: FloatArray) -> FloatArray:
@@ -288,8 +294,7 @@ def linear_hessian(manifold: ParameterManifold, slope: FloatArray) -> FloatArray
     hessian = np.zeros((manifold.dimension, manifold.dimension))
     matrices = symmetric.to_matrix(slope[manifold.inertial].reshape(manifold.links, symmetric.SIZE))
     blocks = matrices.reshape(manifold.links, _PRODUCTS.shape[1]) @ _PRODUCTS.T
-    for index, block in enumerate(blocks.reshape(-1, symmetric.SIZE, symmetric.SIZE)):
-        hessian[manifold.link(index), manifold.link(index)] = block
+    hessian[manifold.links_blocks] = blocks.reshape(-1, symmetric.SIZE, symmetric.SIZE)
     positive = np.arange(manifold.positive.start, manifold.positive.stop)
     hessian[positive, positive] = slope[positive]
     return hessian

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from geomid_ros.errors import InputError, unknown_name
-from geomid_ros.estimation.objective import GeodesicObjective, ProductsObjective, ResidualObjective
+from geomid_ros.estimation.objective import GeodesicObjective, ProductsObjective, ResidualObjective, dual_square
 from geomid_ros.estimation.solvers import SOLVERS, Solution, trust_region
 from geomid_ros.estimation.summary import triangular
 from geomid_ros.geometry import pseudo_inertia
@@ -188,7 +188,8 @@ def _minimiser_of_remark_3(objective: GeodesicObjective | ResidualObjective) -> 
     if isinstance(objective, GeodesicObjective):
         rows, targets, sigmas = objective.rows, objective.targets, objective.sigmas
         objective = ResidualObjective(manifold, rows, targets, sigmas, prior, objective.gamma)
-    content = ProductsObjective(manifold, objective.products, prior, objective.prior_weights)
+    weight = dual_square(manifold, prior, objective.products)
+    content = ProductsObjective(manifold, objective.products, prior, objective.prior_weights, weight)
     return trust_region(content, prior, _START_TOLERANCE, radius=_RADIUS).point
 
 

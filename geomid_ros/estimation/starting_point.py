@@ -7,7 +7,7 @@ from itertools import chain
 import numpy as np
 
 from geomid_ros.errors import InputError
-from geomid_ros.estimation.summary import RowSummary, joined
+from geomid_ros.estimation.summary import RowSummary, triangular
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.geometry.manifold import ParameterManifold
 from geomid_ros.model.measurement import MeasurementModel
@@ -42,9 +42,8 @@ def first_sigmas(summary: RowSummary, dimension: int) -> FloatArray:
     """Standard deviations ``(groups,)`` of the part of each group that no parameters can explain, by itself."""
     sizes = np.tile(channel_sizes(summary, dimension), 2)
     sigmas = sizes.copy()
-    for index, parts in enumerate(summary.parts()):
-        factor = joined(parts)
-        count, columns = sum(part.count for part in parts), factor.shape[1] - 1
+    for index, (factor, count) in enumerate(zip(summary.factors(), summary.counts(), strict=True)):
+        columns = factor.shape[1] - 1
         if count > columns:
             residual, rank = _least_residual(factor)
             sigmas[index] = residual / np.sqrt(count - rank)
@@ -70,11 +69,11 @@ def scales_of_reals(model: MeasurementModel, summary: RowSummary) -> FloatArray:
     largest."""
     first = len(model.nominal_inertias) + model.positives
     scales = np.zeros(model.dimension)
-    sizes = channel_sizes(summary, model.dimension)
+    sizes, factors = channel_sizes(summary, model.dimension), summary.factors()
+    counts = np.sum(summary.counts().reshape(2, -1), axis=0)
     for index, channel in enumerate(model.channels):
-        parts = [part for group in (index, index + len(sizes)) for part in summary.parts()[group]]
-        count = sum(part.count for part in parts)
-        columns = np.sqrt(sum(np.sum(part.factor[:, :-1] ** 2, axis=0) for part in parts) / max(count, 1.0))
+        squares = sum(np.sum(factor[:, :-1] ** 2, axis=0) for factor in factors[index :: len(sizes)])
+        columns = np.sqrt(squares / max(counts[index], 1.0))
         large = columns > _ROUNDING_COLUMN
         own = sizes[index] / np.where(large, columns, np.inf)
         scales[channel.columns] = np.maximum(scales[channel.columns], own)
@@ -107,13 +106,13 @@ def prior_parameters(model: MeasurementModel, summary: RowSummary, given: FloatA
         inertial = given[:first]
         parameters[:first] = np.where(np.isfinite(inertial), inertial, parameters[:first])
     sizes = channel_sizes(summary, model.dimension)
-    settled, unsettled = np.array_split(np.array(summary.parts(), dtype=object), 2)
-    parts = [[*first, *second] for first, second in zip(settled, unsettled, strict=True)]
+    factors, counts = summary.factors(), np.sum(summary.counts().reshape(2, -1), axis=0)
     for group in _sharing_effects(model):
         own = [model.channels[index].columns for index in group]
-        columns, factor = _together(own, [joined(parts[index]) for index in group], sizes[group])
+        of_both = [triangular(np.concatenate(factors[index :: len(sizes)])) for index in group]
+        columns, factor = _together(own, of_both, sizes[group])
         chosen = columns[columns >= first]
-        count = sum(part.count for index in group for part in parts[index])
+        count = float(np.sum(counts[group]))
         size = float(np.mean(sizes[group]))
         parameters[chosen] = _fitted_effects(model, factor, count, columns, parameters, size)
     if given is not None:

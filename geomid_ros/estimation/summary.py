@@ -10,8 +10,8 @@ motion. Of C channels the group c is settled, the group C + c is not.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Literal, cast
 
 import numpy as np
@@ -31,6 +31,10 @@ class ChannelSummary:
     factor: FloatArray
     count: float = 0.0
     time: float = 0.0
+
+    def copy(self) -> ChannelSummary:
+        """A copy that later changes of this one do not change; no array is ever changed in place."""
+        return ChannelSummary(self.factor, self.count, self.time)
 
     def fade(self, share: float) -> None:
         """Multiply the weights of all rows by ``share``."""
@@ -93,6 +97,8 @@ class RowSummary:
         self._summaries = [
             [ChannelSummary(np.zeros((0, len(c.columns) + 1))) for c in self.groups] for _ in range(folds)
         ]
+        self._complete = True  # nothing waits, and all weights are those of now
+        self._factors: tuple[FloatArray, ...] | None = None  # of all rows of each group, while none are added
         # Rows, their targets, and their times.
         self._waiting: list[list[list[tuple[FloatArray, float, float]]]] = [
             [[] for _ in self.groups] for _ in range(folds)
@@ -119,6 +125,7 @@ class RowSummary:
 
         By ``elapsed`` [s] all earlier rows grow older. ``unsettled (channels,)`` says which rows are.
         """
+        self._complete = False
         self._time += elapsed
         self.weight *= float(np.exp(-elapsed / self._forgetting_time))
         fold = self._instants // self._block % self.folds
@@ -154,6 +161,7 @@ class RowSummary:
             part.add(np.array(rows), np.array(targets), self._remaining(np.array(times)))
             waiting.clear()
         part.time = self._time
+        self._factors = None
 
     def _remaining(self, times: float | FloatArray) -> FloatArray:
         """Weights that rows added at ``times`` have now."""
@@ -162,18 +170,33 @@ class RowSummary:
     def parts(self, folds: Sequence[int] | None = None) -> list[list[ChannelSummary]]:
         """Per group the summaries of the chosen folds (all unless given), everything added so far included."""
         chosen = range(self.folds) if folds is None else folds
-        for fold in chosen:
-            for index in range(len(self.groups)):
-                self._absorb(fold, index)
+        if not self._complete:
+            for fold in chosen:
+                for index in range(len(self.groups)):
+                    self._absorb(fold, index)
+            self._complete = folds is None
         return [[self._summaries[fold][index] for fold in chosen] for index in range(len(self.groups))]
+
+    def factors(self, folds: Sequence[int] | None = None) -> tuple[FloatArray, ...]:
+        """Per group one factor of all rows of the chosen folds (all unless given), everything added so far included."""
+        parts = self.parts(folds)
+        if folds is not None:
+            return tuple(map(_joined, parts))
+        if self._factors is None:
+            self._factors = tuple(map(_joined, parts))
+        return self._factors
+
+    def counts(self, folds: Sequence[int] | None = None) -> FloatArray:
+        """Sums of the weights of each group's rows in the chosen folds (all unless given)."""
+        return np.array([sum(part.count for part in parts) for parts in self.parts(folds)])
 
     def with_columns(self, channels: Sequence[Channel], chosen: IntArray) -> RowSummary:
         """A copy in which only the ``chosen`` of the D parameters are left; ``channels`` are those of what is left."""
         copy = self._copy(channels)
         for index, group in enumerate(self.groups):
-            kept = [*np.flatnonzero(np.isin(group.columns, chosen)).tolist(), -1]
+            kept = np.append(np.flatnonzero(np.isin(group.columns, chosen)), -1)
             for fold in copy._summaries:  # noqa: SLF001 its own
-                fold[index].factor = fold[index].factor[:, kept]
+                fold[index].factor = fold[index].factor.take(kept, axis=1)
         return copy
 
     def snapshot(self) -> RowSummary:
@@ -184,7 +207,7 @@ class RowSummary:
         copy = RowSummary(channels, self.folds, self._block, self._forgetting_time)
         copy._instants, copy._time = self._instants, self._time
         copy.rows, copy.weight = self.rows, self.weight
-        copy._summaries = [[replace(part) for part in fold] for fold in zip(*self.parts(), strict=True)]
+        copy._summaries = [[part.copy() for part in fold] for fold in zip(*self.parts(), strict=True)]
         return copy
 
     def state(self) -> SummaryState:
@@ -213,29 +236,27 @@ class RowSummary:
         ]
         self._instants, self._time = state.instants, state.time
         self.rows, self.weight = state.rows, state.weight
+        self._complete, self._factors = True, None
         self._summaries = summaries
         self._waiting = [[[] for _ in self.groups] for _ in range(self.folds)]
 
     def rms(self, parameters: FloatArray, folds: Sequence[int] | None = None) -> FloatArray:
         """Root mean square of each channel's residual at parameters ``(D,)``, ``(channels,)``; NaN without rows."""
-        errors, counts = np.zeros((2, 2, len(self.channels)))
-        for index, (channel, parts) in enumerate(zip(self.groups, self.parts(folds), strict=True)):
-            errors.flat[index] = sum(part.squared_error(parameters[channel.columns]) for part in parts)
-            counts.flat[index] = sum(part.count for part in parts)
-        total = np.sum(counts, axis=0)
-        return np.asarray(np.sqrt(np.sum(errors, axis=0) / np.where(total > 0.0, total, np.nan)))
+        errors = [
+            np.sum((factor @ np.append(parameters[group.columns], -1.0)) ** 2)
+            for group, factor in zip(self.groups, self.factors(folds), strict=True)
+        ]
+        error, total = (np.sum(np.reshape(each, (2, -1)), axis=0) for each in (errors, self.counts(folds)))
+        return np.asarray(np.sqrt(error / np.where(total > 0.0, total, np.nan)))
 
-    def products(self, sigmas: FloatArray, dimension: int) -> Iterator[FloatArray]:
-        """Of each fold that has rows: the columns ``[A b]`` of its rows by each other, ``(D + 1, D + 1)``, in units of
-        the standard deviations ``(groups,)``."""
-        places = [np.append(group.columns, dimension) for group in self.groups]
-        for parts in zip(*self.parts(), strict=True):
-            products = np.zeros((dimension + 1, dimension + 1))
-            for part, own, sigma in zip(parts, places, sigmas, strict=True):
-                if len(part.factor):
-                    products[own[:, None], own] += part.factor.T @ part.factor / sigma**2
-            if np.any(products):
-                yield products
+    def products(self, sigmas: FloatArray, dimension: int) -> FloatArray:
+        """Of each fold that has rows: the columns ``[A b]`` of its rows by each other, ``(folds, D + 1, D + 1)``, in
+        units of the standard deviations ``(groups,)``."""
+        products = np.zeros((self.folds, dimension + 1, dimension + 1))
+        for group, parts, sigma in zip(self.groups, self.parts(), sigmas, strict=True):
+            own = np.append(group.columns, dimension)
+            products[:, own[:, None], own] += np.array([part.factor.T @ part.factor for part in parts]) / sigma**2
+        return products[np.any(products, axis=(1, 2))]
 
     def compressed(
         self, sigmas: FloatArray, dimension: int, folds: Sequence[int] | None = None
@@ -251,21 +272,15 @@ class RowSummary:
             folds: All unless given.
         """
         # First by group: most have few columns, and many small decompositions stop no other thread for long.
-        return compressed(self.groups, [joined(parts) for parts in self.parts(folds)], sigmas, dimension)
-
-
-def compressed(
-    groups: Sequence[Channel], factors: Sequence[FloatArray], sigmas: FloatArray, dimension: int
-) -> tuple[FloatArray, FloatArray]:
-    """:meth:`RowSummary.compressed` of the ``factors`` of its groups."""
-    stacked = [np.zeros((0, dimension + 1))]
-    for channel, sigma, factor in zip(groups, np.resize(sigmas, len(groups)), factors, strict=True):
-        widened = np.zeros((len(factor), dimension + 1))
-        widened[:, channel.columns] = factor[:, :-1] / sigma
-        widened[:, -1] = factor[:, -1] / sigma
-        stacked.append(widened)
-    factor = triangular(np.concatenate(stacked))[:dimension]
-    return factor[:, :-1], factor[:, -1]
+        stacked = [np.zeros((0, dimension + 1))]
+        scales = np.resize(sigmas, len(self.groups))
+        for group, sigma, factor in zip(self.groups, scales, self.factors(folds), strict=True):
+            widened = np.zeros((len(factor), dimension + 1))
+            widened[:, group.columns] = factor[:, :-1] / sigma
+            widened[:, -1] = factor[:, -1] / sigma
+            stacked.append(widened)
+        whole = triangular(np.concatenate(stacked))[:dimension]
+        return whole[:, :-1], whole[:, -1]
 
 
 def usable(coefficients: FloatArray, targets: FloatArray) -> BoolArray:
@@ -283,7 +298,7 @@ def _checked(factor: FloatArray, channel: Channel) -> FloatArray:
     return factor
 
 
-def joined(parts: Sequence[ChannelSummary]) -> FloatArray:
+def _joined(parts: Sequence[ChannelSummary]) -> FloatArray:
     """One factor for all ``parts`` (at least one) of a channel."""
     return triangular(np.concatenate([part.factor for part in parts]))
 

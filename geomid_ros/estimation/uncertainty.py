@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from geomid_ros.estimation.estimate import FINEST, LinksInformation
+from geomid_ros.estimation.fixed_point import Extrapolation
 from geomid_ros.estimation.summary import triangular
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.geometry.manifold import ParameterManifold, Point
@@ -16,7 +17,7 @@ from geomid_ros.types import FloatArray, IntArray, frozen
 
 # The usual spread counts as much as one direction of the tangent space that the data determine.
 _CERTAINTY_OF_USUAL = 1.0
-_ROUNDS = 30  # of the fixed point; a fixed number, so that rounding cannot change how many there are
+_ROUNDS = 12  # of the fixed point; a fixed number, so that rounding cannot change how many there are
 _LARGEST_SPREAD = 100.0  # times the usual
 _ROUNDING = float(np.finfo(float).eps)  # of the largest information: what rounding may make of none
 _STEP = 1e-5
@@ -141,6 +142,20 @@ def _inverse(information: FloatArray, weights: FloatArray) -> FloatArray:
     return np.asarray((vectors / (1.0 + np.maximum(values, 0.0))) @ vectors.T)
 
 
+def _solved(information: FloatArray, weights: FloatArray, gradient: FloatArray) -> FloatArray:
+    """``(information + W)^-1 gradient``, as :func:`_inverse` is right for any weights above zero."""
+    units = np.sqrt(weights)
+    scaled = information / np.outer(units, units)
+    np.fill_diagonal(scaled, np.diag(scaled) + _own_part(scaled))
+    return np.asarray(np.linalg.solve(scaled, gradient / units) / units)
+
+
+def _own_part(scaled: FloatArray) -> float:
+    """What the prior adds to each diagonal entry of an information in units of its spreads: one, and what rounding may
+    have taken from the information."""
+    return 1.0 + _ROUNDING * float(np.max(np.diag(scaled), initial=0.0))
+
+
 def variance_inflation(
     folds: Sequence[Fold], known: FloatArray, weights: FloatArray, groups: Sequence[ParameterGroup]
 ) -> FloatArray:
@@ -156,7 +171,7 @@ def variance_inflation(
         return result
     measured = _sum(folds, len(weights)).information
     total = measured + known
-    moves = np.array([_inverse(total - fold.information, weights) @ fold.gradient for fold in folds])
+    moves = np.array([_solved(total - fold.information, weights, fold.gradient) for fold in folds])
     moves = np.sqrt(1.0 - 1.0 / len(folds)) * (moves - np.mean(moves, axis=0))
     inverse = _inverse(total, weights)
     independent = inverse @ measured @ inverse
@@ -178,23 +193,25 @@ def prior_spreads(rows: Fold, from_prior: FloatArray, groups: Sequence[Parameter
     the prior, over the number of directions that the data determine. Where they determine none, the usual spread
     stands.
     """
-    spreads = np.empty(len(from_prior))
-    for group in groups:
-        spreads[group.columns] = group.usual_spread
+    usual = np.array([group.usual_spread for group in groups])
+    member = np.empty(len(from_prior), dtype=np.int64)
+    for index, group in enumerate(groups):
+        member[group.columns] = index
     pull = rows.information @ from_prior + rows.gradient
+    extrapolation, found, begun = Extrapolation(), usual, np.log(usual)
     for _ in range(_ROUNDS):
         # In units of the spreads, in which the prior's part is the identity.
+        spreads = np.exp(begun)[member]
         scaled = np.outer(spreads, spreads) * rows.information
-        least = 1.0 + _ROUNDING * float(np.max(np.diag(scaled), initial=0.0))
-        left = np.linalg.inv(scaled + least * np.eye(len(spreads)))
+        left = np.linalg.inv(scaled + _own_part(scaled) * np.eye(len(spreads)))
         moved = spreads * (left @ (spreads * pull))
         determined = np.clip(1.0 - np.diag(left), 0.0, 1.0)
-        for group in groups:
-            squares = float(np.sum(moved[group.columns] ** 2)) + _CERTAINTY_OF_USUAL * group.usual_spread**2
-            count = float(np.sum(determined[group.columns])) + _CERTAINTY_OF_USUAL
-            most = _LARGEST_SPREAD * group.usual_spread  # few rows of many parameters can be fitted at any distance
-            spreads[group.columns] = min(float(np.sqrt(squares / count)), most)
-    return spreads
+        squares = np.bincount(member, moved**2) + _CERTAINTY_OF_USUAL * usual**2
+        counts = np.bincount(member, determined) + _CERTAINTY_OF_USUAL
+        # Few rows of many parameters can be fitted at any distance.
+        found = np.minimum(np.sqrt(squares / counts), _LARGEST_SPREAD * usual)
+        begun = extrapolation.next(begun, np.log(found))
+    return np.asarray(found[member])
 
 
 def physical_sensitivity(manifold: ParameterManifold, point: Point, step: float = _STEP) -> FloatArray:

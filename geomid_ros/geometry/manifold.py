@@ -20,7 +20,7 @@ from functools import cached_property
 import numpy as np
 
 from geomid_ros.geometry import pseudo_inertia, spd, symmetric
-from geomid_ros.types import FloatArray, frozen
+from geomid_ros.types import FloatArray, IntArray, frozen
 
 _SMALLEST_FACTOR = 0.05  # by which one straight step shrinks a positive number or an inertia at most
 
@@ -113,6 +113,12 @@ class ParameterManifold:
         """The entries of one link in a vector of D."""
         return slice(symmetric.SIZE * index, symmetric.SIZE * (index + 1))
 
+    @cached_property
+    def links_blocks(self) -> tuple[IntArray, IntArray]:
+        """The index of the links' blocks ``(links, 10, 10)`` on the diagonal of a matrix ``(D, D)``."""
+        places = np.arange(self.inertial.stop).reshape(self.links, symmetric.SIZE)
+        return places[:, :, None], places[:, None, :]
+
     def point(self, parameters: FloatArray) -> Point:
         """The point with these linear parameters ``(D,)``, which must belong to bodies that can exist (unchecked)."""
         inertial = parameters[self.inertial].reshape(self.links, symmetric.SIZE)
@@ -168,8 +174,7 @@ class ParameterManifold:
         """:meth:`log` and :meth:`half_squared_distance_hessian` by one decomposition."""
         logarithm = self._logarithm(base, point)
         hessian = np.eye(self.dimension)
-        for index, block in enumerate(spd.half_squared_distance_hessian(*logarithm)):
-            hessian[self.link(index), self.link(index)] = block
+        hessian[self.links_blocks] = spd.half_squared_distance_hessian(*logarithm)
         return self._log(base, point, *logarithm), hessian
 
     def jacobian(self, base: Point) -> tuple[FloatArray, FloatArray]:

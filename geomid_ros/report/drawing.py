@@ -23,16 +23,19 @@ _LEFT, _TITLE_WIDTH = 0.25, 9.7  # [inch]
 _NOTE_TOP = 9.48
 
 
-def draw_identification(session: Session, estimate: Estimate, samples: Samples, of_what: str) -> Figure:
-    """Draw bodies, before and after, in a pose of ``samples``, and the channels over the samples' time.
+def draw_identification(session: Session, estimate: Estimate, batches: Sequence[Samples], of_what: str) -> Figure:
+    """Draw the bodies before and after, and every measured channel over time.
 
-    ``of_what``: which data the samples are, in words.
+    Args:
+        session: in which it was identified.
+        estimate: what was found.
+        batches: what is drawn, in the order of time; the bodies as the robot stands in the middle of it.
+        of_what: what these samples are.
     """
-    middle = samples.select(slice(len(samples) // 2, len(samples) // 2 + 1))
     return identification_figure(
         f"{session.robot.name}: identified link inertias",
-        _bodies(session, estimate, middle),
-        _series(session, estimate, samples),
+        _bodies(session, estimate, _middle(batches)),
+        _series(session, estimate, batches),
         f"Measured against predicted on {of_what}; {estimate.rows_accepted} rows identified from.",
     )
 
@@ -74,12 +77,22 @@ def _ellipsoid(parameters: FloatArray, rotation: FloatArray, origin: FloatArray)
     return Ellipsoid(centre, semi_axes, rotation @ axes, float(parameters[0]))
 
 
-def _series(session: Session, estimate: Estimate, samples: Samples) -> Sequence[Series]:
-    times = (samples.stamps - samples.stamps[0]) * 1e-9
-    measured, nominal = session.model.predict(samples, session.nominal_parameters)
-    _, predicted = session.model.predict(samples, estimate.parameters)
+def _middle(batches: Sequence[Samples]) -> Samples:
+    """The one sample in the middle."""
+    ends = np.cumsum([len(samples) for samples in batches])
+    batch = int(np.searchsorted(ends, ends[-1] // 2, side="right"))
+    place = int(ends[-1] // 2 - ends[batch]) + len(batches[batch])
+    return batches[batch].select(slice(place, place + 1))
+
+
+def _series(session: Session, estimate: Estimate, batches: Sequence[Samples]) -> Sequence[Series]:
+    stamps = np.concatenate([samples.stamps for samples in batches])
+    times = (stamps - stamps[0]) * 1e-9
+    both = np.column_stack([session.nominal_parameters, estimate.parameters])
+    pairs = zip(*(session.model.predict(samples, both) for samples in batches), strict=True)
+    measured, predicted = map(np.concatenate, pairs)
     return [
-        Series(channel.name, channel.unit, times, measured[:, index], nominal[:, index], predicted[:, index])
+        Series(channel.name, channel.unit, times, measured[:, index], *predicted[:, index].T)
         for index, channel in enumerate(session.model.channels)
         if np.any(np.isfinite(measured[:, index]))
     ]

@@ -34,6 +34,7 @@ class _Input:
     name: str
     subscription: Subscription
     several: bool
+    take_waiting: Callable[[], None]
 
 
 class Inputs:
@@ -50,6 +51,7 @@ class Inputs:
         self._ledger = ledger
         self._on_failure = on_failure
         self._inputs: list[_Input] = []
+        self._taken = 0  # messages of data, since it was asked for last
         self._numbers: dict[str, int] = {}  # of the last messages, as the publishers count them
         self._policies: dict[str, str] = {}  # in which publishers were last incompatible
 
@@ -69,6 +71,7 @@ class Inputs:
         """
 
         def take_or_drop(data: bytes, info: dict[str, Any]) -> None:
+            self._taken += 1
             # Not the node's count, which would copy the graph for every message.
             ambiguous = not entry.several and entry.subscription.get_publisher_count() > 1
             self._count_missing(entry, None if ambiguous else info["publication_sequence_number"])
@@ -83,9 +86,7 @@ class Inputs:
             if reason:
                 self._ledger.drop(name, reason)
 
-        def take_what_waits(data: bytes, info: dict[str, Any]) -> None:
-            # At once, as to wait for a message takes the executor ten times as long as to take it.
-            take_or_drop(data, info)
+        def take_waiting() -> None:
             for _ in range(_MOST_AT_ONCE):
                 with entry.subscription.handle:
                     taken = entry.subscription.handle.take_message(kind, True)
@@ -95,12 +96,21 @@ class Inputs:
 
         # Best effort matches publishers of either kind; the depth carries a 1 kHz stream over pauses of Python.
         qos = QoSProfile(depth=1000, history=HistoryPolicy.KEEP_LAST, reliability=ReliabilityPolicy.BEST_EFFORT)
-        entry = _Input(name, self._subscribe(kind, name, take_what_waits, qos, raw=True), several)
+        entry = _Input(name, self._subscribe(kind, name, take_or_drop, qos, raw=True), several, take_waiting)
         self._inputs.append(entry)
 
     def hear(self, kind: type, name: str, callback: Callable[[Any], None], qos: QoSProfile) -> None:
         """Subscribe to anything but data."""
-        self._inputs.append(_Input(name, self._subscribe(kind, name, callback, qos), several=True))
+        subscription = self._subscribe(kind, name, callback, qos)
+        self._inputs.append(_Input(name, subscription, several=True, take_waiting=lambda: None))
+
+    def take_waiting(self) -> int:
+        """Take the data that wait on all topics: to wait for a message takes the executor ten times as long as to take
+        it. Returns how many messages were taken since the last call, by the executor too."""
+        for entry in self._inputs:
+            entry.take_waiting()
+        taken, self._taken = self._taken, 0
+        return taken
 
     def _subscribe(
         self, kind: type, name: str, callback: Callable[..., None], qos: QoSProfile, raw: bool = False

@@ -21,7 +21,9 @@ if TYPE_CHECKING:
     from geomid_ros.ros.node import GeomidNode
 
 _SWITCH_INTERVAL = 5e-4  # [s]
-_PAUSE = 1e-3  # [s] waiting for one message costs the executor many times what taking all that have come does
+# Messages cost least when many are taken at once, and none is of use before the next instant is due.
+_AT_ONCE = 10  # messages
+_SHORTEST, _LONGEST = 2e-3, 20e-3  # [s] pauses between taking them
 
 
 def main() -> None:
@@ -76,10 +78,11 @@ def _run_node(solving: SolvingProcess) -> None:
         node = GeomidNode(solving)
         executor = SingleThreadedExecutor()
         executor.add_node(node)
+        pause = _SHORTEST
         try:
             while ok() and not stopping.is_set():
-                _spin_once(executor, node)
-                time.sleep(_PAUSE)
+                pause = _next_pause(pause, _spin_once(executor, node))
+                time.sleep(pause)
         finally:
             node.close()
             executor.remove_node(node)
@@ -88,12 +91,20 @@ def _run_node(solving: SolvingProcess) -> None:
         try_shutdown()
 
 
-def _spin_once(executor: Executor, node: GeomidNode) -> None:
-    """Run the callbacks that are due. An error in one is reported, and the node lives on."""
+def _spin_once(executor: Executor, node: GeomidNode) -> int:
+    """Run a callback that is due, and take the data that wait. An error in one is reported, and the node lives on.
+    Returns how many messages were taken."""
     try:
         executor.spin_once(timeout_sec=0.1)
+        return node.take_waiting()
     except Exception as error:  # noqa: BLE001 the other callbacks go on
         node.fail("a callback failed", error)
+    return 0
+
+
+def _next_pause(pause: float, taken: int) -> float:
+    """The pause after which enough messages wait, if they come as fast as those that were ``taken`` after the last."""
+    return min(max(pause * _AT_ONCE / max(taken, 1), _SHORTEST), _LONGEST)
 
 
 if __name__ == "__main__":
