@@ -205,6 +205,11 @@ class GapReader:
 def _check_twin(session: Session, simulated: Path, twin: Samples, recorded: Path, measured: Samples) -> None:
     """Refuse a simulator's recording of another motion than the measured one, naming both and what differs."""
     check_measured(session, [twin], [simulated])
+    if len(twin) == len(measured) and np.array_equal(twin.position, measured.position):
+        raise InputError(
+            f"{simulated}: the same positions as in {recorded}, to the last digit: no simulator made them. Record what "
+            "yours does under the same commands"
+        )
     lengths = [float(samples.stamps[-1] - samples.stamps[0]) * 1e-9 for samples in (twin, measured)]
     if abs(lengths[0] - lengths[1]) > _LENGTHS * max(lengths):
         raise InputError(

@@ -4,6 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+_NOBODY = (
+    "if nobody publishes it, name it in the parameter locked_joints (--lock), as by itself nothing is locked that may "
+    "carry a joint, a sensor or much mass; if another node does, set merge_joint_states"
+)
 _MOST_NAMES = 3  # that are quoted
 
 
@@ -28,7 +32,9 @@ def missing_joint(joints: Sequence[str], names: Sequence[str]) -> str:
     if present.isdisjoint(joints):
         quoted = ", ".join(f"'{name}'" for name in names[:_MOST_NAMES])
         return f"{sentence}: none of the messages' names is a joint of this URDF ({quoted} ...)"
-    return f"{sentence}: if nobody publishes it, name it in the parameter locked_joints"
+    strange = next((name for name in names if name not in joints), None)
+    other = f". Is it '{strange}', which is none of the robot's joints?" if strange else ""
+    return f"{sentence}: {_NOBODY}{other}"
 
 
 def _prefix(plain: Sequence[str], prefixed: Sequence[str]) -> str:
