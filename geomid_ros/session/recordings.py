@@ -239,7 +239,8 @@ def _why_no_samples(bag: Bag, session: Session, pipeline: SignalPipeline) -> str
         reasons.append("--wrench says the frame of a wrench, wrench.*.frame_id what messages call it")
     why = f"{bag.path}: no usable samples. " + "; ".join(reasons)
     missing = not pipeline.joints_heard.issuperset(session.robot.joint_names)
-    return f"{why}. The URDF's moving joints: {', '.join(session.robot.joint_names)}" if missing else why
+    joints = f"The URDF's moving joints: {', '.join(session.robot.joint_names)}"
+    return f"{why}. Or is it a recording of another robot? {joints}" if missing else why
 
 
 def _standing(train: Sequence[Samples], session: Session) -> tuple[Finding, ...]:

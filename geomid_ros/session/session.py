@@ -294,6 +294,6 @@ class Session:
 def _massless(links: Sequence[str]) -> str:
     named = ", ".join(map(repr, links))
     return (
-        f"{named} moves without a mass in the URDF: it is not identified, and what it weighs is put down to other links; "
-        "give it an <inertial> ('geomid prior' does)"
+        f"{named} moves without a mass in the URDF: it is not identified, and what it weighs is put down to other "
+        "links; give it an <inertial> ('geomid prior' does)"
     )

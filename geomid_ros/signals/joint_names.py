@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-_NOBODY = (
-    "if nobody publishes it, name it in the parameter locked_joints (--lock), as by itself nothing is locked that may "
-    "carry a joint, a sensor or much mass; if another node does, set merge_joint_states"
+NOBODY = (
+    "if nobody publishes it, name it in the parameter locked_joints (--lock); if another node does, set "
+    "merge_joint_states"
 )
+"""What to do about a joint that is missing."""
 _MOST_NAMES = 3  # that are quoted
 
 
@@ -33,8 +34,8 @@ def missing_joint(joints: Sequence[str], names: Sequence[str]) -> str:
         quoted = ", ".join(f"'{name}'" for name in names[:_MOST_NAMES])
         return f"{sentence}: none of the messages' names is a joint of this URDF ({quoted} ...)"
     strange = next((name for name in names if name not in joints), None)
-    other = f". Is it '{strange}', which is none of the robot's joints?" if strange else ""
-    return f"{sentence}: {_NOBODY}{other}"
+    other = f"; or is it '{strange}'?" if strange else ""
+    return f"{sentence}: {NOBODY}{other}"
 
 
 def _prefix(plain: Sequence[str], prefixed: Sequence[str]) -> str:

@@ -11,6 +11,7 @@ import pytest
 
 from geomid_ros.model.samples import Samples
 from geomid_ros.model.sensors import WrenchSensor
+from geomid_ros.signals.joint_names import NOBODY
 from geomid_ros.signals.messages import Accepted, JointMessage, Message, PoseMessage, WrenchMessage
 from geomid_ros.signals.pipeline import SignalPipeline
 from geomid_ros.signals.settings import SignalSettings
@@ -89,8 +90,7 @@ BAD_JOINTS: dict[str, tuple[Callable[[JointMessage], JointMessage], str]] = {
     "no effort": (lambda m: replace(soon(m), effort=()), "driver error: no effort of 'shoulder' or any other joint"),
     "a joint missing": (
         lambda m: without(soon(m), "elbow"),
-        "joint 'elbow' is missing: if nobody publishes it, name it in the parameter locked_joints (--lock), as by itself "
-        "nothing is locked that may carry a joint, a sensor or much mass; if another node does, set merge_joint_states",
+        f"joint 'elbow' is missing: {NOBODY}",
     ),
     "another robot's": (
         lambda m: replace(soon(m), names=tuple(f"left_{n}" for n in m.names)),
