@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Iterable
 from typing import TypeVar
 
+from geomid_ros.errors import InputError
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.recordings import NoSamplesError
 from geomid_ros.session.session import Session
@@ -48,4 +49,10 @@ def read_with_locked(
             raise
     session = make(with_locked(configuration, joints))
     session.settled.append(locked_note(joints))
-    return session, read(session)
+    found = read(session)
+    if heard := session.joints_heard.intersection(joints):
+        raise InputError(
+            f"joint '{min(heard)}' is missing in the messages of some recordings and not of others; use those that have "
+            "it, or name it in the parameter locked_joints (--lock)"
+        )
+    return session, found

