@@ -201,9 +201,8 @@ class GapReader:
             topic = bag.find_topic(self.bags.topics.joint_states, message_type(JOINT_STATES), "--joint-topic")
             first = [parse(JOINT_STATES, m) for _, _, m in islice(bag.messages([topic]), MESSAGES_FOR_RATE)]
         # A driver may publish more often than it measures.
-        new = {(message.names, *(array.tobytes() for array in message.arrays)): message.stamp for message in first[::-1]}
-        stamps = new.values() if len(new) > 1 else (message.stamp for message in first)
-        return sorted(set(stamps))
+        new = {tuple(array.tobytes() for array in each.arrays): each.stamp for each in first[::-1]}
+        return sorted(new.values() if len(new) > 1 else {each.stamp for each in first})
 
 
 def _check_twin(session: Session, simulated: Path, twin: Samples, recorded: Path, measured: Samples) -> None:

@@ -52,7 +52,7 @@ def read_with_locked(
     found = read(session)
     if heard := session.joints_heard.intersection(joints):
         raise InputError(
-            f"joint '{min(heard)}' is missing in the messages of some recordings and not of others; use those that have "
-            "it, or name it in the parameter locked_joints (--lock)"
+            f"joint '{min(heard)}' is missing in the messages of some recordings and not of others; use those that "
+            "have it, or name it in the parameter locked_joints (--lock)"
         )
     return session, found
