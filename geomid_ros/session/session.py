@@ -292,7 +292,7 @@ class Session:
 
 
 def _massless(links: Sequence[str]) -> str:
-    named = ", ".join(map(repr, links))
+    named = f"'{links[0]}'" + (f" (and {len(links) - 1} other links)" if len(links) > 1 else "")
     return (
         f"{named} moves without a mass in the URDF: it is not identified, and what it weighs is put down to other "
         "links; give it an <inertial> ('geomid prior' does)"
