@@ -48,6 +48,7 @@ setup(
         "ros": ["ros-jazzy-common-interfaces", "ros-jazzy-rclpy[fastrtps]"],
         "simulate": ["mujoco"],
         "test": ["example-robot-data", "hypothesis", "pyriemann", "pytest"],
+        "xacro": ["xacro"],
     },
     entry_points={
         "console_scripts": [

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 
+from geomid_ros.errors import InputError
 from geomid_ros.files.bags.bag import bags_in
 from geomid_ros.files.models.urdf import read_urdf
+from geomid_ros.files.models.xacro import SUFFIX, urdf_of_xacro
 from geomid_ros.model.sensors import WrenchSensor
 from geomid_ros.session.configuration import Configuration
+from geomid_ros.session.recordings import recorded_description
 
 PathLike: TypeAlias = str | Path
 """The path of a file or a folder."""
@@ -36,18 +39,43 @@ def texts(given: Texts) -> list[str]:
     return [given] if isinstance(given, str) else list(given)
 
 
-def description(urdf: PathLike) -> tuple[str, str]:
-    """The text of a URDF, and where it is from.
+class Description(NamedTuple):
+    """The ``text`` of a URDF, its ``source``, and ``notes`` on where it was found if nobody named it."""
+
+    text: str
+    source: str
+    notes: tuple[str, ...] = ()
+
+
+def description(
+    urdf: PathLike | None, bags: Sequence[Path], *, model: PathLike | None = None, xacro_args: Texts = ()
+) -> Description:
+    """The robot description.
 
     Args:
-        urdf: path of the file, or the text itself.
+        urdf: path of the file, or the text itself; None for the identified.urdf beside ``model``, or else what is
+            recorded in the ``bags``.
+        bags: of the robot.
+        model: an estimate.json to start from.
+        xacro_args: arguments, as ``NAME:=VALUE``, if ``urdf`` is the path of a .xacro file, which is then run.
 
     Raises:
-        InputError: the file cannot be read.
+        InputError: there is none, or the file cannot be read.
     """
     if isinstance(urdf, str) and urdf.lstrip().startswith("<"):
-        return urdf, "robot description"
-    return read_urdf(Path(urdf)), str(urdf)
+        return Description(urdf, "robot description")
+    if urdf is not None and Path(urdf).suffix == SUFFIX:
+        return Description(urdf_of_xacro(Path(urdf), texts(xacro_args)), str(urdf))
+    if xacro_args:
+        raise InputError(f"arguments for xacro are given, and {urdf or 'no file'} is no {SUFFIX} file to give them to")
+    if urdf is not None:
+        return Description(read_urdf(Path(urdf)), str(urdf))
+    beside = Path(model).parent / "identified.urdf" if model is not None else None
+    if beside is not None and beside.is_file():
+        text, source = read_urdf(beside), str(beside)
+    else:
+        text, source = recorded_description(bags)
+    return Description(text, source, (f"no --urdf is given: the robot is that of {source}",))
 
 
 def configuration(

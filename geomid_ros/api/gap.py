@@ -20,6 +20,7 @@ from geomid_ros.report.gap_words import verdict_sentence
 from geomid_ros.report.simulated_again import SimulatedAgain, position_units, simulated_again
 from geomid_ros.session.gap import GapReader, find, gap_session
 from geomid_ros.session.gap_simulation import nominal_inertias, simulate_again, without_findings, write_found
+from geomid_ros.session.locking import read_with_locked
 from geomid_ros.session.recordings import Bags, Progress, Topics, silent
 from geomid_ros.session.session import Session
 
@@ -121,6 +122,7 @@ def find_gap(
     *,
     config: Config | None = None,
     model: PathLike | None = None,
+    xacro_args: Texts = (),
     floating_base: bool = False,
     wrench: Texts = (),
     joint_topic: str = "joint_states",
@@ -137,9 +139,11 @@ def find_gap(
 
     Args:
         bags: rosbag folders, or .mcap and .db3 files.
-        urdf: path or text of the robot description; None for the identified.urdf beside ``model``.
+        urdf: path or text of the robot description; None for the identified.urdf beside ``model``, or else what is
+            recorded on robot_description in the bags.
         config: the node's parameter file (YAML), or parameters by their full names.
         model: an estimate.json to compare with instead of the URDF's inertias alone.
+        xacro_args: arguments, as ``NAME:=VALUE``, of ``urdf``, if that is a .xacro file, which is run.
         floating_base: whether the base moves; its pose is read from ``odom_topic``.
         wrench: wrench sensors, as ``TOPIC:FRAME:ROLE[:AXES]``; ``ROLE`` is mounted or external.
         joint_topic: topic of the joint states.
@@ -153,13 +157,17 @@ def find_gap(
     Raises:
         InputError: a file, an argument or the data cannot be used; the message names it and says what to do.
     """
-    text, source = description(urdf or _beside(model))
     parameters = configuration(config, model=model, floating_base=floating_base, wrench=wrench)
-    session = gap_session(text, parameters, source)
     topics = Topics(joint_topic, odom_topic)
     recorded = Bags(fitted=bag_paths(bags), validate=bag_paths(validate), hold_out=hold_out, topics=topics)
+    robot, twins = description(urdf, recorded.fitted, model=model, xacro_args=xacro_args), bag_paths(simulated)
+    session, recordings = read_with_locked(
+        lambda chosen: gap_session(robot.text, chosen, robot.source),
+        parameters,
+        lambda session: GapReader(session, recorded, progress).read(twins),
+    )
+    session.settled.extend(robot.notes)
     reader = GapReader(session, recorded, progress)
-    recordings = reader.read(bag_paths(simulated))
     sharp = reader.sharp()
     commands = reader.sharp(command) if command else []
     try:
@@ -176,13 +184,3 @@ def find_gap(
         simulated=simulated_again(session.model, again),
         not_simulated=again.skipped,
     )
-
-
-def _beside(model: PathLike | None) -> Path:
-    """The robot description that lies beside an estimate."""
-    if model is None:
-        raise InputError("a robot description is missing: give urdf, or model with identified.urdf beside it")
-    beside = Path(model).parent / "identified.urdf"
-    if not beside.is_file():
-        raise InputError(f"{model}: there is no identified.urdf beside it; give the robot's description with --urdf")
-    return beside

@@ -14,6 +14,7 @@ from geomid_ros.model.samples import Samples
 from geomid_ros.plausibility.verdict import Verdict
 from geomid_ros.report.drawing import draw_identification
 from geomid_ros.report.sheet import write_picture
+from geomid_ros.session.locking import read_with_locked
 from geomid_ros.session.recordings import Bags, Progress, Topics, read_bags, silent, take
 from geomid_ros.session.session import Session
 from geomid_ros.types import FloatArray
@@ -125,10 +126,11 @@ class Identification:
 
 def identify(
     bags: Paths,
-    urdf: PathLike,
+    urdf: PathLike | None = None,
     *,
     config: Config | None = None,
     model: PathLike | None = None,
+    xacro_args: Texts = (),
     effects: Texts | None = None,
     candidates: Texts | None = None,
     links: Texts | None = None,
@@ -148,9 +150,11 @@ def identify(
 
     Args:
         bags: rosbag folders, or .mcap and .db3 files.
-        urdf: path or text of the robot description.
+        urdf: path or text of the robot description; None for the identified.urdf beside ``model``, or else what is
+            recorded on robot_description in the bags.
         config: the node's parameter file (YAML), or parameters by their full names.
         model: an estimate.json to start from.
+        xacro_args: arguments, as ``NAME:=VALUE``, of ``urdf``, if that is a .xacro file, which is run.
         effects: names of the effects to identify at every joint and no others, ``[]`` for none; None for the configured
             ones, and for the candidates where held-out data ask for them.
         candidates: names of effects to identify where held-out data ask for them, beside ``effects``.
@@ -174,11 +178,15 @@ def identify(
         name: texts(given) for name, given in (("candidates", candidates), ("links", links)) if given is not None
     }
     parameters = configuration(config, model=model, floating_base=floating_base, wrench=wrench, **chosen)
-    text, source = description(urdf)
-    session = Session(text, parameters, source)
     topics = Topics(joint_topic, odom_topic)
     recorded = Bags(fitted=bag_paths(bags), validate=bag_paths(validate), hold_out=hold_out, topics=topics)
-    train, held_out = read_bags(session, recorded, progress)
+    robot = description(urdf, recorded.fitted, model=model, xacro_args=xacro_args)
+    session, (train, held_out) = read_with_locked(
+        lambda chosen: Session(robot.text, chosen, robot.source),
+        parameters,
+        lambda session: read_bags(session, recorded, progress),
+    )
+    session.settled.extend(robot.notes)
     progress("solving", 0.0)
     take(session, train)
     estimate = session.identifier.solve()

@@ -10,12 +10,12 @@ from typing import Any
 import click
 
 import geomid_ros
-from geomid_ros.commands.options import OUT, URDF, recording_options
+from geomid_ros.commands.options import OUT, recording_options, robot_options
 
 
 @click.command()
 @click.argument("bags", nargs=-1, required=True, type=click.Path(path_type=Path))
-@click.option("--urdf", **(URDF | {"help": "The robot's description.  [default: identified.urdf beside --model]"}))
+@robot_options
 @recording_options
 @click.option(
     "--simulated",
@@ -26,23 +26,19 @@ from geomid_ros.commands.options import OUT, URDF, recording_options
 @click.option("--command", help="Topic of the joints' set-points (JointState), to simulate in closed loop.")
 @click.option("--out", default=Path("geomid_gap"), **OUT)
 @click.option("--json", "as_json", is_flag=True, help="Print gap.json instead of tables.")
-def gap(
-    bags: tuple[Path, ...], urdf: Path | None, model: Path | None, out: Path, as_json: bool, **options: Any
-) -> None:
+def gap(bags: tuple[Path, ...], out: Path, as_json: bool, **options: Any) -> None:
     """Find what a simulation lacks.
 
-    Compares BAGS (folders, or .mcap and .db3 files) with the model of --urdf or --model, names the missing effect, adds
-    it to the model and shows how much of the gap that closes on data that were held out. Writes gap.json, report.html,
-    and the model: estimate.json, identified.urdf, identified.xml (MJCF) and effects.yaml.
+    Compares BAGS (folders, folders of them, or .mcap and .db3 files) with the model of --urdf or --model, names the
+    missing effect, adds it to the model and shows how much of the gap that closes on data that were held out. Writes
+    gap.json, report.html, and the model: estimate.json, identified.urdf, identified.xml (MJCF) and effects.yaml.
     """
-    if urdf is None and model is None:
-        raise click.UsageError("Missing option '--urdf', or '--model' with identified.urdf beside it.")
     from geomid_ros.commands.progress import progress_bar
     from geomid_ros.commands.results import gap as results
     from geomid_ros.plausibility.verdict import recording_verdict
 
     with progress_bar() as progress:
-        found = geomid_ros.find_gap(bags, urdf, model=model, progress=progress, **options)
+        found = geomid_ros.find_gap(bags, progress=progress, **options)
         files = found.save(out, progress=progress)
     if as_json:
         click.echo(json.dumps(found.document, indent=2))

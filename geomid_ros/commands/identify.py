@@ -10,12 +10,12 @@ from typing import Any
 import click
 
 import geomid_ros
-from geomid_ros.commands.options import OUT, URDF, recording_options
+from geomid_ros.commands.options import OUT, recording_options, robot_options
 
 
 @click.command()
 @click.argument("bags", nargs=-1, required=True, type=click.Path(path_type=Path))
-@click.option("--urdf", required=True, **URDF)
+@robot_options
 @recording_options
 @click.option(
     "--effects", help="Identify these effects everywhere and no others, separated by commas; 'none' for none."
@@ -30,11 +30,12 @@ from geomid_ros.commands.options import OUT, URDF, recording_options
 )
 @click.option("--out", default=Path("geomid_out"), **OUT)
 @click.option("--json", "as_json", is_flag=True, help="Print estimate.json instead of tables.")
-def identify(bags: tuple[Path, ...], urdf: Path, effects: str | None, out: Path, as_json: bool, **options: Any) -> None:
+def identify(bags: tuple[Path, ...], effects: str | None, out: Path, as_json: bool, **options: Any) -> None:
     """Identify link inertias from rosbags.
 
-    Reads BAGS (folders, or .mcap and .db3 files) and writes estimate.json, identified.urdf and identification.png. How
-    well the result predicts is judged on data that were held out: the end of each bag, or the bags of --validate.
+    Reads BAGS (folders, folders of them, or .mcap and .db3 files) and writes estimate.json, identified.urdf and
+    identification.png. How well the result predicts is judged on data that were held out: the end of each bag, or the
+    bags of --validate.
     """
     from geomid_ros.commands.progress import progress_bar
     from geomid_ros.commands.results import identification
@@ -43,7 +44,7 @@ def identify(bags: tuple[Path, ...], urdf: Path, effects: str | None, out: Path,
     for name in ("candidates", "links"):
         options[name] = _names(options[name] or None)
     with progress_bar() as progress:
-        found = geomid_ros.identify(bags, urdf, effects=chosen_effects, progress=progress, **options)
+        found = geomid_ros.identify(bags, effects=chosen_effects, progress=progress, **options)
         files = found.save(out, progress=progress)
     if as_json:
         click.echo(json.dumps(found.document, indent=2))

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
+from functools import wraps
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
-URDF: dict[str, Any] = {"type": click.Path(path_type=Path), "help": "The robot's description."}
+if TYPE_CHECKING:
+    from geomid_ros.session.configuration import Configuration
+
 OUT: dict[str, Any] = {
     "type": click.Path(path_type=Path, file_okay=False),
     "show_default": True,
@@ -15,8 +19,59 @@ OUT: dict[str, Any] = {
 }
 
 
-def recording_options(command: Any) -> Any:
-    """The options that say what is measured on the robot, which data are tested on, and where to start from."""
+def robot_options(function: Callable[..., None]) -> Callable[..., None]:
+    """The options that say which robot it is, and what is measured on it.
+
+    Those that stand for parameters reach the function in ``config``, where they win over the parameter file.
+    """
+
+    @wraps(function)
+    def command(
+        *,
+        config: Path | None,
+        cutoff: float | None,
+        gravity: tuple[float, ...] | None,
+        gain: Sequence[str],
+        lock: str | None,
+        **options: Any,
+    ) -> None:
+        function(config=_configuration(config, cutoff, gravity, gain, lock), **options)
+
+    for option in (
+        click.option(
+            "--wrench",
+            multiple=True,
+            metavar="TOPIC:FRAME:ROLE[:AXES]",
+            help="A wrench topic; ROLE is mounted or external, -ROLE reverses its sign; AXES like fz,tx,ty.",
+        ),
+        click.option("--joint-topic", default="joint_states", show_default=True, help="Topic of the joint states."),
+        click.option("--lock", metavar="JOINTS", help="These joints stand at zero; separated by commas."),
+        click.option(
+            "--gain",
+            multiple=True,
+            metavar="[JOINT=]FACTOR",
+            help="Factor from the messages' efforts to N m (or N), of all joints or of one; may be repeated.",
+        ),
+        click.option(
+            "--gravity", nargs=3, type=float, metavar="X Y Z", help="Gravity in the base frame.  [default: 0 0 -9.81]"
+        ),
+        click.option("--cutoff", type=float, metavar="HZ", help="Cutoff of the low-pass on all signals."),
+        click.option("--config", type=click.Path(path_type=Path), help="The node's parameter file (YAML)."),
+        click.option(
+            "--xacro-arg", "xacro_args", multiple=True, metavar="NAME:=VALUE", help="For a xacro; may be repeated."
+        ),
+        click.option(
+            "--urdf",
+            type=click.Path(path_type=Path),
+            help="The robot's description, URDF or .xacro.  [default: that on robot_description in the bags]",
+        ),
+    ):
+        command = option(command)
+    return command
+
+
+def recording_options(command: Callable[..., None]) -> Callable[..., None]:
+    """Further ones: which data are tested on, how the base moves, and where to start from."""
     for option in (
         click.option(
             "--validate", multiple=True, type=click.Path(path_type=Path), help="A bag to test on; may be repeated."
@@ -27,16 +82,44 @@ def recording_options(command: Any) -> Any:
             help="Share of each bag's time, at the end, kept to test on.  [default: 0.3, with --validate 0]",
         ),
         click.option("--odom-topic", default="odom", show_default=True, help="Topic of the base's pose."),
-        click.option("--joint-topic", default="joint_states", show_default=True, help="Topic of the joint states."),
-        click.option(
-            "--wrench",
-            multiple=True,
-            metavar="TOPIC:FRAME:ROLE[:AXES]",
-            help="A wrench topic; ROLE is mounted or external, -ROLE reverses its sign; AXES like fz,tx,ty.",
-        ),
         click.option("--floating-base", is_flag=True, help="The base moves; its pose is read from the odometry topic."),
-        click.option("--model", type=click.Path(path_type=Path), help="Start from this estimate.json."),
-        click.option("--config", type=click.Path(path_type=Path), help="The node's parameter file (YAML)."),
+        click.option(
+            "--model",
+            type=click.Path(path_type=Path),
+            help="Start from this estimate.json; without --urdf, of the robot of identified.urdf beside it.",
+        ),
     ):
         command = option(command)
     return command
+
+
+def _configuration(
+    config: Path | None,
+    cutoff: float | None,
+    gravity: Sequence[float] | None,
+    gains: Sequence[str],
+    lock: str | None,
+) -> Configuration:
+    """The parameter file with what these options say."""
+    from geomid_ros.session.configuration import Configuration
+
+    values: dict[str, Any] = dict(map(_gain, gains))
+    if cutoff is not None:
+        values["filter.cutoff"] = cutoff
+    if gravity:
+        values["gravity"] = list(gravity)
+    if lock:
+        values["locked_joints"] = [name.strip() for name in lock.split(",")]
+    base = Configuration.read(config) if config else Configuration(source="options")
+    return base.with_values(Configuration(values, "options").given)
+
+
+def _gain(text: str) -> tuple[str, float]:
+    """The parameter that a ``[JOINT=]FACTOR`` sets, and its value."""
+    joint, _, factor = text.rpartition("=")
+    try:
+        return (f"joint.{joint}.effort_gain" if joint else "effort_gain"), float(factor)
+    except ValueError as error:
+        raise click.BadParameter(
+            f"'{text}' is not of the form [JOINT=]FACTOR, e.g. -1 or joint3=0.5", param_hint="'--gain'"
+        ) from error

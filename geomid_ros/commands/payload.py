@@ -10,26 +10,23 @@ from typing import Any
 import click
 
 import geomid_ros
-from geomid_ros.commands.options import URDF
+from geomid_ros.commands.options import robot_options
 from geomid_ros.exports.formats import CONTROLLERS
 
 
 @click.command()
 @click.argument("empty", type=click.Path(path_type=Path))
 @click.argument("loaded", type=click.Path(path_type=Path))
-@click.option("--urdf", required=True, **URDF)
+@robot_options
 @click.option("--frame", metavar="LINK", help="The flange.  [default: payload.frame, or the last link that moves]")
 @click.option("--for", "controller", type=click.Choice([*CONTROLLERS]), help="Print the commands that set the payload.")
 @click.option(
-    "--gain",
+    "--gain-std",
     type=click.FloatRange(0.0, 1.0, max_open=True),
     help="Standard deviation of the efforts' common gain; 0 for calibrated torque sensors.  [default: payload.gain]",
 )
-@click.option("--joint-topic", default="joint_states", show_default=True, help="Topic of the joint states.")
-@click.option("--wrench", multiple=True, metavar="TOPIC:FRAME:ROLE[:AXES]", help="A wrench topic, as in identify.")
-@click.option("--config", type=click.Path(path_type=Path), help="The node's parameter file (YAML).")
 @click.option("--json", "as_json", is_flag=True, help="Print the numbers as JSON.")
-def payload(empty: Path, loaded: Path, urdf: Path, controller: str | None, as_json: bool, **options: Any) -> None:
+def payload(empty: Path, loaded: Path, controller: str | None, as_json: bool, **options: Any) -> None:
     """Weigh what a robot carries.
 
     Compares two recordings (folders, or .mcap and .db3 files) in which all joints move: EMPTY without the payload and
@@ -39,7 +36,7 @@ def payload(empty: Path, loaded: Path, urdf: Path, controller: str | None, as_js
     from geomid_ros.commands.results import payload as results
 
     with progress_bar() as progress:
-        found = geomid_ros.weigh_payload(empty, loaded, urdf, progress=progress, **options)
+        found = geomid_ros.weigh_payload(empty, loaded, progress=progress, **options)
     if as_json:
         click.echo(json.dumps(found.document, indent=2))
     else:

@@ -9,7 +9,6 @@ from geomid_ros.exports.weighed_payload import Payload, weigh_at
 from geomid_ros.live.background_search import BackgroundSearch, SearchStatus
 from geomid_ros.live.worker import Worker
 from geomid_ros.model.samples import Samples
-from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.payload import payload_session
 from geomid_ros.session.recordings import Progress
 from geomid_ros.session.session import Session
@@ -21,9 +20,8 @@ NO_DATA = "no data yet"
 class PayloadSearch:
     """Remembers the motion without the payload, and weighs it when there is one with it."""
 
-    def __init__(self, configuration: Configuration, on_end: Callable[[SearchStatus[Payload]], None]) -> None:
+    def __init__(self, on_end: Callable[[SearchStatus[Payload]], None]) -> None:
         """``on_end``: see :class:`BackgroundSearch`."""
-        self._configuration = configuration
         self._search = BackgroundSearch("not weighed", on_end)
         self._empty: Sequence[Accepted] = ()
 
@@ -54,10 +52,10 @@ class PayloadSearch:
         loaded = [late for each in worker.recent_messages() if len(late := each.since(begin))]
         if not loaded:
             return False, "no data since the motion without the payload"
-        urdf, empty = worker.session.urdf, self._empty
+        live, empty = worker.session, self._empty
 
         def look(progress: Progress) -> Payload:
-            session = payload_session(urdf, self._configuration, "robot_description")
+            session = payload_session(live.urdf, live.configuration, "robot_description")
             return _weigh(session, empty, loaded, progress)
 
         self._search.start(look)

@@ -8,17 +8,20 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Protocol
 
+from geomid_ros.errors import InputError
 from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.live.saving import Checkpoints, CheckpointStatus
 from geomid_ros.live.solving_process import SolvingProcess
 from geomid_ros.live.worker import OnEstimate, OnSamples, Worker
 from geomid_ros.session.configuration import Configuration
+from geomid_ros.session.locking import locked_note, with_locked
 from geomid_ros.session.session import Session
 from geomid_ros.signals.ledger import Ledger
 
 MOST_RESTARTS = 3
 FORGOTTEN = 3600.0  # [s] after which a restart does not count any more
 HANGING = 120.0  # [s] nothing takes so long on a busy machine, not even the first solve of a humanoid
+_PUBLISHERS_START = 3.0  # [s] within which all joints are heard that are published
 _PATIENCE = 0.7  # [s] for the threads to end; with the last checkpoint, and with all that takes, less than two
 
 
@@ -60,6 +63,8 @@ class Supervisor:
         self._solving = solving
         self._restarts: deque[float] = deque()  # when [s] those were that count
         self._hung = ""
+        self._absent: tuple[str, ...] = ()  # joints that are locked as nobody publishes them
+        self._agreed = 0.0  # when [s] these were last those that nobody publishes
         self._checkpoints: Checkpoints | None = None
         self.worker: Worker | None = None  # the present one
 
@@ -78,17 +83,19 @@ class Supervisor:
         """How the checkpoints are, None if none are kept."""
         return self._checkpoints.status if self._checkpoints is not None else None
 
-    def build(self, urdf: str, source: str) -> None:
+    def build(self, urdf: str, source: str, absent: tuple[str, ...] = ()) -> None:
         """Begin to identify the robot of a description.
 
         Args:
             urdf: the description.
             source: where it comes from, for messages.
+            absent: joints to lock, as nobody publishes them.
 
         Raises:
             InputError: the description does not fit the parameters.
         """
-        session = Session(urdf, self._configuration, source, self._ledger)
+        configuration = with_locked(self._configuration, absent) if absent else self._configuration
+        session = Session(urdf, configuration, source, self._ledger)
         if self._solving:
             session.identifier.solve_with(self._solving.solve)
         if self.worker is not None:
@@ -96,8 +103,9 @@ class Supervisor:
         self._restore(session)
         self.worker = Worker(session, self._configuration["solve_period"], self._on_samples, self._on_estimate)
         self._log.info(f"identifying {len(session.model.body_names)} links from {len(session.model.channels)} channels")
-        for warning in session.warnings():
+        for warning in (*session.warnings(), *([locked_note(absent)] if absent else [])):
             self._log.warning(warning)
+        self._absent, self._agreed = absent, time.monotonic()
 
     def _restore(self, session: Session) -> None:
         """With a folder for checkpoints, let a session go on from the one there, and write those to come."""
@@ -122,6 +130,22 @@ class Supervisor:
         if self.worker is not None:
             self.worker.reset()
 
+    def lock_absent_joints(self) -> None:
+        """Begin anew with those joints locked that nobody publishes, if that may be; or without those again that
+        somebody publishes after all."""
+        if self.worker is None:
+            return
+        session, now = self.worker.session, time.monotonic()
+        absent = (*(joint for joint in self._absent if joint not in session.joints_heard), *session.lockable)
+        if absent == self._absent:
+            self._agreed = now
+        elif now - self._agreed > _PUBLISHERS_START:
+            self._agreed = now
+            try:
+                self.build(session.urdf, "robot_description", absent)
+            except InputError as error:
+                self._log.error(str(error))
+
     def restart_what_hangs(self) -> None:
         """Restart the solver if it hangs; if the intake does, replace the worker, whose rows are lost."""
         if self.worker is None:
@@ -140,7 +164,7 @@ class Supervisor:
         self._restarts.append(time.monotonic())
         self._hung = f"{what} hung and was restarted, {len(self._restarts)} of at most {MOST_RESTARTS} times"
         if intake:
-            self.build(self.worker.session.urdf, "robot_description")
+            self.build(self.worker.session.urdf, "robot_description", self._absent)
         else:
             self.worker.solver.restart()
 

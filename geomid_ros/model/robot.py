@@ -181,6 +181,13 @@ class Robot:
         bodies = [self._body(head, cuts) for head in self._heads]
         return tuple(sorted((body for body in bodies if body is not None), key=lambda body: body.joint))
 
+    @property
+    def massless(self) -> tuple[str, ...]:
+        """The moving links that are things and not frames, and have no mass, nor has what is fixed to them."""
+        groups = [self._rigid_group(head, set(self._heads)) for head in self._heads]
+        weightless = [group for group in groups if self.tree.inertials.keys().isdisjoint(group)]
+        return tuple(group[0] for group in weightless if self.tree.things.intersection(group))
+
     def _is_fixed(self, joint: urdf_tree.UrdfJoint) -> bool:
         return joint.type == "fixed" or joint.name in self._locked
 

@@ -30,6 +30,7 @@ _MAX_AXES = 128  # pinocchio's memory grows with their cube
 # Python alone would read 1_000 and digits of other scripts, too.
 _NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?", re.ASCII)
 _OF_RIGID_BODIES = {"link": ("inertial",), "joint": ("parent", "child", "origin", "axis", "limit")}
+_OF_THINGS = ("visual", "collision", "inertial")
 _OTHER_FORMATS = {
     "sdf": ": an SDF model. Give the URDF or xacro that it was made from; 'gz sdf -p' makes SDF of those, not back",
     "mujoco": ": an MJCF model. Give the robot's URDF; 'geomid export --for mujoco' brings results into an MJCF model",
@@ -65,12 +66,14 @@ class UrdfTree:
         links, joints: In the file's order.
         root: The root link.
         inertials: Parameters ``(10,)`` of the links with a mass, in pinocchio's order about the link frame's origin.
+        things: Links with a shape or an <inertial>; others are frames.
     """
 
     links: tuple[str, ...]
     joints: tuple[UrdfJoint, ...]
     root: str
     inertials: dict[str, FloatArray]
+    things: frozenset[str]
 
     def children(self, link: str) -> list[UrdfJoint]:
         """The joints that leave ``link``."""
@@ -122,7 +125,8 @@ def tree(robot: Element, source: str) -> UrdfTree:
     _refuse_duplicates([joint.name for joint in joints], "joint", source)
     inertials = {link.get("name", ""): inertial_parameters(link, source) for link in robot.findall("link")}
     massive = {name: parameters for name, parameters in inertials.items() if parameters is not None}
-    return UrdfTree(links, joints, _root(links, joints, source), massive)
+    things = [link.get("name", "") for link in robot.findall("link") if any(child.tag in _OF_THINGS for child in link)]
+    return UrdfTree(links, joints, _root(links, joints, source), massive, frozenset(things))
 
 
 def read_xml(text: str, source: str) -> Element:

@@ -35,6 +35,7 @@ KINDS = {
     "unrelated": "efforts follow neither gravity nor motion",
     "constant": "an effort never changes",
     "stream": "messages are not what a driver should send",
+    "still": "the robot does not move",
     "wrench": "a wrench sensor is not what it is declared to be",
 }
 """What may be wrong."""

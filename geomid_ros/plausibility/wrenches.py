@@ -103,7 +103,7 @@ class WrenchSensorCheck:
             what = f"its sign is reversed: write {written(settings)} (on the command line, {minus})"
             return Finding(cause=self._cause(what, settings))
         if not 1.0 / _OTHER_UNIT < fit.slope < _OTHER_UNIT or fit.slope < 1.0 / _REASON:
-            what = f"what it carries would weigh {fit.slope:.3g} times as much as in the URDF: is its unit another one?"
+            what = f"what it carries would weigh {fit.slope:.3g} times as much as in the URDF: is it not in N and N m?"
             return Finding(cause=self._cause(what), sure=not 1.0 / _OTHER_UNIT < fit.slope < 1.0 / _REASON)
         return None
 

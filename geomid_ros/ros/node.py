@@ -72,7 +72,7 @@ class GeomidNode(Node):
         self._active: bool = self._configuration["active"]
         self._outputs = Outputs(self)
         self._search = BackgroundSearch("no finding", self._outputs.finding)
-        self._payload = PayloadSearch(self._configuration, self._outputs.payload)
+        self._payload = PayloadSearch(self._outputs.payload)
         self._saving = Saving(self._configuration["output_folder"])
         self._urdf = ""  # the latest description, not necessarily the worker's
         self._problem = ""  # with the robot description
@@ -169,6 +169,7 @@ class GeomidNode(Node):
         self._console.error(sentence)
 
     def _publish_diagnostics(self) -> None:
+        self._supervisor.lock_absent_joints()
         self._supervisor.restart_what_hangs()
         array = self._diagnostics.array(self._status(), self._search.status, self._supervisor.checkpoints)
         self._console.tell(self._diagnostics.complaints)
@@ -221,7 +222,7 @@ class GeomidNode(Node):
         messages = worker.recent_messages()
         if not messages:
             return False, NO_DATA
-        self._search.start(partial(look_for_gap, worker.session.urdf, self._configuration, messages))
+        self._search.start(partial(look_for_gap, worker.session.urdf, worker.session.configuration, messages))
         return True, "looking; the finding comes on ~/gap"
 
     async def _save(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:

@@ -38,6 +38,7 @@ class WeighedPayload:
         cannot_tell: the quantities that the motions do not tell.
         rms: what remains on both recordings by channel [N m, N].
         warnings: what makes the result doubtful.
+        notes: what is worth knowing beside.
         findings: what seems to be wrong with the recordings as a whole.
         verdict: whether the result can be used.
     """
@@ -49,6 +50,7 @@ class WeighedPayload:
     cannot_tell: tuple[str, ...]
     rms: dict[str, float]
     warnings: tuple[str, ...]
+    notes: tuple[str, ...]
     findings: tuple[Finding, ...]
     verdict: Verdict
 
@@ -120,6 +122,7 @@ def _payload(link: str, found: Estimate, gain: float, session: Session) -> Weigh
         cannot_tell=body.cannot_tell,
         rms=dict(zip(found.channels, found.rms.tolist(), strict=True)),
         warnings=tuple(session.warnings()),
+        notes=tuple(session.notes),
         findings=session.findings,
         verdict=recording_verdict(session.findings, "" if found.converged else found.reason),
     )

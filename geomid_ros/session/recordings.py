@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,6 +16,7 @@ from geomid_ros.model.samples import Samples
 from geomid_ros.plausibility.hypotheses import Cause, Finding
 from geomid_ros.session.session import Session
 from geomid_ros.session.wrench_guard import WrenchGuard
+from geomid_ros.signals.arrived import OTHER_FRAME
 from geomid_ros.signals.decoding import Decoder
 from geomid_ros.signals.messages import JOINT_STATES, ODOM, message_type
 from geomid_ros.signals.pipeline import SignalPipeline
@@ -24,9 +26,18 @@ HELD_OUT = 0.3
 """Share of a recording's time, at the end, that is judged on unless the user says otherwise."""
 
 _MOST_HELD_OUT = 0.9
+_DESCRIPTION, _TEXT = "robot_description", "std_msgs/msg/String"
 
 Progress: TypeAlias = Callable[[str, float], None]
 """Called with what is being done and the share of it, 0 to 1, that is done."""
+
+
+class NoSamplesError(InputError):
+    """No samples can be made of a recording; with the joints ``lockable`` locked there may be some."""
+
+    def __init__(self, message: str, lockable: tuple[str, ...]) -> None:
+        super().__init__(message)
+        self.lockable = lockable
 
 
 def silent(stage: str, share: float) -> None:
@@ -54,7 +65,7 @@ class Bags:
         topics: topics of the joint states and of the base's pose.
 
     Raises:
-        InputError: there is no bag, or ``hold_out`` is out of range.
+        InputError: there is no bag, or one is given twice, or ``hold_out`` is out of range.
     """
 
     fitted: Sequence[Path]
@@ -65,6 +76,13 @@ class Bags:
     def __post_init__(self) -> None:
         if not self.fitted:
             raise InputError("no bag is given")
+        every = Counter(path.resolve() for path in (*self.fitted, *self.validate))
+        twice = next((path for path in (*self.fitted, *self.validate) if every[path.resolve()] > 1), None)
+        if twice is not None:
+            raise InputError(
+                f"{twice}: given twice. Data that are fitted judge nothing: without --validate the end of each bag is "
+                "held out"
+            )
         if not 0.0 <= self.share <= _MOST_HELD_OUT:
             raise InputError(f"the share to hold out is {self.share:g}, expected a number from 0 to {_MOST_HELD_OUT:g}")
 
@@ -77,6 +95,31 @@ class Bags:
     def shares(self) -> list[tuple[Path, float]]:
         """Every bag with the share of it that is held out."""
         return [*((path, self.share) for path in self.fitted), *((path, 1.0) for path in self.validate)]
+
+
+def recorded_description(bags: Sequence[Path]) -> tuple[str, str]:
+    """The robot description that was recorded beside the data.
+
+    Returns:
+        Its text, and where it is from: the topic and the bag.
+
+    Raises:
+        InputError: there is none, or there are several.
+    """
+    found: dict[str, str] = {}
+    for path in bags:
+        with Bag(path) as bag:
+            topics = [topic for topic, kind in bag.topics.items() if kind == _TEXT and topic.endswith(_DESCRIPTION)]
+            own = [topic for topic in topics if topic.lstrip("/") == _DESCRIPTION] or topics
+            for topic, _, message in bag.messages(own):
+                found.setdefault(message.data, f"{topic} in {path}")
+    if len(found) == 1:
+        ((text, source),) = found.items()
+        return text, source
+    named = ", ".join(map(str, bags))
+    if found:
+        raise InputError(f"{named}: several robot descriptions ({', '.join(found.values())}); choose one with --urdf")
+    raise InputError(f"{named}: no robot description is recorded ({_DESCRIPTION}, {_TEXT}); name a file with --urdf")
 
 
 def divided(batches: Sequence[Samples], share: float) -> list[tuple[Samples, Samples]]:
@@ -123,6 +166,7 @@ def read_bags(session: Session, bags: Bags, progress: Progress = silent) -> tupl
             held_out += [late] if len(late) else []
     check_measured(session, train, bags.fitted)
     session.judge()
+    session.findings += _standing(train, session)
     return train, held_out
 
 
@@ -169,7 +213,7 @@ def read_samples(
         ready += len(samples)
         yield samples
     if ready == 0:
-        raise InputError(_why_no_samples(bag, session, pipeline))
+        raise NoSamplesError(_why_no_samples(bag, session, pipeline), session.lockable)
 
 
 def _resolved_topics(bag: Bag, session: Session, topics: Topics) -> dict[str, str]:
@@ -189,9 +233,24 @@ def _why_no_samples(bag: Bag, session: Session, pipeline: SignalPipeline) -> str
     ]
     reasons += [f"{topic}: no messages" for topic in session.topics if topic not in pipeline.ledger.topics]
     if not reasons:
-        reasons = [f"it is shorter than the filter's window ({2 * pipeline.lag:.1f} s) or its topics do not overlap"]
-    joints = ", ".join(session.robot.joint_names)
-    return f"{bag.path}: no usable samples. " + "; ".join(reasons) + f". The URDF's moving joints: {joints}"
+        short = f"it is shorter than the filter's window ({2 * pipeline.lag:.1f} s)"
+        reasons = [f"{short} or its topics do not overlap; record half a minute of motion"]
+    if any(OTHER_FRAME in reason for reason in reasons):
+        reasons.append("--wrench says the frame of a wrench, wrench.*.frame_id what messages call it")
+    why = f"{bag.path}: no usable samples. " + "; ".join(reasons)
+    missing = not pipeline.joints_heard.issuperset(session.robot.joint_names)
+    joints = f"The URDF's moving joints: {', '.join(session.robot.joint_names)}"
+    return f"{why}. Or is it a recording of another robot? {joints}" if missing else why
+
+
+def _standing(train: Sequence[Samples], session: Session) -> tuple[Finding, ...]:
+    """That the robot does not move in what is fitted, if so."""
+    positions = np.concatenate([samples.position for samples in train])
+    most = float(np.max(np.ptp(positions, axis=0), initial=0.0))
+    if session.robot.floating_base or most >= session.configuration["still_distance"]:
+        return ()
+    sentence = f"the robot stands still: no joint moves by more than {most:.2g} (rad, m), which tells next to nothing"
+    return (Finding(cause=Cause(kind="still", sentence=f"{sentence}; record a motion of all joints")),)
 
 
 def check_measured(session: Session, train: Sequence[Samples], bags: Sequence[Path]) -> None:
@@ -205,6 +264,7 @@ def check_measured(session: Session, train: Sequence[Samples], bags: Sequence[Pa
     if all(np.all(np.isnan(session.model.rows(samples).targets)) for samples in train):
         channels = ", ".join(channel.name for channel in session.model.channels)
         raise InputError(
-            f"{', '.join(map(str, bags))}: no effort is measured (empty or NaN throughout), and no wrench is declared "
-            f"with --wrench. At least one of these channels is needed: {channels}"
+            f"{', '.join(map(str, bags))}: no effort is measured (empty, NaN or zero throughout), and no wrench is "
+            f"declared with --wrench. At least one of these channels is needed: {channels}. Let the driver publish "
+            "efforts, or record a wrench sensor"
         )

@@ -21,6 +21,7 @@ from geomid_ros.files.models.judgements import account_entry, verdict_entry
 from geomid_ros.files.models.loaded_model import LoadedModel
 from geomid_ros.files.models.results import estimate_document
 from geomid_ros.files.models.urdf import with_identified_inertias
+from geomid_ros.model.absent_joints import lockable
 from geomid_ros.model.columns import Columns
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.robot import Robot
@@ -99,6 +100,10 @@ class Session:
         self._forgotten: dict[str, Account] = {}  # what the ledger had counted when findings were forgotten
         self.warm: WarmStart | None = None
         """Where the next solve may begin: the last estimate."""
+        self.settled: list[str] = []
+        """What was settled for the user, in sentences."""
+        self.joints_heard: set[str] = set()
+        """The names of joints in all messages."""
         self._incomplete: list[str] = []  # sentences on the recordings that were read
         self._unchecked: list[str] = []  # their names
         self.recent = Recent(configuration["gap.memory"])
@@ -140,17 +145,22 @@ class Session:
             *judged,
             *self._incomplete,
             *self.robot.repaired.values(),
+            *([_massless(self.robot.massless)] if self.robot.massless else []),
             self.loaded.not_predicted,
         ]
         return [*filter(None, found), *(estimate.warnings if estimate is not None else ())]
 
     @property
+    def lockable(self) -> tuple[str, ...]:
+        """The joints that none of the messages so far names, if they may count as fixed at zero."""
+        return lockable(self.robot, frozenset(self.joints_heard), [sensor.frame for sensor in self.model.sensors])
+
+    @property
     def notes(self) -> list[str]:
         """What is worth knowing, in sentences, and casts no doubt on results."""
-        if not self._unchecked:
-            return []
         names = ", ".join(dict.fromkeys(self._unchecked))
-        return [f"no checksums in {names}: nothing tells whether their numbers are still those that were recorded"]
+        unchecked = f"no checksums in {names}: nothing tells whether their numbers are still those that were recorded"
+        return [*self.settled, unchecked] if names else self.settled
 
     def begin_recording(self, bag: Bag) -> None:
         """Note what is missing of a recording that is going to be read."""
@@ -210,6 +220,7 @@ class Session:
             effect_columns=effect_columns or self.model.columns,
             on_accepted=on_accepted,
             ledger=ledger,
+            joints_heard=self.joints_heard,
         )
 
     def rms(self, batches: Iterable[Samples], parameters: FloatArray) -> FloatArray:
@@ -278,3 +289,11 @@ class Session:
         write_text(description, self.identified_urdf(estimate))
         write_json(document, self.document(estimate, held_out, verdict))
         return [document, description]
+
+
+def _massless(links: Sequence[str]) -> str:
+    named = f"'{links[0]}'" + (f" (and {len(links) - 1} other links)" if len(links) > 1 else "")
+    return (
+        f"{named} moves without a mass in the URDF: it is not identified, and what it weighs is put down to other "
+        "links; give it an <inertial> ('geomid prior' does)"
+    )

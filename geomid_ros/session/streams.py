@@ -7,10 +7,13 @@ from collections.abc import Mapping
 from geomid_ros.plausibility.hypotheses import Cause, Finding
 from geomid_ros.signals.effort_habits import COARSE
 from geomid_ros.signals.gates import CLOCK_SET
-from geomid_ros.signals.joint_messages import DRIVER_ERROR, UNWRAPPED
+from geomid_ros.signals.joint_messages import DRIVER_ERROR, FROZEN, UNWRAPPED
 from geomid_ros.signals.ledger import Account
 from geomid_ros.signals.sampler import SCALED
+from geomid_ros.signals.timeline import NOT_LATER
 
+_OFTEN = "; does the driver publish more often than it measures? What repeats is left out, the rest serves"
+_ASKED = {FROZEN: _OFTEN, NOT_LATER: _OFTEN}
 _TOLD = (CLOCK_SET, UNWRAPPED, SCALED, COARSE)
 
 
@@ -39,6 +42,6 @@ def peculiarities(accounts: Mapping[str, Account]) -> list[str]:
         if +account.rejected:
             ((reason, most),) = account.rejected.most_common(1)
             refused = f"{account.rejected.total()} of {account.received} messages are refused"
-            found.append(f"{topic}: {refused}, {most} of them: {reason}")
+            found.append(f"{topic}: {refused}, {most} of them: {reason}{_ASKED.get(reason, '')}")
         found += [f"{topic}: {remark}" for remark in account.noted if remark.endswith(_TOLD)]
     return found

@@ -11,6 +11,8 @@ from geomid_ros.model.sensors import WrenchSensor
 from geomid_ros.signals.messages import Block
 from geomid_ros.types import AnyArray, BoolArray, FloatArray, IntArray
 
+OTHER_FRAME = "is not the declared"
+"""In the reason for a wrench in another frame, before the frame that was declared."""
 _LARGEST_NUMBER = 1e9  # in SI units
 _UNLIKE_ONE = 1e-2  # length of a quaternion
 
@@ -89,5 +91,5 @@ def wrenches(block: Block, sensor: WrenchSensor) -> tuple[FloatArray, AnyArray]:
     refusals = np.full(len(values), None)
     refusals[~plausible(values[:, sensor.axis_indices]).all(axis=1)] = "wrench not finite"
     if frame and frame != declared:
-        refusals[:] = f"frame '{frame}' is not the declared '{declared}'"
+        refusals[:] = f"frame '{frame}' {OTHER_FRAME} '{declared}'"
     return values - sensor.sign * np.array(sensor.offset), refusals

@@ -4,6 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+NOBODY = (
+    "if nobody publishes it, name it in the parameter locked_joints (--lock); if another node does, set "
+    "merge_joint_states"
+)
+"""What to do about a joint that is missing."""
 _MOST_NAMES = 3  # that are quoted
 
 
@@ -28,7 +33,9 @@ def missing_joint(joints: Sequence[str], names: Sequence[str]) -> str:
     if present.isdisjoint(joints):
         quoted = ", ".join(f"'{name}'" for name in names[:_MOST_NAMES])
         return f"{sentence}: none of the messages' names is a joint of this URDF ({quoted} ...)"
-    return f"{sentence}: if nobody publishes it, name it in the parameter locked_joints"
+    strange = next((name for name in names if name not in joints), None)
+    other = f"; or is it '{strange}'?" if strange else ""
+    return f"{sentence}: {NOBODY}{other}"
 
 
 def _prefix(plain: Sequence[str], prefixed: Sequence[str]) -> str:

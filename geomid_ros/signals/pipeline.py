@@ -32,6 +32,7 @@ from geomid_ros.signals.timeline import NOT_LATER, Timeline, Turn
 from geomid_ros.types import AnyArray, BoolArray, FloatArray, IntArray
 
 _DEFAULTS = SignalSettings()
+_MOST_JOINTS = 1000  # whose names are kept
 
 UNDECIDED = "came last, when too few followed to tell whether they are right"
 
@@ -59,6 +60,7 @@ class SignalPipeline:
         effect_columns: Columns = NO_COLUMNS,
         on_accepted: Callable[[Accepted], None] = ignore,
         ledger: Ledger | None = None,
+        joints_heard: set[str] | None = None,
     ) -> None:
         """
         Args:
@@ -73,6 +75,7 @@ class SignalPipeline:
             effect_columns: those that samples carry (:attr:`MeasurementModel.columns`).
             on_accepted: is told of every message that is accepted, as :meth:`push_accepted` takes it.
             ledger: is told what becomes of every message.
+            joints_heard: the names of joints in messages are added to it.
 
         Raises:
             InputError: two topics have the same name, a gain is of an unknown joint, or the cutoff is too high.
@@ -88,6 +91,7 @@ class SignalPipeline:
         self._turning = np.array([joint in turning for joint in self._joints], dtype=bool)
         self._limits = limits or Limits.none(len(self._joints))
         self.ledger = ledger or Ledger()
+        self.joints_heard = set() if joints_heard is None else joints_heard
         self._on_accepted = on_accepted
         self._reader = self._new_reader(self._joints)
         resolved = round(0.5e9 / settings.cutoff)
@@ -191,6 +195,8 @@ class SignalPipeline:
         """What messages say by themselves, by their source."""
         found: dict[_Source, list[Arrived]] = {}
         for block in blocks:
+            if block.topic == JOINT_STATES and len(self.joints_heard) < _MOST_JOINTS:
+                self.joints_heard.update(block.names)
             try:
                 source = block.topic, self._part(block)
             except RejectedError as error:

@@ -10,6 +10,7 @@ import numpy as np
 
 from geomid_ros.types import BoolArray, IntArray
 
+NO_STAMP = "stamp is zero: whoever publishes has to fill in header.stamp"
 NOT_LATER = "stamp not later than the one before"
 _TO_CONFIRM_SLOWNESS = 3  # messages, each after a pause
 _TO_CONFIRM_A_RESET = 10  # messages; a few late ones do not mean that a clock was set back
@@ -86,7 +87,7 @@ class Timeline(Generic[T]):
         """Take a message, and decide on it and on those that are held, as far as possible."""
         stamp = message.stamp
         if stamp <= 0:
-            return Judged(refused=["stamp is zero" if stamp == 0 else "stamp is not valid"])
+            return Judged(refused=[NO_STAMP if stamp == 0 else "stamp is not valid"])
         ahead = stamp - self._last
         if self._last and not -self._max_gap <= ahead <= self._max_gap:
             return self._hold(message)

@@ -158,7 +158,7 @@ def test_the_model_of_a_doubtful_recording_is_marked_so(rubbing: Path, tmp_path:
 
 def test_nothing_hidden_is_nothing_found(tmp_path: Path) -> None:
     bag = robot(tmp_path / "bag", None, inertia_error=0.0)
-    text = done("gap", bag, "--urdf", URDF, "--out", tmp_path / "out", "--validate", bag)
+    text = done("gap", bag, "--urdf", URDF, "--out", tmp_path / "out")
     assert text.startswith("NO GAP  Nothing found")
     assert "What was found" not in text
     assert "Nothing found" in (tmp_path / "out/report.html").read_text()
@@ -225,10 +225,9 @@ CASES: dict[str, tuple[Callable[[Path], Arguments], str]] = {
         lambda _: (BAGS / "arm3", "--urdf", URDF, "--hold-out", "0"),
         r"nothing to judge on: hold out.*--hold-out.*--validate",
     ),
-    "no description": (lambda _: (BAGS / "arm3",), r"Missing option '--urdf', or '--model'"),
-    "no description beside the model": (
-        lambda f: (BAGS / "arm3", "--model", f / "estimate.json"),
-        r"estimate.json: there is no identified.urdf beside it; .*--urdf",
+    "no description": (
+        lambda f: (altered(BAGS / "arm3", f / "bare", lambda i: i if "description" not in i.topic else None),),
+        r"bare: no robot description is recorded .*--urdf",
     ),
     "no such topic of commands": (
         lambda _: (BAGS / "arm3", "--urdf", URDF, "--command", "/cmd"),

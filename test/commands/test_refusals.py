@@ -100,7 +100,7 @@ CASES: dict[str, tuple[Callable[[Path], Arguments], str]] = {
     ),
     "a joint the bag lacks": (
         with_urdf(lambda text: text.replace('name="joint2"', 'name="elbow"')),
-        r"joint 'elbow' is missing: if nobody publishes it, name it in the parameter locked_joints.*joint1, elbow",
+        r"joint 'elbow' is missing: if nobody publishes it, .* parameter locked_joints \(--lock\).*joint1, elbow",
     ),
     "a tf_prefix": (
         with_bag(joints(name=["left_joint2", "left_joint3", "left_joint1"])),
@@ -159,7 +159,10 @@ CASES: dict[str, tuple[Callable[[Path], Arguments], str]] = {
     "wrench's form": (with_options("--wrench", "/wrench"), r"'/wrench' is not of the form TOPIC:FRAME:ROLE"),
     "wrench twice": (with_options(*2 * ("--wrench", "/wrench:wrist_ft:mounted")), "same topic|must differ"),
     "hold-out": (with_options("--hold-out", "1.5"), "--hold-out"),
-    "URDF": (lambda _: (BAG,), "--urdf"),
+    "URDF": (
+        lambda folder: (altered(BAG, folder / "bare", without_topic("/robot_description")),),
+        r"bare: no robot description is recorded \(robot_description, std_msgs/msg/String\); name a file with --urdf",
+    ),
     "unknown option": (with_options("--ouput", "x"), "--ouput.*--out"),
     "no bag": (lambda _: ("--urdf", URDF), "BAGS"),
     # files of options
@@ -175,7 +178,7 @@ CASES: dict[str, tuple[Callable[[Path], Arguments], str]] = {
     ),
     "cutoff too high": (
         with_file("--config", "/**: {ros__parameters: {filter: {cutoff: 90}}}"),
-        r"cutoff of 90 Hz is too high for data at 100 Hz: set the parameter filter.cutoff to 40 or less",
+        r"cutoff of 90 Hz is too high for data at 100 Hz: set the parameter filter.cutoff \(--cutoff\) to 40 or less",
     ),
     "no such model": (with_options("--model", "no.json"), r"no.json: the model cannot be read"),
     "a model that is none": (with_file("--model", "{}"), r"file: not an estimate.json"),

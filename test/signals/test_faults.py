@@ -11,6 +11,7 @@ import pytest
 
 from geomid_ros.model.samples import Samples
 from geomid_ros.model.sensors import WrenchSensor
+from geomid_ros.signals.joint_names import NOBODY
 from geomid_ros.signals.messages import Accepted, JointMessage, Message, PoseMessage, WrenchMessage
 from geomid_ros.signals.pipeline import SignalPipeline
 from geomid_ros.signals.settings import SignalSettings
@@ -71,7 +72,7 @@ def soon(message: Message) -> Message:
 
 
 BAD_JOINTS: dict[str, tuple[Callable[[JointMessage], JointMessage], str]] = {
-    "stamp of zero": (lambda m: replace(m, stamp=0), "stamp is zero"),
+    "stamp of zero": (lambda m: replace(m, stamp=0), "stamp is zero: whoever publishes has to fill in header.stamp"),
     "negative stamp": (lambda m: replace(m, stamp=-1), "stamp is not valid"),
     "duplicate": (lambda m: m, "stamp not later than the one before"),
     "duplicate with other numbers": (lambda m: entry(m, "position", 0, 9.0), "stamp not later than the one before"),
@@ -89,7 +90,7 @@ BAD_JOINTS: dict[str, tuple[Callable[[JointMessage], JointMessage], str]] = {
     "no effort": (lambda m: replace(soon(m), effort=()), "driver error: no effort of 'shoulder' or any other joint"),
     "a joint missing": (
         lambda m: without(soon(m), "elbow"),
-        "joint 'elbow' is missing: if nobody publishes it, name it in the parameter locked_joints",
+        f"joint 'elbow' is missing: {NOBODY}",
     ),
     "another robot's": (
         lambda m: replace(soon(m), names=tuple(f"left_{n}" for n in m.names)),
@@ -141,7 +142,7 @@ def test_bad_joint_messages_leave_no_trace(case: str, period: float) -> None:
 
 
 BAD_WRENCHES: dict[str, tuple[Callable[[WrenchMessage], WrenchMessage], str]] = {
-    "stamp of zero": (lambda m: replace(m, stamp=0), "stamp is zero"),
+    "stamp of zero": (lambda m: replace(m, stamp=0), "stamp is zero: whoever publishes has to fill in header.stamp"),
     "duplicate": (lambda m: m, "stamp not later than the one before"),
     "NaN": (lambda m: entry(soon(m), "wrench", 2, NAN), "wrench not finite"),
     "infinite": (lambda m: entry(soon(m), "wrench", 0, INFINITY), "wrench not finite"),
@@ -179,7 +180,7 @@ def test_a_wrench_without_a_frame_is_in_the_declared_one() -> None:
 
 
 BAD_POSES: dict[str, tuple[Callable[[PoseMessage], PoseMessage], str]] = {
-    "stamp of zero": (lambda m: replace(m, stamp=0), "stamp is zero"),
+    "stamp of zero": (lambda m: replace(m, stamp=0), "stamp is zero: whoever publishes has to fill in header.stamp"),
     "NaN": (lambda m: entry(soon(m), "pose", 0, NAN), "pose not finite"),
     "1e308": (lambda m: entry(soon(m), "pose", 2, 1e308), "pose not finite"),
     "no rotation": (lambda m: replace(soon(m), pose=[0.0] * 7), "quaternion is not of length 1"),

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from geomid_ros.signals.messages import PoseMessage
-from geomid_ros.signals.timeline import Timeline, Turn
+from geomid_ros.signals.timeline import NO_STAMP, Timeline, Turn
 
 from .feeding import START
 
@@ -66,7 +66,7 @@ def test_a_topic_slower_than_the_longest_gap_takes_three_messages_to_tell(count:
 
 @pytest.mark.parametrize(
     ("stamp", "reason"),
-    [(0, "stamp is zero"), (-1, "stamp is not valid"), (START, "stamp not later than the one before")],
+    [(0, NO_STAMP), (-1, "stamp is not valid"), (START, "stamp not later than the one before")],
 )
 def test_a_stamp_that_can_be_none_is_refused_at_once(stamp: int, reason: str) -> None:
     assert judged(START, stamp, START + PERIOD)[:2] == ([START, START + PERIOD], [reason])

@@ -14,7 +14,7 @@ _UNITS = ("kg", *("m",) * 3, *("kg m^2",) * 6)
 def show(found: Payload, controller: str | None) -> None:
     """Print the payload, first why it should not be used, and the commands that set it."""
     console = results_console()
-    print_remarks(console, found.weighed.verdict, found.weighed.warnings)
+    print_remarks(console, found.weighed.verdict, found.weighed.warnings, found.weighed.notes)
     console.print(found.sentence)
     table = plain_table(f"Payload in the axes of '{found.frame}'")
     table.add_column("quantity")

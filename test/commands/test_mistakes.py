@@ -1,0 +1,281 @@
+"""Mistakes as people type them: each is answered with what to do, by status 2 or by a doubt that names its cause."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from files.recordings import BAGS, TYPES, Recorded, altered, recorded, write_bag
+from matplotlib.figure import Figure
+from rosbags.rosbag2 import StoragePlugin, Writer
+
+from geomid_ros.api import identify as front_door
+
+from .running import done, geomid, refused
+
+BAG, URDF = BAGS / "arm3", BAGS / "arm3.urdf"
+ARM3 = URDF.read_text()
+OTHER = ("--urdf", BAGS / "arm7.urdf")
+ROBOT = ("--urdf", URDF)
+DEGREES = 180.0 / np.pi
+Arguments = Sequence[str | Path]
+
+
+@pytest.fixture(autouse=True)
+def without_picture(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Drawing takes longer than all the rest."""
+    monkeypatch.setattr(front_door, "draw_identification", lambda *_: Figure())
+
+
+def typed(*arguments: str | Path) -> Callable[[Path], Arguments]:
+    """``geomid identify`` with the small arm's bag."""
+    return lambda _: ("identify", BAG, *arguments)
+
+
+def on(change: Callable[[Recorded], Recorded | None], *arguments: str | Path) -> Callable[[Path], Arguments]:
+    """``geomid identify`` with another recording than the small arm's."""
+    return lambda folder: ("identify", altered(BAG, folder / "bag", change), *(arguments or ROBOT))
+
+
+def joints(**change: Callable[[Any], Any]) -> Callable[[Recorded], Recorded]:
+    """Changes these fields of joint messages."""
+
+    def changed(item: Recorded) -> Recorded:
+        if item.topic != "/joint_states":
+            return item
+        return item.changed(**{name: make(getattr(item.message, name)) for name, make in change.items()})
+
+    return changed
+
+
+def stamp_of_zero(item: Recorded) -> Recorded:
+    if not hasattr(item.message, "header"):
+        return item
+    header = item.message.header
+    return item.changed(header=replace(header, stamp=replace(header.stamp, sec=0, nanosec=0)))
+
+
+def under(namespace: str) -> Callable[[Recorded], Recorded]:
+    return lambda item: replace(item, topic=namespace + item.topic) if item.topic == "/joint_states" else item
+
+
+def with_text(name: str, text: str, *arguments: str | Path) -> Callable[[Path], Arguments]:
+    """``geomid identify`` with a file of this name, which the last of the arguments is to name."""
+
+    def make(folder: Path) -> Arguments:
+        (folder / name).write_text(text)
+        return ("identify", *arguments, folder / name)
+
+    return make
+
+
+def configured(text: str) -> Callable[[Path], Arguments]:
+    return with_text("robot.yaml", f"/**: {{ros__parameters: {text}}}", BAG, *ROBOT, "--config")
+
+
+def seconds(command: str, count: float) -> Callable[[Path], Arguments]:
+    """A command with the beginning of the small arm's recording."""
+
+    def make(folder: Path) -> Arguments:
+        messages = recorded(BAG)
+        end = messages[0].time + count * 1e9
+        return command, write_bag(folder / "bag", [item for item in messages if item.time < end]), *ROBOT
+
+    return make
+
+
+def exported(*arguments: str) -> Callable[[Path], Arguments]:
+    """``geomid export`` of an estimate without a tool."""
+
+    def make(folder: Path) -> Arguments:
+        done("identify", BAG, *ROBOT, "--out", folder / "model")
+        return ("export", folder / "model/estimate.json", *arguments)
+
+    return make
+
+
+def existing(folder: Path) -> Arguments:
+    (folder / "bag").mkdir()
+    return "simulate", folder / "bag", "--duration", "3"
+
+
+REFUSED: dict[str, tuple[Callable[[Path], Arguments], str]] = {
+    "1 another joint topic": (typed(*ROBOT, "--joint-topic", "/joint_state"), r"--joint-topic names.*/joint_states \("),
+    "2 a namespace": (on(under("/robot1")), r"no topic /joint_states.*--joint-topic.*/robot1/joint_states"),
+    "3 another robot's URDF": (typed(*OTHER), r"'joint4' is missing.*another robot\? The URDF's moving joints: joint1"),
+    "5 other names": (on(joints(name=lambda _: ["a", "b", "c"])), r"none of the messages' names is a joint.*'a', 'b'"),
+    "6 one other name": (
+        on(joints(name=lambda names: ["elbow" if name == "joint2" else name for name in names])),
+        r"'joint2' is missing: .*--lock.*merge_joint_states; or is it 'elbow'\?",
+    ),
+    "7 no efforts": (
+        on(joints(effort=lambda _: np.array([]))),
+        r"no effort is measured \(empty, NaN or zero.*--wrench",
+    ),
+    "8 efforts of zero": (on(joints(effort=np.zeros_like)), r"zero throughout\).*Let the driver publish efforts"),
+    "9 efforts of NaN": (on(joints(effort=lambda e: np.nan * e)), r"no effort is measured.*Let the driver"),
+    "14 stamps of zero": (on(stamp_of_zero), r"stamp is zero: whoever publishes has to fill in header.stamp$"),
+    "15 a second": (seconds("identify", 1.0), r"shorter than the filter's window.*record half a minute"),
+    "16 ROS 1": (
+        with_text("old.bag", "#ROSBAG V2.0\n", *ROBOT),
+        r"bag of ROS 1.*rosbags-convert --src \S*old.bag --dst",
+    ),
+    "18 a folder of two robots": (lambda _: ("identify", BAGS, *OTHER), r"arm3: .*'joint4' is missing.*another robot"),
+    "19 no bag": (
+        with_text("notes.md", "# no bag", *ROBOT),
+        r"notes.md: .*expected a bag's folder, or .*\.mcap or \.db3",
+    ),
+    "21 no such URDF": (typed("--urdf", "nope.urdf"), r"nope.urdf: the robot description cannot be read"),
+    "23 effect": (typed(*ROBOT, "--effects", "coulomb"), r"Did you mean 'coulomb_friction'\?"),
+    "24 link": (typed(*ROBOT, "--links", "link77"), r"unknown link 'link77'. Did you mean 'link\d'\?"),
+    "25 frame": (typed(*ROBOT, "--wrench", "/wrench:flange:mounted"), r"unknown link .flange.. Valid: .*wrist_ft"),
+    "26 role": (typed(*ROBOT, "--wrench", "/wrench:wrist_ft:mount"), r"Did you mean 'mounted'\?"),
+    "27 another link": (
+        typed(*ROBOT, "--wrench", "/wrench:link3:mounted"),
+        r"frame 'wrist_ft' is not the declared 'link3'; --wrench says the frame.*wrench\.\*\.frame_id",
+    ),
+    "29 wrench's topic": (
+        typed(*ROBOT, "--wrench", "/ft:wrist_ft:mounted"),
+        r"no topic /ft, which --wrench.*/wrench \(",
+    ),
+    "30 no role": (typed(*ROBOT, "--wrench", "/wrench:wrist_ft"), r"not of the form TOPIC:FRAME:ROLE\[:AXES\], e.g."),
+    "31 known": (typed(*ROBOT, "--known", "total=23"), r"'total=23' is not of the form LINK=MASS:STD"),
+    "32 floating": (typed(*ROBOT, "--floating-base"), r"needs at least one wrench sensor of role external"),
+    "36 fitted and judged": (
+        typed(*ROBOT, "--validate", BAG),
+        r"given twice\. .*without --validate the end of each bag",
+    ),
+    "37 parameter": (configured("{filter: {cutof: 3.0}}"), r"robot.yaml: .*Did you mean 'filter.cutoff'\?"),
+    "38 type": (configured("{filter: {cutoff: fast}}"), r"robot.yaml: filter.cutoff is 'fast', expected a number"),
+    "39 no such file": (typed(*ROBOT, "--config", "no.yaml"), r"no.yaml: the parameter file cannot be read"),
+    "41 hidden effect": (
+        lambda folder: ("simulate", folder / "bag", "--hide", "coulomb:joint2"),
+        r"unknown effect 'coulomb'. Did you mean 'coulomb_friction'\?",
+    ),
+    "42 hidden joint": (
+        lambda folder: ("simulate", folder / "bag", "--hide", "coulomb_friction:joint9"),
+        r"unknown joint 'joint9'. Did you mean 'joint\d'\?",
+    ),
+    "43 exists": (existing, r"bag exists already. Choose another name or delete it first"),
+    "44 no payload": (exported("--for", "ur"), r"Name it with --frame: base_link"),
+    "45 no data": (exported("--for", "ur", "--frame", "link2"), r"the data hardly identify.*Record a motion"),
+    "48 play": (lambda folder: ("play", folder / "nobag"), r"nobag: no such bag"),
+    "51 three seconds": (seconds("gap", 3.0), r"too short: .*record half a minute of motion"),
+    "52 robot": (
+        lambda folder: ("simulate", folder / "bag", "--robot", "panda"),
+        r"Valid: arm3, arm7, path/to/your.urdf",
+    ),
+    "53 simulated by itself": (
+        lambda _: ("gap", BAG, *ROBOT, "--simulated", BAG),
+        r"the same positions as in .*: no simulator made them. Record what yours does",
+    ),
+    "54 MJCF": (with_text("arm.xml", "<mujoco/>", BAG, "--urdf"), r"an MJCF model. Give the robot's URDF"),
+    "no inertials": (
+        with_text("bare.urdf", re.sub("<inertial>.*?</inertial>", "", ARM3, flags=re.DOTALL), BAG, "--urdf"),
+        r"'geomid prior URDF --mass KG'",
+    ),
+    "cutoff": (typed(*ROBOT, "--cutoff", "90"), r"set the parameter filter.cutoff \(--cutoff\) to 40 or less"),
+    "gain": (typed(*ROBOT, "--gain", "joint2=fast"), r"'joint2=fast' is not of the form \[JOINT=\]FACTOR"),
+    "gain of no joint": (typed(*ROBOT, "--gain", "elbow=2"), r"'elbow'.*joint1, joint2, joint3"),
+    "lock": (typed(*ROBOT, "--lock", "finger"), r"unknown joint to lock 'finger'.*joint1"),
+}
+
+
+@pytest.mark.parametrize("case", REFUSED)
+def test_it_is_refused_with_what_to_do(case: str, tmp_path: Path) -> None:
+    make, words = REFUSED[case]
+    text = refused(*make(tmp_path))
+    assert re.search(words, text.strip()), text
+
+
+def half_of(item: Recorded) -> Recorded:
+    """The first joint's efforts fail throughout."""
+    return joints(effort=lambda effort: np.where(np.arange(3) == 0, np.nan, effort))(item)
+
+
+def standing(item: Recorded) -> Recorded:
+    noise = np.random.default_rng(item.time).normal(size=3)
+    return joints(
+        position=lambda _: 1e-6 * noise, velocity=lambda _: 1e-5 * noise, effort=lambda _: 1.0 + 1e-2 * noise
+    )(item)
+
+
+WITHOUT_A_MASS = re.sub('(<link name="link2">.*?<mass value=")[^"]*', r"\g<1>0", ARM3, count=1, flags=re.DOTALL)
+SAID: dict[str, tuple[Callable[[Path], Arguments], int, str]] = {
+    "4 degrees": (
+        on(joints(position=lambda p: DEGREES * p, velocity=lambda v: DEGREES * v)),
+        4,
+        r"DOUBTFUL: joint positions are in degrees.* messages have to be in rad",
+    ),
+    "10 one effort missing": (
+        on(half_of),
+        0,
+        r"Warning: most of the time no effort is measured at '\w+': it is left out",
+    ),
+    "11 reversed": (on(joints(effort=np.negative)), 4, r"DOUBTFUL: .*reversed: with effort_gain: -1.0"),
+    "12 amperes": (on(joints(effort=lambda e: e / 11.0)), 4, r"DOUBTFUL: .*in amperes.*about effort_gain: \d"),
+    "13 standing still": (on(standing), 4, r"DOUBTFUL: the robot stands still: .*record a motion of all joints"),
+    "28 sign of a wrench": (
+        typed(*ROBOT, "--wrench", "/wrench:wrist_ft:-mounted"),
+        4,
+        r"DOUBTFUL: the wrench sensor /wrench: its sign is reversed: .*no minus before the role",
+    ),
+    "a link without a mass": (
+        with_text("light.urdf", WITHOUT_A_MASS, BAG, "--urdf"),
+        0,
+        r"Warning: 'link2' moves without a mass in the URDF: .*'geomid prior'",
+    ),
+    "22 no URDF": (typed(), 0, r"Note: no --urdf is given: the robot is that of /robot_description in \S*arm3"),
+}
+
+
+@pytest.mark.parametrize("case", SAID)
+def test_it_is_said_before_the_result(case: str, tmp_path: Path) -> None:
+    make, status, words = SAID[case]
+    result = geomid(*make(tmp_path), "--out", tmp_path / "out")
+    assert result.exit_code == status, result.output
+    remarks = " ".join(result.stdout.partition("joint_states: ")[0].split())
+    assert re.search(words, remarks), remarks
+
+
+def test_a_torn_file_is_read_as_far_as_it_goes(tmp_path: Path) -> None:
+    data = (BAG / "arm3.mcap").read_bytes()
+    (tmp_path / "torn.mcap").write_bytes(data[: 6 * len(data) // 10])
+    result = geomid("identify", tmp_path / "torn.mcap", *ROBOT, "--out", tmp_path / "out")
+    assert result.exit_code == 0, result.output
+    assert re.search(
+        r"Warning: \S*torn.mcap: cut off at byte \d+, .*whole messages are read", " ".join(result.stdout.split())
+    )
+
+
+def test_a_bag_of_humble_is_read(tmp_path: Path) -> None:
+    """Rows 17 and 49: an older description of the files, in a database; and nothing but JSON on the standard output."""
+    with Writer(tmp_path / "humble", version=8, storage_plugin=StoragePlugin.SQLITE3) as writer:
+        connections: dict[str, Any] = {}
+        for item in recorded(BAG):
+            if item.topic not in connections:
+                connections[item.topic] = writer.add_connection(item.topic, item.kind, typestore=TYPES)
+            writer.write(connections[item.topic], item.time, bytes(TYPES.serialize_cdr(item.message, item.kind)))
+    result = geomid("identify", tmp_path / "humble", *ROBOT, "--json", "--out", tmp_path / "out")
+    assert (result.exit_code, result.stderr) == (0, "")
+    assert json.loads(result.stdout)["converged"] is True
+
+
+def test_a_folder_of_bags_is_all_of_them(tmp_path: Path) -> None:
+    for name in ("first", "second"):
+        altered(BAG, tmp_path / "bags" / name, lambda item: item)
+    shown = done("identify", tmp_path / "bags", *ROBOT, "--out", tmp_path / "out")
+    assert "joint_states: 1600 of 1600 messages used" in shown
+
+
+def test_an_estimate_of_another_robot_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "other.urdf").write_text(ARM3.replace('"link', '"arm_link'))
+    done("identify", BAG, "--urdf", tmp_path / "other.urdf", "--out", tmp_path)
+    text = refused("identify", BAG, *ROBOT, "--model", tmp_path / "estimate.json")
+    assert re.search(r"an estimate of another robot. Its links: .*those of this robot: link1", text)

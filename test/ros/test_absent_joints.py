@@ -1,0 +1,106 @@
+"""Joints that nobody publishes: the node locks them as the command line does, and lets them go when they are heard."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from contextlib import suppress
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from commands.test_robot_options import with_gripper
+
+from geomid_ros.live import supervisor as module
+from geomid_ros.live.supervisor import Supervisor
+from geomid_ros.session.configuration import Configuration
+from geomid_ros.signals.ledger import Ledger
+
+from .stage import messages
+
+PATIENCE = 60.0
+STATES = [item for item in messages() if item.topic == "/joint_states"][:300]
+ARM, FINGER = ("joint1", "joint2", "joint3"), "finger_joint1"
+
+
+class Clock(SimpleNamespace):
+    """Stands still until it is put forward."""
+
+    now = 10_000.0
+
+    def monotonic(self) -> float:
+        return self.now
+
+
+@pytest.fixture
+def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
+    clock = Clock()
+    monkeypatch.setattr(module, "time", clock)
+    return clock
+
+
+@pytest.fixture
+def node() -> Iterator[tuple[Supervisor, list[str]]]:
+    """What a node does without ROS, with a gripper on its arm, and what it logs."""
+    said: list[str] = []
+    log = SimpleNamespace(info=said.append, warning=said.append, error=said.append)
+    supervisor = Supervisor(
+        Configuration({"solve_period": 3600.0}),
+        Ledger(),
+        log,
+        on_samples=lambda *_: None,
+        on_estimate=lambda *_: None,
+        solving=None,
+    )
+    supervisor.build(with_gripper(), "test")
+    yield supervisor, said
+    with suppress(AttributeError):
+        supervisor.worker.close(PATIENCE)  # type: ignore[union-attr]
+
+
+def feed(supervisor: Supervisor, finger: bool = False) -> int:
+    """Let a supervisor's worker take messages of the arm; returns how many rows it has then."""
+    worker = supervisor.worker
+    assert worker is not None
+    for item in STATES:
+        message = item.message
+        fields = {key: np.append(getattr(message, key), 0.01) for key in ("position", "velocity", "effort")}
+        taken = item.changed(name=[*message.name, FINGER], **fields) if finger else item
+        worker.take(*taken.raw)
+    end = time.monotonic() + PATIENCE
+    while worker.status(active=True).queue > worker.session.pipeline.held and time.monotonic() < end:
+        time.sleep(0.01)
+    return worker.session.identifier.counts.taken
+
+
+def joints(supervisor: Supervisor) -> tuple[str, ...]:
+    assert supervisor.worker is not None
+    return supervisor.worker.session.robot.joint_names
+
+
+def test_they_are_locked_when_all_had_the_time_to_be_heard(node: tuple[Supervisor, list[str]], clock: Clock) -> None:
+    supervisor, said = node
+    supervisor.lock_absent_joints()
+    assert feed(supervisor) == 0
+    supervisor.lock_absent_joints()
+    assert joints(supervisor) == (*ARM, FINGER)
+    clock.now += 2.0 * module._PUBLISHERS_START
+    supervisor.lock_absent_joints()
+    assert joints(supervisor) == ARM
+    assert any(f"no message names '{FINGER}': taken as fixed at zero" in line for line in said)
+    assert feed(supervisor) > 100
+    clock.now += 2.0 * module._PUBLISHERS_START
+    supervisor.lock_absent_joints()
+    assert supervisor.worker is not None
+    assert supervisor.worker.session.identifier.counts.taken > 100, "all is settled: no rows are lost"
+
+
+def test_they_move_again_when_they_are_heard(node: tuple[Supervisor, list[str]], clock: Clock) -> None:
+    supervisor, _ = node
+    for finger, expected in ((False, ARM), (True, (*ARM, FINGER))):
+        supervisor.lock_absent_joints()
+        feed(supervisor, finger)
+        clock.now += 2.0 * module._PUBLISHERS_START
+        supervisor.lock_absent_joints()
+        assert joints(supervisor) == expected
+    assert feed(supervisor, finger=True) > 100
