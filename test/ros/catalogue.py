@@ -189,6 +189,6 @@ CATALOGUE = (
 
 
 def table() -> str:
-    """The catalogue as README has it."""
+    """The catalogue as the page of faults has it."""
     rows = [f"| {entry.number} | {entry.fault} | {entry.answer} |" for entry in CATALOGUE]
     return "\n".join(["| # | fault | answer |", "|---|---|---|", *rows])
