@@ -16,9 +16,9 @@ import numpy as np
 import pytest
 import yaml
 
-from geomid_ros.commands.root import main
+from geomid_ros.commands.root import root
 from geomid_ros.session.configuration import PARAMETERS, Configuration
-from geomid_ros.simulation.hidden import Hidden
+from geomid_ros.simulation import EFFECTS, NOTHING, parse_hidden
 
 from .reading import DOCUMENTS, NOTEBOOK, ROOT, Block, blocks, cells, spans, text_of
 
@@ -37,7 +37,9 @@ def lines(document: str) -> Iterator[str]:
     for block in blocks(document):
         if block.language in ("", "bash", "console"):
             yield from block.text.replace("\\\n", " ").splitlines()
-    yield from (span for span in spans(document) if " " in span)
+    for span in spans(document):
+        if " " in span:
+            yield f"{span} VALUE" if re.search(r" --[\w-]+$", span) else span
 
 
 def commands(document: str) -> Iterator[list[str]]:
@@ -51,9 +53,9 @@ def commands(document: str) -> Iterator[list[str]]:
 @pytest.mark.parametrize("document", DOCUMENTS)
 def test_commands_exist_with_their_options(document: str) -> None:
     """The parser of the command line takes them; values are checked where they are one of a few."""
-    context = click.Context(main)
+    context = click.Context(root)
     for name, *arguments in commands(document):
-        command = main.get_command(context, name)
+        command = root.get_command(context, name)
         assert command is not None, f"{document}: geomid {name}"
         of_it = click.Context(command)
         values, _, _ = command.make_parser(of_it).parse_args(list(arguments))
@@ -62,13 +64,13 @@ def test_commands_exist_with_their_options(document: str) -> None:
                 if isinstance(parameter.type, click.Choice):
                     assert value in parameter.type.choices, f"{document}: {value}"
                 if parameter.name == "hide":
-                    Hidden.parse(value) if hasattr(Hidden, "parse") else None
+                    assert parse_hidden(value).effect in {*EFFECTS, NOTHING}, f"{document}: {value}"
 
 
 def test_the_commands_are_seen() -> None:
     found = [name for document in DOCUMENTS for name, *_ in commands(document)]
     assert len(found) > 40
-    assert set(found) == set(main.list_commands(click.Context(main))) - {"demo"}
+    assert set(found) == set(root.list_commands(click.Context(root))) - {"demo"}
 
 
 @pytest.mark.parametrize("document", DOCUMENTS)
