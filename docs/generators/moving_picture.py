@@ -168,6 +168,15 @@ def true_masses(session: Session) -> FloatArray:
     return np.array([sum(masses.get(name, 0.0) for name in (body.name, *body.merged)) for body in session.robot.bodies])
 
 
+def one_below_another(pictures: list[Image.Image]) -> Image.Image:
+    """All in one, for the colours that they share."""
+    width, height = pictures[0].size
+    sheet = Image.new("RGB", (width, height * len(pictures)))
+    for number, picture in enumerate(pictures):
+        sheet.paste(picture, (0, number * height))
+    return sheet
+
+
 def main() -> None:
     """Identify, draw, write the GIF."""
     session = Session(URDF.read_text(encoding="utf-8"), Configuration(WRENCH, "the moving picture"), str(URDF))
@@ -179,7 +188,7 @@ def main() -> None:
     nominal_rms = session.rms(held_out, session.nominal_parameters)
     truth = true_masses(session)
     pictures = [frame(session, moment, view, nominal_rms, truth) for moment in found]
-    palette = pictures[-1].quantize(128, dither=Image.Dither.NONE)
+    palette = one_below_another(pictures[::4]).quantize(192, dither=Image.Dither.NONE)
     first, *others = [picture.quantize(palette=palette, dither=Image.Dither.NONE) for picture in pictures]
     durations = [MILLISECONDS] * (len(pictures) - 1) + [PAUSE]
     first.save(PICTURE, save_all=True, append_images=others, duration=durations, loop=0, optimize=True)
