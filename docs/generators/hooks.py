@@ -89,3 +89,8 @@ def on_page_markdown(markdown: str, *, page: Page, **_: Any) -> str:
         return f"{mark}[{text}]({posixpath.relpath(target, posixpath.dirname(here))}{anchor or ''})"
 
     return _LINK.sub(followed, markdown)
+
+
+def on_page_content(html: str, **_: Any) -> str:
+    """Docstrings name what they mean with its kind, as Sphinx reads it: ``:attr:`` and the like."""
+    return re.sub(r":(?:attr|class|data|exc|func|meth|mod):<code>~?", "<code>", html)
