@@ -22,7 +22,7 @@ class Fault:
     """A fault that is planted.
 
     Attributes:
-        row: of the list of faults that were seen.
+        row: of the list of faults that were seen; 0 if it is not in it.
         name: what is wrong.
         plant: plants it.
         sizes: three of them; places of joints count from the base, those below zero from the tip.
@@ -238,6 +238,31 @@ def _infinite(recording: Recording, speed: float) -> Recording:
     return replace(recording, velocity=velocity)
 
 
+def _tared(recording: Recording, where: tuple[int, float]) -> Recording:
+    """One joint's, after a third of the time, by so many standard deviations."""
+    joint, size = where
+    effort = recording.effort.copy()
+    effort[len(effort) // 3 :, joint] += size * np.std(effort[:, joint])
+    return _efforts(recording, effort)
+
+
+def _held(recording: Recording, rate: float) -> Recording:
+    times = recording.stamps - recording.stamps[0]
+    return _efforts(recording, recording.effort[np.searchsorted(times, np.floor(times * rate) / rate)])
+
+
+def _cut(recording: Recording, size: float) -> Recording:
+    """Where they are smaller than so many standard deviations."""
+    effort = recording.effort
+    return _efforts(recording, np.where(np.abs(effort) < size * np.std(effort, axis=0), 0.0, effort))
+
+
+def _copied(recording: Recording, joint: int) -> Recording:
+    effort = recording.effort.copy()
+    effort[:, joint] = effort[:, joint - 1]
+    return _efforts(recording, effort)
+
+
 FAULTS = [
     Fault(row=71, name="wraps", plant=_wrapped, sizes=(0.5, 0.3, 0.8), noted="jump by whole turns"),
     Fault(row=73, name="positions jump", plant=_glitching, sizes=(1.5, 0.3, -3.0), noted="jumps, and back"),
@@ -280,6 +305,11 @@ FAULTS = [
         wrench=True,
     ),
     Fault(row=84, name="wrench turned", plant=_wrench(_turned), sizes=(0, 1, 2), kind="wrench", wrench=True),
+    Fault(row=0, name="offset set", plant=_tared, sizes=((0, 1.0), (1, -1.0), (2, 1.5)), kind="offset",
+        joints=lambda where: where[:1]),
+    Fault(row=0, name="held efforts", plant=_held, sizes=(5.0, 3.0, 10.0), kind="stream"),
+    Fault(row=0, name="dead band", plant=_cut, sizes=(0.5, 0.3, 0.8), kind="stream"),
+    Fault(row=0, name="copied efforts", plant=_copied, sizes=(1, 2, -1), kind="stream"),
     Fault(row=90, name="wrench late", plant=_late, sizes=(0.3, 1.0, 3.0), kind="wrench", wrench=True),
 ]  # fmt: skip
 """What is planted."""

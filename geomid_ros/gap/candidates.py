@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TypeAlias
 
 from geomid_ros.model.columns import Columns, column_of
@@ -35,6 +36,13 @@ class EffectTerm:
     effect: Effect
     place: Place
     index: int = 0
+
+    def __hash__(self) -> int:
+        return self._hash
+
+    @cached_property
+    def _hash(self) -> int:  # it is looked up very often
+        return hash((self.effect, self.place, self.index))
 
     @property
     def joints(self) -> tuple[int, ...]:

@@ -52,7 +52,7 @@ class GapSettings:
 
 
 _DEFAULT = GapSettings()
-_FEWEST_ROWS = 100
+_FEWEST_ROWS = 30  # of fewer no channel tells its noise
 _SPREAD_OF_EFFECTS = 0.02  # of the coefficients that the model already has, relative
 _LEAST_SHARE = 0.01  # of what is measured: what was found so small was found no better than this
 _CERTAINTY_OF_IDENTIFIED = 100.0  # what was identified is hardly ever as wrong as a drawing

@@ -38,12 +38,13 @@ class RecordingCheck:
         self._instants = Instants()
         self._stretch = Stretch()
         self._judged_at = 0.0
+        self.remarks: list[str] = []
+        """What to know of a recording that may be right, once it has been judged."""
 
     def add(self, samples: Samples) -> None:
         """Take samples, in the order of time of each recording."""
         self._instants.add(samples)
-        if self._sensors:
-            self._stretch.add(samples)
+        self._stretch.add(samples)
 
     @property
     def due(self) -> bool:
@@ -55,7 +56,10 @@ class RecordingCheck:
         samples, self._judged_at = self._instants.samples, self._instants.taken
         if samples is None:
             return ()
-        efforts = EffortCheck(self._model, samples, self._gains).findings() if self._efforts_alone else []
+        efforts = []
+        if self._efforts_alone:
+            check = EffortCheck(self._model, samples, self._gains, self._stretch.samples)
+            efforts, self.remarks = check.findings(), check.remarks
         return (*efforts, *filter(None, map(self._wrench, self._sensors)))
 
     @property

@@ -11,12 +11,16 @@ import numpy as np
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.samples import Samples
 from geomid_ros.plausibility import words
+from geomid_ros.plausibility.changes import Changes
 from geomid_ros.plausibility.evidence import LEAST_SIGMA, Evidence
+from geomid_ros.plausibility.flexible import FlexibleFit
 from geomid_ros.plausibility.hypotheses import FOLLOWS, GAIN_OF_ORDER, Cause, Finding, Hypothesis, decide
 from geomid_ros.plausibility.instants import FEWEST
+from geomid_ros.plausibility.lags import Lags, Pairs
 from geomid_ros.plausibility.names import exchanges_of_names
 from geomid_ros.plausibility.readings import Efforts, Reading, World, as_it_is
 from geomid_ros.plausibility.rows import gravity_rows, prior_factor
+from geomid_ros.plausibility.unmeasured import frozen, is_model
 from geomid_ros.types import FloatArray
 
 MEASURED = 0.5
@@ -35,12 +39,15 @@ _ABSURD = 30.0
 class EffortCheck:
     """Compares what the efforts of a recording may be."""
 
-    def __init__(self, model: MeasurementModel, samples: Samples, gains: FloatArray) -> None:
+    def __init__(
+        self, model: MeasurementModel, samples: Samples, gains: FloatArray, dense: Samples | None = None
+    ) -> None:
         """
         Args:
             model: of the robot.
             samples: a few instants of the recording.
             gains: ``(joints,)`` factors that the messages' efforts were multiplied by.
+            dense: all instants of a stretch of it, to find a delay.
         """
         self._model = model
         self._robot = model.robot
@@ -49,8 +56,8 @@ class EffortCheck:
         changes = np.array([_changes(effort) for effort in samples.effort.T], dtype=bool)
         self._constant = [self._robot.joint_names[j] for j in np.flatnonzero(measured & moves & ~changes)]
         self._joints = np.flatnonzero(measured & changes)
-        usable = np.all(np.isfinite(samples.effort[:, self._joints]), axis=1)
-        self._samples = samples.select(usable)
+        self._samples = self._usable(samples)
+        self._pairs = Pairs.of(self._usable(dense)) if dense is not None else None
         self._gains = gains[self._joints]
         self._names = [self._robot.joint_names[joint] for joint in self._joints]
         limits = self._robot.effort_limits[self._joints]
@@ -58,18 +65,26 @@ class EffortCheck:
         """The largest efforts as shares of the URDF's limits ``(C,)``."""
         self._factor = prior_factor(model)
         self._enough = len(self._samples) >= FEWEST and bool(np.any(moves)) and len(self._joints) > 0
+        self.remarks: list[str] = []
+        """What to know of efforts that may be right, once they have been judged."""
+
+    def _usable(self, samples: Samples) -> Samples:
+        return samples.select(np.all(np.isfinite(samples.effort[:, self._joints]), axis=1))
 
     def findings(self) -> list[Finding]:
         """What is wrong; empty if nothing is, or nothing can be told."""
         found = [Finding(cause=words.constant(self._constant))] if self._constant else []
         if self._enough:
-            own = self._judged()
+            efforts = self._efforts(self._samples)
+            world = World(efforts, self._robot.gravity)
+            fit = FlexibleFit(world, self._samples, self._joints)
+            found += [Finding(cause=c) for c in frozen(self._names, self._samples, world.measured, fit.rigid)]
+            own = self._judged(efforts, world, fit)
             found += [own] if own is not None else []
+            self.remarks = [words.MODEL] if is_model(world.measured, world.predicted) else []
         return found
 
-    def _judged(self) -> Finding | None:
-        efforts = self._efforts(self._samples)
-        world = World(efforts, self._robot.gravity)
+    def _judged(self, efforts: Efforts, world: World, fit: FlexibleFit) -> Finding | None:
         nominal = world.judge(as_it_is(len(self._joints)))
         tried = [
             *self._signs(world),
@@ -79,6 +94,8 @@ class EffortCheck:
             *self._gravities(efforts),
             *self._compensated(efforts),
             *self._degrees(),
+            *Changes(self._model, self._samples, self._joints, efforts, fit).hypotheses(nominal),
+            *self._late(nominal),
         ]
         best = max([nominal, *(h.evidence for h in tried if h.allowed)], key=lambda found: found.log)
         if np.all(best.sigmas > FOLLOWS):
@@ -183,7 +200,7 @@ class EffortCheck:
             direction = start * gravity / max(float(np.linalg.norm(gravity)), 1e-9)
             other = World(efforts, size * direction)
             first = other.judge(as_it_is(count))
-            refined = efforts.fitted_gravity(efforts.prior + efforts.factor @ other.links(first))
+            refined = efforts.fitted_gravity(efforts.prior + efforts.factor @ other.links(first.links))
             refined /= max(float(np.linalg.norm(refined)), 1e-9)
             for aim in (direction, refined):
                 yield self._gravity(efforts, size * aim)
@@ -223,6 +240,11 @@ class EffortCheck:
         cause = words.degrees(self._names)
         possible = bool(np.any(turning & (beyond | wide)))
         yield self._tried(world, as_it_is(count), cause, range(count), 1, allowed=possible)
+
+    def _late(self, nominal: Evidence) -> Iterator[Hypothesis]:
+        if self._pairs is not None:
+            efforts = self._efforts(self._pairs.now)
+            yield from Lags(self._model, self._pairs, self._joints, efforts).hypotheses(nominal, len(self._samples))
 
     def _tried(
         self,

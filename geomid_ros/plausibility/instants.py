@@ -13,6 +13,8 @@ FEWEST = 30
 """Instants that a recording is judged on."""
 _MOST = 250
 _LONG = 800
+STEP = 20_000_000
+"""[ns] between the instants of a stretch, at least: of what is behind the filter they show all."""
 _APART = 100_000_000  # [ns] nearer instants say the same twice
 
 
@@ -61,18 +63,22 @@ class Instants:
 
 
 class Stretch:
-    """Keeps the last instants at which something moved: as many as tell a delay."""
+    """Keeps the last instants at which something moved, one of each 20 ms: as many as tell a delay."""
 
     def __init__(self) -> None:
         self._kept: deque[Samples] = deque()
         self._count = 0
+        self._last = -1  # 20 ms since the epoch
 
     def add(self, samples: Samples) -> None:
         """Take samples, in the order of time; where the clock is set back another recording begins."""
         if self._kept and samples.stamps[0] <= self._kept[-1].stamps[-1]:
             self._kept.clear()
             self._count = 0
-        moving = samples.select(np.any(np.abs(samples.velocity) > STILL, axis=1))
+        steps = samples.stamps // STEP
+        new = np.diff(steps, prepend=self._last) != 0
+        self._last = int(steps[-1])
+        moving = samples.select(new & np.any(np.abs(samples.velocity) > STILL, axis=1))
         if len(moving):
             self._kept.append(moving)
             self._count += len(moving)

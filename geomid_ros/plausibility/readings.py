@@ -90,7 +90,7 @@ class World:
             gravity: ``(3,)`` [m/s^2].
             weightless: what the URDF's links weigh is not in the efforts, while their errors' weight is.
         """
-        self._efforts, self._friction = efforts.measured, efforts.friction
+        self.measured, self._friction = efforts.measured, efforts.friction
         self.spread = efforts.spread
         regressor = efforts.still + np.tensordot(gravity, efforts.by_gravity, 1)
         self.predicted = (efforts.still if weightless else regressor) @ efforts.prior
@@ -102,6 +102,17 @@ class World:
         self._basis = vectors[:, values > _ROUNDING * values[-1]]
         self._columns = np.concatenate([whitened @ self._basis, self._friction], axis=2)
 
+    @property
+    def columns(self) -> FloatArray:
+        """What each channel's efforts may take beside the prediction ``(N, C, r + 4)``: of the links' errors, of unit
+        variance, and of friction."""
+        return self._columns
+
+    @property
+    def tolerated(self) -> FloatArray:
+        """Standard deviations of friction's coefficients, see :func:`evidence` ``(C, 4)``."""
+        return self._tolerated
+
     @cached_property
     def _unknowns(self) -> FloatArray:
         by_channel = self._columns.transpose(1, 2, 0)
@@ -110,8 +121,8 @@ class World:
     @cached_property
     def _crossed(self) -> FloatArray:
         """Columns of each channel times the measured efforts of all, and times its prediction ``(C, r + 4, C + 1)``."""
-        channels = self._efforts.shape[1]
-        both = np.concatenate([np.repeat(self._efforts[None], channels, 0), self.predicted.T[:, :, None]], axis=2)
+        channels = self.measured.shape[1]
+        both = np.concatenate([np.repeat(self.measured[None], channels, 0), self.predicted.T[:, :, None]], axis=2)
         return np.asarray(self._columns.transpose(1, 2, 0) @ both)
 
     @cached_property
@@ -131,7 +142,7 @@ class World:
         sign, scale = np.sign(reading.gains) / spread, 1.0 / (np.abs(reading.gains) * spread)
         rank = self._columns.shape[2] - 4
         weights = np.concatenate([np.repeat(scale[:, None], rank, 1), np.ones((len(channels), 4))], axis=1)
-        own = self._efforts[:, reading.sources]
+        own = self.measured[:, reading.sources]
         crossed = sign[:, None] * self._crossed[channels, :, reading.sources] - scale[:, None] * self._crossed[:, :, -1]
         target = sign * own - scale * self.predicted
         return Products(
@@ -151,14 +162,14 @@ class World:
         alike = crossed > _ALIKE * np.sqrt(size * np.sum(own**2, axis=0))
         return crossed / size, alike & (np.std(own, axis=0) > _PART * self.spread)
 
-    def links(self, found: Evidence) -> FloatArray:
-        """The errors ``(D,)`` of the links that evidence has found, in units of the factor of their covariance."""
-        return np.asarray(self._basis @ found.links)
+    def links(self, found: FloatArray) -> FloatArray:
+        """The links' errors ``(D,)`` in units of their covariance's factor, of those that evidence finds ``(r,)``."""
+        return np.asarray(self._basis @ found)
 
     def slopes(self) -> tuple[FloatArray, FloatArray]:
         """Of each channel the slope of what is measured over what the URDF predicts, and their squared correlation,
         both without what friction explains ``(C,)``."""
-        both = _without(self._friction, np.stack([self._efforts.T, self.predicted.T], axis=2))
+        both = _without(self._friction, np.stack([self.measured.T, self.predicted.T], axis=2))
         measured, predicted = both[:, :, 0], both[:, :, 1]
         crossed, own = np.sum(measured * predicted, axis=1), np.sum(predicted**2, axis=1)
         slopes = crossed / np.maximum(own, 1e-30)

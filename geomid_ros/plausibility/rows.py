@@ -70,14 +70,14 @@ def prior_factor(model: MeasurementModel) -> FloatArray:
     for index, body in enumerate(robot.bodies):
         covariance = (_SPREAD * blocks[index]) @ (_SPREAD * blocks[index]).T
         if len(robot.subtree(body.name)) == 1:
-            payload = _payload(bodies, index)
+            payload = payload_factor(bodies, index)
             covariance += payload @ payload.T
         values, vectors = np.linalg.eigh(covariance)
         factor[10 * index : 10 * index + 10, 10 * index : 10 * index + 10] = vectors * np.sqrt(np.maximum(values, 0.0))
     return factor
 
 
-def _payload(bodies: FloatArray, carrier: int) -> FloatArray:
+def payload_factor(bodies: FloatArray, carrier: int) -> FloatArray:
     """A factor ``(10, 10)`` of the covariance of what the link ``carrier`` may carry."""
     mass = _PAYLOAD * float(np.sum(bodies[:, 0]))
     ball = pseudo_inertia.assemble(

@@ -103,6 +103,117 @@ def no_gravity(joints: Sequence[str]) -> Cause:
     return Cause(kind="compensated", sentence=sentence, settings=settings, places=tuple(joints))
 
 
+def from_on(time: float) -> str:
+    """When something is another."""
+    return f"from about {time:.0f} s after the beginning on"
+
+
+def until(time: float) -> str:
+    """When something is another."""
+    return f"until about {time:.0f} s after the beginning"
+
+
+BIT_BY_BIT = "in the course of the recording, bit by bit"
+"""How something changes."""
+_APART = "record again, or use the part before or the part after that alone"
+
+
+def change(joint: str, size: float, unit: str) -> str:
+    """By how much the effort of a joint is another."""
+    return f"'{joint}' by {size:+.3g} {unit}"
+
+
+def other_offset(joints: Sequence[str], said: Sequence[str], when: str) -> Cause:
+    """The constant part of efforts changes."""
+    sentence = (
+        f"efforts are shifted {when}, whatever the robot does: {', '.join(said)}; was a sensor set to zero, or does "
+        f"something else act there? {_advice(when)}"
+    )
+    return Cause(kind="offset", sentence=sentence, places=tuple(joints))
+
+
+def gain_changes(joints: Sequence[str], factor: float, when: str, of_all: bool) -> Cause:
+    """Efforts change by a factor."""
+    who = "the efforts of all joints" if of_all else f"the effort of joint '{joints[0]}'"
+    sentence = (
+        f"{who} changed to {factor:.2f} times as much {when}: does the unit change, or the torque of a motor with its "
+        f"warmth? {_advice(when)}"
+    )
+    return Cause(kind="drift", sentence=sentence, places=tuple(joints))
+
+
+def gravity_goes(joints: Sequence[str], when: str) -> Cause:
+    """Gravity is in the efforts for a part of the time."""
+    sentence = f"gravity is not in the efforts {when}: its compensation is switched; {_APART}"
+    return Cause(kind="switched", sentence=sentence, places=tuple(joints))
+
+
+def payload_changes(link: str, mass: float, joints: Sequence[str], when: str) -> Cause:
+    """Something is taken up or put down."""
+    what = "more" if mass > 0.0 else "less"
+    sentence = (
+        f"'{link}' carries about {abs(mass):.2g} kg {what} {when}: something is taken up or put down; identify the "
+        f"robot without it from a recording without it ({_APART})"
+    )
+    return Cause(kind="load", sentence=sentence, places=tuple(joints))
+
+
+def displaced(joint: str, size: float, turns: bool) -> str:
+    """By how much the position of a joint is off."""
+    return f"'{joint}' by {np.degrees(size):+.0f} degrees" if turns else f"'{joint}' by {1000.0 * size:+.0f} mm"
+
+
+def other_zero(joints: Sequence[str], said: Sequence[str], when: str) -> Cause:
+    """Positions are others than they were."""
+    sentence = (
+        f"positions are off {when}: {', '.join(said)}; does a coupling slip, or was an encoder set to zero? "
+        f"{_advice(when)}"
+    )
+    return Cause(kind="slip", sentence=sentence, places=tuple(joints))
+
+
+def _advice(when: str) -> str:
+    return "Mend that and record again" if when == BIT_BY_BIT else _APART[0].upper() + _APART[1:]
+
+
+def all_late(joints: Sequence[str], lag: float) -> Cause:
+    """All efforts are late or early."""
+    first, second = ("efforts", "positions") if lag > 0.0 else ("positions", "efforts")
+    held = "they are filtered, held or polled in the driver" + (", or positions are set-points" if lag > 0.0 else "")
+    sentence = (
+        f"the {first} come about {1000.0 * abs(lag):.0f} ms later than the {second} that they belong to: {held}. "
+        "Record both as they are measured, with the stamp of that time (a delay alone is found by 'geomid gap')"
+    )
+    return Cause(kind="late", sentence=sentence, places=tuple(joints))
+
+
+def some_late(joints: Sequence[str], lags: Iterable[float]) -> Cause:
+    """The efforts of some joints are late or early."""
+    times = [f"{1000.0 * abs(lag):.0f} ms {'late' if lag > 0.0 else 'early'}" for lag in lags]
+    said = ", ".join(f"'{joint}' about {time}" for joint, time in zip(joints, times, strict=True))
+    sentence = (
+        f"efforts do not come at the time of the motion that they belong to: that of {said}; are they filtered or held "
+        "in the driver, or polled one after the other? Record all joints with the stamp of their measurement"
+    )
+    return Cause(kind="late", sentence=sentence, places=tuple(joints))
+
+
+def frozen(joint: str, begin: float, end: float, asked: float) -> Cause:
+    """An effort stays the same for a while."""
+    sentence = (
+        f"the effort of joint '{joint}' is exactly the same from about {begin:.0f} s to {end:.0f} s, while gravity and "
+        f"motion change what is needed by {asked:.3g}: it is not measured then; leave that part out"
+    )
+    return Cause(kind="constant", sentence=sentence, places=(joint,))
+
+
+MODEL = (
+    "the efforts are those of the URDF's own model, without friction or errors: a simulation of it, or what a "
+    "controller computes. If a robot was to be measured, record its measured efforts"
+)
+"""What efforts are that nobody measures."""
+
+
 def unrelated(joints: Sequence[str]) -> Cause:
     """No model explains the efforts."""
     sentence = (

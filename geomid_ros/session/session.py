@@ -129,7 +129,7 @@ class Session:
             batches: samples on which it is compared with the URDF; none to compare on its own rows.
         """
         worse = worse_channels(self.model, batches, estimate.parameters) if batches else worse_on_rows(estimate)
-        peculiar = peculiarities(self.pipeline.ledger.topics)
+        peculiar = [*peculiarities(self.pipeline.ledger.topics), *self.check.remarks]
         return verdict(estimate, self.findings, self.model, worse, self.check.unmeasured, peculiar)
 
     def warnings(self, estimate: Estimate | None = None, verdict: Verdict | None = None) -> list[str]:

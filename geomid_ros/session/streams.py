@@ -5,10 +5,13 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from geomid_ros.plausibility.hypotheses import Cause, Finding
+from geomid_ros.signals.effort_habits import COARSE
 from geomid_ros.signals.gates import CLOCK_SET
 from geomid_ros.signals.joint_messages import DRIVER_ERROR, UNWRAPPED
 from geomid_ros.signals.ledger import Account
 from geomid_ros.signals.sampler import SCALED
+
+_TOLD = (CLOCK_SET, UNWRAPPED, SCALED, COARSE)
 
 
 def faulty_streams(accounts: Mapping[str, Account], before: Mapping[str, Account]) -> list[Finding]:
@@ -37,5 +40,5 @@ def peculiarities(accounts: Mapping[str, Account]) -> list[str]:
             ((reason, most),) = account.rejected.most_common(1)
             refused = f"{account.rejected.total()} of {account.received} messages are refused"
             found.append(f"{topic}: {refused}, {most} of them: {reason}")
-        found += [f"{topic}: {remark}" for remark in account.noted if remark.endswith((CLOCK_SET, UNWRAPPED, SCALED))]
+        found += [f"{topic}: {remark}" for remark in account.noted if remark.endswith(_TOLD)]
     return found

@@ -7,6 +7,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from geomid_ros.signals.arrived import plausible
+from geomid_ros.signals.effort_habits import EffortHabits
 from geomid_ros.signals.joint_names import missing_joint
 from geomid_ros.signals.messages import Block
 from geomid_ros.signals.saturation import STANDING, SaturationDetector
@@ -57,6 +58,7 @@ class JointReader:
         self._names: tuple[str, ...] = ()
         self._order = np.zeros(len(joints), dtype=np.int64)
         self._saturation = SaturationDetector(len(joints))
+        self._habits = EffortHabits(joints, continuous | self._turning, lambda what: note(DRIVER_ERROR + what), note)
         self.restart()
 
     def restart(self) -> None:
@@ -151,6 +153,7 @@ class JointReader:
             stamps, numbers, speeds = stamps[taken], numbers[taken], speeds[taken]
         if len(stamps):
             self._check_effort(stamps, numbers, speeds > STANDING)
+            self._habits.add(stamps, numbers[:, 0], numbers[:, 2])
             self._stamp, self._last = int(stamps[-1]), numbers[-1].copy()
             self._raw, self._turns = positions[taken][-1], turns[taken][-1]
         return numbers.reshape(len(stamps), 3 * len(self._joints)), taken

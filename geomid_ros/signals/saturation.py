@@ -10,6 +10,7 @@ STANDING = 1e-2
 """[rad/s, m/s] a slower robot may send the same numbers twice."""
 _SHORTEST, _FEWEST = 50_000_000, 6  # [ns], messages: a saturated effort is exactly the largest for at least so long
 _FAR, _FLATTER = 9, 3  # sensor steps below the largest; times as long at the largest as the rise from there took
+_LONGER = 2  # times as long as smaller efforts stay the same
 _MOSTLY = 0.75  # the largest share of all messages in which a saturated effort is the largest
 _NEVER = -(2**60)  # the number of a message
 
@@ -30,6 +31,7 @@ class SaturationDetector:
         self._step = np.full(joints, np.inf)  # smallest change of an effort, at least its sensor's resolution
         self._messages = 0
         self._at_largest = np.zeros(joints, dtype=np.int64)  # of the messages so far
+        self._held = np.zeros(joints, dtype=np.int64)  # messages in which a smaller effort stayed the same
         self.restart()
 
     def restart(self) -> None:
@@ -38,6 +40,7 @@ class SaturationDetector:
         # Numbers of the last messages with the effort below the largest, and far below it.
         self._last_below = np.full(self._joints, self._messages)
         self._last_far = np.full(self._joints, _NEVER)
+        self._begun = np.full(self._joints, self._messages)  # since when efforts have been the same
         self._moved = np.zeros(self._joints, dtype=np.bool_)  # while its effort has been the largest
 
     def saturated(
@@ -74,7 +77,9 @@ class SaturationDetector:
         moves = np.where(largest & ~(np.abs(velocity) < STANDING), numbers, _NEVER)
         moved = (_latest(moves, np.full(self._joints, _NEVER)) > last_below) | (self._moved & ~ended)
         count = self._at_largest + np.cumsum(largest, axis=0)
+        held = self._learn_held(numbers, effort != last, np.abs(last), record, grown, moving)
         longest = _FEWEST + _FLATTER * (last_below - last_far)  # that rounding could explain
+        longest = np.maximum(longest, _LONGER * held)
         found: BoolArray = (numbers - last_below >= longest) & moved & moving[:, None]
         found &= (count < _MOSTLY * numbers) & (stamps[:, None] - since >= _SHORTEST)
         self._messages += len(stamps)
@@ -109,6 +114,36 @@ class SaturationDetector:
         last_far = _latest(np.where(size < far, numbers, were_far), self._last_far)
         self._largest, self._step, self._last_far = largest[-1], step[-1], last_far[-1]
         return largest[1:], grown, last_far
+
+    def _learn_held(
+        self,
+        numbers: IntArray,
+        new: BoolArray,
+        last: FloatArray,
+        largest: FloatArray,
+        grown: BoolArray,
+        moving: BoolArray,
+    ) -> IntArray:
+        """Learn for how many messages efforts stay the same though they are not the largest: those of a driver that
+        renews them seldom do.
+
+        Args:
+            numbers: of the messages ``(N, joints)``.
+            new: whether efforts are others than those before ``(N, joints)``.
+            last: sizes of those before ``(N, joints)``.
+            largest: ``(N, joints)`` so far.
+            grown: where one is larger than ever ``(N, joints)``.
+            moving: ``(N,)`` whether the robot moves.
+
+        Returns:
+            ``(N, joints)`` the most messages so far.
+        """
+        begun = _latest(np.where(new | ~moving[:, None], numbers, _NEVER), self._begun)
+        begun_before = np.vstack([self._begun, begun[:-1]])
+        counts = np.where(new & moving[:, None] & (grown | (last < largest)), numbers - begun_before, 0)
+        held = _latest(counts, self._held)
+        self._begun, self._held = begun[-1], held[-1]
+        return held
 
 
 def _latest(numbers: IntArray, before: IntArray) -> IntArray:

@@ -218,7 +218,7 @@ def without_names(folder: Path) -> Path:
 
 CASES: dict[str, tuple[Callable[[Path], Arguments], str]] = {
     "too short for the filter": (lambda f: (cut(f, 0.3), "--urdf", URDF), r"cut: no usable samples. it is shorter"),
-    "too short to say anything": (lambda f: (cut(f, 4.0), "--urdf", URDF), r"cut: too short: .*record half a minute"),
+    "too short to say anything": (lambda f: (cut(f, 2.5), "--urdf", URDF), r"cut: too short: .*record half a minute"),
     "without motion": (standing, r"still: no joint moves: record a motion"),
     "without efforts": (without_efforts, r"silent: no effort is measured.*joint1, joint2, joint3"),
     "nothing to judge on": (

@@ -82,31 +82,33 @@ def test_blocks_are_equal_parts_of_time() -> None:
 
 def test_crossed_products_are_those_with_a_candidate_s_columns() -> None:
     candidate = Candidate(ViscousFriction(), AtJoint(0), (BOTH, SECOND), 2.0)
-    cross, own = DESIGN.cross([1], [FIRST], candidate)
+    found = DESIGN.own([candidate], [1], [FIRST])
     assert DESIGN.reached(candidate) == [0, 1]
     for channel in range(CHANNELS):
         mine = stacked(channel, [], [BOTH, SECOND])[:, 10 * LINKS : -1]
-        np.testing.assert_allclose(cross[channel], mine.T @ stacked(channel, [1], [FIRST]), atol=1e-10)
-        np.testing.assert_allclose(own[channel], mine.T @ mine, atol=1e-10)
+        np.testing.assert_allclose(found.crossed[0, channel], mine.T @ stacked(channel, [1], [FIRST]), atol=1e-10)
+        np.testing.assert_allclose(found.squared[0, channel], mine.T @ mine, atol=1e-10)
 
 
-def test_only_channels_that_a_candidate_reaches_are_crossed() -> None:
+def test_products_of_a_candidate_are_zero_in_channels_that_it_does_not_reach() -> None:
+    both = Candidate(ViscousFriction(), AtJoint(0), (BOTH,), 1.0)
     candidate = Candidate(ViscousFriction(), AtJoint(2), (SECOND,), 1.0)
     assert DESIGN.reached(candidate) == [1]
-    cross, own = DESIGN.cross([], [], candidate)
-    assert (cross.shape, own.shape) == ((1, 1, 10 * LINKS + 1), (1, 1, 1))
+    found = DESIGN.own([both, candidate], [], [])
+    assert (found.crossed.shape, found.squared.shape) == ((2, CHANNELS, 1, 10 * LINKS + 1), (2, CHANNELS, 1, 1))
     mine = white(1, COLUMNS[SECOND][1])
-    np.testing.assert_allclose(own[0, 0, 0], mine @ mine)
+    np.testing.assert_allclose(found.squared[1, :, 0, 0], [0.0, mine @ mine])
+    assert not np.any(found.crossed[1, 0])
 
 
 def test_a_payload_has_the_columns_of_its_link() -> None:
     candidate = Candidate(Payload(), OnLink(1, 1), (), 4.0)
     assert DESIGN.reached(candidate) == [0, 1]
-    cross, own = DESIGN.cross([], [FIRST], candidate)
+    found = DESIGN.own([candidate], [], [FIRST])
     for channel in range(CHANNELS):
         mine = stacked(channel, [], [])[:, 10:20]
-        np.testing.assert_allclose(cross[channel], mine.T @ stacked(channel, [], [FIRST]), atol=1e-10)
-        np.testing.assert_allclose(own[channel], mine.T @ mine, atol=1e-10)
+        np.testing.assert_allclose(found.crossed[0, channel], mine.T @ stacked(channel, [], [FIRST]), atol=1e-10)
+        np.testing.assert_allclose(found.squared[0, channel], mine.T @ mine, atol=1e-10)
 
 
 class TestColumns:

@@ -14,7 +14,7 @@ from geomid_ros.gap.evidence.noise import Autoregression
 from geomid_ros.gap.evidence.record import Records
 from geomid_ros.gap.fitting.fit import JointFit, fit, unfitted
 from geomid_ros.gap.fitting.linearised_problem import LinearisedProblem, total_model
-from geomid_ros.gap.search.score_test import improvement
+from geomid_ros.gap.search.score_test import score_test
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.types import FloatArray
 
@@ -139,7 +139,7 @@ def test_a_payload_is_reached_from_afar() -> None:
 @pytest.mark.parametrize(("effect", "joint"), [("viscous_friction", 1), ("coulomb_friction", 1), ("effort_offset", 2)])
 def test_the_score_test_foretells_the_exact_fit(design: Design, bare: JointFit, effect: str, joint: int) -> None:
     candidate = named(effect, joint)
-    gain, _ = improvement(design, bare, candidate)
+    gain = score_test(design, bare, candidate).gain
     exact = bare.score - fit(design, planted.prior(), [candidate], bare, bare.spreads).score
     assert abs(gain - exact) < 0.02 * abs(exact) + 0.5
 
@@ -148,7 +148,7 @@ def test_separability_is_one_beside_the_inertias_and_none_within(design: Design)
     """No inertia imitates viscous friction; the rotor of the first, upright joint is an inertia of its link."""
     free = fit(design, planted.prior(), [], spread=2.0)
     separable: Mapping[tuple[str, int], float] = {
-        (effect, joint): improvement(design, free, named(effect, joint))[1]
+        (effect, joint): score_test(design, free, named(effect, joint)).separability
         for effect, joint in (("viscous_friction", 0), ("viscous_friction", 1), ("rotor_inertia", 0))
     }
     assert separable["viscous_friction", 0] > 0.9

@@ -19,7 +19,7 @@ from geomid_ros.gap.fitting.prior import Prior
 from geomid_ros.gap.judgement.blocks import generalises, scattered
 from geomid_ros.gap.judgement.naming import parameters
 from geomid_ros.gap.search.beam_search import Search
-from geomid_ros.gap.search.score_test import improvement
+from geomid_ros.gap.search.score_test import score_test
 from geomid_ros.geometry import pseudo_inertia, spd
 from geomid_ros.model.effects import AtSensor
 from geomid_ros.model.effects.wrench_offset import WrenchOffset
@@ -280,7 +280,7 @@ class TestScoreTest:
         recording.coefficients[:, 1] *= 1e-3  # else the other channel tells the inertias, and they imitate less
         design = recording.design({TERM: 0.3})
         current = fit(design, replace(PRIOR, certainty=1e6, spread=50.0), [OFFSET], spread=50.0)
-        _, separability = improvement(design, current, VISCOUS)
+        separability = score_test(design, current, VISCOUS).separability
         others = np.column_stack([recording.coefficients[:, 0], recording.columns[OFFSET.terms[0]]])
         column = recording.columns[TERM]
         left = column - others @ np.linalg.lstsq(others, column)[0]
@@ -290,32 +290,33 @@ class TestScoreTest:
         recording = Recording(7, NAMES)
         recording.columns[OFFSET.terms[0]] = 2.0 * recording.columns[TERM]
         design = recording.design({TERM: 0.3})
-        gain, separability = improvement(design, fit(design, PRIOR, [VISCOUS]), OFFSET)
-        assert gain < 0.0
-        assert separability < 1e-3
+        trial = score_test(design, fit(design, PRIOR, [VISCOUS]), OFFSET)
+        assert trial.gain < 0.0
+        assert trial.separability < 1e-3
 
     def test_more_parameters_cost_the_logarithm_of_the_number_of_rows(self) -> None:
         design = designed(1)
         bare = fit(design, PRIOR, [])
-        gains = [improvement(design, bare, at("viscous_friction", 0, penalty=penalty))[0] for penalty in (0.0, 2.5)]
+        gains = [score_test(design, bare, at("viscous_friction", 0, penalty=penalty)).gain for penalty in (0.0, 2.5)]
         assert gains[0] - gains[1] == pytest.approx(2.5 * np.log(ROWS))
 
     def test_what_reaches_nothing_or_has_the_wrong_sign_brings_nothing(self) -> None:
         recording = Recording(1, [COULOMB])
         design = recording.design({COULOMB.terms[0]: -0.3})
         bare = fit(design, PRIOR, [])
-        gain, separability = improvement(design, bare, COULOMB)
-        assert gain == -np.inf
-        assert separability > 0.5
-        assert improvement(design, bare, at("spring", 5)) == (-np.inf, 0.0)
+        trial = score_test(design, bare, COULOMB)
+        assert trial.gain == -np.inf
+        assert trial.separability > 0.5
+        nowhere = score_test(design, bare, at("spring", 5))
+        assert (nowhere.gain, nowhere.separability) == (-np.inf, 0.0)
         positive = Recording(1, [COULOMB]).design({COULOMB.terms[0]: 0.3})
-        assert improvement(positive, fit(positive, PRIOR, []), COULOMB)[0] > 100.0
+        assert score_test(positive, fit(positive, PRIOR, []), COULOMB).gain > 100.0
 
     @pytest.mark.parametrize("value", [0.05, 0.3, 3.0])
     def test_it_foretells_the_gain_of_the_fit(self, value: float) -> None:
         design = designed(8, value)
         bare = fit(design, PRIOR, [])
-        gain, _ = improvement(design, bare, VISCOUS)
+        gain = score_test(design, bare, VISCOUS).gain
         exact = bare.score - fit(design, PRIOR, [VISCOUS], spread=float(bare.spreads[0])).score
         assert gain == pytest.approx(exact, rel=0.05, abs=1.0)
 

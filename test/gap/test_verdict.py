@@ -14,7 +14,7 @@ from geomid_ros.gap.judgement.confidence import moves_one_way
 from geomid_ros.gap.judgement.locate import located, share, strongest
 from geomid_ros.gap.judgement.naming import link_name, sentence, settled_by
 from geomid_ros.gap.result import Located, Unexplained
-from geomid_ros.gap.search.beam_search import Trial
+from geomid_ros.gap.search.score_test import Trial
 from geomid_ros.model.effects import EFFECTS, Quantity
 from geomid_ros.model.effects.stribeck_friction import SPEEDS
 from geomid_ros.model.moving import SIGN
@@ -138,7 +138,7 @@ def test_what_a_curve_says_is_said_once() -> None:
 
 
 def test_findings_come_with_the_one_that_matters_most_first(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(verdict, "improvement", lambda *_: (0.0, 1.7))
+    monkeypatch.setattr(verdict, "score_test", lambda *asked: Trial(asked[-1], 0.0, 1.7))
     monkeypatch.setattr(verdict.naming, "parameters", lambda *_: {"coefficient": Quantity(0.5, 0.01, "N m s/rad")})
     monkeypatch.setattr(verdict, "scattered", lambda _, found: found)
     beside = named("viscous_friction", 0)
@@ -159,7 +159,7 @@ def test_findings_come_with_the_one_that_matters_most_first(monkeypatch: pytest.
 def test_the_ranking_has_the_chosen_names_by_their_worth_and_then_the_best_of_the_others(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(verdict, "improvement", lambda *_: (3.0, 0.9))
+    monkeypatch.setattr(verdict, "score_test", lambda *asked: Trial(asked[-1], 3.0, 0.9))
     beside = named("spring", 0)
     judged = Judged(others=[beside, curve(2)], losses={beside: 2000.0})
     trials = [Trial(c, 50.0 - place, 0.5) for place, c in enumerate([*CANDIDATES[:25], curve(1)])]

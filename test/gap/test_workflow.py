@@ -88,7 +88,7 @@ def test_what_a_simulator_shows_too_is_no_gap() -> None:
 
 
 def test_too_little_is_refused() -> None:
-    short = planted.recording(planted.rigid(planted.true_inertias(1, 0.1)), 1, seconds=2.0)
+    short = planted.recording(planted.rigid(planted.true_inertias(1, 0.1)), 1, seconds=1.0)
     with pytest.raises(InputError, match="too short"):
         find_gap(planted.model(), [short], [short])
 
@@ -237,3 +237,14 @@ def test_friction_that_follows_reversals_late_is_no_delay(delay: float) -> None:
     result = find_gap(planted.model(), [planted.recording(efforts, 81)], [planted.recording(efforts, 1081, 15.0)])
     found = [f.parameters["delay"].value for f in result.findings if f.effect == "effort_delay"]
     assert np.allclose(found, [delay] if delay else [], atol=2e-3), found
+
+
+@pytest.mark.parametrize("seed", [21, 22])
+def test_three_seconds_are_enough_for_what_is_plain(seed: int) -> None:
+    """And what so short a recording cannot tell is not claimed."""
+    for extra, expected in ((PLANTED["viscous_friction"], [("viscous_friction", JOINTS[1])]), (lambda *_: 0.0, [])):
+        efforts = beside(seed, extra, 1)
+        recordings = [planted.recording(efforts, each, seconds=3.0) for each in (seed, seed + 1000)]
+        found = find_gap(planted.model(), recordings[:1], recordings[1:])
+        assert [(finding.effect, finding.joint) for finding in found.findings] == expected
+        assert np.all(np.isfinite(found.floor))

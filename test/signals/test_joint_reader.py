@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 
 from geomid_ros.signals.arrived import plausible
-from geomid_ros.signals.joint_messages import JointReader, RejectedError
+from geomid_ros.signals.joint_messages import DRIVER_ERROR, JointReader, RejectedError
 from geomid_ros.signals.joint_parts import JointParts
 from geomid_ros.signals.messages import JointMessage
 from geomid_ros.signals.sampler import VelocityChoice
@@ -267,3 +268,13 @@ class TestVelocityChoice:
         given = np.concatenate([np.full(1000, 1.5), np.full(1000, 1.0)])
         first = int(np.flatnonzero(self.chosen(given))[0]) - 1000
         assert first == pytest.approx(np.log(0.05**2 / 0.5**2) / np.log(0.99), abs=2)
+
+
+def test_efforts_that_are_held_are_the_driver_s_fault_and_told_once() -> None:
+    notes: list[str] = []
+    own = reader(notes)
+    for index in range(2000):
+        then = index // 20
+        read(own, replace(message(index), effort=(np.sin(0.3 * then), np.cos(0.3 * then))))
+    (note,) = notes
+    assert note.startswith(DRIVER_ERROR + "efforts of all joints come only every 0.2 s")

@@ -120,3 +120,13 @@ def test_an_effort_that_is_the_largest_for_a_moment_is_taken(rate: float, longes
         found = refused(pulses, rate)
         assert np.any(found) == expected
         assert not np.any(found & (pulses < 1.0))
+
+
+@pytest.mark.parametrize("held", [10, 20, 50])
+def test_efforts_that_a_driver_renews_seldom_are_not_saturated(held: int) -> None:
+    """Some of them are the largest so far, and as long the same as the others; but one that stays is."""
+    values = curve(0.31, 100.0, 6.0) * np.linspace(0.5, 1.0, int(6.0 / 0.31 * 100.0))
+    seen = values[np.arange(len(values)) // held * held]
+    assert not np.any(refused(seen, 100.0))
+    cut_off = np.clip(seen, -0.4, 0.4)
+    assert np.any(refused(cut_off, 100.0))

@@ -51,6 +51,15 @@ class ChannelProducts:
 
 
 @dataclass(frozen=True, eq=False)
+class CandidateProducts:
+    """Products of the k columns of each of G candidates: ``crossed`` with the n columns of a fit and its target
+    ``(G, C, k, n + 1)``, ``squared`` with each other ``(G, C, k, k)``; zero where a column does not reach a channel."""
+
+    crossed: FloatArray
+    squared: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
 class Design:
     """Products of all channels, for ``dimension`` inertial columns."""
 
@@ -110,17 +119,17 @@ class Design:
             return list(range(len(self.channels)))
         return [i for i, c in enumerate(self.channels) if any(term in c.place for term in candidate.terms)]
 
-    def cross(
-        self, bodies: Sequence[int], terms: Sequence[Term], candidate: AnyCandidate
-    ) -> tuple[FloatArray, FloatArray]:
-        """Products of a candidate's columns with those of :meth:`gather`, ``(R, k, n)``, and with themselves, in the R
-        channels that it reaches."""
+    def own(self, alike: Sequence[AnyCandidate], bodies: Sequence[int], terms: Sequence[Term]) -> CandidateProducts:
+        """Products of the columns of candidates, each of which has as many, with those of :meth:`gather`."""
+        crossed, squared = [], []
+        for channel in self.channels:
+            mine = np.array([self._own_places(channel, candidate) for candidate in alike])
+            others = np.array(self._places(channel, bodies, terms))
+            crossed.append(channel.products[mine[:, :, None], others])
+            squared.append(channel.products[mine[:, :, None], mine[:, None, :]])
+        return CandidateProducts(np.stack(crossed, axis=1), np.stack(squared, axis=1))
+
+    @staticmethod
+    def _own_places(channel: ChannelProducts, candidate: AnyCandidate) -> list[int]:
         body = candidate.payload
-        own = range(10 * body, 10 * body + 10) if body is not None else ()
-        with_others, with_own = [], []
-        for channel in [self.channels[index] for index in self.reached(candidate)]:
-            mine = [*own, *channel.gather(candidate.terms)]
-            index = self._places(channel, bodies, terms)
-            with_others.append(channel.products[np.ix_(mine, index)])
-            with_own.append(channel.products[np.ix_(mine, mine)])
-        return np.array(with_others), np.array(with_own)
+        return channel.gather(candidate.terms) if body is None else list(range(10 * body, 10 * body + 10))

@@ -98,11 +98,15 @@ class JointFit:
 
     def value(self, term: Term) -> float:
         """A coefficient."""
-        return float(self.point.reals[self.terms.index(term)])
+        return float(self.point.reals[self._places[term]])
 
     def place(self, term: Term) -> int:
         """Where a coefficient stands among the parameters."""
-        return int(self.manifold.real.start) + self.terms.index(term)
+        return int(self.manifold.real.start) + self._places[term]
+
+    @cached_property
+    def _places(self) -> dict[Term, int]:
+        return {term: place for place, term in enumerate(self.terms)}
 
 
 def fit(
@@ -248,7 +252,8 @@ def _first_point(
         else known.pseudo_inertias[links + place]
         for place, body in enumerate(bodies)
     ]
-    reals = [start.value(t) if t in start.terms else float(known.reals[i]) for i, t in enumerate(terms)]
+    fitted = set(start.terms)
+    reals = [start.value(t) if t in fitted else float(known.reals[i]) for i, t in enumerate(terms)]
     inertias = [*start.point.pseudo_inertias[:links], *payloads]
     return Point(np.array(inertias), np.zeros(0), np.array(reals))
 

@@ -13,7 +13,7 @@ from geomid_ros.gap.judgement.held_out import HeldOut
 from geomid_ros.gap.judgement.locate import strongest
 from geomid_ros.gap.result import Finding, Ranked, Rival, Unexplained, Verdict
 from geomid_ros.gap.search.analysis import Analysis
-from geomid_ros.gap.search.score_test import improvement
+from geomid_ros.gap.search.score_test import score_test
 from geomid_ros.model.effects import EFFECTS, joint_of
 from geomid_ros.model.measurement import MeasurementModel
 
@@ -47,7 +47,7 @@ def _finding(
         parameters=parameters,
         confidence=confidence,
         rivals=tuple(rival for rival in rivals if rival.loss < loss),
-        separability=float(np.clip(improvement(search.design, without, candidate)[1], 0.0, 1.0)),
+        separability=float(np.clip(score_test(search.design, without, candidate).separability, 0.0, 1.0)),
         loss=loss,
         share=evidence.share,
         was=was,
@@ -119,7 +119,7 @@ def ranking(model: MeasurementModel, analysis: Analysis) -> tuple[Ranked, ...]:
     for c in (c for c in whole.chosen if isinstance(c, Candidate)):
         search = analysis.search.unchanged(c)
         rest = search.without(whole, c)
-        _, separability = improvement(search.design, rest, c)
+        separability = score_test(search.design, rest, c).separability
         chosen.append(Ranked(c.name, model.places.name(c.place), rest.score - whole.score, separability, True))
     others = [
         Ranked(t.candidate.name, model.places.name(t.candidate.place), t.gain, t.separability, False)

@@ -78,7 +78,8 @@ def analyse(
     residual = problem.residual(columns, whole)
     repeats = noise_by_repeats(model, records)
     counts = search.design.counts
-    freedom = 1.0 - whole.parameters_by_channel(search.design) / np.where(counts > 0.0, counts, np.nan)
+    rows = np.where(counts > 0.0, counts, np.nan)
+    freedom = np.maximum(rows - whole.parameters_by_channel(search.design), 1.0) / rows
     return Analysis(
         problem=problem,
         search=search,

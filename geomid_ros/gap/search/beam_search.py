@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import TypeAlias
 
 import numpy as np
@@ -12,7 +12,7 @@ from geomid_ros.gap.candidates import AnyCandidate, Candidate, CurveCandidate
 from geomid_ros.gap.evidence.design import Design
 from geomid_ros.gap.fitting.fit import JointFit, fit
 from geomid_ros.gap.fitting.prior import Prior
-from geomid_ros.gap.search.score_test import improvement
+from geomid_ros.gap.search.score_test import Trial, score_tests
 from geomid_ros.model.effects import Place, joints_of
 
 Group: TypeAlias = tuple[str, Place] | tuple[str, int]
@@ -26,15 +26,6 @@ _MOST_EFFECTS = 40
 _UNCHANGED = 1e-3  # of its uncertainty: how much a coefficient may move that is as it was
 _PLAUSIBLE = 0.5  # of a name's loss: what the score test must promise of a rival that is tried in its place
 _NEEDED = 5.0 * LEAST_GAIN  # a name whose loss is larger, by a quadratic estimate, need not be tried to be left out
-
-
-@dataclass(frozen=True)
-class Trial:
-    """A candidate's improvement of a fit by the score test, its penalty paid, and its separability."""
-
-    candidate: AnyCandidate
-    gain: float
-    separability: float
 
 
 class Search:
@@ -51,6 +42,7 @@ class Search:
         self._fits: dict[frozenset[AnyCandidate], JointFit] = {}
         self._payload_trials: dict[frozenset[AnyCandidate], list[Trial]] = {}
         self._unchanged: dict[AnyCandidate, Search] = {}
+        self._excluded: dict[AnyCandidate, frozenset[AnyCandidate]] = {}
 
     def unchanged(self, candidate: AnyCandidate) -> Search:
         """The search in which what the model has of a candidate is as it was, and so is all that the model has at its
@@ -77,14 +69,21 @@ class Search:
 
     def ranked(self, current: JointFit, among: Sequence[AnyCandidate] | None = None) -> list[Trial]:
         """Candidates that could join, the best of each group, by the score test."""
+        excluded = set[AnyCandidate]().union(*map(self._excluded_by, current.chosen))
+        possible = [c for c in (self._scouts if among is None else among) if c not in excluded]
         best: dict[Group, Trial] = {}
-        for candidate in self._scouts if among is None else among:
-            if any(candidate.excludes(other) for other in current.chosen):
-                continue
-            gain, separability = improvement(self.design, current, candidate)
-            if candidate.group not in best or gain > best[candidate.group].gain:
-                best[candidate.group] = Trial(candidate, gain, separability)
+        for trial in score_tests(self.design, current, possible):
+            group = trial.candidate.group
+            if group not in best or trial.gain > best[group].gain:
+                best[group] = trial
         return sorted(best.values(), key=lambda trial: -trial.gain)
+
+    def _excluded_by(self, chosen: AnyCandidate) -> frozenset[AnyCandidate]:
+        """The candidates that make no sense beside one that is chosen."""
+        if chosen not in self._excluded:
+            every: list[AnyCandidate] = [*self.candidates, *self.curves]
+            self._excluded[chosen] = frozenset(c for c in every if c.excludes(chosen))
+        return self._excluded[chosen]
 
     def possible(self, found: JointFit) -> bool:
         """Whether no coefficient has a sign or a size that it cannot have, and no payload outweighs the robot."""

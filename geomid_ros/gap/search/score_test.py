@@ -2,51 +2,116 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass
+
 import numpy as np
 
 from geomid_ros.gap.candidates import AnyCandidate
-from geomid_ros.gap.evidence.design import Design
+from geomid_ros.gap.evidence.design import CandidateProducts, Design
 from geomid_ros.gap.fitting.fit import JointFit
+from geomid_ros.types import BoolArray, FloatArray
+
+_LEAST_EIGENVALUE = 1e-7  # a combination of columns of which less is left is one of the others
+_LEAST_LEFT = 1e-3  # of a channel's squares: so much the quadratic model may promise
 
 
-def improvement(design: Design, current: JointFit, candidate: AnyCandidate) -> tuple[float, float]:
-    """The score test: by how much a candidate would improve the current fit, to second order, less its penalty; and its
-    separability, the share of its columns that the other parameters, within their prior, cannot imitate.
+@dataclass(frozen=True)
+class Trial:
+    """A candidate's improvement of a fit by the score test, its penalty paid, and its separability: the share of its
+    columns that the other parameters, within their prior, cannot imitate."""
+
+    candidate: AnyCandidate
+    gain: float
+    separability: float
+
+
+def score_tests(design: Design, current: JointFit, candidates: Sequence[AnyCandidate]) -> list[Trial]:
+    """The score tests: by how much each candidate would improve the current fit, to second order.
 
     For fixed weights the step and the gain are those of the Gaussian model (Rao's score test); the gain is then taken
-    from the sums of squares that the step leads to.
+    from the sums of squares that the step leads to. Candidates with equally many columns are tested at once.
     """
-    counts = design.counts
-    weights = counts / current.squares
-    vector = np.append(current.point.parameters, -1.0)
-    reached = design.reached(candidate)
-    if not reached:
-        return -np.inf, 0.0
-    cross, own = design.cross(current.bodies, current.terms, candidate)
-    jacobian = current.jacobian
-    slope = weights[reached] @ (cross @ vector)
-    mixed = np.tensordot(weights[reached], cross[:, :, :-1], axes=1) @ jacobian
-    squared = np.tensordot(weights[reached], own, axes=1)
-    solved = current.inverse @ mixed.T
-    left = squared - mixed @ solved
-    size = np.sqrt(np.maximum(np.diag(squared), 1e-300))
-    values, vectors = np.linalg.eigh(left / np.outer(size, size))
-    good = values > 1e-7
-    if not np.any(good):
-        return -np.inf, 0.0
-    step = -(vectors[:, good] @ ((vectors[:, good].T @ (slope / size)) / values[good])) / size
-    before = [current.value(term) if term in current.terms else 0.0 for term in candidate.terms[: candidate.positives]]
-    if np.any(before + step[: candidate.positives] < 0.0):
-        return -np.inf, float(np.max(values))
-    tangent = -solved @ step
-    longer = np.append(jacobian @ tangent, 0.0)
-    moved = current.products @ longer
-    squares = current.squares + 2.0 * moved @ vector + moved @ longer
-    squares[reached] += 2.0 * (cross @ (vector + longer)) @ step + np.einsum("ckl,k,l->c", own, step, step)
-    gain = float(counts @ np.log(current.squares / np.maximum(squares, 1e-3 * current.squares)))
-    # At the minimum the prior's slope is the opposite of the data's.
-    gain += 2.0 * float(weights @ (moved @ vector))
-    gain -= float(tangent @ (current.information @ tangent)) - float(weights @ (moved @ longer))
-    energy = float(step @ squared @ step)
-    separability = float(step @ left @ step) / energy if energy > 0.0 else 0.0
-    return gain - candidate.penalty * float(np.log(np.max(counts))), separability
+    test = _Test(design, current)
+    by_size: dict[int, list[AnyCandidate]] = {}
+    for candidate in candidates:
+        by_size.setdefault(len(candidate.terms), []).append(candidate)
+    found = {candidate: trial for alike in by_size.values() for candidate, trial in test.of(alike).items()}
+    return [found[candidate] for candidate in candidates]
+
+
+def score_test(design: Design, current: JointFit, candidate: AnyCandidate) -> Trial:
+    """The score test of one candidate."""
+    return score_tests(design, current, [candidate])[0]
+
+
+class _Test:
+    """What the score tests beside one fit share: G candidates of k columns in C channels, D parameters."""
+
+    def __init__(self, design: Design, current: JointFit) -> None:
+        self._design = design
+        self._current = current
+        self._counts = design.counts
+        self._weights = self._counts / current.squares
+        self._vector = np.append(current.point.parameters, -1.0)
+        self._moved = current.products @ self._vector
+        self._values = dict(zip(current.terms, current.point.reals.tolist(), strict=True))
+
+    def of(self, alike: Sequence[AnyCandidate]) -> dict[AnyCandidate, Trial]:
+        """The score tests of candidates with equally many columns."""
+        own = self._design.own(alike, self._current.bodies, self._current.terms)
+        jacobian = self._current.jacobian
+        mixed = np.tensordot(own.crossed[..., :-1], self._weights, (1, 0)) @ jacobian
+        solved = mixed @ self._current.inverse.T
+        squared = np.tensordot(own.squared, self._weights, (1, 0))
+        left = squared - mixed @ solved.swapaxes(1, 2)
+        slope = np.tensordot(own.crossed @ self._vector, self._weights, (1, 0))
+        step, largest = _steps(slope, squared, left)
+        tangent = -(step[:, None] @ solved)[:, 0]
+        gain = self._gain(own, step, tangent)
+        energy = np.einsum("gk,gkl,gl->g", step, squared, step)
+        share = np.einsum("gk,gkl,gl->g", step, left, step)
+        separability = np.divide(share, energy, out=np.zeros_like(energy), where=energy > 0.0)
+        separability[largest <= _LEAST_EIGENVALUE] = 0.0
+        impossible = self._is_impossible(alike, step)
+        separability[impossible] = largest[impossible]
+        gain[impossible | (largest <= _LEAST_EIGENVALUE)] = -np.inf
+        gain -= np.log(np.max(self._counts)) * np.array([candidate.penalty for candidate in alike])
+        return {c: Trial(c, float(g), float(s)) for c, g, s in zip(alike, gain, separability, strict=True)}
+
+    def _gain(self, own: CandidateProducts, step: FloatArray, tangent: FloatArray) -> FloatArray:
+        """What steps of the candidates' coefficients ``(G, k)`` and of all others ``(G, D)`` gain ``(G,)``."""
+        current, weights = self._current, self._weights
+        longer = np.pad(tangent @ current.jacobian.T, ((0, 0), (0, 1)))
+        slopes = longer @ self._moved.T
+        curvatures = np.einsum("cgn,gn->gc", longer @ current.products, longer)
+        squares = current.squares + 2.0 * slopes + curvatures
+        crossed = np.einsum("gckn,gn->gck", own.crossed, self._vector + longer)
+        squares += 2.0 * np.einsum("gck,gk->gc", crossed, step)
+        squares += np.einsum("gck,gk->gc", np.einsum("gckl,gl->gck", own.squared, step), step)
+        gain = np.log(current.squares / np.maximum(squares, _LEAST_LEFT * current.squares)) @ self._counts
+        # At the minimum the prior's slope is the opposite of the data's.
+        gain += 2.0 * slopes @ weights
+        gain -= np.einsum("gd,gd->g", tangent @ current.information, tangent) - curvatures @ weights
+        return np.asarray(gain)
+
+    def _is_impossible(self, alike: Sequence[AnyCandidate], step: FloatArray) -> BoolArray:
+        """Whether a coefficient that cannot be negative would become so ``(G,)``."""
+        found = np.zeros(len(alike), dtype=bool)
+        for index, candidate in enumerate(alike):
+            terms = candidate.terms[: candidate.positives]
+            before = [self._values.get(term, 0.0) for term in terms]
+            found[index] = bool(np.any(before + step[index, : len(terms)] < 0.0))
+        return found
+
+
+def _steps(slope: FloatArray, squared: FloatArray, left: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """The steps ``(G, k)`` to the minimum of quadratic models, along what is ``left`` of the columns, and the largest
+    eigenvalue of that, relative to the columns' ``squared`` sizes, ``(G,)``."""
+    size = np.sqrt(np.maximum(np.diagonal(squared, axis1=1, axis2=2), 1e-300))
+    values, vectors = np.linalg.eigh(left / (size[:, :, None] * size[:, None, :]))
+    good = values > _LEAST_EIGENVALUE
+    inverse = np.divide(1.0, values, out=np.zeros_like(values), where=good)
+    components = inverse * ((slope / size)[:, None] @ vectors)[:, 0]
+    step = -(vectors @ components[:, :, None])[:, :, 0] / size
+    return np.asarray(step), np.max(values, axis=1)

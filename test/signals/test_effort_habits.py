@@ -1,0 +1,115 @@
+"""What the numbers of efforts look like: held, coarse, cut about zero, overflowing, copied; and real ones."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from geomid_ros.signals.effort_habits import COARSE, EffortHabits
+from geomid_ros.types import FloatArray
+
+COUNT, PERIOD = 3000, 10_000_000
+NAMES = ("one", "two", "three")
+
+
+def told(efforts: FloatArray, turning: bool = True, piece: int = 50, speed: float = 0.1) -> tuple[list[str], list[str]]:
+    """What is wrong, and what is noted."""
+    wrong: list[str] = []
+    noted: list[str] = []
+    habits = EffortHabits(NAMES, np.full(3, turning), wrong.append, noted.append)
+    stamps = np.arange(COUNT) * PERIOD
+    stamps[COUNT // 2 :] += 100_000_000_000  # a pause is no rate
+    positions = np.cumsum(speed * np.ones((COUNT, 3)), axis=0) * PERIOD * 1e-9
+    for begin in range(0, COUNT, piece):
+        part = slice(begin, begin + piece)
+        habits.add(stamps[part], positions[part], efforts[part])
+    return wrong, noted
+
+
+def usual(noise: float = 0.02, seed: int = 1) -> FloatArray:
+    """Efforts as sines of several periods, with noise."""
+    rng = np.random.default_rng(seed)
+    times = np.arange(COUNT)[:, None] * PERIOD * 1e-9
+    size, phase = rng.uniform(0.5, 2.0, (3, 3)), rng.uniform(0.0, 6.0, (3, 3))
+    waves = [size[k] * np.sin((0.8 + 0.7 * k) * times + phase[k]) for k in range(3)]
+    return np.asarray(np.sum(waves, axis=0) + noise * rng.normal(size=(COUNT, 3)))
+
+
+def held(effort: FloatArray) -> FloatArray:
+    return effort[np.arange(COUNT) // 20 * 20]
+
+
+def cut(effort: FloatArray) -> FloatArray:
+    return np.where(np.abs(effort) < 0.5 * np.std(effort, axis=0), 0.0, effort)
+
+
+def switched_off(effort: FloatArray) -> FloatArray:
+    return np.where((np.arange(COUNT) % 200 < 30)[:, None], 0.0, effort + 2.0)
+
+
+@pytest.mark.parametrize(
+    ("fault", "words"),
+    [(held, "come only every 0.2 s"), (cut, "exactly zero"), (switched_off, "exactly zero")],
+)
+def test_what_is_wrong_with_all_joints(fault: Callable[[FloatArray], FloatArray], words: str) -> None:
+    wrong, noted = told(fault(usual()))
+    (sentence,) = wrong
+    assert "all joints" in sentence
+    assert words in sentence
+    assert noted == []
+
+
+def test_numbers_overflow() -> None:
+    effort = usual()
+    limit = np.quantile(np.abs(effort[:, 1]), 0.8)
+    effort[:, 1] = (effort[:, 1] + limit) % (2.0 * limit) - limit
+    (sentence,) = told(effort)[0]
+    assert "'two'" in sentence
+    assert "overflow" in sentence
+
+
+def test_a_copy() -> None:
+    effort = usual()
+    effort[:, 2] = effort[:, 0]
+    (sentence,) = told(effort)[0]
+    assert "'one', 'three' are the same numbers" in sentence
+
+
+def test_fingers_of_a_gripper_may_have_one_effort() -> None:
+    effort = usual()
+    effort[:, 2] = effort[:, 0]
+    assert told(effort, turning=False) == ([], [])
+
+
+def test_a_coarse_sensor_is_noted() -> None:
+    effort = usual()
+    effort[:, 0] = np.round(effort[:, 0])
+    wrong, (sentence,) = told(effort)
+    assert wrong == []
+    assert sentence.endswith(COARSE)
+    assert "'one'" in sentence
+
+
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("step", [0.0, 0.1])
+@pytest.mark.parametrize("noise", [0.0, 0.02, 3.0])
+def test_real_efforts(seed: int, step: float, noise: float) -> None:
+    """Clean, noisy, of noise alone; rounded to a twentieth of what they vary by."""
+    effort = usual(noise, seed)
+    assert told(effort if step == 0.0 else np.round(effort / step) * step) == ([], [])
+
+
+def test_what_is_told_depends_on_the_messages_alone() -> None:
+    assert told(cut(usual()), piece=1) == told(cut(usual()), piece=3000)
+
+
+def test_a_robot_that_stands_may_send_the_same_for_long() -> None:
+    assert told(held(usual()), speed=0.0) == ([], [])
+
+
+def test_efforts_that_are_not_measured_are_passed_over() -> None:
+    effort = usual()
+    effort[:, 1] = np.nan
+    assert told(effort) == ([], [])
