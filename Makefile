@@ -4,6 +4,7 @@
 PYTHON ?= python3
 VENV ?= .venv$(addprefix -,$(filter-out python3,$(notdir $(PYTHON))))
 BIN := $(VENV)/bin
+SITE := .venv-site
 PIP_INSTALL := $(BIN)/python -m pip install -qq --disable-pip-version-check
 # Tests of the node wait for it most of the time: more of them than there are processors run side by side.
 # One that hangs fails, and says where; the longest takes a minute.
@@ -12,10 +13,10 @@ BENCH_ARGS ?=
 # The tests start many processes: what is compiled is kept, or each would compile it anew.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: help demo test quick lint docs bench colcon clean
+.PHONY: help demo test quick lint docs pictures site bench colcon clean
 
 help: ## List these targets
-	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "make %-7s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
+	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "make %-8s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
 
 demo: $(VENV)/.run-ready ## Set up, then run the demonstration
 	$(BIN)/geomid demo --out out/demo
@@ -31,8 +32,15 @@ lint: $(VENV)/.test-ready ## Set up, then run ruff and mypy
 	$(BIN)/ruff check
 	$(BIN)/mypy
 
-docs: $(VENV)/.test-ready ## Set up, then write the tables of README.md and docs/reference.md from the code
-	$(BIN)/python docs/tables.py
+docs: $(VENV)/.test-ready ## Set up, then write the tables of docs/pages/reference.md from the code
+	$(BIN)/python docs/generators/tables.py
+
+pictures: $(VENV)/.run-ready ## Set up, then draw the moving picture of README.md, and run the notebook anew
+	$(BIN)/python docs/generators/moving_picture.py
+	$(BIN)/python docs/generators/notebook.py examples/identify.ipynb
+
+site: $(SITE)/.ready ## Set up an environment of its own, then build the documentation into out/site
+	NO_MKDOCS_2_WARNING=1 $(SITE)/bin/python -m mkdocs build --strict --config-file docs/mkdocs.yml
 
 bench: $(VENV)/.bench-ready ## Set up, then reproduce the paper beside other methods, into out/bench
 	$(BIN)/python -m benchmarks $(BENCH_ARGS)
@@ -55,6 +63,11 @@ $(VENV)/.run-ready: requirements.txt constraints.txt setup.py setup.cfg
 
 $(VENV)/.test-ready: $(VENV)/.run-ready requirements-test.txt
 	$(PIP_INSTALL) --requirement requirements-test.txt
+	@touch $@
+
+$(SITE)/.ready: requirements-docs.txt
+	$(PYTHON) -m venv $(SITE)
+	$(SITE)/bin/python -m pip install -qq --disable-pip-version-check --requirement requirements-docs.txt
 	@touch $@
 
 $(VENV)/.bench-ready: $(VENV)/.run-ready requirements-bench.txt

@@ -1,6 +1,6 @@
 """The one table of parameters.
 
-The node declares it, the command line reads the same YAML file, and ``make docs`` writes it into docs/reference.md.
+The node declares it, the command line reads the same YAML file, and ``make docs`` writes it into the reference.
 """
 
 from __future__ import annotations

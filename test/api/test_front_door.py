@@ -1,4 +1,4 @@
-"""``import geomid_ros``: what it offers, that it loads nothing, and that README's lines do what they say."""
+"""``import geomid_ros``: what it offers, that it loads nothing, and that the lines of its page do what they say."""
 
 from __future__ import annotations
 
@@ -59,14 +59,14 @@ def test_there_are_no_other_names() -> None:
 
 @pytest.fixture(scope="module")
 def shown(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
-    """What README's lines leave behind, for a small arm with friction at one joint."""
+    """What the first lines of the page leave behind, for a small arm with friction at one joint."""
     pytest.importorskip("mujoco")
     folder = tmp_path_factory.mktemp("readme")
     (folder / "robot.urdf").write_text((BAGS / "arm3.urdf").read_text())
     hidden = (Hidden("coulomb_friction", "joint2", LEVEL),)
     simulate(folder / "my_bag", SimulationOptions(robot="arm3", seed=5, duration=15.0, hide=hidden))
-    section = (ROOT / "README.md").read_text(encoding="utf-8").partition("**From Python**")[2]
-    (lines,) = re.findall(r"```python\n(.*?)```", section, re.DOTALL)
+    page = (ROOT / "docs/pages/use/library.md").read_text(encoding="utf-8")
+    lines = re.findall(r"```python\n(.*?)```", page, re.DOTALL)[0]
     names: dict[str, Any] = {"folder": folder}
     with chdir(folder):
         exec(lines, names)

@@ -163,6 +163,7 @@ CATALOGUE = (
     Fault(83, "effort unit or sign that changes in mid-run at all joints", "S E", (_both("83-unit-in-mid-run"),)),
     Fault(85, "two thirds of a joint's efforts NaN; two publishers in a bag; a joint NaN throughout", "the ledger is printed and written, W", (_both("85-mostly-nan"), _both("85-two-publishers"), _both("85-nan-throughout"))),
     Fault(87, "messages in pairs or batches (USB, EtherCAT)", "the period from the span of stamps, E", (_both("87-pairs"), _both("87-five-per-batch"))),
+    Fault(88, "`merge_joint_states` with a slow gripper", "the rate of the fastest part; positions of slow ones on the line between two messages, their efforts left out, W", ("test_catalogue_merging.py::test_88_a_slow_gripper_does_not_slow_down_the_arm",)),
     Fault(89, "one part of a merged robot dies", "W naming its joints", (_console("89_a_part_that_falls_silent_is_named"),)),
     Fault(90, "messages are accepted, and no rows come of them", "W asking for the clocks of the topics", (_console("90_messages_of_which_nothing_comes_are_a_warning"),)),
     Fault(91, "the solving process is killed", "started again, after longer and longer pauses if it ends without a result, W; no message is lost", (_SOLVING + "91_a_node_whose_process_is_killed_goes_on", _SOLVING + "a_process_that_is_killed_is_replaced", _SOLVING + "one_that_ends_in_every_solve_is_started_after_pauses")),
@@ -189,6 +190,6 @@ CATALOGUE = (
 
 
 def table() -> str:
-    """The catalogue as README has it."""
+    """The catalogue as the page of faults has it."""
     rows = [f"| {entry.number} | {entry.fault} | {entry.answer} |" for entry in CATALOGUE]
     return "\n".join(["| # | fault | answer |", "|---|---|---|", *rows])

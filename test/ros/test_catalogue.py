@@ -1,4 +1,4 @@
-"""The catalogue is complete, every test it names exists, and README has it."""
+"""The catalogue is complete, every test it names exists, and the page of faults has it."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import pytest
 from .catalogue import CATALOGUE, Fault, table
 
 HERE = Path(__file__).parent
-README = HERE.parents[1] / "README.md"
+PAGE = HERE.parents[1] / "docs/pages/faults.md"
 
 
 def test_they_are_numbered() -> None:
@@ -35,5 +35,5 @@ def test_its_tests_exist(entry: Fault) -> None:
         assert not case or re.search(rf'^    "{re.escape(case.rstrip("]"))}":', text, re.MULTILINE), test
 
 
-def test_readme_has_the_table() -> None:
-    assert table() in README.read_text(encoding="utf-8")
+def test_the_page_has_the_table() -> None:
+    assert table() in PAGE.read_text(encoding="utf-8")

@@ -1,4 +1,4 @@
-"""What the node opens is what README.md and the security policy say, no more and no less."""
+"""What the node opens is what the reference and the security policy say, no more and no less."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ def full(name: str, namespace: str = "") -> str:
 
 
 def documented(namespace: str = "") -> Opened:
-    """What README.md and docs/reference.md say; the wrench sensor's name is ``wrench``."""
+    """What the reference says; the wrench sensor's name is ``wrench``."""
     how = {"inputs": "subscribe", "outputs": "publish", "services": "reply"}
     opened: Opened = {"subscribe": set(), "publish": set(), "reply": set()}
     for table, row in rows():
@@ -75,20 +75,17 @@ def documented(namespace: str = "") -> Opened:
 
 def rows() -> Iterator[tuple[str, list[str]]]:
     """Rows of the tables of topics and services, with the tables' names."""
-    for file in ("README.md", "docs/reference.md"):
-        text = (ROOT / file).read_text(encoding="utf-8")
-        for table in re.finditer(
-            r"<!-- table (inputs|outputs|services|of_every_node):.*?<!-- end -->", text, re.DOTALL
-        ):
-            lines = [line for line in table[0].splitlines() if line.startswith("| `")]
-            assert lines, table[1]
-            yield from ((table[1], line.strip("| ").split(" | ")) for line in lines)
+    text = (ROOT / "docs/pages/reference.md").read_text(encoding="utf-8")
+    for table in re.finditer(r"<!-- table (inputs|outputs|services|of_every_node):.*?<!-- end -->", text, re.DOTALL):
+        lines = [line for line in table[0].splitlines() if line.startswith("| `")]
+        assert lines, table[1]
+        yield from ((table[1], line.strip("| ").split(" | ")) for line in lines)
 
 
 def test_tables_are_what_the_code_makes_of_them() -> None:
     with free_domain() as domain:
         environment = {**os.environ, "ROS_DOMAIN_ID": str(domain), "PYTHONPATH": str(ROOT)}
-        command = [sys.executable, str(ROOT / "docs/tables.py"), "--check"]
+        command = [sys.executable, str(ROOT / "docs/generators/tables.py"), "--check"]
         checked = subprocess.run(command, env=environment, capture_output=True, text=True, check=False, timeout=300)
     assert checked.returncode == 0, checked.stdout + checked.stderr
 

@@ -20,8 +20,7 @@ from geomid_ros.ros.diagnostics import Diagnostics
 
 ROOT = Path(__file__).parents[2]
 CONFIG = ROOT / "config"
-README = (ROOT / "README.md").read_text(encoding="utf-8")
-REFERENCE = (ROOT / "docs/reference.md").read_text(encoding="utf-8")
+REFERENCE = (ROOT / "docs/pages/reference.md").read_text(encoding="utf-8")
 ARM7 = ElementTree.parse(ROOT / "bags/arm7.urdf").getroot()
 JOINTS = [str(joint.get("name")) for joint in ARM7.iter("joint") if joint.get("type") != "fixed"]
 LINKS = {str(link.get("name")) for link in ARM7.iter("link")}
@@ -29,8 +28,8 @@ STREAM = Diagnostics("geomid").array(Status(active=True)).status[0]
 
 
 def node_topics() -> dict[str, tuple[str, str]]:
-    """Type and QoS of the node's topics, by full name under the default ones, as README.md has them."""
-    rows = re.findall(r"^\| `([^`]+)` \| `(\w+/msg/\w+)` \| ([^|]+) \|", README, re.MULTILINE)
+    """Type and QoS of the node's topics, by full name under the default ones, as the reference has them."""
+    rows = re.findall(r"^\| `([^`]+)` \| `(\w+/msg/\w+)` \| ([^|]+) \|", REFERENCE, re.MULTILINE)
     names = {name: "/" + name.lstrip("/").replace("~", "geomid") for name, _, _ in rows}
     return {names[name]: (kind, qos) for name, kind, qos in rows}
 

@@ -3,28 +3,21 @@
 from __future__ import annotations
 
 import re
-from pathlib import Path
 
 import pytest
 
-ROOT = Path(__file__).parents[1]
-DOCUMENTS = ("README.md", "CONTRIBUTING.md", "SECURITY.md", "docs/reference.md")
+from .reading import DOCUMENTS, ROOT, text_of
+
 FOLDERS = "geomid_ros|test|config|launch|security|bags|docs|benchmarks|examples"
 HIDDEN = {"robots"}  # a room's folder of data
 # What the recipe in CONTRIBUTING.md makes.
 PLANNED = {"geomid_ros/model/effects/gear_ripple.py"}
 
 
-def text_of(document: str) -> str:
-    return (ROOT / document).read_text(encoding="utf-8")
-
-
 @pytest.mark.parametrize("document", DOCUMENTS)
 def test_files_that_are_named_exist(document: str) -> None:
     named = set(re.findall(rf"`((?:{FOLDERS})/[\w./]*)`", text_of(document))) - PLANNED
-    links = {str((ROOT / document).parent / link) for link in re.findall(r"\]\(([^)#:]+)\)", text_of(document))}
-    assert named | links
-    for name in named | links:
+    for name in named:
         assert (ROOT / name).exists(), name
 
 

@@ -1,4 +1,4 @@
-"""Writes the tables of README.md and docs/reference.md from the code; with ``--check`` it only says which are stale."""
+"""Writes the tables of the reference from the code; with ``--check`` it only says whether they are stale."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ import interface
 
 from geomid_ros.session.configuration import PARAMETERS, Parameter
 
-ROOT = Path(__file__).parents[1]
-FILES = (ROOT / "README.md", ROOT / "docs/reference.md")
+ROOT = Path(__file__).parents[2]
+REFERENCE = ROOT / "docs/pages/reference.md"
 _BLOCK = re.compile(r"(<!-- table (\w+)[^\n]*-->\n).*?(<!-- end -->)", re.DOTALL)
 _TYPES = {bool: "bool", float: "double", str: "string"}
 
@@ -73,20 +73,17 @@ def filled(text: str, by_name: Mapping[str, str]) -> str:
 
 
 def main() -> None:
-    """Write the files, or check them: status 1 when one is stale."""
+    """Write the file, or check it: status 1 when it is stale."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--check", action="store_true", help="write nothing, but fail when a table is stale")
     checking = parser.parse_args().check
-    by_name = tables()
-    stale = []
-    for path in FILES:
-        text = path.read_text(encoding="utf-8")
-        new = filled(text, by_name)
-        if new != text:
-            stale.append(path)
-            print(f"{path.relative_to(ROOT)} {'is stale: make docs' if checking else 'is written'}")
-            if not checking:
-                path.write_text(new, encoding="utf-8")
+    text = REFERENCE.read_text(encoding="utf-8")
+    new = filled(text, tables())
+    stale = new != text
+    if stale:
+        print(f"{REFERENCE.relative_to(ROOT)} {'is stale: make docs' if checking else 'is written'}")
+    if stale and not checking:
+        REFERENCE.write_text(new, encoding="utf-8")
     sys.exit(1 if checking and stale else 0)
 
 

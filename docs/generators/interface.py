@@ -34,7 +34,7 @@ _MEANINGS = {
     "~/gap": "what `~/find_gap` found, as `gap.json`; with nothing but `error` in it where nothing can be said",
     "~/payload": "what `~/payload/loaded` weighed, as `geomid payload --json` prints it; with nothing but `error` in "
     "it where nothing can be said",
-    "/diagnostics": "at 1 Hz: the stream and every link, see docs/reference.md; the stream's warns when a gap opens",
+    "/diagnostics": "at 1 Hz: the stream and every link, see below; the stream's warns when a gap opens",
     "~/start": "take data",
     "~/stop": "take no data; rows and estimate are kept",
     "~/reset": "forget all rows, and take the latest robot description",

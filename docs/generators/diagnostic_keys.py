@@ -24,7 +24,7 @@ from geomid_ros.session.session import Session
 from geomid_ros.signals.ledger import Account
 
 _NODE = "geomid"
-_ROBOT = Path(__file__).parents[1] / "bags/arm3.urdf"
+_ROBOT = Path(__file__).parents[2] / "bags/arm3.urdf"
 
 # Capitals stand for what differs from robot to robot.
 _MEANINGS = {

@@ -1,0 +1,172 @@
+"""Code in the documents: commands exist with their options, Python compiles, and what says that it runs does."""
+
+from __future__ import annotations
+
+import importlib.util
+import re
+import shlex
+import sys
+from collections.abc import Iterator
+from contextlib import chdir
+from pathlib import Path
+from typing import Any
+
+import click
+import numpy as np
+import pytest
+import yaml
+
+from geomid_ros.commands.root import root
+from geomid_ros.session.configuration import PARAMETERS, Configuration
+from geomid_ros.simulation import EFFECTS, NOTHING, parse_hidden
+
+from .reading import DOCUMENTS, NOTEBOOK, ROOT, Block, blocks, cells, spans, text_of
+
+REFERENCE = text_of("docs/pages/reference.md")
+NODE = set(re.findall(r"`(~/[\w/]+)`", REFERENCE))
+LAUNCHED = set(re.findall(r'DeclareLaunchArgument\(\s*"(\w+)"', text_of("launch/geomid.launch.py")))
+EXECUTABLES = set(re.findall(r'f?"(\w+) = ', text_of("setup.py")))
+PATTERNS = [re.compile(re.escape(parameter.name).replace(r"\*", r"[\w/-]+") + "$") for parameter in PARAMETERS]
+# Parameters are told by these beginnings from files and modules, which have dots, too.
+FAMILIES = ("filter.", "gap.", "payload.", "checkpoint.", "wrench.", "joint.")
+# What blocks that run print, in parts.
+PRINTED = {
+    "README.md": ("Identification of arm3", "link3: "),
+    "docs/pages/use/library.md": ("link3: ", "usable", "link33"),
+}
+FILES = (".json", ".yaml", ".yml", ".xml", ".html", ".urdf", ".py", ".md")
+
+
+def lines(document: str) -> Iterator[str]:
+    """Lines that a user may type, and commands within sentences."""
+    for block in blocks(document):
+        if block.language in ("", "bash", "console"):
+            yield from block.text.replace("\\\n", " ").splitlines()
+    for span in spans(document):
+        if " " in span:
+            yield f"{span} VALUE" if re.search(r" --[\w-]+$", span) else span
+
+
+def commands(document: str) -> Iterator[list[str]]:
+    """Arguments of every ``geomid``, also by ``ros2 run``."""
+    for line in lines(document):
+        typed = line.strip().removeprefix("ros2 run geomid_ros ")
+        if re.match(r"geomid [a-z]+( |$)", typed):
+            yield shlex.split(typed, comments=True)[1:]
+
+
+@pytest.mark.parametrize("document", DOCUMENTS)
+def test_commands_exist_with_their_options(document: str) -> None:
+    """The parser of the command line takes them; values are checked where they are one of a few."""
+    context = click.Context(root)
+    for name, *arguments in commands(document):
+        command = root.get_command(context, name)
+        assert command is not None, f"{document}: geomid {name}"
+        of_it = click.Context(command)
+        values, _, _ = command.make_parser(of_it).parse_args(list(arguments))
+        for parameter in command.params:
+            for value in np.atleast_1d(values.get(parameter.name) or []):
+                if isinstance(parameter.type, click.Choice):
+                    assert value in parameter.type.choices, f"{document}: {value}"
+                if parameter.name == "hide":
+                    assert parse_hidden(value).effect in {*EFFECTS, NOTHING}, f"{document}: {value}"
+
+
+def test_the_commands_are_seen() -> None:
+    found = [name for document in DOCUMENTS for name, *_ in commands(document)]
+    assert len(found) > 40
+    assert set(found) == set(root.list_commands(click.Context(root))) - {"demo"}
+
+
+@pytest.mark.parametrize("document", DOCUMENTS)
+def test_what_ros_is_told_exists(document: str) -> None:
+    for line in lines(document):
+        if "ros2 launch geomid_ros" in line:
+            words = line.split("geomid_ros", 1)[1].split()
+            assert (ROOT / "launch" / words[0]).exists(), line
+            assert {word.partition(":=")[0] for word in words if ":=" in word} <= LAUNCHED, line
+            named = [word.removeprefix("config:=") for word in words if word.startswith("config:=")]
+            assert all((ROOT / "config" / name).exists() for name in named), line
+        if "ros2 run geomid_ros" in line:
+            assert line.split("ros2 run geomid_ros ")[1].split()[0] in EXECUTABLES, line
+        if match := re.search(r"/geomid(/[\w/]+)", line):
+            assert f"~{match[1]}" in NODE, line
+
+
+@pytest.mark.parametrize("document", DOCUMENTS)
+def test_modules_that_are_run_exist(document: str) -> None:
+    for line in lines(document):
+        for module in re.findall(r"python[\d.]* -m\s+(benchmarks[\w.]*|geomid_ros[\w.]*)", line):
+            assert importlib.util.find_spec(module), line
+        for file in re.findall(r"python[\d.]* ((?:bags|examples|docs|test)/\S+\.py)", line):
+            assert (ROOT / file).exists(), line
+
+
+@pytest.mark.parametrize("document", DOCUMENTS)
+def test_topics_services_and_parameters_exist(document: str) -> None:
+    for span in spans(document):
+        name = span.partition(":")[0]
+        if re.fullmatch(r"~/[\w/]+", span) and span != "~/wrench":  # a broadcaster's
+            assert span in NODE, f"{document}: {span}"
+        if name.startswith(FAMILIES) and not name.endswith(FILES) and re.fullmatch(r"[\w.*]+", name):
+            family = name.replace("NAME", "name").replace("*", "name")
+            assert any(pattern.match(family) for pattern in PATTERNS), f"{document}: {span}"
+
+
+def of_language(language: str) -> list[tuple[str, Block]]:
+    found = [(document, block) for document in DOCUMENTS for block in blocks(document)]
+    return [(document, block) for document, block in found if block.language == language]
+
+
+@pytest.mark.parametrize(("document", "block"), of_language("yaml"))
+def test_parameter_files_are_read(document: str, block: Block) -> None:
+    (content,) = yaml.safe_load(block.text).values()
+    assert Configuration(content["ros__parameters"], document)
+
+
+@pytest.mark.parametrize(("document", "block"), of_language("python"))
+def test_python_compiles_and_uses_names_that_exist(document: str, block: Block) -> None:
+    import geomid_ros  # noqa: PLC0415
+
+    compile(block.text, document, "exec")
+    for name in re.findall(r"\bgeomid_ros\.(\w+)", block.text):
+        assert hasattr(geomid_ros, name) or importlib.util.find_spec(f"geomid_ros.{name}"), name
+
+
+def test_every_python_block_runs() -> None:
+    """Here, or by tests that need more for it: test_new_effect.py, api/test_front_door.py."""
+    elsewhere = [document for document, block in of_language("python") if not block.runs]
+    assert elsewhere == ["CONTRIBUTING.md", "docs/pages/use/library.md"]
+    assert {document for document, block in of_language("python") if block.runs} == PRINTED.keys()
+
+
+@pytest.mark.parametrize("document", PRINTED)
+def test_what_says_that_it_runs_does(document: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Block after block, beside the bags that come with the package; one of them is the user's."""
+    for name, file in (("bags", "bags"), ("my_bag", "bags/arm3"), ("robot.urdf", "bags/arm3.urdf")):
+        (tmp_path / name).symlink_to(ROOT / file)
+    names: dict[str, Any] = {}
+    with chdir(tmp_path):
+        for block in (block for block in blocks(document) if block.runs):
+            exec(compile(block.text, document, "exec"), names)
+    printed = capsys.readouterr().out
+    assert all(words in printed for words in PRINTED[document])
+
+
+def test_the_notebook_runs_and_finds_the_truth() -> None:
+    """Cell by cell in one namespace, as the program that stores its outputs does."""
+    sys.path.insert(0, str(ROOT / "docs/generators"))
+    try:
+        from notebook import run  # noqa: PLC0415
+    finally:
+        sys.path.pop(0)
+    fresh = [cell for cell in run(NOTEBOOK)["cells"] if cell["cell_type"] == "code"]
+    text = "".join("".join(output.get("text", [])) for cell in fresh for output in cell["outputs"])
+    errors = [abs(float(error)) for error in re.findall(r"truth [\d.]+, ([+-][\d.]+) std", text)]
+    assert len(errors) == 8
+    assert max(errors) < 4.0
+    improved = [(float(before), float(after)) for before, after in re.findall(r": +([\d.]+) -> ([\d.]+)", text)]
+    assert len(improved) == 13
+    assert all(after < before for before, after in improved)
+    assert sum("image/png" in output.get("data", {}) for cell in fresh for output in cell["outputs"]) == 1
+    assert len(cells()) == len(fresh) == 6

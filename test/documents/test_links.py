@@ -1,0 +1,69 @@
+"""Links lead somewhere, every page can be reached, and README is short."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+import yaml
+
+from .reading import DOCUMENTS, PAGES, ROOT, anchors, links, text_of
+
+MOST_OF_README = 8_000  # bytes
+MOST_OF_PICTURE = 600_000  # bytes
+
+
+@pytest.mark.parametrize("document", DOCUMENTS)
+def test_links_lead_to_files_and_headings(document: str) -> None:
+    for path, anchor in links(document):
+        assert path.exists(), f"{document}: {path.relative_to(ROOT)}"
+        assert path.is_relative_to(ROOT), path
+        assert not anchor or anchor in anchors(path), f"{document}: {path.relative_to(ROOT)}#{anchor}"
+
+
+def test_the_links_are_seen() -> None:
+    """Else the test above would pass on nothing."""
+    found = [link for document in DOCUMENTS for link in links(document)]
+    assert len(found) > 100
+    assert sum(bool(anchor) for _, anchor in found) > 10
+
+
+def test_every_page_is_in_the_navigation_once() -> None:
+    text = text_of("docs/mkdocs.yml")
+    shown = re.findall(r"([\w/]+\.md)$", text[text.index("\nnav:") :], re.MULTILINE)
+    hooks = text_of("docs/generators/hooks.py")
+    elsewhere = dict(re.findall(r'^    "([\w/]+\.md)": "([^"]+)"', hooks, re.MULTILINE))
+    pages = [str(path.relative_to(PAGES)) for path in PAGES.rglob("*.md")]
+    assert sorted(shown) == sorted([*pages, *elsewhere])
+    assert all((ROOT / source).exists() for source in elsewhere.values())
+    assert len(shown) >= 20
+
+
+def test_readme_leads_to_every_use() -> None:
+    """By the pages that it links to."""
+    reached: set[Path] = set()
+    new = {path for path, _ in links("README.md")}
+    while new:
+        reached |= new
+        pages = [str(path.relative_to(ROOT)) for path in new if path.suffix == ".md"]
+        new = {path for page in pages for path, _ in links(page)} - reached
+    assert set(PAGES.rglob("*.md")) - reached <= {PAGES / "api/effects.md", PAGES / "api/results.md"}
+
+
+def test_readme_is_short_and_its_picture_moves() -> None:
+    text = text_of("README.md")
+    assert len(text.encode()) <= MOST_OF_README
+    first = re.findall(r"!\[.+\]\((.+)\)", text)[0]
+    picture = (ROOT / first).read_bytes()
+    assert picture.startswith(b"GIF89a")
+    assert picture.count(b"\x21\xf9\x04") > 20  # frames
+    assert len(picture) <= MOST_OF_PICTURE
+
+
+def test_the_citation_names_this_version() -> None:
+    citation = yaml.safe_load(text_of("CITATION.cff"))
+    package = text_of("package.xml")
+    assert f"<version>{citation['version']}</version>" in package
+    assert f'<license file="LICENSE">{citation["license"]}</license>' in package
+    assert [author["name"] for author in citation["authors"]] == re.findall(r"<maintainer[^>]*>([^<]+)<", package)
