@@ -63,7 +63,7 @@ class Identification:
     @cached_property
     def verdict(self) -> Verdict:
         """Whether the result can be used: ``usable``, ``doubtful`` or ``not converged``, and why not."""
-        return self.session.verdict(self.estimate, self.held_out or self.train)
+        return self.session.verdict(self.estimate, self.held_out or self.train, self.held_out_rms)
 
     @cached_property
     def rms_nominal(self) -> dict[str, float]:

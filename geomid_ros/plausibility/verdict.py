@@ -22,6 +22,8 @@ _ABSURD = _REASON**2  # nor is what little motion tells of masses
 _BLOCK = 1_000_000_000  # [ns] errors so far apart are independent
 _FEWEST_BLOCKS = 4
 _SCATTER = 3.0  # standard errors of the mean over blocks
+_UNLIKE = 3.0  # times the RMS of what was fitted: more than a motion that is a little different explains
+_LEAST_RMS = 1e-12
 _WORSE = 1.05  # a channel's RMS over that of the URDF: less is of no account
 
 
@@ -121,6 +123,25 @@ def _nominal_mass(model: MeasurementModel) -> float:
 def _weigh(estimate: Estimate, model: MeasurementModel) -> str:
     found = sum(link.mass for link in estimate.links)
     return f"the links weigh {found:.3g} kg in all instead of the URDF's {_nominal_mass(model):.3g} kg"
+
+
+def unlike(estimate: Estimate, held_out: FloatArray) -> list[str]:
+    """What to say of channels where held-out data are predicted far worse than fitted ones.
+
+    Args:
+        estimate: what was found.
+        held_out: RMS of what it leaves on held-out data ``(channels,)``, NaN where nothing is measured.
+    """
+    ratios = held_out / np.maximum(estimate.rms, _LEAST_RMS)
+    if not np.any(ratios > _UNLIKE):
+        return []
+    named = ", ".join(f"'{estimate.channels[c]}' ({ratios[c]:.0f} times)" for c in np.flatnonzero(ratios > _UNLIKE))
+    sentence = (
+        f"what was held out is predicted far worse than what was fitted: {named}; the robot moves otherwise there, or "
+        "something has changed. If nothing has, fit all of it (--hold-out 0), and judge on another recording "
+        "(--validate)"
+    )
+    return [sentence]
 
 
 def worse_on_rows(estimate: Estimate) -> list[str]:

@@ -28,7 +28,7 @@ from geomid_ros.model.robot import Robot
 from geomid_ros.model.samples import Samples
 from geomid_ros.plausibility.check import RecordingCheck
 from geomid_ros.plausibility.hypotheses import Finding
-from geomid_ros.plausibility.verdict import Verdict, verdict, worse_channels, worse_on_rows
+from geomid_ros.plausibility.verdict import Verdict, unlike, verdict, worse_channels, worse_on_rows
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.streams import faulty_streams, peculiarities
 from geomid_ros.signals.gates import Limits
@@ -126,15 +126,19 @@ class Session:
         self.check, self.findings = self._new_check(), ()
         self._forgotten = self.pipeline.ledger.topics
 
-    def verdict(self, estimate: Estimate, batches: Sequence[Samples] = ()) -> Verdict:
+    def verdict(
+        self, estimate: Estimate, batches: Sequence[Samples] = (), held_out: FloatArray | None = None
+    ) -> Verdict:
         """Whether an estimate can be used.
 
         Args:
             estimate: what was found.
             batches: samples on which it is compared with the URDF; none to compare on its own rows.
+            held_out: RMS ``(channels,)`` of what it leaves on held-out data; None if nothing was held out.
         """
         worse = worse_channels(self.model, batches, estimate.parameters) if batches else worse_on_rows(estimate)
         peculiar = [*peculiarities(self.pipeline.ledger.topics), *self.check.remarks]
+        peculiar += [] if held_out is None else unlike(estimate, held_out)
         return verdict(estimate, self.findings, self.model, worse, self.check.unmeasured, peculiar)
 
     def warnings(self, estimate: Estimate | None = None, verdict: Verdict | None = None) -> list[str]:

@@ -12,7 +12,7 @@ from estimation.arms import Case, arm
 from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.estimation.identifier import Identifier
 from geomid_ros.plausibility.hypotheses import Cause, Finding
-from geomid_ros.plausibility.verdict import Verdict, verdict, worse_channels, worse_on_rows
+from geomid_ros.plausibility.verdict import Verdict, unlike, verdict, worse_channels, worse_on_rows
 from geomid_ros.types import FloatArray
 
 FINDING = Finding(cause=Cause(kind="sign", sentence="all is reversed"), sure=False)
@@ -92,6 +92,17 @@ def test_what_is_within_the_scatter_of_blocks_is_not_told() -> None:
         worse_channels(case.model, [replace(held_out, acceleration=acceleration)], with_rotor(estimate.parameters))
         == []
     )
+
+
+def test_what_goes_on_otherwise_is_told() -> None:
+    """Twice as bad is another motion; ten times is named, with the channel alone."""
+    _, estimate = solved()
+    assert unlike(estimate, 2.0 * estimate.rms) == []
+    assert unlike(estimate, np.full(len(estimate.rms), np.nan)) == []
+    (sentence,) = unlike(estimate, np.where(np.arange(3) == 1, 10.0, 1.0) * estimate.rms)
+    assert f"'{estimate.channels[1]}' (10 times)" in sentence
+    assert not any(f"'{estimate.channels[c]}'" in sentence for c in (0, 2))
+    assert "--hold-out 0" in sentence
 
 
 def test_on_its_own_rows_too() -> None:
