@@ -18,7 +18,7 @@ from geomid_ros.signals.ledger import Ledger
 
 from .stage import messages
 
-PATIENCE = 60.0
+PATIENCE = 180.0
 STATES = [item for item in messages() if item.topic == "/joint_states"][:300]
 ARM, FINGER = ("joint1", "joint2", "joint3"), "finger_joint1"
 

@@ -43,7 +43,7 @@ VALUES = {
     "wrench.wrist.topic": "/wrist",
     "wrench.wrist.frame": "wrist_ft",
 }
-PATIENCE = 60.0
+PATIENCE = 180.0
 SAME = 1e-9
 Change = Callable[[float, np.ndarray], np.ndarray]  # of a wrench, or efforts, at a time
 
