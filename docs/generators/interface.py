@@ -31,7 +31,8 @@ _MEANINGS = {
     "~/predicted_joint_states": "efforts as the estimate predicts them, with the filtered motion, stamped as the data; "
     "while somebody listens",
     "~/markers": "ellipsoids for RViz, blue where known from the prior, orange where from the data",
-    "~/gap": "what `~/find_gap` found, as `gap.json`; with nothing but `error` in it where nothing can be said",
+    "~/gap": "what `~/find_gap` found, as `gap.json`, with `compared_with` where a gap is open; with nothing but "
+    "`error` in it where nothing can be said",
     "~/payload": "what `~/payload/loaded` weighed, as `geomid payload --json` prints it; with nothing but `error` in "
     "it where nothing can be said",
     "/diagnostics": "at 1 Hz: the stream and every link, see below; the stream's warns when a gap opens",

@@ -4,44 +4,72 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
+from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.files.models.gap_results import gap_document
 from geomid_ros.files.models.judgements import causes_entry
 from geomid_ros.gap.result import GapResult
 from geomid_ros.plausibility.hypotheses import Finding
 from geomid_ros.report.gap_words import verdict_sentence
-from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.gap import find_in_messages, gap_session
 from geomid_ros.session.recordings import Progress
+from geomid_ros.session.session import Session
 from geomid_ros.signals.messages import Accepted
+
+COMPARED = "compared with what was identified before the gap"
 
 
 @dataclass(frozen=True)
 class FoundGap:
-    """The ``result`` of a search, the ``causes`` that make it doubtful, and ``warnings`` beside."""
+    """The ``result`` of a search, the ``causes`` that make it doubtful, ``warnings`` beside, and what the robot was
+    ``compared`` with, if not with its description."""
 
     result: GapResult
     causes: Sequence[Finding] = ()
     warnings: Sequence[str] = ()
+    compared: str = ""
 
     @property
     def sentence(self) -> str:
         """The verdict."""
-        return verdict_sentence(self.result)
+        sentence = verdict_sentence(self.result)
+        return f"{sentence} ({self.compared})" if self.compared else sentence
 
     @property
     def document(self) -> dict[str, Any]:
         """The document of ``gap.json``."""
-        return gap_document(self.result, {}) | {"causes": causes_entry(self.causes), "warnings": [*self.warnings]}
+        document = gap_document(self.result, {}) | {"causes": causes_entry(self.causes), "warnings": [*self.warnings]}
+        return document | ({"compared_with": self.compared} if self.compared else {})
 
 
-def look_for_gap(urdf: str, configuration: Configuration, messages: Sequence[Accepted], progress: Progress) -> FoundGap:
-    """Look for a gap in messages that the pipeline of another session has accepted.
+def look_for_gap(
+    session: Session, before: Estimate | None, messages: Sequence[Accepted], progress: Progress
+) -> FoundGap:
+    """Look for a gap in messages that the pipeline of a live session has accepted.
+
+    Args:
+        session: of the node.
+        before: what it had identified before a gap opened, to which the robot is compared; None to compare it with the
+            robot description and the configured model.
+        messages: what to look at.
+        progress: called with what is being done.
 
     Raises:
         InputError: too little was measured.
     """
-    session = gap_session(urdf, configuration, "robot_description")
-    result = find_in_messages(session, messages, progress)
-    return FoundGap(result, session.findings, session.warnings())
+    own = _session(session, before)
+    result = find_in_messages(own, messages, progress)
+    compared = "" if before is None else f"{COMPARED}, of {before.rows_accepted} rows"
+    return FoundGap(result, own.findings, own.warnings(), compared)
+
+
+def _session(session: Session, before: Estimate | None) -> Session:
+    configuration, source = session.configuration, "robot_description"
+    if before is None:
+        return gap_session(session.urdf, configuration, source)
+    with TemporaryDirectory(prefix="geomid_") as folder:
+        model, _ = session.save(Path(folder), before)
+        return gap_session(session.urdf, configuration.with_values({"model": str(model)}), source)

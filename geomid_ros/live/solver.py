@@ -5,7 +5,7 @@ from __future__ import annotations
 import queue
 import threading
 import time
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Callable
 from typing import TypeAlias
 
@@ -22,6 +22,7 @@ from geomid_ros.session.session import Session
 from geomid_ros.signals.ledger import count_reason
 
 SOLVING = "solving"
+_EARLIER = 64  # estimates, so many as are made until a gap is known: most of a minute
 
 Done: TypeAlias = Callable[[Estimate | GeomidError], None]
 
@@ -47,6 +48,7 @@ class Solver:
         self._on_estimate = on_estimate
         self._lock = threading.Lock()  # held, briefly, for all that follows
         self.estimate: Estimate | None = None  # the last one
+        self._earlier: deque[tuple[int, Estimate]] = deque(maxlen=_EARLIER)  # the last ones, by the instants they know
         self.problem = ""  # why the last try gave no new estimate
         self._failures: Counter[str] = Counter()
         self._epoch = 0  # a result of an earlier one is thrown away
@@ -102,6 +104,7 @@ class Solver:
         self.detector = self._new_detector()
         self.changed_sensors = ()
         self.estimate = None
+        self._earlier.clear()
         self.problem = ""
         self._solve_afresh()
 
@@ -110,6 +113,12 @@ class Solver:
         self._epoch += 1
         self._session.warm = None
         self._solved_rows = 0
+
+    def estimate_before(self, instant: int) -> Estimate | None:
+        """The last estimate that knows nothing of the instant of this number and later ones; None if it is too long
+        ago."""
+        known = [estimate for instants, estimate in tuple(self._earlier) if instants <= instant]
+        return known[-1] if known else None
 
     @property
     def failures(self) -> Counter[str]:
@@ -204,10 +213,11 @@ class Solver:
 
     def _solve_once(self, warm: WarmStart | None) -> Estimate | GeomidError:
         with self._lock:
-            rows, epoch = self._session.identifier.rows, self._epoch
+            rows, epoch, instants = self._session.identifier.rows, self._epoch, self._session.identifier.instants
         try:
             estimate = self._finite(self._session.identifier.solve(warm))
             if self._keep(estimate, rows, epoch, warm):
+                self._earlier.append((instants, estimate))
                 self._on_estimate(self._session, estimate)
         except Exception as error:  # noqa: BLE001 the last estimate stays; the diagnostics report it
             if not isinstance(error, GeomidError):

@@ -138,6 +138,13 @@ class Worker:
         return [late for each in self.session.recent.entries() if len(late := each.since(begin))]
 
     @property
+    def estimate_before_gap(self) -> Estimate | None:
+        """What was identified before the first gap opened that is open; None if there is none, or it is too long
+        ago."""
+        opened = [gap.first for gap in self.solver.detector.gaps if gap.since is not None]
+        return self.solver.estimate_before(min(opened)) if opened else None
+
+    @property
     def estimate(self) -> Estimate | None:
         """The last estimate."""
         return self.solver.estimate

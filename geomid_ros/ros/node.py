@@ -222,7 +222,7 @@ class GeomidNode(Node):
         messages = worker.recent_messages()
         if not messages:
             return False, NO_DATA
-        self._search.start(partial(look_for_gap, worker.session.urdf, worker.session.configuration, messages))
+        self._search.start(partial(look_for_gap, worker.session, worker.estimate_before_gap, messages))
         return True, "looking; the finding comes on ~/gap"
 
     async def _save(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:

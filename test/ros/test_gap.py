@@ -169,9 +169,12 @@ def test_friction_that_grows_opens_a_gap(stage: Stage, rubbing: list[Recorded]) 
     findings = observer.collect(String, "/geomid/gap", latched())
     assert observer.trigger("/geomid/find_gap") == LOOKING
     observer.wait_for(lambda: findings, "a finding")
-    found = json.loads(findings[0].data)["findings"][0]
+    document = json.loads(findings[0].data)
+    assert document["compared_with"].startswith("compared with what was identified before the gap")
+    (found,) = (f for f in document["findings"] if f["confidence"] == "confident")
     assert found["joint"] == "joint2"
     assert found["parameters"]["level"]["value"] == pytest.approx(2.0 * LEVEL, rel=0.05), "as it is now"
+    assert found["was"]["level"] == pytest.approx(LEVEL, rel=0.05), "as it was"
     assert observer.trigger("/geomid/reset")[0]
     observer.diagnostics(lambda values, _: "gap joint2" not in values, "a watch that starts afresh")
 
