@@ -71,5 +71,6 @@ def weigh_payload(
 
 def _all(session: Session, bags: Sequence[Path], topics: Topics, progress: Progress) -> list[Samples]:
     """All samples of some bags."""
+    session.judge_apart()
     train, _ = read_bags(session, Bags(fitted=bags, hold_out=0.0, topics=topics), progress)
     return train

@@ -72,9 +72,10 @@ def _weigh(session: Session, empty: Sequence[Accepted], loaded: Sequence[Accepte
         found = pipeline.collect()
         if found is None:
             raise InputError(f"too little motion {what} the payload: half a minute in which all joints move is needed")
+        session.judge_apart()
         session.check.add(found)
+        session.judge()
         samples.append(found)
-    session.judge()
     progress("solving", 0.0)
     frame, gain = session.configuration["payload.frame"], session.configuration["payload.gain"]
     return weigh_at(session, samples[:1], samples[1:], frame, gain)

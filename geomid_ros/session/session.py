@@ -97,6 +97,7 @@ class Session:
         """Told of all samples, it judges them as a whole."""
         self.findings: tuple[Finding, ...] = ()
         """What seems to be wrong with the recording as a whole."""
+        self._kept: tuple[Finding, ...] = ()  # of recordings that are judged apart
         self._forgotten: dict[str, Account] = {}  # what the ledger had counted when findings were forgotten
         self.warm: WarmStart | None = None
         """Where the next solve may begin: the last estimate."""
@@ -119,12 +120,20 @@ class Session:
         check = self.check
         found = check.findings()
         if check is self.check:  # nothing was forgotten meanwhile
-            self.findings = (*found, *faulty_streams(self.pipeline.ledger.topics, self._forgotten))
+            found = (*self._kept, *found, *faulty_streams(self.pipeline.ledger.topics, self._forgotten))
+            self.findings = tuple({finding.sentence: finding for finding in found}.values())
 
     def forget_findings(self) -> None:
         """Judge by the samples to come alone."""
-        self.check, self.findings = self._new_check(), ()
+        self.check, self.findings, self._kept = self._new_check(), (), ()
         self._forgotten = self.pipeline.ledger.topics
+
+    def judge_apart(self) -> None:
+        """Keep the findings so far, and judge the samples to come by themselves: what was changed on purpose between
+        two recordings is no fault of theirs."""
+        kept = self.findings
+        self.forget_findings()
+        self.findings = self._kept = kept
 
     def verdict(
         self, estimate: Estimate, batches: Sequence[Samples] = (), held_out: FloatArray | None = None

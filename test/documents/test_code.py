@@ -62,7 +62,7 @@ def test_commands_exist_with_their_options(document: str) -> None:
     for name, *arguments in commands(document):
         command = root.get_command(context, name)
         assert command is not None, f"{document}: geomid {name}"
-        of_it = click.Context(command)
+        of_it = click.Context(command, help_option_names=root.context_settings["help_option_names"])  # it keeps them
         values, _, _ = command.make_parser(of_it).parse_args(list(arguments))
         for parameter in command.params:
             for value in np.atleast_1d(values.get(parameter.name) or []):

@@ -158,16 +158,29 @@ def test_numbers_below_a_thousand_million_are_plausible() -> None:
 
 
 class TestParts:
-    """Messages of two publishers."""
+    """Messages of two publishers, of joints a and c every STEP, of joint b every two and a half."""
+
+    SECOND = 1_000_000_000
 
     def parts(self) -> JointParts:
         def new_reader(part: tuple[str, ...]) -> JointReader:
             return JointReader(part, np.ones(len(part)), np.zeros(len(part), dtype=bool), MAX_GAP, lambda _: None)
 
-        return JointParts(("a", "b", "c"), MAX_GAP, new_reader)
+        return JointParts(("a", "b", "c"), MAX_GAP, self.SECOND, new_reader, lambda _: None)
 
-    def numbers(self, size: int, value: float) -> np.ndarray:
-        return np.full(3 * size, value)
+    def fed(self, parts: JointParts, left: Sequence[int], right: Sequence[int]) -> dict[int, np.ndarray]:
+        """What becomes of messages with these stamps, in their order, by the stamp; their numbers are the stamps, those
+        of joint b twice as large."""
+        joints = parts.part(("a", "c")), parts.part(("b",))
+        messages = sorted([*((stamp, 0) for stamp in left), *((stamp, 1) for stamp in right)])
+        found = {}
+        for stamp, place in messages:
+            numbers = np.full(3 * len(joints[place]), (1.0 + place) * stamp)
+            found |= {then: whole.reshape(3, 3) for then, whole in parts.add(joints[place], stamp, numbers)}
+        return found
+
+    def stamps(self, step: int, begin: int = 0, end: int = 2 * SECOND) -> list[int]:
+        return list(range(begin + START, end + START + 1, step))
 
     def test_a_part_is_in_the_robot_s_order_and_has_a_reader_of_its_own(self) -> None:
         parts = self.parts()
@@ -186,55 +199,36 @@ class TestParts:
         with pytest.raises(RejectedError, match="no joint names"):
             parts.part(())
 
-    def test_the_whole_is_at_the_stamps_that_all_have_reached(self) -> None:
-        parts = self.parts()
-        left, right = parts.part(("a", "c")), parts.part(("b",))
-        assert list(parts.add(left, 100, self.numbers(2, 1.0))) == []
-        ((stamp, whole),) = parts.add(right, 100, self.numbers(1, 5.0))
-        assert stamp == 100
-        np.testing.assert_array_equal(whole.reshape(3, 3), np.tile([1.0, 5.0, 1.0], (3, 1)))
-        assert list(parts.add(left, 200, self.numbers(2, 3.0))) == []
-        ((stamp, whole),) = parts.add(right, 150, self.numbers(1, 6.0))
-        assert stamp == 150
-        np.testing.assert_allclose(whole.reshape(3, 3), np.tile([2.0, 6.0, 2.0], (3, 1)))
-        ((stamp, whole),) = parts.add(right, 400, self.numbers(1, 11.0))
-        assert stamp == 200
-        np.testing.assert_allclose(whole.reshape(3, 3), np.tile([3.0, 7.0, 3.0], (3, 1)))
+    @pytest.mark.parametrize("slow", ["right", "left"])
+    def test_the_whole_is_at_the_stamps_of_the_fastest(self, slow: str) -> None:
+        fast, others = self.stamps(STEP), self.stamps(5 * STEP // 2)
+        found = self.fed(self.parts(), *((fast, others) if slow == "right" else (others, fast)))
+        assert list(found) == fast
+        for stamp, whole in found.items():
+            np.testing.assert_allclose(whole, np.tile([stamp, 2.0 * stamp, stamp], (3, 1)), rtol=1e-12)
 
     @pytest.mark.parametrize(("pause", "joined"), [(MAX_GAP, True), (MAX_GAP + 2, False)])
     def test_between_messages_further_apart_than_a_gap_there_is_nothing(self, pause: int, joined: bool) -> None:
-        parts = self.parts()
-        left, right = parts.part(("a", "c")), parts.part(("b",))
-        list(parts.add(right, 1000, self.numbers(1, 0.0)))
-        list(parts.add(left, 1000, self.numbers(2, 0.0)))
-        list(parts.add(right, 1000 + pause, self.numbers(1, 0.0)))
-        found = list(parts.add(left, 1000 + pause // 2, self.numbers(2, 0.0)))
-        assert [stamp for stamp, _ in found] == ([1000 + pause // 2] if joined else [])
+        before = self.stamps(STEP)
+        right = [*before, *(stamp + pause for stamp in self.stamps(STEP, 2 * self.SECOND))]
+        found = self.fed(self.parts(), self.stamps(STEP, 0, 2 * self.SECOND + 2 * MAX_GAP), right)
+        between = [stamp for stamp in found if before[-1] < stamp < before[-1] + pause]
+        assert bool(between) == joined
 
-    def test_what_begins_later_is_waited_for_and_nothing_is_given_twice(self) -> None:
-        parts = self.parts()
-        left, right = parts.part(("a", "c")), parts.part(("b",))
-        for stamp in (100, 200, 300):
-            assert list(parts.add(left, stamp, self.numbers(2, 1.0))) == []
-        assert [stamp for stamp, _ in parts.add(right, 250, self.numbers(1, 0.0))] == [250]
-        assert [stamp for stamp, _ in parts.add(right, 300, self.numbers(1, 0.0))] == [300]
-        assert list(parts.add(right, 350, self.numbers(1, 0.0))) == []
-        assert [stamp for stamp, _ in parts.add(left, 400, self.numbers(2, 0.0))] == [350]
+    def test_what_begins_later_is_waited_for(self) -> None:
+        right = self.stamps(STEP, self.SECOND, 3 * self.SECOND)
+        found = self.fed(self.parts(), self.stamps(STEP, 0, 3 * self.SECOND), right)
+        assert list(found) == right
 
     def test_two_of_three_joints_are_not_the_robot(self) -> None:
-        parts = self.parts()
-        left = parts.part(("a", "c"))
-        assert list(parts.add(left, 100, self.numbers(2, 1.0))) == []
-        assert list(parts.add(left, 200, self.numbers(2, 1.0))) == []
+        assert self.fed(self.parts(), self.stamps(STEP), []) == {}
 
     def test_after_a_restart_time_begins_anew(self) -> None:
         parts = self.parts()
-        left, right = parts.part(("a", "c")), parts.part(("b",))
-        list(parts.add(left, 1000, self.numbers(2, 1.0)))
-        list(parts.add(right, 1000, self.numbers(1, 1.0)))
+        self.fed(parts, self.stamps(STEP, self.SECOND), self.stamps(STEP, self.SECOND, 3 * self.SECOND))
         parts.restart()
-        assert list(parts.add(left, 10, self.numbers(2, 1.0))) == []
-        assert [stamp for stamp, _ in parts.add(right, 10, self.numbers(1, 1.0))] == [10]
+        early = self.stamps(STEP, 0, 10 * STEP)
+        assert list(self.fed(parts, early, early)) == early
 
 
 class TestVelocityChoice:
