@@ -76,7 +76,10 @@ class Lags:
         if common.per_instant > _COMMON * gain.per_instant:
             return
         lags = _USUAL * gain.coefficients
-        main = [*np.flatnonzero((gain.ratios < _TOLD) & (np.abs(lags) > _LEAST) & (np.abs(lags) < _MOST))]
+        told = gain.ratios < _TOLD
+        if np.any(told & (np.abs(lags) >= _MOST)):  # what fits there is no lag, so it may be none elsewhere
+            return
+        main = [*np.flatnonzero(told & (np.abs(lags) > _LEAST))]
         if len(main) == 1:
             gain = self._fit.gain(alone[:, :, main])
         if main:
