@@ -12,7 +12,8 @@ from geomid_ros.api.arguments import Config, PathLike, Paths, Texts, bag_paths, 
 from geomid_ros.estimation.estimate import EffectEstimate, Estimate, LinkEstimate
 from geomid_ros.model.samples import Samples
 from geomid_ros.plausibility.verdict import Verdict
-from geomid_ros.report.drawing import draw_identification
+from geomid_ros.report.drawing import draw_identification, series_of
+from geomid_ros.report.series import Series
 from geomid_ros.report.sheet import write_picture
 from geomid_ros.session.locking import read_with_locked
 from geomid_ros.session.recordings import Bags, Progress, Topics, read_bags, silent, take
@@ -63,7 +64,7 @@ class Identification:
     @cached_property
     def verdict(self) -> Verdict:
         """Whether the result can be used: ``usable``, ``doubtful`` or ``not converged``, and why not."""
-        return self.session.verdict(self.estimate, self.held_out or self.train, self.held_out_rms)
+        return self.session.verdict(self.estimate, self._judged, self.held_out_rms)
 
     @cached_property
     def rms_nominal(self) -> dict[str, float]:
@@ -91,8 +92,21 @@ class Identification:
 
     def plot(self) -> Figure:
         """Draw the bodies, before and after, and the channels, measured and predicted."""
-        of_what = "held-out data" if self.held_out else "training data"
-        return draw_identification(self.session, self.estimate, self.held_out or self.train, of_what)
+        return draw_identification(self.session, self.estimate, self._judged, self._series, self._of_what)
+
+    @property
+    def _judged(self) -> Sequence[Samples]:
+        """The samples that the result is judged on."""
+        return self.held_out or self.train
+
+    @property
+    def _of_what(self) -> str:
+        return "held-out data" if self.held_out else "training data"
+
+    @cached_property
+    def _series(self) -> Sequence[Series]:
+        """The channels, measured and predicted."""
+        return series_of(self.session, self.estimate, self._judged)
 
     def save(self, folder: PathLike, *, progress: Progress = silent) -> list[Path]:
         """Write estimate.json, identified.urdf and identification.png.
