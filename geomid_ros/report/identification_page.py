@@ -14,6 +14,7 @@ from geomid_ros.estimation.estimate import Estimate, LinkEstimate
 from geomid_ros.model.effects import KnownEffect, Quantity
 from geomid_ros.plausibility.verdict import Verdict
 from geomid_ros.report import identification_words
+from geomid_ros.report.gap_words import percent
 from geomid_ros.report.page import Bars, Script, write_page
 from geomid_ros.report.series import Series
 from geomid_ros.report.sheet import number
@@ -126,7 +127,7 @@ def _interval(link: LinkEstimate) -> tuple[float, float]:
 
 def _heaviest(page: IdentificationPage) -> float:
     """The end of the axis of masses [kg]: there is room for all masses, and for most intervals."""
-    masses = [*page.masses.tolist(), *(link.mass for link in page.estimate.links)]
+    masses: list[float] = [*page.masses.tolist(), *(link.mass for link in page.estimate.links)]
     ends = [_interval(link)[1] for link in page.estimate.links]
     return 1.05 * max(1e-9, min(max(ends, default=0.0), 3.0 * max(masses, default=0.0)), *masses)
 
@@ -134,7 +135,8 @@ def _heaviest(page: IdentificationPage) -> float:
 def _fit(series: Sequence[Series]) -> Iterator[tuple[Series, str, str, float]]:
     """Of every channel: RMS of the URDF and of the identified model, and the share of the former that is explained."""
     for channel in series:
-        yield channel, *map(number, channel.rms), 1.0 - channel.ratio
+        before, after = channel.rms
+        yield channel, number(before), number(after), 1.0 - channel.ratio
 
 
 def _bars(series: Sequence[Series]) -> Bars:
@@ -142,11 +144,7 @@ def _bars(series: Sequence[Series]) -> Bars:
     ratios = {channel.name: channel.ratio for channel in series if math.isfinite(channel.ratio)}
     end = max(1.0, min(2.0, max(ratios.values(), default=1.0)))
     rows = [
-        (
-            name,
-            "",
-            {"before": ("100 %", 100.0 / end), "after": (f"{100.0 * ratio:.0f} %", 100.0 * min(ratio / end, 1.0))},
-        )
+        (name, "", {"before": ("100 %", 100.0 / end), "after": (percent(ratio), 100.0 * min(ratio / end, 1.0))})
         for name, ratio in ratios.items()
     ]
     return Bars(rows, [(f"{100 * share:.0f}", 100.0 * share / end) for share in _SHARES], "RMS")

@@ -97,9 +97,6 @@ def telling(motions: Mapping[str, Sequence[str]]) -> list[str]:
     sentences = [f"{grouped(quantities)}: {motion}" for motion, quantities in motions.items() if motion]
     rest = motions.get("", ())
     if rest:
-        helps = "weigh the link (--known), or measure" if "mass" in rest else "measure"
-        sentences.append(
-            f"{grouped(rest)}: no motion that was tried; {helps} a wrench at the wrist (--wrench). Efforts feel sums "
-            "with other links, and to predict them needs no more"
-        )
+        weigh = ", but weighing the link (--known)" if "mass" in rest else ""
+        sentences.append(f"{grouped(rest)}: no motion that was tried{weigh}")
     return sentences

@@ -66,8 +66,8 @@ Bar = tuple[str, float]
 
 @dataclass(frozen=True)
 class Bars:
-    """Bars for a table: ``rows`` of a name, a note and bars by kind; ``ticks`` of the axis are labels and where they are,
-    in percent of its length; ``heading`` of what is written beside the bars."""
+    """Bars for a table: ``rows`` of a name, a note and bars by kind; ``ticks`` of the axis are labels and where they
+    are, in percent of its length; ``heading`` of what is written beside the bars."""
 
     rows: Sequence[tuple[str, str, Mapping[str, Bar]]]
     ticks: Sequence[tuple[str, float]]

@@ -67,7 +67,7 @@ def _trace(channel: Series, clock: Clock, bins: int) -> Trace:
         return _path(WIDTH * seconds / end, down)
 
     before, after = map(number, channel.rms)
-    ticks = [tick for tick in MaxNLocator(4).tick_values(low, high).tolist() if low <= tick <= high]
+    ticks = [tick for tick in map(float, MaxNLocator(4).tick_values(low, high)) if low <= tick <= high]
     return Trace(
         channel.name,
         channel.unit,
