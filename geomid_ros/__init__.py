@@ -6,7 +6,7 @@ What a notebook or a script needs is here; everything else may change::
 
     found = geomid_ros.identify("my_bag", "robot.urdf")
     found.links, found.effects, found.rms
-    found.save("geomid_out")
+    found.save("geomid_out")  # report.html tells all of it
 
     gap = geomid_ros.find_gap("my_bag", "robot.urdf")
     gap.verdict, gap.findings

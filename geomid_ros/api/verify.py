@@ -29,8 +29,8 @@ class Verification:
 
     Attributes:
         session: the robot and its model.
-        rms: by channel, RMS of what the model leaves (``value``), of what remained when it was identified (``floor``)
-            and of the URDF (``urdf``); NaN where nothing is measured or known.
+        rms: by channel, RMS of what the model leaves (``value``), of what it left of the fitted data (``floor``), and of
+            what the URDF leaves (``urdf``); NaN where nothing is measured or known.
         doubts: why the model or the recording is not to be believed.
         outcomes: what was required, and whether it is so.
     """
@@ -112,8 +112,7 @@ def _values(session: Session, samples: Sequence[Samples], document: Mapping[str,
     nominal, prior = session.nominal_parameters, session.prior
     found = nominal if prior is None else np.where(np.isnan(prior), nominal, prior)
     channels = [channel.name for channel in session.model.channels]
-    floor = document.get("sigma")
-    floors = floor if isinstance(floor, dict) else {}
+    floors = _entry(_entry(document, "rms"), "train")
     errors = zip(channels, *(session.rms(samples, each).tolist() for each in (found, nominal)), strict=True)
     bodies = session.model.body_names
     masses = [[*each, sum(each)] for each in (_masses(found, bodies), _masses(nominal, bodies))]
@@ -127,6 +126,12 @@ def _values(session: Session, samples: Sequence[Samples], document: Mapping[str,
 def _masses(parameters: FloatArray, bodies: Sequence[str]) -> list[float]:
     masses: list[float] = parameters[: 10 * len(bodies) : 10].tolist()
     return masses
+
+
+def _entry(document: Mapping[str, Any], key: str) -> Mapping[str, Any]:
+    """An object of a file, empty if it is none."""
+    found = document.get(key)
+    return found if isinstance(found, dict) else {}
 
 
 def _number(value: object) -> float:

@@ -7,8 +7,8 @@ A requirement is ``[PLACE.]QUANTITY COMPARISON BOUND``, and without a place it i
 - ``from_data``, of a link: share of the prior's variance that the data removed, 0 to 1.
 
 A comparison is ``<``, ``<=``, ``>`` or ``>=``. A bound is a number, ``floor``, ``urdf``, or a number times one of them:
-``2*floor``. The floor of an rms is what remained when the model was identified; ``urdf`` is the same quantity of the
-URDF.
+``2*floor``. The floor of an rms is that of the fitted data when the model was identified; ``urdf`` is the same quantity
+of the URDF, with sensors corrected as the model says.
 """
 
 from __future__ import annotations

@@ -20,7 +20,7 @@ _FAR = 10 * HEIGHT  # beyond which nothing is drawn
 _TIMES = 5  # labels of the axis of time
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Trace:
     """A channel for a page.
 
@@ -69,17 +69,17 @@ def _trace(channel: Series, clock: Clock, bins: int) -> Trace:
     before, after = map(number, channel.rms)
     ticks = [tick for tick in map(float, MaxNLocator(4).tick_values(low, high)) if low <= tick <= high]
     return Trace(
-        channel.name,
-        channel.unit,
-        before,
-        after,
-        low,
-        high,
-        end,
-        [f"{second:.4g}" for second in np.linspace(0.0, end, _TIMES)],
-        clock.label,
-        [(f"{tick:g}", 100.0 * (high - tick) / (high - low)) for tick in ticks],
-        {kind: path(values) for kind, values in kinds.items()},
+        name=channel.name,
+        unit=channel.unit,
+        before=before,
+        after=after,
+        low=low,
+        high=high,
+        end=end,
+        times=[f"{second:.4g}" for second in np.linspace(0.0, end, _TIMES)],
+        clock=clock.label,
+        ticks=[(f"{tick:g}", 100.0 * (high - tick) / (high - low)) for tick in ticks],
+        lines={kind: path(values) for kind, values in kinds.items()},
     )
 
 
