@@ -29,8 +29,8 @@ class Verification:
 
     Attributes:
         session: the robot and its model.
-        rms: by channel, RMS of what the model leaves (``value``), of what it left of the fitted data (``floor``), and of
-            what the URDF leaves (``urdf``); NaN where nothing is measured or known.
+        rms: by channel, RMS of what the model leaves (``value``), of what it left of the data that it was fitted to
+            (``floor``), and of what the URDF leaves (``urdf``); NaN where nothing is measured or known.
         doubts: why the model or the recording is not to be believed.
         outcomes: what was required, and whether it is so.
     """
