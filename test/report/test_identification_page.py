@@ -207,7 +207,7 @@ def test_the_script_reads_values_and_zooms(tmp_path: Path) -> None:
     run = subprocess.run([node, tmp_path / "run.js"], capture_output=True, text=True, check=False, timeout=60)
     assert run.returncode == 0, run.stderr
     assert run.stdout.split("\n")[:4] == [
-        "5.00 s: measured 0.000 N m",  # the line falls from 2 to -2 in 10 s
+        "2.50 s: measured 1.000 N m",  # the line falls from 2 to -2 in 10 s
         "5000 0 10000 4000",
         "2.500 5.000 7.500",
         "0 0 20000 4000",
@@ -230,7 +230,7 @@ const figure = { dataset: { unit: "N m", low: "-2", high: "2", end: "10" },
   querySelector: (selector) => parts[selector], querySelectorAll: () => labels };
 globalThis.document = { querySelectorAll: () => [figure], querySelector: () => back };
 SCRIPT
-told.area.pointermove({ clientX: 300 });
+told.area.pointermove({ clientX: 200 });
 console.log(readout.textContent);
 told.area.pointerdown({ clientX: 200, pointerId: 1 });
 told.area.pointerup({ clientX: 400 });
