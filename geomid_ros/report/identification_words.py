@@ -58,12 +58,11 @@ def _predictions(series: Sequence[Series], held_out: bool) -> list[str]:
 def _masses(told: Sequence[str], links: int) -> str:
     if not told:
         return "Not for the mass of any single link: the data tell sums of them alone, which is enough to predict."
+    names = "all links" if len(told) == links else ", ".join(told)
+    sentence = f"For the masses of {names}, where no warning names them."
     if len(told) == links:
-        return "For the masses of all links: the data tell each."
-    return (
-        f"For the masses of {', '.join(told)}. Those of the other {links - len(told)} links stay near the URDF's: the "
-        "data tell sums of them alone, which is enough to predict."
-    )
+        return sentence
+    return f"{sentence} Of the other {links - len(told)} links the data tell sums, which is enough to predict."
 
 
 def cannot_tell(link: LinkEstimate) -> str:
