@@ -96,6 +96,6 @@ def telling(motions: Mapping[str, Sequence[str]]) -> list[str]:
     sentences = [f"{grouped(quantities)}: {motion}" for motion, quantities in motions.items() if motion]
     rest = motions.get("", ())
     if rest:
-        weigh = ", but weighing the link (--known)" if "mass" in rest else ""
+        weigh = "; a scale tells the mass (--known)" if "mass" in rest else ""
         sentences.append(f"{grouped(rest)}: no motion that was tried{weigh}")
     return sentences
