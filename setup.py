@@ -15,7 +15,7 @@ setup(
     maintainer_email="maintainers@geomid-ros.example",
     python_requires=">=3.11",
     packages=find_packages(include=[NAME, f"{NAME}.*"]),
-    package_data={NAME: ["py.typed"], "": ["*.urdf", "*.j2"]},
+    package_data={NAME: ["py.typed"], "": ["*.urdf", "*.j2", "*.js"]},
     zip_safe=False,
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),

@@ -6,7 +6,7 @@ What a notebook or a script needs is here; everything else may change::
 
     found = geomid_ros.identify("my_bag", "robot.urdf")
     found.links, found.effects, found.rms
-    found.save("geomid_out")
+    found.save("geomid_out")  # report.html tells all of it
 
     gap = geomid_ros.find_gap("my_bag", "robot.urdf")
     gap.verdict, gap.findings
@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from geomid_ros.api.gap import Gap, find_gap
     from geomid_ros.api.identify import Identification, identify
     from geomid_ros.api.payload import weigh_payload
+    from geomid_ros.api.verify import Verification, verify
     from geomid_ros.errors import GeomidError, InputError
     from geomid_ros.estimation.rows import RowsSolution, solve_rows
     from geomid_ros.exports.weighed_payload import Payload
@@ -42,10 +43,12 @@ __all__ = [
     "ParameterForm",
     "Payload",
     "RowsSolution",
+    "Verification",
     "find_gap",
     "identify",
     "register",
     "solve_rows",
+    "verify",
     "weigh_payload",
 ]
 
@@ -53,6 +56,7 @@ _NAMES = {
     "geomid_ros.api.gap": ("Gap", "find_gap"),
     "geomid_ros.api.identify": ("Identification", "identify"),
     "geomid_ros.api.payload": ("weigh_payload",),
+    "geomid_ros.api.verify": ("Verification", "verify"),
     "geomid_ros.errors": ("GeomidError", "InputError"),
     "geomid_ros.estimation.rows": ("RowsSolution", "solve_rows"),
     "geomid_ros.model.effects": ("Effect", "JointEffect", "JointMotion", "ParameterForm", "register"),

@@ -9,10 +9,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from geomid_ros.api.arguments import Config, PathLike, Paths, Texts, bag_paths, configuration, description, texts
+from geomid_ros.api.origin import origin
 from geomid_ros.estimation.estimate import EffectEstimate, Estimate, LinkEstimate
+from geomid_ros.estimation.telling_motions import telling_motions
+from geomid_ros.files.models.results import model_effects
 from geomid_ros.model.samples import Samples
 from geomid_ros.plausibility.verdict import Verdict
-from geomid_ros.report.drawing import draw_identification
+from geomid_ros.report.drawing import draw_identification, series_of
+from geomid_ros.report.identification_page import IdentificationPage, write_identification_page
+from geomid_ros.report.series import Series
 from geomid_ros.report.sheet import write_picture
 from geomid_ros.session.locking import read_with_locked
 from geomid_ros.session.recordings import Bags, Progress, Topics, read_bags, silent, take
@@ -29,12 +34,14 @@ class Identification:
 
     Attributes:
         session: the robot, its model and its configuration.
+        bags: what was read.
         estimate: all that the solver found.
         train: the samples that were fitted, in batches.
         held_out: the samples that were not; empty if nothing was held out.
     """
 
     session: Session
+    bags: Bags
     estimate: Estimate
     train: Sequence[Samples]
     held_out: Sequence[Samples]
@@ -63,7 +70,7 @@ class Identification:
     @cached_property
     def verdict(self) -> Verdict:
         """Whether the result can be used: ``usable``, ``doubtful`` or ``not converged``, and why not."""
-        return self.session.verdict(self.estimate, self.held_out or self.train, self.held_out_rms)
+        return self.session.verdict(self.estimate, self._judged, self.held_out_rms)
 
     @cached_property
     def rms_nominal(self) -> dict[str, float]:
@@ -91,15 +98,64 @@ class Identification:
 
     def plot(self) -> Figure:
         """Draw the bodies, before and after, and the channels, measured and predicted."""
-        of_what = "held-out data" if self.held_out else "training data"
-        return draw_identification(self.session, self.estimate, self.held_out or self.train, of_what)
+        return draw_identification(self.session, self.estimate, self._judged, self._series, self._of_what)
 
-    def save(self, folder: PathLike, *, progress: Progress = silent) -> list[Path]:
-        """Write estimate.json, identified.urdf and identification.png.
+    @property
+    def _judged(self) -> Sequence[Samples]:
+        """The samples that the result is judged on."""
+        return self.held_out or self.train
+
+    @property
+    def _of_what(self) -> str:
+        return "held-out data" if self.held_out else "training data"
+
+    @cached_property
+    def _series(self) -> Sequence[Series]:
+        """The channels, measured and predicted."""
+        return series_of(self.session, self.estimate, self._judged)
+
+    def report(self, path: PathLike, *, command: str = "geomid_ros.identify") -> Path:
+        """Write everything with pictures on one HTML page that needs no network: whether the result can be used and for
+        what, and all that it rests on.
+
+        Args:
+            path: the file.
+            command: what was run, for the page.
+
+        Returns:
+            The same path.
+
+        Raises:
+            InputError: the file cannot be written.
+        """
+        session, estimate = self.session, self.estimate
+        page = IdentificationPage(
+            robot=session.robot.name,
+            verdict=self.verdict,
+            warnings=self.warnings,
+            notes=session.notes,
+            estimate=estimate,
+            masses=session.model.nominal_inertias.reshape(-1, 10)[:, 0],
+            effects=model_effects(estimate, session.loaded.effects),
+            series=self._series,
+            held_out=bool(self.held_out),
+            telling=telling_motions(session.model, estimate),
+            messages=session.pipeline.ledger.topics,
+            refused_rows=session.identifier.rows_rejected,
+            origin=origin(session, self.bags, command),
+        )
+        write_identification_page(Path(path), page)
+        return Path(path)
+
+    def save(
+        self, folder: PathLike, *, progress: Progress = silent, command: str = "geomid_ros.identify"
+    ) -> list[Path]:
+        """Write estimate.json, identified.urdf, identification.png and report.html.
 
         Args:
             folder: made if it does not exist.
             progress: called with what is being done.
+            command: what was run, for the report.
 
         Returns:
             The files.
@@ -111,7 +167,7 @@ class Identification:
         progress("drawing", 0.0)
         picture = Path(folder) / "identification.png"
         write_picture(picture, self.plot())
-        return [*files, picture]
+        return [*files, picture, self.report(Path(folder) / "report.html", command=command)]
 
     def __repr__(self) -> str:
         """Why it should not be used, and a line for each link."""
@@ -190,4 +246,4 @@ def identify(
     progress("solving", 0.0)
     take(session, train)
     estimate = session.identifier.solve()
-    return Identification(session=session, estimate=estimate, train=train, held_out=held_out)
+    return Identification(session=session, bags=recorded, estimate=estimate, train=train, held_out=held_out)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shlex
 import sys
 from pathlib import Path
 from typing import Any
@@ -33,9 +34,9 @@ from geomid_ros.commands.options import OUT, recording_options, robot_options
 def identify(bags: tuple[Path, ...], effects: str | None, out: Path, as_json: bool, **options: Any) -> None:
     """Identify link inertias from rosbags.
 
-    Reads BAGS (folders, folders of them, or .mcap and .db3 files) and writes estimate.json, identified.urdf and
-    identification.png. How well the result predicts is judged on data that were held out: the end of each bag, or the
-    bags of --validate.
+    Reads BAGS (folders, folders of them, or .mcap and .db3 files) and writes estimate.json, identified.urdf,
+    identification.png and report.html. How well the result predicts is judged on data that were held out: the end of
+    each bag, or the bags of --validate.
     """
     from geomid_ros.commands.progress import progress_bar
     from geomid_ros.commands.results import identification
@@ -45,7 +46,7 @@ def identify(bags: tuple[Path, ...], effects: str | None, out: Path, as_json: bo
         options[name] = _names(options[name] or None)
     with progress_bar() as progress:
         found = geomid_ros.identify(bags, effects=chosen_effects, progress=progress, **options)
-        files = found.save(out, progress=progress)
+        files = found.save(out, progress=progress, command=shlex.join(["geomid", *sys.argv[1:]]))
     if as_json:
         click.echo(json.dumps(found.document, indent=2))
     else:

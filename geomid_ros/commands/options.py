@@ -70,6 +70,16 @@ def robot_options(function: Callable[..., None]) -> Callable[..., None]:
     return command
 
 
+def base_options(command: Callable[..., None]) -> Callable[..., None]:
+    """Whether the base moves, and how."""
+    for option in (
+        click.option("--odom-topic", default="odom", show_default=True, help="Topic of the base's pose."),
+        click.option("--floating-base", is_flag=True, help="The base moves; its pose is read from the odometry topic."),
+    ):
+        command = option(command)
+    return command
+
+
 def recording_options(command: Callable[..., None]) -> Callable[..., None]:
     """Further ones: which data are tested on, how the base moves, and where to start from."""
     for option in (
@@ -81,8 +91,7 @@ def recording_options(command: Callable[..., None]) -> Callable[..., None]:
             type=click.FloatRange(0.0, 0.9),
             help="Share of each bag's time, at the end, kept to test on.  [default: 0.3, with --validate 0]",
         ),
-        click.option("--odom-topic", default="odom", show_default=True, help="Topic of the base's pose."),
-        click.option("--floating-base", is_flag=True, help="The base moves; its pose is read from the odometry topic."),
+        base_options,
         click.option(
             "--model",
             type=click.Path(path_type=Path),

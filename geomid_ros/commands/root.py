@@ -22,6 +22,7 @@ COMMANDS = {
     "play": "Publish topics of BAG live.",
     "prior": "Give a URDF inertials from its shapes.",
     "simulate": "Record a simulated robot into a new rosbag.",
+    "verify": "Check that a model predicts a recording.",
 }
 """The first sentence of each command's help, by its name, which is that of its module."""
 

@@ -10,6 +10,8 @@ from geomid_ros.types import FloatArray
 
 QUANTITIES = ("mass", "com x", "com y", "com z", "Ixx", "Ixy", "Iyy", "Ixz", "Iyz", "Izz")
 """Names of a link's ten quantities, in the order of :func:`geomid_ros.geometry.pseudo_inertia.quantities_of`."""
+IDENTIFIABLE = 0.5
+"""A quantity is identifiable when data leave at most this share of its standard deviation in the prior."""
 FINEST = 1e7
 """Inverse of the smallest relative error of an inertia that data are believed to resolve."""
 

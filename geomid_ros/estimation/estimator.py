@@ -12,7 +12,14 @@ import numpy as np
 from geomid_ros.errors import InputError, unknown_name
 from geomid_ros.estimation import starting_point, uncertainty
 from geomid_ros.estimation.choice import choose
-from geomid_ros.estimation.estimate import QUANTITIES, EffectEstimate, Estimate, LinkEstimate, WeighedEstimate
+from geomid_ros.estimation.estimate import (
+    IDENTIFIABLE,
+    QUANTITIES,
+    EffectEstimate,
+    Estimate,
+    LinkEstimate,
+    WeighedEstimate,
+)
 from geomid_ros.estimation.fit import INDEPENDENT, Fit, Problem, fit, subproblem
 from geomid_ros.estimation.objective import GeodesicObjective, ResidualObjective
 from geomid_ros.estimation.rows import OBJECTIVES
@@ -27,8 +34,6 @@ from geomid_ros.types import FloatArray, IntArray, frozen
 _FAR = 2.0  # times the usual distance
 _SAME_MASS = 0.2  # logarithm of the ratio of masses
 _ROUNDING = 1e-9
-# A quantity is called identifiable when the data at least halved the standard deviation that the prior alone leaves.
-_IDENTIFIABLE = 0.5
 
 
 @dataclass(frozen=True)
@@ -265,7 +270,7 @@ def _links(
         variances = np.einsum("ij,jk,ik->i", derivative, found.covariance[block, block], derivative)
         std = np.sqrt(np.maximum(variances, 0.0))
         of_prior = np.linalg.norm(derivative * found.prior_spreads[block], axis=1)
-        unidentified = std > _IDENTIFIABLE * of_prior
+        unidentified = std > IDENTIFIABLE * of_prior
         links.append(
             LinkEstimate(
                 name=name,

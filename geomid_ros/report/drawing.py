@@ -14,7 +14,8 @@ from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.model.samples import Samples
 from geomid_ros.report.ellipsoids import BodyDrawing, Ellipsoid
 from geomid_ros.report.robot_drawing import draw_bodies
-from geomid_ros.report.series_drawing import Series, draw_series
+from geomid_ros.report.series import Series
+from geomid_ros.report.series_drawing import draw_series
 from geomid_ros.report.sheet import DPI, FAINT, SIZE, add_text, shortened
 from geomid_ros.session.session import Session
 from geomid_ros.types import FloatArray
@@ -23,19 +24,23 @@ _LEFT, _TITLE_WIDTH = 0.25, 9.7  # [inch]
 _NOTE_TOP = 9.48
 
 
-def draw_identification(session: Session, estimate: Estimate, batches: Sequence[Samples], of_what: str) -> Figure:
+def draw_identification(
+    session: Session, estimate: Estimate, batches: Sequence[Samples], series: Sequence[Series], of_what: str
+) -> Figure:
     """Draw the bodies before and after, and every measured channel over time.
 
     Args:
         session: in which it was identified.
         estimate: what was found.
-        batches: what is drawn, in the order of time; the bodies as the robot stands in the middle of it.
+        batches: the bodies are drawn as the robot stands in the middle of these samples, which are in the order of
+            time.
+        series: the channels of them.
         of_what: what these samples are.
     """
     return identification_figure(
         f"{session.robot.name}: identified link inertias",
         _bodies(session, estimate, _middle(batches)),
-        _series(session, estimate, batches),
+        series,
         f"Measured against predicted on {of_what}; {estimate.rows_accepted} rows identified from.",
     )
 
@@ -52,6 +57,20 @@ def identification_figure(title: str, bodies: Sequence[BodyDrawing], series: Seq
         draw_bodies(figure, bodies)
     draw_series(figure, series)
     return figure
+
+
+def series_of(session: Session, estimate: Estimate, batches: Sequence[Samples]) -> list[Series]:
+    """The channels that were measured in some samples, which are in the order of time."""
+    stamps = np.concatenate([samples.stamps for samples in batches])
+    times = (stamps - stamps[0]) * 1e-9
+    both = np.column_stack([session.nominal_parameters, estimate.parameters])
+    pairs = zip(*(session.model.predict(samples, both) for samples in batches), strict=True)
+    measured, predicted = map(np.concatenate, pairs)
+    return [
+        Series(channel.name, channel.unit, times, measured[:, index], *predicted[:, index].T)
+        for index, channel in enumerate(session.model.channels)
+        if np.any(np.isfinite(measured[:, index]))
+    ]
 
 
 def _bodies(session: Session, estimate: Estimate, pose: Samples) -> list[BodyDrawing]:
@@ -83,16 +102,3 @@ def _middle(batches: Sequence[Samples]) -> Samples:
     batch = int(np.searchsorted(ends, ends[-1] // 2, side="right"))
     place = int(ends[-1] // 2 - ends[batch]) + len(batches[batch])
     return batches[batch].select(slice(place, place + 1))
-
-
-def _series(session: Session, estimate: Estimate, batches: Sequence[Samples]) -> Sequence[Series]:
-    stamps = np.concatenate([samples.stamps for samples in batches])
-    times = (stamps - stamps[0]) * 1e-9
-    both = np.column_stack([session.nominal_parameters, estimate.parameters])
-    pairs = zip(*(session.model.predict(samples, both) for samples in batches), strict=True)
-    measured, predicted = map(np.concatenate, pairs)
-    return [
-        Series(channel.name, channel.unit, times, measured[:, index], *predicted[:, index].T)
-        for index, channel in enumerate(session.model.channels)
-        if np.any(np.isfinite(measured[:, index]))
-    ]

@@ -18,10 +18,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
+from geomid_ros.report.page import AFTER, BEFORE, MEASURED
 from geomid_ros.types import BoolArray, FloatArray, IntArray
 
-# Okabe and Ito's colours for the colour-blind; lines differ in their dashes too.
-MEASURED, BEFORE, INERTIAS_ONLY, AFTER = "#1a1a1a", "#7d848a", "#0072b2", "#d55e00"
 _FLOOR = "#e9edf0"
 _SIZE = (4.3, 2.7)  # of a panel [inch]
 _MOST_POINTS = 1500

@@ -3,26 +3,20 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
-from geomid_ros.files.disk import write_text
 from geomid_ros.gap.result import Finding, GapResult, Located
 from geomid_ros.geometry import pseudo_inertia, spd
 from geomid_ros.model.channels import is_of
 from geomid_ros.model.effects import KnownEffect
 from geomid_ros.report import gap_words
 from geomid_ros.report.gap_figures import (
-    AFTER,
-    BEFORE,
-    INERTIAS_ONLY,
-    MEASURED,
     Against,
     Picture,
     Remainder,
@@ -31,6 +25,7 @@ from geomid_ros.report.gap_figures import (
     overlay_picture,
     remainder_picture,
 )
+from geomid_ros.report.page import Bars, write_page
 from geomid_ros.report.simulated_again import SimulatedAgain
 from geomid_ros.types import FloatArray
 
@@ -40,7 +35,6 @@ _SECONDS = 10.0  # of held-out data, in a panel
 _MOST_CANDIDATES = 15
 _OPEN = 1.15  # times the floor from which on there is a gap to look at
 _CHANGED = 0.01  # geodesic distance from which on a link's inertia has changed
-_FINE_TICKS, _TICKS = (1.0, 2.0, 5.0, 10.0, 20.0), (1.0, 10.0, 100.0, 1000.0, 10_000.0)
 _TITLES = {"windows": "Forward in short windows", "closed_loop": "In closed loop"}
 _KINDS = {"before": "nominal", "inertias_only": "inertias only", "after": "with effect"}
 
@@ -72,20 +66,7 @@ class GapPage:
 
 def write_gap_page(path: Path, page: GapPage, progress: Callable[[float], None]) -> None:
     """Write the page; ``progress`` is called with the share of its pictures that are drawn."""
-    write_text(path, _template().render(_content(page, progress)))
-
-
-def _template() -> Any:
-    environment = Environment(
-        loader=FileSystemLoader(Path(__file__).parent),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    words = ("headline", "place", "title", "ratio", "percent", "measured_angle", "interval")
-    environment.filters |= {name: getattr(gap_words, name) for name in words}
-    return environment.get_template("gap.html.j2")
+    write_page(path, "gap.html.j2", _content(page, progress))
 
 
 def _content(page: GapPage, progress: Callable[[float], None]) -> dict[str, Any]:
@@ -105,14 +86,13 @@ def _content(page: GapPage, progress: Callable[[float], None]) -> dict[str, Any]
         "verdict": gap_words.verdict_sentence(result),
         "in_short": gap_words.in_short(result),
         "confidence": gap_words.CONFIDENCE,
-        "bars": _Bars.of_result(result),
+        "bars": _bars(result),
         "kinds": _KINDS,
-        "colors": {"measured": MEASURED, "before": BEFORE, "inertias_only": INERTIAS_ONLY, "after": AFTER},
         "seconds": float(elapsed(result.trace.stamps)[-1]) if len(result.trace.stamps) else 0.0,
         "remainders": [(name, [draw(picture) for picture in many]) for name, many in remainders],
         "overlays": [draw(picture) for picture in overlays],
         "motions": [
-            (_TITLES[again.kind], again, _Bars.of_motion(again), [draw(picture) for picture in many])
+            (_TITLES[again.kind], again, _motion_bars(again), [draw(picture) for picture in many])
             for again, many in zip(page.simulated, motions, strict=True)
         ],
         "candidates": result.ranking[:_MOST_CANDIDATES],
@@ -139,47 +119,19 @@ class _Drawing:
         return drawn
 
 
-# --- Bars ---
+def _bars(result: GapResult) -> Bars:
+    kinds = list(_KINDS) if result.findings else ["before", "inertias_only"]
+    gaps = {kind: getattr(result.gap, kind) for kind in kinds}
+    return Bars.of_gaps(
+        (name, f"floor {result.floor[k]:.2g} {result.units[k]}", {kind: float(gaps[kind][k]) for kind in kinds})
+        for k, name in enumerate(result.channels)
+        if any(math.isfinite(values[k]) for values in gaps.values())
+    )
 
 
-@dataclass(frozen=True)
-class _Bars:
-    """Bars from 1 (the floor) on, logarithmic: ``rows`` of a name, a note and values by kind; ``ticks``, ``end``."""
-
-    rows: Sequence[tuple[str, str, Mapping[str, float]]]
-    end: float
-
-    @staticmethod
-    def of_result(result: GapResult) -> _Bars:
-        kinds = list(_KINDS) if result.findings else ["before", "inertias_only"]
-        gaps = {kind: getattr(result.gap, kind) for kind in kinds}
-        rows = [
-            (name, f"floor {result.floor[k]:.2g} {result.units[k]}", {kind: float(gaps[kind][k]) for kind in kinds})
-            for k, name in enumerate(result.channels)
-            if any(math.isfinite(values[k]) for values in gaps.values())
-        ]
-        return _Bars.over(rows)
-
-    @staticmethod
-    def of_motion(again: SimulatedAgain) -> _Bars:
-        names, kinds = again.errors["before"], ("before", "after")
-        return _Bars.over([(name, "", {kind: again.errors[kind][name] for kind in kinds}) for name in names])
-
-    @staticmethod
-    def over(rows: Sequence[tuple[str, str, Mapping[str, float]]]) -> _Bars:
-        """Bars on an axis on which the longest has room."""
-        largest = gap_words.worst(np.array([value for _, _, values in rows for value in values.values()]))
-        return _Bars(rows, max(2.0, 1.1 * largest))
-
-    @property
-    def ticks(self) -> list[tuple[str, float]]:
-        """Labels of the axis and where they are, in percent of its length."""
-        ticks = _FINE_TICKS if self.end < 30.0 else _TICKS
-        return [(f"{tick:g}", self.length(tick)) for tick in ticks if tick <= self.end]
-
-    def length(self, value: float) -> float:
-        """Length of a bar in percent of the axis."""
-        return 100.0 * math.log(max(value, 1.0)) / math.log(self.end) if math.isfinite(value) else 0.0
+def _motion_bars(again: SimulatedAgain) -> Bars:
+    names, kinds = again.errors["before"], ("before", "after")
+    return Bars.of_gaps((name, "", {kind: again.errors[kind][name] for kind in kinds}) for name in names)
 
 
 # --- Which channels, against what ---

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -11,6 +10,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import FuncFormatter, MaxNLocator
 
+from geomid_ros.report.series import Clock, Series, limits, thinned
 from geomid_ros.report.sheet import (
     FAINT,
     IDENTIFIED,
@@ -23,65 +23,10 @@ from geomid_ros.report.sheet import (
     shortened,
     text_width,
 )
-from geomid_ros.types import BoolArray, FloatArray, IntArray
 
 MOST_PANELS = 12
 
 _PLACE = (10.15, 1.30, 6.60, 8.00)
-_CORE = (0.5, 99.5)  # percentiles between which a channel's ordinary values lie
-_BINS = 500  # stretches of a long line; each keeps its smallest and largest value
-
-
-@dataclass(frozen=True, eq=False)
-class Series:
-    """A channel over time, in ``unit``: ``times`` [s], the ``measured`` values, those of the URDF (``nominal``) and
-    those of the identified model (``predicted``); ``(N,)`` each, NaN where absent."""
-
-    name: str
-    unit: str
-    times: FloatArray
-    measured: FloatArray
-    nominal: FloatArray
-    predicted: FloatArray
-
-    @property
-    def rms(self) -> tuple[float, float]:
-        """RMS residual of the URDF and of the identified model, NaN without a common sample."""
-        return _rms(self.measured - self.nominal), _rms(self.measured - self.predicted)
-
-    @property
-    def ratio(self) -> float:
-        """RMS after over RMS before: below 1 is better; NaN where it is undefined."""
-        before, after = self.rms
-        return after / before if before > 0 else float("nan")
-
-
-@dataclass(frozen=True, eq=False)
-class _Clock:
-    """From stamps to seconds since the first one; pauses that would leave little room for the rest are shortened.
-
-    ``stamps (K,)`` [s] ascending, ``seconds (K,)`` where they are on the axis.
-    """
-
-    stamps: FloatArray
-    seconds: FloatArray
-    label: str
-
-    @staticmethod
-    def of(series: Sequence[Series]) -> _Clock:
-        stamps = np.unique(np.concatenate([channel.times for channel in series]))
-        stamps = stamps[np.isfinite(stamps)]
-        if len(stamps) < 2:
-            return _Clock(np.array([0.0, 1.0]) + stamps.sum(), np.array([0.0, 1.0]), "time [s]")
-        steps = np.diff(stamps)
-        recorded = float(np.sum(steps[~_long(steps)]))
-        pauses = _long(steps) & (steps > 0.1 * recorded)
-        seconds = np.concatenate([[0.0], np.cumsum(np.where(pauses, 0.03 * recorded, steps))])
-        return _Clock(stamps, seconds, "time [s], pauses shortened" if np.any(pauses) else "time [s]")
-
-    def at(self, times: FloatArray) -> FloatArray:
-        """Seconds on the axis, like ``times``."""
-        return np.interp(times, self.stamps, self.seconds)
 
 
 def draw_series(figure: Figure, series: Sequence[Series]) -> None:
@@ -93,7 +38,7 @@ def draw_series(figure: Figure, series: Sequence[Series]) -> None:
         return
     columns = 1 if len(shown) <= 6 else 2
     rows = -(-len(shown) // columns)
-    clock = _Clock.of(shown)
+    clock = Clock.of(shown)
     cell = (width / columns, min(height / rows, 3.2))
     first: Axes | None = None
     for k, channel in enumerate(shown):
@@ -129,12 +74,12 @@ def _draw_series_header(figure: Figure, series: Sequence[Series], shown: int) ->
     )
 
 
-def _draw_channel(axes: Axes, channel: Series, clock: _Clock, width: float, lowest: bool) -> None:
+def _draw_channel(axes: Axes, channel: Series, clock: Clock, width: float, lowest: bool) -> None:
     """In a panel ``width`` inches wide; the ``lowest`` of a column names the times."""
-    axes.plot(*_thinned(channel.times, channel.measured, clock), color=INK, lw=1.5)
-    axes.plot(*_thinned(channel.times, channel.nominal, clock), color=URDF, lw=1.1, ls="--")
-    axes.plot(*_thinned(channel.times, channel.predicted, clock), color=IDENTIFIED, lw=0.9)
-    axes.set_ylim(*_limits(channel))
+    axes.plot(*thinned(channel.times, channel.measured, clock), color=INK, lw=1.5)
+    axes.plot(*thinned(channel.times, channel.nominal, clock), color=URDF, lw=1.1, ls="--")
+    axes.plot(*thinned(channel.times, channel.predicted, clock), color=IDENTIFIED, lw=0.9)
+    axes.set_ylim(*limits(channel))
     change, unit = _change(channel), f" [{channel.unit}]"
     room = width - text_width(change, 9.0) - text_width(unit, 9.0, "bold") - 0.1
     name = shortened(channel.name, room, 9.0, "bold") + unit
@@ -157,54 +102,3 @@ def _change(channel: Series) -> str:
     if not np.any(np.isfinite(channel.measured)):
         return "not measured"
     return f"RMS {number(before)} → {number(after)}"
-
-
-def _rms(residuals: FloatArray) -> float:
-    finite = residuals[np.isfinite(residuals)]
-    return float(np.sqrt(np.mean(finite**2))) if len(finite) else float("nan")
-
-
-def _limits(channel: Series) -> tuple[float, float]:
-    """Limits of y: all but 1 % of what was measured and identified, and of the rest what comes within one such span."""
-    core = np.concatenate([channel.measured, channel.predicted])
-    everything = np.concatenate([core, channel.nominal])
-    everything = everything[np.isfinite(everything)]
-    if len(everything) == 0:
-        return -1.0, 1.0
-    core = core[np.isfinite(core)]
-    if len(core) == 0 or np.ptp(np.percentile(core, _CORE)) == 0.0:
-        core = everything
-    low, high = np.percentile(core, _CORE)
-    span = max(high - low, 1e-3 * max(abs(low), abs(high))) or 1.0
-    bottom, top = max(everything.min(), low - span), min(everything.max(), high + span)
-    margin = max(0.07 * (top - bottom), 0.5 * (span - (top - bottom)))
-    return float(bottom - margin), float(top + margin)
-
-
-def _thinned(times: FloatArray, values: FloatArray, clock: _Clock) -> tuple[FloatArray, FloatArray]:
-    """A line for drawing: no more points than can be seen but with every peak, and broken by NaN at gaps in time."""
-    finite = np.flatnonzero(np.isfinite(times) & np.isfinite(values))
-    order = finite[np.argsort(times[finite], kind="stable")]
-    times, values = times[order], values[order]
-    if len(times) < 3:
-        return clock.at(times), values
-    gaps = np.flatnonzero(_long(np.diff(times)))
-    kept = np.union1d(_extremes(values), [*gaps, *(gaps + 1)]).astype(np.int64)
-    breaks = np.searchsorted(kept, gaps + 1)
-    return np.insert(clock.at(times[kept]), breaks, np.nan), np.insert(values[kept], breaks, np.nan)
-
-
-def _long(steps: FloatArray) -> BoolArray:
-    """Which steps in time are pauses rather than the ordinary distance of samples."""
-    return steps > 5.0 * np.median(steps)
-
-
-def _extremes(values: FloatArray) -> IntArray:
-    """Indices of the smallest and the largest value in each of at most ``_BINS`` stretches, and of both ends."""
-    if len(values) <= 2 * _BINS:
-        return np.arange(len(values))
-    length = -(-len(values) // _BINS)
-    padded = np.pad(values, (0, -len(values) % length), mode="edge").reshape(-1, length)
-    starts = np.arange(len(padded)) * length
-    picked = np.concatenate([[0], starts + padded.argmin(axis=1), starts + padded.argmax(axis=1), [len(values) - 1]])
-    return np.unique(np.minimum(picked, len(values) - 1))

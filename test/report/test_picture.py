@@ -15,10 +15,10 @@ import pytest
 from matplotlib.figure import Figure
 
 from geomid_ros.errors import GeomidError
-from geomid_ros.report import ellipsoids, robot_drawing, series_drawing, sheet
+from geomid_ros.report import ellipsoids, robot_drawing, sheet
 from geomid_ros.report.drawing import identification_figure
 from geomid_ros.report.ellipsoids import BodyDrawing, Ellipsoid
-from geomid_ros.report.series_drawing import Series
+from geomid_ros.report.series import BINS, Clock, Series, limits, thinned
 from geomid_ros.report.sheet import write_picture
 
 POINT = Ellipsoid(np.zeros(3), np.zeros(3), np.eye(3), 0.0)
@@ -192,16 +192,16 @@ def test_every_peak_of_a_long_line_survives() -> None:
     times = 1e-3 * np.arange(100_001)
     values = 1e-3 * np.sin(times)
     values[[0, 777, 50_000, 100_000]] = [5.0, -7.0, 9.0, -3.0]
-    clock = series_drawing._Clock.of([Series("x", "N", times, values, values, values)])
-    seconds, kept = series_drawing._thinned(times, values, clock)
-    assert len(kept) <= 2 * series_drawing._BINS + 2
+    clock = Clock.of([Series("x", "N", times, values, values, values)])
+    seconds, kept = thinned(times, values, clock)
+    assert len(kept) <= 2 * BINS + 2
     np.testing.assert_array_equal(np.interp(times[[0, 777, 50_000, 100_000]], seconds, kept), [5.0, -7.0, 9.0, -3.0])
 
 
 def test_pauses_are_shortened_and_break_the_line() -> None:
     times = np.concatenate([3600.0 + np.arange(0.0, 5.0, 0.01), np.arange(0.0, 5.0, 0.01)])
-    clock = series_drawing._Clock.of([Series("x", "N", times, times, times, times)])
-    seconds, values = series_drawing._thinned(times, times, clock)
+    clock = Clock.of([Series("x", "N", times, times, times, times)])
+    seconds, values = thinned(times, times, clock)
     assert np.count_nonzero(np.isnan(values)) == 1
     assert (np.nanmin(seconds), clock.label) == (0.0, "time [s], pauses shortened")
     assert 10.0 < np.nanmax(seconds) < 11.0
@@ -210,13 +210,13 @@ def test_pauses_are_shortened_and_break_the_line() -> None:
 def test_samples_of_a_slower_channel_are_joined() -> None:
     series = channel("x")
     values = np.where(np.arange(300) % 3 == 0, series.measured, np.nan)
-    assert not np.any(np.isnan(series_drawing._thinned(series.times, values, series_drawing._Clock.of([series]))[1]))
+    assert not np.any(np.isnan(thinned(series.times, values, Clock.of([series]))[1]))
 
 
 def test_limits_show_peaks_but_no_outliers() -> None:
     series = channel("x")
     series.measured[100], series.predicted[200] = 2.0, 1e6
-    low, high = series_drawing._limits(series)
+    low, high = limits(series)
     assert -2.0 < low < -1.0
     assert 2.0 < high < 5.0
 

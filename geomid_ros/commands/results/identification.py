@@ -11,11 +11,11 @@ from rich.table import Table
 
 from geomid_ros.api.identify import Identification
 from geomid_ros.commands.tables import lines, number_columns, plain_table, print_remarks, results_console, say
-from geomid_ros.estimation.estimate import QUANTITIES, EffectEstimate, Estimate, LinkEstimate
+from geomid_ros.estimation.estimate import EffectEstimate, Estimate
 from geomid_ros.files.models.effect_forms import is_coefficient
 from geomid_ros.files.models.results import model_effects
 from geomid_ros.model.effects import EFFECTS, KnownEffect
-from geomid_ros.report import gap_words
+from geomid_ros.report import gap_words, identification_words
 from geomid_ros.signals.ledger import Account
 
 _MOST_REASONS = 5
@@ -68,19 +68,8 @@ def _links_table(found: Identification) -> Table:
         masses = f"{nominal[link.name]:.3f}", f"{link.mass:.3f} ± {link.std_mass:.3f}"
         com = lines(f"{c:+.3f} ± {s:.3f}" for c, s in zip(link.com, link.std_com, strict=True))
         shares = f"{100 * link.from_data:.0f} %", f"{link.distance_from_prior:.2f}"
-        table.add_row(names, *masses, com, *shares, _cannot_tell(link))
+        table.add_row(names, *masses, com, *shares, identification_words.cannot_tell(link))
     return table
-
-
-def _cannot_tell(link: LinkEstimate) -> str:
-    if len(link.cannot_tell) == len(QUANTITIES):
-        return "anything"
-    parts = ["mass"] if "mass" in link.cannot_tell else []
-    for letter, name in (("c", "centre of mass"), ("I", "inertia")):
-        group = [quantity for quantity in QUANTITIES if quantity.startswith(letter)]
-        untold = [quantity for quantity in group if quantity in link.cannot_tell]
-        parts += [name] if len(untold) == len(group) else untold
-    return ", ".join(parts)
 
 
 def _known_table(estimate: Estimate) -> Table:

@@ -1,0 +1,128 @@
+"""Which motion would tell what a recording does not: the model is tried on some, as the estimate has it.
+
+What instants of a motion would say is added to what the data say of all links together. The effects' coefficients are
+taken as unknown in every motion, so that what only an effect could be is not put down to a link.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from geomid_ros.estimation.estimate import IDENTIFIABLE, QUANTITIES, Estimate
+from geomid_ros.estimation.summary import triangular
+from geomid_ros.estimation.uncertainty import physical_sensitivity
+from geomid_ros.geometry.manifold import ParameterManifold, Point
+from geomid_ros.model.measurement import MeasurementModel
+from geomid_ros.model.samples import Samples
+from geomid_ros.types import FloatArray
+
+_INSTANTS = 80
+_AVERAGED = 10.0  # independent measurements that an instant stands for: a second of a pose, or of a motion
+_FASTEST = 2.0  # [rad/s, m/s]
+_OF_LIMIT = 0.5  # of the speed that a joint may have
+_RATE = 4.0  # [1/s] of acceleration to speed
+_WIDEST = np.pi  # [rad, m]
+_TILT = np.array([[1.0, 0.0, 0.0], [0.0, np.sqrt(0.5), -np.sqrt(0.5)], [0.0, np.sqrt(0.5), np.sqrt(0.5)]])
+
+POSES = "standing still in many poses of all joints"
+FAST = "fast motion of all joints at once"
+TILTED = "fast motion of all joints with the base mounted at a slant"
+
+
+def telling_motions(model: MeasurementModel, estimate: Estimate) -> dict[str, dict[str, list[str]]]:
+    """What would tell the quantities that an estimate's data do not tell.
+
+    Returns:
+        By link, and by motion, the quantities that this motion would tell and no simpler one before it does; under
+        an empty name those that none tells.
+    """
+    left = {link.name: list(link.cannot_tell) for link in estimate.links}
+    found: dict[str, dict[str, list[str]]] = {name: {} for name in left}
+    if not any(left.values()):
+        return found
+    problem = _Problem(estimate)
+    for motion, rows in _tried(model, estimate):
+        for link, told in zip(estimate.links, problem.told_with(rows), strict=True):
+            now = [quantity for quantity in left[link.name] if quantity in told]
+            if now:
+                found[link.name][motion] = now
+                left[link.name] = [quantity for quantity in left[link.name] if quantity not in now]
+    for name, quantities in left.items():
+        if quantities:
+            found[name][""] = quantities
+    return found
+
+
+class _Problem:
+    """What the data say of all links together, and the prior."""
+
+    def __init__(self, estimate: Estimate) -> None:
+        self._manifold = ParameterManifold(len(estimate.links), 0, np.zeros(0))
+        self._point: Point = self._manifold.point(estimate.parameters[self._manifold.inertial])
+        self._spreads = np.repeat(estimate.spreads, 10)
+        self._sensitivity = physical_sensitivity(self._manifold, self._point)
+        self._rows = self._manifold.whiten(self._point, estimate.information.rows) * self._spreads
+
+    def told_with(self, rows: FloatArray) -> list[set[str]]:
+        """The quantities of each link that are told with further rows ``(N, 10 links)`` of standard deviation 1."""
+        more = self._manifold.whiten(self._point, rows) * self._spreads
+        both = np.concatenate([self._rows, more])
+        covariance = np.linalg.inv(np.eye(both.shape[1]) + both.T @ both)
+        told = []
+        for index, derivative in enumerate(self._sensitivity):
+            block = self._manifold.link(index)
+            scaled = derivative * self._spreads[block]
+            variances = np.einsum("ij,jk,ik->i", scaled, covariance[block, block], scaled)
+            known = np.sqrt(np.maximum(variances, 0.0)) <= IDENTIFIABLE * np.linalg.norm(scaled, axis=1)
+            told.append({name for name, is_known in zip(QUANTITIES, known, strict=True) if is_known})
+        return told
+
+
+def _tried(model: MeasurementModel, estimate: Estimate) -> Iterator[tuple[str, FloatArray]]:
+    """Motions, the simplest first, with what their rows say of the links."""
+    yield POSES, _rows(model, _samples(model, moving=False), estimate)
+    fast = _samples(model, moving=True)
+    yield FAST, _rows(model, fast, estimate)
+    if not model.robot.floating_base:
+        yield TILTED, _rows(model.with_gravity(_TILT @ model.robot.gravity), fast, estimate)
+
+
+def _rows(model: MeasurementModel, samples: Samples, estimate: Estimate) -> FloatArray:
+    """Rows ``(<= 10 links, 10 links)`` of standard deviation 1 from which the effects are eliminated."""
+    measured = np.isfinite(estimate.sigmas)
+    scaled = model.rows(samples).coefficients[:, measured] / estimate.sigmas[measured, None]
+    rows = np.sqrt(_AVERAGED) * scaled.reshape(-1, model.dimension)
+    first = 10 * len(estimate.links)
+    effects = first + np.flatnonzero(estimate.parameters[first:])
+    whole = np.concatenate([rows[:, effects], rows[:, :first]], axis=1)
+    return triangular(np.concatenate([whole, np.zeros((whole.shape[1], whole.shape[1]))]))[
+        len(effects) :, len(effects) :
+    ]
+
+
+def _samples(model: MeasurementModel, *, moving: bool) -> Samples:
+    """Instants in which all joints are anywhere, and move anyhow if they do."""
+    random, robot = np.random.default_rng(0), model.robot
+    count, joints = _INSTANTS, len(robot.joints)
+    low, high = np.clip(robot.position_limits, -_WIDEST, _WIDEST).T
+    fastest = np.minimum(_OF_LIMIT * robot.speed_limits, _FASTEST) * moving
+    turns = random.normal(size=(count, 4))
+    base = np.concatenate([np.zeros((count, 3)), turns / np.linalg.norm(turns, axis=1, keepdims=True)], axis=1)
+    size = int(robot.floating_base)
+
+    def anyhow(scale: FloatArray | float, columns: int) -> FloatArray:
+        return np.asarray(scale * random.uniform(-1.0, 1.0, (count, columns)))
+
+    return Samples(
+        stamps=np.arange(count, dtype=np.int64) * 1_000_000_000,
+        position=random.uniform(low, high, (count, joints)),
+        velocity=anyhow(fastest, joints),
+        acceleration=anyhow(_RATE * fastest, joints),
+        effort=np.zeros((count, joints)),
+        base_pose=base[:, : 7 * size],
+        base_velocity=anyhow(moving, 6 * size),
+        base_acceleration=anyhow(_RATE * moving, 6 * size),
+        wrenches=np.zeros((count, len(model.sensors), 6)),
+    )

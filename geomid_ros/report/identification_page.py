@@ -1,0 +1,158 @@
+"""``report.html`` of an identification: whether it can be used and for what, and all that is known of it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from geomid_ros.estimation.estimate import Estimate, LinkEstimate
+from geomid_ros.model.effects import KnownEffect, Quantity
+from geomid_ros.plausibility.verdict import Verdict
+from geomid_ros.report import identification_words
+from geomid_ros.report.gap_words import percent
+from geomid_ros.report.page import Bars, Script, write_page
+from geomid_ros.report.series import Series
+from geomid_ros.report.sheet import number
+from geomid_ros.report.trace import traces
+from geomid_ros.signals.ledger import Account
+from geomid_ros.types import FloatArray
+
+_SCRIPT = "traces.js"
+_SHARES = (0.0, 0.25, 0.5, 0.75, 1.0)
+_SURE = 1.96  # standard deviations to either side that hold 95 %
+_KINDS = {"before": "URDF", "after": "identified"}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Origin:
+    """Where a page is from: ``version`` of the program, ``command`` that was run, ``date``, names of ``files`` with
+    what they are, and the ``configuration`` as far as it was given."""
+
+    version: str
+    command: str
+    date: str
+    files: Sequence[tuple[str, str]]
+    configuration: Mapping[str, Any]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class IdentificationPage:
+    """What the page is made of.
+
+    Attributes:
+        robot: its name.
+        verdict: whether the result can be used.
+        warnings, notes: what to be careful about, and what is worth knowing.
+        estimate: all that was found.
+        masses: ``(links,)`` of the URDF [kg].
+        effects: all effects of the model.
+        series: the measured channels on what is judged on.
+        held_out: whether that was held out.
+        telling: by link and motion, the quantities that it would tell, see
+            :func:`~geomid_ros.estimation.telling_motions.telling_motions`.
+        messages: what became of them, by topic.
+        refused_rows: numbers of rows that were not used, by reason.
+        origin: where the page is from.
+    """
+
+    robot: str
+    verdict: Verdict
+    warnings: Sequence[str]
+    notes: Sequence[str]
+    estimate: Estimate
+    masses: FloatArray
+    effects: Sequence[KnownEffect]
+    series: Sequence[Series]
+    held_out: bool
+    telling: Mapping[str, Mapping[str, Sequence[str]]]
+    messages: Mapping[str, Account]
+    refused_rows: Mapping[str, int]
+    origin: Origin
+
+
+def write_identification_page(path: Path, page: IdentificationPage) -> None:
+    """Write the page.
+
+    Raises:
+        GeomidError: the file cannot be written.
+    """
+    content = {
+        "page": page,
+        "estimate": page.estimate,
+        "uses": identification_words.uses(page.verdict, page.estimate, page.series, page.held_out),
+        "judged_on": "held-out data" if page.held_out else "the same data that were fitted",
+        "links": list(_links(page)),
+        "end": _heaviest(page),
+        "fit": _fit(page.series),
+        "fit_bars": _bars(page.series),
+        "kinds": _KINDS,
+        "shares": _shares(page.estimate),
+        "open": [link for link in page.estimate.links if link.cannot_tell],
+        "cannot_tell": identification_words.cannot_tell,
+        "telling": {name: identification_words.telling(motions) for name, motions in page.telling.items()},
+        "weak": [effect for effect in page.estimate.effects if effect.from_data < identification_words.WEAK],
+        "to_tell": identification_words.tells_effect,
+        "traces": traces(page.series),
+        "script": Script.read(_SCRIPT),
+    }
+    write_page(path, "identification.html.j2", content)
+
+
+def _links(page: IdentificationPage) -> Iterator[dict[str, Any]]:
+    """Of every link: its mass in the URDF and as identified, and where that lies with 95 % probability."""
+    for link, nominal in zip(page.estimate.links, page.masses.tolist(), strict=True):
+        yield {
+            "name": link.name,
+            "merged": link.merged,
+            "nominal": nominal,
+            "mass": Quantity(link.mass, link.std_mass, "kg"),
+            "value": link.mass,
+            "ends": _interval(link),
+            "from_data": link.from_data,
+            "distance": link.distance_from_prior,
+            "known": "mass" not in link.cannot_tell,
+        }
+
+
+def _interval(link: LinkEstimate) -> tuple[float, float]:
+    """Where the mass lies; it is above zero."""
+    half = _SURE * link.std_mass if math.isfinite(link.std_mass) else 0.0
+    return max(link.mass - half, 0.0), link.mass + half
+
+
+def _heaviest(page: IdentificationPage) -> float:
+    """The end of the axis of masses [kg]: there is room for all masses, and for most intervals."""
+    masses: list[float] = [*page.masses.tolist(), *(link.mass for link in page.estimate.links)]
+    ends = [_interval(link)[1] for link in page.estimate.links]
+    return 1.05 * max(1e-9, min(max(ends, default=0.0), 3.0 * max(masses, default=0.0)), *masses)
+
+
+def _fit(series: Sequence[Series]) -> Iterator[tuple[Series, str, str, float]]:
+    """Of every channel: RMS of the URDF and of the identified model, and the share of the former that is explained."""
+    for channel in series:
+        before, after = channel.rms
+        yield channel, number(before), number(after), 1.0 - channel.ratio
+
+
+def _bars(series: Sequence[Series]) -> Bars:
+    """RMS of the identified model beside that of the URDF, which is 100 %."""
+    ratios = {channel.name: channel.ratio for channel in series if math.isfinite(channel.ratio)}
+    end = max(1.0, min(2.0, max(ratios.values(), default=1.0)))
+    rows = [
+        (name, "", {"before": ("100 %", 100.0 / end), "after": (percent(ratio), 100.0 * min(ratio / end, 1.0))})
+        for name, ratio in ratios.items()
+    ]
+    return Bars(rows, [(f"{100 * share:.0f}", 100.0 * share / end) for share in _SHARES], "RMS")
+
+
+def _shares(estimate: Estimate) -> dict[tuple[str, str], float]:
+    """How much of an effect's uncertainty the data removed, on average over its coefficients."""
+    found: dict[tuple[str, str], list[float]] = {}
+    for effect in estimate.effects:
+        found.setdefault((effect.name, effect.joint), []).append(effect.from_data)
+    return {key: float(np.mean(shares)) for key, shares in found.items()}

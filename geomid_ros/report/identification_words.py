@@ -1,0 +1,101 @@
+"""What an identification is good for and what it leaves open, in words."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+
+from geomid_ros.estimation.estimate import QUANTITIES, EffectEstimate, Estimate, LinkEstimate
+from geomid_ros.plausibility.verdict import USABLE, Verdict
+from geomid_ros.report.series import Series
+
+WEAK = 0.5
+"""Share of an effect's uncertainty: less that the data removed is little."""
+
+_GROUPS = (("c", "centre of mass"), ("I", "inertia"))
+_ALONE = "the joint alone to and fro"
+_TELLS = {
+    "viscous": f"{_ALONE} at several constant speeds, slow to fast",
+    "coulomb": f"{_ALONE} at several constant speeds, slow to fast",
+    "quadratic": f"{_ALONE} at several constant speeds, up to the fastest",
+    "stribeck": f"{_ALONE} at very low constant speeds",
+    "rotor": f"{_ALONE} with large accelerations",
+    "effort": f"{_ALONE}, both ways through the same places",
+    "load": "the same motion with and without a known payload",
+}
+
+
+def uses(verdict: Verdict, estimate: Estimate, series: Sequence[Series], held_out: bool) -> list[str]:
+    """What a result can be used for, in sentences.
+
+    Args:
+        verdict: whether it can be used.
+        estimate: what was found.
+        series: the measured channels on what is judged on.
+        held_out: whether that was held out.
+    """
+    if verdict.word != USABLE:
+        return ["For nothing before what is said here is mended: numbers below show where it is wrong."]
+    told = [link.name for link in estimate.links if "mass" not in link.cannot_tell]
+    return [*_predictions(series, held_out), _masses(told, len(estimate.links))]
+
+
+def _predictions(series: Sequence[Series], held_out: bool) -> list[str]:
+    ratios = [channel.ratio for channel in series if math.isfinite(channel.ratio)]
+    if not ratios:
+        return []
+    better = [ratio for ratio in ratios if ratio < 1.0]
+    span = f": {100 * min(better):.0f} to {100 * max(better):.0f} % of the URDF's error remain" if better else ""
+    what = "held-out data" if held_out else "the fitted data"
+    sentence = (
+        f"To predict efforts in motions like the recorded ones (simulation, feed-forward, contacts): {what} are "
+        f"predicted better than by the URDF in {len(better)} of {len(ratios)} channels{span}."
+    )
+    judge = "Nothing was held out, so this judges nothing new: give another recording with --validate."
+    return [sentence] if held_out else [sentence, judge]
+
+
+def _masses(told: Sequence[str], links: int) -> str:
+    if not told:
+        return "Not for the mass of any single link: the data tell sums of them alone, which is enough to predict."
+    names = "all links" if len(told) == links else ", ".join(told)
+    sentence = f"For the masses of {names}, where no warning names them."
+    if len(told) == links:
+        return sentence
+    return f"{sentence} Of the other {links - len(told)} links the data tell sums, which is enough to predict."
+
+
+def cannot_tell(link: LinkEstimate) -> str:
+    """The quantities of a link that the data do not tell."""
+    if len(link.cannot_tell) == len(QUANTITIES):
+        return "anything"
+    return grouped(link.cannot_tell)
+
+
+def grouped(quantities: Sequence[str]) -> str:
+    """Some of :data:`QUANTITIES`, those that are complete by the name of their group."""
+    parts = ["mass"] if "mass" in quantities else []
+    for letter, name in _GROUPS:
+        group = [quantity for quantity in QUANTITIES if quantity.startswith(letter)]
+        found = [quantity for quantity in group if quantity in quantities]
+        parts += [name] if len(found) == len(group) else found
+    return ", ".join(parts)
+
+
+def tells_effect(effect: EffectEstimate) -> str:
+    """The motion that would tell an effect."""
+    return _TELLS.get(effect.name.partition("_")[0], f"{_ALONE}, slow and fast, through its whole range")
+
+
+def telling(motions: Mapping[str, Sequence[str]]) -> list[str]:
+    """What would tell what the data do not tell of a link, in sentences.
+
+    Args:
+        motions: the quantities that each motion would tell; under an empty name those that none tells.
+    """
+    sentences = [f"{grouped(quantities)}: {motion}" for motion, quantities in motions.items() if motion]
+    rest = motions.get("", ())
+    if rest:
+        weigh = "; a scale tells the mass (--known)" if "mass" in rest else ""
+        sentences.append(f"{grouped(rest)}: no motion that was tried{weigh}")
+    return sentences

@@ -1,0 +1,91 @@
+"""What pages share: the frame that they are written in, and tables of bars."""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from jinja2 import Environment, FileSystemLoader, StrictUndefined
+
+from geomid_ros.files.disk import write_text
+from geomid_ros.report import gap_words
+
+_FOLDER = Path(__file__).parent
+_FILTERS = ("headline", "place", "title", "ratio", "percent", "measured", "measured_angle", "interval")
+# Okabe and Ito's colours for the colour-blind; lines differ in their dashes too.
+MEASURED, BEFORE, AFTER = "#1a1a1a", "#7d848a", "#d55e00"
+_COLORS = {"measured": MEASURED, "before": BEFORE, "inertias_only": "#0072b2", "after": AFTER}
+_FINE_TICKS, _TICKS = (1.0, 2.0, 5.0, 10.0, 20.0), (1.0, 10.0, 100.0, 1000.0, 10_000.0)
+
+
+def write_page(path: Path, template: str, content: Mapping[str, Any]) -> None:
+    """Write a page, all of whose content is escaped.
+
+    Args:
+        path: the file.
+        template: name of its template in this folder.
+        content: what the template shows.
+
+    Raises:
+        GeomidError: the file cannot be written.
+    """
+    environment = Environment(
+        loader=FileSystemLoader(_FOLDER),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    environment.filters |= {name: getattr(gap_words, name) for name in _FILTERS}
+    write_text(path, environment.get_template(template).render(colors=_COLORS, **content))
+
+
+@dataclass(frozen=True)
+class Script:
+    """A script of this package as it stands on a page: its ``text``, and the ``hash`` by which the page's policy lets
+    it run and no other."""
+
+    text: str
+    hash: str
+
+    @staticmethod
+    def read(name: str) -> Script:
+        """The script of this name in this folder."""
+        text = (_FOLDER / name).read_text(encoding="utf-8")
+        return Script(text, f"sha256-{base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()}")
+
+
+Bar = tuple[str, float]
+"""What is written beside a bar, and the bar's length in percent of the axis."""
+
+
+@dataclass(frozen=True)
+class Bars:
+    """Bars for a table: ``rows`` of a name, a note and bars by kind; ``ticks`` of the axis are labels and where they
+    are, in percent of its length; ``heading`` of what is written beside the bars."""
+
+    rows: Sequence[tuple[str, str, Mapping[str, Bar]]]
+    ticks: Sequence[tuple[str, float]]
+    heading: str
+
+    @staticmethod
+    def of_gaps(rows: Iterable[tuple[str, str, Mapping[str, float]]]) -> Bars:
+        """Bars from 1 (the floor) on, logarithmic, on an axis on which the longest has room."""
+        rows = list(rows)
+        largest = max((v for _, _, values in rows for v in values.values() if math.isfinite(v)), default=0.0)
+        end = max(2.0, 1.1 * largest)
+
+        def length(value: float) -> float:
+            return 100.0 * math.log(max(value, 1.0)) / math.log(end) if math.isfinite(value) else 0.0
+
+        ticks = [(f"{tick:g}", length(tick)) for tick in (_FINE_TICKS if end < 30.0 else _TICKS) if tick <= end]
+        bars = [
+            (name, note, {kind: (gap_words.ratio(value), length(value)) for kind, value in values.items()})
+            for name, note, values in rows
+        ]
+        return Bars(bars, ticks, "gap")

@@ -1,0 +1,119 @@
+"""Channels over time as they are drawn: on an axis without long pauses, in no more points than can be seen."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from geomid_ros.types import BoolArray, FloatArray, IntArray
+
+BINS = 500
+"""Stretches of a long line; each keeps its smallest and largest value."""
+
+_CORE = (0.5, 99.5)  # percentiles between which a channel's ordinary values lie
+
+
+@dataclass(frozen=True, eq=False)
+class Series:
+    """A channel over time, in ``unit``: ``times`` [s], the ``measured`` values, those of the URDF (``nominal``) and
+    those of the identified model (``predicted``); ``(N,)`` each, NaN where absent."""
+
+    name: str
+    unit: str
+    times: FloatArray
+    measured: FloatArray
+    nominal: FloatArray
+    predicted: FloatArray
+
+    @property
+    def rms(self) -> tuple[float, float]:
+        """RMS residual of the URDF and of the identified model, NaN without a common sample."""
+        return _rms(self.measured - self.nominal), _rms(self.measured - self.predicted)
+
+    @property
+    def ratio(self) -> float:
+        """RMS after over RMS before: below 1 is better; NaN where it is undefined."""
+        before, after = self.rms
+        return after / before if before > 0 else float("nan")
+
+
+@dataclass(frozen=True, eq=False)
+class Clock:
+    """From stamps to seconds since the first one; pauses that would leave little room for the rest are shortened.
+
+    ``stamps (K,)`` [s] ascending, ``seconds (K,)`` where they are on the axis.
+    """
+
+    stamps: FloatArray
+    seconds: FloatArray
+    label: str
+
+    @staticmethod
+    def of(series: Sequence[Series]) -> Clock:
+        """The clock of some channels."""
+        stamps = np.unique(np.concatenate([channel.times for channel in series]))
+        stamps = stamps[np.isfinite(stamps)]
+        if len(stamps) < 2:
+            return Clock(np.array([0.0, 1.0]) + stamps.sum(), np.array([0.0, 1.0]), "time [s]")
+        steps = np.diff(stamps)
+        recorded = float(np.sum(steps[~_long(steps)]))
+        pauses = _long(steps) & (steps > 0.1 * recorded)
+        seconds = np.concatenate([[0.0], np.cumsum(np.where(pauses, 0.03 * recorded, steps))])
+        return Clock(stamps, seconds, "time [s], pauses shortened" if np.any(pauses) else "time [s]")
+
+    def at(self, times: FloatArray) -> FloatArray:
+        """Seconds on the axis, like ``times``."""
+        return np.interp(times, self.stamps, self.seconds)
+
+
+def _rms(residuals: FloatArray) -> float:
+    finite = residuals[np.isfinite(residuals)]
+    return float(np.sqrt(np.mean(finite**2))) if len(finite) else float("nan")
+
+
+def limits(channel: Series) -> tuple[float, float]:
+    """Limits of y: all but 1 % of what was measured and identified, and of the rest what comes within one such span."""
+    core = np.concatenate([channel.measured, channel.predicted])
+    everything = np.concatenate([core, channel.nominal])
+    everything = everything[np.isfinite(everything)]
+    if len(everything) == 0:
+        return -1.0, 1.0
+    core = core[np.isfinite(core)]
+    if len(core) == 0 or np.ptp(np.percentile(core, _CORE)) == 0.0:
+        core = everything
+    low, high = np.percentile(core, _CORE)
+    span = max(high - low, 1e-3 * max(abs(low), abs(high))) or 1.0
+    bottom, top = max(everything.min(), low - span), min(everything.max(), high + span)
+    margin = max(0.07 * (top - bottom), 0.5 * (span - (top - bottom)))
+    return float(bottom - margin), float(top + margin)
+
+
+def thinned(times: FloatArray, values: FloatArray, clock: Clock, bins: int = BINS) -> tuple[FloatArray, FloatArray]:
+    """A line for drawing: no more points than can be seen but with every peak, and broken by NaN at gaps in time."""
+    finite = np.flatnonzero(np.isfinite(times) & np.isfinite(values))
+    order = finite[np.argsort(times[finite], kind="stable")]
+    times, values = times[order], values[order]
+    if len(times) < 3:
+        return clock.at(times), values
+    gaps = np.flatnonzero(_long(np.diff(times)))
+    kept = np.union1d(_extremes(values, bins), [*gaps, *(gaps + 1)]).astype(np.int64)
+    breaks = np.searchsorted(kept, gaps + 1)
+    return np.insert(clock.at(times[kept]), breaks, np.nan), np.insert(values[kept], breaks, np.nan)
+
+
+def _long(steps: FloatArray) -> BoolArray:
+    """Which steps in time are pauses rather than the ordinary distance of samples."""
+    return steps > 5.0 * np.median(steps)
+
+
+def _extremes(values: FloatArray, bins: int) -> IntArray:
+    """Indices of the smallest and the largest value in each of at most ``bins`` stretches, and of both ends."""
+    if len(values) <= 2 * bins:
+        return np.arange(len(values))
+    length = -(-len(values) // bins)
+    padded = np.pad(values, (0, -len(values) % length), mode="edge").reshape(-1, length)
+    starts = np.arange(len(padded)) * length
+    picked = np.concatenate([[0], starts + padded.argmin(axis=1), starts + padded.argmax(axis=1), [len(values) - 1]])
+    return np.unique(np.minimum(picked, len(values) - 1))

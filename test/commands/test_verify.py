@@ -1,0 +1,95 @@
+"""``geomid verify``: a model that was written before predicts a recording, or does not."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+from files.recordings import BAGS
+from matplotlib.figure import Figure
+
+import geomid_ros
+from geomid_ros.api import identify as front_door
+
+from .running import WRIST, done, geomid, identify, read, refused
+
+BAG, URDF = BAGS / "arm3", BAGS / "arm3.urdf"
+CHANNEL = "joint2"
+
+
+@pytest.fixture(scope="module")
+def model(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("model")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(front_door, "draw_identification", lambda *_: Figure())
+        done(*identify("arm3", *WRIST, "--hold-out", "0", "--out", out))
+    return out / "estimate.json"
+
+
+def verify(model: Path, *requirements: str) -> tuple[str | Path, ...]:
+    required = [word for each in requirements for word in ("--require", each)]
+    return ("verify", model, "--validate", BAG, "--urdf", URDF, *WRIST, *required)
+
+
+def test_the_model_leaves_what_it_left_when_it_was_identified(model: Path) -> None:
+    """On the same recording: numbers of the solver's own rows, which are made in another way."""
+    found = geomid_ros.verify(model, BAG, URDF, wrench=WRIST[1])
+    rms = read(model.parent)["rms"]
+    for channel, numbers in found.rms.items():
+        assert numbers["value"] == pytest.approx(rms["train"][channel], rel=0.02), channel
+        if channel.startswith("joint"):  # of the wrench the model's offset is taken away before
+            assert numbers["urdf"] == pytest.approx(rms["nominal"][channel], rel=0.02), channel
+    assert found.passed
+
+
+def test_requirements_that_hold(model: Path) -> None:
+    output = done(*verify(model, "rms<2*floor", "rms<urdf", "total.mass>0", "from_data>=0"))
+    assert "PASSED:" in output
+    assert "FAILED" not in output
+    assert output.count("rms<2*floor") == 9
+
+
+def test_a_requirement_that_does_not_hold(model: Path) -> None:
+    left = read(model.parent)["rms"]["train"][CHANNEL]
+    result = geomid(*verify(model, f"{CHANNEL}.rms<{0.9 * left}", f"{CHANNEL}.rms<{1.1 * left}"))
+    assert result.exit_code == 1
+    assert result.stdout.count("passed") == 1
+    assert "FAILED: 1 of 2 requirements hold" in " ".join(result.stdout.split())
+
+
+def altered(model: Path, folder: Path, **entries: Any) -> Path:
+    (folder / "altered.json").write_text(json.dumps(json.loads(model.read_text()) | entries))
+    return folder / "altered.json"
+
+
+def test_another_friction_is_noticed(model: Path, tmp_path: Path) -> None:
+    effects = read(model.parent)["effects"]
+    for effect in effects:
+        if effect["name"] == "coulomb_friction" and effect["joint"] == CHANNEL:
+            effect["value"] += 5.0
+    result = geomid(*verify(altered(model, tmp_path, effects=effects), "rms<2*floor"))
+    assert result.exit_code == 1
+    failed = {line.split()[1] for line in result.stdout.splitlines() if line.rstrip().endswith("FAILED")}
+    assert failed == {f"{CHANNEL}.rms"}
+
+
+def test_a_doubtful_model_never_passes(model: Path, tmp_path: Path) -> None:
+    doubtful = altered(model, tmp_path, verdict={"result": "doubtful", "reasons": ["its signs are reversed"]})
+    result = geomid(*verify(doubtful, "rms<urdf"))
+    assert result.exit_code == 1
+    assert "its signs are reversed" in result.stdout
+
+
+def test_refusals(model: Path, tmp_path: Path) -> None:
+    assert "Did you mean 'rms'" in refused(*verify(model, "rsm<2"))
+    assert "Did you mean 'joint1'" in refused(*verify(model, "joint11.rms<2"))
+    assert "missing.json" in refused("verify", tmp_path / "missing.json", "--validate", BAG, "--urdf", URDF)
+    without = ("verify", model, "--validate", BAG, *WRIST, "--require", "rms<0.5*urdf")
+    assert "--urdf" in refused(*without)
+    assert "--validate" in geomid("verify", model).stderr
+
+
+def test_the_robot_is_that_beside_the_model(model: Path) -> None:
+    assert "identified.urdf" in done("verify", model, "--validate", BAG, *WRIST, "--require", "rms<2*floor")

@@ -1,0 +1,241 @@
+"""``report.html`` of an identification: what was planted is on it, whole, self-contained, escaped and small."""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import re
+import shutil
+import subprocess
+from collections import Counter
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from files.estimates import estimate_of, link_estimate
+
+from geomid_ros.estimation.estimate import QUANTITIES, EffectEstimate
+from geomid_ros.estimation.telling_motions import FAST, POSES
+from geomid_ros.model.effects import KnownEffect, Quantity
+from geomid_ros.plausibility.verdict import Verdict
+from geomid_ros.report.identification_page import IdentificationPage, Origin, write_identification_page
+from geomid_ros.report.series import Series
+from geomid_ros.signals.ledger import Account
+
+from .pages import EVIL, Page
+
+MOST_BYTES = 3_000_000
+ORIGIN = Origin(
+    version="9.8.7",
+    command="geomid identify monday --urdf arm.urdf",
+    date="2031-02-03 04:05:06 UTC",
+    files=[("/data/monday", "recording, fitted")],
+    configuration={"filter.cutoff": 7.5},
+)
+SECTIONS = [
+    "Masses",
+    "Fit of every channel",
+    "Measured against predicted",
+    "Effects",
+    "What could not be told",
+    "What was refused of the data",
+    "Where this is from",
+]
+
+
+def channel(name: str, samples: int = 500, error: float = 0.1) -> Series:
+    """The URDF is off by 1, the identified model by ``error``."""
+    times = 0.01 * np.arange(samples)
+    truth = 3.0 * np.sin(times)
+    return Series(name, "N m", times, truth, truth + 1.0, truth + error)
+
+
+def page_of(*names: str, samples: int = 500, word: str = "usable") -> IdentificationPage:
+    """A page whose links and channels have these names."""
+    links = [link_estimate(f"link {name}", seed=k) for k, name in enumerate(names)]
+    links[0] = replace(links[0], mass=4.321, std_mass=0.1, cannot_tell=QUANTITIES[1:])
+    quantity = Quantity(0.75, 0.01, "N m")
+    friction = EffectEstimate(name="coulomb_friction", joint=names[0], parameters={"level": quantity}, from_data=0.25)
+    return IdentificationPage(
+        robot=names[-1],
+        verdict=Verdict(word=word, reasons=() if word == "usable" else (f"signs of {names[0]} are reversed",)),
+        warnings=[f"a warning of {names[0]}"],
+        notes=[f"a note of {names[0]}"],
+        estimate=estimate_of(*links, effects=(friction,)),
+        masses=np.full(len(links), 5.5),
+        effects=[KnownEffect("coulomb_friction", names[0], "", {"level": quantity})],
+        series=[channel(name, samples) for name in names],
+        held_out=True,
+        telling={link.name: {POSES: ["com x"], FAST: ["Ixx"], "": ["Ixy"]} for link in links},
+        messages={f"/{names[0]}": Account(90, Counter({f"glitch of {names[0]}": 7}), Counter(), Counter(), 3)},
+        refused_rows={"standing": 11},
+        origin=ORIGIN,
+    )
+
+
+def written(page: IdentificationPage, folder: Path) -> tuple[Page, str]:
+    write_identification_page(folder / "report.html", page)
+    text = (folder / "report.html").read_text(encoding="utf-8")
+    return Page(text), text
+
+
+@pytest.fixture(scope="module")
+def plain(tmp_path_factory: pytest.TempPathFactory) -> Page:
+    return written(page_of("joint1", "joint2", "arm"), tmp_path_factory.mktemp("page"))[0]
+
+
+def test_what_was_planted_is_on_it(plain: Page) -> None:
+    """Masses, intervals, effects, messages, and where the page is from."""
+    for planted in (
+        *("5.500", "4.32 \u00b1 0.10 kg", "4.125 to 4.517", "50 %"),
+        *("0.750 \u00b1 0.010 N m", "0.730 to 0.770", "25 %"),
+        *("/joint1", "90", "100", "7: glitch of joint1", "11, standing"),
+        *(ORIGIN.version, ORIGIN.command, ORIGIN.date, "/data/monday", "filter.cutoff", "7.5"),
+        *("a warning of joint1", "a note of joint1"),
+    ):
+        assert planted in plain.text, planted
+
+
+def test_the_verdict_comes_first_and_sections_in_order(plain: Page) -> None:
+    places = [plain.text.index(text) for text in ("usable To predict", "a warning", *SECTIONS[:1])]
+    headings = [plain.text.index(f" {section} ") for section in SECTIONS]
+    assert places == sorted(places)
+    assert headings == sorted(headings)
+
+
+def test_what_it_is_good_for(plain: Page, tmp_path: Path) -> None:
+    assert "better than by the URDF in 3 of 3 channels: 10 to 10 % of the URDF's error remain" in plain.text
+    assert "For the masses of all links" in plain.text
+    doubtful, _ = written(page_of("joint1", word="doubtful"), tmp_path)
+    assert "doubtful signs of joint1 are reversed For nothing before" in doubtful.text
+    assert "To predict" not in doubtful.text
+
+
+def test_what_would_tell_what_was_not_told(plain: Page) -> None:
+    assert f"link joint1 centre of mass, inertia com x: {POSES} Ixx: {FAST} Ixy: no motion that was tried" in plain.text
+    assert "Coulomb friction at joint1 the joint alone to and fro at several constant speeds" in plain.text
+
+
+def test_marks_of_masses_are_to_scale(plain: Page) -> None:
+    """The mass of the first link is to that of the URDF as where their marks are."""
+    left = {"found": [], "urdf": []}  # type: dict[str, list[float]]
+    for _, attributes in plain.elements:
+        if attributes.get("class") in left and "left" in (attributes.get("style") or ""):
+            found = re.search(r"left: ([\d.]+)%", attributes["style"] or "")
+            assert found
+            left[str(attributes["class"])].append(float(found[1]))
+    assert left["found"][0] / left["urdf"][0] == pytest.approx(4.321 / 5.5, abs=1e-3)
+
+
+def test_lines_are_where_they_were_measured(plain: Page) -> None:
+    """The paths of a channel, read back, are its values."""
+    figure = next(attributes for tag, attributes in plain.elements if tag == "figure")
+    paths = [attributes for tag, attributes in plain.elements if tag == "path"][:3]
+    low, high, end = (float(figure[key] or "nan") for key in ("data-low", "data-high", "data-end"))
+    series = channel("joint1")
+    for path, values in zip(paths, (series.measured, series.nominal, series.predicted), strict=True):
+        x, y = np.array((path["d"] or "").removeprefix("M").split(), dtype=float).reshape(-1, 2).T
+        times, heights = end * x / 20_000, high - (high - low) * y / 4_000
+        np.testing.assert_allclose(heights, np.interp(times, series.times, values), atol=0.02)
+
+
+def test_nothing_is_loaded_and_only_its_own_script_may_run(plain: Page, tmp_path: Path) -> None:
+    _, text = written(page_of(*EVIL), tmp_path)
+    page = Page(text)
+    assert [tag for tag, _ in page.elements].count("script") == 1
+    for tag, attributes in (*plain.elements, *page.elements):
+        assert tag not in {"img", "iframe", "object", "embed", "form", "base", "link"}
+        assert not {"src", "href", "srcset"} & attributes.keys()
+        assert not any(name.startswith("on") for name in attributes)
+        assert "url(" not in (attributes.get("style") or "")
+    (script,) = re.findall(r"<script>(.*?)</script>", text, re.DOTALL)
+    own = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
+    (policy,) = [a["content"] or "" for _, a in page.elements if a.get("http-equiv") == "Content-Security-Policy"]
+    assert policy.startswith("default-src 'none'")
+    assert policy.endswith(f"script-src 'sha256-{own}'")
+
+
+def test_names_from_outside_are_only_text(tmp_path: Path) -> None:
+    page, _ = written(page_of(*EVIL), tmp_path)
+    for name in EVIL:
+        assert page.text.count(" ".join(name.split())) >= 3, name
+
+
+def test_it_can_be_read_without_seeing_it(plain: Page) -> None:
+    assert plain.headings()[0] == "h1"
+    assert plain.headings().count("h1") == 1
+    assert all(attributes.get("scope") for tag, attributes in plain.elements if tag == "th")
+    pictures = [attributes for tag, attributes in plain.elements if tag == "svg"]
+    assert len(pictures) == 3
+    assert all(attributes.get("aria-label") and attributes.get("role") == "img" for attributes in pictures)
+
+
+@pytest.mark.parametrize(("channels", "samples"), [(6, 100_000), (120, 3_000)])
+def test_the_page_is_small_however_long_the_recording(channels: int, samples: int, tmp_path: Path) -> None:
+    page = page_of("joint", "arm")
+    noise = np.random.default_rng(0).normal(size=samples)
+    long = [channel(f"joint{k}", samples) for k in range(channels)]
+    noisy = [
+        replace(each, **{name: getattr(each, name) + noise for name in ("measured", "predicted")}) for each in long
+    ]
+    write_identification_page(tmp_path / "report.html", replace(page, series=noisy))
+    assert 100_000 < (tmp_path / "report.html").stat().st_size < MOST_BYTES
+
+
+def test_wide_content_scrolls_in_itself(tmp_path: Path) -> None:
+    """No table of many columns stands outside of what scrolls, at no width; both colour schemes are there."""
+    page, text = written(page_of("joint1", "a_joint_whose_name_goes_on_" * 4), tmp_path)
+    assert "@media (prefers-color-scheme: dark)" in text
+    assert any(a.get("content") == "width=device-width, initial-scale=1" for _, a in page.elements)
+    within = re.sub(r'<div class="wide">.*?</table></div>', "", text, flags=re.DOTALL)
+    assert set(re.findall(r"<table[^>]*>", within)) == {'<table class="bars">', '<table class="ranges">'}
+
+
+def test_no_channel_and_no_effect_is_a_page_too(tmp_path: Path) -> None:
+    page = replace(page_of("joint1"), series=[], effects=[], messages={}, refused_rows={})
+    assert "None was identified." in written(page, tmp_path)[0].text
+
+
+def test_the_script_reads_values_and_zooms(tmp_path: Path) -> None:
+    """Run on a page of one panel, by an engine without a browser around it."""
+    node = shutil.which("node")
+    if node is None:
+        pytest.skip("no node to run the script with")
+    script = (Path(__file__).parents[2] / "geomid_ros/report/traces.js").read_text(encoding="utf-8")
+    (tmp_path / "run.js").write_text(STAGE.replace("SCRIPT", f"{{ {script} }}"))
+    run = subprocess.run([node, tmp_path / "run.js"], capture_output=True, text=True, check=False, timeout=60)
+    assert run.returncode == 0, run.stderr
+    assert run.stdout.split("\n")[:4] == [
+        "2.50 s: measured 1.000 N m",  # the line falls from 2 to -2 in 10 s
+        "5000 0 10000 4000",
+        "2.500 5.000 7.500",
+        "0 0 20000 4000",
+    ]
+
+
+STAGE = """
+const told = {};
+const element = (extra) => Object.assign({ style: {}, hidden: true, textContent: "", attributes: {},
+  addEventListener(name, call) { (told[extra.id] ??= {})[name] = call; },
+  setAttribute(name, value) { this.attributes[name] = value; },
+  getAttribute(name) { return this.attributes[name]; } }, extra);
+const path = element({ id: "path", attributes: { d: "M0 0 20000 4000" }, dataset: { name: "measured" } });
+const svg = element({ id: "svg", querySelectorAll: () => [path] });
+const area = element({ id: "area", getBoundingClientRect: () => ({ left: 100, width: 400 }), setPointerCapture() {} });
+const readout = element({ id: "output" }), cursor = element({ id: "cursor" }), back = element({ id: "back" });
+const labels = [0, 1, 2].map((k) => element({ id: `label${k}` }));
+const parts = { svg, ".area": area, output: readout, ".cursor": cursor };
+const figure = { dataset: { unit: "N m", low: "-2", high: "2", end: "10" },
+  querySelector: (selector) => parts[selector], querySelectorAll: () => labels };
+globalThis.document = { querySelectorAll: () => [figure], querySelector: () => back };
+SCRIPT
+told.area.pointermove({ clientX: 200 });
+console.log(readout.textContent);
+told.area.pointerdown({ clientX: 200, pointerId: 1 });
+told.area.pointerup({ clientX: 400 });
+console.log(svg.attributes.viewBox);
+console.log(labels.map((label) => label.textContent).join(" "));
+told.back.click();
+console.log(svg.attributes.viewBox);
+"""
