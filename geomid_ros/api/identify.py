@@ -86,7 +86,7 @@ class Identification:
         return self.session.document(self.estimate, self.held_out_rms, self.verdict)
 
     def urdf(self) -> str:
-        """The robot description with the identified inertias; every other character of it is kept."""
+        """The robot description with the identified inertias and friction; every other character of it is kept."""
         return self.session.identified_urdf(self.estimate)
 
     def plot(self) -> Figure:

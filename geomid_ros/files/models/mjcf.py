@@ -69,6 +69,7 @@ class _Writer:
         self._driven = set(robot.joint_names)
         self._moving = self._driven.union(follower.joint.name for follower in robot.followers)
         effects = list(effects)
+        self._said_of = joint_attributes(effects, "joint")
         self._effects = {(effect.effect, effect.joint): values_of(effect) for effect in effects}
         self._payloads = {effect.link: values_of(effect) for effect in effects if is_body(effect)}
         self._gravity = turned_gravity(gravity, effects)
@@ -134,11 +135,7 @@ class _Writer:
 
     def _said(self, joint: JointFrame) -> dict[str, float]:
         """What the effects say of a joint's own attributes, added up."""
-        numbers: dict[str, float] = {}
-        for (effect, place), known in self._effects.items():
-            for name, value in joint_attributes(effect, known, "joint").items() if place == joint.name else ():
-                numbers[name] = numbers.get(name, 0.0) + value
-        return numbers
+        return self._said_of.get(joint.name, {})
 
     def _hinges(self, joint: JointFrame) -> list[Hinge]:
         """The hinges behind a joint's own."""

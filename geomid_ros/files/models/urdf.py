@@ -11,7 +11,7 @@ from xml.parsers import expat
 
 from geomid_ros.estimation.estimate import LinkEstimate
 from geomid_ros.files.disk import read_text
-from geomid_ros.files.models.effect_forms import is_body, joint_attributes, payload_quantities
+from geomid_ros.files.models.effect_forms import is_body, is_sure, joint_attributes, payload_quantities
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.model.effects import KnownEffect, values_of
 from geomid_ros.model.urdf_tree import MOST_BYTES
@@ -78,18 +78,13 @@ def _inertial(mass: float, com: FloatArray, inertia: FloatArray) -> bytes:
 def with_effects(urdf: str, effects: Iterable[KnownEffect]) -> str:
     """``urdf`` with the effects that a URDF can say; every other character of it is kept.
 
-    What an effect says of a joint's ``<dynamics>`` is added up there; a payload becomes a link that is fixed to the one
-    which carries it.
+    What sure effects say of a joint's ``<dynamics>`` is added up there; a payload becomes a link that is fixed to the
+    one which carries it.
     """
     data = urdf.encode()
-    effects = list(effects)
+    effects = [effect for effect in effects if is_sure(effect)]
     joints, links = _spans(data, "joint", "dynamics"), _spans(data, "link", "inertial")
-    dynamics: dict[str, dict[str, float]] = {}
-    for effect in effects:
-        for attribute, value in joint_attributes(effect.effect, values_of(effect), "dynamics").items():
-            own = dynamics.setdefault(effect.joint, {})
-            own[attribute] = own.get(attribute, 0.0) + value
-    edits = [_dynamics(data, joints[name], own) for name, own in dynamics.items()]
+    edits = [_dynamics(data, joints[name], own) for name, own in joint_attributes(effects, "dynamics").items()]
     end = data.rindex(b"</robot")
     payloads = [_payload(effect, links, joints) for effect in effects if is_body(effect)]
     edits.append((end, end, b"".join(payloads)))
