@@ -34,11 +34,11 @@ def is_sure(effect: KnownEffect) -> bool:
 
 def joint_attributes(effects: Iterable[KnownEffect], element: str) -> dict[str, dict[str, float]]:
     """What effects say of the attributes of a joint's ``element``, added up, by joint: ``dynamics`` in a URDF,
-    ``joint`` in an MJCF, ``actuator`` in a URDF for Drake."""
+    ``joint`` in an MJCF, ``actuator`` in a URDF for Drake, ``gazebo`` in one for Gazebo."""
     found: dict[str, dict[str, float]] = {}
     for effect in effects:
         forms, known = effect_class(effect.effect).parameters, values_of(effect)
-        places = {(place, form.name) for form in forms for place in (form.urdf, form.mjcf, form.drake)}
+        places = {(place, form.name) for form in forms for place in (form.urdf, form.mjcf, form.drake, form.gazebo)}
         for place, name in sorted(places):
             own, _, attribute = place.partition("/")
             if own == element:

@@ -78,7 +78,7 @@ class ParameterForm:
         optional: whether files may leave it out; it is zero then.
         urdf, mjcf: where these files say it, too, as ``ELEMENT/ATTRIBUTE``; empty where they cannot. What stands at
             ``dynamics`` of a URDF's joint, or at the ``joint`` of an MJCF, is added to the attribute's value.
-        drake: where Drake reads it in a URDF.
+        drake, gazebo: where these read it in a URDF.
     """
 
     name: str
@@ -89,9 +89,9 @@ class ParameterForm:
     urdf: str = ""
     mjcf: str = ""
     drake: str = ""
+    gazebo: str = ""
 
     def said_by(self, files: Iterable[str]) -> bool:
-        """Whether one of ``files`` says it: ``urdf``, ``mjcf`` or ``drake``, or only an element there,
-        ``mjcf/joint``."""
-        said = [f"{name}/{getattr(self, name)}/" for name in ("urdf", "mjcf", "drake") if getattr(self, name)]
+        """Whether one of ``files`` says it: a name of these attributes, or an element there, ``mjcf/joint``."""
+        said = [f"{name}/{getattr(self, name)}/" for name in ("urdf", "mjcf", "drake", "gazebo") if getattr(self, name)]
         return any(place.startswith(f"{own}/") for own in files for place in said)
