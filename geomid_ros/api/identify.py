@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 from geomid_ros.api.arguments import Config, PathLike, Paths, Texts, bag_paths, configuration, description, texts
 from geomid_ros.estimation.estimate import EffectEstimate, Estimate, LinkEstimate
+from geomid_ros.files.models.effect_forms import unsaid
+from geomid_ros.files.models.results import model_effects
 from geomid_ros.model.samples import Samples
 from geomid_ros.plausibility.verdict import Verdict
 from geomid_ros.report.drawing import draw_identification
@@ -88,6 +90,12 @@ class Identification:
     def urdf(self) -> str:
         """The robot description with the identified inertias and friction; every other character of it is kept."""
         return self.session.identified_urdf(self.estimate)
+
+    @property
+    def not_in_urdf(self) -> str:
+        """What :meth:`urdf` cannot say, or is too unsure to say, in a sentence; empty for nothing."""
+        names = unsaid(model_effects(self.estimate, self.session.loaded.effects), ("urdf",))
+        return f"identified.urdf does not say: {'; '.join(names)}" if names else ""
 
     def plot(self) -> Figure:
         """Draw the bodies, before and after, and the channels, measured and predicted."""

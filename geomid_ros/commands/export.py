@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 
 import click
 
-from geomid_ros.errors import InputError, one_line
 from geomid_ros.commands.options import package_option
+from geomid_ros.errors import InputError, one_line
 from geomid_ros.exports.formats import CONTROLLERS, DESCRIBED_FOR
 
 if TYPE_CHECKING:

@@ -77,7 +77,7 @@ class Description(NamedTuple):
 def not_said(model: Model, files: tuple[str, ...]) -> list[str]:
     """What these files cannot say of a model's effects, in a sentence, if there is anything."""
     names = unsaid(model.effects, files)
-    return [f"Not said here: {', '.join(names)}"] if names else []
+    return [f"Not said here: {'; '.join(names)}"] if names else []
 
 
 def _urdf(model: Model, _: Mapping[str, Path]) -> Whole:

@@ -59,7 +59,10 @@ def unsaid(effects: Iterable[KnownEffect], files: Iterable[str]) -> list[str]:
         if missing or not is_sure(effect):
             what += "" if is_sure(effect) else " (no larger than its standard deviation)"
             found.setdefault(what, []).append(effect.link or effect.joint)
-    return [what + (f" of {', '.join(places)}" if any(places) else "") for what, places in found.items()]
+    together: dict[str, list[str]] = {}
+    for what, places in found.items():
+        together.setdefault(", ".join(filter(None, places)), []).append(what)
+    return [", ".join(names) + (f" of {places}" if places else "") for places, names in together.items()]
 
 
 def payload_quantities(payload: Mapping[str, float]) -> FloatArray:
