@@ -106,6 +106,7 @@ def _mujoco(model: Model, packages: Mapping[str, Path]) -> Whole:
         model.urdf,
         source=source,
         floating_base=model.tree.root in model.estimated,
+        cuts=[joint.child for joint in model.tree.joints if joint.type == "fixed" and joint.child in model.estimated],
         locked_joints=_locked(model),
     )
     shapes = mjcf_shapes(model.urdf, source, MeshFinder(model.urdf_path, packages).find)

@@ -31,7 +31,7 @@ def into_mjcf(model: Model, path: Path) -> Whole:
         InputError: it has none of the bodies, or its axes are not where the URDF has them.
     """
     text, frames = read_text(path, "MJCF", MOST_BYTES), body_frames(path)
-    links = {name: model.bodies[name].inertial.quantities for name in model.estimated or model.bodies}
+    links = {name: _carried(model, name) for name in model.estimated or model.bodies}
     bodies = [name for name in links if name in frames.bodies]
     if not bodies:
         raise InputError(
@@ -39,7 +39,7 @@ def into_mjcf(model: Model, path: Path) -> Whole:
         )
     base = _base(model, frames, path)
     placed = {name: np.linalg.inv(frames.bodies[name]) @ base @ model.placements[name] for name in bodies}
-    inertias = {name: _moved(pseudo_inertia.parameters_of(links[name]), placed[name]) for name in bodies}
+    inertias = {name: _moved(links[name], placed[name]) for name in bodies}
     said = joint_attributes(filter(is_sure, model.effects), "joint")
     joints = {name: own for name, own in said.items() if name in frames.joints}
     emptied = [link for name in bodies for link in model.bodies[name].merged if link in frames.bodies]
@@ -49,15 +49,21 @@ def into_mjcf(model: Model, path: Path) -> Whole:
         raise InputError(f"{path}: {error} is not in this file itself; give the one that includes nothing") from error
     sentences = [
         *not_said(model, ("mjcf/joint", "mjcf/body")),
-        *_listed(f"{path}: has no body", [name for name in links if name not in bodies]),
-        *_listed(f"{path}: has no joint", [name for name in said if name not in joints]),
-        *_listed("Counted in with others, so that they weigh nothing:", emptied),
+        *_named(f"{path}: has no body", [name for name in links if name not in bodies]),
+        *_named(f"{path}: has no joint", [name for name in said if name not in joints]),
+        *_named("Counted in with others, so that they weigh nothing:", emptied),
     ]
     return Whole(patched, sentences)
 
 
-def _listed(heading: str, names: Sequence[str]) -> list[str]:
+def _named(heading: str, names: Sequence[str]) -> list[str]:
     return [f"{heading} {', '.join(names)}"] if names else []
+
+
+def _carried(model: Model, link: str) -> FloatArray:
+    """Parameters ``(10,)`` of a link with the payload that was found on it, which is a link of the URDF."""
+    names = [name for name in (link, f"{link}_payload") if name in model.bodies]
+    return np.sum([pseudo_inertia.parameters_of(model.bodies[name].inertial.quantities) for name in names], axis=0)
 
 
 def _moved(parameters: FloatArray, placement: FloatArray) -> FloatArray:
@@ -70,12 +76,12 @@ def _base(model: Model, frames: BodyFrames, path: Path) -> FloatArray:
     axes = _urdf_axes(model, frames.joints)
     named = frames.bodies.get(model.tree.root, np.eye(4))
     fitted = _fitted(axes, frames.joints)
-    apart = {}
-    for base in (named, fitted):
-        apart = {name: _apart(base, axes[name], frames.joints[name]) for name in axes}
-        if all(distance < _FAR for distance in apart.values()):
-            return base
-    worst = ", ".join(name for name, distance in apart.items() if distance >= _FAR)
+    apart = [
+        [name for name in axes if _apart(base, axes[name], frames.joints[name]) >= _FAR] for base in (named, fitted)
+    ]
+    if [] in apart:
+        return (named, fitted)[apart.index([])]
+    worst = ", ".join(min(apart, key=len))
     raise InputError(
         f"{path}: with all joints at zero, its axes are not where {model.urdf_path} has them ({worst}): another robot, "
         "or other zeros or signs of joints; an inertia cannot be moved from one to the other"

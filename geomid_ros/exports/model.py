@@ -13,7 +13,7 @@ import numpy as np
 from geomid_ros.errors import InputError, unknown_name
 from geomid_ros.estimation.estimate import QUANTITIES
 from geomid_ros.exports.inertial import UncertainInertia
-from geomid_ros.files.models.effect_forms import coefficient, is_body, is_sure, joint_attributes
+from geomid_ros.files.models.effect_forms import coefficient, effects_of_dynamics, is_body, is_sure, joint_attributes
 from geomid_ros.files.models.joint_frames import joint_frames
 from geomid_ros.files.models.judgements import doubt
 from geomid_ros.files.models.loaded_model import LoadedModel
@@ -99,7 +99,17 @@ def read_model(path: Path) -> Model:
     reason = "" if document is None else doubt(document, str(path))
     found = () if document is None else tuple(LoadedModel.read(str(path)).beside_inertias)
     effects = (*found, *_dynamics(text, str(urdf), found))
-    return Model(str(path), tree, _placements(text, tree, str(urdf)), bodies, estimated, reason, text, urdf, effects)
+    return Model(
+        source=str(path),
+        tree=tree,
+        placements=_placements(text, tree, str(urdf)),
+        bodies=bodies,
+        estimated=estimated,
+        doubt=reason,
+        urdf=text,
+        urdf_path=urdf,
+        effects=effects,
+    )
 
 
 def _dynamics(urdf: str, source: str, found: Sequence[KnownEffect]) -> list[KnownEffect]:
@@ -108,7 +118,7 @@ def _dynamics(urdf: str, source: str, found: Sequence[KnownEffect]) -> list[Know
     effects = []
     for joint in read_xml(urdf, source).findall("joint"):
         name = joint.get("name", "")
-        for attribute, effect in (("damping", "viscous_friction"), ("friction", "coulomb_friction")):
+        for attribute, effect in effects_of_dynamics().items():
             if attribute not in said.get(name, {}):
                 where = f"{source}: joint '{name}'"
                 (value,) = read_numbers(joint, "dynamics", (attribute,), [0.0], where)

@@ -29,7 +29,8 @@ def body_frames(path: Path) -> BodyFrames:
     except ValueError as error:
         raise InputError(f"{path}: MuJoCo cannot read this model ({' '.join(str(error).split())})") from error
     data = mujoco.MjData(model)
-    single = [index for index in range(model.njnt) if model.jnt_type[index] >= mujoco.mjtJoint.mjJNT_SLIDE]
+    of_one_axis = (int(mujoco.mjtJoint.mjJNT_SLIDE), int(mujoco.mjtJoint.mjJNT_HINGE))
+    single = [index for index in range(model.njnt) if model.jnt_type[index] in of_one_axis]
     data.qpos[model.jnt_qposadr[single]] = 0.0
     mujoco.mj_kinematics(model, data)
     bodies = {}

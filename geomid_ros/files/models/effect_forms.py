@@ -47,6 +47,15 @@ def joint_attributes(effects: Iterable[KnownEffect], element: str) -> dict[str, 
     return found
 
 
+def effects_of_dynamics() -> dict[str, str]:
+    """The effects of one coefficient that an attribute of a URDF's ``<dynamics>`` says, by the attribute."""
+    return {
+        cls.parameters[0].urdf.removeprefix("dynamics/"): name
+        for name, cls in EFFECTS.items()
+        if len(cls.parameters) == 1 and cls.parameters[0].urdf.startswith("dynamics/")
+    }
+
+
 def unsaid(effects: Iterable[KnownEffect], files: Iterable[str]) -> list[str]:
     """What ``files`` (see :meth:`~geomid_ros.model.effects.ParameterForm.said_by`) do not say of effects, in words."""
     files = tuple(files)
@@ -55,7 +64,7 @@ def unsaid(effects: Iterable[KnownEffect], files: Iterable[str]) -> list[str]:
         forms = [form for form in effect_class(effect.effect).parameters if form.name in effect.parameters]
         missing = [form.name for form in forms if not form.said_by(files)]
         what = effect.effect.replace("_", " ")
-        what += "" if len(missing) == len(forms) else f" ({', '.join(missing)})"
+        what += f" ({', '.join(missing)})" if 0 < len(missing) < len(forms) else ""
         if missing or not is_sure(effect):
             what += "" if is_sure(effect) else " (no larger than its standard deviation)"
             found.setdefault(what, []).append(effect.link or effect.joint)

@@ -45,7 +45,8 @@ def _spans(data: bytes, above: list[str], kind: str, child: str, *, deeper: bool
         if tag == kind and inside and "name" in attributes:
             span = found[attributes["name"]] = Span(kind, (begin, end_of_tag(data, begin)))
         elif tag == child and path and (parent := path[-1][1]) and parent.child is None:
-            parent.child = (begin, begin)
+            closed = end_of_tag(data, begin)
+            parent.child = (begin, closed if data[:closed].endswith(b"/>") else begin)
         path.append((tag, span))
 
     def end(tag: str) -> None:
