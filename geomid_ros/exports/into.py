@@ -42,7 +42,7 @@ def into_mjcf(model: Model, path: Path) -> Whole:
     inertias = {name: _moved(links[name], placed[name]) for name in bodies}
     said = joint_attributes(filter(is_sure, model.effects), "joint")
     joints = {name: own for name, own in said.items() if name in frames.joints}
-    emptied = [link for name in bodies for link in model.bodies[name].merged if link in frames.bodies]
+    emptied = [link for name in bodies for link in model.bodies[name].merged if frames.masses.get(link)]
     try:
         patched = with_identified(text, inertias, joints, emptied)
     except KeyError as error:
@@ -63,7 +63,8 @@ def _named(heading: str, names: Sequence[str]) -> list[str]:
 def _carried(model: Model, link: str) -> FloatArray:
     """Parameters ``(10,)`` of a link with the payload that was found on it, which is a link of the URDF."""
     names = [name for name in (link, f"{link}_payload") if name in model.bodies]
-    return np.sum([pseudo_inertia.parameters_of(model.bodies[name].inertial.quantities) for name in names], axis=0)
+    own = [pseudo_inertia.parameters_of(model.bodies[name].inertial.quantities) for name in names]
+    return np.asarray(np.sum(own, axis=0))
 
 
 def _moved(parameters: FloatArray, placement: FloatArray) -> FloatArray:
@@ -81,7 +82,7 @@ def _base(model: Model, frames: BodyFrames, path: Path) -> FloatArray:
     ]
     if [] in apart:
         return (named, fitted)[apart.index([])]
-    worst = ", ".join(min(apart, key=len))
+    worst = ", ".join(apart[0] if len(apart[0]) < len(apart[1]) else apart[1])
     raise InputError(
         f"{path}: with all joints at zero, its axes are not where {model.urdf_path} has them ({worst}): another robot, "
         "or other zeros or signs of joints; an inertia cannot be moved from one to the other"

@@ -14,10 +14,11 @@ from geomid_ros.types import FloatArray
 
 @dataclass(frozen=True, eq=False)
 class BodyFrames:
-    """Homogeneous matrices ``(4, 4)`` of ``bodies`` in the world by name, all joints at zero; and of hinges and slides,
-    ``joints``, a point that they pass through and the direction of their axes, ``(2, 3)``."""
+    """Homogeneous matrices ``(4, 4)`` of ``bodies`` in the world by name, all joints at zero, and their ``masses`` [kg];
+    of hinges and slides, ``joints``, a point that they pass through and the direction of their axes, ``(2, 3)``."""
 
     bodies: dict[str, FloatArray]
+    masses: dict[str, float]
     joints: dict[str, FloatArray]
 
 
@@ -39,4 +40,5 @@ def body_frames(path: Path) -> BodyFrames:
         placed[:3, :3], placed[:3, 3] = data.xmat[index].reshape(3, 3), data.xpos[index]
         bodies[model.body(index).name] = placed
     joints = {model.joint(index).name: np.array([data.xanchor[index], data.xaxis[index]]) for index in single}
-    return BodyFrames(bodies, joints)
+    masses = {name: float(model.body(name).mass[0]) for name in bodies}
+    return BodyFrames(bodies, masses, joints)

@@ -243,7 +243,8 @@ def test_a_spring_in_degrees_and_what_others_count_in(tmp_path: Path) -> None:
     model = written(tmp_path, [SPRING])
     degrees = mjcf(Robot(URDF), {}).replace('angle="radian"', 'angle="degree"')
     own = tmp_path / "own.xml"
-    own.write_text(re.sub('limited="true" range="[^"]*"', "", degrees))
+    degrees = re.sub('limited="true" range="[^"]*"|inertiafromgeom="false"', "", degrees)
+    own.write_text(re.sub('(<body name="tool"[^>]*)/>', r'\1><geom size="0.1"/></body>', degrees))
     joint = mujoco.MjModel.from_xml_string(into_mjcf(model, own).text).joint("joint2")
     np.testing.assert_allclose([joint.stiffness[0], joint.qpos_spring[0]], [3.0, 0.5])
     assert "tool" in model.bodies["link3"].merged
