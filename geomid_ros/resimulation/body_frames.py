@@ -14,8 +14,9 @@ from geomid_ros.types import FloatArray
 
 @dataclass(frozen=True, eq=False)
 class BodyFrames:
-    """Homogeneous matrices ``(4, 4)`` of ``bodies`` in the world by name, all joints at zero, and their ``masses`` [kg];
-    of hinges and slides, ``joints``, a point that they pass through and the direction of their axes, ``(2, 3)``."""
+    """Homogeneous matrices ``(4, 4)`` of ``bodies`` in the world by name, all joints at zero, and their ``masses``
+    [kg]; of hinges and slides, ``joints``, a point that they pass through and the direction of their axes, ``(2, 3)``.
+    """
 
     bodies: dict[str, FloatArray]
     masses: dict[str, float]
