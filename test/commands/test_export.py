@@ -97,6 +97,22 @@ def test_descriptions_show_every_link_with_how_sure_it_is(estimates: dict[str, P
         assert result.stderr.startswith("Note: Not said here: ")
 
 
+def test_the_identified_urdf_has_the_friction_that_is_sure(estimates: dict[str, Path]) -> None:
+    """As pinocchio reads it; and what it cannot say is told."""
+    document = json.loads(estimates["torques"].read_text())
+    robot = pin.buildModelFromXML(estimates["torques"].with_name("identified.urdf").read_text())
+    for name, found in {"viscous_friction": robot.damping, "coulomb_friction": robot.friction}.items():
+        expected = np.zeros(3)
+        for known in (known for known in document["effects"] if known["name"] == name):
+            expected[robot.joints[robot.getJointId(known["joint"])].idx_v] = known["value"] * (
+                known["value"] >= known["std"]
+            )
+        assert np.any(expected)
+        np.testing.assert_allclose(found, expected, rtol=1e-8)
+    printed = done(*identify("arm3", "--out", estimates["torques"].parent / "again"))
+    assert "identified.urdf does not say: rotor inertia" in printed
+
+
 def test_a_file_of_ones_own_is_printed_with_what_was_identified(estimates: dict[str, Path], tmp_path: Path) -> None:
     mujoco = pytest.importorskip("mujoco")
     own = tmp_path / "own.xml"

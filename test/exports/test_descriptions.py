@@ -141,6 +141,29 @@ def test_drake_has_rotors_at_the_actuators(tmp_path: Path) -> None:
     }
 
 
+def test_drake_predicts_what_geomid_does(tmp_path: Path) -> None:
+    """All but dry friction, which it ignores."""
+    missing = "needs Drake: pip install -r requirements-bench.txt"
+    parsing = pytest.importorskip("pydrake.multibody.parsing", reason=missing)
+    plants = pytest.importorskip("pydrake.multibody.plant", reason=missing)
+    trees = pytest.importorskip("pydrake.multibody.tree", reason=missing)
+    smooth = [known for known in EFFECTS if known.effect != "coulomb_friction"]
+    model = written(tmp_path, [*smooth, *(effect("coulomb_friction", joint, level=1e-9) for joint in JOINTS)])
+    samples, expected = predicted(model)
+    plant = plants.MultibodyPlant(time_step=0.0)
+    parsing.Parser(plant).AddModelsFromString(exported(model, "drake"), "urdf")
+    plant.WeldFrames(plant.world_frame(), plant.GetFrameByName("base_link"))
+    plant.Finalize()
+    plant.mutable_gravity_field().set_gravity_vector([0.0, 0.0, -9.81])
+    context = plant.CreateDefaultContext()
+    for motion, efforts in zip(motions(samples), expected, strict=True):
+        plant.SetPositions(context, motion[0])
+        plant.SetVelocities(context, motion[1])
+        forces = trees.MultibodyForces(plant)
+        plant.CalcForceElementsContribution(context, forces)
+        np.testing.assert_allclose(plant.CalcInverseDynamics(context, motion[2], forces), efforts, atol=DIGITS)
+
+
 def test_gazebo_has_springs(tmp_path: Path) -> None:
     (gazebo,) = ET.fromstring(exported(written(tmp_path, [SPRING]), "gazebo")).findall("gazebo")
     assert gazebo.get("reference") == "joint2"
