@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
+from xml.parsers.expat import ExpatError
 
 import numpy as np
 
@@ -47,6 +48,8 @@ def into_mjcf(model: Model, path: Path) -> Whole:
         patched = with_identified(text, inertias, joints, emptied)
     except KeyError as error:
         raise InputError(f"{path}: {error} is not in this file itself; give the one that includes nothing") from error
+    except ExpatError as error:  # MuJoCo's parser takes more
+        raise InputError(f"{path}: not valid XML ({error})") from error
     sentences = [
         *not_said(model, ("mjcf/joint", "mjcf/body")),
         *_named(f"{path}: has no body", [name for name in links if name not in bodies]),

@@ -294,3 +294,17 @@ def test_a_payload_is_carried_by_its_link(tmp_path: Path) -> None:
     own.write_text(mjcf(Robot(URDF), {}))
     mass = mujoco.MjModel.from_xml_string(into_mjcf(model, own).text).body("link3").mass[0]
     assert mass == pytest.approx(model.bodies["link3"].inertial.mass + PAYLOAD["mass"])
+
+
+def test_a_file_that_only_mujoco_can_read_is_refused(tmp_path: Path) -> None:
+    """Its names in an included file, and an attribute said twice."""
+    model, own = written(tmp_path, EFFECTS), tmp_path / "own.xml"
+    text = mjcf(Robot(URDF), {})
+    body = text[text.index("<body") : text.rindex("</worldbody>")]
+    (tmp_path / "part.xml").write_text(f"<mujoco>{body}</mujoco>")
+    own.write_text(text.replace(body, '<include file="part.xml"/>'))
+    with pytest.raises(InputError, match=r"own.xml: 'link1' is not in this file itself"):
+        into_mjcf(model, own)
+    own.write_text(text.replace("<worldbody>", '<worldbody><geom size="1" pos="0 0 9" contype="0" contype="0"/>'))
+    with pytest.raises(InputError, match=r"own.xml: (not valid XML|MuJoCo cannot read)"):
+        into_mjcf(model, own)
