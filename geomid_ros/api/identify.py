@@ -12,6 +12,7 @@ from geomid_ros.api.arguments import Config, PathLike, Paths, Texts, bag_paths, 
 from geomid_ros.api.origin import origin
 from geomid_ros.estimation.estimate import EffectEstimate, Estimate, LinkEstimate
 from geomid_ros.estimation.telling_motions import telling_motions
+from geomid_ros.files.models.effect_forms import unsaid
 from geomid_ros.files.models.results import model_effects
 from geomid_ros.model.samples import Samples
 from geomid_ros.plausibility.verdict import Verdict
@@ -93,8 +94,14 @@ class Identification:
         return self.session.document(self.estimate, self.held_out_rms, self.verdict)
 
     def urdf(self) -> str:
-        """The robot description with the identified inertias; every other character of it is kept."""
+        """The robot description with the identified inertias and friction; every other character of it is kept."""
         return self.session.identified_urdf(self.estimate)
+
+    @property
+    def not_in_urdf(self) -> str:
+        """What :meth:`urdf` cannot say, or is too unsure to say, in a sentence; empty for nothing."""
+        names = unsaid(model_effects(self.estimate, self.session.loaded.effects), ("urdf",))
+        return f"identified.urdf does not say: {'; '.join(names)}" if names else ""
 
     def plot(self) -> Figure:
         """Draw the bodies, before and after, and the channels, measured and predicted."""

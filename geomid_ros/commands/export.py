@@ -7,10 +7,12 @@ from typing import TYPE_CHECKING
 
 import click
 
+from geomid_ros.commands.options import package_option
 from geomid_ros.errors import InputError, one_line
-from geomid_ros.exports.formats import CONTROLLERS, DESCRIPTIONS
+from geomid_ros.exports.formats import CONTROLLERS, DESCRIBED_FOR
 
 if TYPE_CHECKING:
+    from geomid_ros.exports.descriptions import Whole
     from geomid_ros.exports.inertial import Export
     from geomid_ros.exports.model import Model
 
@@ -18,7 +20,7 @@ if TYPE_CHECKING:
 @click.command()
 @click.argument("model", metavar="FROM", type=click.Path(path_type=Path))
 @click.option(
-    "--for", "tool", required=True, type=click.Choice([*CONTROLLERS, *DESCRIPTIONS]), help="Who is to read it."
+    "--for", "tool", required=True, type=click.Choice([*CONTROLLERS, *DESCRIBED_FOR]), help="Who is to read it."
 )
 @click.option(
     "--frame",
@@ -32,31 +34,58 @@ if TYPE_CHECKING:
     type=click.Path(path_type=Path),
     help="The payload is what this model (estimate.json or URDF) of the robot without it has not.",
 )
-def export(model: Path, tool: str, frame: str | None, links: str | None, without: Path | None) -> None:
+@click.option(
+    "--into",
+    metavar="MJCF",
+    type=click.Path(path_type=Path),
+    help="For mujoco: print this file with what was identified of the bodies and joints of the same names, all else as "
+    "it is.",
+)
+@package_option
+def export(
+    model: Path,
+    tool: str,
+    frame: str | None,
+    links: str | None,
+    without: Path | None,
+    into: Path | None,
+    package_path: dict[str, Path],
+) -> None:
     """Print an estimate in the terms of other software.
 
     FROM is an estimate.json with its identified.urdf beside it, or any URDF. For ur (Universal Robots) and franka, that
-    is the payload at the flange, as commands for the controller and its ROS driver; for moveit, gazebo and mujoco, the
-    inertial of every link, or with --frame of a payload. Standard deviations stand beside the numbers. What the data
-    did not show is not exported as a payload. A model whose verdict is not 'usable' is warned of.
+    is the payload at the flange, as commands for the controller and its ROS driver. For moveit, isaac, gazebo and drake
+    it is the robot's URDF, for mujoco its MJCF, with inertias and friction, and what else each of these can say; or
+    with --frame the inertial of a payload. Standard deviations stand beside the numbers or behind them. What a format
+    cannot say is said. What the data did not show is not exported as a payload. A model whose verdict is not 'usable'
+    is warned of.
     """
+    if into and tool != "mujoco":
+        raise click.UsageError("--into is a file of MuJoCo's: --for mujoco.")
     read = _read(model)
     if tool in CONTROLLERS:
         controller = CONTROLLERS[tool]
         payload = _payload(read, frame or _flange(read, controller.flange), links, without)
         click.echo(controller.commands(payload), nl=False)
-    else:
-        click.echo(DESCRIPTIONS[tool](_inertials(read, frame, links, without)), nl=False)
-
-
-def _inertials(model: Model, frame: str | None, links: str | None, without: Path | None) -> list[Export]:
-    if frame:
-        return [_payload(model, frame, links, without)]
-    if links or without:
-        raise click.UsageError("Missing option '--frame': in the axes of which link?")
+        return
+    from geomid_ros.exports.descriptions import DESCRIPTIONS
     from geomid_ros.exports.payload import each_link
 
-    return each_link(model)
+    if frame:
+        click.echo(DESCRIPTIONS[tool].payload(_payload(read, frame, links, without)), nl=False)
+        return
+    if links or without:
+        raise click.UsageError("Missing option '--frame': in the axes of which link?")
+    whole = _into(read, into) if into else DESCRIPTIONS[tool].robot(read, each_link(read), package_path)
+    for sentence in whole.lacks:
+        click.echo(f"Note: {one_line(sentence)}", err=True)
+    click.echo(whole.text, nl=False)
+
+
+def _into(model: Model, into: Path) -> Whole:
+    from geomid_ros.exports.into import into_mjcf
+
+    return into_mjcf(model, into)
 
 
 def _payload(model: Model, frame: str, links: str | None, without: Path | None) -> Export:

@@ -12,6 +12,7 @@ import click
 
 import geomid_ros
 from geomid_ros.commands.options import OUT, recording_options, robot_options
+from geomid_ros.errors import one_line
 
 
 @click.command()
@@ -52,6 +53,7 @@ def identify(bags: tuple[Path, ...], effects: str | None, out: Path, as_json: bo
     else:
         identification.show(found)
         click.echo(f"\nWritten: {', '.join(map(str, files))}")
+        click.echo(one_line(found.not_in_urdf))
     sys.exit(found.verdict.status)
 
 

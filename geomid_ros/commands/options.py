@@ -1,4 +1,4 @@
-"""Options that commands which read bags share."""
+"""Options that commands share, of those which read bags above all."""
 
 from __future__ import annotations
 
@@ -132,3 +132,23 @@ def _gain(text: str) -> tuple[str, float]:
         raise click.BadParameter(
             f"'{text}' is not of the form [JOINT=]FACTOR, e.g. -1 or joint3=0.5", param_hint="'--gain'"
         ) from error
+
+
+def _packages(_context: click.Context, _option: click.Parameter, texts: tuple[str, ...]) -> dict[str, Path]:
+    """Folders by package name, of NAME=FOLDER."""
+    packages = {}
+    for text in texts:
+        name, _, folder = text.partition("=")
+        if not name or not folder:
+            raise click.BadParameter(f"'{text}' is not of the form NAME=FOLDER")
+        packages[name] = Path(folder)
+    return packages
+
+
+package_option = click.option(
+    "--package-path",
+    multiple=True,
+    metavar="NAME=FOLDER",
+    callback=_packages,
+    help="Where package://NAME is, if not above URDF, in ROS_PACKAGE_PATH or in AMENT_PREFIX_PATH; may be repeated.",
+)

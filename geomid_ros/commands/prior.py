@@ -9,6 +9,7 @@ from xml.etree.ElementTree import Element
 
 import click
 
+from geomid_ros.commands.options import package_option
 from geomid_ros.errors import InputError, unknown_name
 
 if TYPE_CHECKING:
@@ -21,30 +22,13 @@ if TYPE_CHECKING:
 _LIGHTEST, _HEAVIEST = 50.0, 20_000.0  # [kg/m^3]
 
 
-def _packages(_context: click.Context, _option: click.Parameter, texts: tuple[str, ...]) -> dict[str, Path]:
-    """Folders by package name, of NAME=FOLDER."""
-    packages = {}
-    for text in texts:
-        name, _, folder = text.partition("=")
-        if not name or not folder:
-            raise click.BadParameter(f"'{text}' is not of the form NAME=FOLDER")
-        packages[name] = Path(folder)
-    return packages
-
-
 @click.command()
 @click.argument("urdf", type=click.Path(path_type=Path))
 @click.option(
     "--mass", type=click.FloatRange(0.0, min_open=True), required=True, help="What all links weigh together [kg]."
 )
 @click.option("--keep", help="Links that stay as they are, separated by commas; the mass they have counts.")
-@click.option(
-    "--package-path",
-    multiple=True,
-    metavar="NAME=FOLDER",
-    callback=_packages,
-    help="Where package://NAME is, if not above URDF, in ROS_PACKAGE_PATH or in AMENT_PREFIX_PATH; may be repeated.",
-)
+@package_option
 @click.option(
     "--out",
     type=click.Path(path_type=Path, dir_okay=False),

@@ -44,17 +44,6 @@ _FRANKA_NOTE = (
     "  The controller adds it to the end effector that is set in Desk (Settings, End Effector): set there what stays",
     "  mounted, and export only what comes beyond it.",
 )
-_MOVEIT_NOTE = (
-    "What reads it: MoveIt plans by limits alone; its DynamicsSolver, and ros2_control's controllers that compute",
-    "torques, read <inertial> of robot_description, many by kdl_parser, which takes none at the root link.",
-    "All links at once: identified.urdf. The same element stands in a xacro file.",
-)
-_GAZEBO_NOTE = (
-    "All links at once: gz sdf -p identified.urdf, which lumps links together that are fixed to one another.",
-)
-_MUJOCO_NOTE = ('<compiler inertiafromgeom="true"/> would override it; the default, "auto", does not.',)
-
-
 class PayloadFormat(NamedTuple):
     """A controller's form of a payload: the ending of the ``flange``'s name in the manufacturer's URDF, and the
     ``commands`` that set the payload there."""
@@ -76,7 +65,7 @@ def ur_commands(export: Export) -> str:
     named = ", ".join(f"{key}: {number(entries[key])}" for key in _DIAGONAL_FIRST)
     weight = f"mass: {mass}, center_of_gravity: {centre}"
     return (
-        _commented([*_comments(export), "  A UR wants all that its flange carries: the tool and what it holds."], "#")
+        _commented([*comments(export), "  A UR wants all that its flange carries: the tool and what it holds."], "#")
         + f"\n# URScript\nset_target_payload({mass}, [{com}], [{inertia}])\n"
         + f"# URScript of older software, without the inertia\nset_payload({mass}, [{com}])\n"
         + f"\n# ROS 2, ur_msgs 2 with inertia\n{_UR_CALL} '{{{weight}, {named}}}'\n"
@@ -91,42 +80,28 @@ def franka_commands(export: Export) -> str:
     columns = _numbers(export.inertial.inertia.ravel(order="F"))
     request = f"{{mass: {mass}, center_of_mass: [{com}], load_inertia: [{columns}]}}"
     return (
-        _commented([*_comments(export), *_FRANKA_NOTE], "//")
+        _commented([*comments(export), *_FRANKA_NOTE], "//")
         + f"\n// libfranka\nrobot.setLoad({mass}, {{{{{com}}}}}, {{{{{columns}}}}});\n"
         + f"\n# ROS 2\n{_FRANKA_CALL} '{request}'\n"
     )
 
 
-def urdf(exports: Sequence[Export]) -> str:
-    """For MoveIt, ros2_control and all else that reads a URDF."""
-    return _described(exports, _MOVEIT_NOTE, _urdf_inertial)
-
-
-def sdf(exports: Sequence[Export]) -> str:
-    """For Gazebo."""
-    return _described(exports, _GAZEBO_NOTE, _sdf_inertial)
-
-
-def mjcf(exports: Sequence[Export]) -> str:
-    """For MuJoCo."""
-    return _described(exports, _MUJOCO_NOTE, _mjcf_inertial)
-
-
 CONTROLLERS = {"ur": PayloadFormat("tool0", ur_commands), "franka": PayloadFormat("link8", franka_commands)}
 """Controllers that take a payload, by the name of who is to read it."""
-DESCRIPTIONS = {"moveit": urdf, "gazebo": sdf, "mujoco": mjcf}
-"""Descriptions that take the inertials of links, likewise."""
+DESCRIBED_FOR = ("moveit", "isaac", "gazebo", "drake", "mujoco")
+"""Who reads descriptions of whole robots, in the order of :mod:`geomid_ros.exports.descriptions`."""
 
 
-def _described(exports: Sequence[Export], note: Sequence[str], inertial: Callable[[Export], str]) -> str:
-    blocks = (
-        "\n" + _xml_comment([*_comments(export), f"  in the frame of link '{export.frame}'"]) + inertial(export)
+def described(exports: Sequence[Export], inertial: Callable[[Export], str]) -> str:
+    """An element for each inertia, below a comment with its standard deviations."""
+    return "\n".join(
+        xml_comment([*comments(export), f"  in the frame of link '{export.frame}'"]) + inertial(export)
         for export in exports
     )
-    return _xml_comment(note) + "".join(blocks)
 
 
-def _urdf_inertial(export: Export) -> str:
+def urdf_inertial(export: Export) -> str:
+    """For all that reads a URDF."""
     entries = " ".join(f'{key}="{number(value)}"' for key, value in _inertia_entries(export).items())
     return (
         f'<inertial>\n  <origin xyz="{_numbers(export.inertial.com, " ")}" rpy="0 0 0"/>\n'
@@ -134,7 +109,8 @@ def _urdf_inertial(export: Export) -> str:
     )
 
 
-def _sdf_inertial(export: Export) -> str:
+def sdf_inertial(export: Export) -> str:
+    """For Gazebo."""
     entries = "".join(f"<{key}>{number(value)}</{key}>" for key, value in _inertia_entries(export).items())
     return (
         f"<inertial>\n  <pose>{_numbers(export.inertial.com, ' ')} 0 0 0</pose>\n"
@@ -142,7 +118,8 @@ def _sdf_inertial(export: Export) -> str:
     )
 
 
-def _mjcf_inertial(export: Export) -> str:
+def mjcf_inertial(export: Export) -> str:
+    """For MuJoCo."""
     entries = _inertia_entries(export)
     full = _numbers((entries[key] for key in _DIAGONAL_FIRST), " ")
     position, mass = _numbers(export.inertial.com, " "), number(export.inertial.mass)
@@ -162,7 +139,7 @@ def _inertia_entries(export: Export) -> dict[str, float]:
     return dict(zip(INERTIA_NAMES, map(float, export.inertial.quantities[4:]), strict=True))
 
 
-def _comments(export: Export) -> list[str]:
+def comments(export: Export) -> list[str]:
     """The title, each number with its standard deviation, and the notes, a line each."""
     quantities, std = export.inertial.quantities, export.inertial.std
     return [
@@ -186,7 +163,7 @@ def _commented(lines: Sequence[str], mark: str) -> str:
     return "".join(f"{mark} {_printable(line)}\n" for line in lines)
 
 
-def _xml_comment(lines: Sequence[str]) -> str:
+def xml_comment(lines: Sequence[str]) -> str:
     """Lines as one comment of XML, in which two hyphens cannot stand side by side."""
     return "<!-- " + "\n     ".join(re.sub("-(?=-)", "- ", _printable(line)) for line in lines) + " -->\n"
 

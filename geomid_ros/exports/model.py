@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -12,15 +13,16 @@ import numpy as np
 from geomid_ros.errors import InputError, unknown_name
 from geomid_ros.estimation.estimate import QUANTITIES
 from geomid_ros.exports.inertial import UncertainInertia
-from geomid_ros.files.models.effect_forms import is_body
+from geomid_ros.files.models.effect_forms import coefficient, effects_of_dynamics, is_body, is_sure, joint_attributes
 from geomid_ros.files.models.joint_frames import joint_frames
 from geomid_ros.files.models.judgements import doubt
 from geomid_ros.files.models.loaded_model import LoadedModel
 from geomid_ros.files.models.results import known_inertias, read_estimate
 from geomid_ros.files.models.urdf import read_urdf
 from geomid_ros.geometry import pseudo_inertia
+from geomid_ros.model.effects import KnownEffect, Quantity, effect_class
 from geomid_ros.model.effects.parameters import COM_ENTRIES
-from geomid_ros.model.urdf_tree import UrdfTree, parse
+from geomid_ros.model.urdf_tree import UrdfTree, parse, read_numbers, read_xml
 from geomid_ros.types import FloatArray
 
 _URDF = "identified.urdf"
@@ -57,6 +59,8 @@ class Model:
         bodies: The links with a mass.
         estimated: The links that were identified.
         doubt: Why it should not be used, in a sentence; empty if nothing speaks against it.
+        urdf: The description with the inertias, and the file that it is from.
+        effects: What was found beside these, without the payloads that are links of the URDF.
     """
 
     source: str
@@ -65,6 +69,9 @@ class Model:
     bodies: Mapping[str, MassiveLink]
     estimated: tuple[str, ...]
     doubt: str
+    urdf: str
+    urdf_path: Path
+    effects: tuple[KnownEffect, ...]
 
     def placement(self, link: str, frame: str) -> FloatArray:
         """The homogeneous matrix ``(4, 4)`` from a link's coordinates to those of the link ``frame``."""
@@ -90,7 +97,35 @@ def read_model(path: Path) -> Model:
     bodies = _urdf_bodies(tree) if document is None else _estimated_bodies(document, tree, str(path))
     estimated = () if document is None else tuple(str(link["name"]) for link in document["links"])
     reason = "" if document is None else doubt(document, str(path))
-    return Model(str(path), tree, _placements(text, tree, str(urdf)), bodies, estimated, reason)
+    found = () if document is None else tuple(LoadedModel.read(str(path)).beside_inertias)
+    effects = (*found, *_dynamics(text, str(urdf), found))
+    return Model(
+        source=str(path),
+        tree=tree,
+        placements=_placements(text, tree, str(urdf)),
+        bodies=bodies,
+        estimated=estimated,
+        doubt=reason,
+        urdf=text,
+        urdf_path=urdf,
+        effects=effects,
+    )
+
+
+def _dynamics(urdf: str, source: str, found: Sequence[KnownEffect]) -> list[KnownEffect]:
+    """Friction in a URDF's <dynamics> that is not among the effects that were ``found`` and are sure."""
+    said = joint_attributes(filter(is_sure, found), "dynamics")
+    effects = []
+    for joint in read_xml(urdf, source).findall("joint"):
+        name = joint.get("name", "")
+        for attribute, effect in effects_of_dynamics().items():
+            if attribute not in said.get(name, {}):
+                where = f"{source}: joint '{name}'"
+                (value,) = read_numbers(joint, "dynamics", (attribute,), [0.0], where)
+                units = effect_class(effect).parameters[0].units
+                unit = units[joint.get("type") == "prismatic"]
+                effects += [coefficient(effect, name, Quantity(value, math.nan, unit))] if value > 0.0 else []
+    return effects
 
 
 def _placements(urdf: str, tree: UrdfTree, source: str) -> dict[str, FloatArray]:

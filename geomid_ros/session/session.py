@@ -19,8 +19,8 @@ from geomid_ros.files.checkpoints.checkpoint import Checkpoint
 from geomid_ros.files.disk import write_json, write_text
 from geomid_ros.files.models.judgements import account_entry, verdict_entry
 from geomid_ros.files.models.loaded_model import LoadedModel
-from geomid_ros.files.models.results import estimate_document
-from geomid_ros.files.models.urdf import with_identified_inertias
+from geomid_ros.files.models.results import estimate_document, model_effects
+from geomid_ros.files.models.urdf import with_effects, with_identified_inertias
 from geomid_ros.model.absent_joints import lockable
 from geomid_ros.model.columns import Columns
 from geomid_ros.model.measurement import MeasurementModel
@@ -291,8 +291,9 @@ class Session:
         }
 
     def identified_urdf(self, estimate: Estimate) -> str:
-        """The robot description with the estimated inertias; every other character of it is kept."""
-        return with_identified_inertias(self.urdf, estimate.links)
+        """The robot description with the estimated inertias and friction; every other character of it is kept."""
+        urdf = with_identified_inertias(self.urdf, estimate.links)
+        return with_effects(urdf, model_effects(estimate, self.loaded.effects))
 
     def save(
         self, folder: Path, estimate: Estimate, held_out: FloatArray | None = None, verdict: Verdict | None = None

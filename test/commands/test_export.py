@@ -7,6 +7,7 @@ import json
 import re
 from importlib.metadata import files
 from pathlib import Path
+from xml.etree import ElementTree
 
 import numpy as np
 import pinocchio as pin
@@ -15,6 +16,7 @@ from files.recordings import BAGS
 from matplotlib.figure import Figure
 
 from geomid_ros.api import identify as front_door
+from geomid_ros.exports.formats import DESCRIBED_FOR
 
 from .running import WRIST, done, geomid, identify, refused
 
@@ -82,12 +84,48 @@ def test_a_doubtful_model_is_told_first_and_exported(estimates: dict[str, Path],
 
 def test_descriptions_show_every_link_with_how_sure_it_is(estimates: dict[str, Path]) -> None:
     links = json.loads(estimates["wrist"].read_text())["links"]
-    for tool in ("moveit", "gazebo", "mujoco"):
-        output = done("export", estimates["wrist"], "--for", tool)
-        assert output.count("<inertial") - output.count("read <inertial>") == len(links)
+    for tool in DESCRIBED_FOR:
+        result = geomid("export", estimates["wrist"], "--for", tool)
+        assert result.exit_code == 0
+        root = ElementTree.fromstring(result.stdout)
+        masses = [float(mass.get("value") or mass.get("mass") or "nan") for mass in root.iter() if mass.get("mass")]
+        masses += [float(mass.get("value") or "nan") for mass in root.iter("mass")]
         for link in links:
-            assert f"{link['mass']:.5g} ± {link['std']['mass']:.2g}" in output
-            assert f"{100 * link['from_data']:.0f} % from data" in output
+            assert f"{link['mass']:.5g} ± {link['std']['mass']:.2g}" in result.stdout
+            assert f"{100 * link['from_data']:.0f} % from data" in result.stdout
+            assert np.min(np.abs(np.array(masses) - link["mass"])) < 1e-6
+        assert result.stderr.startswith("Note: Not said here: ")
+
+
+def test_the_identified_urdf_has_the_friction_that_is_sure(estimates: dict[str, Path]) -> None:
+    """As pinocchio reads it; and what it cannot say is told."""
+    document = json.loads(estimates["torques"].read_text())
+    robot = pin.buildModelFromXML(estimates["torques"].with_name("identified.urdf").read_text())
+    for name, found in {"viscous_friction": robot.damping, "coulomb_friction": robot.friction}.items():
+        expected = np.zeros(3)
+        for known in (known for known in document["effects"] if known["name"] == name):
+            expected[robot.joints[robot.getJointId(known["joint"])].idx_v] = known["value"] * (
+                known["value"] >= known["std"]
+            )
+        assert np.any(expected)
+        np.testing.assert_allclose(found, expected, rtol=1e-8)
+    printed = done(*identify("arm3", "--out", estimates["torques"].parent / "again"))
+    assert "identified.urdf does not say: rotor inertia" in printed
+
+
+def test_a_file_of_ones_own_is_printed_with_what_was_identified(estimates: dict[str, Path], tmp_path: Path) -> None:
+    mujoco = pytest.importorskip("mujoco")
+    own = tmp_path / "own.xml"
+    own.write_text(geomid("export", BAGS / "arm3.urdf", "--for", "mujoco").stdout)
+    result = geomid("export", estimates["torques"], "--for", "mujoco", "--into", own)
+    assert result.exit_code == 0
+    links = json.loads(estimates["torques"].read_text())["links"]
+    found = mujoco.MjModel.from_xml_string(result.stdout)
+    for link in links:
+        assert found.body(link["name"]).mass[0] == pytest.approx(link["mass"])
+    assert geomid("export", estimates["torques"], "--for", "drake", "--into", own).exit_code == 2
+    own.write_text("<mujoco>")
+    assert "MuJoCo cannot read this model" in refused("export", estimates["torques"], "--for", "mujoco", "--into", own)
 
 
 def test_what_was_picked_up_is_found_by_the_torques(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

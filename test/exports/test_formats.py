@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 import re
 import xml.etree.ElementTree as ET
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -35,6 +36,10 @@ def payload(tmp_path: Path) -> Export:
 
 
 TRUTH = ROBOT.seen("tool", "flange")
+
+
+def pasted(export: Export, inertial: Callable[[Export], str]) -> str:
+    return formats.described([export], inertial)
 
 
 def line(text: str, start: str) -> str:
@@ -117,7 +122,7 @@ def test_libfranka_and_its_service(payload: Export) -> None:
 def test_pinocchio_reads_the_urdf_block(payload: Export) -> None:
     """By urdfdom, which MoveIt and kdl_parser read with."""
     text = (
-        f'<robot name="r"><link name="base"/><link name="flange">{formats.urdf([payload])}</link>'
+        f'<robot name="r"><link name="base"/><link name="flange">{pasted(payload, formats.urdf_inertial)}</link>'
         '<joint name="j" type="continuous"><parent link="base"/><child link="flange"/><axis xyz="0 0 1"/></joint>'
         "</robot>"
     )
@@ -129,7 +134,7 @@ def test_pinocchio_reads_the_urdf_block(payload: Export) -> None:
 
 def test_mujoco_reads_the_mjcf_block(payload: Export) -> None:
     mujoco = pytest.importorskip("mujoco")
-    body = f'<body name="flange">{formats.mjcf([payload])}<freejoint/><geom size="1"/></body>'
+    body = f'<body name="flange">{pasted(payload, formats.mjcf_inertial)}<freejoint/><geom size="1"/></body>'
     text = f"<mujoco><worldbody>{body}</worldbody></mujoco>"
     model = mujoco.MjModel.from_xml_string(text)
     axes = np.zeros(9)
@@ -145,7 +150,7 @@ SDF = '<sdf version="1.10"><model name="m"><link name="flange">{}</link></model>
 
 def test_the_sdf_block_by_the_specification(payload: Export) -> None:
     """Products of inertia are the sums of -m x y, in the axes of a pose that does not turn."""
-    inertial = ET.fromstring(SDF.format(formats.sdf([payload]))).find("model/link/inertial")
+    inertial = ET.fromstring(SDF.format(pasted(payload, formats.sdf_inertial))).find("model/link/inertial")
     assert inertial is not None
     assert [own.tag for own in inertial] == ["pose", "mass", "inertia"]
     values = {own.tag: [float(part) for part in (own.text or "").split()] for own in inertial.iter()}
@@ -162,7 +167,7 @@ def test_libsdformat_reads_the_sdf_block(payload: Export) -> None:
     parsing = pytest.importorskip("pydrake.multibody.parsing", reason=missing)
     plants = pytest.importorskip("pydrake.multibody.plant", reason=missing)
     plant = plants.MultibodyPlant(time_step=0.0)
-    parsing.Parser(plant).AddModelsFromString(SDF.format(formats.sdf([payload])), "sdf")
+    parsing.Parser(plant).AddModelsFromString(SDF.format(pasted(payload, formats.sdf_inertial)), "sdf")
     plant.Finalize()
     read = plant.GetBodyByName("flange").default_spatial_inertia()
     assert read.get_mass() == pytest.approx(TRUTH.mass, rel=1e-8)
@@ -176,11 +181,11 @@ def test_every_link_in_its_own_frame(tmp_path: Path) -> None:
     bodies: list[Points] = [points(31), points(32)]
     chain = Chain((Link("a---b", "", bodies[0]), Link("c", "a---b", bodies[1], "continuous", (1, 2, 3), (1, 2, 3))))
     exports = each_link(read_model(chain.write(tmp_path)))
-    for element, write in {"mass": formats.sdf, "inertial": formats.mjcf}.items():
-        root = ET.fromstring(f"<all>{write(exports)}</all>")
+    for element, write in {"mass": formats.sdf_inertial, "inertial": formats.mjcf_inertial}.items():
+        root = ET.fromstring(f"<all>{formats.described(exports, write)}</all>")
         masses = [float(own.get("mass") or own.text or "nan") for own in root.iter(element)]
         assert masses == pytest.approx([body.mass for body in bodies], rel=1e-8)
-    links = ET.fromstring(f"<all>{formats.urdf(exports)}</all>").findall("inertial/origin")
+    links = ET.fromstring(f"<all>{formats.described(exports, formats.urdf_inertial)}</all>").findall("inertial/origin")
     for origin, body in zip(links, bodies, strict=True):
         np.testing.assert_allclose([float(own) for own in (origin.get("xyz") or "").split()], body.com, **EXACT)
 
@@ -191,7 +196,7 @@ def test_a_name_cannot_leave_its_comment(tmp_path: Path) -> None:
     (tmp_path / "r.urdf").write_text(chain.urdf())
     model = read_model(tmp_path / "r.urdf")
     named = attached(model, "base\nreboot")
-    for text in (formats.ur_commands(named), formats.franka_commands(named), formats.urdf([named])):
+    for text in (formats.ur_commands(named), formats.franka_commands(named), pasted(named, formats.urdf_inertial)):
         assert "base reboot" in text
         assert "base\nreboot" not in text
 

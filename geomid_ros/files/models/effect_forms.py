@@ -24,12 +24,54 @@ def is_coefficient(effect: KnownEffect) -> bool:
     return effect.effect in identifiable() and len(EFFECTS[effect.effect].parameters) == 1
 
 
-def joint_attributes(effect: str, known: Mapping[str, float], element: str) -> dict[str, float]:
-    """What an effect with the parameters ``known`` adds to attributes of a joint's ``element``: ``dynamics`` in a URDF,
-    ``joint`` in an MJCF."""
-    forms = effect_class(effect).parameters
-    places = [(form.name, place.partition("/")) for form in forms for place in (form.urdf, form.mjcf)]
-    return {attribute: known[name] for name, (own, _, attribute) in places if own == element}
+def is_sure(effect: KnownEffect) -> bool:
+    """Whether simulators are told of it: one that cannot be negative is at least as large as its standard deviation."""
+    if not is_coefficient(effect) or effect_class(effect.effect).parameters[0].above != 0.0:
+        return True
+    (quantity,) = effect.parameters.values()
+    return quantity.value > 0.0 and not quantity.value < quantity.std
+
+
+def joint_attributes(effects: Iterable[KnownEffect], element: str) -> dict[str, dict[str, float]]:
+    """What effects say of the attributes of a joint's ``element``, added up, by joint: ``dynamics`` in a URDF,
+    ``joint`` in an MJCF, ``actuator`` in a URDF for Drake, ``gazebo`` in one for Gazebo."""
+    found: dict[str, dict[str, float]] = {}
+    for effect in effects:
+        forms, known = effect_class(effect.effect).parameters, values_of(effect)
+        places = {(place, form.name) for form in forms for place in (form.urdf, form.mjcf, form.drake, form.gazebo)}
+        for place, name in sorted(places):
+            own, _, attribute = place.partition("/")
+            if own == element:
+                numbers = found.setdefault(effect.joint, {})
+                numbers[attribute] = numbers.get(attribute, 0.0) + known[name]
+    return found
+
+
+def effects_of_dynamics() -> dict[str, str]:
+    """The effects of one coefficient that an attribute of a URDF's ``<dynamics>`` says, by the attribute."""
+    return {
+        cls.parameters[0].urdf.removeprefix("dynamics/"): name
+        for name, cls in EFFECTS.items()
+        if len(cls.parameters) == 1 and cls.parameters[0].urdf.startswith("dynamics/")
+    }
+
+
+def unsaid(effects: Iterable[KnownEffect], files: Iterable[str]) -> list[str]:
+    """What ``files`` (see :meth:`~geomid_ros.model.effects.ParameterForm.said_by`) do not say of effects, in words."""
+    files = tuple(files)
+    found: dict[str, list[str]] = {}
+    for effect in effects:
+        forms = [form for form in effect_class(effect.effect).parameters if form.name in effect.parameters]
+        missing = [form.name for form in forms if not form.said_by(files)]
+        what = effect.effect.replace("_", " ")
+        what += f" ({', '.join(missing)})" if 0 < len(missing) < len(forms) else ""
+        if missing or not is_sure(effect):
+            what += "" if is_sure(effect) else " (no larger than its standard deviation)"
+            found.setdefault(what, []).append(effect.link or effect.joint)
+    together: dict[str, list[str]] = {}
+    for what, places in found.items():
+        together.setdefault(", ".join(filter(None, places)), []).append(what)
+    return [", ".join(names) + (f" of {places}" if places else "") for places, names in together.items()]
 
 
 def payload_quantities(payload: Mapping[str, float]) -> FloatArray:

@@ -1,6 +1,6 @@
 """MJCF of an identified robot with its effects, as far as MJCF can say them.
 
-Kinematics are the URDF's, without shapes. Gravity, damping, dry friction, armature and springs are MuJoCo's own
+Kinematics are the URDF's. Gravity, damping, dry friction, armature and springs are MuJoCo's own
 elements; a payload is a body fixed to its link. A joint that gives, by elasticity or backlash, has a further hinge (or
 slide) named ``JOINT/elasticity`` or ``JOINT/backlash`` on the same axis behind its own, which is the motor's: the one
 that is measured and driven.
@@ -16,6 +16,7 @@ import numpy as np
 
 from geomid_ros.files.models.effect_forms import is_body, joint_attributes, payload_parameters, turned_gravity
 from geomid_ros.files.models.joint_frames import JointFrame, joint_frames
+from geomid_ros.files.models.mjcf_shapes import Shapes, words
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.model.effects import EFFECTS, Hinge, KnownEffect, values_of
 from geomid_ros.model.robot import Robot
@@ -39,17 +40,18 @@ def mjcf(
     effects: Iterable[KnownEffect] = (),
     sensors: Sequence[WrenchSensor] = (),
     gravity: FloatArray | None = None,
+    shapes: Shapes | None = None,
 ) -> str:
     """The MJCF of ``robot``, its moving bodies with ``inertias (10,)`` by name, or the URDF's where none is given.
 
     Dry friction and damping in the URDF count for nothing: friction is among the ``effects`` or
     there is none. ``gravity (3,)`` [m/s^2] is that of a base which stands straight, the robot's unless given. Mounted
     ``sensors`` become a force and a torque sensor named ``TOPIC/force`` and ``TOPIC/torque``, of what the part before
-    applies to the part behind, in the sensor's frame.
+    applies to the part behind, in the sensor's frame. Without ``shapes`` there are none.
     """
     straight = robot.gravity if gravity is None else gravity
     root = _Writer(robot, inertias, effects, straight).document(
-        [sensor for sensor in sensors if sensor.role == "mounted"]
+        [sensor for sensor in sensors if sensor.role == "mounted"], shapes or Shapes()
     )
     indent(root)
     return f"<!-- {robot.name.replace('--', '- -')}: bodies and effects as geomid identified them -->\n" + (
@@ -69,18 +71,19 @@ class _Writer:
         self._driven = set(robot.joint_names)
         self._moving = self._driven.union(follower.joint.name for follower in robot.followers)
         effects = list(effects)
+        self._said_of = joint_attributes(effects, "joint")
         self._effects = {(effect.effect, effect.joint): values_of(effect) for effect in effects}
         self._payloads = {effect.link: values_of(effect) for effect in effects if is_body(effect)}
         self._gravity = turned_gravity(gravity, effects)
 
-    def document(self, sensors: Sequence[WrenchSensor]) -> Element:
+    def document(self, sensors: Sequence[WrenchSensor], shapes: Shapes) -> Element:
         root = Element("mujoco", model=self._robot.name)
         SubElement(root, "compiler", angle="radian", inertiafromgeom="false", balanceinertia="false")
         step = self._step()
-        gravity = _words(self._gravity)
-        SubElement(root, "option", timestep=_words(step), integrator="implicitfast", gravity=gravity)
+        gravity = words(self._gravity)
+        SubElement(root, "option", timestep=words(step), integrator="implicitfast", gravity=gravity)
         default = SubElement(SubElement(root, "default"), "joint")
-        constraint = _words([_CONSTRAINT_STEPS * step, 1.0])
+        constraint = words([_CONSTRAINT_STEPS * step, 1.0])
         default.attrib |= {"solreffriction": constraint, "solreflimit": constraint}
         base = self._add_link(SubElement(root, "worldbody"), self._robot.tree.root, None)
         if self._robot.floating_base:
@@ -91,13 +94,18 @@ class _Writer:
                 self._add_motor(actuators, joint)
         self._add_followers(root)
         self._add_sensors(root, sensors)
+        if shapes.assets:
+            SubElement(root, "asset").extend(shapes.assets)
+        bodies = {body.get("name"): body for body in root.iter("body")}
+        for link, geoms in shapes.geoms.items():
+            bodies[_body_name(link)].extend(geoms)
         return root
 
     def _add_link(self, parent: Element, link: str, joint: JointFrame | None) -> Element:
         body = SubElement(parent, "body", name=_body_name(link))
         if joint is not None:
             quaternion = np.roll(joint.rotation.as_quat(), 1)
-            body.attrib |= {"pos": _words(joint.position), "quat": _words(quaternion)}
+            body.attrib |= {"pos": words(joint.position), "quat": words(quaternion)}
         moves = joint is not None and joint.name in self._moving
         if link in self._bodies:
             _add_inertial(body, self._bodies[link])
@@ -117,28 +125,24 @@ class _Writer:
 
     def _add_joints(self, body: Element, joint: JointFrame) -> None:
         """The joint itself, and the hinges behind it."""
-        kind = {"type": "slide" if joint.slides else "hinge", "axis": _words(joint.axis)}
+        kind = {"type": "slide" if joint.slides else "hinge", "axis": words(joint.axis)}
         own = SubElement(body, "joint", {"name": joint.name, **kind, **self._dynamics(joint)})
         if joint.lower < joint.upper and math.isfinite(joint.lower + joint.upper):
-            own.attrib |= {"limited": "true", "range": _words([joint.lower, joint.upper])}
+            own.attrib |= {"limited": "true", "range": words([joint.lower, joint.upper])}
         hinges = self._hinges(joint)
         for hinge in hinges:
             attributes = _attributes(hinge)
             if hinge is not hinges[-1]:
-                attributes["armature"] = _words(_SMALL_ROTOR * self._carried(joint))
+                attributes["armature"] = words(_SMALL_ROTOR * self._carried(joint))
             SubElement(body, "joint", {"name": f"{joint.name}/{hinge.name}", **kind, **attributes})
 
     def _dynamics(self, joint: JointFrame) -> dict[str, str]:
         numbers = self._said(joint) | {"armature": self._rotor(joint)}
-        return {name: _words(number) for name, number in sorted(numbers.items()) if number != 0.0}
+        return {name: words(number) for name, number in sorted(numbers.items()) if number != 0.0}
 
     def _said(self, joint: JointFrame) -> dict[str, float]:
         """What the effects say of a joint's own attributes, added up."""
-        numbers: dict[str, float] = {}
-        for (effect, place), known in self._effects.items():
-            for name, value in joint_attributes(effect, known, "joint").items() if place == joint.name else ():
-                numbers[name] = numbers.get(name, 0.0) + value
-        return numbers
+        return self._said_of.get(joint.name, {})
 
     def _hinges(self, joint: JointFrame) -> list[Hinge]:
         """The hinges behind a joint's own."""
@@ -184,7 +188,7 @@ class _Writer:
     def _add_motor(self, actuators: Element, joint: JointFrame) -> None:
         motor = SubElement(actuators, "motor", name=joint.name, joint=joint.name)
         if math.isfinite(joint.effort):
-            motor.attrib |= {"ctrllimited": "true", "ctrlrange": _words([-joint.effort, joint.effort])}
+            motor.attrib |= {"ctrllimited": "true", "ctrlrange": words([-joint.effort, joint.effort])}
 
     def _add_followers(self, root: Element) -> None:
         """Tie the joints that mimic others to these."""
@@ -195,7 +199,7 @@ class _Writer:
                 "joint",
                 joint1=follower.joint.name,
                 joint2=self._robot.joint_names[follower.master],
-                polycoef=_words([follower.offset, follower.factor, 0.0, 0.0, 0.0]),
+                polycoef=words([follower.offset, follower.factor, 0.0, 0.0, 0.0]),
             )
 
     def _add_sensors(self, root: Element, sensors: Sequence[WrenchSensor]) -> None:
@@ -217,23 +221,21 @@ def _attributes(hinge: Hinge) -> dict[str, str]:
     """Of a hinge behind a joint's own."""
     attributes = {}
     if hinge.stiffness > 0.0:
-        attributes["stiffness"] = _words(hinge.stiffness)
+        attributes["stiffness"] = words(hinge.stiffness)
     if hinge.half_range > 0.0:
-        attributes |= {"limited": "true", "range": _words([-hinge.half_range, hinge.half_range])}
-    return {**attributes, "damping": _words(hinge.damping)}
+        attributes |= {"limited": "true", "range": words([-hinge.half_range, hinge.half_range])}
+    return {**attributes, "damping": words(hinge.damping)}
 
 
 def _add_inertial(body: Element, parameters: FloatArray) -> None:
+    SubElement(body, "inertial", inertial_attributes(parameters))
+
+
+def inertial_attributes(parameters: FloatArray) -> dict[str, str]:
+    """The attributes of the <inertial> of a body with ``parameters (10,)``."""
     inertia = pseudo_inertia.central_inertia(parameters)
-    SubElement(
-        body,
-        "inertial",
-        pos=_words(pseudo_inertia.centre_of_mass(parameters)),
-        mass=_words(parameters[0]),
-        fullinertia=_words(inertia[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]),
-    )
-
-
-def _words(numbers: FloatArray | Sequence[float] | float) -> str:
-    """Numbers to the last bit."""
-    return " ".join(repr(float(number)) for number in np.ravel(numbers))
+    return {
+        "pos": words(pseudo_inertia.centre_of_mass(parameters)),
+        "mass": words(parameters[0]),
+        "fullinertia": words(inertia[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]),
+    }

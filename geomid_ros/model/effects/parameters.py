@@ -78,6 +78,7 @@ class ParameterForm:
         optional: whether files may leave it out; it is zero then.
         urdf, mjcf: where these files say it, too, as ``ELEMENT/ATTRIBUTE``; empty where they cannot. What stands at
             ``dynamics`` of a URDF's joint, or at the ``joint`` of an MJCF, is added to the attribute's value.
+        drake, gazebo: where these read it in a URDF.
     """
 
     name: str
@@ -87,3 +88,10 @@ class ParameterForm:
     optional: bool = False
     urdf: str = ""
     mjcf: str = ""
+    drake: str = ""
+    gazebo: str = ""
+
+    def said_by(self, files: Iterable[str]) -> bool:
+        """Whether one of ``files`` says it: a name of these attributes, or an element there, ``mjcf/joint``."""
+        said = [f"{name}/{getattr(self, name)}/" for name in ("urdf", "mjcf", "drake", "gazebo") if getattr(self, name)]
+        return any(place.startswith(f"{own}/") for own in files for place in said)

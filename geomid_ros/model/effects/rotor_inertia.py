@@ -12,7 +12,11 @@ class RotorInertia(JointEffect):
     name = "rotor_inertia"
     label = "rotor inertia"
     meaning = "effort inertia a"
-    parameters = (ParameterForm("inertia", ("kg m^2", "kg"), above=0.0, mjcf="joint/armature"),)
+    parameters = (
+        ParameterForm(
+            "inertia", ("kg m^2", "kg"), above=0.0, mjcf="joint/armature", drake="actuator/drake:rotor_inertia"
+        ),
+    )
     like_a_payload = True
     before_gear = True
     settled_by = "fast accelerations of this joint alone with the links after it stretched out and folded"

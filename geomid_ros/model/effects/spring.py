@@ -20,8 +20,10 @@ class Spring(JointEffect):
     label = "a spring"
     meaning = "effort stiffness (q - equilibrium), which the motor supplies against the spring"
     parameters = (
-        ParameterForm("stiffness", ("N m/rad", "N/m"), mjcf="joint/stiffness"),
-        ParameterForm("equilibrium", ("rad", "m"), optional=True, mjcf="joint/springref"),
+        ParameterForm("stiffness", ("N m/rad", "N/m"), mjcf="joint/stiffness", gazebo="gazebo/springStiffness"),
+        ParameterForm(
+            "equilibrium", ("rad", "m"), optional=True, mjcf="joint/springref", gazebo="gazebo/springReference"
+        ),
     )
     settled_by = "a slow sweep of this joint through its range in several postures of the others"
     adds_up = False

@@ -13,7 +13,14 @@ class ViscousFriction(JointEffect):
     label = "viscous friction"
     meaning = "effort coefficient v"
     parameters = (
-        ParameterForm("coefficient", ("N m s/rad", "N s/m"), above=0.0, urdf="dynamics/damping", mjcf="joint/damping"),
+        ParameterForm(
+            "coefficient",
+            ("N m s/rad", "N s/m"),
+            above=0.0,
+            urdf="dynamics/damping",
+            mjcf="joint/damping",
+            drake="dynamics/damping",
+        ),
     )
     settled_by = "a motion that moves this joint at several constant speeds"
 

@@ -1,0 +1,138 @@
+"""Descriptions of the whole robot for other software: who reads which, what of it, and what it cannot say.
+
+=======  ===============================================================================================================
+mujoco   reads MJCF: damping, frictionloss, armature and springs of joints, elasticity and backlash as further joints
+gazebo   turns a URDF into SDF: <dynamics> of joints, and springs as <gazebo> elements (SDFormat, sdf_extensions.md)
+drake    reads damping of <dynamics>, not friction; rotor inertia at the actuators of transmissions
+         (multibody/parsing/detail_urdf_parser.cc)
+isaac    reads <dynamics> (isaacsim.asset.importer.urdf, UrdfDynamics), no armature
+moveit   reads a URDF, of whose inertials and <dynamics> its planners take nothing
+=======  ===============================================================================================================
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+from geomid_ros.exports import formats
+from geomid_ros.exports.inertial import Export
+from geomid_ros.exports.model import Model
+from geomid_ros.files.models.effect_forms import is_sure, joint_attributes, unsaid
+from geomid_ros.files.models.mjcf import mjcf
+from geomid_ros.files.models.mjcf_shapes import mjcf_shapes
+from geomid_ros.files.models.urdf import with_effects
+from geomid_ros.files.models.urdf_extensions import for_drake, for_gazebo
+from geomid_ros.files.shapes.meshes import MeshFinder
+from geomid_ros.model.robot import Robot
+
+_MOVEIT_NOTE = (
+    "What reads it: MoveIt plans by limits alone; its DynamicsSolver, and ros2_control's controllers that compute",
+    "torques, read <inertial> of robot_description, many by kdl_parser, which takes none at the root link, and of",
+    "<dynamics> nothing. The same elements stand in a xacro file.",
+)
+_ISAAC_NOTE = (
+    "What reads it: Isaac Sim's URDF importer takes inertials (import_inertia_tensor) and <dynamics>. A joint's drive",
+    "and the actuators of Isaac Lab set stiffness, damping, friction and armature anew: give them these numbers.",
+)
+_GAZEBO_NOTE = ("What reads it: gz sdf -p shows what Gazebo makes of it: it lumps fixed links together.",)
+_DRAKE_NOTE = ("What reads it: Drake takes inertials and damping, and rotor inertia of joints with an effort limit.",)
+_MUJOCO_NOTE = (
+    '<compiler inertiafromgeom="true"/> would override the inertials; the default, "auto", does not.',
+    "Shapes of the robot do not collide with one another (conaffinity): a URDF does not say which may.",
+)
+
+_MOST_MISSING = 3  # of which each has its sentence
+
+
+class Whole(NamedTuple):
+    """The text of a whole robot, and sentences on what it lacks."""
+
+    text: str
+    lacks: list[str]
+
+
+class Description(NamedTuple):
+    """Who reads what: the ``files`` that it understands (see :meth:`ParameterForm.said_by`), a ``note`` for its user,
+    the form of one ``inertial``, and the ``whole`` robot, its meshes in the packages' folders."""
+
+    files: tuple[str, ...]
+    note: tuple[str, ...]
+    inertial: Callable[[Export], str]
+    whole: Callable[[Model, Mapping[str, Path]], Whole]
+
+    def payload(self, export: Export) -> str:
+        """One inertia."""
+        return formats.described([export], self.inertial)
+
+    def robot(self, model: Model, links: Sequence[Export], packages: Mapping[str, Path]) -> Whole:
+        """The whole robot, and behind it a comment on its ``links`` and on what it lacks."""
+        text, lacks = self.whole(model, packages)
+        lacks = [*not_said(model, self.files), *lacks]
+        lines = [*self.note, *lacks, *(line for export in links for line in formats.comments(export))]
+        return Whole(text.rstrip() + "\n" + formats.xml_comment(lines), lacks)
+
+
+def not_said(model: Model, files: tuple[str, ...]) -> list[str]:
+    """What these files cannot say of a model's effects, in a sentence, if there is anything."""
+    names = unsaid(model.effects, files)
+    return [f"Not said here: {'; '.join(names)}"] if names else []
+
+
+def _urdf(model: Model, _: Mapping[str, Path]) -> Whole:
+    return Whole(with_effects(model.urdf, model.effects), [])
+
+
+def _isaac(model: Model, _: Mapping[str, Path]) -> Whole:
+    said = joint_attributes(filter(is_sure, model.effects), "joint")
+    armature = {joint: float(f"{own['armature']:.6g}") for joint, own in said.items() if "armature" in own}
+    return Whole(
+        with_effects(model.urdf, model.effects), [f"For Isaac Lab's actuators: armature={armature}"] if armature else []
+    )
+
+
+def _gazebo(model: Model, _: Mapping[str, Path]) -> Whole:
+    return Whole(for_gazebo(with_effects(model.urdf, model.effects), model.effects), [])
+
+
+def _drake(model: Model, _: Mapping[str, Path]) -> Whole:
+    return Whole(for_drake(with_effects(model.urdf, model.effects), model.effects, str(model.urdf_path)), [])
+
+
+def _mujoco(model: Model, packages: Mapping[str, Path]) -> Whole:
+    source = str(model.urdf_path)
+    robot = Robot(
+        model.urdf,
+        source=source,
+        floating_base=model.tree.root in model.estimated,
+        cuts=[joint.child for joint in model.tree.joints if joint.type == "fixed" and joint.child in model.estimated],
+        locked_joints=_locked(model),
+    )
+    shapes = mjcf_shapes(model.urdf, source, MeshFinder(model.urdf_path, packages).find)
+    effects = [effect for effect in model.effects if is_sure(effect)]
+    missing = list(dict.fromkeys(shapes.missing))
+    more = [f"{len(missing) - _MOST_MISSING} more shapes are missing"] if len(missing) > _MOST_MISSING else []
+    return Whole(mjcf(robot, {}, effects, shapes=shapes), [*missing[:_MOST_MISSING], *more])
+
+
+def _locked(model: Model) -> list[str]:
+    """The joints between links that were identified as one."""
+    merged = {link for body in model.bodies.values() for link in body.merged}
+    return [joint.name for joint in model.tree.joints if joint.child in merged and joint.type != "fixed"]
+
+
+DESCRIPTIONS = dict(
+    zip(
+        formats.DESCRIBED_FOR,
+        (
+            Description(("urdf",), _MOVEIT_NOTE, formats.urdf_inertial, _urdf),
+            Description(("urdf",), _ISAAC_NOTE, formats.urdf_inertial, _isaac),
+            Description(("urdf", "gazebo"), _GAZEBO_NOTE, formats.sdf_inertial, _gazebo),
+            Description(("urdf/link", "drake"), _DRAKE_NOTE, formats.urdf_inertial, _drake),
+            Description(("mjcf",), _MUJOCO_NOTE, formats.mjcf_inertial, _mujoco),
+        ),
+        strict=True,
+    )
+)
+"""By the name of who is to read it."""

@@ -1,0 +1,125 @@
+"""What was identified, in an MJCF of the user's own."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from xml.parsers.expat import ExpatError
+
+import numpy as np
+
+from geomid_ros.errors import InputError
+from geomid_ros.exports.descriptions import Whole, not_said
+from geomid_ros.exports.model import Model
+from geomid_ros.files.disk import read_text
+from geomid_ros.files.models.effect_forms import is_sure, joint_attributes
+from geomid_ros.files.models.joint_frames import joint_frames
+from geomid_ros.files.models.mjcf_edits import with_identified
+from geomid_ros.geometry import pseudo_inertia
+from geomid_ros.model.urdf_tree import MOST_BYTES
+from geomid_ros.resimulation.body_frames import BodyFrames, body_frames
+from geomid_ros.types import FloatArray
+
+_FAR = 1e-3  # [m] and [rad] that the axes of one joint may be apart
+
+
+def into_mjcf(model: Model, path: Path) -> Whole:
+    """The text of an MJCF with the inertias of the model's links and what was found at its joints, by name.
+
+    The bodies' frames need not be those of the URDF's links: an inertia is moved from one to the other, joints at zero.
+
+    Raises:
+        InputError: it has none of the bodies, or its axes are not where the URDF has them.
+    """
+    text, frames = read_text(path, "MJCF", MOST_BYTES), body_frames(path)
+    links = {name: _carried(model, name) for name in model.estimated or model.bodies}
+    bodies = [name for name in links if name in frames.bodies]
+    if not bodies:
+        raise InputError(
+            f"{path}: has none of the bodies {', '.join(links)}; those that it has: {', '.join(frames.bodies)}"
+        )
+    base = _base(model, frames, path)
+    placed = {name: np.linalg.inv(frames.bodies[name]) @ base @ model.placements[name] for name in bodies}
+    inertias = {name: _moved(links[name], placed[name]) for name in bodies}
+    said = joint_attributes(filter(is_sure, model.effects), "joint")
+    joints = {name: own for name, own in said.items() if name in frames.joints}
+    emptied = [link for name in bodies for link in model.bodies[name].merged if frames.masses.get(link)]
+    try:
+        patched = with_identified(text, inertias, joints, emptied)
+    except KeyError as error:
+        raise InputError(f"{path}: {error} is not in this file itself; give the one that includes nothing") from error
+    except ExpatError as error:  # MuJoCo's parser takes more
+        raise InputError(f"{path}: not valid XML ({error})") from error
+    sentences = [
+        *not_said(model, ("mjcf/joint", "mjcf/body")),
+        *_named(f"{path}: has no body", [name for name in links if name not in bodies]),
+        *_named(f"{path}: has no joint", [name for name in said if name not in joints]),
+        *_named("Counted in with others, so that they weigh nothing:", emptied),
+    ]
+    return Whole(patched, sentences)
+
+
+def _named(heading: str, names: Sequence[str]) -> list[str]:
+    return [f"{heading} {', '.join(names)}"] if names else []
+
+
+def _carried(model: Model, link: str) -> FloatArray:
+    """Parameters ``(10,)`` of a link with the payload that was found on it, which is a link of the URDF."""
+    names = [name for name in (link, f"{link}_payload") if name in model.bodies]
+    own = [pseudo_inertia.parameters_of(model.bodies[name].inertial.quantities) for name in names]
+    return np.asarray(np.sum(own, axis=0))
+
+
+def _moved(parameters: FloatArray, placement: FloatArray) -> FloatArray:
+    return pseudo_inertia.to_parameters(placement @ pseudo_inertia.from_parameters(parameters) @ placement.T)
+
+
+def _base(model: Model, frames: BodyFrames, path: Path) -> FloatArray:
+    """The homogeneous matrix ``(4, 4)`` from the URDF's root to the MJCF's world: where the body of its name is, or
+    else where all axes fit. Raises InputError if they do not."""
+    axes = _urdf_axes(model, frames.joints)
+    named = frames.bodies.get(model.tree.root, np.eye(4))
+    fitted = _fitted(axes, frames.joints)
+    apart = [
+        [name for name in axes if _apart(base, axes[name], frames.joints[name]) >= _FAR] for base in (named, fitted)
+    ]
+    if [] in apart:
+        return (named, fitted)[apart.index([])]
+    worst = ", ".join(apart[0] if len(apart[0]) < len(apart[1]) else apart[1])
+    raise InputError(
+        f"{path}: with all joints at zero, its axes are not where {model.urdf_path} has them ({worst}): another robot, "
+        "or other zeros or signs of joints; an inertia cannot be moved from one to the other"
+    )
+
+
+def _urdf_axes(model: Model, known: Iterable[str]) -> dict[str, FloatArray]:
+    """A point and the direction ``(2, 3)`` of the URDF's axes in its root's frame, of the joints that are ``known``."""
+    found = {}
+    for joint in joint_frames(model.urdf, str(model.urdf_path)):
+        if joint.name in set(known) and np.any(joint.axis):
+            placed = model.placements[joint.child]
+            found[joint.name] = np.array([placed[:3, 3], placed[:3, :3] @ joint.axis])
+    return found
+
+
+def _fitted(axes: Mapping[str, FloatArray], seen: Mapping[str, FloatArray]) -> FloatArray:
+    """The motion that brings lines to those that are ``seen``, in the least-squares sense: Kabsch's rotation of the
+    directions, then the translation across them."""
+    base = np.eye(4)
+    if not axes:
+        return base
+    here, there = (np.array([lines[name] for name in axes]) for lines in (axes, seen))
+    left, _, right = np.linalg.svd(there[:, 1].T @ here[:, 1])
+    mirror = np.diag([1.0, 1.0, np.linalg.det(left @ right)])
+    base[:3, :3] = left @ mirror @ right
+    across = np.eye(3) - there[:, 1, :, None] * there[:, 1, None, :]
+    shifts = np.einsum("nij,nj->ni", across, there[:, 0] - here[:, 0] @ base[:3, :3].T)
+    base[:3, 3] = np.linalg.lstsq(across.reshape(-1, 3), shifts.ravel(), rcond=None)[0]
+    return base
+
+
+def _apart(base: FloatArray, line: FloatArray, seen: FloatArray) -> float:
+    """How far a line is from the one that is ``seen``, the larger of the angle and the distance."""
+    point, direction = base[:3, :3] @ line[0] + base[:3, 3], base[:3, :3] @ line[1]
+    distance = np.linalg.norm(np.cross(point - seen[0], seen[1]))
+    return float(max(distance, np.linalg.norm(direction - seen[1])))

@@ -1,0 +1,310 @@
+"""Whole descriptions, in the software that they are for, against geomid's own prediction."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from xml.etree import ElementTree as ET
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from files.effects import PAYLOAD, effect
+from files.recordings import BAGS
+from model.robots import random_samples
+from scipy.spatial.transform import Rotation
+
+from geomid_ros.errors import InputError
+from geomid_ros.exports.descriptions import DESCRIPTIONS
+from geomid_ros.exports.into import into_mjcf
+from geomid_ros.exports.model import Model, read_model
+from geomid_ros.exports.payload import each_link
+from geomid_ros.files.models.gap_model import write_model
+from geomid_ros.files.models.loaded_model import LoadedModel
+from geomid_ros.files.models.mjcf import mjcf
+from geomid_ros.files.models.urdf import read_urdf
+from geomid_ros.model.effects import KnownEffect, Quantity, identified_effect
+from geomid_ros.model.measurement import MeasurementModel
+from geomid_ros.model.robot import Robot
+from geomid_ros.model.samples import Samples
+from geomid_ros.types import FloatArray
+
+mujoco = pytest.importorskip("mujoco")
+
+URDF = read_urdf(BAGS / "arm3.urdf")
+JOINTS = ("joint1", "joint2", "joint3")
+EFFECTS = [
+    *(effect("viscous_friction", joint, coefficient=0.4 + k) for k, joint in enumerate(JOINTS)),
+    *(effect("coulomb_friction", joint, level=1.2 + k) for k, joint in enumerate(JOINTS)),
+    *(effect("rotor_inertia", joint, inertia=0.3 + 0.1 * k) for k, joint in enumerate(JOINTS)),
+]
+NAMES = ("viscous_friction", "coulomb_friction", "rotor_inertia")
+SPRING = effect("spring", "joint2", stiffness=3.0, equilibrium=0.5)
+UNSURE = KnownEffect("rotor_inertia", "joint1", "", {"inertia": Quantity(0.01, 0.02, "kg m^2")})
+DIGITS = 1e-6  # [N m]: nine digits are written in a URDF
+
+
+def written(folder: Path, effects: list[KnownEffect], urdf: str = URDF) -> Model:
+    """The small arm, its links scaled, with these effects."""
+    robot = Robot(urdf)
+    inertias = {body.name: (1.3 + 0.1 * k) * body.parameters for k, body in enumerate(robot.bodies)}
+    write_model(folder, MeasurementModel(robot, ()), urdf, inertias, effects, robot.gravity)
+    return read_model(folder / "estimate.json")
+
+
+def exported(model: Model, tool: str, packages: dict[str, Path] | None = None) -> str:
+    return DESCRIPTIONS[tool].robot(model, each_link(model), packages or {}).text
+
+
+def predicted(model: Model) -> tuple[Samples, FloatArray]:
+    """Samples, and geomid's own efforts at an estimate."""
+    robot = Robot(URDF)
+    own = MeasurementModel(robot, [identified_effect(name) for name in NAMES])
+    parameters = LoadedModel.read(model.source).parameters(own)
+    assert parameters is not None
+    samples = random_samples(robot, 11)
+    return samples, own.predict(samples, parameters)[1]
+
+
+def motions(samples: Samples) -> Iterator[tuple[FloatArray, FloatArray, FloatArray]]:
+    return zip(samples.position, samples.velocity, samples.acceleration, strict=True)
+
+
+def in_mujoco(text: str, samples: Samples) -> FloatArray:
+    """Inverse dynamics, dry friction by its sign."""
+    model = mujoco.MjModel.from_xml_string(text)
+    model.jnt_limited[:] = 0
+    level = model.dof_frictionloss.copy()
+    model.dof_frictionloss[:] = 0.0
+    data = mujoco.MjData(model)
+    rows = []
+    for data.qpos[:], data.qvel[:], data.qacc[:] in motions(samples):
+        mujoco.mj_inverse(model, data)
+        rows.append(data.qfrc_inverse.copy())
+    return np.array(rows) + level * np.tanh(samples.velocity / 0.02)
+
+
+def test_mujoco_predicts_what_geomid_does(tmp_path: Path) -> None:
+    model = written(tmp_path, EFFECTS)
+    samples, expected = predicted(model)
+    np.testing.assert_allclose(in_mujoco(exported(model, "mujoco"), samples), expected, atol=DIGITS)
+
+
+@pytest.mark.parametrize("tool", ["moveit", "isaac", "gazebo", "drake"])
+def test_pinocchio_predicts_what_geomid_does(tool: str, tmp_path: Path) -> None:
+    """By urdfdom, with the rotors from geomid's file, as a URDF cannot say them."""
+    model = written(tmp_path, EFFECTS)
+    samples, expected = predicted(model)
+    robot = pin.buildModelFromXML(exported(model, tool))
+    rotors = np.array([known.parameters["inertia"].value for known in EFFECTS[6:]])
+    data = robot.createData()
+    found = [
+        pin.rnea(robot, data, q, v, a) + robot.damping * v + robot.friction * np.tanh(v / 0.02) + rotors * a
+        for q, v, a in motions(samples)
+    ]
+    np.testing.assert_allclose(found, expected, atol=DIGITS)
+
+
+def test_a_urdf_by_itself_keeps_its_friction(tmp_path: Path) -> None:
+    """Loaded again without its estimate.json; geomid itself reads no friction in it."""
+    model = written(tmp_path, EFFECTS)
+    alone = read_model(tmp_path / "identified.urdf")
+    compiled = mujoco.MjModel.from_xml_string(exported(alone, "mujoco"))
+    np.testing.assert_allclose(compiled.dof_damping, [0.4, 1.4, 2.4])
+    np.testing.assert_allclose(compiled.dof_frictionloss, [1.2, 2.2, 3.2])
+    samples = random_samples(Robot(URDF), 12)
+    twice = [MeasurementModel(Robot(text), ()) for text in (model.urdf, re.sub("<dynamics.*?/>", "", model.urdf))]
+    one, other = (own.predict(samples, own.nominal_inertias)[1] for own in twice)
+    np.testing.assert_array_equal(one, other)
+
+
+def test_drake_has_rotors_at_the_actuators(tmp_path: Path) -> None:
+    """One of its own for a joint that has none, and no second value where there was one."""
+    own = (
+        '<transmission name="t"><type>transmission_interface/SimpleTransmission</type><joint name="joint2"/>'
+        '<actuator name="m2"><mechanicalReduction>1</mechanicalReduction>'
+        '<drake:rotor_inertia xmlns:drake="http://drake.mit.edu" value="9"/></actuator></transmission></robot>'
+    )
+    model = written(tmp_path, EFFECTS, URDF.replace("</robot>", own))
+    root = ET.fromstring(exported(model, "drake"))
+    found = {}
+    for transmission in root.findall("transmission"):
+        joint, actuator = transmission.find("joint"), transmission.find("actuator")
+        assert joint is not None
+        assert actuator is not None
+        found[joint.get("name")] = [(child.tag, child.get("value")) for child in actuator if child.get("value")]
+    tags = [f"{{http://drake.mit.edu}}{name}" for name in ("rotor_inertia", "gear_ratio")]
+    assert found == {
+        joint: list(zip(tags, (value, "1"), strict=True))
+        for joint, value in zip(JOINTS, ("0.3", "0.4", "0.5"), strict=True)
+    }
+
+
+def test_drake_predicts_what_geomid_does(tmp_path: Path) -> None:
+    """All but dry friction, which it ignores."""
+    missing = "needs Drake: pip install -r requirements-bench.txt"
+    parsing = pytest.importorskip("pydrake.multibody.parsing", reason=missing)
+    plants = pytest.importorskip("pydrake.multibody.plant", reason=missing)
+    trees = pytest.importorskip("pydrake.multibody.tree", reason=missing)
+    smooth = [known for known in EFFECTS if known.effect != "coulomb_friction"]
+    model = written(tmp_path, [*smooth, *(effect("coulomb_friction", joint, level=1e-9) for joint in JOINTS)])
+    samples, expected = predicted(model)
+    plant = plants.MultibodyPlant(time_step=0.0)
+    parsing.Parser(plant).AddModelsFromString(exported(model, "drake"), "urdf")
+    plant.WeldFrames(plant.world_frame(), plant.GetFrameByName("base_link"))
+    plant.Finalize()
+    plant.mutable_gravity_field().set_gravity_vector([0.0, 0.0, -9.81])
+    context = plant.CreateDefaultContext()
+    for motion, efforts in zip(motions(samples), expected, strict=True):
+        plant.SetPositions(context, motion[0])
+        plant.SetVelocities(context, motion[1])
+        forces = trees.MultibodyForces(plant)
+        plant.CalcForceElementsContribution(context, forces)
+        np.testing.assert_allclose(plant.CalcInverseDynamics(context, motion[2], forces), efforts, atol=DIGITS)
+
+
+def test_gazebo_has_springs(tmp_path: Path) -> None:
+    (gazebo,) = ET.fromstring(exported(written(tmp_path, [SPRING]), "gazebo")).findall("gazebo")
+    assert gazebo.get("reference") == "joint2"
+    said = {child.tag: float(child.text or "nan") for child in gazebo}
+    assert said == {"springStiffness": 3.0, "springReference": 0.5}
+
+
+LOAD = effect("load_friction", "joint3", coefficient=0.1)
+CANNOT = {
+    "moveit": "rotor inertia, spring of joint2",
+    "isaac": "rotor inertia, spring of joint2",
+    "gazebo": "rotor inertia of joint2",
+    "drake": "coulomb friction, spring of joint2",
+    "mujoco": "",
+}
+
+
+@pytest.mark.parametrize("tool", DESCRIPTIONS)
+def test_what_a_format_cannot_say_is_said(tool: str, tmp_path: Path) -> None:
+    at_two = [known for known in EFFECTS if known.joint == "joint2"]
+    whole = DESCRIPTIONS[tool].robot(written(tmp_path, [*at_two, SPRING, LOAD, UNSURE]), [], {})
+    always = {"load friction of joint3", "rotor inertia (no larger than its standard deviation) of joint1"}
+    sentence = whole.lacks[0]
+    assert {*sentence.removeprefix("Not said here: ").split("; ")} == {*filter(None, [CANNOT[tool]]), *always}
+    assert sentence in whole.text
+
+
+def test_what_is_not_sure_is_not_written(tmp_path: Path) -> None:
+    model = written(tmp_path, [UNSURE])
+    assert "drake:" not in exported(model, "drake")
+    assert not np.any(mujoco.MjModel.from_xml_string(exported(model, "mujoco")).dof_armature)
+
+
+def test_shapes_come_along_as_far_as_their_meshes_are_found(tmp_path: Path) -> None:
+    mesh = "<visual><geometry><mesh filename='package://none/{}'/></geometry></visual></link>"
+    (tmp_path / "there.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n")
+    head, _, tail = URDF.partition("</link>")
+    both = (mesh.format("there.obj") + mesh.format("gone.stl")).replace("</link>", "", 1)
+    model = written(tmp_path, [], head + both + tail)
+    whole = DESCRIPTIONS["mujoco"].robot(model, [], {"none": tmp_path})
+    compiled = mujoco.MjModel.from_xml_string(whole.text)
+    shapes = len(re.findall("<(?:visual|collision)>", URDF))
+    assert (compiled.ngeom, compiled.nmesh) == (shapes + 1, 1)
+    (missing,) = whole.lacks
+    assert "gone.stl" in missing
+    cylinders = [compiled.geom_size[g] for g in range(compiled.ngeom) if compiled.geom_bodyid[g] == 1]
+    np.testing.assert_allclose(cylinders[0][:2], [0.07, 0.05])
+
+
+def numbers(element: ET.Element, key: str, default: str) -> FloatArray:
+    return np.array([float(part) for part in element.get(key, default).split()])
+
+
+def turned_frames(text: str) -> str:
+    """The same robot in an MJCF whose bodies have other frames and inertials, and which stands elsewhere."""
+    random = np.random.default_rng(3)
+    root = ET.fromstring(text)
+
+    def turn(body: ET.Element, parent: FloatArray) -> None:
+        own = np.eye(4)
+        own[:3, :3], own[:3, 3] = Rotation.random(random_state=random).as_matrix(), random.normal(size=3)
+        placed = np.eye(4)
+        position, quaternion = numbers(body, "pos", "0 0 0"), numbers(body, "quat", "1 0 0 0")
+        placed[:3, :3], placed[:3, 3] = Rotation.from_quat(np.roll(quaternion, -1)).as_matrix(), position
+        here = np.linalg.inv(parent) @ placed @ own
+        body.set("pos", " ".join(map(repr, here[:3, 3].tolist())))
+        body.set("quat", " ".join(map(repr, np.roll(Rotation.from_matrix(here[:3, :3]).as_quat(), 1).tolist())))
+        for joint in body.findall("joint"):
+            axis = own[:3, :3].T @ numbers(joint, "axis", "")
+            joint.set("axis", " ".join(map(repr, axis.tolist())))
+            joint.set("pos", " ".join(map(repr, (-own[:3, :3].T @ own[:3, 3]).tolist())))
+        for inertial in body.findall("inertial"):
+            inertial.attrib = {"mass": "1", "pos": "0 0 0", "diaginertia": "1 1 1"}
+        for child in body.findall("body"):
+            turn(child, own)
+
+    (base,) = root.findall("worldbody/body")
+    elsewhere = np.eye(4)
+    elsewhere[:3, :3], elsewhere[:3, 3] = Rotation.from_euler("z", 1.0).as_matrix(), (1.0, 2.0, 3.0)
+    turn(base, elsewhere)
+    base.set("name", "pedestal")
+    return ET.tostring(root, encoding="unicode")
+
+
+def test_into_a_file_of_the_users_own(tmp_path: Path) -> None:
+    """Whatever frames its bodies have, it moves as the estimate says; what is not identified stays."""
+    model = written(tmp_path, EFFECTS)
+    own = tmp_path / "own.xml"
+    text = turned_frames(mjcf(Robot(URDF), {})).replace("<actuator>", "<!-- mine -->\n  <actuator>")
+    own.write_text(text)
+    whole = into_mjcf(model, own)
+    samples, expected = predicted(model)
+    np.testing.assert_allclose(in_mujoco(whole.text, samples), expected, atol=DIGITS)
+    assert whole.lacks == []
+    kept = re.compile(r"<inertial [^>]*/>|<joint [^>]*>")
+    assert kept.sub("", whole.text) == kept.sub("", text)
+
+
+def test_a_spring_in_degrees_and_what_others_count_in(tmp_path: Path) -> None:
+    model = written(tmp_path, [SPRING])
+    degrees = mjcf(Robot(URDF), {}).replace('angle="radian"', 'angle="degree"')
+    own = tmp_path / "own.xml"
+    degrees = re.sub('limited="true" range="[^"]*"|inertiafromgeom="false"', "", degrees)
+    own.write_text(re.sub('(<body name="tool"[^>]*)/>', r'\1><geom size="0.1"/></body>', degrees))
+    joint = mujoco.MjModel.from_xml_string(into_mjcf(model, own).text).joint("joint2")
+    np.testing.assert_allclose([joint.stiffness[0], joint.qpos_spring[0]], [3.0, 0.5])
+    assert "tool" in model.bodies["link3"].merged
+    whole = into_mjcf(model, own)
+    masses = mujoco.MjModel.from_xml_string(whole.text)
+    assert masses.body("tool").mass[0] == 0.0
+    assert masses.body("link3").mass[0] == pytest.approx(model.bodies["link3"].inertial.mass)
+    assert any("tool" in sentence for sentence in whole.lacks)
+
+
+def test_another_robot_is_refused(tmp_path: Path) -> None:
+    model, own = written(tmp_path, EFFECTS), tmp_path / "own.xml"
+    text = mjcf(Robot(URDF), {})
+    own.write_text(text.replace('name="joint3"', 'name="joint3" pos="0.1 0.1 0.1"', 1))
+    with pytest.raises(InputError, match=r"own.xml: with all joints at zero.*\(joint3\)"):
+        into_mjcf(model, own)
+    own.write_text(re.sub(r'name="(link\d|tool)"', r'name="other_\1"', text))
+    with pytest.raises(InputError, match="has none of the bodies link1, link2, link3; those that it has: base_link"):
+        into_mjcf(model, own)
+
+
+def test_a_payload_is_carried_by_its_link(tmp_path: Path) -> None:
+    model, own = written(tmp_path, [effect("payload", "link3", **PAYLOAD)]), tmp_path / "own.xml"
+    own.write_text(mjcf(Robot(URDF), {}))
+    mass = mujoco.MjModel.from_xml_string(into_mjcf(model, own).text).body("link3").mass[0]
+    assert mass == pytest.approx(model.bodies["link3"].inertial.mass + PAYLOAD["mass"])
+
+
+def test_a_file_that_only_mujoco_can_read_is_refused(tmp_path: Path) -> None:
+    """Its names in an included file, and an attribute said twice."""
+    model, own = written(tmp_path, EFFECTS), tmp_path / "own.xml"
+    text = mjcf(Robot(URDF), {})
+    body = text[text.index("<body") : text.rindex("</worldbody>")]
+    (tmp_path / "part.xml").write_text(f"<mujoco>{body}</mujoco>")
+    own.write_text(text.replace(body, '<include file="part.xml"/>'))
+    with pytest.raises(InputError, match=r"own.xml: 'link1' is not in this file itself"):
+        into_mjcf(model, own)
+    own.write_text(text.replace("<worldbody>", '<worldbody><geom size="1" pos="0 0 9" contype="0" contype="0"/>'))
+    with pytest.raises(InputError, match=r"own.xml: (not valid XML|MuJoCo cannot read)"):
+        into_mjcf(model, own)
