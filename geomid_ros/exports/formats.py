@@ -44,6 +44,8 @@ _FRANKA_NOTE = (
     "  The controller adds it to the end effector that is set in Desk (Settings, End Effector): set there what stays",
     "  mounted, and export only what comes beyond it.",
 )
+
+
 class PayloadFormat(NamedTuple):
     """A controller's form of a payload: the ending of the ``flange``'s name in the manufacturer's URDF, and the
     ``commands`` that set the payload there."""
