@@ -17,7 +17,6 @@ from visualization_msgs.msg import Marker, MarkerArray
 from geomid_ros.estimation.estimate import Estimate, LinkEstimate
 from geomid_ros.exports.weighed_payload import Payload
 from geomid_ros.files.models.gap_results import FORMAT
-from geomid_ros.files.models.urdf import with_identified_inertias
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.live.background_search import SearchStatus
 from geomid_ros.live.gap_search import FoundGap
@@ -59,7 +58,7 @@ class Outputs:
         stamp = self._node.get_clock().now().nanoseconds
         for link in estimate.links:
             self._inertias.publish(_inertia(link, stamp))
-        self._identified.publish(String(data=with_identified_inertias(session.urdf, estimate.links)))
+        self._identified.publish(String(data=session.identified_urdf(estimate)))
         markers = [_marker(index, link, stamp) for index, link in enumerate(estimate.links)]
         self._ellipsoids.publish(MarkerArray(markers=markers))
 
