@@ -22,7 +22,7 @@ _ABSURD = _REASON**2  # nor is what little motion tells of masses
 _BLOCK = 1_000_000_000  # [ns] errors so far apart are independent
 _FEWEST_BLOCKS = 4
 _SCATTER = 3.0  # standard errors of the mean over blocks
-_UNLIKE = 3.0  # times the RMS of what was fitted: more than a motion that is a little different explains
+_UNLIKE = 4.0  # times the RMS of what was fitted: more than a motion that is a little different explains
 _LEAST_RMS = 1e-12
 _WORSE = 1.05  # a channel's RMS over that of the URDF: less is of no account
 
