@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+import numpy as np
+
 from geomid_ros.model.effects import Quantity
 from geomid_ros.types import FloatArray
 
@@ -12,6 +14,8 @@ QUANTITIES = ("mass", "com x", "com y", "com z", "Ixx", "Ixy", "Iyy", "Ixz", "Iy
 """Names of a link's ten quantities, in the order of :func:`geomid_ros.geometry.pseudo_inertia.quantities_of`."""
 IDENTIFIABLE = 0.5
 """A quantity is identifiable when data leave at most this share of its standard deviation in the prior."""
+_SURE = 1.96  # standard deviations to either side that hold 95 %
+_LARGEST_LOG = 50.0  # of a factor: nothing is known then
 FINEST = 1e7
 """Inverse of the smallest relative error of an inertia that data are believed to resolve."""
 
@@ -47,6 +51,17 @@ class LinkEstimate:
     from_data: float
     min_eigenvalue_ratio: float
     cannot_tell: tuple[str, ...]
+
+    @property
+    def mass_interval(self) -> tuple[float, float]:
+        """The 95 % interval of the mass [kg]."""
+        return interval_of_positive(self.mass, self.std_mass)
+
+
+def interval_of_positive(value: float, deviation: float) -> tuple[float, float]:
+    """The 95 % interval of a positive quantity along the geodesic: of its logarithm, so that it stays positive."""
+    factor = float(np.exp(min(_SURE * deviation / value, _LARGEST_LOG))) if np.isfinite(deviation) else 1.0
+    return value / factor, value * factor
 
 
 @dataclass(frozen=True, kw_only=True)

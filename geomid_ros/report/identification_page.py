@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from geomid_ros.estimation.estimate import Estimate, LinkEstimate
+from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.model.effects import KnownEffect, Quantity
 from geomid_ros.plausibility.verdict import Verdict
 from geomid_ros.report import identification_words
@@ -24,7 +24,6 @@ from geomid_ros.types import FloatArray
 
 _SCRIPT = "traces.js"
 _SHARES = (0.0, 0.25, 0.5, 0.75, 1.0)
-_SURE = 1.96  # standard deviations to either side that hold 95 %
 _KINDS = {"before": "URDF", "after": "identified"}
 
 
@@ -112,23 +111,17 @@ def _links(page: IdentificationPage) -> Iterator[dict[str, Any]]:
             "nominal": nominal,
             "mass": Quantity(link.mass, link.std_mass, "kg"),
             "value": link.mass,
-            "ends": _interval(link),
+            "ends": link.mass_interval,
             "from_data": link.from_data,
             "distance": link.distance_from_prior,
             "known": "mass" not in link.cannot_tell,
         }
 
 
-def _interval(link: LinkEstimate) -> tuple[float, float]:
-    """Where the mass lies; it is above zero."""
-    half = _SURE * link.std_mass if math.isfinite(link.std_mass) else 0.0
-    return max(link.mass - half, 0.0), link.mass + half
-
-
 def _heaviest(page: IdentificationPage) -> float:
     """The end of the axis of masses [kg]: there is room for all masses, and for most intervals."""
     masses: list[float] = [*page.masses.tolist(), *(link.mass for link in page.estimate.links)]
-    ends = [_interval(link)[1] for link in page.estimate.links]
+    ends = [link.mass_interval[1] for link in page.estimate.links]
     return 1.05 * max(1e-9, min(max(ends, default=0.0), 3.0 * max(masses, default=0.0)), *masses)
 
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from geomid_ros.errors import InputError
-from geomid_ros.estimation.estimate import Estimate
+from geomid_ros.estimation.estimate import Estimate, interval_of_positive
 from geomid_ros.estimation.estimator import estimate
 from geomid_ros.estimation.identifier import Identifier
 from geomid_ros.estimation.starting_point import USUAL_SPREAD_OF_LINKS
@@ -62,8 +62,7 @@ class WeighedPayload:
     @property
     def interval(self) -> tuple[float, float]:
         """The 95 % interval of the mass [kg], along the geodesic: of its logarithm."""
-        factor = float(np.exp(1.96 * self.std[0] / self.mass))
-        return self.mass / factor, self.mass * factor
+        return interval_of_positive(self.mass, float(self.std[0]))
 
 
 def payload_session(urdf: str, configuration: Configuration, source: str) -> Session:

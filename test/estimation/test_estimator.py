@@ -8,7 +8,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from geomid_ros.estimation.estimate import Estimate
+from geomid_ros.estimation.estimate import Estimate, interval_of_positive
 from geomid_ros.estimation.estimator import EstimatorSettings, WarmStart
 from geomid_ros.estimation.identifier import Identifier
 from geomid_ros.geometry import pseudo_inertia, spd
@@ -262,3 +262,12 @@ def test_a_wrench_sensor_that_feels_no_identified_link_tells_nothing() -> None:
     np.testing.assert_allclose(found.parameters, expected.parameters, rtol=1e-6, atol=1e-9)
     np.testing.assert_allclose(found.sigmas[:3], expected.sigmas)
     np.testing.assert_array_equal(found.rms[3:], found.rms_nominal[3:])
+
+
+def test_intervals_of_positive_quantities_are_those_of_the_logarithm() -> None:
+    """They stay positive, and are symmetric where little is unknown."""
+    low, high = interval_of_positive(2.0, 4.0)
+    assert 0.0 < low < 2.0 < high
+    assert np.log(high / 2.0) == pytest.approx(np.log(2.0 / low)) == pytest.approx(1.96 * 2.0)
+    assert interval_of_positive(2.0, 1e-4) == pytest.approx((2.0 - 1.96e-4, 2.0 + 1.96e-4), abs=1e-8)
+    assert interval_of_positive(2.0, np.inf) == (2.0, 2.0)

@@ -88,7 +88,7 @@ def plain(tmp_path_factory: pytest.TempPathFactory) -> Page:
 def test_what_was_planted_is_on_it(plain: Page) -> None:
     """Masses, intervals, effects, messages, and where the page is from."""
     for planted in (
-        *("5.500", "4.32 \u00b1 0.10 kg", "4.125 to 4.517", "50 %"),
+        *("5.500", "4.32 \u00b1 0.10 kg", "4.129 to 4.522", "50 %"),
         *("0.750 \u00b1 0.010 N m", "0.730 to 0.770", "25 %"),
         *("/joint1", "90", "100", "7: glitch of joint1", "11, standing"),
         *(ORIGIN.version, ORIGIN.command, ORIGIN.date, "/data/monday", "filter.cutoff", "7.5"),
