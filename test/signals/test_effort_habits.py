@@ -113,3 +113,13 @@ def test_efforts_that_are_not_measured_are_passed_over() -> None:
     effort = usual()
     effort[:, 1] = np.nan
     assert told(effort) == ([], [])
+
+
+def test_a_few_spikes_are_no_overflow() -> None:
+    """From one end of what they make the range to the other."""
+    effort = usual()
+    places = np.arange(200, len(effort) - 2, 150)
+    effort[places, 1] = 20.0 * np.ptp(effort[:, 1])
+    effort[places + 1, 1] = -effort[places, 1]
+    effort[places + 2, 1] = effort[places, 1]
+    assert not any("overflow" in sentence for sentences in told(effort) for sentence in sentences)
