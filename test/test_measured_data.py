@@ -52,7 +52,7 @@ def test_held_out_errors(named: tuple[str, Comparison]) -> None:
     if name == "tx40":
         assert np.all(found.errors["geomid"][4:] < 1.1)
         assert any("coupled" in effect for effect in found.added)
-        assert "link 'link_6'" in found.warnings[0]
+        assert any("link 'link_6'" in warning for warning in found.warnings)
     if name == "human":
         assert np.all(found.errors["geomid"] < found.errors["URDF"])
         fx, fy, fz, tx, ty, tz = found.errors["geomid"]
