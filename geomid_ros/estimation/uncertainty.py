@@ -206,8 +206,8 @@ def prior_spreads(rows: Fold, from_prior: FloatArray, groups: Sequence[Parameter
         left = np.linalg.inv(scaled + _own_part(scaled) * np.eye(len(spreads)))
         moved = spreads * (left @ (spreads * pull))
         determined = np.clip(1.0 - np.diag(left), 0.0, 1.0)
-        squares = np.bincount(member, moved**2) + _CERTAINTY_OF_USUAL * usual**2
-        counts = np.bincount(member, determined) + _CERTAINTY_OF_USUAL
+        squares = np.bincount(member, moved**2, len(groups)) + _CERTAINTY_OF_USUAL * usual**2
+        counts = np.bincount(member, determined, len(groups)) + _CERTAINTY_OF_USUAL
         # Few rows of many parameters can be fitted at any distance.
         found = np.minimum(np.sqrt(squares / counts), _LARGEST_SPREAD * usual)
         begun = extrapolation.next(begun, np.log(found))

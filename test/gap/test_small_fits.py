@@ -320,6 +320,17 @@ class TestScoreTest:
         exact = bare.score - fit(design, PRIOR, [VISCOUS], spread=float(bare.spreads[0])).score
         assert gain == pytest.approx(exact, rel=0.05, abs=1.0)
 
+    @pytest.mark.parametrize("seed", [8, 9])
+    def test_it_foretells_it_beside_a_prior_that_pulls(self, seed: int) -> None:
+        """The link is another than the prior says, which holds it hard: a name that the link can imitate lets it go."""
+        recording, spread = Recording(seed, NAMES), 0.02
+        recording.columns[TERM] += recording.coefficients[:, 0, 0]
+        design = recording.design({TERM: 0.03}, 1.2 * LINK)
+        bare = fit(design, PRIOR, [], spread=spread)
+        gain = score_test(design, bare, VISCOUS).gain
+        exact = bare.score - fit(design, PRIOR, [VISCOUS], bare, spread=spread).score
+        assert gain == pytest.approx(exact, abs=2.0)
+
 
 class TestBlocks:
     """Blocks of time that are left out."""

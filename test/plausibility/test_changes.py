@@ -152,9 +152,10 @@ def test_friction_that_warms_up_is_no_fault(robot: Case) -> None:
     assert findings(robot, replace(robot.samples, effort=rigid + warmth * friction)) == ()
 
 
+@pytest.mark.parametrize("leaned_on", [False, True])
 @pytest.mark.parametrize("seed", range(21, 25))
-def test_a_robot_that_stands_at_first_is_no_fault(seed: int) -> None:
-    """Stiction holds what it likes."""
+def test_a_robot_that_stands_at_first_is_no_fault(seed: int, leaned_on: bool) -> None:
+    """Stiction holds what it likes, also while somebody leans on the robot now and then."""
     rng = np.random.default_rng(seed)
     of = arm("arm3", seed, seconds=SECONDS)
     moving = motion(rng, 3, SECONDS)
@@ -170,6 +171,7 @@ def test_a_robot_that_stands_at_first_is_no_fault(seed: int) -> None:
     )
     measured = felt(replace(of, samples=stands), of.true)
     measured[:700] += 1.5 * np.sign(rng.normal(size=3)) * np.maximum(of.true.effects["coulomb_friction"], 1.0)
+    measured[:700] *= 1.0 + leaned_on * np.sin(np.arange(700) / 100.0)[:, None]
     assert set(of.true.effects) == set(ALL_EFFECTS)
     assert findings(of, replace(stands, effort=measured)) == ()
 
