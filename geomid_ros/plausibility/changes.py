@@ -15,12 +15,11 @@ from geomid_ros.plausibility import words
 from geomid_ros.plausibility.evidence import Evidence
 from geomid_ros.plausibility.flexible import FlexibleFit, Gain, by_channel
 from geomid_ros.plausibility.hypotheses import Cause, Hypothesis
+from geomid_ros.plausibility.instants import NEARER, PLACES, after, elapsed
 from geomid_ros.plausibility.rows import payload_factor
 from geomid_ros.plausibility.subject import Subject
 from geomid_ros.types import FloatArray
 
-_PLACES = np.arange(1, 10) / 10.0  # of the instants, from which on something may be another
-_NEARER = (-0.05, 0.05)
 _WORTH = 0.05  # nats per instant: less promises nothing
 _STEP = 1e-4  # [rad, m] of a position, for a derivative
 _GAIN = 0.5  # standard deviations of what is tried: another gain,
@@ -74,27 +73,22 @@ class Changes:
             said = kind.said(gain, when)
             if said is not None:
                 beyond = gain.beyond(always) if always.per_instant > 0.0 else gain
-                yield hypothesis(said[0], said[1], beyond, nominal, len(self._samples), len(_PLACES))
+                yield hypothesis(said[0], said[1], beyond, nominal, len(self._samples), len(PLACES))
 
     def _best(self, kind: _Kind) -> tuple[FloatArray, str]:
         """The columns of the instant that promises most, and when that is."""
-        tried = [self._from(kind, place) for place in _PLACES]
+        tried = [self._from(kind, place) for place in PLACES]
         best = int(np.argmax([self._fit.promise(columns) for columns, _ in tried]))
-        near = [tried[best], *(self._from(kind, _PLACES[best] + by) for by in _NEARER)]
+        near = [tried[best], *(self._from(kind, PLACES[best] + by) for by in NEARER)]
         if kind.grows:
             share = (np.arange(len(self._samples)) / len(self._samples))[:, None, None]
             near.append((share * kind.columns, words.BIT_BY_BIT))
         return max(near, key=lambda one: self._fit.promise(one[0]))
 
     def _from(self, kind: _Kind, place: float) -> tuple[FloatArray, str]:
-        later = np.arange(len(self._samples)) >= place * len(self._samples)
+        later = after(len(self._samples), place)
         when = words.until if kind.first else words.from_on
-        return (later != kind.first)[:, None, None] * kind.columns, when(self._time(place))
-
-    def _time(self, place: float) -> float:
-        """Since the first instant [s]; of recordings one after the other, all of theirs."""
-        steps = np.maximum(np.diff(self._samples.stamps), 0)
-        return float(np.sum(steps[: int(place * len(self._samples))])) * 1e-9
+        return (later != kind.first)[:, None, None] * kind.columns, when(elapsed(self._samples.stamps, place))
 
     def _kinds(self) -> Iterator[_Kind]:
         fit, robot, prior = self._fit, self._subject.robot, self._subject.prior

@@ -27,6 +27,7 @@ from geomid_ros.plausibility.signs import (
 )
 from geomid_ros.plausibility.standstill import frozen_position
 from geomid_ros.plausibility.subject import Subject
+from geomid_ros.plausibility.switched_unit import SwitchedUnit
 from geomid_ros.plausibility.units import unit_hypotheses
 from geomid_ros.plausibility.unmeasured import frozen, is_model
 from geomid_ros.plausibility.weights import gravity_hypotheses
@@ -108,6 +109,7 @@ class EffortCheck:
     def _changing(self, fit: FlexibleFit, nominal: Evidence) -> Iterator[Hypothesis]:
         """What may change, or come at another time."""
         yield from Changes(self._subject, fit).hypotheses(nominal)
+        yield from SwitchedUnit(self._subject).hypotheses(nominal)
         if self._pairs is not None:
             yield from Lags(self._subject, self._pairs).hypotheses(nominal)
 

@@ -8,14 +8,29 @@ import numpy as np
 
 from geomid_ros.model.moving import STILL
 from geomid_ros.model.samples import Samples
+from geomid_ros.types import BoolArray, IntArray
 
 FEWEST = 30
 """Instants that a recording is judged on."""
+PLACES = np.arange(1, 10) / 10.0
+"""Shares of the instants, from which on something may be another."""
+NEARER = (-0.05, 0.05)
+"""Where it is looked for, too, beside the best of them."""
 _MOST = 250
 _LONG = 800
 STEP = 20_000_000
 """[ns] between the instants of a stretch, at least: of what is behind the filter they show all."""
 _APART = 100_000_000  # [ns] nearer instants say the same twice
+
+
+def after(count: int, place: float) -> BoolArray:
+    """Which of so many instants come after a place ``(count,)``."""
+    return np.asarray(np.arange(count) >= place * count)
+
+
+def elapsed(stamps: IntArray, place: float) -> float:
+    """When a place is, since the first instant [s]; of recordings one after the other, all of theirs."""
+    return float(np.sum(np.maximum(np.diff(stamps), 0)[: int(place * len(stamps))])) * 1e-9
 
 
 class Instants:

@@ -116,6 +116,13 @@ class World:
             world.__dict__.pop(name, None)
         return world
 
+    def with_measured(self, measured: FloatArray) -> World:
+        """The same of other efforts ``(N, C)``."""
+        world = copy(self)
+        world.measured, world.spread = measured, np.std(measured, axis=0)
+        world.__dict__.pop("_crossed", None)
+        return world
+
     @cached_property
     def _unknowns(self) -> FloatArray:
         by_channel = self._columns.transpose(1, 2, 0)

@@ -148,6 +148,16 @@ def gain_changes(joints: Sequence[str], factor: float, when: str, of_all: bool) 
     return Cause(kind="drift", sentence=sentence, places=tuple(joints))
 
 
+def unit_switches(joints: Sequence[str], factor: float, when: str) -> Cause:
+    """Efforts change to another unit, or sign."""
+    what = "their other sign" if factor == -1.0 else f"{factor:.2g} times what they were"
+    sentence = (
+        f"the efforts of all joints have {what} {when}: another unit or sign begins; use one of the two parts, with "
+        "effort_gain for its unit"
+    )
+    return Cause(kind="stream", sentence=sentence, places=tuple(joints))
+
+
 def gravity_goes(joints: Sequence[str], when: str) -> Cause:
     """Gravity is in the efforts for a part of the time."""
     sentence = f"gravity is not in the efforts {when}: its compensation is switched; {_APART}"

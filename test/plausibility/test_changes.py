@@ -183,3 +183,15 @@ def test_what_was_always_so_does_not_change(robot: Case) -> None:
     assert all(
         finding.cause.kind not in CHANGES for finding in findings(robot, replace(robot.samples, position=position))
     )
+
+
+@pytest.mark.parametrize("factor", [1000.0, 0.05, -1.0, -30.0])
+@pytest.mark.parametrize("place", [0.25, 0.5, 0.8])
+def test_efforts_in_another_unit_from_some_instant_on(robot: Case, factor: float, place: float) -> None:
+    effort = robot.samples.effort.copy()
+    effort[round(place * len(effort)) :] *= factor
+    (finding,) = findings(robot, replace(robot.samples, effort=effort))
+    assert (finding.cause.kind, finding.sure, finding.rivals) == ("stream", True, ())
+    said = re.search(r"from about (\d+) s", finding.sentence)
+    assert said is not None
+    assert float(said[1]) == pytest.approx(place * SECONDS, abs=0.06 * SECONDS)
