@@ -4,6 +4,9 @@ Least squares leave a sum of squares of the rows ``[A b]`` of one channel. Every
 ``e^T (I + A P A^T)^-1 e`` to it, with e the errors of the prediction from the rows before and P its covariance
 (recursive residuals; Brown, Durbin, Evans 1975). A new motion that shows new parameters adds no more than noise does,
 however wrong the estimate was before; a robot that has changed adds more. No prior takes part.
+
+No model is perfect, and what it lacks shows most where a motion is unlike those before, along which least squares have
+fitted it away. Such blocks are told by their leverage ``tr(A P A^T)``; they teach what is normal, and are not judged.
 """
 
 from __future__ import annotations
@@ -38,6 +41,8 @@ _SUSPICION = -float(np.log(FALSE_ALARMS)) / _FEWEST_BAD  # the most evidence of 
 _ALARM = _FEWEST_BAD * _SUSPICION
 _LARGEST_SHAPE = 0.5 * BLOCK  # of a block of independent rows
 _LAGS = 3  # blocks over which energies may be correlated
+_UNLIKE = 2.0  # times the mean leverage of the rows before: another motion
+_UNRESOLVED = 1e-6  # of a column's sum of squares: directions in which a motion has shown less are not counted
 _LEAST_FLOOR = 1e-4  # of the measured values: below, rounding and the filter's ripple count
 _LONGEST_STEP = 1.0  # [s] between rows; a longer pause counts as so long
 
@@ -125,11 +130,12 @@ class _Cusum:
         self._channel = channel
         self._forgetting_time = forgetting_time
         self._factor = np.zeros((0, len(channel.columns) + 1))
-        self._rows = 0
+        self._rows = 0.0  # by what is left of their weight
         self._last_stamp: int | None = None
         self._energies: deque[float] = deque(maxlen=_MOST_BLOCKS)
         self._suspect: deque[tuple[float, FloatArray]] = deque(maxlen=_MOST_SUSPECT)  # energies and rows
         self._ratios: deque[float] = deque(maxlen=_FEWEST_BAD)
+        self._unlike: deque[bool] = deque(maxlen=_FEWEST_BLOCKS)  # whether blocks were of another motion
         self._evidence = 0.0  # for an opening, or, when it is open, for its end
         self._since = self._first = 0
         self._open = False
@@ -150,6 +156,11 @@ class _Cusum:
         """The number of the first instant that is in a gap, or may be; None if there is none."""
         return self._first if self._open or self._evidence > 0.0 else None
 
+    @property
+    def _moves_otherwise(self) -> bool:
+        """Whether the motion is another than before, not a block of it here and there."""
+        return 2 * sum(self._unlike) >= _FEWEST_BLOCKS
+
     def judge(self, first: int, stamps: IntArray, coefficients: FloatArray, targets: FloatArray) -> None:
         """Take a block, ``stamps (N,)``, ``coefficients (N, D)`` and ``targets (N,)``, whose first instant has number
         ``first``."""
@@ -158,15 +169,17 @@ class _Cusum:
         rows = np.column_stack([coefficients[:, self._channel.columns], targets])[measured]
         if len(rows) < BLOCK // 2:
             return
-        self._factor = np.sqrt(share) * self._factor
+        self._unlike.append(self.ready and self._leverage(rows[:, :-1]) > _UNLIKE)
+        self._factor, self._rows = np.sqrt(share) * self._factor, share * self._rows
         joined = triangular(np.concatenate([self._factor, rows]))
         energy = max(_unexplained(joined) - _unexplained(self._factor), 0.0) / len(rows)
-        if self.ready:
+        if self.ready and not self._unlike[-1] and not self._moves_otherwise:
             self._test(energy, first, int(stamps[0]))
         self._suspect.append((energy, rows))
         if self._open:
             self._suspect.clear()
-        elif self._evidence == 0.0:
+        elif self._evidence == 0.0 or self._moves_otherwise:
+            self._evidence = 0.0
             self._learn()
         if self._open and np.isfinite(self._forgetting_time):
             self._factor = joined
@@ -179,6 +192,15 @@ class _Cusum:
                 self._energies.append(energy)
             self._factor = triangular(np.concatenate([self._factor, rows]))
             self._rows += len(rows)
+
+    def _leverage(self, coefficients: FloatArray) -> float:
+        """The mean leverage of new rows ``(N, d)``, over that of the rows before."""
+        known = self._factor[:, :-1]
+        squares = np.sum(known**2, axis=0)
+        floor = _UNRESOLVED * squares + np.finfo(float).eps * np.max(squares, initial=np.finfo(float).tiny)
+        root = np.linalg.cholesky(known.T @ known + np.diag(floor))
+        new, old = (np.sum(np.linalg.solve(root, rows.T) ** 2) for rows in (coefficients, known))
+        return float(new / len(coefficients) / (old / self._rows))
 
     def _remaining(self, stamps: IntArray) -> float:
         """The weight that the rows before keep, bounded so that enough is known of what is normal."""

@@ -265,3 +265,37 @@ class TestNormal:
         (gap,) = detector.gaps
         assert detector.judged == 1000 + 2 * (len(stamps) - BLOCK) + BLOCK
         assert gap.since == stamps[(gap.first - 1000) // 2]
+
+
+class Imperfect(Robot):
+    """A robot with more effects than its model has, in a motion that repeats itself and then another one."""
+
+    def __init__(self, seed: int) -> None:
+        super().__init__(seed, blocks=4 * BLOCKS)
+        count, rng = len(self.targets), np.random.default_rng(seed)
+        phases = 2.0 * np.pi * np.outer(np.arange(count), rng.uniform(0.005, 0.01, 1) * np.array([1.0, 2.0, 3.0]))
+        other = filtered(rng.standard_normal((count + len(_LOW_PASS), 3)))
+        first = (np.arange(count) < count // 2)[:, None]
+        motion = np.where(first, np.sin(phases + rng.uniform(0.0, 6.0, 3)), other)
+        turned = np.column_stack([motion @ rng.normal(0.0, 1.0, 3) for _ in range(COLUMNS)])
+        self.coefficients = np.column_stack([np.sin(turned[:, : COLUMNS // 2]), np.cos(turned[:, COLUMNS // 2 :])])
+        lacking = 3.0 * np.tanh(turned[:, 1] * turned[:, 2]) + 3.0 * np.sign(turned[:, 3])
+        self.targets = self.coefficients @ rng.normal(0.0, 10.0, COLUMNS) + lacking + noise("white", rng, 4 * BLOCKS)
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_another_motion_is_no_gap_where_the_model_lacks_something(seed: int) -> None:
+    """What it lacks was fitted away along the first motion, and is not along the other."""
+    assert not open_blocks(Imperfect(seed))
+
+
+@pytest.mark.parametrize("begin", [BLOCKS, 3 * BLOCKS + BLOCKS // 2])
+def test_a_change_shows_in_either_motion(begin: int) -> None:
+    """Once it is known what is normal in it."""
+    delays = []
+    for seed in range(10):
+        robot = Imperfect(seed)
+        robot.targets[begin * BLOCK :] += 25.0 * robot.coefficients[begin * BLOCK :, 0]
+        delays.append(open_blocks(robot)[0] - begin)
+    assert min(delays) >= 0
+    assert np.median(delays) < DELAY
