@@ -39,7 +39,8 @@ _MEANINGS = {
     "~/start": "take data",
     "~/stop": "take no data; rows and estimate are kept",
     "~/reset": "forget all rows, and take the latest robot description",
-    "~/save": "solve for all data so far, and write `estimate.json` and `identified.urdf` into `output_folder`",
+    "~/save": "solve for all data so far, and write `estimate.json`, `identified.urdf` and `posterior.npz` into "
+    "`output_folder`",
     "~/find_gap": "look for a gap in the last `gap.memory` seconds, beside everything else; "
     "answers on `~/gap` and in the diagnostics",
     "~/payload/empty": "remember the last `gap.memory` seconds as the robot's motion without a payload",
