@@ -1,12 +1,14 @@
-"""The joint posterior of links and effects: a Gaussian in the tangent space of the parameters' manifold."""
+"""The joint posterior of links and effects: a Gaussian in tangent coordinates at the estimate."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
 
+import numpy as np
+
 from geomid_ros.geometry.manifold import ParameterManifold, Point
-from geomid_ros.types import FloatArray
+from geomid_ros.types import FloatArray, frozen
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -23,18 +25,21 @@ class EffectCoordinate:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Posterior:
-    """What is known of all parameters together: ``exp(estimate, N(0, covariance))`` on the manifold.
+    """What is known of all parameters together: ``N(0, covariance)``, given that such a robot can exist.
 
-    Tangent coordinates ``x (D,)`` at the estimate, in the order of the parameters
-    (:mod:`geomid_ros.geometry.manifold`):
+    Its coordinates ``x (D,)`` are those of the tangent space at the estimate (:mod:`geomid_ros.geometry.manifold`), in
+    the order of the parameters, and straight:
 
-    - ten per link, those of the symmetric matrix X in ``P^1/2 exp(X) P^1/2``, where P is the estimated pseudo-inertia
+    - ten per link, those of the symmetric matrix X of ``P^1/2 (1 + X) P^1/2``, where P is the estimated pseudo-inertia
       ``[[S, h], [h, m]]`` about the link's origin: X11, X22, X33, X44, and sqrt(2) times X12, X13, X14, X23, X24, X34
-      (:mod:`geomid_ros.geometry.symmetric`);
-    - one per positive coefficient c: ``c exp(x)``;
+      (:mod:`geomid_ros.geometry.symmetric`); the body can exist if 1 + X is positive definite;
+    - one per positive coefficient c: ``c (1 + x)``, which must be positive;
     - one per real coefficient r with the scale s: ``r + s x``.
 
-    Whatever x is, the bodies can exist and positive coefficients are positive.
+    So the parameters are ``estimate + J x`` with a constant J. Geodesics with the same tangents, ``P^1/2 exp(X) P^1/2``,
+    would not do: measurements are linear in the parameters, and resolve some of their combinations to 1e-4. A geodesic
+    is off a straight line by half of the square of its length, and so leaves what was measured after a per cent of the
+    way that other directions leave open.
 
     Attributes:
         links: Names of the moving links.
@@ -61,7 +66,19 @@ class Posterior:
         """Where the parameters live."""
         return ParameterManifold(len(self.links), sum(effect.positive for effect in self.effects), self.scales)
 
-    @property
+    @cached_property
     def point(self) -> Point:
         """The estimate."""
         return self.manifold.point(self.parameters)
+
+    @cached_property
+    def jacobian(self) -> FloatArray:
+        """Derivative ``(D, D)`` of the parameters by the coordinates, block by block."""
+        blocks, diagonal = self.manifold.jacobian(self.point)
+        jacobian = np.diag(np.concatenate([np.zeros(self.manifold.inertial.stop), diagonal]))
+        jacobian[self.manifold.links_blocks] = blocks
+        return frozen(jacobian)
+
+    def coordinates(self, parameters: FloatArray) -> FloatArray:
+        """The coordinates ``(D,)`` of other parameters ``(D,)``: how far they are from the estimate."""
+        return np.asarray(np.linalg.solve(self.jacobian, parameters - self.parameters))
