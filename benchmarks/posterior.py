@@ -1,10 +1,11 @@
 """The joint posterior against the truth: how far the truth of simulated bags lies from the estimate, in all directions.
 
-``python -m benchmarks posterior`` records the bags, identifies each and compares.
+``python -m benchmarks.posterior [--bags 100]`` records the bags, identifies each and compares.
 """
 
 from __future__ import annotations
 
+import argparse
 import json
 import tempfile
 from collections.abc import Sequence
@@ -71,9 +72,9 @@ def run(report: Report, bags: int = BAGS) -> None:
         rows.append([name, *(f"{value:.2f}" for value in results[name].values())])
     headings = ["", "Mahalanobis^2/D", "median", "largest", "worst direction", "marginals", "along geodesics"]
     caption = (
-        f"Of the truth from the estimate, {bags} bags each: mean, median and largest squared distance per direction; the "
-        "largest mean squared error of any eigen-direction of the covariance; the mean of the marginals; and the mean "
-        "squared distance with the same covariance along geodesics. 1 is right."
+        f"Of the truth from the estimate, {bags} bags each: mean, median and largest squared distance per direction; "
+        "the largest mean squared error of any eigen-direction of the covariance; the mean of the marginals; and the "
+        "mean squared distance with the same covariance along geodesics. 1 is right."
     )
     report.table("Joint posterior", headings, rows, caption)
     report.result("posterior", results)
@@ -131,3 +132,16 @@ def true_parameters(posterior: Posterior, truth: dict[str, Any], urdf: str, cuts
     effects = {(effect["effect"], effect["joint"]): effect["parameters"] for effect in truth["effects"]}
     coefficients = [effects.get((c.name, c.place), {}).get(c.parameter, 0.0) for c in posterior.effects]
     return np.concatenate([*(bodies[name] for name in posterior.links), coefficients])
+
+
+def main() -> None:
+    """Run with the number of bags that is asked for."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.posterior", description=__doc__)
+    parser.add_argument("--bags", type=int, default=BAGS, help="of each case (%(default)s)")
+    parser.add_argument("--out", type=Path, default=Path("out/bench"), help="folder for results (%(default)s)")
+    arguments = parser.parse_args()
+    run(Report(arguments.out), arguments.bags)
+
+
+if __name__ == "__main__":
+    main()

@@ -36,10 +36,10 @@ class Posterior:
     - one per positive coefficient c: ``c (1 + x)``, which must be positive;
     - one per real coefficient r with the scale s: ``r + s x``.
 
-    So the parameters are ``estimate + J x`` with a constant J. Geodesics with the same tangents, ``P^1/2 exp(X) P^1/2``,
+    So the parameters are ``estimate + J x`` with a constant J. Geodesics of the same tangents, ``P^1/2 exp(X) P^1/2``,
     would not do: measurements are linear in the parameters, and resolve some of their combinations to 1e-4. A geodesic
-    is off a straight line by half of the square of its length, and so leaves what was measured after a per cent of the
-    way that other directions leave open.
+    is off a straight line by half of the square of its length: it leaves what was measured long before it is as far as
+    other directions are open.
 
     Attributes:
         links: Names of the moving links.
