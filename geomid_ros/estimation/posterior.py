@@ -2,13 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 
+from geomid_ros.geometry import spd, symmetric
 from geomid_ros.geometry.manifold import ParameterManifold, Point
-from geomid_ros.types import FloatArray, frozen
+from geomid_ros.types import BoolArray, FloatArray, frozen
+
+_LEAST = 0.05  # of what the estimate has
+_REMEMBERED = 0.01  # of a chain's beginning, as a share of the variance
+_MOST_STEPS = 1000
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -82,3 +88,57 @@ class Posterior:
     def coordinates(self, parameters: FloatArray) -> FloatArray:
         """The coordinates ``(D,)`` of other parameters ``(D,)``: how far they are from the estimate."""
         return np.asarray(np.linalg.solve(self.jacobian, parameters - self.parameters))
+
+    def draw(self, count: int, random: np.random.Generator, spread: float = 1.0) -> FloatArray:
+        """Parameters ``(count, D)`` of robots that are as likely as the posterior says, all of which can exist.
+
+        The Gaussian is cut off where a body would have less than a twentieth of what the estimate has of it in any
+        direction, or a positive coefficient of its own: such draws make way for others, by elliptical slice sampling
+        (Murray, Adams and MacKay 2010). Directions that the data resolve are as in the Gaussian even so.
+
+        Args:
+            count: How many.
+            random: The source of chance.
+            spread: Factor of all standard deviations.
+        """
+        values, vectors = np.linalg.eigh(self.covariance)
+        root = spread * np.sqrt(np.maximum(values, 0.0)) * vectors
+
+        def gaussian(size: int) -> FloatArray:
+            return np.asarray(random.standard_normal((size, len(values))) @ root.T)
+
+        drawn = gaussian(count)
+        outside = np.flatnonzero(~self._can_exist(drawn))
+        drawn[outside] = self._moved_inside(gaussian, random, len(outside))
+        return np.asarray(self.parameters + drawn @ self.jacobian.T)
+
+    def _moved_inside(
+        self, gaussian: Callable[[int], FloatArray], random: np.random.Generator, count: int
+    ) -> FloatArray:
+        """Coordinates ``(count, D)`` of robots that can exist, each by a chain that begins at the estimate."""
+        states = np.zeros((count, len(self.parameters)))
+        remembered = np.ones(count)
+        for _ in range(_MOST_STEPS):
+            if np.all(remembered < _REMEMBERED):
+                break
+            others, angles = gaussian(count), random.uniform(0.0, 2.0 * np.pi, count)
+            low, high, left = angles - 2.0 * np.pi, angles.copy(), np.arange(count)
+            moved = states.copy()
+            while len(left):
+                turn = angles[left, None]
+                moved[left] = np.cos(turn) * states[left] + np.sin(turn) * others[left]
+                left = left[~self._can_exist(moved[left])]
+                low[left] = np.where(angles[left] < 0.0, angles[left], low[left])
+                high[left] = np.where(angles[left] < 0.0, high[left], angles[left])
+                angles[left] = random.uniform(low[left], high[left])
+            states = moved
+            remembered *= np.cos(angles) ** 2
+        return states
+
+    def _can_exist(self, coordinates: FloatArray) -> BoolArray:
+        """Which of the robots with these coordinates ``(N, D)`` have bodies and coefficients well above zero."""
+        manifold = self.manifold
+        links = symmetric.to_matrix(coordinates[:, manifold.inertial].reshape(len(coordinates), -1, symmetric.SIZE))
+        possible = spd.is_positive_definite(links + (1.0 - _LEAST) * np.eye(4))
+        positive = 1.0 + coordinates[:, manifold.positive] > _LEAST
+        return np.asarray(np.all(possible, axis=1) & np.all(positive, axis=1))
