@@ -16,7 +16,7 @@ _WIDEST = 3.0
 
 @click.command()
 @click.argument("model", metavar="ESTIMATE", type=click.Path(path_type=Path))
-@click.option("-n", "count", type=click.IntRange(2, _MOST), default=100, show_default=True, help="How many robots.")
+@click.option("-n", "count", type=click.IntRange(1, _MOST), default=100, show_default=True, help="How many robots.")
 @click.option("--for", "tool", required=True, type=click.Choice([*DESCRIBED_FOR, JSON]), help="Who is to read them.")
 @click.option(
     "--into",

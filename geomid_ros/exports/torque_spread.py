@@ -16,7 +16,7 @@ from geomid_ros.types import FloatArray
 RANGE = 0.2
 """Half of the width of the ranges that drawn robots are compared with, as a share of each number."""
 _BAND = (0.025, 0.975)
-_MOST = 500  # robots; 95 % bands need no more
+_MOST = 1000  # robots; 95 % bands need no more
 _SEED = 1
 
 

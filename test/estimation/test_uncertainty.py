@@ -300,6 +300,19 @@ def test_intervals_of_95_percent_hold_the_truth_about_that_often(correlation: fl
         assert share >= LEAST[kind], found
 
 
+def test_the_joint_covariance_holds_the_truth_along_straight_lines_and_not_along_geodesics() -> None:
+    """Squared distances of the truth in variances, per direction: near one in all directions together."""
+    straight, geodesic = [], []
+    for _, planted, found in runs("arm3", 0.0):
+        posterior = found.posterior
+        away = posterior.coordinates(planted)
+        along = posterior.manifold.log(posterior.point, posterior.manifold.point(planted))
+        for errors, kept in ((away, straight), (along, geodesic)):
+            kept.append(errors @ np.linalg.solve(posterior.covariance, errors) / len(errors))
+    assert 0.7 < np.mean(straight) < 1.4
+    assert np.mean(geodesic) > 2.0 * np.mean(straight)
+
+
 @pytest.mark.parametrize("size", [1e2, 1e8, 1e14])
 def test_few_rows_without_noise_do_not_make_the_prior_boundless(size: float) -> None:
     """Three rows of forty parameters that fit exactly, however far from the prior."""
