@@ -59,7 +59,7 @@ def test_the_node_goes_on_from_it(trip: RoundTrip) -> None:
     with Bag(trip.bag(2)) as bag:
         for samples in read_samples(bag, session, session.pipeline, Topics("joint_states", "odom")):
             session.identifier.add(samples)
-    node, _ = session.save(trip.folder / "node", session.identifier.solve())
+    node, *_ = session.save(trip.folder / "node", session.identifier.solve())
     by_command, by_node = (LoadedModel.read(str(path)).effects for path in (trip.model("identified"), node))
     assert [(e.effect, e.joint) for e in by_node] == [(e.effect, e.joint) for e in by_command]
     for one, other in zip(by_command, by_node, strict=True):

@@ -30,6 +30,8 @@ _MEANINGS = {
     "~/robot_description": "the identified URDF",
     "~/predicted_joint_states": "efforts as the estimate predicts them, with the filtered motion, stamped as the data; "
     "while somebody listens",
+    "~/predicted_efforts_std": "the same with the standard deviations of these efforts, as links and effects are "
+    "unsure together; while somebody listens",
     "~/markers": "ellipsoids for RViz, blue where known from the prior, orange where from the data",
     "~/gap": "what `~/find_gap` found, as `gap.json`, with `compared_with` where a gap is open; with nothing but "
     "`error` in it where nothing can be said",
@@ -39,7 +41,8 @@ _MEANINGS = {
     "~/start": "take data",
     "~/stop": "take no data; rows and estimate are kept",
     "~/reset": "forget all rows, and take the latest robot description",
-    "~/save": "solve for all data so far, and write `estimate.json` and `identified.urdf` into `output_folder`",
+    "~/save": "solve for all data so far, and write `estimate.json`, `identified.urdf` and `posterior.npz` into "
+    "`output_folder`",
     "~/find_gap": "look for a gap in the last `gap.memory` seconds, beside everything else; "
     "answers on `~/gap` and in the diagnostics",
     "~/payload/empty": "remember the last `gap.memory` seconds as the robot's motion without a payload",

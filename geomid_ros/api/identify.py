@@ -157,7 +157,7 @@ class Identification:
     def save(
         self, folder: PathLike, *, progress: Progress = silent, command: str = "geomid_ros.identify"
     ) -> list[Path]:
-        """Write estimate.json, identified.urdf, identification.png and report.html.
+        """Write estimate.json, identified.urdf, posterior.npz, identification.png and report.html.
 
         Args:
             folder: made if it does not exist.

@@ -123,7 +123,8 @@ def _conclude(
         f"Of what the URDF left unexplained {100 * sum(shares) / len(shares):.0f} % is explained now (mean over "
         f"channels); all bodies are possible.\n"
         f"The same bag identified offline gives the same masses within {difference:.0e} (relative).\n\n"
-        f"Picture: {out / 'identification.png'}\nURDF:    {out / 'identified.urdf'}\nNumbers: {out / 'estimate.json'}",
+        f"Picture: {out / 'identification.png'}\nURDF:    {out / 'identified.urdf'}\n"
+        f"Numbers: {out / 'estimate.json'}, {out / 'posterior.npz'}",
         highlight=False,
         soft_wrap=True,
     )

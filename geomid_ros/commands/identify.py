@@ -36,8 +36,8 @@ def identify(bags: tuple[Path, ...], effects: str | None, out: Path, as_json: bo
     """Identify link inertias from rosbags.
 
     Reads BAGS (folders, folders of them, or .mcap and .db3 files) and writes estimate.json, identified.urdf,
-    identification.png and report.html. How well the result predicts is judged on data that were held out: the end of
-    each bag, or the bags of --validate.
+    posterior.npz, identification.png and report.html. How well the result predicts is judged on data that were held
+    out: the end of each bag, or the bags of --validate.
     """
     from geomid_ros.commands.progress import progress_bar
     from geomid_ros.commands.results import identification

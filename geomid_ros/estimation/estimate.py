@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from geomid_ros.estimation.posterior import Posterior
 from geomid_ros.model.effects import Quantity
 from geomid_ros.types import FloatArray
 
@@ -145,6 +146,7 @@ class Estimate:
             nominal and of the identified model; NaN where nothing was measured.
         spreads: Of the links' priors ``(links,)``, geodesic distances, as found from the data.
         information: What the data say of all links together.
+        posterior: What is known of links and effects together.
         warnings: What makes the result doubtful, in sentences.
     """
 
@@ -164,5 +166,6 @@ class Estimate:
     rms_nominal: FloatArray
     rms: FloatArray
     information: LinksInformation
+    posterior: Posterior
     known: tuple[WeighedEstimate, ...] = ()
     warnings: tuple[str, ...] = ()

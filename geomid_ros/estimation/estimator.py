@@ -22,6 +22,7 @@ from geomid_ros.estimation.estimate import (
 )
 from geomid_ros.estimation.fit import INDEPENDENT, Fit, Problem, fit, subproblem
 from geomid_ros.estimation.objective import GeodesicObjective, ResidualObjective
+from geomid_ros.estimation.posterior import EffectCoordinate, Posterior
 from geomid_ros.estimation.rows import OBJECTIVES
 from geomid_ros.estimation.solvers import SOLVERS
 from geomid_ros.estimation.summary import RowSummary
@@ -191,6 +192,7 @@ def _estimate(
         rms_nominal=frozen(summary.rms(model.nominal_parameters)),
         rms=frozen(summary.rms(solution.point.parameters)),
         information=uncertainty.links_information(manifold, prior_point, solution.point, fitted.rows, known, found),
+        posterior=_posterior(problem, solution.point, found),
         known=_known(known, manifold, solution.point, found),
         warnings=tuple(_run_away(model, fitted, solution.point)),
     )
@@ -303,6 +305,25 @@ def _effects(
             name=c.effect.name, joint=c.place_name, parameters=c.parameters(float(value), float(s)), from_data=share
         )
         for c, value, s, share in zip(model.coefficients, point.parameters[first:], std, shares, strict=True)
+    )
+
+
+def _posterior(problem: Problem, point: Point, found: uncertainty.Uncertainty) -> Posterior:
+    model = problem.model
+    return Posterior(
+        links=tuple(model.body_names),
+        merged=tuple(model.robot.bodies[body].merged for body in model.identified),
+        effects=tuple(
+            EffectCoordinate(
+                name=c.effect.name, place=c.place_name, parameter=c.parameter, unit=c.unit, positive=c.positive
+            )
+            for c in model.coefficients
+        ),
+        parameters=point.parameters,
+        covariance=frozen(found.covariance),
+        scales=problem.manifold.scales,
+        prior=frozen(problem.prior),
+        prior_spreads=frozen(found.prior_spreads),
     )
 
 

@@ -71,5 +71,5 @@ def _session(session: Session, before: Estimate | None) -> Session:
     if before is None:
         return gap_session(session.urdf, configuration, source)
     with TemporaryDirectory(prefix="geomid_") as folder:
-        model, _ = session.save(Path(folder), before)
+        model, *_ = session.save(Path(folder), before)
         return gap_session(session.urdf, configuration.with_values({"model": str(model)}), source)

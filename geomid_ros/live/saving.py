@@ -229,9 +229,9 @@ class Saving:
             return False, str(result)
         with self._one_at_a_time, self._activity.doing("saving"):
             try:
-                session.save(self._folder, result)
+                files = session.save(self._folder, result)
             except Exception as error:  # noqa: BLE001 the caller must have an answer
                 self._problem = f"the estimate could not be saved: {error}"
                 return False, str(error)
         self._problem = ""
-        return True, f"written: {self._folder / 'estimate.json'}, {self._folder / 'identified.urdf'}"
+        return True, f"written: {', '.join(map(str, files))}"

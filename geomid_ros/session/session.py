@@ -19,6 +19,7 @@ from geomid_ros.files.checkpoints.checkpoint import Checkpoint
 from geomid_ros.files.disk import write_json, write_text
 from geomid_ros.files.models.judgements import account_entry, verdict_entry
 from geomid_ros.files.models.loaded_model import LoadedModel
+from geomid_ros.files.models.posterior import POSTERIOR, write_posterior
 from geomid_ros.files.models.results import estimate_document, model_effects
 from geomid_ros.files.models.urdf import with_effects, with_identified_inertias
 from geomid_ros.model.absent_joints import lockable
@@ -298,11 +299,15 @@ class Session:
     def save(
         self, folder: Path, estimate: Estimate, held_out: FloatArray | None = None, verdict: Verdict | None = None
     ) -> list[Path]:
-        """Write ``estimate.json``, see :meth:`document`, and ``identified.urdf`` into a folder; returns their paths."""
+        """Write ``estimate.json``, see :meth:`document`, ``identified.urdf`` and ``posterior.npz`` into a folder.
+
+        Returns their paths.
+        """
         document, description = folder / "estimate.json", folder / "identified.urdf"
         write_text(description, self.identified_urdf(estimate))
+        posterior = write_posterior(folder / POSTERIOR, estimate.posterior)
         write_json(document, self.document(estimate, held_out, verdict))
-        return [document, description]
+        return [document, description, *posterior]
 
 
 def _massless(links: Sequence[str]) -> str:

@@ -22,7 +22,7 @@ from geomid_ros.simulation.hidden import Hidden
 
 from .running import WRIST, done, geomid, identify, link, read, refused
 
-FILES = {"estimate.json", "identified.urdf", "identification.png", "report.html"}
+FILES = {"estimate.json", "identified.urdf", "posterior.npz", "identification.png", "report.html"}
 TOOL_MASS = 0.01  # relative error of the tool's mass, measured by the wrist's sensor
 EXPLAINED = 0.5  # at least so much of the URDF's error on held-out data is gone
 WRITTEN = 1e-8  # relative: the URDF has nine digits

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from geomid_ros.estimation.estimate import EffectEstimate, Estimate, LinkEstimate, LinksInformation
+from geomid_ros.estimation.posterior import EffectCoordinate, Posterior
 from geomid_ros.geometry import pseudo_inertia
 
 
@@ -39,6 +40,7 @@ def estimate_of(*links: LinkEstimate, effects: tuple[EffectEstimate, ...] = ()) 
     """An estimate of two channels, the second of which was not measured."""
     parameters = np.concatenate([link.parameters for link in links] + [[e.value for e in effects]])
     of_channels = np.array([0.5, np.nan])
+    covariance = np.random.default_rng(2).normal(scale=0.01, size=(len(parameters), len(parameters) + 1))
     information = np.triu(np.random.default_rng(1).normal(size=(10 * len(links), 10 * len(links))))
     return Estimate(
         converged=True,
@@ -57,4 +59,17 @@ def estimate_of(*links: LinkEstimate, effects: tuple[EffectEstimate, ...] = ()) 
         rms_nominal=2.0 * of_channels,
         rms=of_channels,
         information=LinksInformation(information, np.diag(information)),
+        posterior=Posterior(
+            links=tuple(link.name for link in links),
+            merged=tuple(link.merged for link in links),
+            effects=tuple(
+                EffectCoordinate(name=e.name, place=e.joint, parameter=e.parameter, unit=e.unit, positive=e.value > 0.0)
+                for e in effects
+            ),
+            parameters=parameters,
+            covariance=covariance @ covariance.T,
+            scales=np.full(sum(e.value <= 0.0 for e in effects), 2.0),
+            prior=parameters,
+            prior_spreads=np.full(len(parameters), 0.2),
+        ),
     )

@@ -225,7 +225,7 @@ def test_a_disk_that_cannot_be_written_stops_nothing(name: str, faulty: Faulty) 
         assert says in message
         rig.says(begin, ERROR, "the estimate could not be saved", says)
         assert (rig.out / "estimate.json").read_text() == written, "what was saved before is kept"
-        assert {path.name for path in rig.out.iterdir()} == {"estimate.json", "identified.urdf"}
+        assert {path.name for path in rig.out.iterdir()} == {"estimate.json", "identified.urdf", "posterior.npz"}
         rig.feed(after)
         rig.stage.observer.wait_for(lambda: len(rig.inertias) > heard + 8, "estimates that go on")
     rig.assert_same_as_twin()

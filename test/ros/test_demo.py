@@ -14,7 +14,12 @@ def test_the_demonstration(stage: Stage) -> None:
     demo = stage.start("geomid_ros", "demo", "--rate", "6", "--out", stage.folder / "out", fresh=True)
     stage.spin_while(demo)
     out = stage.folder / "out"
-    assert {path.name for path in out.iterdir()} == {"estimate.json", "identified.urdf", "identification.png"}
+    assert {path.name for path in out.iterdir()} == {
+        "estimate.json",
+        "identified.urdf",
+        "posterior.npz",
+        "identification.png",
+    }
     for path in out.iterdir():
         assert str(path) in demo.output
     truth = {link["name"]: link for link in json.loads((BAGS / "arm7.truth.json").read_text())["links"]}

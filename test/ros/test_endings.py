@@ -40,7 +40,7 @@ def test_busy_nodes_save_their_last_estimate(stage: Stage, tmp_path: Path) -> No
         out = tmp_path / number.name.lower()
         assert json.loads((out / "estimate.json").read_text())["rows"]["accepted"] > 0
         assert (out / "identified.urdf").read_text().startswith("<?xml")
-        assert {path.name for path in out.iterdir()} == {"estimate.json", "identified.urdf"}
+        assert {path.name for path in out.iterdir()} == {"estimate.json", "identified.urdf", "posterior.npz"}
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM], ids=lambda number: number.name)

@@ -98,5 +98,5 @@ def test_without_a_folder_save_writes_where_the_node_was_started(stage: Stage) -
     success, message = stage.observer.trigger("/geomid/save")
     assert success, message
     written = {path.name: path for path in stage.folder.glob("process0/*")}
-    assert written.keys() == {"estimate.json", "identified.urdf"}
+    assert written.keys() == {"estimate.json", "identified.urdf", "posterior.npz"}
     assert all(str(path) in message for path in written.values())

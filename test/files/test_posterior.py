@@ -1,0 +1,137 @@
+"""``posterior.npz`` is read as it was written, and what no estimate can have written is refused in one sentence."""
+
+from __future__ import annotations
+
+import io
+import json
+import zipfile
+from collections.abc import Callable
+from dataclasses import fields
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from geomid_ros.errors import InputError
+from geomid_ros.estimation.estimate import EffectEstimate
+from geomid_ros.estimation.posterior import Posterior
+from geomid_ros.files.models.posterior import POSTERIOR, read_posterior, write_posterior
+from geomid_ros.model.effects import Quantity
+
+from .estimates import estimate_of, link_estimate
+
+EFFECTS = tuple(
+    EffectEstimate(name=name, joint="elbow", parameters={parameter: Quantity(value, 0.1, unit)}, from_data=0.5)
+    for name, parameter, value, unit in (
+        ("viscous_friction", "coefficient", 0.4, "N m s/rad"),
+        ("effort_offset", "offset", -0.2, "N m"),
+    )
+)
+
+
+def posterior() -> Posterior:
+    links = link_estimate("upper", ("bracket", "ä"), seed=1), link_estimate("lower", seed=2)
+    return estimate_of(*links, effects=EFFECTS).posterior
+
+
+@pytest.fixture
+def written(tmp_path: Path) -> Path:
+    path = tmp_path / POSTERIOR
+    assert write_posterior(path, posterior()) == [path]
+    return path
+
+
+def test_what_is_written_is_read(written: Path) -> None:
+    found, expected = read_posterior(written), posterior()
+    for field in fields(Posterior):
+        read, made = (getattr(each, field.name) for each in (found, expected))
+        assert np.array_equal(read, made) if isinstance(made, np.ndarray) else read == made
+    assert not found.covariance.flags.writeable
+
+
+def test_numpy_reads_it_without_pickle(written: Path) -> None:
+    with np.load(written, allow_pickle=False) as archive:
+        assert json.loads(str(archive["posterior"]))["links"][0] == {"name": "upper", "merged": ["bracket", "ä"]}
+        assert archive["covariance"].shape == (22, 22)
+
+
+def test_the_same_posterior_makes_the_same_bytes(tmp_path: Path, written: Path) -> None:
+    write_posterior(tmp_path / "again.npz", posterior())
+    assert (tmp_path / "again.npz").read_bytes() == written.read_bytes()
+
+
+@pytest.mark.parametrize("kept", [0.0, 0.3, 0.9, 0.999])
+def test_a_torn_file_is_refused(written: Path, kept: float) -> None:
+    content = written.read_bytes()
+    written.write_bytes(content[: int(kept * len(content))])
+    refused(written, "cannot be read")
+
+
+def test_a_flipped_bit_is_refused(written: Path) -> None:
+    content = bytearray(written.read_bytes())
+    content[len(content) // 2] ^= 1
+    written.write_bytes(content)
+    refused(written, "cannot be read")
+
+
+def headed(change: Callable[[dict], None]) -> Callable[[dict], dict]:
+    def changed(arrays: dict) -> dict:
+        header = json.loads(str(arrays["posterior"]))
+        change(header)
+        return arrays | {"posterior": np.array(json.dumps(header))}
+
+    return changed
+
+
+@pytest.mark.parametrize(
+    ("change", "reason"),
+    [
+        (headed(lambda header: header.update(format=2)), "has format 2, this version reads format 1"),
+        (headed(lambda header: header.update(links=7)), "cannot be read"),
+        (headed(lambda header: header["links"].pop()), "of shape"),
+        (headed(lambda header: header["links"][0].update(name=3)), "not named as expected"),
+        (headed(lambda header: header["effects"].reverse()), "not named as expected"),
+        (headed(lambda header: header["effects"][0].update(more=1)), "cannot be read"),
+        (lambda arrays: arrays | {"posterior": np.array("[]")}, "cannot be read"),
+        (lambda arrays: arrays | {"posterior": np.array("[" * 100_000)}, "cannot be read"),
+        (lambda arrays: {k: v for k, v in arrays.items() if k != "scales"}, "cannot be read"),
+        (lambda arrays: arrays | {"covariance": arrays["covariance"].astype("f4")}, "'covariance' is float32"),
+        (lambda arrays: arrays | {"covariance": arrays["covariance"] * np.nan}, "finite"),
+        (lambda arrays: arrays | {"covariance": -arrays["covariance"]}, "not positive semidefinite"),
+        (lambda arrays: arrays | {"covariance": np.triu(arrays["covariance"])}, "not positive semidefinite"),
+        (lambda arrays: arrays | {"parameters": -arrays["parameters"]}, "cannot exist"),
+        (lambda arrays: arrays | {"scales": 0.0 * arrays["scales"]}, "not greater than zero"),
+        (lambda arrays: arrays | {"prior": np.array([{}], dtype=object)}, "of objects"),
+    ],
+)
+def test_what_no_estimate_can_be_is_refused(written: Path, change: Callable[[dict], dict], reason: str) -> None:
+    with np.load(written) as archive:
+        arrays = dict(archive)
+    np.savez(written, **change(arrays))
+    refused(written, reason)
+
+
+def test_compressed_arrays_are_refused_unread(written: Path) -> None:
+    np.savez_compressed(written, posterior=np.zeros(10**6))
+    refused(written, "compressed")
+
+
+def test_an_array_that_claims_to_be_larger_than_its_file_is_refused_unmade(written: Path) -> None:
+    content = io.BytesIO()
+    np.lib.format.write_array_header_1_0(content, {"descr": "<f8", "fortran_order": False, "shape": (10**12,)})
+    with zipfile.ZipFile(written, "w") as archive:
+        archive.writestr("posterior.npy", content.getvalue())
+    refused(written, "torn")
+
+
+def test_what_is_no_archive_is_refused(tmp_path: Path) -> None:
+    (tmp_path / POSTERIOR).write_text("{}")
+    refused(tmp_path / POSTERIOR, "cannot be read")
+    refused(tmp_path / "none.npz", "cannot be read")
+
+
+def refused(path: Path, reason: str) -> None:
+    with pytest.raises(InputError, match=reason) as raised:
+        read_posterior(path)
+    assert str(raised.value).startswith(f"{path}: ")
+    assert "\n" not in str(raised.value)
