@@ -5,7 +5,8 @@ PYTHON ?= python3
 VENV ?= .venv$(addprefix -,$(filter-out python3,$(notdir $(PYTHON))))
 BIN := $(VENV)/bin
 SITE := .venv-site
-PIP_INSTALL := $(BIN)/python -m pip install -qq --disable-pip-version-check
+# Python compiles what it imports, when it does: the rest need not be.
+PIP_INSTALL := $(BIN)/python -m pip install -qq --disable-pip-version-check --no-compile
 # Tests of the node wait for it most of the time: more of them than there are processors run side by side.
 # One that hangs fails, and says where; the longest takes a minute.
 PYTEST_ARGS ?= --numprocesses 3 --dist loadscope --timeout 600
@@ -58,6 +59,7 @@ $(VENV)/.run-ready: requirements.txt constraints.txt setup.py setup.cfg
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "Python 3.11 or 3.12 is needed: make PYTHON=python3.12 ...")'
 	$(PYTHON) -m venv $(VENV)
 	$(PIP_INSTALL) --requirement requirements.txt
+	rm -rf $(VENV)/lib/python*/site-packages/cmeel.prefix/include # Boost's headers, 0.2 GB: nothing is compiled with them
 	$(PIP_INSTALL) --no-deps --no-build-isolation --editable .
 	@touch $@
 
