@@ -14,13 +14,15 @@ BENCH_ARGS ?=
 # The tests start many processes: what is compiled is kept, or each would compile it anew.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: help demo test quick lint docs pictures site bench colcon clean
+.PHONY: help setup demo test quick lint docs pictures site dist bench colcon clean
 
 help: ## List these targets
 	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "make %-8s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
 
+setup: $(VENV)/.run-ready ## Set up what running needs
+
 demo: $(VENV)/.run-ready ## Set up, then run the demonstration
-	$(BIN)/geomid demo --out out/demo
+	$(BIN)/geomid demo --rate 2 --out out/demo
 
 test: lint ## Set up, then run the static checks and the tests
 	$(BIN)/python -m pytest $(PYTEST_ARGS)
@@ -42,6 +44,12 @@ pictures: $(VENV)/.run-ready ## Set up, then draw the moving picture of README.m
 
 site: $(SITE)/.ready ## Set up an environment of its own, then build the documentation into out/site
 	NO_MKDOCS_2_WARNING=1 $(SITE)/bin/python -m mkdocs build --strict --config-file docs/mkdocs.yml
+
+dist: $(VENV)/.test-ready ## Set up, then build sdist and wheel into out/dist, and try them
+	rm -rf out/dist
+	SOURCE_DATE_EPOCH=$$(git log -1 --format=%ct) $(BIN)/python -m build --no-isolation --outdir out/dist
+	$(BIN)/python -m pytest test/test_distribution.py
+	cd out/dist && sha256sum *
 
 bench: $(VENV)/.bench-ready ## Set up, then reproduce the paper beside other methods, into out/bench
 	$(BIN)/python -m benchmarks $(BENCH_ARGS)
