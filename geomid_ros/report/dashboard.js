@@ -17,10 +17,16 @@ function make(tag, attributes, ...content) {
 }
 
 const digits = (value, count = 4) => (value === null || value === undefined ? "—" : value.toPrecision(count));
-const fixed = (value) => (value === null || value === undefined ? "—" : value.toFixed(3));
 const cell = (...content) => make("td", {}, ...content);
 const row = (name, ...cells) => make("tr", {}, make("th", { scope: "row" }, name), ...cells);
 const lines = (texts) => texts.flatMap((text, k) => (k ? [make("br", {}), text] : [text]));
+
+/** Mass, deviation or end of an interval with as many digits as the deviation is worth. */
+function measured(value, link) {
+  if (value === null) return "—";
+  const places = link.std > 0 ? 1 - Math.floor(Math.log10(link.std)) : 3;
+  return value.toFixed(Math.min(Math.max(places, 0), 9));
+}
 
 /** Remember a value, and draw what it was since the page is open, with its interval. */
 function drawn(name, value, low = value, high = value) {
@@ -70,8 +76,8 @@ function showLinks(links) {
   place("ranges").replaceChildren(...links.map((link) => range(link, end)));
   place("links").replaceChildren(...links.map((link) => row(
     link.merged ? `${link.name} + ${link.merged}` : link.name,
-    cell(link.std === null ? fixed(link.mass) : `${fixed(link.mass)} ± ${fixed(link.std)}`),
-    cell(link.low === null ? "—" : `${fixed(link.low)} to ${fixed(link.high)}`),
+    cell(link.std === null ? measured(link.mass, link) : `${measured(link.mass, link)} ± ${measured(link.std, link)}`),
+    cell(link.low === null ? "—" : `${measured(link.low, link)} to ${measured(link.high, link)}`),
     cell(drawn(`mass of ${link.name}`, link.mass, link.low, link.high)),
     cell(link.from_data === null ? "—" : `${Math.round(100 * link.from_data)} %`),
     cell(link.distance === null ? "—" : link.distance.toFixed(2)),
@@ -82,7 +88,7 @@ function showLinks(links) {
 function showChannels(channels) {
   place("channels").replaceChildren(...channels.map((channel) => row(
     channel.name, cell(digits(channel.rms)), cell(digits(channel.sigma)), cell(digits(channel.gap, 3)),
-    cell(drawn(`gap of ${channel.name}`, channel.gap ?? channel.rms)),
+    cell(drawn(`RMS of ${channel.name}`, channel.rms)),
   )));
 }
 

@@ -32,6 +32,7 @@ from geomid_ros.live.status import Status
 from geomid_ros.live.supervisor import Supervisor
 from geomid_ros.live.worker import Worker
 from geomid_ros.ros.console import Console
+from geomid_ros.ros.dashboard_process import DashboardProcess
 from geomid_ros.ros.diagnostics import NO_DESCRIPTION, STOPPED, Diagnostics
 from geomid_ros.ros.inputs import Inputs
 from geomid_ros.ros.outputs import Outputs, latched
@@ -74,6 +75,7 @@ class GeomidNode(Node):
         self._search = BackgroundSearch("no finding", self._outputs.finding)
         self._payload = PayloadSearch(self._outputs.payload)
         self._saving = Saving(self._configuration["output_folder"])
+        self._dashboard: DashboardProcess | None = None
         self._urdf = ""  # the latest description, not necessarily the worker's
         self._problem = ""  # with the robot description
         self._failures: Counter[str] = Counter()
@@ -104,6 +106,8 @@ class GeomidNode(Node):
             self._inputs.listen(WrenchStamped, sensor.topic, self._take)
         # On the steady clock: when simulated time stands still the diagnostics must say why.
         self.create_timer(1.0, self._publish_diagnostics, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        if self._configuration["dashboard"]:
+            self._dashboard = DashboardProcess(self.get_fully_qualified_name())
         # Last, as it starts threads, which a failure after it would leave behind.
         if self._configuration["robot_description"]:
             self._build(self._configuration["robot_description"], "parameter robot_description")
@@ -236,6 +240,8 @@ class GeomidNode(Node):
 
     def close(self) -> None:
         """End the threads within two seconds, and save the last estimate in the output folder, if there is one."""
+        if self._dashboard is not None:
+            self._dashboard.close()
         self._search.close()
         self._payload.close()
         self._supervisor.close(self._save_last)
