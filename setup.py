@@ -24,11 +24,14 @@ class ReproducibleSdist(sdist):
             entry.mode = 0o755 if entry.isdir() or entry.mode & 0o100 else 0o644
             return entry
 
-        name = f"{base_name}.tar.gz"
-        with open(name, "wb") as file, gzip.GzipFile("", "wb", fileobj=file, mtime=date) as packed:
-            with tarfile.open(mode="w", fileobj=packed, format=tarfile.PAX_FORMAT) as archive:
-                archive.add(base_dir, filter=normalised)  # sorted by name
-        return name
+        path = Path(f"{base_name}.tar.gz")
+        with (
+            path.open("wb") as file,
+            gzip.GzipFile("", "wb", fileobj=file, mtime=date) as packed,
+            tarfile.open(mode="w", fileobj=packed, format=tarfile.PAX_FORMAT) as archive,
+        ):
+            archive.add(base_dir, filter=normalised)  # sorted by name
+        return str(path)
 
 
 setup(

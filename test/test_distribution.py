@@ -1,4 +1,4 @@
-"""What is released: wheel and sdist are the same bytes whenever they are built, whole, and work where nothing else is."""
+"""What is released: wheel and sdist are whole, the same bytes whenever they are built, and work alone."""
 
 from __future__ import annotations
 

@@ -15,8 +15,8 @@ from geomid_ros.errors import InputError, printable
 def dashboard(node: str, port: int | None) -> None:
     """Show a running node on a local page.
 
-    Masses with their intervals, fit, gaps and diagnostics, as they come. The page is on 127.0.0.1: nobody on the network
-    sees it. It needs no network, and it only shows: nothing can be changed there. Ends with Ctrl+C.
+    Masses with their intervals, fit, gaps and diagnostics, as they come. The page is on 127.0.0.1: nobody on the
+    network sees it. It needs no network, and only shows: nothing can be changed there. Ends with Ctrl+C.
     """
     try:
         from geomid_ros.ros.dashboard_listener import run_dashboard

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import Any, TypeAlias
 
 from geomid_ros.estimation.estimate import interval_of_positive
+from geomid_ros.report.identification_words import cannot_tell
 
 State: TypeAlias = dict[str, Any]
 _COUNTS = ("received", "accepted", "lost")
@@ -78,26 +79,25 @@ def _number(text: str | None) -> float | None:
 
 def _link(name: str, values: Mapping[str, str]) -> State:
     mass, deviation = _number(values["mass"]), _number(values.get("mass std"))
-    known = mass is not None and mass > 0.0 and deviation is not None and deviation >= 0.0
-    low, high = interval_of_positive(mass, deviation) if known else (None, None)
+    ends: tuple[float | None, float | None] = (None, None)
+    if mass is not None and mass > 0.0 and deviation is not None and deviation >= 0.0:
+        ends = interval_of_positive(mass, deviation)
     return {
         "name": name,
         "mass": mass,
         "std": deviation,
-        "low": low,
-        "high": high,
+        "low": ends[0],
+        "high": ends[1],
         "from_data": _number(values.get("from data")),
         "distance": _number(values.get("distance from prior")),
         "merged": values.get("merged", ""),
-        "cannot_tell": values.get("cannot be told", ""),
+        "cannot_tell": cannot_tell([*filter(None, values.get("cannot be told", "").split(", "))]),
     }
 
 
 def _sorted_out(values: Mapping[str, str]) -> tuple[dict[str, State], dict[str, State], dict[str, str]]:
     """The stream's values by channel, by topic, and those of the stream as a whole."""
-    names = {key[: -len(" rms")] for key in values if key.endswith(" rms")}
-    names |= {key.removeprefix("gap ") for key in values if key.startswith("gap ")}
-    channels: dict[str, State] = {}
+    channels: dict[str, State] = {key.removesuffix(" rms"): {} for key in values if key.endswith(" rms")}
     topics: dict[str, State] = {}
     numbers: dict[str, str] = {}
     for key, value in values.items():
@@ -106,7 +106,7 @@ def _sorted_out(values: Mapping[str, str]) -> tuple[dict[str, State], dict[str, 
         topic, _, how = topic.rpartition(" ")
         if key.startswith("gap "):
             channels.setdefault(key.removeprefix("gap "), {})["gap"] = _number(value)
-        elif channel in names and what in ("rms", "sigma"):
+        elif channel in channels and what in ("rms", "sigma"):
             channels.setdefault(channel, {})[what] = _number(value)
         elif how in _REASONS and topic != "rows":
             topics.setdefault(topic, {}).setdefault(how, []).append([reason, value])

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import asyncio
 import signal
+import threading
 from collections.abc import Callable
 
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.executors import SingleThreadedExecutor
-from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import try_shutdown
 
@@ -17,6 +17,8 @@ from geomid_ros.live.daemon import start_daemon
 from geomid_ros.live.dashboard_server import Board, serve
 from geomid_ros.live.dashboard_state import Diagnosis, state_of
 from geomid_ros.ros.starting import starting_ros
+
+_PAUSE = 0.2  # [s] after which its end is noticed at the latest
 
 
 def run_dashboard(node: str, port: int | None, say: Callable[[str], None]) -> None:
@@ -40,7 +42,7 @@ def run_dashboard(node: str, port: int | None, say: Callable[[str], None]) -> No
         executor = SingleThreadedExecutor()
         executor.add_node(listener)
         try:
-            asyncio.run(_run(node.lstrip("/"), port, say, listener, executor))
+            asyncio.run(_run(node.lstrip("/"), port, say, executor))
         finally:
             executor.shutdown()
             listener.destroy_node()
@@ -48,9 +50,7 @@ def run_dashboard(node: str, port: int | None, say: Callable[[str], None]) -> No
         try_shutdown()
 
 
-async def _run(
-    node: str, port: int | None, say: Callable[[str], None], listener: Node, executor: SingleThreadedExecutor
-) -> None:
+async def _run(node: str, port: int | None, say: Callable[[str], None], executor: SingleThreadedExecutor) -> None:
     loop, stop = asyncio.get_running_loop(), asyncio.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
         loop.add_signal_handler(number, stop.set)
@@ -61,11 +61,22 @@ async def _run(
             if state is not None:
                 loop.call_soon_threadsafe(board.show, state)
 
+        (listener,) = executor.get_nodes()
         listener.create_subscription(DiagnosticArray, "/diagnostics", take, 10)
-        start_daemon("dashboard", executor.spin)
         say(f"Dashboard of /{node}: {address}")
 
-    await serve(node, port, begin, stop)
+    ending = threading.Event()
+    hearing = start_daemon("dashboard", _hear, executor, ending)
+    try:
+        await serve(node, port, begin, stop)
+    finally:
+        ending.set()
+        await asyncio.to_thread(hearing.join)  # while there is what it uses
+
+
+def _hear(executor: SingleThreadedExecutor, ending: threading.Event) -> None:
+    while not ending.is_set():
+        executor.spin_once(timeout_sec=_PAUSE)
 
 
 def _diagnoses(message: DiagnosticArray) -> list[Diagnosis]:

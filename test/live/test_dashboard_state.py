@@ -69,6 +69,7 @@ def test_a_mass_has_its_interval_along_the_geodesic() -> None:
     assert math.log(link["high"] / link["mass"]) == pytest.approx(1.96 * 0.1 / 2.0, rel=1e-3)
     assert link["low"] * link["high"] == pytest.approx(link["mass"] ** 2)
     assert (link["name"], link["std"], link["from_data"], link["merged"]) == ("link1", 0.1, 0.5, "tool")
+    assert link["cannot_tell"] == "com x"
 
 
 @pytest.mark.parametrize("mass", ["nan", "-1", "0", "", "1e999", "heavy", "<b>"])

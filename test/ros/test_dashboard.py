@@ -96,6 +96,7 @@ def test_the_page_is_told_what_the_node_says(stage: Stage) -> None:
     ]
     assert [name for name, _ in opened] == ["/parameter_events", "/diagnostics"]  # the first as every node of rclpy
     assert dashboard.end() == 0, dashboard.output
+    assert len(dashboard.output.splitlines()) == 1, dashboard.output
 
 
 def test_nobody_but_this_machine_is_answered_and_nothing_can_be_changed(stage: Stage) -> None:
