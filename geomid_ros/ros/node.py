@@ -36,9 +36,11 @@ from geomid_ros.ros.dashboard_process import DashboardProcess
 from geomid_ros.ros.diagnostics import NO_DESCRIPTION, STOPPED, Diagnostics
 from geomid_ros.ros.inputs import Inputs
 from geomid_ros.ros.outputs import Outputs, latched
+from geomid_ros.ros.serialized import RosTypes
 from geomid_ros.ros.starting import starting_ros
 from geomid_ros.session.configuration import PARAMETERS, Configuration, Parameter, find_parameter
 from geomid_ros.session.session import Session
+from geomid_ros.signals.decoding import read_without_rosbags
 from geomid_ros.signals.ledger import Ledger, count_reason
 from geomid_ros.signals.messages import JOINT_STATES, ODOM
 
@@ -68,6 +70,7 @@ class GeomidNode(Node):
             raise
 
     def _set_up(self, solving: SolvingProcess | None) -> None:
+        read_without_rosbags(RosTypes())
         self._configuration = _read_parameters(self)
         self._console = Console(self.get_logger())
         self._active: bool = self._configuration["active"]
