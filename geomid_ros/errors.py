@@ -12,8 +12,14 @@ TOO_LITTLE_MEMORY = (
 )
 """What is said then."""
 _LONGEST_GUESS = 200  # characters of a name
-_ON_PYPI = {"backports": "backports.zstd", "collada": "pycollada", "pinocchio": "pin", "yaml": "PyYAML"}
-"""Names of libraries that are imported under another name."""
+_ON_PYPI = {
+    "backports": "backports.zstd",
+    "collada": "pycollada",
+    "pinocchio": "pin",
+    "rclpy": "'ros-jazzy-rclpy[fastrtps]' ros-jazzy-common-interfaces, or source a workspace of ROS 2",
+    "yaml": "PyYAML",
+}
+"""What installs libraries that are imported under another name."""
 
 
 class GeomidError(Exception):

@@ -135,8 +135,9 @@ class Decoder:
 def _parsed(raw: Raw, place: int) -> tuple[Block, _Layout | None]:
     """A message, and its layout, if that is understood. Raises ValueError saying why there is none."""
     topic, data = raw
+    types = message_types()
     try:
-        message = message_types().deserialize_cdr(data, message_type(topic))
+        message = types.deserialize_cdr(data, message_type(topic))
         block = Block.of(parse(topic, message), place)
     except Exception as error:  # whatever bytes of another form make the code for this type raise
         raise ValueError((str(error).splitlines() or [type(error).__name__])[0]) from error
