@@ -31,6 +31,7 @@ _SHORTEST_PAUSE = 0.1  # share of the period, between checkpoints that take long
 _LONG = 1.0  # [s] that saving may take without a word
 
 FOLLOWS = "and follows"
+NOT_YET = "no estimate yet"
 """In an answer: what was saved is not of all data yet."""
 
 Answer: TypeAlias = tuple[bool, str]
@@ -210,7 +211,7 @@ class Saving:
             if answer.given:
                 return
             if last is None:
-                answer((False, f"no estimate yet: the first one takes more than {_LATE:g} s; ask again later"))
+                answer((False, f"{NOT_YET}: the first one takes more than {_LATE:g} s; ask again later"))
                 return
             late = f"; it is of {last.rows_accepted} rows; one of all rows takes more than {_LATE:g} s, {FOLLOWS}"
             self.begin(session, last, lambda saved: answer((saved[0], saved[1] + late)))
