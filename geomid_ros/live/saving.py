@@ -31,8 +31,10 @@ _SHORTEST_PAUSE = 0.1  # share of the period, between checkpoints that take long
 _LONG = 1.0  # [s] that saving may take without a word
 
 FOLLOWS = "and follows"
-NOT_YET = "no estimate yet"
 """In an answer: what was saved is not of all data yet."""
+NOT_YET = "no estimate yet"
+SLOW = "saving is not done yet"
+"""In answers: nothing is saved so far."""
 
 Answer: TypeAlias = tuple[bool, str]
 """Whether an estimate was saved, and a sentence."""
@@ -217,7 +219,7 @@ class Saving:
             self.begin(session, last, lambda saved: answer((saved[0], saved[1] + late)))
 
         start_later(_LATE, save_last)
-        start_later(_LATEST, lambda: answer((False, f"saving is not done yet: {self._folder} is slow")))
+        start_later(_LATEST, lambda: answer((False, f"{SLOW}: {self._folder} is slow")))
 
     def save_last(self, session: Session, estimate: Estimate, patience: float) -> str:
         """Save, unless it takes longer than ``patience`` [s]. Returns a sentence on how that went."""

@@ -23,7 +23,7 @@ from std_srvs.srv import Trigger
 
 from geomid_ros.errors import GeomidError
 from geomid_ros.files.models.urdf import read_urdf
-from geomid_ros.live.saving import FOLLOWS, NOT_YET
+from geomid_ros.live.saving import FOLLOWS, NOT_YET, SLOW
 from geomid_ros.ros.starting import starting_ros
 from geomid_ros.session.configuration import Configuration
 
@@ -119,4 +119,4 @@ class LiveRun:
 
 def _is_late(answer: str) -> bool:
     """Whether a save that is asked for again may have what this one had not, as on a busy machine."""
-    return FOLLOWS in answer or NOT_YET in answer
+    return any(word in answer for word in (FOLLOWS, NOT_YET, SLOW))
