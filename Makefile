@@ -5,7 +5,8 @@ PYTHON ?= python3
 VENV ?= .venv$(addprefix -,$(filter-out python3,$(notdir $(PYTHON))))
 BIN := $(VENV)/bin
 SITE := .venv-site
-PIP_INSTALL := $(BIN)/python -m pip install -qq --disable-pip-version-check
+# Python compiles what it imports, when it does: the rest need not be.
+PIP_INSTALL := $(BIN)/python -m pip install -qq --disable-pip-version-check --no-compile
 # Tests of the node wait for it most of the time: more of them than there are processors run side by side.
 # One that hangs fails, and says where; the longest takes a minute.
 PYTEST_ARGS ?= --numprocesses 3 --dist loadscope --timeout 600
@@ -13,13 +14,15 @@ BENCH_ARGS ?=
 # The tests start many processes: what is compiled is kept, or each would compile it anew.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: help demo test quick lint docs pictures site bench colcon clean
+.PHONY: help setup demo test quick lint docs pictures site dist bench colcon clean
 
 help: ## List these targets
 	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "make %-8s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
 
+setup: $(VENV)/.run-ready ## Set up what running needs
+
 demo: $(VENV)/.run-ready ## Set up, then run the demonstration
-	$(BIN)/geomid demo --out out/demo
+	$(BIN)/geomid demo --rate 2 --out out/demo
 
 test: lint ## Set up, then run the static checks and the tests
 	$(BIN)/python -m pytest $(PYTEST_ARGS)
@@ -42,6 +45,12 @@ pictures: $(VENV)/.run-ready ## Set up, then draw the moving picture of README.m
 site: $(SITE)/.ready ## Set up an environment of its own, then build the documentation into out/site
 	NO_MKDOCS_2_WARNING=1 $(SITE)/bin/python -m mkdocs build --strict --config-file docs/mkdocs.yml
 
+dist: $(VENV)/.test-ready ## Set up, then build sdist and wheel into out/dist, and try them
+	rm -rf out/dist
+	SOURCE_DATE_EPOCH=$$(git log -1 --format=%ct) $(BIN)/python -m build --no-isolation --outdir out/dist
+	$(BIN)/python -m pytest test/test_distribution.py
+	cd out/dist && sha256sum *
+
 bench: $(VENV)/.bench-ready ## Set up, then reproduce the paper beside other methods, into out/bench
 	$(BIN)/python -m benchmarks $(BENCH_ARGS)
 
@@ -58,6 +67,7 @@ $(VENV)/.run-ready: requirements.txt constraints.txt setup.py setup.cfg
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "Python 3.11 or 3.12 is needed: make PYTHON=python3.12 ...")'
 	$(PYTHON) -m venv $(VENV)
 	$(PIP_INSTALL) --requirement requirements.txt
+	rm -rf $(VENV)/lib/python*/site-packages/cmeel.prefix/include # Boost's headers, 0.2 GB: nothing is compiled with them
 	$(PIP_INSTALL) --no-deps --no-build-isolation --editable .
 	@touch $@
 

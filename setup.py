@@ -1,19 +1,49 @@
 """Build description shared by pip and colcon."""
 
+import gzip
+import os
+import tarfile
+import time
 from glob import glob
+from pathlib import Path
 
 from setuptools import find_packages, setup
+from setuptools.command.sdist import sdist
 
 NAME = "geomid_ros"
+
+
+class ReproducibleSdist(sdist):
+    """Writes the same bytes for the same files and ``SOURCE_DATE_EPOCH``; setuptools does so for wheels alone."""
+
+    def make_archive(self, base_name, format, root_dir=None, base_dir=None, owner=None, group=None):  # noqa: A002, ARG002
+        date = int(os.environ.get("SOURCE_DATE_EPOCH", time.time()))
+
+        def normalised(entry):
+            entry.mtime, entry.uid, entry.gid, entry.uname, entry.gname = date, 0, 0, "", ""
+            entry.mode = 0o755 if entry.isdir() or entry.mode & 0o100 else 0o644
+            return entry
+
+        path = Path(f"{base_name}.tar.gz")
+        with (
+            path.open("wb") as file,
+            gzip.GzipFile("", "wb", fileobj=file, mtime=date) as packed,
+            tarfile.open(mode="w", fileobj=packed, format=tarfile.PAX_FORMAT) as archive,
+        ):
+            archive.add(base_dir, filter=normalised)  # sorted by name
+        return str(path)
+
 
 setup(
     name=NAME,
     version="0.1.0",
     description="Geometric identification of physically possible link inertias, online and from rosbags.",
+    long_description=Path("README.md").read_text(encoding="utf-8"),
+    long_description_content_type="text/markdown",
     license="Apache-2.0",
     maintainer="geomid_ros maintainers",
-    maintainer_email="maintainers@geomid-ros.example",
     python_requires=">=3.11",
+    cmdclass={"sdist": ReproducibleSdist},
     packages=find_packages(include=[NAME, f"{NAME}.*"]),
     package_data={NAME: ["py.typed"], "": ["*.urdf", "*.j2", "*.js"]},
     zip_safe=False,
@@ -45,9 +75,12 @@ setup(
         "trimesh",
     ],
     extras_require={
+        "dashboard": ["tornado"],
+        "docs": ["latex2mathml", "mkdocs", "mkdocs-material", "mkdocstrings-python", "ruff"],
+        "fleet": ["dask[distributed]", "fsspec"],
         "ros": ["ros-jazzy-common-interfaces", "ros-jazzy-rclpy[fastrtps]"],
         "simulate": ["mujoco"],
-        "test": ["example-robot-data", "hypothesis", "pyriemann", "pytest"],
+        "test": ["build", "example-robot-data", "hypothesis", "pyriemann", "pytest", "pytest-timeout", "safetensors"],
         "xacro": ["xacro"],
     },
     entry_points={

@@ -12,6 +12,14 @@ TOO_LITTLE_MEMORY = (
 )
 """What is said then."""
 _LONGEST_GUESS = 200  # characters of a name
+_ON_PYPI = {
+    "backports": "backports.zstd",
+    "collada": "pycollada",
+    "pinocchio": "pin",
+    "rclpy": "'ros-jazzy-rclpy[fastrtps]' ros-jazzy-common-interfaces, or source a workspace of ROS 2",
+    "yaml": "PyYAML",
+}
+"""What installs libraries that are imported under another name."""
 
 
 class GeomidError(Exception):
@@ -48,6 +56,14 @@ def is_lack_of_memory(error: BaseException) -> bool:
         causes.append(cause)
         cause = cause.__cause__ or cause.__context__
     return any(isinstance(each, MemoryError) or any(word in str(each) for word in _NO_MEMORY) for each in causes)
+
+
+def missing_library(error: BaseException) -> str:
+    """What to do when a library is not installed; empty for any other error."""
+    name = (error.name or "").partition(".")[0] if isinstance(error, ModuleNotFoundError) else ""
+    if not name or name == __package__:
+        return ""
+    return f"{name} is not installed: pip install {_ON_PYPI.get(name, name)}"
 
 
 def one_line(text: str) -> str:

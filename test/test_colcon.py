@@ -3,7 +3,6 @@
 import os
 import re
 import shlex
-import shutil
 import subprocess
 import sys
 from importlib.metadata import version
@@ -11,13 +10,15 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 import pytest
+import tree
 
 import geomid_ros
 
-ROOT = Path(__file__).parents[1]
+ROOT = tree.ROOT
 EXECUTABLES = ("geomid", "geomid_node")
 QUICK = "test/test_launch.py"  # what `colcon test` runs here: every test runs without it anyway
 
+pytest.importorskip("colcon_core", reason="colcon is not installed")
 pytestmark = pytest.mark.skipif("COLCON" in os.environ, reason="colcon runs this test: it would build within a build")
 
 
@@ -44,11 +45,7 @@ def contents(folder: Path) -> set[Path]:
 def workspace(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A workspace in which the files of this tree, as git sees them, have been built."""
     workspace = tmp_path_factory.mktemp("workspace")
-    files = run("git ls-files --cached --others --exclude-standard -z", ROOT).split("\0")
-    for file in filter(lambda name: (ROOT / name).is_file(), files):
-        copy = workspace / "src" / "geomid_ros" / file
-        copy.parent.mkdir(parents=True, exist_ok=True)
-        shutil.copy(ROOT / file, copy)
+    tree.copy(workspace / "src" / "geomid_ros")
     colcon("build", workspace)
     return workspace
 

@@ -11,9 +11,10 @@ import click
 from click.shell_completion import CompletionItem
 
 import geomid_ros
-from geomid_ros.errors import TOO_LITTLE_MEMORY, GeomidError, is_lack_of_memory
+from geomid_ros.errors import TOO_LITTLE_MEMORY, GeomidError, is_lack_of_memory, missing_library
 
 COMMANDS = {
+    "dashboard": "Show a running node on a local page.",
     "demo": "Watch a robot's inertias being identified live.",
     "export": "Print an estimate in the terms of other software.",
     "gap": "Find what a simulation lacks.",
@@ -75,7 +76,8 @@ def main() -> None:
     try:
         root()
     except (MemoryError, ImportError, OSError) as error:
-        if not is_lack_of_memory(error):
+        sentence = TOO_LITTLE_MEMORY if is_lack_of_memory(error) else missing_library(error)
+        if not sentence:
             raise
-        click.echo(f"Error: {TOO_LITTLE_MEMORY}", err=True)
+        click.echo(f"Error: {sentence}", err=True)
         sys.exit(2)

@@ -32,6 +32,9 @@ _LONG = 1.0  # [s] that saving may take without a word
 
 FOLLOWS = "and follows"
 """In an answer: what was saved is not of all data yet."""
+NOT_YET = "no estimate yet"
+SLOW = "saving is not done yet"
+"""In answers: nothing is saved so far."""
 
 Answer: TypeAlias = tuple[bool, str]
 """Whether an estimate was saved, and a sentence."""
@@ -210,13 +213,13 @@ class Saving:
             if answer.given:
                 return
             if last is None:
-                answer((False, f"no estimate yet: the first one takes more than {_LATE:g} s; ask again later"))
+                answer((False, f"{NOT_YET}: the first one takes more than {_LATE:g} s; ask again later"))
                 return
             late = f"; it is of {last.rows_accepted} rows; one of all rows takes more than {_LATE:g} s, {FOLLOWS}"
             self.begin(session, last, lambda saved: answer((saved[0], saved[1] + late)))
 
         start_later(_LATE, save_last)
-        start_later(_LATEST, lambda: answer((False, f"saving is not done yet: {self._folder} is slow")))
+        start_later(_LATEST, lambda: answer((False, f"{SLOW}: {self._folder} is slow")))
 
     def save_last(self, session: Session, estimate: Estimate, patience: float) -> str:
         """Save, unless it takes longer than ``patience`` [s]. Returns a sentence on how that went."""

@@ -8,8 +8,8 @@ import pickle
 import signal
 import threading
 import time
-from multiprocessing import get_context, parent_process
-from multiprocessing.connection import Connection, wait
+from multiprocessing import get_context
+from multiprocessing.connection import Connection
 from typing import Any
 
 from geomid_ros.errors import GeomidError
@@ -17,7 +17,7 @@ from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.estimation.estimator import WarmStart
 from geomid_ros.estimation.identifier import EstimationTask
 from geomid_ros.estimation.summary import RowSummary
-from geomid_ros.live.daemon import start_daemon
+from geomid_ros.live.daemon import end_with_parent
 
 _NICE = 5  # the process that takes messages comes first
 _PATIENCE = 60.0  # [s] for a solve whose caller has given up
@@ -138,7 +138,7 @@ class SolvingProcess:
 
 def _serve(connection: Connection[Any, Any]) -> None:
     """Solve what is asked for until the parent is gone."""
-    start_daemon("parent", _end_with_parent)
+    end_with_parent()
     os.nice(_NICE)
     task: Any = None  # until the first request brings it
     while True:
@@ -149,11 +149,3 @@ def _serve(connection: Connection[Any, Any]) -> None:
         except Exception as error:  # noqa: BLE001 the parent raises it
             answer = error
         connection.send_bytes(pickle.dumps(answer, _PROTOCOL))
-
-
-def _end_with_parent() -> None:
-    """End when the parent does, whatever this process is doing."""
-    parent = parent_process()
-    if parent is not None:
-        wait([parent.sentinel])
-        os._exit(0)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 
-from geomid_ros.estimation.estimate import QUANTITIES, EffectEstimate, Estimate, LinkEstimate
+from geomid_ros.estimation.estimate import QUANTITIES, EffectEstimate, Estimate
 from geomid_ros.plausibility.verdict import USABLE, Verdict
 from geomid_ros.report.series import Series
 
@@ -65,11 +65,9 @@ def _masses(told: Sequence[str], links: int) -> str:
     return f"{sentence} Of the other {links - len(told)} links the data tell sums, which is enough to predict."
 
 
-def cannot_tell(link: LinkEstimate) -> str:
-    """The quantities of a link that the data do not tell."""
-    if len(link.cannot_tell) == len(QUANTITIES):
-        return "anything"
-    return grouped(link.cannot_tell)
+def cannot_tell(quantities: Sequence[str]) -> str:
+    """Those of :data:`QUANTITIES` that the data do not tell."""
+    return "anything" if len(quantities) == len(QUANTITIES) else grouped(quantities)
 
 
 def grouped(quantities: Sequence[str]) -> str:

@@ -24,15 +24,20 @@ _FINE_TICKS, _TICKS = (1.0, 2.0, 5.0, 10.0, 20.0), (1.0, 10.0, 100.0, 1000.0, 10
 
 
 def write_page(path: Path, template: str, content: Mapping[str, Any]) -> None:
-    """Write a page, all of whose content is escaped.
-
-    Args:
-        path: the file.
-        template: name of its template in this folder.
-        content: what the template shows.
+    """Write a page, see :func:`rendered_page`, as the file ``path``.
 
     Raises:
         GeomidError: the file cannot be written.
+    """
+    write_text(path, rendered_page(template, content))
+
+
+def rendered_page(template: str, content: Mapping[str, Any]) -> str:
+    """A page, all of whose content is escaped.
+
+    Args:
+        template: name of its template in this folder.
+        content: what the template shows.
     """
     environment = Environment(
         loader=FileSystemLoader(_FOLDER),
@@ -42,7 +47,7 @@ def write_page(path: Path, template: str, content: Mapping[str, Any]) -> None:
         lstrip_blocks=True,
     )
     environment.filters |= {name: getattr(gap_words, name) for name in _FILTERS}
-    write_text(path, environment.get_template(template).render(colors=_COLORS, **content))
+    return environment.get_template(template).render(colors=_COLORS, **content)
 
 
 @dataclass(frozen=True)

@@ -23,7 +23,7 @@ from std_srvs.srv import Trigger
 
 from geomid_ros.errors import GeomidError
 from geomid_ros.files.models.urdf import read_urdf
-from geomid_ros.live.saving import FOLLOWS
+from geomid_ros.live.saving import FOLLOWS, NOT_YET, SLOW
 from geomid_ros.ros.starting import starting_ros
 from geomid_ros.session.configuration import Configuration
 
@@ -103,7 +103,7 @@ class LiveRun:
             raise GeomidError("the node offers no service to save with")
         end = time.monotonic() + _SAVE_TIMEOUT
         result = self._ask(client)
-        while result is not None and FOLLOWS in result.message and time.monotonic() < end:
+        while result is not None and _is_late(result.message) and time.monotonic() < end:
             result = self._ask(client)
         if result is None or not result.success:
             raise GeomidError(f"the node could not save: {result.message if result else 'no answer'}")
@@ -115,3 +115,8 @@ class LiveRun:
         answer = client.call_async(Trigger.Request())
         rclpy.spin_until_future_complete(self._watcher, answer, timeout_sec=_SAVE_TIMEOUT)
         return answer.result()
+
+
+def _is_late(answer: str) -> bool:
+    """Whether a save that is asked for again may have what this one had not, as on a busy machine."""
+    return any(word in answer for word in (FOLLOWS, NOT_YET, SLOW))

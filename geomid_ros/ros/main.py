@@ -10,7 +10,7 @@ import time
 from contextlib import closing
 from typing import TYPE_CHECKING
 
-from geomid_ros.errors import TOO_LITTLE_MEMORY, GeomidError, is_lack_of_memory
+from geomid_ros.errors import TOO_LITTLE_MEMORY, GeomidError, is_lack_of_memory, missing_library
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -41,9 +41,10 @@ def main() -> None:
         print(f"geomid_node: {error}", file=sys.stderr)
         sys.exit(2)
     except (MemoryError, ImportError, OSError) as error:
-        if not is_lack_of_memory(error):
+        sentence = TOO_LITTLE_MEMORY if is_lack_of_memory(error) else missing_library(error)
+        if not sentence:
             raise
-        print(f"geomid_node: {TOO_LITTLE_MEMORY}", file=sys.stderr)
+        print(f"geomid_node: {sentence}", file=sys.stderr)
         sys.stderr.flush()
         os._exit(2)  # libraries that are half loaded crash when they are unloaded
 

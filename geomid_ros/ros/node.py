@@ -32,12 +32,15 @@ from geomid_ros.live.status import Status
 from geomid_ros.live.supervisor import Supervisor
 from geomid_ros.live.worker import Worker
 from geomid_ros.ros.console import Console
+from geomid_ros.ros.dashboard_process import DashboardProcess
 from geomid_ros.ros.diagnostics import NO_DESCRIPTION, STOPPED, Diagnostics
 from geomid_ros.ros.inputs import Inputs
 from geomid_ros.ros.outputs import Outputs, latched
+from geomid_ros.ros.serialized import RosTypes
 from geomid_ros.ros.starting import starting_ros
 from geomid_ros.session.configuration import PARAMETERS, Configuration, Parameter, find_parameter
 from geomid_ros.session.session import Session
+from geomid_ros.signals.decoding import read_without_rosbags
 from geomid_ros.signals.ledger import Ledger, count_reason
 from geomid_ros.signals.messages import JOINT_STATES, ODOM
 
@@ -67,6 +70,7 @@ class GeomidNode(Node):
             raise
 
     def _set_up(self, solving: SolvingProcess | None) -> None:
+        read_without_rosbags(RosTypes())
         self._configuration = _read_parameters(self)
         self._console = Console(self.get_logger())
         self._active: bool = self._configuration["active"]
@@ -74,6 +78,7 @@ class GeomidNode(Node):
         self._search = BackgroundSearch("no finding", self._outputs.finding)
         self._payload = PayloadSearch(self._outputs.payload)
         self._saving = Saving(self._configuration["output_folder"])
+        self._dashboard: DashboardProcess | None = None
         self._urdf = ""  # the latest description, not necessarily the worker's
         self._problem = ""  # with the robot description
         self._failures: Counter[str] = Counter()
@@ -104,6 +109,8 @@ class GeomidNode(Node):
             self._inputs.listen(WrenchStamped, sensor.topic, self._take)
         # On the steady clock: when simulated time stands still the diagnostics must say why.
         self.create_timer(1.0, self._publish_diagnostics, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        if self._configuration["dashboard"]:
+            self._dashboard = DashboardProcess(self.get_fully_qualified_name())
         # Last, as it starts threads, which a failure after it would leave behind.
         if self._configuration["robot_description"]:
             self._build(self._configuration["robot_description"], "parameter robot_description")
@@ -236,6 +243,8 @@ class GeomidNode(Node):
 
     def close(self) -> None:
         """End the threads within two seconds, and save the last estimate in the output folder, if there is one."""
+        if self._dashboard is not None:
+            self._dashboard.close()
         self._search.close()
         self._payload.close()
         self._supervisor.close(self._save_last)

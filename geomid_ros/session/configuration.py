@@ -93,6 +93,7 @@ PARAMETERS = (
     Parameter("active", True, "take data from the start; otherwise wait for ~/start"),
     Parameter("checkpoint.folder", "", "folder, of this node alone, to go on from after a crash; empty: none is kept"),
     Parameter("checkpoint.period", 2.0, "seconds between checkpoints; a crash loses hardly more [s]", 0.1, 3600.0),
+    Parameter("dashboard", False, "show the node on a local page, as geomid dashboard does"),
     Parameter("output_folder", "", "folder that ~/save and the end of the node write to; empty: the working directory"),
 )
 # All others say what a row is: rows of before serve as long as they are the same.
@@ -107,6 +108,7 @@ _NOT_OF_ROWS = (
         "active",
         "checkpoint.folder",
         "checkpoint.period",
+        "dashboard",
     ),
     "output_folder",
 )

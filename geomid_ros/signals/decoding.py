@@ -9,7 +9,6 @@ from functools import cache
 from typing import Any, TypeAlias
 
 import numpy as np
-from rosbags.typesys import Stores, get_typestore
 
 from geomid_ros.signals.messages import JOINT_STATES, ODOM, Block, message_type, parse
 from geomid_ros.types import AnyArray, BoolArray, IntArray
@@ -21,8 +20,27 @@ Raw: TypeAlias = tuple[str, bytes]
 """A message as it came: the topic, as the pipeline calls it, and its bytes (CDR)."""
 
 
+_without_rosbags: list[Any] = []
+
+
+def read_without_rosbags(types: Any) -> None:
+    """Have ``types.deserialize_cdr(data, kind)`` read messages where rosbags is not installed, as beside a robot."""
+    _without_rosbags[:] = [types]
+
+
 @cache
-def _typestore() -> Any:
+def message_types() -> Any:
+    """What reads messages by the definitions that come with ROS 2 Jazzy: ``deserialize_cdr(data, kind)``.
+
+    Raises:
+        ModuleNotFoundError: rosbags is not installed, and nothing reads without it.
+    """
+    try:
+        from rosbags.typesys import Stores, get_typestore  # noqa: PLC0415 where it is installed
+    except ModuleNotFoundError:
+        if not _without_rosbags:
+            raise
+        return _without_rosbags[0]
     return get_typestore(Stores.ROS2_JAZZY)
 
 
@@ -115,10 +133,11 @@ class Decoder:
 
 
 def _parsed(raw: Raw, place: int) -> tuple[Block, _Layout | None]:
-    """A message that is read by rosbags, and its layout, if that is understood. Raises ValueError saying why not."""
+    """A message, and its layout, if that is understood. Raises ValueError saying why there is none."""
     topic, data = raw
+    types = message_types()
     try:
-        message = _typestore().deserialize_cdr(data, message_type(topic))
+        message = types.deserialize_cdr(data, message_type(topic))
         block = Block.of(parse(topic, message), place)
     except Exception as error:  # whatever bytes of another form make the code for this type raise
         raise ValueError((str(error).splitlines() or [type(error).__name__])[0]) from error

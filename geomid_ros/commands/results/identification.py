@@ -68,7 +68,7 @@ def _links_table(found: Identification) -> Table:
         masses = f"{nominal[link.name]:.3f}", f"{link.mass:.3f} ± {link.std_mass:.3f}"
         com = lines(f"{c:+.3f} ± {s:.3f}" for c, s in zip(link.com, link.std_com, strict=True))
         shares = f"{100 * link.from_data:.0f} %", f"{link.distance_from_prior:.2f}"
-        table.add_row(names, *masses, com, *shares, identification_words.cannot_tell(link))
+        table.add_row(names, *masses, com, *shares, identification_words.cannot_tell(link.cannot_tell))
     return table
 
 

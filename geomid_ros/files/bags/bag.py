@@ -15,16 +15,14 @@ from pathlib import Path, PurePath
 from tempfile import TemporaryDirectory
 from typing import Any, Self
 
-from rosbags.typesys import Stores, get_typestore
-
 from geomid_ros.errors import InputError
 from geomid_ros.files.bags.database import Database
 from geomid_ros.files.bags.mcap import McapFile
 from geomid_ros.files.bags.storage import RawMessage, Storage
 from geomid_ros.files.bags.unpacking import METHODS, unpack_file, unpacked_message
 from geomid_ros.files.parameter_file import read_yaml
+from geomid_ros.signals.decoding import message_types
 
-_typestore = get_typestore(Stores.ROS2_JAZZY)
 _FORMATS: dict[str, Callable[[Path], Storage]] = {".mcap": McapFile, ".db3": Database}
 _SUFFIXES = {"mcap": ".mcap", "sqlite3": ".db3"}  # by rosbag2's name of the format
 _TO_JAZZY = ("--dst-typestore", "ros2_jazzy")
@@ -108,14 +106,15 @@ class Bag:
 
     def messages(self, topics: Collection[str]) -> Iterator[tuple[str, int, Any]]:
         """Topic, time of recording [ns] and message of everything on ``topics``, in the order of recording."""
+        types = message_types()
         for count, (topic, time, kind, data) in enumerate(self._raw_messages(topics)):
             where = f"{self.path}: message on {topic} at {time} ns"
-            if kind not in _typestore.types:
+            if kind not in types.types:
                 raise InputError(f"{where} is of the type {kind}, which is none of those that come with ROS 2")
             if len(data) > _MOST_BYTES:
                 raise self._too_long(RawMessage(topic, time, kind, data))
             try:
-                yield topic, time, _typestore.deserialize_cdr(data, kind)
+                yield topic, time, types.deserialize_cdr(data, kind)
             except Exception as error:  # whatever bytes of another form make the code for this type raise
                 reason = (str(error).splitlines() or [type(error).__name__])[0]
                 raise self.not_valid(topic, time, kind, reason, count) from error

@@ -5,15 +5,9 @@ from __future__ import annotations
 import shutil
 import sys
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 from typing import Any
-
-import lz4.frame  # type: ignore[import-untyped]
-
-if sys.version_info >= (3, 14):
-    from compression import zstd
-else:
-    from backports import zstd
 
 MOST_BYTES = 1 << 27
 """Of a message or a chunk of messages; recorders make chunks of 1 or 4 MB, or of one message that is larger."""
@@ -24,6 +18,20 @@ METHODS = ("zstd", "lz4")
 _MOST_RATIO = 300  # of a whole file; no recording of times and noise comes near
 _LEFT_FREE = 500_000_000  # bytes of a disk that others may need
 _PIECE = 1 << 16  # bytes of a file; of a torn one, less than that is lost
+
+
+@cache
+def _library(method: str) -> Any:
+    """What unpacks ``method``, imported for the first recording: a node beside a robot has none."""
+    if method == "lz4":
+        import lz4.frame  # type: ignore[import-untyped] # noqa: PLC0415
+
+        return lz4.frame
+    if sys.version_info >= (3, 14):
+        from compression import zstd  # noqa: PLC0415
+    else:
+        from backports import zstd  # noqa: PLC0415
+    return zstd
 
 
 def unpacked(data: bytes | memoryview, method: str, size: int) -> bytes | memoryview:
@@ -67,7 +75,7 @@ def _unpacked(data: bytes | memoryview, method: str, most: int) -> bytes:
 def _decompressed(unpacker: Any, data: bytes | memoryview, method: str, most: int) -> bytes:
     try:
         result: bytes = unpacker.decompress(data, max_length=most)
-    except (zstd.ZstdError, RuntimeError) as error:
+    except (_library("zstd").ZstdError, RuntimeError) as error:
         raise ValueError(f"its {method} data are damaged ({error})") from error
     return result
 
@@ -75,7 +83,8 @@ def _decompressed(unpacker: Any, data: bytes | memoryview, method: str, most: in
 def _unpacker(method: str) -> Any:
     if method not in METHODS:
         raise ValueError(f"its compression is {method[:20]!r}, expected zstd, lz4 or none")
-    return zstd.ZstdDecompressor() if method == "zstd" else lz4.frame.LZ4FrameDecompressor()
+    library = _library(method)
+    return library.ZstdDecompressor() if method == "zstd" else library.LZ4FrameDecompressor()
 
 
 def unpack_file(path: Path, target: Path, method: str) -> None:
@@ -99,10 +108,10 @@ def unpack_file(path: Path, target: Path, method: str) -> None:
 def _pieces(path: Path, method: str) -> Iterator[bytes]:
     """What a file unpacks to, up to where it is cut off. Raises ValueError."""
     try:
-        with zstd.open(path, "rb") if method == "zstd" else lz4.frame.open(path, "rb") as packed:
+        with _library(method).open(path, "rb") as packed:
             while piece := packed.read(_PIECE):
                 yield piece
     except EOFError:
         return  # what was unpacked has no end, either, and its reader says so
-    except (zstd.ZstdError, RuntimeError) as error:
+    except (_library("zstd").ZstdError, RuntimeError) as error:
         raise ValueError(f"its {method} data are damaged ({error})") from error

@@ -1,0 +1,135 @@
+"""A page on this machine alone that follows a node: whoever opens it sees what it is told here, and can change nothing.
+
+It hears on 127.0.0.1 and answers requests that were meant for it: those of a page of another name that was made to mean
+this address (DNS rebinding) get nothing.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import socket
+from collections.abc import Callable
+from datetime import timedelta
+from typing import Any
+
+from tornado.httpserver import HTTPServer
+from tornado.iostream import StreamClosedError
+from tornado.locks import Condition
+from tornado.netutil import bind_sockets
+from tornado.web import Application, HTTPError, RequestHandler
+
+from geomid_ros.errors import InputError
+from geomid_ros.live.dashboard_state import State
+from geomid_ros.report.page import Script, rendered_page
+
+ADDRESS = "127.0.0.1"
+PORT = 8765
+_OUR_NAMES = r"(127\.0\.0\.1|localhost)"
+_MOST_LISTENERS = 20
+_MOST_BODY = 1024  # bytes: no request of the page has any
+_BEAT = timedelta(seconds=10)  # in which a listener that has gone is noticed, while nothing is new
+_HEADERS = {
+    "Cache-Control": "no-store",
+    "Content-Security-Policy": "frame-ancestors 'none'",
+    "Cross-Origin-Resource-Policy": "same-origin",
+    "Referrer-Policy": "no-referrer",
+    "X-Content-Type-Options": "nosniff",
+}
+
+
+class Board:
+    """The latest state, and those who wait for the next. Of one thread alone."""
+
+    def __init__(self) -> None:
+        self._text = ""
+        self._changed = Condition()
+        self._version = 0
+        self.listeners = 0
+
+    def show(self, state: State) -> None:
+        """Replace the state."""
+        self._text = json.dumps(state, allow_nan=False)
+        self._version += 1
+        self._changed.notify_all()
+
+    async def after(self, version: int) -> tuple[int, str]:
+        """The state once it is newer than ``version``, with its own version; unchanged after a while."""
+        if self._version == version:
+            await self._changed.wait(timeout=_BEAT)
+        return self._version, self._text
+
+
+class _Handler(RequestHandler):
+    def initialize(self, board: Board, page: bytes) -> None:
+        self._board = board
+        self._page = page
+
+    def set_default_headers(self) -> None:
+        for name, value in _HEADERS.items():
+            self.set_header(name, value)
+
+
+class _Page(_Handler):
+    def get(self) -> None:
+        self.finish(self._page)
+
+
+class _Events(_Handler):
+    """Server-sent events, each a whole state."""
+
+    async def get(self) -> None:
+        if self._board.listeners >= _MOST_LISTENERS:
+            raise HTTPError(503)
+        self.set_header("Content-Type", "text/event-stream")
+        self._board.listeners += 1
+        try:
+            await self._follow()
+        except (StreamClosedError, asyncio.CancelledError):
+            pass  # the listener leaves, or the dashboard ends
+        finally:
+            self._board.listeners -= 1
+
+    async def _follow(self) -> None:
+        seen = 0
+        while True:
+            version, text = await self._board.after(seen)
+            self.write(f"data: {text}\n\n" if version > seen else ": nothing new\n\n")
+            await self.flush()
+            seen = version
+
+
+def _bound(port: int | None) -> list[socket.socket]:
+    """Sockets on a port; None: the usual one, or if that is taken any other."""
+    try:
+        return bind_sockets(PORT if port is None else port, ADDRESS)
+    except OSError as error:
+        if port is None:
+            return bind_sockets(0, ADDRESS)
+        raise InputError(f"port {port} of {ADDRESS} cannot be had ({error.strerror}); name another one") from error
+
+
+async def serve(node: str, port: int | None, begin: Callable[[Board, str], Any], stop: asyncio.Event) -> None:
+    """Serve the page until ``stop``.
+
+    Args:
+        node: name of the node that is shown.
+        port: where to; None: the usual one, or if that is taken any other.
+        begin: is called with the board and the page's address, before the first request.
+        stop: ends it.
+
+    Raises:
+        InputError: the port is taken.
+    """
+    board = Board()
+    page = rendered_page("dashboard.html.j2", {"node": node, "script": Script.read("dashboard.js")}).encode()
+    what = {"board": board, "page": page}
+    application = Application(log_function=lambda _: None)
+    application.add_handlers(_OUR_NAMES, [("/", _Page, what), ("/events", _Events, what)])
+    server = HTTPServer(application, max_body_size=_MOST_BODY, idle_connection_timeout=60.0)
+    sockets = _bound(port)
+    server.add_sockets(sockets)
+    begin(board, f"http://{ADDRESS}:{sockets[0].getsockname()[1]}")
+    await stop.wait()
+    server.stop()
+    await server.close_all_connections()

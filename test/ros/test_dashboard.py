@@ -1,0 +1,160 @@
+"""The dashboard beside a real node: what its page is told, and that nobody else is, and nothing can be changed."""
+
+from __future__ import annotations
+
+import http.client
+import json
+import re
+import signal
+import socket
+import time
+from pathlib import Path
+from typing import Any
+
+import pytest
+from diagnostic_msgs.msg import DiagnosticArray
+
+from geomid_ros.live import dashboard_server
+from geomid_ros.report.page import Script, rendered_page
+
+from .processes import Process
+from .stage import WRIST, Stage, description
+
+PATIENCE = 60.0  # [s] on a busy machine
+URDF = {"robot_description": description("arm3"), **WRIST}
+
+
+class Reader:
+    """What somebody on this machine gets to read."""
+
+    def __init__(self, port: int) -> None:
+        self.port = port
+
+    def ask(self, path: str, method: str = "GET", host: str = "127.0.0.1") -> tuple[int, str]:
+        """Status and text."""
+        connection = http.client.HTTPConnection("127.0.0.1", self.port, timeout=PATIENCE)
+        connection.request(method, path, headers={"Host": f"{host}:{self.port}"})
+        response = connection.getresponse()
+        return response.status, response.read().decode()
+
+    def state(self) -> dict[str, Any]:
+        """The first that comes."""
+        connection = http.client.HTTPConnection("127.0.0.1", self.port, timeout=PATIENCE)
+        connection.request("GET", "/events")
+        response = connection.getresponse()
+        assert response.headers["Content-Type"] == "text/event-stream"
+        try:
+            while not (line := response.readline().decode()).startswith("data: "):
+                assert line, "the stream has ended"
+            return dict(json.loads(line.removeprefix("data: ")))
+        finally:
+            connection.close()
+
+
+def address(stage: Stage, process: Process, node: str = "geomid") -> int:
+    """The port that a process says its dashboard has."""
+
+    def find() -> int:
+        assert process.running, process.output
+        found = re.search(rf"Dashboard of /{node}: http://127\.0\.0\.1:(\d+)\n", process.output)
+        return int(found[1]) if found else 0
+
+    return stage.observer.wait_for(find, "the address of the dashboard", PATIENCE)
+
+
+def is_listening(port: int) -> bool:
+    with socket.socket() as probe:
+        return probe.connect_ex(("127.0.0.1", port)) == 0
+
+
+def test_the_page_is_told_what_the_node_says(stage: Stage) -> None:
+    arrays = stage.observer.collect(DiagnosticArray, "/diagnostics")
+    stage.node({**URDF, "solve_period": 0.2})
+    dashboard = stage.start("geomid_ros", "dashboard")
+    reader = Reader(address(stage, dashboard))
+    stage.spin_while(stage.play(Path(__file__).parents[2] / "bags/arm3", 4.0, "--topic", "/wrench"))
+
+    def seen() -> dict[str, Any] | None:
+        state = reader.state()
+        said = [status for array in arrays for status in array.status if status.name == "geomid: link3"]
+        masses = {pair.value for status in said for pair in status.values if pair.key == "mass"}
+        told = {f"{link['mass']:.6g}" for link in state["links"] if link["name"] == "link3"}
+        return state if told and told <= masses else None
+
+    state = stage.observer.wait_for(seen, "the mass of link3 on the page", PATIENCE)
+    assert {link["name"] for link in state["links"]} >= {"link2", "link3"}
+    assert {channel["name"] for channel in state["channels"]} >= {"joint1", "joint2", "joint3"}
+    for link in state["links"]:
+        assert link["low"] < link["mass"] < link["high"]
+    assert {topic["name"] for topic in state["topics"]} == {"joint_states", "/wrench"}
+
+    node = stage.observer.node
+    opened = [
+        *node.get_publisher_names_and_types_by_node("geomid_dashboard", "/"),
+        *node.get_subscriber_names_and_types_by_node("geomid_dashboard", "/"),
+        *node.get_client_names_and_types_by_node("geomid_dashboard", "/"),
+    ]
+    assert [name for name, _ in opened] == ["/parameter_events", "/diagnostics"]  # the first as every node of rclpy
+    assert dashboard.end() == 0, dashboard.output
+    assert len(dashboard.output.splitlines()) == 1, dashboard.output
+
+
+def test_nobody_but_this_machine_is_answered_and_nothing_can_be_changed(stage: Stage) -> None:
+    dashboard = stage.start("geomid_ros", "dashboard", "--node", "/somebody/geomid")
+    reader = Reader(address(stage, dashboard, "somebody/geomid"))
+    status, page = reader.ask("/")
+    assert status == 200
+    assert "/somebody/geomid" in page
+    assert reader.ask("/", host="localhost")[0] == 200
+    for host in ("evil.example", "127.0.0.1.evil.example", "0.0.0.0", ""):
+        for path in ("/", "/events"):
+            assert reader.ask(path, host=host)[0] == 404, host
+    for method in ("POST", "PUT", "DELETE", "PATCH"):
+        assert reader.ask("/", method)[0] == reader.ask("/events", method)[0] == 405
+    assert reader.ask("/../setup.py")[0] == reader.ask("/static/x")[0] == 404
+    addresses = Path("/proc/net/tcp").read_text(encoding="ascii") + Path("/proc/net/tcp6").read_text(encoding="ascii")
+    listening = re.findall(rf": ([0-9A-F]+):{reader.port:04X} [0-9A-F]+:0000 0A", addresses)
+    assert listening == ["0100007F"]
+
+
+def test_a_port_that_is_taken_is_said_and_without_one_another_is_taken(stage: Stage) -> None:
+    first = stage.start("geomid_ros", "dashboard")
+    port = address(stage, first)
+    second = stage.start("geomid_ros", "dashboard")
+    assert address(stage, second) != port
+    third = stage.start("geomid_ros", "dashboard", "--port", str(port))
+    stage.observer.wait_for(lambda: not third.running, "its end", PATIENCE)
+    assert third.status() == 2
+    assert f"port {port} of 127.0.0.1 cannot be had" in third.output
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGKILL])
+def test_the_nodes_own_dashboard_ends_with_it(stage: Stage, number: signal.Signals) -> None:
+    node = stage.node({**URDF, "dashboard": True}, "-r", "__ns:=/left", name="left/geomid", fresh=True)
+    port = address(stage, node, "left/geomid")
+    assert Reader(port).state()["node"] == "left/geomid"
+    node.send(number)
+    node.status()
+    end = time.monotonic() + PATIENCE
+    while is_listening(port) and time.monotonic() < end:
+        time.sleep(0.05)
+    assert not is_listening(port)
+
+
+def test_without_the_parameter_there_is_none(stage: Stage) -> None:
+    node = stage.node(URDF)
+    stage.observer.spin(2.0)
+    assert "Dashboard" not in node.output
+
+
+def test_the_page_needs_no_network_and_makes_no_markup_of_what_it_is_told() -> None:
+    script = Script.read("dashboard.js")
+    page = rendered_page("dashboard.html.j2", {"node": "<script>alert(1)</script>", "script": script})
+    assert "<script>alert" not in page
+    assert "default-src 'none'" in page
+    assert f"connect-src 'self'; script-src '{script.hash}'" in page
+    assert not re.findall(r"(?:src|href)\s*=", page.replace("default-src", ""))
+    assert re.findall(r"https?://[^\"]+", page) == ["http://www.w3.org/2000/svg"] * 2
+    for markup in ("innerHTML", "outerHTML", "insertAdjacentHTML", "document.write", "eval(", "DOMParser"):
+        assert markup not in script.text
+    assert dashboard_server.ADDRESS == "127.0.0.1"
