@@ -1,0 +1,1 @@
+"""Motions that tell what a robot weighs."""
