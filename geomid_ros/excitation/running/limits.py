@@ -16,7 +16,7 @@ _AT_REST = 1e-3  # [rad/s, m/s]
 
 
 @dataclass(frozen=True, eq=False)
-class JointLimits:
+class RobotLimits:
     """Limits of ``joints``, each ``(joints,)``, infinite where there is none.
 
     ``lower`` and ``upper`` [rad, m], ``speeds`` [rad/s, m/s], ``efforts`` [N m, N].
@@ -29,17 +29,17 @@ class JointLimits:
     efforts: FloatArray
 
     @staticmethod
-    def of(robot: Robot, joints: tuple[str, ...]) -> JointLimits:
+    def of(robot: Robot, joints: tuple[str, ...]) -> RobotLimits:
         """Those of a robot's URDF. Raises InputError if it has no joint of a name."""
         for name in joints:
             if name not in robot.joint_names:
                 raise unknown_name(f"joint of {robot.source}", name, robot.joint_names)
         places = [robot.joint_names.index(name) for name in joints]
         lower, upper = robot.position_limits[places].T
-        return JointLimits(joints, lower, upper, robot.speed_limits[places], robot.effort_limits[places])
+        return RobotLimits(joints, lower, upper, robot.speed_limits[places], robot.effort_limits[places])
 
 
-def check_motion(motion: Trajectory, limits: JointLimits, source: str) -> None:
+def check_motion(motion: Trajectory, limits: RobotLimits, source: str) -> None:
     """Refuse a motion that a robot cannot make, or that neither begins nor ends at rest.
 
     Raises:

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
-from geomid_ros.excitation.running.limits import JointLimits
+from geomid_ros.excitation.running.limits import RobotLimits
 from geomid_ros.excitation.trajectory import Trajectory
 from geomid_ros.signals.messages import JointMessage
 from geomid_ros.types import FloatArray
@@ -45,11 +47,11 @@ class Watch:
     """Says when a motion must be stopped, and when it is over.
 
     Time is that of the messages' stamps since the one at which the motion began: a simulation may be slower than the
-    world. Methods return why the robot must be stopped, or nothing.
+    world.
     """
 
     def __init__(
-        self, motion: Trajectory, limits: JointLimits, *, tolerance: float, silence: float, begin: int
+        self, motion: Trajectory, limits: RobotLimits, *, tolerance: float, silence: float, begin: int
     ) -> None:
         """
         Args:
@@ -65,6 +67,7 @@ class Watch:
         self._silence = silence
         self._begin = self._last = begin
         self._silent = 0.0
+        self._state: JointState
         self._lately: deque[tuple[float, FloatArray, FloatArray]] = deque()  # time, position, where it should be
 
     @property
@@ -72,23 +75,44 @@ class Watch:
         """Time since the start [s], by the last message."""
         return 1e-9 * (self._last - self._begin)
 
-    def take(self, state: JointState) -> str:
-        """Look at a message. One that is not newer than the last one says nothing."""
-        if state.stamp <= self._last:
-            return ""
-        self._last, self._silent = state.stamp, 0.0
+    @property
+    def whereabouts(self) -> tuple[FloatArray, FloatArray]:
+        """Position and velocity ``(joints,)`` now: as measured, or as they should be where nothing has come lately."""
+        if not self._lately or self._silent > self._silence:
+            return self._motion.at(self.elapsed + self._silent)
+        (first, start, _), (last, end, _) = self._lately[0], self._lately[-1]
+        slope = (end - start) / max(last - first, _STEP)
+        return self._state.position, np.where(np.isfinite(self._state.velocity), self._state.velocity, slope)
+
+    def look(self, states: Sequence[JointState], seconds: float) -> str:
+        """Look at what has come within the last ``seconds``. A message that is not newer than the last one is none.
+
+        Returns:
+            Why the robot must be stopped, or nothing.
+        """
+        new = [state for state in states if state.stamp > self._last]
+        if not new:
+            self._silent += min(seconds, _LONGEST_LOOK)
+            return f"no joint states for {1e3 * self._silent:.0f} ms" if self._silent > self._silence else ""
+        self._silent = 0.0
+        return next(filter(None, map(self._take, new)), "")
+
+    def _take(self, state: JointState) -> str:
+        self._last, self._state = state.stamp, state
         wanted, _ = self._motion.at(self.elapsed)
+        self._remember(state.position, wanted)
         return (
             self._out_of_range(state.position)
             or self._too_strong(state.effort)
-            or self._not_followed(state.position, wanted)
+            or self._not_followed()
             or self._astray(state.position, wanted)
         )
 
-    def wait(self, seconds: float) -> str:
-        """Time has passed without a message, while somebody listened."""
-        self._silent += min(seconds, _LONGEST_LOOK)
-        return f"no joint states for {1e3 * self._silent:.0f} ms" if self._silent > self._silence else ""
+    def _remember(self, position: FloatArray, wanted: FloatArray) -> None:
+        if not self._lately or self.elapsed - self._lately[-1][0] >= _STEP:
+            self._lately.append((self.elapsed, position, wanted))
+        while self.elapsed - self._lately[0][0] > _WINDOW:
+            self._lately.popleft()
 
     def _out_of_range(self, position: FloatArray) -> str:
         for index in np.flatnonzero(
@@ -114,12 +138,8 @@ class Watch:
             f"{position[worst]:.3f} instead of {wanted[worst]:.3f}; {self._tolerance:g} are tolerated (--tolerance)"
         )
 
-    def _not_followed(self, position: FloatArray, wanted: FloatArray) -> str:
+    def _not_followed(self) -> str:
         """Whether no joint that should have moved has."""
-        if not self._lately or self.elapsed - self._lately[-1][0] >= _STEP:
-            self._lately.append((self.elapsed, position, wanted))
-        while self.elapsed - self._lately[0][0] > _WINDOW:
-            self._lately.popleft()
         _, positions, wishes = zip(*self._lately, strict=True)
         asked, moved = np.ptp(wishes, axis=0), np.ptp(positions, axis=0)
         should = asked > _SEEN
@@ -131,5 +151,5 @@ class Watch:
             f"(m) in the last {_WINDOW:g} s and stands still. Is the controller active, and the robot enabled?"
         )
 
-    def _name(self, index: int) -> str:
+    def _name(self, index: int | np.integer[Any]) -> str:
         return self._motion.joints[index]
