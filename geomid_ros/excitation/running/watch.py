@@ -16,6 +16,7 @@ from geomid_ros.types import FloatArray
 
 _LONGEST_LOOK = 0.01  # [s]: a longer pause was one of this process, not of the robot
 _WINDOW, _STEP = 0.3, 0.01  # [s] in which a joint must have moved, and between instants that are remembered
+_INSTANTS = 6  # the last, whose positions say how fast a joint is that does not say so itself
 _SEEN, _STILL = 0.02, 0.05  # [rad, m] that a joint should have moved; as a share of it, what counts as not at all
 _OUTSIDE = 0.005  # [rad, m] of a range, as a joint may rest at its end
 
@@ -80,7 +81,7 @@ class Watch:
         """Position and velocity ``(joints,)`` now: as measured, or as they should be where nothing has come lately."""
         if not self._lately or self._silent > self._silence:
             return self._motion.at(self.elapsed + self._silent)
-        (first, start, _), (last, end, _) = self._lately[0], self._lately[-1]
+        (first, start, _), (last, end, _) = self._lately[-min(_INSTANTS, len(self._lately))], self._lately[-1]
         slope = (end - start) / max(last - first, _STEP)
         return self._state.position, np.where(np.isfinite(self._state.velocity), self._state.velocity, slope)
 
