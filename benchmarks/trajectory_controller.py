@@ -116,6 +116,7 @@ class TrajectoryController(Node):
         self._arm = Arm(urdf)
         self._follower = Follower(self._arm.joints, np.full(len(self._arm.joints), start))
         self._fault = ""
+        self._now = 0.0  # [s] when it moved last
         self._states = self.create_publisher(JointState, "joint_states", 100)
         latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
         self._description = self.create_publisher(String, "robot_description", latched)
@@ -124,7 +125,7 @@ class TrajectoryController(Node):
         self.create_subscription(String, "~/fault", self._on_fault, 10)
 
     def _take(self, message: JointTrajectory) -> None:
-        self._follower.take(message, time.monotonic())
+        self._follower.take(message, self._now)
 
     def _on_fault(self, message: String) -> None:
         self._fault = message.data
@@ -133,8 +134,10 @@ class TrajectoryController(Node):
 
     def step(self) -> None:
         """Move on, and publish."""
+        now = self.get_clock().now()
+        self._now = 1e-9 * now.nanoseconds
         if self._fault not in (DEAF, GONE):
-            self._follower.step(time.monotonic())
+            self._follower.step(self._now)
         motion = self._follower.motion
         if self._fault in (DEAF, GONE):
             motion = np.vstack([motion[0], np.zeros_like(motion[1:])])
@@ -144,7 +147,7 @@ class TrajectoryController(Node):
         effort[0] += 2.0 * self._arm.limits[0] if self._fault == STRONG else 0.0
         message = JointState(name=self._arm.joints, position=position.tolist())
         message.velocity, message.effort = motion[1].tolist(), effort.tolist()
-        message.header.stamp = self.get_clock().now().to_msg()
+        message.header.stamp = now.to_msg()
         if self._fault != SILENT:
             self._states.publish(message)
 

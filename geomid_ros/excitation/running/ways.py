@@ -8,7 +8,8 @@ from geomid_ros.excitation.trajectory import Trajectory
 from geomid_ros.types import FloatArray
 
 _SHARE, _FASTEST = 0.1, 0.25  # of the limit of speed, and [rad/s, m/s]
-_SHORTEST_WAY, _SHORTEST_STOP = 2.0, 0.3  # [s]
+_SHORTEST_WAY = 2.0  # [s]
+_SHORTEST_STOP, _LONGEST_STOP = 0.3, 0.5  # [s], the latter from the limit of speed
 _POINTS = 20.0  # a second
 _PEAK = 15.0 / 8.0  # of the speed of a quintic from rest to rest, as a multiple of its mean
 
@@ -33,6 +34,18 @@ def way_to(joints: tuple[str, ...], here: FloatArray, there: FloatArray, speed_l
         distance * 30.0 * (u * (1.0 - u)) ** 2 / duration,
         distance * 60.0 * u * (1.0 - u) * (1.0 - 2.0 * u) / duration**2,
     )
+
+
+def stopping_accelerations(motion: Trajectory, speed_limits: FloatArray) -> FloatArray:
+    """The accelerations by which joints are stopped ``(joints,)`` [rad/s^2, m/s^2]: the largest of the motion, or more
+    where a joint needs it to come from its limit of speed to rest in half a second.
+
+    Args:
+        motion: at full speed, where it is feasible.
+        speed_limits: ``(joints,)``, infinite where there is none.
+    """
+    enough = np.where(np.isfinite(speed_limits), speed_limits / _LONGEST_STOP, 0.0)
+    return np.asarray(np.maximum(np.max(np.abs(motion.accelerations), axis=0), enough))
 
 
 def way_to_rest(

@@ -15,6 +15,7 @@ from geomid_ros.errors import InputError
 from geomid_ros.excitation.trajectory import Trajectory
 
 _PATIENCE = 3.0  # [s] for a controller to be found
+_MATCHING = 0.5  # [s] a subscriber knows of a publisher a little later than it is seen itself
 _KIND = "trajectory_msgs/msg/JointTrajectory"
 
 
@@ -123,12 +124,14 @@ def find_controller(node: Node, controller: str, look: Callable[[], object]) -> 
         InputError: nobody is there; it names those who are.
     """
     ways: list[Controller] = [*_action(node, controller), TopicController(node, controller)]
+    found: Controller | None = None
     end = time.monotonic() + _PATIENCE
     while time.monotonic() < end:
         look()
-        if all(way.ready for way in ways):
-            break
-    found = next((way for way in ways if way.ready), None)
+        first = next((way for way in ways if way.ready), None)
+        if first is not None and found is None:
+            end = time.monotonic() + _MATCHING
+        found = first
     if found is not None:
         return found
     others = [

@@ -15,7 +15,7 @@ from rclpy.node import Node
 from geomid_ros.errors import GeomidError, InputError
 from geomid_ros.excitation.running.limits import RobotLimits, check_motion
 from geomid_ros.excitation.running.watch import JointState, Watch
-from geomid_ros.excitation.running.ways import way_to, way_to_rest
+from geomid_ros.excitation.running.ways import stopping_accelerations, way_to, way_to_rest
 from geomid_ros.excitation.trajectory import Trajectory
 from geomid_ros.model.robot import Robot
 from geomid_ros.ros.excite.controller import Controller, find_controller
@@ -102,8 +102,7 @@ class MotionRun:
         self._limits = RobotLimits.of(Robot(self._urdf, source=source), order.motion.joints)
         check_motion(order.slowed, self._limits, order.source)
         self.plan = self._planned(self._heard())
-        # The motion is feasible at full speed: with what it takes there, the joints may be stopped.
-        self._stopping = np.max(np.abs(order.motion.accelerations), axis=0)
+        self._stopping = stopping_accelerations(order.motion, self._limits.speeds)
 
     def _description(self) -> tuple[str, str]:
         text = self._robot.wait_for(lambda: self._robot.description or None, _PATIENCE)
@@ -171,10 +170,10 @@ class MotionRun:
         while watch.elapsed < duration:
             states = self._robot.look()
             now = time.monotonic()
-            seconds, before = now - before, now
+            seen = watch.look(states, now - before)
+            before = now
             interruption = "interrupted" if self._interrupted() else ""
-            problem = interruption or watch.look(states, seconds) or controller.problem or recorder.problem
-            if problem:
+            if problem := interruption or controller.problem or seen or recorder.problem:
                 return problem
         return ""
 

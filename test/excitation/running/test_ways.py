@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.interpolate import CubicHermiteSpline
 
-from geomid_ros.excitation.running.ways import way_to, way_to_rest
+from geomid_ros.excitation.running.ways import stopping_accelerations, way_to, way_to_rest
 
 JOINTS = ("a", "b", "c")
 
@@ -56,3 +56,11 @@ def test_a_joint_that_is_not_moved_stays() -> None:
     """What is measured of its speed is noise."""
     way = way_to_rest(JOINTS, np.zeros(3), np.array([1.0, 0.0, 0.5]), np.array([2.0, 2.0, 0.0]))
     np.testing.assert_array_equal(way.positions[0], [0.25, 0.0, 0.0])
+
+
+def test_a_joint_stops_as_hard_as_it_moves_and_from_its_limit_in_half_a_second() -> None:
+    motion = way_to(JOINTS, np.zeros(3), np.array([0.1, 0.1, 0.1]), np.full(3, 2.0)).at_speed(4.0)
+    own = np.abs(motion.accelerations).max()
+    found = stopping_accelerations(motion, np.array([0.01, 3.0, np.inf]))
+    np.testing.assert_allclose(found, [own, 6.0, own])
+    assert way_to_rest(JOINTS, np.zeros(3), np.array([0.0, -3.0, 0.0]), found).duration == pytest.approx(0.5)
