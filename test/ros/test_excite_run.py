@@ -129,7 +129,7 @@ FAULTS: dict[str, tuple[str, str]] = {
 def test_what_goes_wrong_stops_it_and_the_bag_is_whole(case: str, stage: Stage) -> None:
     fault, said = FAULTS[case]
     robot = controller(stage)
-    process, heard, commands = under_way(stage, bump(JOINTS, 40.0, amplitude=1.5), *PATIENT)
+    process, heard, commands = under_way(stage, bump(JOINTS, 20.0, amplitude=1.5), *PATIENT)
     faults = stage.observer.node.create_publisher(String, "/joint_trajectory_controller/fault", 10)
     stage.observer.wait_for(faults.get_subscription_count, "the robot")
     faults.publish(String(data=fault))
@@ -146,7 +146,7 @@ def test_what_goes_wrong_stops_it_and_the_bag_is_whole(case: str, stage: Stage) 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_a_signal_stops_it_and_the_bag_is_whole(number: signal.Signals, stage: Stage) -> None:
     controller(stage)
-    process, heard, commands = under_way(stage, bump(JOINTS, 40.0, amplitude=1.5), *PATIENT)
+    process, heard, commands = under_way(stage, bump(JOINTS, 20.0, amplitude=1.5), *PATIENT)
     process.send(number)
     assert status(stage, process) == 2
     assert "Error: the motion was stopped: interrupted. The robot stands. Recorded until then:" in process.output
@@ -156,7 +156,7 @@ def test_a_signal_stops_it_and_the_bag_is_whole(number: signal.Signals, stage: S
 
 def test_a_robot_that_is_killed_is_silent(stage: Stage) -> None:
     robot = controller(stage)
-    process, _, _ = under_way(stage, bump(JOINTS, 40.0, amplitude=1.5), "--silence", "3", "--tolerance", "0.5")
+    process, _, _ = under_way(stage, bump(JOINTS, 20.0, amplitude=1.5), "--silence", "3", "--tolerance", "0.5")
     robot.send(signal.SIGKILL)
     assert status(stage, process) == 2
     assert "stopping: no joint states for" in process.output
@@ -166,7 +166,7 @@ def test_a_robot_that_is_killed_is_silent(stage: Stage) -> None:
 
 def test_silence_stops_it(stage: Stage) -> None:
     controller(stage)
-    process, _, commands = under_way(stage, bump(JOINTS, 40.0, amplitude=1.5), "--silence", "3", "--tolerance", "0.5")
+    process, _, commands = under_way(stage, bump(JOINTS, 20.0, amplitude=1.5), "--silence", "3", "--tolerance", "0.5")
     faults = stage.observer.node.create_publisher(String, "/joint_trajectory_controller/fault", 10)
     stage.observer.wait_for(faults.get_subscription_count, "the robot")
     faults.publish(String(data=SILENT))

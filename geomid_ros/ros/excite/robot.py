@@ -23,7 +23,7 @@ from geomid_ros.ros.excite.recorder import Recorder
 from geomid_ros.ros.outputs import latched
 from geomid_ros.signals.messages import JOINT_STATES, JointMessage, parse
 
-LOOK = 0.005  # [s] at most that a look waits for a message
+_LOOK = 0.003  # [s] at most that a look waits for a message
 _MOST_AT_ONCE = 1000  # messages
 _DESCRIPTION = "robot_description"
 _WRENCH, _STATE, _TEXT = "geometry_msgs/msg/WrenchStamped", "sensor_msgs/msg/JointState", "std_msgs/msg/String"
@@ -62,7 +62,7 @@ class HeardRobot:
 
     def look(self) -> list[JointState]:
         """What has come since the last look, or comes within a moment."""
-        self._executor.spin_once(timeout_sec=LOOK)
+        self._executor.spin_once(timeout_sec=_LOOK)
         for _ in range(_MOST_AT_ONCE):
             with self._states.handle:
                 taken = self._states.handle.take_message(JointStateMessage, True)
