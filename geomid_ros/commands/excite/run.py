@@ -59,7 +59,7 @@ def run(trajectory: Path, urdf: Path | None, execute: bool, identify: bool, out:
     Nothing looks for obstacles here: keep the emergency stop at hand. Needs ROS 2.
     """
     from geomid_ros.api.arguments import description
-    from geomid_ros.excitation.trajectory import read_trajectory
+    from geomid_ros.files.trajectories.reading import read_trajectory
 
     try:
         from geomid_ros.ros.excite.run import Order, prepared_run
