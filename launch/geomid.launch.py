@@ -8,17 +8,6 @@ from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
 from launch_ros.substitutions import FindPackageShare
 
-ARGUMENTS = {
-    "config": ("geomid.yaml", "One of the files in the package's config folder."),
-    "namespace": ("", "Namespace of the node, in that of the launch file that includes this one."),
-    "use_sim_time": ("false", "Follow /clock."),
-    "joint_states": ("joint_states", "Topic of the joints' states."),
-    "odom": ("odom", "Topic of a floating base's pose."),
-    "urdf": ("", "URDF or xacro for robot_state_publisher, where none runs yet."),
-    "rviz": ("false", "Start RViz with the robot and what is identified of it."),
-    "fixed_frame": ("base_link", "The robot's base, for RViz."),
-}
-
 
 def in_config(name: object) -> PathJoinSubstitution:
     return PathJoinSubstitution([FindPackageShare("geomid_ros"), "config", name])
@@ -30,10 +19,26 @@ def generate_launch_description() -> LaunchDescription:
     urdf = LaunchConfiguration("urdf")
     return LaunchDescription(
         [
-            *(
-                DeclareLaunchArgument(name, default_value=default, description=description)
-                for name, (default, description) in ARGUMENTS.items()
+            DeclareLaunchArgument(
+                "config", default_value="geomid.yaml", description="One of the files in the package's config folder."
             ),
+            DeclareLaunchArgument(
+                "namespace",
+                default_value="",
+                description="Namespace of the node, in that of the launch file that includes this one.",
+            ),
+            DeclareLaunchArgument("use_sim_time", default_value="false", description="Follow /clock."),
+            DeclareLaunchArgument(
+                "joint_states", default_value="joint_states", description="Topic of the joints' states."
+            ),
+            DeclareLaunchArgument("odom", default_value="odom", description="Topic of a floating base's pose."),
+            DeclareLaunchArgument(
+                "urdf", default_value="", description="URDF or xacro for robot_state_publisher, where none runs yet."
+            ),
+            DeclareLaunchArgument(
+                "rviz", default_value="false", description="Start RViz with the robot and what is identified of it."
+            ),
+            DeclareLaunchArgument("fixed_frame", default_value="base_link", description="The robot's base, for RViz."),
             DeclareLaunchArgument(
                 "params_file",
                 default_value=in_config(LaunchConfiguration("config")),

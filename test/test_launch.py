@@ -3,7 +3,6 @@ what they use; so that they run with the real one is not tested here."""
 
 from __future__ import annotations
 
-import re
 import runpy
 import sys
 from dataclasses import dataclass
@@ -14,7 +13,6 @@ from typing import Any
 
 import pytest
 import yaml
-from documents.reading import DOCUMENTS, text_of
 
 from geomid_ros.signals.messages import JOINT_STATES, ODOM
 
@@ -169,9 +167,3 @@ def test_arguments_are_declared_explained_and_used(actions: list[Made]) -> None:
     assert launched.declared >= {"config", "params_file", "namespace", "use_sim_time", "rviz", "urdf"}
     explained = [action.named["description"] for action in actions if action.kind == "DeclareLaunchArgument"]
     assert all(text.endswith(".") for text in explained)
-
-
-def test_the_documents_give_arguments_that_there_are(actions: list[Made]) -> None:
-    lines = [line for document in DOCUMENTS for line in re.findall(r"geomid\.launch\.py(.*)", text_of(document))]
-    given = {name for line in lines for name in re.findall(r"(\w+):=", line)}
-    assert {"config", "params_file", "rviz", "urdf"} <= given <= Launched(actions).declared
