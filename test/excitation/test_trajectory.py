@@ -85,9 +85,17 @@ def test_a_file_that_is_no_trajectory_is_refused(case: str, tmp_path: Path) -> N
     assert str(path) in str(caught.value)
 
 
-def test_text_that_is_no_yaml_and_aliases_are_refused(tmp_path: Path) -> None:
-    path = tmp_path / "trajectory.yaml"
-    for text in ("joint_names: [a", "joint_names: &x [a]\npoints: *x\n", "- 1", "!!python/name:os.system x"):
-        path.write_text(text)
-        with pytest.raises(InputError, match="trajectory"):
-            read_trajectory(path)
+NO_YAML = {
+    "joint_names: [a": "cannot be read",
+    "a: &x [1]\njoint_names: *x\n": "has aliases, which are not allowed",
+    "- 1": "no trajectory",
+    "!!python/name:os.system x": "cannot be read",
+}
+
+
+@pytest.mark.parametrize("text", NO_YAML)
+def test_text_that_is_no_yaml_and_aliases_are_refused(text: str, tmp_path: Path) -> None:
+    path = tmp_path / "motion.yaml"
+    path.write_text(text)
+    with pytest.raises(InputError, match=NO_YAML[text]):
+        read_trajectory(path)

@@ -16,7 +16,10 @@ from std_msgs.msg import String
 from trajectory_msgs.msg import JointTrajectory
 
 from benchmarks.trajectory_controller import DEAF, GONE, PUSHED, SILENT, STRONG
+from geomid_ros.excitation.running.watch import Watch
 from geomid_ros.files.bags.bag import Bag
+from geomid_ros.files.trajectories.reading import read_trajectory
+from geomid_ros.ros.excite.run import Order, prepared_run
 
 from .processes import Process
 from .stage import Stage
@@ -152,6 +155,36 @@ def test_a_signal_stops_it_and_the_bag_is_whole(number: signal.Signals, stage: S
     assert "Error: the motion was stopped: interrupted. The robot stands. Recorded until then:" in process.output
     rests(stage, heard, commands)
     assert len(states(stage.folder / "out/run1")) > 10
+
+
+def test_an_error_of_our_own_stops_it_too(stage: Stage, monkeypatch: pytest.MonkeyPatch) -> None:
+    """In this process, with a watch that fails."""
+    controller(stage)
+    commands = stage.observer.collect(JointTrajectory, "/joint_trajectory_controller/joint_trajectory")
+    path = bump(JOINTS, 20.0).write(stage.folder / "trajectory.yaml", 100)
+    order = Order(
+        motion=read_trajectory(path),
+        source=str(path),
+        speed=1.0,
+        controller="/joint_trajectory_controller",
+        joint_topic="joint_states",
+        urdf=None,
+        tolerance=0.5,
+        silence=100.0,
+    )
+
+    def fail(*_: object) -> str:
+        raise RuntimeError("a defect")
+
+    monkeypatch.setenv("ROS_DOMAIN_ID", str(stage.domain))
+    before = signal.getsignal(signal.SIGINT)
+    with prepared_run(order) as run:
+        monkeypatch.setattr(Watch, "look", fail)
+        with pytest.raises(RuntimeError, match="a defect"):
+            run.execute(stage.folder / "run1", lambda _: None)
+    assert signal.getsignal(signal.SIGINT) is before
+    stage.observer.wait_for(lambda: commands and len(commands[-1].points) == 1, "the command to rest")
+    states(stage.folder / "run1")
 
 
 def test_a_robot_that_is_killed_is_silent(stage: Stage) -> None:

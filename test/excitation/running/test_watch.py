@@ -82,19 +82,26 @@ def test_an_effort_beyond_its_limit_stops_it_at_once(watch: Watch) -> None:
     assert why == "the effort of joint 'a' is -20.5, its limit 20"
 
 
+def test_every_message_of_a_look_is_looked_at(watch: Watch) -> None:
+    strong, good = state(PERIOD, effort=99.0), state(2.0 * PERIOD)
+    assert "effort of joint 'a' is 99" in watch.look([strong, good], PERIOD)
+
+
 def test_efforts_that_are_not_measured_stop_nothing(watch: Watch) -> None:
     assert stopped(watch, lambda time: state(time, effort=np.nan)) == (np.inf, "")
 
 
-def test_a_joint_that_leaves_its_range_stops_it_at_once(tmp_path: Path) -> None:
-    """The motion itself reaches 1.2, the range ends at 1.0."""
-    narrow = RobotLimits(JOINTS, LIMITS.lower, np.array([1.0, 1.3]), LIMITS.speeds, LIMITS.efforts)
-    trajectory = read_trajectory(MOTION.write(tmp_path / "trajectory.yaml", 80))
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_joint_that_leaves_its_range_stops_it_at_once(sign: float, tmp_path: Path) -> None:
+    """The motion itself reaches 1.2 (or -0.8), the range ends at 1.0 (or -0.6)."""
+    motion = bump(JOINTS, 4.0, amplitude=sign)
+    narrow = RobotLimits(JOINTS, np.array([-0.6, -0.6]), np.array([1.0, 1.3]), LIMITS.speeds, LIMITS.efforts)
+    trajectory = read_trajectory(motion.write(tmp_path / "trajectory.yaml", 80))
     watch = Watch(trajectory, narrow, tolerance=TOLERANCE, silence=SILENCE, begin=BEGIN)
-    time, why = stopped(watch, state)
-    assert 1.005 < MOTION.rows(np.array([time]))[0, 0] < 1.02
-    assert "joint 'a' is at 1.0" in why
-    assert "out of its range -0.5 to 1" in why
+    time, why = stopped(watch, lambda time: state(time, motion))
+    assert 0.805 < sign * (motion.rows(np.array([time]))[0, 0] - 0.2) < 0.82
+    assert why.startswith("joint 'a' is at")
+    assert why.endswith("out of its range -0.6 to 1")
 
 
 @pytest.mark.parametrize("slow", [1.0, 4.0])
@@ -143,6 +150,13 @@ def stopped_before(watch: Watch, end: float) -> str:
 def test_silence_stops_it_within_50_ms(watch: Watch) -> None:
     """As looks last 5 ms, and a command takes none."""
     assert SILENCE < silent_after(watch, lambda _: None) <= 0.05
+
+
+def test_pauses_do_not_add_up(watch: Watch) -> None:
+    """Twenty of 30 ms each, with a message after each."""
+    for number in range(1, 21):
+        assert [watch.look([], LOOK) for _ in range(6)] == [""] * 6
+        assert watch.look([state(0.03 * number)], LOOK) == ""
 
 
 def test_a_message_that_is_repeated_is_silence(watch: Watch) -> None:
