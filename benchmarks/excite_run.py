@@ -130,8 +130,8 @@ def listen(lines: IO[str], heard: Round, begun: threading.Event) -> None:
             heard.said, heard.sentence = time.monotonic(), line.strip()
 
 
-def play(observer: Observer, event: str, folder: Path, rate: float) -> Round:
-    """One round."""
+def play(observer: Observer, event: str, folder: Path, rate: float) -> Round | None:
+    """One round; None if the motion was stopped before anything happened, as on a machine that is too busy."""
     observer.round = now = Round(event)
     robot = start("benchmarks.trajectory_controller", "--urdf", URDF, "--rate", str(rate))
     arguments = (trajectory(folder / "trajectory.yaml"), "--speed", "1", "--execute", "--out", folder)
@@ -142,6 +142,11 @@ def play(observer: Observer, event: str, folder: Path, rate: float) -> Round:
     observer.spin_until(lambda: begun.is_set() or run.poll() is not None)
     wait = time.monotonic() + PERIOD  # into the motion
     observer.spin_until(lambda: run.poll() is not None or (time.monotonic() > wait and now.moving[-1][1] > FASTEST))
+    if run.poll() is not None:
+        reader.join()
+        robot.send_signal(signal.SIGINT)
+        robot.wait()
+        return None
     if event == "Ctrl-C":
         now.happened = time.monotonic()
         run.send_signal(signal.SIGINT)
@@ -198,17 +203,22 @@ def main() -> None:
     os.environ["ROS_DOMAIN_ID"] = str(102 + os.getpid() % 120)
     report = Report(arguments.out)
     rclpy.init()
-    rows, observer = [], Observer()
+    rows, observer, early = [], Observer(), 0
     for event in EVENTS:
-        rounds = []
-        for _ in range(arguments.rounds):
+        rounds: list[Round] = []
+        while len(rounds) < arguments.rounds:
             with tempfile.TemporaryDirectory(prefix="geomid-") as folder:
-                rounds.append(play(observer, event, Path(folder), arguments.rate))
-            report.progress(f"{event}: {rounds[-1].sentence}")
+                played = play(observer, event, Path(folder), arguments.rate)
+            rounds += [played] if played is not None else []
+            early += played is None
+            report.progress(f"{event}: {played.sentence if played is not None else observer.round.sentence}")
         rows.append(row(event, rounds))
         report.result(event, [vars(each) | {"moving": len(each.moving)} for each in rounds])
     headings = ["event", "to the command [ms]", "to rest [ms]", "until said [ms]", "status not 0", "bag whole", "said"]
-    caption = "median, worst; to rest: from the command"
+    caption = (
+        f"median, worst; to rest: from the command. {early} more motions were stopped before anything happened. Load "
+        f"average {os.getloadavg()[0]:.1f} on {os.cpu_count()} cores"
+    )
     report.table(f"stopping a motion, joint states at {arguments.rate:g} Hz", headings, rows, caption)
     rclpy.shutdown()
 

@@ -57,7 +57,10 @@ def generate_launch_description() -> LaunchDescription:
                 package="robot_state_publisher",
                 executable="robot_state_publisher",
                 namespace=namespace,
-                parameters=[{"robot_description": ParameterValue(Command(["xacro ", urdf]), value_type=str)}, sim_time],
+                parameters=[
+                    {"robot_description": ParameterValue(Command(["xacro '", urdf, "'"]), value_type=str)},
+                    sim_time,
+                ],
                 remappings=[("joint_states", joint_states)],
             ),
             Node(

@@ -4,6 +4,7 @@ what they use; so that they run with the real one is not tested here."""
 from __future__ import annotations
 
 import runpy
+import shlex
 import sys
 from dataclasses import dataclass
 from importlib.metadata import distribution
@@ -95,7 +96,7 @@ class Launched:
             case "PathJoinSubstitution":
                 return "/".join(self.value(values[0]))
             case "Command":
-                return "".join(self.value(values[0])).split()
+                return shlex.split("".join(self.value(values[0])))
             case "NotEqualsSubstitution":
                 first, second = self.value(values)
                 return "true" if first != second else "false"
@@ -146,12 +147,12 @@ def test_rviz_shows_the_topics_of_the_node_in_its_namespace(actions: list[Made])
 
 
 def test_a_urdf_is_for_robot_state_publisher(actions: list[Made]) -> None:
-    started = Launched(actions, urdf="robot.xacro", joint_states="arm/joint_states", namespace="left").nodes
+    started = Launched(actions, urdf="my robot.xacro", joint_states="arm/joint_states", namespace="left").nodes
     assert started.keys() == {"geomid_node", "robot_state_publisher"}
     publisher = started["robot_state_publisher"]
     assert publisher["package"] == "robot_state_publisher"
     assert publisher["namespace"] == started["geomid_node"]["namespace"] == "left"
-    assert publisher["parameters"][0] == {"robot_description": ["xacro", "robot.xacro"]}
+    assert publisher["parameters"][0] == {"robot_description": ["xacro", "my robot.xacro"]}
     assert publisher["remappings"] == [(JOINT_STATES, "arm/joint_states")]
 
 

@@ -148,6 +148,8 @@ class MotionRun:
         self, motion: Trajectory, controller: Controller, recorder: Recorder, say: Callable[[str], None]
     ) -> None:
         """Let the robot follow a motion, and watch over it. Raises GeomidError when it had to be stopped."""
+        if self._interrupted():
+            raise GeomidError(f"interrupted before {'the motion' if motion is self.plan.motion else 'anything moved'}")
         self._robot.look()
         begin = self._robot.state.stamp if self._robot.state is not None else 0
         watch = Watch(motion, self._limits, tolerance=self._order.tolerance, silence=self.plan.silence, begin=begin)
