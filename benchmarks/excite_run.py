@@ -24,6 +24,7 @@ import numpy as np
 import rclpy
 import yaml
 from rclpy.executors import SingleThreadedExecutor
+from rclpy.signals import SignalHandlerOptions
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 from trajectory_msgs.msg import JointTrajectory
@@ -202,7 +203,7 @@ def main() -> None:
     arguments = parser.parse_args()
     os.environ["ROS_DOMAIN_ID"] = str(102 + os.getpid() % 120)
     report = Report(arguments.out)
-    rclpy.init()
+    rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
     rows, observer, early = [], Observer(), 0
     for event in EVENTS:
         rounds: list[Round] = []
