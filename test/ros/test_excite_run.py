@@ -227,6 +227,13 @@ def test_what_is_not_there_is_named(stage: Stage) -> None:
     assert "unknown joint of topic robot_description" in refused_motion(stage, joint_names=["joint1", "joint2", "x"])
 
 
+def test_a_robot_that_is_out_of_its_range_is_not_moved(stage: Stage) -> None:
+    """The first joint's range ends at 2.8."""
+    controller(stage, start=2.9)
+    message = refused(stage, "--execute")
+    assert "joint 'joint1' is at 2.900, out of its range -2.8 to 2.8 in the URDF: bring it back" in message
+
+
 def refused_motion(stage: Stage, **changes: Any) -> str:
     path = stage.folder / "changed.yaml"
     path.write_text(yaml.safe_dump({**bump(JOINTS, 4.0).document(20), **changes}))

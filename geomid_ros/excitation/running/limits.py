@@ -13,6 +13,7 @@ from geomid_ros.types import FloatArray
 
 _SLACK = 1e-6  # of rounding, in numbers that were written to a file
 _AT_REST = 1e-3  # [rad/s, m/s]
+_OUTSIDE = 0.005  # [rad, m] of a range, as a joint may rest at its end
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,6 +38,13 @@ class RobotLimits:
         places = [robot.joint_names.index(name) for name in joints]
         lower, upper = robot.position_limits[places].T
         return RobotLimits(joints, lower, upper, robot.speed_limits[places], robot.effort_limits[places])
+
+    def out_of_range(self, position: FloatArray) -> str:
+        """Which joint is out of its range at a position ``(joints,)``, in a sentence, if one is."""
+        for index in np.flatnonzero((position < self.lower - _OUTSIDE) | (position > self.upper + _OUTSIDE)):
+            limits = f"{self.lower[index]:g} to {self.upper[index]:g}"
+            return f"joint '{self.joints[index]}' is at {position[index]:.3f}, out of its range {limits}"
+        return ""
 
 
 def check_motion(motion: Trajectory, limits: RobotLimits, source: str) -> None:

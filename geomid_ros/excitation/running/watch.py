@@ -18,7 +18,6 @@ _LONGEST_LOOK = 0.01  # [s]: a longer pause was one of this process, not of the 
 _WINDOW, _STEP = 0.3, 0.01  # [s] in which a joint must have moved, and between instants that are remembered
 _INSTANTS = 6  # the last, whose positions say how fast a joint is that does not say so itself
 _SEEN, _STILL = 0.02, 0.05  # [rad, m] that a joint should have moved; as a share of it, what counts as not at all
-_OUTSIDE = 0.005  # [rad, m] of a range, as a joint may rest at its end
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,7 +102,7 @@ class Watch:
         wanted, _ = self._motion.at(self.elapsed)
         self._remember(state.position, wanted)
         return (
-            self._out_of_range(state.position)
+            self._limits.out_of_range(state.position)
             or self._too_strong(state.effort)
             or self._not_followed()
             or self._astray(state.position, wanted)
@@ -114,14 +113,6 @@ class Watch:
             self._lately.append((self.elapsed, position, wanted))
         while self.elapsed - self._lately[0][0] > _WINDOW:
             self._lately.popleft()
-
-    def _out_of_range(self, position: FloatArray) -> str:
-        for index in np.flatnonzero(
-            (position < self._limits.lower - _OUTSIDE) | (position > self._limits.upper + _OUTSIDE)
-        ):
-            limits = f"{self._limits.lower[index]:g} to {self._limits.upper[index]:g}"
-            return f"joint '{self._name(index)}' is at {position[index]:.3f}, out of its range {limits}"
-        return ""
 
     def _too_strong(self, effort: FloatArray) -> str:
         for index in np.flatnonzero(np.abs(effort) > self._limits.efforts):

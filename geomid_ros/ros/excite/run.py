@@ -121,6 +121,8 @@ class MotionRun:
         raise InputError(f"{topic}: {what}; {self._order.source} moves {', '.join(self._order.motion.joints)}")
 
     def _planned(self, state: JointState) -> Plan:
+        if outside := self._limits.out_of_range(state.position):
+            raise InputError(f"{outside} in the URDF: bring it back before anything else moves")
         motion = self._order.slowed
         silence = self._order.silence or max(_SILENCE, _PERIODS * self._robot.period(_LISTENING))
         way = way_to(motion.joints, state.position, motion.positions[0], self._limits.speeds)
