@@ -29,7 +29,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 from trajectory_msgs.msg import JointTrajectory
 
-from benchmarks.report import Report
+from benchmarks.report import Report, chosen
 from benchmarks.trajectory_controller import DEAF, GONE, PUSHED, SILENT, STRONG
 from geomid_ros.errors import InputError
 from geomid_ros.files.bags.bag import Bag
@@ -197,6 +197,7 @@ def row(event: str, rounds: Sequence[Round]) -> list[str]:
 def main() -> None:
     """Print the table."""
     parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("events", nargs="*", metavar="EVENT", help=f"any of {', '.join(EVENTS)}")
     parser.add_argument("--rounds", type=int, default=5, help="of each event (%(default)s)")
     parser.add_argument("--rate", type=float, default=250.0, help="joint states a second (%(default)g)")
     parser.add_argument("--out", type=Path, default=Path("out/excite"), help="folder for results (%(default)s)")
@@ -205,7 +206,7 @@ def main() -> None:
     report = Report(arguments.out)
     rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
     rows, observer, early = [], Observer(), 0
-    for event in EVENTS:
+    for event in chosen(parser, arguments.events, EVENTS):
         rounds: list[Round] = []
         while len(rounds) < arguments.rounds:
             with tempfile.TemporaryDirectory(prefix="geomid-") as folder:
