@@ -28,6 +28,7 @@ FLOORS = {
     "monitoring": 3,
     "plausibility": 3,
     "gap": 3,
+    "excitation": 3,
     "files": 4,
     "simulation": 4,
     "resimulation": 5,

@@ -1,0 +1,35 @@
+"""``geomid excite run`` before it has anything to do with a robot; with one: test/ros/test_excite_run.py."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+import pytest
+
+from geomid_ros.commands.excite.run import run
+
+from .running import done, refused
+from .test_help import LIBRARIES, loaded
+
+
+def test_help_explains_every_option_and_loads_no_library() -> None:
+    text = done("excite", "run", "--help")
+    options = [parameter for parameter in run.params if isinstance(parameter, click.Option)]
+    assert len(options) > 5
+    for option in options:
+        assert option.opts[0] in text
+        assert (option.help or "").endswith((".", "]"))
+    assert not loaded("excite", "run", "--help") & LIBRARIES
+
+
+def test_files_that_cannot_be_read_are_named(tmp_path: Path) -> None:
+    pytest.importorskip("rclpy")
+    assert "motion.yaml: the trajectory cannot be read" in refused("excite", "run", tmp_path / "motion.yaml")
+    message = refused("excite", "run", tmp_path / "motion.yaml", "--urdf", tmp_path / "robot.urdf")
+    assert "robot.urdf: the robot description cannot be read" in message
+
+
+@pytest.mark.parametrize("speed", ["0", "1.1", "-1"])
+def test_speeds_that_are_none_are_refused(speed: str, tmp_path: Path) -> None:
+    assert "--speed" in refused("excite", "run", tmp_path / "motion.yaml", "--speed", speed)
