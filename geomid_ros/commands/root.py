@@ -16,6 +16,7 @@ from geomid_ros.errors import TOO_LITTLE_MEMORY, GeomidError, is_lack_of_memory
 COMMANDS = {
     "demo": "Watch a robot's inertias being identified live.",
     "export": "Print an estimate in the terms of other software.",
+    "fleet": "Identify many robots of a type from many bags.",
     "gap": "Find what a simulation lacks.",
     "identify": "Identify link inertias from rosbags.",
     "payload": "Weigh what a robot carries.",

@@ -175,6 +175,7 @@ def _estimate(
     )
     parameters = np.zeros(whole.dimension)
     parameters[columns] = solution.point.parameters
+    independent = np.sqrt(min(found.share, problem.independent))
     return Estimate(
         converged=solution.converged,
         reason=solution.reason,
@@ -193,6 +194,8 @@ def _estimate(
         rms=frozen(summary.rms(solution.point.parameters)),
         information=uncertainty.links_information(manifold, prior_point, solution.point, fitted.rows, known, found),
         posterior=_posterior(problem, solution.point, found),
+        rows=frozen(independent * fitted.rows[0]),
+        targets=frozen(independent * fitted.rows[1]),
         known=_known(known, manifold, solution.point, found),
         warnings=tuple(_run_away(model, fitted, solution.point)),
     )
