@@ -1,12 +1,38 @@
-"""What robots of a type have in common."""
+"""What robots of a type have in common: random effects on the manifold.
+
+A robot's parameters are ``exp(m, t)`` with the Karcher mean m of its type and tangent coordinates t that are normal with
+the covariance S between robots. Its data say of t what its rows say: no robot's own prior enters. Of the mean a URDF says
+what it says of any robot, so that what no data tell stays as uncertain as it was. Expectation-maximisation (Dempster,
+Laird and Rubin 1977; Laird and Ware 1982): the expectation solves for the mean and every robot jointly, with the rows
+linearised at each robot; then S is the mean of the expected squares, drawn towards one variance for all links, and one
+for each effect.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
+import numpy as np
+
+from geomid_ros.errors import InputError
 from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.estimation.posterior import EffectCoordinate
-from geomid_ros.types import FloatArray
+from geomid_ros.estimation.starting_point import usual_spreads
+from geomid_ros.estimation.summary import triangular
+from geomid_ros.geometry.manifold import ParameterManifold, Point
+from geomid_ros.types import FloatArray, IntArray, frozen
+
+FEWEST = 3
+"""Of fewer robots nothing is said of all."""
+SHARED = 10.0
+"""The common variance counts as much as so many robots."""
+_FIRST_SPREAD = 0.5  # times the usual
+_LEAST_VARIANCE = 1e-8
+_ROUNDS = 100
+_SETTLED = 1e-3  # of the logarithms of variances, and of the mean in standard deviations
+_LONGEST_STEP = 0.5  # of a robot in tangent coordinates
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -44,3 +70,199 @@ class Evidence:
             prior=posterior.prior,
             scales=posterior.scales,
         )
+
+    def of_effects(self, effects: Sequence[EffectCoordinate]) -> Evidence:
+        """What is said of the links and these effects alone, whatever the others are."""
+        first = 10 * len(self.links)
+        places = {effect: first + index for index, effect in enumerate(self.effects)}
+        kept = [*range(first), *(places[effect] for effect in effects)]
+        others = [column for column in range(first + len(self.effects)) if column not in kept]
+        stacked = np.column_stack([self.rows, self.targets])[:, [*others, *kept, -1]]
+        left = triangular(stacked)[len(others) :, len(others) :]
+        scales = dict(zip([effect for effect in self.effects if not effect.positive], self.scales, strict=True))
+        return Evidence(
+            links=self.links,
+            effects=tuple(effects),
+            rows=left[:, :-1],
+            targets=left[:, -1],
+            parameters=self.parameters[kept],
+            prior=self.prior[kept],
+            scales=np.array([scales[effect] for effect in effects if not effect.positive]),
+        )
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Population:
+    """What is known of a robot of a type before its data: ``exp(parameters, N(0, covariance))`` on the manifold.
+
+    Attributes:
+        links: names of the moving links.
+        effects: the effects' coefficients, the positive ones first.
+        parameters: the Karcher mean ``(D,)``.
+        covariance: ``(D, D)`` in tangent coordinates at the mean, as of
+            :class:`~geomid_ros.estimation.posterior.Posterior`: between robots, and of the mean itself.
+        scales: of the real coefficients.
+        robots: how many it is from.
+    """
+
+    links: tuple[str, ...]
+    effects: tuple[EffectCoordinate, ...]
+    parameters: FloatArray
+    covariance: FloatArray
+    scales: FloatArray
+    robots: int
+
+    @cached_property
+    def manifold(self) -> ParameterManifold:
+        """Where the parameters live."""
+        return ParameterManifold(len(self.links), sum(effect.positive for effect in self.effects), self.scales)
+
+    @cached_property
+    def point(self) -> Point:
+        """The mean."""
+        return self.manifold.point(self.parameters)
+
+    def part(self, links: Sequence[str], effects: Sequence[EffectCoordinate]) -> Population:
+        """What is known of some of the links and effects, in the order in which they are given."""
+        first = 10 * len(self.links)
+        kept = [
+            *(10 * self.links.index(name) + k for name in links for k in range(10)),
+            *(first + self.effects.index(effect) for effect in effects),
+        ]
+        scales = dict(zip([effect for effect in self.effects if not effect.positive], self.scales, strict=True))
+        return Population(
+            links=tuple(links),
+            effects=tuple(effects),
+            parameters=self.parameters[kept],
+            covariance=self.covariance[np.ix_(kept, kept)],
+            scales=np.array([scales[effect] for effect in effects if not effect.positive]),
+            robots=self.robots,
+        )
+
+    @cached_property
+    def blocks(self) -> dict[str, IntArray]:
+        """The coordinates of every link, and of every effect at all joints, by name."""
+        links = {name: np.arange(10 * index, 10 * index + 10) for index, name in enumerate(self.links)}
+        names = np.array([effect.name for effect in self.effects])
+        effects = {name: 10 * len(self.links) + np.flatnonzero(names == name) for name in dict.fromkeys(names.tolist())}
+        return links | effects
+
+
+def population_of(robots: Sequence[Evidence]) -> Population:
+    """The population of these robots, all of which belong to it.
+
+    Args:
+        robots: with the same links; effects count that all have.
+
+    Raises:
+        InputError: there are fewer than :data:`FEWEST`, or they have other links.
+    """
+    if len(robots) < FEWEST:
+        raise InputError(f"a population of {len(robots)} robots, expected at least {FEWEST}")
+    if any(robot.links != robots[0].links for robot in robots):
+        raise InputError("robots of a population have other links than the others")
+    fit = _Fit(common(robots))
+    for _ in range(_ROUNDS):
+        if fit.advance():
+            break
+    return fit.population
+
+
+def common(robots: Sequence[Evidence]) -> list[Evidence]:
+    """What is said of the links and of the effects that all robots have."""
+    shared = set.intersection(*(set(robot.effects) for robot in robots))
+    effects = [effect for effect in robots[0].effects if effect in shared]
+    return [robot.of_effects(effects) for robot in robots]
+
+
+class _Fit:
+    """Expectation-maximisation, round by round."""
+
+    def __init__(self, robots: Sequence[Evidence]) -> None:
+        first = robots[0]
+        self._robots = robots
+        positives = sum(effect.positive for effect in first.effects)
+        scales = np.median([robot.scales for robot in robots], axis=0)
+        self._manifold = manifold = ParameterManifold(len(first.links), positives, scales)
+        starts = np.array([robot.prior for robot in robots])
+        starts[:, manifold.inertial] = first.prior[manifold.inertial]
+        self._prior = manifold.point(np.median(starts, axis=0))
+        self._usual = usual_spreads(manifold)
+        self._mean = self._prior
+        self._covariance = np.diag((_FIRST_SPREAD * self._usual) ** 2)
+        self._of_mean = np.diag(self._usual**2)
+        self._points = [manifold.point(robot.parameters) for robot in robots]
+
+    @property
+    def population(self) -> Population:
+        """As it is now."""
+        first = self._robots[0]
+        return Population(
+            links=first.links,
+            effects=first.effects,
+            parameters=self._mean.parameters,
+            covariance=frozen(self._covariance + self._of_mean),
+            scales=self._manifold.scales,
+            robots=len(self._robots),
+        )
+
+    def advance(self) -> bool:
+        """One round; whether it changed next to nothing."""
+        manifold = self._manifold
+        between = np.linalg.inv(self._covariance)
+        linearised = [linear(manifold, self._mean, *pair) for pair in zip(self._robots, self._points, strict=True)]
+        information = np.diag(self._usual**-2.0)
+        slope = information @ manifold.log(self._mean, self._prior)
+        unsure = []
+        for own, pull in linearised:
+            covariance = np.linalg.inv(between + own)
+            unsure.append(covariance)
+            information = information + between - between @ covariance @ between
+            slope = slope + between @ (covariance @ pull)
+        self._of_mean = np.linalg.inv(information)
+        mean = self._of_mean @ slope
+        squares = np.zeros_like(between)
+        ends = []
+        for (_, pull), covariance in zip(linearised, unsure, strict=True):
+            found = covariance @ (between @ mean + pull)
+            moved = covariance @ between - np.eye(len(mean))
+            squares += np.outer(found - mean, found - mean) + covariance + moved @ self._of_mean @ moved.T
+            ends.append(found)
+        before = np.diag(self._covariance)
+        self._covariance = self._shrunk(squares)
+        self._points = [self._towards(point, end) for point, end in zip(self._points, ends, strict=True)]
+        self._mean = manifold.exp(self._mean, mean)
+        change = np.max(np.abs(np.log(np.diag(self._covariance) / before)))
+        return bool(max(change, np.max(np.abs(mean) / np.sqrt(before))) < _SETTLED)
+
+    def _towards(self, point: Point, end: FloatArray) -> Point:
+        """A robot's next point: that with the tangent coordinates ``end``, or a part of the way."""
+        begin = self._manifold.log(self._mean, point)
+        step = end - begin
+        return self._manifold.exp(self._mean, begin + step * min(1.0, _LONGEST_STEP / max(np.max(np.abs(step)), 1e-12)))
+
+    def _shrunk(self, squares: FloatArray) -> FloatArray:
+        """The covariance of the robots, from the sum of their expected squares."""
+        count = len(self._robots)
+        variances = np.diag(squares) / count
+        for columns in self._groups:
+            variances[columns] = np.mean(variances[columns])
+        return np.asarray((squares + SHARED * np.diag(np.maximum(variances, _LEAST_VARIANCE))) / (count + SHARED))
+
+    @cached_property
+    def _groups(self) -> list[IntArray]:
+        """The coordinates of all links, and of every effect."""
+        first = self._manifold.inertial.stop
+        names = np.array([effect.name for effect in self._robots[0].effects])
+        return [np.arange(first), *(first + np.flatnonzero(names == name) for name in dict.fromkeys(names.tolist()))]
+
+
+def linear(
+    manifold: ParameterManifold, base: Point, robot: Evidence, point: Point
+) -> tuple[FloatArray, FloatArray]:
+    """What a robot's rows, linearised at ``point``, say of its tangent coordinates t at ``base``: the information
+    ``(D, D)`` and the vector ``(D,)`` that it is of ``information @ t``."""
+    tangent = manifold.log(base, point)
+    rows = robot.rows @ manifold.exp_derivative(base, tangent)
+    targets = robot.targets - robot.rows @ point.parameters + rows @ tangent
+    return rows.T @ rows, rows.T @ targets
