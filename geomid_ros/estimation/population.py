@@ -4,14 +4,14 @@ A robot's parameters are ``exp(m, t)`` with the Karcher mean m of its type and t
 the covariance S between robots. Its data say of t what its rows say: no robot's own prior enters. Of the mean a URDF says
 what it says of any robot, so that what no data tell stays as uncertain as it was. Expectation-maximisation (Dempster,
 Laird and Rubin 1977; Laird and Ware 1982): the expectation solves for the mean and every robot jointly, with the rows
-linearised at each robot; then S is the mean of the expected squares, drawn towards one variance for all links, and one
-for each effect.
+linearised at each robot; then S is the mean of the expected squares. First S has one variance for all links and one for
+each effect; then it is free, but drawn towards that: few robots tell no covariance of many parameters.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -30,8 +30,8 @@ SHARED = 10.0
 """The common variance counts as much as so many robots."""
 _FIRST_SPREAD = 0.5  # times the usual
 _LEAST_VARIANCE = 1e-8
-_ROUNDS = 100
-_SETTLED = 1e-3  # of the logarithms of variances, and of the mean in standard deviations
+_ROUNDS = 50
+_SETTLED = 1e-2  # of the logarithms of variances, and of the mean in standard deviations
 _LONGEST_STEP = 0.5  # of a robot in tangent coordinates
 
 
@@ -148,37 +148,36 @@ class Population:
         return links | effects
 
 
-def population_of(robots: Sequence[Evidence]) -> Population:
-    """The population of these robots, all of which belong to it.
-
-    Args:
-        robots: with the same links; effects count that all have.
+def common(robots: Sequence[Evidence]) -> list[Evidence]:
+    """What is said of the links and of the effects that all robots have.
 
     Raises:
-        InputError: there are fewer than :data:`FEWEST`, or they have other links.
+        InputError: there are fewer than :data:`FEWEST`, or they have different links.
     """
     if len(robots) < FEWEST:
         raise InputError(f"a population of {len(robots)} robots, expected at least {FEWEST}")
     if any(robot.links != robots[0].links for robot in robots):
-        raise InputError("robots of a population have other links than the others")
-    fit = _Fit(common(robots))
-    for _ in range(_ROUNDS):
-        if fit.advance():
-            break
-    return fit.population
-
-
-def common(robots: Sequence[Evidence]) -> list[Evidence]:
-    """What is said of the links and of the effects that all robots have."""
+        raise InputError("the robots of a population have different links")
     shared = set.intersection(*(set(robot.effects) for robot in robots))
     effects = [effect for effect in robots[0].effects if effect in shared]
     return [robot.of_effects(effects) for robot in robots]
 
 
-class _Fit:
-    """Expectation-maximisation, round by round."""
+@dataclass(frozen=True, eq=False)
+class _Share:
+    """What a robot adds in a round: ``information (D, D)`` on the mean and the vector ``pull (D,)`` that it is of
+    ``information @ mean``, and its expected ``squares (D, D)``."""
+
+    information: FloatArray
+    pull: FloatArray
+    squares: FloatArray
+
+
+class PopulationFit:
+    """The population of robots all of which belong to it, by expectation-maximisation."""
 
     def __init__(self, robots: Sequence[Evidence]) -> None:
+        """Fit it to at least :data:`FEWEST` robots with the same links and effects (:func:`common`)."""
         first = robots[0]
         self._robots = robots
         positives = sum(effect.positive for effect in first.effects)
@@ -190,50 +189,76 @@ class _Fit:
         self._usual = usual_spreads(manifold)
         self._mean = self._prior
         self._covariance = np.diag((_FIRST_SPREAD * self._usual) ** 2)
+        self._common: FloatArray | None = None
         self._of_mean = np.diag(self._usual**2)
         self._points = [manifold.point(robot.parameters) for robot in robots]
+        self._shares: list[_Share] = []
+        self._settle()
+        self._common = self._covariance
+        self._settle()
 
     @property
     def population(self) -> Population:
-        """As it is now."""
+        """The population of all robots."""
+        return self._population(self._mean, self._covariance + self._of_mean, len(self._robots))
+
+    def without(self, index: int) -> Population:
+        """That of the others, by one round."""
+        left = [share for place, share in enumerate(self._shares) if place != index]
+        of_mean, tangent = self._mean_of(left)
+        mean = self._manifold.exp(self._mean, tangent)
+        return self._population(mean, self._between(left) + of_mean, len(left))
+
+    def _population(self, mean: Point, covariance: FloatArray, robots: int) -> Population:
         first = self._robots[0]
         return Population(
             links=first.links,
             effects=first.effects,
-            parameters=self._mean.parameters,
-            covariance=frozen(self._covariance + self._of_mean),
+            parameters=mean.parameters,
+            covariance=frozen(covariance),
             scales=self._manifold.scales,
-            robots=len(self._robots),
+            robots=robots,
         )
 
-    def advance(self) -> bool:
+    def _settle(self) -> None:
+        """Go on until a round changes next to nothing."""
+        for _ in range(_ROUNDS):
+            if self._advance():
+                break
+
+    def _advance(self) -> bool:
         """One round; whether it changed next to nothing."""
         manifold = self._manifold
         between = np.linalg.inv(self._covariance)
         linearised = [linear(manifold, self._mean, *pair) for pair in zip(self._robots, self._points, strict=True)]
-        information = np.diag(self._usual**-2.0)
-        slope = information @ manifold.log(self._mean, self._prior)
-        unsure = []
-        for own, pull in linearised:
-            covariance = np.linalg.inv(between + own)
-            unsure.append(covariance)
-            information = information + between - between @ covariance @ between
-            slope = slope + between @ (covariance @ pull)
-        self._of_mean = np.linalg.inv(information)
-        mean = self._of_mean @ slope
-        squares = np.zeros_like(between)
+        unsure = [np.linalg.inv(between + information) for information, _ in linearised]
+        nothing = np.zeros_like(between)
+        self._shares = [
+            _Share(between - between @ covariance @ between, between @ (covariance @ pull), nothing)
+            for (_, pull), covariance in zip(linearised, unsure, strict=True)
+        ]
+        self._of_mean, mean = self._mean_of(self._shares)
         ends = []
-        for (_, pull), covariance in zip(linearised, unsure, strict=True):
+        for index, ((_, pull), covariance) in enumerate(zip(linearised, unsure, strict=True)):
             found = covariance @ (between @ mean + pull)
             moved = covariance @ between - np.eye(len(mean))
-            squares += np.outer(found - mean, found - mean) + covariance + moved @ self._of_mean @ moved.T
+            squares = np.outer(found - mean, found - mean) + covariance + moved @ self._of_mean @ moved.T
+            self._shares[index] = replace(self._shares[index], squares=squares)
             ends.append(found)
         before = np.diag(self._covariance)
-        self._covariance = self._shrunk(squares)
+        self._covariance = self._between(self._shares)
         self._points = [self._towards(point, end) for point, end in zip(self._points, ends, strict=True)]
         self._mean = manifold.exp(self._mean, mean)
         change = np.max(np.abs(np.log(np.diag(self._covariance) / before)))
         return bool(max(change, np.max(np.abs(mean) / np.sqrt(before))) < _SETTLED)
+
+    def _mean_of(self, shares: Sequence[_Share]) -> tuple[FloatArray, FloatArray]:
+        """Covariance ``(D, D)`` and tangent coordinates ``(D,)`` of the mean, by what robots and the prior say of it."""
+        own = self._usual**-2.0
+        information = np.diag(own) + np.sum([share.information for share in shares], axis=0)
+        pull = own * self._manifold.log(self._mean, self._prior) + np.sum([share.pull for share in shares], axis=0)
+        covariance = np.linalg.inv(information)
+        return covariance, covariance @ pull
 
     def _towards(self, point: Point, end: FloatArray) -> Point:
         """A robot's next point: that with the tangent coordinates ``end``, or a part of the way."""
@@ -241,13 +266,15 @@ class _Fit:
         step = end - begin
         return self._manifold.exp(self._mean, begin + step * min(1.0, _LONGEST_STEP / max(np.max(np.abs(step)), 1e-12)))
 
-    def _shrunk(self, squares: FloatArray) -> FloatArray:
-        """The covariance of the robots, from the sum of their expected squares."""
-        count = len(self._robots)
-        variances = np.diag(squares) / count
+    def _between(self, shares: Sequence[_Share]) -> FloatArray:
+        """The covariance of robots, from their expected squares."""
+        squares = np.sum([share.squares for share in shares], axis=0)
+        if self._common is not None:
+            return np.asarray((squares + SHARED * self._common) / (len(shares) + SHARED))
+        variances = np.diag(squares) / len(shares)
         for columns in self._groups:
-            variances[columns] = np.mean(variances[columns])
-        return np.asarray((squares + SHARED * np.diag(np.maximum(variances, _LEAST_VARIANCE))) / (count + SHARED))
+            variances[columns] = max(np.mean(variances[columns]), _LEAST_VARIANCE)
+        return np.diag(variances)
 
     @cached_property
     def _groups(self) -> list[IntArray]:
