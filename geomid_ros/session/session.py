@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable, Iterable, Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -12,7 +13,7 @@ import numpy as np
 
 from geomid_ros.errors import InputError
 from geomid_ros.estimation.estimate import Estimate
-from geomid_ros.estimation.estimator import WarmStart
+from geomid_ros.estimation.estimator import EstimatorSettings, WarmStart
 from geomid_ros.estimation.identifier import Identifier
 from geomid_ros.estimation.summary import RowSummary
 from geomid_ros.files.bags.bag import Bag
@@ -20,6 +21,7 @@ from geomid_ros.files.checkpoints.checkpoint import Checkpoint
 from geomid_ros.files.disk import write_json, write_text
 from geomid_ros.files.models.judgements import account_entry, verdict_entry
 from geomid_ros.files.models.loaded_model import LoadedModel
+from geomid_ros.files.models.population import read_population
 from geomid_ros.files.models.posterior import POSTERIOR, write_posterior
 from geomid_ros.files.models.results import estimate_document, model_effects
 from geomid_ros.files.models.urdf import with_effects, with_identified_inertias
@@ -84,12 +86,8 @@ class Session:
             candidates=configuration.candidates,
             behind_gear=configuration.behind_gear(self.robot.joint_names),
         )
-        self.identifier = Identifier(
-            self.model,
-            configuration.estimator([channel.name for channel in self.model.channels]),
-            configuration.buffer,
-            self.prior,
-        )
+        self._settings = self._estimator_settings()
+        self.identifier = Identifier(self.model, self._settings, configuration.buffer, self.prior)
         joints = self.robot.joint_names
         named = {s.topic: name for name, s in zip(configuration["wrenches"], configuration.sensors, strict=True)}
         gains = configuration.signals(joints).effort_gains(joints)
@@ -118,6 +116,16 @@ class Session:
     def prior(self) -> FloatArray | None:
         """The parameters ``(D,)`` of an earlier estimate to start from, NaN where it has none; None without one."""
         return self.loaded.parameters(self.model)
+
+    def _estimator_settings(self) -> EstimatorSettings:
+        """With the population that is the prior. Raises InputError where several priors are given, or none fits."""
+        settings = self.configuration.estimator([channel.name for channel in self.model.channels])
+        if not (path := self.configuration["prior"]):
+            return settings
+        for other in ("model", "gamma"):
+            if self.configuration[other]:
+                raise InputError(f"{self.configuration.source}: prior and {other} are both given; choose one")
+        return replace(settings, population=read_population(Path(path)))
 
     def judge(self) -> None:
         """Judge the recording as a whole, by the samples that :attr:`check` was told of so far."""
@@ -297,9 +305,8 @@ class Session:
     @property
     def _solving(self) -> str:
         """A checksum of what a solve depends on beside the rows."""
-        settings = self.configuration.estimator([channel.name for channel in self.model.channels])
         prior = self.prior
-        text = f"{settings} {prior.tolist() if prior is not None else None}"
+        text = f"{self._settings} {prior.tolist() if prior is not None else None}"
         return hashlib.sha256(text.encode(errors="replace")).hexdigest()
 
     def document(
