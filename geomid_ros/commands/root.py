@@ -22,6 +22,7 @@ COMMANDS = {
     "payload": "Weigh what a robot carries.",
     "play": "Publish topics of BAG live.",
     "prior": "Give a URDF inertials from its shapes.",
+    "sample": "Draw robots from what an identification knows.",
     "simulate": "Record a simulated robot into a new rosbag.",
     "verify": "Check that a model predicts a recording.",
 }

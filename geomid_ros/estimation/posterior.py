@@ -1,12 +1,20 @@
-"""The joint posterior of links and effects: a Gaussian in the tangent space of the parameters' manifold."""
+"""The joint posterior of links and effects: a Gaussian in tangent coordinates at the estimate."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 
+import numpy as np
+
+from geomid_ros.geometry import spd, symmetric
 from geomid_ros.geometry.manifold import ParameterManifold, Point
-from geomid_ros.types import FloatArray
+from geomid_ros.types import BoolArray, FloatArray, frozen
+
+_LEAST = 0.05  # of what the estimate has
+_REMEMBERED = 0.01  # of a chain's beginning, as a share of the variance
+_MOST_STEPS = 1000
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -23,18 +31,21 @@ class EffectCoordinate:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Posterior:
-    """What is known of all parameters together: ``exp(estimate, N(0, covariance))`` on the manifold.
+    """What is known of all parameters together: ``N(0, covariance)``, given that such a robot can exist.
 
-    Tangent coordinates ``x (D,)`` at the estimate, in the order of the parameters
-    (:mod:`geomid_ros.geometry.manifold`):
+    Its coordinates ``x (D,)`` are those of the tangent space at the estimate (:mod:`geomid_ros.geometry.manifold`), in
+    the order of the parameters, and straight:
 
-    - ten per link, those of the symmetric matrix X in ``P^1/2 exp(X) P^1/2``, where P is the estimated pseudo-inertia
+    - ten per link, those of the symmetric matrix X of ``P^1/2 (1 + X) P^1/2``, where P is the estimated pseudo-inertia
       ``[[S, h], [h, m]]`` about the link's origin: X11, X22, X33, X44, and sqrt(2) times X12, X13, X14, X23, X24, X34
-      (:mod:`geomid_ros.geometry.symmetric`);
-    - one per positive coefficient c: ``c exp(x)``;
+      (:mod:`geomid_ros.geometry.symmetric`); the body can exist if 1 + X is positive definite;
+    - one per positive coefficient c: ``c (1 + x)``, which must be positive;
     - one per real coefficient r with the scale s: ``r + s x``.
 
-    Whatever x is, the bodies can exist and positive coefficients are positive.
+    So the parameters are ``estimate + J x`` with a constant J. Geodesics of the same tangents, ``P^1/2 exp(X) P^1/2``,
+    would not do: measurements are linear in the parameters, and resolve some of their combinations to 1e-4. A geodesic
+    is off a straight line by half of the square of its length: it leaves what was measured long before it is as far as
+    other directions are open.
 
     Attributes:
         links: Names of the moving links.
@@ -61,7 +72,73 @@ class Posterior:
         """Where the parameters live."""
         return ParameterManifold(len(self.links), sum(effect.positive for effect in self.effects), self.scales)
 
-    @property
+    @cached_property
     def point(self) -> Point:
         """The estimate."""
         return self.manifold.point(self.parameters)
+
+    @cached_property
+    def jacobian(self) -> FloatArray:
+        """Derivative ``(D, D)`` of the parameters by the coordinates, block by block."""
+        blocks, diagonal = self.manifold.jacobian(self.point)
+        jacobian = np.diag(np.concatenate([np.zeros(self.manifold.inertial.stop), diagonal]))
+        jacobian[self.manifold.links_blocks] = blocks
+        return frozen(jacobian)
+
+    def coordinates(self, parameters: FloatArray) -> FloatArray:
+        """The coordinates ``(D,)`` of other parameters ``(D,)``: how far they are from the estimate."""
+        return np.asarray(np.linalg.solve(self.jacobian, parameters - self.parameters))
+
+    def draw(self, count: int, random: np.random.Generator, spread: float = 1.0) -> FloatArray:
+        """Parameters ``(count, D)`` of robots that are as likely as the posterior says, all of which can exist.
+
+        The Gaussian is cut off where a body would have less than a twentieth of what the estimate has of it in any
+        direction, or a positive coefficient of its own: such draws make way for others, by elliptical slice sampling
+        (Murray, Adams and MacKay 2010). Directions that the data resolve are as in the Gaussian even so.
+
+        Args:
+            count: How many.
+            random: The source of chance.
+            spread: Factor of all standard deviations.
+        """
+        values, vectors = np.linalg.eigh(self.covariance)
+        root = spread * np.sqrt(np.maximum(values, 0.0)) * vectors
+
+        def gaussian(size: int) -> FloatArray:
+            return np.asarray(random.standard_normal((size, len(values))) @ root.T)
+
+        drawn = gaussian(count)
+        outside = np.flatnonzero(~self._can_exist(drawn))
+        drawn[outside] = self._moved_inside(gaussian, random, len(outside))
+        return np.asarray(self.parameters + drawn @ self.jacobian.T)
+
+    def _moved_inside(
+        self, gaussian: Callable[[int], FloatArray], random: np.random.Generator, count: int
+    ) -> FloatArray:
+        """Coordinates ``(count, D)`` of robots that can exist, each by a chain that begins at the estimate."""
+        states = np.zeros((count, len(self.parameters)))
+        remembered = np.ones(count)
+        for _ in range(_MOST_STEPS):
+            if np.all(remembered < _REMEMBERED):
+                break
+            others, angles = gaussian(count), random.uniform(0.0, 2.0 * np.pi, count)
+            low, high, left = angles - 2.0 * np.pi, angles.copy(), np.arange(count)
+            moved = states.copy()
+            while len(left):
+                turn = angles[left, None]
+                moved[left] = np.cos(turn) * states[left] + np.sin(turn) * others[left]
+                left = left[~self._can_exist(moved[left])]
+                low[left] = np.where(angles[left] < 0.0, angles[left], low[left])
+                high[left] = np.where(angles[left] < 0.0, high[left], angles[left])
+                angles[left] = random.uniform(low[left], high[left])
+            states = moved
+            remembered *= np.cos(angles) ** 2
+        return states
+
+    def _can_exist(self, coordinates: FloatArray) -> BoolArray:
+        """Which of the robots with these coordinates ``(N, D)`` have bodies and coefficients well above zero."""
+        manifold = self.manifold
+        links = symmetric.to_matrix(coordinates[:, manifold.inertial].reshape(len(coordinates), -1, symmetric.SIZE))
+        possible = spd.is_positive_definite(links + (1.0 - _LEAST) * np.eye(4))
+        positive = 1.0 + coordinates[:, manifold.positive] > _LEAST
+        return np.asarray(np.all(possible, axis=1) & np.all(positive, axis=1))

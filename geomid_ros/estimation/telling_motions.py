@@ -82,8 +82,8 @@ class _Problem:
 
 def _tried(model: MeasurementModel, estimate: Estimate) -> Iterator[tuple[str, FloatArray]]:
     """Motions, the simplest first, with what their rows say of the links."""
-    yield POSES, _rows(model, _samples(model, moving=False), estimate)
-    fast = _samples(model, moving=True)
+    yield POSES, _rows(model, instants(model, moving=False), estimate)
+    fast = instants(model, moving=True)
     yield FAST, _rows(model, fast, estimate)
     if not model.robot.floating_base:
         yield TILTED, _rows(model.with_gravity(_TILT @ model.robot.gravity), fast, estimate)
@@ -102,7 +102,7 @@ def _rows(model: MeasurementModel, samples: Samples, estimate: Estimate) -> Floa
     ]
 
 
-def _samples(model: MeasurementModel, *, moving: bool) -> Samples:
+def instants(model: MeasurementModel, *, moving: bool) -> Samples:
     """Instants in which all joints are anywhere, and move anyhow if they do."""
     random, robot = np.random.default_rng(0), model.robot
     count, joints = _INSTANTS, len(robot.joints)

@@ -101,19 +101,22 @@ def _drake(model: Model, _: Mapping[str, Path]) -> Whole:
 
 
 def _mujoco(model: Model, packages: Mapping[str, Path]) -> Whole:
-    source = str(model.urdf_path)
-    robot = Robot(
+    shapes = mjcf_shapes(model.urdf, str(model.urdf_path), MeshFinder(model.urdf_path, packages).find)
+    effects = [effect for effect in model.effects if is_sure(effect)]
+    missing = list(dict.fromkeys(shapes.missing))
+    more = [f"{len(missing) - _MOST_MISSING} more shapes are missing"] if len(missing) > _MOST_MISSING else []
+    return Whole(mjcf(described_robot(model), {}, effects, shapes=shapes), [*missing[:_MOST_MISSING], *more])
+
+
+def described_robot(model: Model) -> Robot:
+    """The robot with the bodies that were identified."""
+    return Robot(
         model.urdf,
-        source=source,
+        source=str(model.urdf_path),
         floating_base=model.tree.root in model.estimated,
         cuts=[joint.child for joint in model.tree.joints if joint.type == "fixed" and joint.child in model.estimated],
         locked_joints=_locked(model),
     )
-    shapes = mjcf_shapes(model.urdf, source, MeshFinder(model.urdf_path, packages).find)
-    effects = [effect for effect in model.effects if is_sure(effect)]
-    missing = list(dict.fromkeys(shapes.missing))
-    more = [f"{len(missing) - _MOST_MISSING} more shapes are missing"] if len(missing) > _MOST_MISSING else []
-    return Whole(mjcf(robot, {}, effects, shapes=shapes), [*missing[:_MOST_MISSING], *more])
 
 
 def _locked(model: Model) -> list[str]:

@@ -92,6 +92,8 @@ CONTROLLERS = {"ur": PayloadFormat("tool0", ur_commands), "franka": PayloadForma
 """Controllers that take a payload, by the name of who is to read it."""
 DESCRIBED_FOR = ("moveit", "isaac", "gazebo", "drake", "mujoco")
 """Who reads descriptions of whole robots, in the order of :mod:`geomid_ros.exports.descriptions`."""
+JSON = "json"
+"""Who reads drawn robots in one file, as ``estimate.json`` has links and effects."""
 
 
 def described(exports: Sequence[Export], inertial: Callable[[Export], str]) -> str:

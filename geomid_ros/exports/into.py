@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from xml.parsers.expat import ExpatError
 
@@ -23,8 +24,57 @@ from geomid_ros.types import FloatArray
 _FAR = 1e-3  # [m] and [rad] that the axes of one joint may be apart
 
 
+@dataclass(frozen=True, eq=False)
+class OwnMjcf:
+    """An MJCF of the user's own that a model's numbers are written into.
+
+    Attributes:
+        path: The file.
+        text: What is in it.
+        placements: Homogeneous matrices ``(4, 4)`` from links to the bodies of their names.
+        joints: The joints that it has of those that something is said of.
+        emptied: Bodies that others count in.
+    """
+
+    path: Path
+    text: str
+    placements: Mapping[str, FloatArray]
+    joints: Collection[str]
+    emptied: Sequence[str]
+
+    def with_numbers(self, model: Model) -> str:
+        """The text with the inertias of a model's links and what was found at its joints, all else as it is. Raises
+        InputError for a file that does not have these itself."""
+        inertias = {name: _moved(_carried(model, name), placed) for name, placed in self.placements.items()}
+        said = joint_attributes(filter(is_sure, model.effects), "joint")
+        joints = {name: own for name, own in said.items() if name in self.joints}
+        try:
+            return with_identified(self.text, inertias, joints, self.emptied)
+        except KeyError as error:
+            raise InputError(
+                f"{self.path}: {error} is not in this file itself; give the one that includes nothing"
+            ) from error
+        except ExpatError as error:  # MuJoCo's parser takes more
+            raise InputError(f"{self.path}: not valid XML ({error})") from error
+
+
 def into_mjcf(model: Model, path: Path) -> Whole:
-    """The text of an MJCF with the inertias of the model's links and what was found at its joints, by name.
+    """The text of an MJCF with the inertias of the model's links and what was found at its joints, by name; see
+    :func:`read_own_mjcf`."""
+    own = read_own_mjcf(model, path)
+    patched = own.with_numbers(model)
+    links, said = model.estimated or model.bodies, joint_attributes(filter(is_sure, model.effects), "joint")
+    sentences = [
+        *not_said(model, ("mjcf/joint", "mjcf/body")),
+        *_named(f"{path}: has no body", [name for name in links if name not in own.placements]),
+        *_named(f"{path}: has no joint", [name for name in said if name not in own.joints]),
+        *_named("Counted in with others, so that they weigh nothing:", own.emptied),
+    ]
+    return Whole(patched, sentences)
+
+
+def read_own_mjcf(model: Model, path: Path) -> OwnMjcf:
+    """Read an MJCF of the same robot as ``model``.
 
     The bodies' frames need not be those of the URDF's links: an inertia is moved from one to the other, joints at zero.
 
@@ -32,7 +82,7 @@ def into_mjcf(model: Model, path: Path) -> Whole:
         InputError: it has none of the bodies, or its axes are not where the URDF has them.
     """
     text, frames = read_text(path, "MJCF", MOST_BYTES), body_frames(path)
-    links = {name: _carried(model, name) for name in model.estimated or model.bodies}
+    links = model.estimated or tuple(model.bodies)
     bodies = [name for name in links if name in frames.bodies]
     if not bodies:
         raise InputError(
@@ -40,23 +90,8 @@ def into_mjcf(model: Model, path: Path) -> Whole:
         )
     base = _base(model, frames, path)
     placed = {name: np.linalg.inv(frames.bodies[name]) @ base @ model.placements[name] for name in bodies}
-    inertias = {name: _moved(links[name], placed[name]) for name in bodies}
-    said = joint_attributes(filter(is_sure, model.effects), "joint")
-    joints = {name: own for name, own in said.items() if name in frames.joints}
     emptied = [link for name in bodies for link in model.bodies[name].merged if frames.masses.get(link)]
-    try:
-        patched = with_identified(text, inertias, joints, emptied)
-    except KeyError as error:
-        raise InputError(f"{path}: {error} is not in this file itself; give the one that includes nothing") from error
-    except ExpatError as error:  # MuJoCo's parser takes more
-        raise InputError(f"{path}: not valid XML ({error})") from error
-    sentences = [
-        *not_said(model, ("mjcf/joint", "mjcf/body")),
-        *_named(f"{path}: has no body", [name for name in links if name not in bodies]),
-        *_named(f"{path}: has no joint", [name for name in said if name not in joints]),
-        *_named("Counted in with others, so that they weigh nothing:", emptied),
-    ]
-    return Whole(patched, sentences)
+    return OwnMjcf(path, text, placed, tuple(frames.joints), emptied)
 
 
 def _named(heading: str, names: Sequence[str]) -> list[str]:

@@ -14,7 +14,7 @@ from collections.abc import Callable
 import numpy as np
 
 from geomid_ros.geometry import symmetric
-from geomid_ros.types import FloatArray
+from geomid_ros.types import BoolArray, FloatArray
 
 
 def _apply_to_eigenvalues(function: Callable[[FloatArray], FloatArray], matrix: FloatArray) -> FloatArray:
@@ -88,3 +88,15 @@ def half_squared_distance_hessian(values: FloatArray, vectors: FloatArray) -> Fl
     basis = symmetric.to_vector(0.5 * (outer + np.swapaxes(outer, -1, -2)))
     basis *= np.where(symmetric.ROWS == symmetric.COLUMNS, 1.0, np.sqrt(2.0))[:, None]
     return np.swapaxes(basis, -1, -2) @ (entries[..., None] * basis)
+
+
+def is_positive_definite(matrices: FloatArray) -> BoolArray:
+    """Which of the symmetric matrices ``(..., n, n)`` are positive definite: all pivots of Gauss's elimination are."""
+    left = matrices.copy()
+    result = np.ones(matrices.shape[:-2], dtype=bool)
+    for k in range(matrices.shape[-1]):
+        pivots = left[..., k, k]
+        result &= pivots > 0.0
+        column = left[..., k + 1 :, k] / np.where(result, pivots, 1.0)[..., None]
+        left[..., k + 1 :, k + 1 :] -= column[..., :, None] * left[..., k, None, k + 1 :]
+    return result

@@ -1,0 +1,147 @@
+"""The joint posterior against the truth: how far the truth of simulated bags lies from the estimate, in all directions.
+
+``python -m benchmarks.posterior [--bags 100]`` records the bags, identifies each and compares.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import tempfile
+from collections.abc import Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass, field
+from functools import partial
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import geomid_ros
+from benchmarks.report import Report
+from geomid_ros.estimation.posterior import Posterior
+from geomid_ros.files.models.urdf import with_inertials
+from geomid_ros.model.robot import Robot
+from geomid_ros.simulation import WRIST_FRAME, SimulationOptions, simulate
+from geomid_ros.simulation.robots import robot_description
+from geomid_ros.types import FloatArray
+
+FIRST_SEED = 5000
+BAGS = 100
+_PROCESSES = 2
+
+
+@dataclass(frozen=True)
+class Case:
+    """A robot, how long its bags are [s], whether its wrist is sensed, and how it is identified."""
+
+    robot: str
+    duration: float
+    wrist: bool = False
+    options: dict[str, Any] = field(default_factory=dict)
+
+
+CASES = {
+    "arm7": Case("arm7", 12.0, options={"candidates": []}),
+    "arm7 with a wrist sensor": Case("arm7", 12.0, wrist=True, options={"candidates": []}),
+    "arm3": Case("arm3", 8.0, options={"candidates": []}),
+    "arm7, effects chosen": Case("arm7", 12.0),
+}
+"""In the last one the model is not known to be right: which effects there are is chosen from the data."""
+
+
+@dataclass(frozen=True)
+class Distances:
+    """Of the truth from one estimate: squared errors ``(D,)`` in variances, along the covariance's eigen-directions
+    from the surest to the least sure; the same of the marginals; and the first along geodesics."""
+
+    directions: FloatArray
+    marginals: FloatArray
+    geodesic: FloatArray
+
+
+def run(report: Report, bags: int = BAGS) -> None:
+    """A table with a row for each case."""
+    rows, results = [], {}
+    for name, case in CASES.items():
+        report.progress(f"posterior: {bags} simulated recordings, {name}")
+        with ProcessPoolExecutor(_PROCESSES, mp_context=get_context("spawn")) as pool:
+            found = list(pool.map(partial(distances, case), range(FIRST_SEED, FIRST_SEED + bags), chunksize=5))
+        results[name] = _summary(found)
+        rows.append([name, *(f"{value:.2f}" for value in results[name].values())])
+    headings = ["", "Mahalanobis^2/D", "median", "largest", "worst direction", "marginals", "along geodesics"]
+    caption = (
+        f"Of the truth from the estimate, {bags} bags each: mean, median and largest squared distance per direction; "
+        "the largest mean squared error of any eigen-direction of the covariance; the mean of the marginals; and the "
+        "mean squared distance with the same covariance along geodesics. 1 is right."
+    )
+    report.table("Joint posterior", headings, rows, caption)
+    report.result("posterior", results)
+
+
+def _summary(found: Sequence[Distances]) -> dict[str, float]:
+    whole = np.array([np.mean(each.directions) for each in found])
+    size = min(len(each.directions) for each in found)
+    by_direction = np.mean([each.directions[:size] for each in found], axis=0)
+    return {
+        "mean": float(np.mean(whole)),
+        "median": float(np.median(whole)),
+        "largest": float(np.max(whole)),
+        "worst_direction": float(np.max(by_direction)),
+        "marginals": float(np.mean([np.mean(each.marginals) for each in found])),
+        "geodesic": float(np.mean([np.mean(each.geodesic) for each in found])),
+    }
+
+
+def distances(case: Case, seed: int) -> Distances:
+    """Record a bag, identify it, and compare."""
+    frame = WRIST_FRAME if case.wrist else None
+    simulated = SimulationOptions(robot=case.robot, seed=seed, duration=case.duration, wrench_frame=frame)
+    wrench = f"/wrench:{WRIST_FRAME}:mounted" if case.wrist else ()
+    with tempfile.TemporaryDirectory(prefix="geomid_") as folder:
+        recorded = simulate(Path(folder) / "bag", simulated)
+        truth = json.loads(recorded.truth.read_text(encoding="utf-8"))
+        urdf = robot_description(case.robot)
+        found = geomid_ros.identify(recorded.bag, urdf, wrench=wrench, hold_out=0.0, **case.options)
+    posterior = found.estimate.posterior
+    true = true_parameters(posterior, truth, urdf, [WRIST_FRAME] if case.wrist else [])
+    manifold, variances = posterior.manifold, np.diag(posterior.covariance)
+    values, vectors = np.linalg.eigh(posterior.covariance)
+    straight = posterior.coordinates(true)
+    geodesic = manifold.log(posterior.point, manifold.point(np.maximum(true, _least(posterior, true))))
+    return Distances(
+        (vectors.T @ straight) ** 2 / values, straight**2 / variances, (vectors.T @ geodesic) ** 2 / values
+    )
+
+
+def _least(posterior: Posterior, true: FloatArray) -> FloatArray:
+    """Of positive coefficients that are not there, whose logarithm is infinite: a hundredth of the estimate."""
+    least = np.full(len(true), -np.inf)
+    least[posterior.manifold.positive] = 0.01 * posterior.parameters[posterior.manifold.positive]
+    return least
+
+
+def true_parameters(posterior: Posterior, truth: dict[str, Any], urdf: str, cuts: Sequence[str]) -> FloatArray:
+    """The true parameters ``(D,)`` of a simulated robot, in the posterior's order; effects that it has not are zero."""
+    inertias = {
+        link["name"]: (link["mass"], np.array(link["com"]), np.array(link["inertia"])) for link in truth["links"]
+    }
+    robot = Robot(with_inertials(urdf, inertias), cuts=cuts)
+    bodies = {body.name: body.parameters for body in robot.bodies}
+    effects = {(effect["effect"], effect["joint"]): effect["parameters"] for effect in truth["effects"]}
+    coefficients = [effects.get((c.name, c.place), {}).get(c.parameter, 0.0) for c in posterior.effects]
+    return np.concatenate([*(bodies[name] for name in posterior.links), coefficients])
+
+
+def main() -> None:
+    """Run with the number of bags that is asked for."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.posterior", description=__doc__)
+    parser.add_argument("--bags", type=int, default=BAGS, help="of each case (%(default)s)")
+    parser.add_argument("--out", type=Path, default=Path("out/bench"), help="folder for results (%(default)s)")
+    arguments = parser.parse_args()
+    run(Report(arguments.out), arguments.bags)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,210 @@
+"""Robots drawn from an estimate's posterior, in the terms of other software."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+from xml.sax.saxutils import quoteattr
+
+import numpy as np
+
+from geomid_ros.errors import InputError
+from geomid_ros.estimation.posterior import EffectCoordinate, Posterior
+from geomid_ros.exports.descriptions import DESCRIPTIONS
+from geomid_ros.exports.formats import JSON
+from geomid_ros.exports.inertial import UncertainInertia
+from geomid_ros.exports.into import OwnMjcf, read_own_mjcf
+from geomid_ros.exports.model import Model, read_model
+from geomid_ros.files.models.effect_forms import coefficient_entry, effect_entry, is_coefficient
+from geomid_ros.files.models.posterior import POSTERIOR, read_posterior
+from geomid_ros.files.models.results import link_entry
+from geomid_ros.files.models.urdf import inertia_of, with_inertials
+from geomid_ros.geometry import pseudo_inertia
+from geomid_ros.model.effects import KnownEffect, Quantity
+from geomid_ros.types import FloatArray
+
+_SAME = 1e-6  # relative; the same number in two files
+
+
+@dataclass(frozen=True, eq=False)
+class Samples:
+    """Robots drawn from a posterior.
+
+    Attributes:
+        model: The estimate.
+        posterior: What is known of it.
+        parameters: Of the drawn robots ``(N, D)``, in the posterior's order.
+    """
+
+    model: Model
+    posterior: Posterior
+    parameters: FloatArray
+
+    def __iter__(self) -> Iterator[Model]:
+        """Each drawn robot in turn."""
+        return map(self._robot, self.parameters)
+
+    def _robot(self, parameters: FloatArray) -> Model:
+        """The model with these parameters ``(D,)``."""
+        links = dict(
+            zip(self.posterior.links, parameters[: 10 * len(self.posterior.links)].reshape(-1, 10), strict=True)
+        )
+        bodies = {
+            name: replace(
+                self.model.bodies[name],
+                inertial=UncertainInertia(pseudo_inertia.quantities_of(own), np.full(10, np.nan)),
+            )
+            for name, own in links.items()
+        }
+        return replace(
+            self.model,
+            bodies={**self.model.bodies, **bodies},
+            urdf=with_inertials(self.model.urdf, {name: inertia_of(own) for name, own in links.items()}),
+            effects=self._effects(parameters),
+        )
+
+    def _effects(self, parameters: FloatArray) -> tuple[KnownEffect, ...]:
+        drawn = {
+            key: Quantity(float(parameters[column]), np.nan, self._coefficients[column].unit)
+            for key, column in self._drawn.items()
+        }
+        return tuple(
+            replace(
+                effect,
+                parameters={
+                    name: drawn.get((effect.effect, effect.joint, name), quantity)
+                    for name, quantity in effect.parameters.items()
+                },
+            )
+            for effect in self.model.effects
+        )
+
+    @property
+    def _coefficients(self) -> dict[int, EffectCoordinate]:
+        """The effects' coefficients by their places in a vector of D."""
+        return dict(enumerate(self.posterior.effects, 10 * len(self.posterior.links)))
+
+    @cached_property
+    def _drawn(self) -> dict[tuple[str, str, str], int]:
+        """The places in a vector of D of the effects' parameters that are drawn: of which the posterior and the
+        estimate have the same number, by effect, place and parameter."""
+        said = {
+            (effect.effect, effect.joint, name): quantity.value
+            for effect in self.model.effects
+            for name, quantity in effect.parameters.items()
+        }
+        found = {}
+        for column, c in self._coefficients.items():
+            key, value = (c.name, c.place, c.parameter), self.posterior.parameters[column]
+            if abs(said.get(key, np.inf) - value) <= _SAME * abs(value):
+                found[key] = column
+        return found
+
+    @property
+    def not_drawn(self) -> str:
+        """The effects that all robots have as the estimate has them, in a sentence; empty if there are none."""
+        drawn = {(effect, place) for effect, place, _ in self._drawn}
+        names = [
+            f"{e.effect.replace('_', ' ')} of {e.joint or e.link or 'the robot'}"
+            for e in self.model.effects
+            if (e.effect, e.joint) not in drawn
+        ]
+        return f"the same in all robots, as the posterior has nothing of it: {', '.join(names)}" if names else ""
+
+
+def draw_samples(path: Path, count: int, seed: int, spread: float) -> Samples:
+    """Draw ``count`` robots from the posterior beside an ``estimate.json``, standard deviations times ``spread``.
+
+    Raises:
+        InputError: there is no posterior beside it, or it is of another estimate.
+    """
+    model = read_model(path)
+    if not model.estimated:
+        raise InputError(f"{path}: no estimate.json, and so nothing is known of how sure its numbers are")
+    file = path.parent / POSTERIOR
+    if not file.exists():
+        raise InputError(f"{path}: there is no {POSTERIOR} beside it, which 'geomid identify' writes; identify again")
+    posterior = read_posterior(file)
+    _check_same(model, posterior, file)
+    return Samples(model, posterior, posterior.draw(count, np.random.default_rng(seed), spread))
+
+
+def _check_same(model: Model, posterior: Posterior, file: Path) -> None:
+    parameters = posterior.parameters[posterior.manifold.inertial].reshape(-1, 10)
+    if posterior.links != model.estimated:
+        raise InputError(
+            f"{file}: of the links {', '.join(posterior.links)}, and {model.source} of {', '.join(model.estimated)}"
+        )
+    for name, own in zip(posterior.links, pseudo_inertia.quantities_of(parameters), strict=True):
+        there = model.bodies[name].inertial.quantities
+        if not np.allclose(own, there, rtol=_SAME, atol=_SAME * np.max(np.abs(there))):
+            raise InputError(f"{file}: not of the estimate beside it, {model.source}; keep together what one run wrote")
+
+
+def described(
+    samples: Samples, tool: str, into: Path | None, packages: Mapping[str, Path]
+) -> Iterator[tuple[str, str]]:
+    """Names and texts of files of the drawn robots.
+
+    Args:
+        samples: What was drawn.
+        tool: Who is to read it: of :data:`~geomid_ros.exports.descriptions.DESCRIPTIONS` a file each, or ``json`` one
+            of all.
+        into: An MJCF of the user's own, for mujoco.
+        packages: Folders of ROS packages, by name.
+    """
+    if tool == JSON:
+        yield "robots.json", _json(samples)
+        return
+    write, digits = _writer(samples.model, tool, into, packages), len(str(len(samples.parameters)))
+    for number, model in enumerate(samples, 1):
+        yield f"robot_{number:0{digits}d}{'.xml' if tool == 'mujoco' else '.urdf'}", write(model)
+
+
+def _writer(model: Model, tool: str, into: Path | None, packages: Mapping[str, Path]) -> Callable[[Model], str]:
+    """What makes the text of a drawn robot."""
+    if tool != "mujoco":
+        return lambda drawn: DESCRIPTIONS[tool].whole(drawn, packages).text
+    if into is not None:
+        own = read_own_mjcf(model, into)
+        return replace(own, text=_with_absolute_folders(own.text, into)).with_numbers
+    text = DESCRIPTIONS[tool].whole(model, packages).text
+    placements = {name: np.eye(4) for name in model.estimated}
+    joints = [joint.name for joint in model.tree.joints]
+    return OwnMjcf(model.urdf_path, text, placements, joints, ()).with_numbers
+
+
+def _with_absolute_folders(text: str, path: Path) -> str:
+    """An MJCF that finds its files from any folder: what it says of their folders is said once more, absolutely."""
+    root = ElementTree.fromstring(text)  # noqa: S314 MuJoCo has read it, expat has limits
+    if not any(element.get("file") for element in root.iter()):
+        return text
+    said = {key: value for compiler in root.iter("compiler") for key, value in compiler.attrib.items()}
+    folders = {key: said.get(key, said.get("assetdir", "")) for key in ("meshdir", "texturedir")}
+    attributes = " ".join(
+        f"{key}={quoteattr(str((path.parent / folder).resolve()))}" for key, folder in folders.items()
+    )
+    return re.sub(r"</mujoco\s*>\s*\Z", lambda end: f"  <compiler {attributes}/>\n{end[0]}", text)
+
+
+def _json(samples: Samples) -> str:
+    """All robots with their links and effects as ``estimate.json`` has them."""
+    return json.dumps({"format": 1, "robots": [_entries(samples, model) for model in samples]}, indent=1) + "\n"
+
+
+def _entries(samples: Samples, model: Model) -> dict[str, Any]:
+    links = []
+    for name, merged in zip(samples.posterior.links, samples.posterior.merged, strict=True):
+        inertial = model.bodies[name].inertial
+        links.append(link_entry(name, merged, (inertial.mass, inertial.com, inertial.inertia)))
+    return {
+        "links": links,
+        "effects": [coefficient_entry(effect) for effect in model.effects if is_coefficient(effect)],
+        "added": [effect_entry(effect) for effect in model.effects if not is_coefficient(effect)],
+    }

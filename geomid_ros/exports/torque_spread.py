@@ -1,0 +1,85 @@
+"""What drawn robots mean for the torques: their spread at every joint, against that of ranges of 20 %."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from geomid_ros.estimation.telling_motions import instants
+from geomid_ros.exports.descriptions import described_robot
+from geomid_ros.exports.samples import Samples
+from geomid_ros.files.models.loaded_model import LoadedModel
+from geomid_ros.model.measurement import MeasurementModel
+from geomid_ros.types import FloatArray
+
+RANGE = 0.2
+"""Half of the width of the ranges that drawn robots are compared with, as a share of each number."""
+_BAND = (0.025, 0.975)
+_MOST = 500  # robots; 95 % bands need no more
+_SEED = 1
+
+
+@dataclass(frozen=True, eq=False)
+class TorqueSpread:
+    """Widths of 95 % bands of efforts, root mean square over many instants of fast motion.
+
+    Attributes:
+        joints: Their names.
+        units: Of their efforts.
+        drawn: Of the drawn robots ``(joints,)``.
+        ranges: Of robots whose links, and whose effects, are each within 20 % of the estimate, independently
+            ``(joints,)``.
+    """
+
+    joints: tuple[str, ...]
+    units: tuple[str, ...]
+    drawn: FloatArray
+    ranges: FloatArray
+
+    @property
+    def ratio(self) -> float:
+        """How wide drawn robots are spread beside ranges, mean over the joints."""
+        return float(np.mean(self.drawn / self.ranges))
+
+
+def torque_spread(samples: Samples) -> TorqueSpread:
+    """The spread of joint torques of drawn robots."""
+    model = MeasurementModel(
+        described_robot(samples.model), [], local_effects=LoadedModel.read(samples.model.source).local_effects(())
+    )
+    motion = instants(model, moving=True)
+    estimate = _in_order(model, samples, samples.posterior.parameters[None])
+    random = np.random.default_rng(_SEED)
+    bands = []
+    for robots in (_in_order(model, samples, samples.parameters[:_MOST]), _within_ranges(model, estimate, random)):
+        _, efforts = model.predict(motion, robots.T)
+        low, high = np.quantile(efforts, _BAND, axis=2)
+        bands.append(np.sqrt(np.mean((high - low) ** 2, axis=0)))
+    joints = model.robot.joints
+    return TorqueSpread(tuple(joint.name for joint in joints), tuple(joint.unit for joint in joints), *bands)
+
+
+def _in_order(model: MeasurementModel, samples: Samples, parameters: FloatArray) -> FloatArray:
+    """Drawn ``parameters (N, D)`` in the order of a measurement model; links that were not drawn are the URDF's."""
+    posterior = samples.posterior
+    result = np.tile(model.nominal_parameters, (len(parameters), 1))
+    for place, name in enumerate(model.body_names):
+        if name in posterior.links:
+            column = 10 * posterior.links.index(name)
+            result[:, 10 * place : 10 * place + 10] = parameters[:, column : column + 10]
+    columns = {(c.name, c.place, c.parameter): column for column, c in enumerate(posterior.effects)}
+    for place, c in enumerate(model.coefficients, 10 * len(model.body_names)):
+        effect = columns.get((c.effect.name, c.place_name, c.parameter))
+        if effect is not None:
+            result[:, place] = parameters[:, 10 * len(posterior.links) + effect]
+    return result
+
+
+def _within_ranges(model: MeasurementModel, estimate: FloatArray, random: np.random.Generator) -> FloatArray:
+    """Robots ``(N, D)`` within 20 % of the ``estimate (1, D)``: a factor for each link, and one for each effect."""
+    links = len(model.body_names)
+    factors = random.uniform(1.0 - RANGE, 1.0 + RANGE, (_MOST, links + len(model.coefficients)))
+    return np.asarray(
+        estimate * np.concatenate([np.repeat(factors[:, :links], 10, axis=1), factors[:, links:]], axis=1)
+    )

@@ -1,0 +1,35 @@
+"""The picture of what drawn robots mean for the torques."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+from geomid_ros.report.sheet import IDENTIFIED, URDF, write_picture
+from geomid_ros.types import FloatArray
+
+_DPI = 130
+_HEIGHT = 0.4  # [inch] of a joint
+
+
+def torque_picture(path: Path, title: str, names: Sequence[str], drawn: FloatArray, ranges: FloatArray) -> None:
+    """Draw the PNG ``path``: the width of the band of efforts of ``drawn`` robots and of ``ranges``, ``(joints,)`` in
+    the order of the joints' ``names``."""
+    figure = Figure(figsize=(8.0, 1.6 + _HEIGHT * len(names)), dpi=_DPI, facecolor="white", layout="constrained")
+    FigureCanvasAgg(figure)
+    figure.suptitle(title, x=0.02, ha="left", weight="bold", parse_math=False)
+    axes = figure.subplots()
+    places = np.arange(len(names))
+    axes.barh(places - 0.2, ranges, 0.38, color=URDF, label="ranges of ±20 %, each number by itself")
+    axes.barh(places + 0.2, drawn, 0.38, color=IDENTIFIED, label="robots drawn from the posterior")
+    axes.set_yticks(places, names, parse_math=False)
+    axes.invert_yaxis()
+    axes.set_xscale("log")
+    axes.set_xlabel("width of the 95 % band of efforts in fast motion, root mean square")
+    axes.spines[["top", "right"]].set_visible(False)
+    figure.legend(loc="outside lower center", ncols=2, frameon=False)
+    write_picture(path, figure)
