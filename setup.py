@@ -45,6 +45,7 @@ setup(
         "trimesh",
     ],
     extras_require={
+        "fleet": ["dask[distributed]", "fsspec[http]"],
         "ros": ["ros-jazzy-common-interfaces", "ros-jazzy-rclpy[fastrtps]"],
         "simulate": ["mujoco"],
         "test": ["example-robot-data", "hypothesis", "pyriemann", "pytest"],

@@ -2,21 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
 from geomid_ros.api.arguments import Config, PathLike, Texts, configuration, description
-from geomid_ros.errors import GeomidError
+from geomid_ros.estimation.members import population_and_members
+from geomid_ros.estimation.population import FEWEST, Evidence, Population
+from geomid_ros.files.models.population import write_population
+from geomid_ros.files.models.results import read_estimate
 from geomid_ros.fleet.changes import changes
 from geomid_ros.fleet.cluster import Cluster
 from geomid_ros.fleet.fleet import Fleet, Robot
 from geomid_ros.fleet.plan import Plan
 from geomid_ros.fleet.recordings import find_bags, on_this_disk
-from geomid_ros.fleet.results import RobotResults
 from geomid_ros.fleet.store import Store
-from geomid_ros.files.models.results import read_estimate
+from geomid_ros.plausibility.verdict import USABLE
 from geomid_ros.report.fleet_page import FleetPage, RobotLine, write_fleet_page
 from geomid_ros.session.recordings import Progress, Topics, silent
 
@@ -82,44 +84,69 @@ def identify_fleet(
     found = find_bags(bags, by)
     if urdf is None:
         with on_this_disk(found[0].url) as path:
-            robot = description(None, [path])
+            described = description(None, [path])
     else:
-        robot = description(urdf, [], xacro_args=xacro_args)
+        described = description(urdf, [], xacro_args=xacro_args)
     settings = configuration(config, model=None, floating_base=floating_base, wrench=wrench)
     plan = Plan(
-        description=robot.text,
-        source=robot.source,
+        description=described.text,
+        source=described.source,
         given=settings.given,
         topics=Topics(joint_topic, odom_topic),
         hold_out=hold_out,
     )
     fleet = Fleet(plan, found, Store(keep or str((folder / _KEPT).absolute())))
     robots = fleet.work(partial(Cluster, scheduler), progress)
-    lines = [_written(fleet, robot, folder, None if since is None else Path(since)) for robot in robots]
+    files = [folder / "fleet.html"]
+    lines, evidence = {}, {}
+    for robot in robots:
+        lines[robot.name], told = _written(fleet, robot, folder, None if since is None else Path(since))
+        if told is not None:
+            evidence[robot.name] = told
+    if len(evidence) >= FEWEST:
+        progress("population", 0.0)
+        population, members = population_and_members(list(evidence.values()))
+        files.append(folder / "population.json")
+        write_population(files[-1], population)
+        for name, member in zip(evidence, members, strict=True):
+            unlike = tuple(_in_words(what, evidence[name], population) for what in member.unlike)
+            lines[name] = replace(lines[name], distance=member.distance, unlike=unlike)
     bad = [(bag.url, outcome.error) for robot in robots for bag, outcome in robot.bags if outcome.error]
     doubtful = [
         (bag.url, "; ".join(outcome.doubts)) for robot in robots for bag, outcome in robot.bags if outcome.doubts
     ]
-    page = FleetPage(lines=lines, bad=bad, doubtful=doubtful)
-    write_fleet_page(folder / "fleet.html", page)
-    return FleetIdentification(lines=lines, bad=bad, doubtful=doubtful, files=[folder / "fleet.html"])
+    ordered = sorted(lines.values(), key=lambda line: line.remarkable, reverse=True)
+    write_fleet_page(files[0], FleetPage(lines=ordered, bad=bad, doubtful=doubtful))
+    return FleetIdentification(lines=ordered, bad=bad, doubtful=doubtful, files=files)
 
 
-def _written(fleet: Fleet, robot: Robot, folder: Path, since: Path | None) -> RobotLine:
-    """The line of a robot, whose files are written."""
+def _written(fleet: Fleet, robot: Robot, folder: Path, since: Path | None) -> tuple[RobotLine, Evidence | None]:
+    """The line of a robot, whose files are written, and what it says of its type, if its result can be used."""
     if not robot.kept:
-        return RobotLine(name=robot.name, bags=len(robot.bags), used=0, verdict="no estimate", reasons=(robot.error,))
+        line = RobotLine(name=robot.name, bags=len(robot.bags), used=0, verdict="no estimate", reasons=(robot.error,))
+        return line, None
     results = fleet.results(robot)
     document = results.document
     before = None if since is None else since / robot.name / "estimate.json"
     changed = changes(read_estimate(before), document) if before is not None and before.is_file() else ()
     results.write(folder / robot.name)
-    return RobotLine(
+    word = document["verdict"]["result"]
+    line = RobotLine(
         name=robot.name,
         bags=len(robot.bags),
         used=len(robot.used),
-        verdict=document["verdict"]["result"],
+        verdict=word,
         reasons=tuple(document["verdict"]["reasons"]),
         changed=tuple(changed),
         mass=sum(link["mass"] for link in document["links"]),
     )
+    return line, results.evidence if word == USABLE else None
+
+
+def _in_words(what: str, robot: Evidence, population: Population) -> str:
+    """In what a robot is unlike the others: a link with its mass, or an effect."""
+    if what not in robot.links:
+        return what.replace("_", " ")
+    own = robot.parameters[10 * robot.links.index(what)]
+    usual = population.parameters[10 * population.links.index(what)]
+    return f"{what}: {own:.3g} kg, others {usual:.3g} kg"

@@ -15,7 +15,7 @@ from geomid_ros.commands.options import OUT, base_options, robot_options
 @robot_options
 @base_options
 @click.option("--by", default="robot", show_default=True, help="The column of a table of bags that names the robot.")
-@click.option("--scheduler", metavar="tcp://HOST:PORT", help="A Dask cluster to work on.  [default: this machine's cores]")
+@click.option("--scheduler", metavar="tcp://HOST:PORT", help="A Dask cluster.  [default: this machine's cores]")
 @click.option(
     "--hold-out",
     type=click.FloatRange(0.0, 0.9),

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import compress
 
 import numpy as np
@@ -130,15 +131,19 @@ def estimate(
     columns = choose(_beside(settings.population, whole)) if warm is None else _kept(model, warm)
     problem = subproblem(whole, columns)
     start = None if warm is None else problem.manifold.point(warm.parameters[columns])
-    first = None if warm is None else warm.spreads
-    limits = {"tolerance": settings.tolerance, "max_steps": settings.max_steps}
+    solve = partial(
+        fit,
+        start=start,
+        spreads=None if warm is None else warm.spreads,
+        tolerance=settings.tolerance,
+        max_steps=settings.max_steps,
+    )
     if settings.population is None:
-        found = fit(problem, start, first, **limits)
-        return _estimate(problem, columns, model, found, settings, begin)
-    prior = PopulationPrior.of(settings.population, problem)
-    problem, found, weights = fit_with_population(prior, start, first, **limits)
-    result = _estimate(problem, columns, model, found, settings, begin)
-    return replace(result, warnings=(*result.warnings, *unlike_population(prior, weights)))
+        return _estimate(problem, columns, model, solve(problem), settings, begin)
+    beside = PopulationPrior.of(settings.population, problem)
+    found, weights = fit_with_population(beside, solve)
+    result = _estimate(found.problem, columns, model, found, settings, begin)
+    return replace(result, warnings=(*result.warnings, *unlike_population(beside, weights)))
 
 
 def _beside(population: Population | None, whole: Problem) -> Problem:

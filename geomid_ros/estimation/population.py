@@ -1,11 +1,11 @@
 """What robots of a type have in common: random effects on the manifold.
 
-A robot's parameters are ``exp(m, t)`` with the Karcher mean m of its type and tangent coordinates t that are normal with
-the covariance S between robots. Its data say of t what its rows say: no robot's own prior enters. Of the mean a URDF says
-what it says of any robot, so that what no data tell stays as uncertain as it was. Expectation-maximisation (Dempster,
-Laird and Rubin 1977; Laird and Ware 1982): the expectation solves for the mean and every robot jointly, with the rows
-linearised at each robot; then S is the mean of the expected squares. First S has one variance for all links and one for
-each effect; then it is free, but drawn towards that: few robots tell no covariance of many parameters.
+A robot's parameters are ``exp(m, t)`` with the Karcher mean m of its type and tangent coordinates t that are normal
+with the covariance S between robots. Its data say of t what its rows say: no robot's own prior enters. Of the mean a
+URDF says what it says of any robot, so that what no data tell stays as uncertain as it was. Expectation-maximisation
+(Dempster, Laird and Rubin 1977; Laird and Ware 1982): the expectation solves for the mean and every robot jointly, with
+the rows linearised at each robot; then S is the mean of the expected squares. First S has one variance for all links
+and one for each effect; then it is free, but drawn towards that: few robots tell no covariance of many parameters.
 """
 
 from __future__ import annotations
@@ -99,8 +99,8 @@ class Population:
         links: names of the moving links.
         effects: the effects' coefficients, the positive ones first.
         parameters: the Karcher mean ``(D,)``.
-        covariance: ``(D, D)`` in tangent coordinates at the mean, as of
-            :class:`~geomid_ros.estimation.posterior.Posterior`: between robots, and of the mean itself.
+        covariance: ``(D, D)`` of the tangent coordinates at the mean (:mod:`geomid_ros.geometry.manifold`): between
+            robots, and of the mean itself.
         scales: of the real coefficients.
         robots: how many it is from.
     """
@@ -253,7 +253,7 @@ class PopulationFit:
         return bool(max(change, np.max(np.abs(mean) / np.sqrt(before))) < _SETTLED)
 
     def _mean_of(self, shares: Sequence[_Share]) -> tuple[FloatArray, FloatArray]:
-        """Covariance ``(D, D)`` and tangent coordinates ``(D,)`` of the mean, by what robots and the prior say of it."""
+        """Covariance ``(D, D)`` and tangent coordinates ``(D,)`` of the mean, by what robots and prior say of it."""
         own = self._usual**-2.0
         information = np.diag(own) + np.sum([share.information for share in shares], axis=0)
         pull = own * self._manifold.log(self._mean, self._prior) + np.sum([share.pull for share in shares], axis=0)
@@ -273,7 +273,7 @@ class PopulationFit:
             return np.asarray((squares + SHARED * self._common) / (len(shares) + SHARED))
         variances = np.diag(squares) / len(shares)
         for columns in self._groups:
-            variances[columns] = max(np.mean(variances[columns]), _LEAST_VARIANCE)
+            variances[columns] = max(float(np.mean(variances[columns])), _LEAST_VARIANCE)
         return np.diag(variances)
 
     @cached_property
@@ -284,9 +284,7 @@ class PopulationFit:
         return [np.arange(first), *(first + np.flatnonzero(names == name) for name in dict.fromkeys(names.tolist()))]
 
 
-def linear(
-    manifold: ParameterManifold, base: Point, robot: Evidence, point: Point
-) -> tuple[FloatArray, FloatArray]:
+def linear(manifold: ParameterManifold, base: Point, robot: Evidence, point: Point) -> tuple[FloatArray, FloatArray]:
     """What a robot's rows, linearised at ``point``, say of its tangent coordinates t at ``base``: the information
     ``(D, D)`` and the vector ``(D,)`` that it is of ``information @ t``."""
     tangent = manifold.log(base, point)

@@ -1,21 +1,21 @@
 """A robot's fit beside the population of its type, whose covariance is the prior's.
 
-Minus twice the logarithm of the prior is ``t^T C^-1 t`` with the tangent coordinates t at the population's mean. It enters
-the fit as rows, linearised where the fit ended, until that does not move: the minimum is that of the geodesic prior. A
-link, or an effect, that is unlike those of the population is let go: the covariance of its block is divided by the weight
-that a t-distribution gives to its distance, and correlations stay.
+Minus twice the logarithm of the prior is ``t^T C^-1 t`` with the tangent coordinates t at the population's mean. It
+enters the fit as rows, linearised where the fit ended, until that does not move: the minimum is that of the geodesic
+prior. A link, or an effect, that is unlike those of the population is let go: the covariance of its block is divided by
+the weight that a t-distribution gives to its distance, and correlations stay.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 
 from geomid_ros.errors import InputError
-from geomid_ros.estimation.fit import Fit, Problem, fit
+from geomid_ros.estimation.fit import Fit, Problem
 from geomid_ros.estimation.population import SHARED, Population
 from geomid_ros.estimation.starting_point import usual_spreads
 from geomid_ros.geometry.manifold import Point
@@ -48,8 +48,8 @@ class PopulationPrior:
         links = [name for name in model.body_names if name in population.links]
         if not links:
             raise InputError(
-                f"the prior is a population of other robots: its links are {', '.join(population.links)}, those of this "
-                f"robot {', '.join(model.body_names)}"
+                f"the prior is a population of other robots: its links are {', '.join(population.links)}, those of "
+                f"this robot {', '.join(model.body_names)}"
             )
         named = {(effect.name, effect.place, effect.parameter): effect for effect in population.effects}
         first = 10 * len(model.body_names)
@@ -59,8 +59,8 @@ class PopulationPrior:
             if (key := (c.effect.name, c.place_name, c.parameter)) in named
         }
         known = population.part(links, list(effects.values()))
-        columns = [10 * model.body_names.index(name) + k for name in links for k in range(10)]
-        columns = np.array([*columns, *effects])
+        places = [10 * model.body_names.index(name) + k for name in links for k in range(10)]
+        columns = np.array([*places, *effects])
         given = np.full(model.dimension, np.nan)
         given[columns] = known.parameters
         spreads = np.where(np.isfinite(given[:first:10]), _LOOSE, problem.usual)
@@ -124,39 +124,34 @@ class PopulationPrior:
         return np.asarray(moved @ np.linalg.solve(self.problem.independent * information, moved.T))
 
 
-def fit_with_population(
-    prior: PopulationPrior, start: Point | None, spreads: FloatArray | None, *, tolerance: float, max_steps: int
-) -> tuple[Problem, Fit, dict[str, float]]:
+def fit_with_population(prior: PopulationPrior, solve: Callable[..., Fit]) -> tuple[Fit, dict[str, float]]:
     """Fit beside a population.
 
     Args:
         prior: of the problem.
-        start, spreads, tolerance, max_steps: as of :func:`~geomid_ros.estimation.fit.fit`.
+        solve: fits a problem, as :func:`~geomid_ros.estimation.fit.fit` with its other arguments.
 
     Returns:
-        The problem with the population's rows as it ended, its fit, and the weights of the population's blocks.
+        The fit, of the problem with the population's rows, and the weights of the population's blocks.
     """
-    point = start or prior.problem.prior_point
-    weights = dict.fromkeys(prior.population.blocks, 1.0)
+    found = solve(prior.problem_at(prior.problem.prior_point, dict.fromkeys(prior.population.blocks, 1.0)))
+    weights = prior.weights(found)
     for _ in range(_ROUNDS):
-        problem = prior.problem_at(point, weights)
-        found = fit(problem, start, spreads, tolerance=tolerance, max_steps=max_steps)
-        before, weights = weights, prior.weights(found)
-        moved = prior.tangent(found.point) - prior.tangent(point)
-        point = start = found.point
-        spreads = found.spreads
+        point, before = found.point, weights
+        found = solve(prior.problem_at(point, weights), start=point, spreads=found.spreads)
+        weights = prior.weights(found)
         change = max(abs(np.log(weights[name] / before[name])) for name in weights)
-        if change < _SETTLED and np.max(np.abs(moved)) < _SETTLED:
+        if change < _SETTLED and np.max(np.abs(prior.tangent(found.point) - prior.tangent(point))) < _SETTLED:
             break
-    return problem, found, weights
+    return found, weights
 
 
 def unlike_population(prior: PopulationPrior, weights: Mapping[str, float]) -> Iterator[str]:
     """A sentence for each link or effect that is unlike those of the population."""
     for name, weight in weights.items():
         if weight < _DOUBTED:
-            what = f"link '{name}' is" if name in prior.population.links else f"the {name.replace('_', ' ')} of joints is"
+            what = f"link '{name}'" if name in prior.population.links else f"the {name.replace('_', ' ')} of joints"
             yield (
-                f"{what} unlike that of the {prior.population.robots} robots of the prior, which counts little there: a "
-                "tool left on, a repair, or a robot of another type"
+                f"{what} is unlike that of the {prior.population.robots} robots of the prior, which counts little "
+                "there: a tool left on, a repair, or a robot of another type"
             )

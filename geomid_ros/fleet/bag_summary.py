@@ -100,9 +100,7 @@ class BagSummary:
         )
 
 
-def summarise(
-    text: str, source: str, configuration: Configuration, bags: Bags
-) -> tuple[Session, BagSummary]:
+def summarise(text: str, source: str, configuration: Configuration, bags: Bags) -> tuple[Session, BagSummary]:
     """Read bags, and keep of them what an estimate needs, as ``geomid identify`` does.
 
     Args:
@@ -166,4 +164,3 @@ def _recorded(entry: Mapping[str, Any], fitted: Checkpoint) -> Recorded:
 def _cause(entry: Mapping[str, Any]) -> Cause:
     places = tuple(map(str, entry["places"]))
     return Cause(kind=entry["kind"], sentence=entry["sentence"], settings=entry["settings"], places=places)
-

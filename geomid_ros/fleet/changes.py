@@ -33,7 +33,9 @@ def _inverse_erfc(chance: float) -> float:
 _Pair = tuple[float, float, tuple[float, float], str]
 
 
-def _links(before: Mapping[str, Any], after: Mapping[str, Any]) -> Iterator[tuple[Mapping[str, Any], Mapping[str, Any]]]:
+def _links(
+    before: Mapping[str, Any], after: Mapping[str, Any]
+) -> Iterator[tuple[Mapping[str, Any], Mapping[str, Any]]]:
     old = {link["name"]: link for link in before["links"]}
     return ((old[link["name"]], link) for link in after["links"] if link["name"] in old)
 
@@ -46,7 +48,9 @@ def _masses(before: Mapping[str, Any], after: Mapping[str, Any]) -> Iterator[_Pa
 
 def _centres(before: Mapping[str, Any], after: Mapping[str, Any]) -> Iterator[_Pair]:
     for old, new in _links(before, after):
-        for axis, then, now, *stds in zip("xyz", old["com"], new["com"], old["std"]["com"], new["std"]["com"], strict=True):
+        for axis, then, now, *stds in zip(
+            "xyz", old["com"], new["com"], old["std"]["com"], new["std"]["com"], strict=True
+        ):
             words = f"{new['name']}: centre of mass, {axis} {1e3 * then:.3g} mm → {1e3 * now:.3g} mm"
             yield then, now, (stds[0], stds[1]), words
 

@@ -33,12 +33,12 @@ class Cluster:
             import distributed  # noqa: PLC0415 an extra
         except ImportError as error:
             raise InputError("geomid fleet needs what 'pip install geomid_ros[fleet]' installs") from error
-        self._dask = distributed
+        self._dask: Any = distributed
         self._patience = patience
         self._local: Any = None
         if address is None:
             cores = len(os.sched_getaffinity(0))
-            self._local = distributed.LocalCluster(
+            self._local = self._dask.LocalCluster(
                 n_workers=cores, threads_per_worker=1, dashboard_address=None, silence_logs=50
             )
             address = self._local.scheduler_address
@@ -89,7 +89,9 @@ class Cluster:
         if versions != {geomid_ros.__version__}:
             raise InputError(f"{self._address}: {_OTHER} (they have {', '.join(sorted(versions))})")
 
-    def run(self, function: Callable[..., Any], jobs: Sequence[tuple[Job, tuple[Any, ...]]]) -> Iterator[tuple[Job, Any]]:
+    def run(
+        self, function: Callable[..., Any], jobs: Sequence[tuple[Job, tuple[Any, ...]]]
+    ) -> Iterator[tuple[Job, Any]]:
         """Call ``function(*arguments)`` for every job, a few at a time; a task whose worker is lost is done again.
 
         Args:
@@ -127,7 +129,7 @@ class Cluster:
                 self._connect(self._patience)
 
 
-_OTHER = f"its workers do not have geomid_ros {geomid_ros.__version__} with the extra 'fleet'; install the same everywhere"
+_OTHER = f"its workers lack geomid_ros {geomid_ros.__version__} with the extra 'fleet'; install the same everywhere"
 
 
 def failure(error: BaseException) -> str:

@@ -6,7 +6,6 @@ import json
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -19,8 +18,6 @@ from geomid_ros.fleet.results import RobotResults
 from geomid_ros.fleet.store import Store
 from geomid_ros.fleet.work import BagOutcome, solve_robot, summarise_bag
 from geomid_ros.session.recordings import Progress, silent
-
-_MIXED = "it lacks joints ({lacks}) that other bags of robot '{robot}' have, or the other way round; identify it apart"
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -52,7 +49,7 @@ class Fleet:
             InputError: the configuration is none for a fleet, or the store cannot be read.
         """
         if np.isfinite(plan.configuration.buffer.forgetting_time):
-            raise InputError("forgetting_time is given; the bags of a fleet are summed, and nothing of them is forgotten")
+            raise InputError("forgetting_time is given; of a fleet's bags, which are summed, nothing is forgotten")
         self._plan, self._bags, self._store = plan, bags, store
         self._kept = store.names()
         store.put(plan.name, json.dumps(plan.document).encode())
@@ -98,17 +95,16 @@ class Fleet:
     def _solve(
         self, workers: Callable[[], Cluster], outcomes: Mapping[FleetBag, BagOutcome], progress: Progress
     ) -> Iterator[Robot]:
-        """The robots, one after the other as they are solved for; first those without results."""
+        """The robots, once they are solved for."""
         chosen = {name: self._chosen(name, outcomes) for name in dict.fromkeys(bag.robot for bag in self._bags)}
-        names = {
-            robot: self._plan.of_robot(robot, map(self._plan.of_bag, used)) for robot, (used, _) in chosen.items() if used
-        }
-        jobs = []
+        kept = {robot: [self._plan.of_bag(bag) for bag in used] for robot, (used, _) in chosen.items()}
+        names = {robot: self._plan.of_robot(robot, bags) for robot, bags in kept.items()}
+        jobs = [
+            (robot, (self._store, self._plan.name, names[robot], kept[robot], locked))
+            for robot, (used, locked) in chosen.items()
+            if used and f"{names[robot]}.npz" not in self._kept
+        ]
         errors: dict[str, str] = {}
-        for robot, (used, locked) in chosen.items():
-            if used and f"{names[robot]}.npz" not in self._kept:
-                kept = [self._plan.of_bag(bag) for bag in used]
-                jobs.append((robot, (self._store, self._plan.name, names[robot], kept, locked)))
         for done, (robot, found) in enumerate(_run(workers, solve_robot, jobs), 1):
             errors[robot] = found if isinstance(found, str) else failure(found)
             progress(f"{done} of {len(jobs)} robots", done / len(jobs))
@@ -123,9 +119,7 @@ class Fleet:
                 kept="" if error else names[robot],
             )
 
-    def _chosen(
-        self, robot: str, outcomes: dict[FleetBag, BagOutcome] | Mapping[FleetBag, BagOutcome]
-    ) -> tuple[list[FleetBag], tuple[str, ...]]:
+    def _chosen(self, robot: str, outcomes: Mapping[FleetBag, BagOutcome]) -> tuple[list[FleetBag], tuple[str, ...]]:
         """The bags that a robot is identified from, and the joints that they all lack.
 
         Bags that seem to be wrong are left out as long as there are others.

@@ -37,7 +37,7 @@ class BagOutcome:
         locked: joints that were locked, as it does not name them.
         rows: how many rows it gave.
         seconds: that it took.
-        bytes: of its summary.
+        size: bytes of its summary.
     """
 
     error: str = ""
@@ -45,7 +45,7 @@ class BagOutcome:
     locked: tuple[str, ...] = ()
     rows: int = 0
     seconds: float = 0.0
-    bytes: int = 0
+    size: int = 0
 
     @staticmethod
     def read(content: bytes) -> BagOutcome:
@@ -83,7 +83,7 @@ def summarise_bag(store: Store, plan_name: str, bag: FleetBag) -> BagOutcome:
             locked=summary.locked,
             rows=summary.fitted.summary.rows,
             seconds=time.perf_counter() - begin,
-            bytes=len(content),
+            size=len(content),
         )
     store.put(f"{name}.json", outcome.encoded)
     return outcome

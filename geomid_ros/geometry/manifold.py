@@ -136,7 +136,8 @@ class ParameterManifold:
 
     def exp_derivative(self, base: Point, tangent: FloatArray) -> FloatArray:
         """Derivative ``(D, D)`` of the parameters of ``exp(base, tangent)`` by the tangent coordinates at ``base``."""
-        values, vectors = np.linalg.eigh(symmetric.to_matrix(tangent[self.inertial].reshape(self.links, symmetric.SIZE)))
+        matrices = symmetric.to_matrix(tangent[self.inertial].reshape(self.links, symmetric.SIZE))
+        values, vectors = np.linalg.eigh(matrices)
         turned = spd.congruence(np.swapaxes(vectors, -1, -2)[:, None], _UNITS)
         changes = spd.congruence(vectors[:, None], spd.exp_differences(values)[:, None] * turned)
         blocks = pseudo_inertia.to_parameters(spd.congruence(base.root[:, None], changes))

@@ -33,6 +33,11 @@ class RobotLine:
     changed: tuple[str, ...] = ()
     mass: float | None = None
 
+    @property
+    def remarkable(self) -> tuple[bool, int, int, float]:
+        """What robots are ordered by: without a usable result, unlike the others, changed."""
+        return self.verdict != "usable", len(self.unlike), len(self.changed), self.distance or 0.0
+
 
 @dataclass(frozen=True, kw_only=True)
 class FleetPage:

@@ -2,8 +2,10 @@
 
 ``links`` have ``name``, ``mass``, ``com`` and ``inertia`` as in ``estimate.json``; ``effects`` ``name``, ``place``,
 ``parameter``, ``unit``, ``positive``, ``value`` and, if not positive, ``scale``. ``covariance`` is the upper triangle,
-row by row, of the covariance of a robot's tangent coordinates at these: little-endian float64 in base64. What the
-coordinates are :class:`~geomid_ros.estimation.posterior.Posterior` says.
+row by row, of the covariance of a robot's tangent coordinates at these: little-endian float64 in base64. Of a link they
+are those of the symmetric matrix X in ``P^1/2 exp(X) P^1/2``, where P is its pseudo-inertia ``[[S, h], [h, m]]`` about
+the link's origin: X11, X22, X33, X44, and sqrt(2) times X12, X13, X14, X23, X24, X34. A positive coefficient c is
+``c exp(x)``, another r with its scale s is ``r + s x``.
 """
 
 from __future__ import annotations
@@ -11,7 +13,6 @@ from __future__ import annotations
 import base64
 import json
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
