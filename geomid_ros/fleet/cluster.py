@@ -9,9 +9,8 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from typing import Any, Self, TypeVar
 
-import geomid_ros
 from geomid_ros.errors import GeomidError, InputError
-from geomid_ros.fleet.work import version
+from geomid_ros.session.version import installed_version
 
 _PATIENCE = 120.0  # [s] for a scheduler that was restarted, with its workers
 _CONNECT = 10.0  # [s]
@@ -81,12 +80,12 @@ class Cluster:
                 time.sleep(0.5)
         try:
             self._client.wait_for_workers(1, timeout=patience)
-            versions = set(self._client.run(version).values())
+            versions = set(self._client.run(installed_version).values())
         except TimeoutError as error:
             raise InputError(f"the Dask scheduler at {self._address} has no workers; start some") from error
         except (ImportError, AttributeError) as error:
             raise InputError(f"{self._address}: {_OTHER} ({error})") from error
-        if versions != {geomid_ros.__version__}:
+        if versions != {installed_version()}:
             raise InputError(f"{self._address}: {_OTHER} (they have {', '.join(sorted(versions))})")
 
     def run(
@@ -129,7 +128,7 @@ class Cluster:
                 self._connect(self._patience)
 
 
-_OTHER = f"its workers lack geomid_ros {geomid_ros.__version__} with the extra 'fleet'; install the same everywhere"
+_OTHER = f"its workers lack geomid_ros {installed_version()} with the extra 'fleet'; install the same everywhere"
 
 
 def failure(error: BaseException) -> str:

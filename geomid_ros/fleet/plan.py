@@ -5,13 +5,13 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Iterable
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from typing import Any
 
-import geomid_ros
 from geomid_ros.fleet.recordings import FleetBag
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.recordings import Topics
+from geomid_ros.session.version import installed_version
 
 _FORMAT = 1  # of what is kept
 
@@ -34,7 +34,7 @@ class Plan:
     given: dict[str, Any]
     topics: Topics
     hold_out: float | None = None
-    version: str = geomid_ros.__version__
+    version: str = field(default_factory=installed_version)
 
     @property
     def configuration(self) -> Configuration:

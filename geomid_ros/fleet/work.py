@@ -10,7 +10,6 @@ from functools import lru_cache
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-import geomid_ros
 from geomid_ros.errors import GeomidError, InputError
 from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.estimation.population import Evidence
@@ -24,6 +23,7 @@ from geomid_ros.plausibility.verdict import Verdict
 from geomid_ros.session.locking import with_locked
 from geomid_ros.session.recordings import Bags
 from geomid_ros.session.session import Session
+from geomid_ros.session.version import installed_version
 from geomid_ros.types import FloatArray
 
 
@@ -57,11 +57,6 @@ class BagOutcome:
     def encoded(self) -> bytes:
         """As JSON."""
         return json.dumps(asdict(self)).encode()
-
-
-def version() -> str:
-    """The version of this package here."""
-    return geomid_ros.__version__
 
 
 def summarise_bag(store: Store, plan_name: str, bag: FleetBag) -> BagOutcome:
@@ -159,6 +154,6 @@ def _plan(store: Store, name: str) -> Plan:
             "--keep a URL that they reach"
         )
     plan = Plan.of(json.loads(content))
-    if plan.version != version():
-        raise GeomidError(f"a worker has geomid_ros {version()}, not {plan.version}: install the same everywhere")
+    if plan.version != installed_version():
+        raise GeomidError(f"a worker has geomid_ros {installed_version()}, not {plan.version}: install the same everywhere")
     return plan
