@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import os
 import time
 from collections import deque
@@ -32,6 +33,8 @@ class Cluster:
             import distributed  # noqa: PLC0415 an extra
         except ImportError as error:
             raise InputError("geomid fleet needs what 'pip install geomid_ros[fleet]' installs") from error
+        # What it logs, with tracebacks, is what is told here in a sentence.
+        logging.getLogger("distributed").setLevel(logging.CRITICAL)
         self._dask: Any = distributed
         self._patience = patience
         self._local: Any = None
@@ -125,7 +128,10 @@ class Cluster:
                 yield job[0], future.exception() or future.result()
             if lost:
                 self._disconnect()
-                self._connect(self._patience)
+                try:
+                    self._connect(self._patience)
+                except InputError as error:
+                    raise InputError(f"{error}; what was done so far is kept: run the same again") from error
 
 
 _OTHER = f"its workers lack geomid_ros {installed_version()} with the extra 'fleet'; install the same everywhere"
