@@ -83,7 +83,7 @@ class BagSummary:
                 begin=beside["begin"],
                 end=beside["end"],
             )
-        except (zipfile.BadZipFile, KeyError, TypeError, ValueError, OSError) as error:
+        except (zipfile.BadZipFile, KeyError, TypeError, ValueError, OSError, EOFError) as error:
             raise InputError(f"the summary of a bag cannot be read ({error})") from error
 
     def plus(self, later: BagSummary) -> BagSummary:

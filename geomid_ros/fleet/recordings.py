@@ -79,9 +79,8 @@ def _listed(source: str, system: Any, path: str, by: str) -> Iterator[FleetBag]:
 
 def _bags_below(system: Any, path: str) -> Iterator[tuple[str, Mapping[str, Any]]]:
     """Every bag at a path or below it, with its files."""
-    if system.isfile(path):
-        if path.endswith(_SUFFIXES):
-            yield path, {path: system.info(path)}
+    if path.endswith(_SUFFIXES) and system.isfile(path):
+        yield path, {path: system.info(path)}
         return
     by_folder: dict[str, dict[str, Any]] = {}
     for name, info in system.find(path, detail=True).items():
@@ -124,7 +123,7 @@ def on_this_disk(url: str) -> Iterator[Path]:
     with TemporaryDirectory(prefix="geomid_bag_") as folder:
         name = PurePosixPath(path.rstrip("/")).name
         try:
-            files = [path] if system.isfile(path) else sorted(system.find(path))
+            files = [path] if path.endswith(_SUFFIXES) else sorted(system.find(path))
             targets = [str(Path(folder, name, file.rpartition("/")[2])) for file in files]
             system.get(files, targets)
         except OSError as error:
