@@ -15,8 +15,8 @@ from geomid_ros.session.version import installed_version
 
 _PATIENCE = 120.0  # [s] for a scheduler that was restarted, with its workers
 _CONNECT = 10.0  # [s]
-_AHEAD = 4  # tasks per thread that are handed over: none waits, and the client stays small
-_LEAST_AHEAD = 16
+_AHEAD = 8  # tasks per thread that are handed over: none waits, and the client stays small
+_LEAST_AHEAD = 64
 Job = TypeVar("Job")
 
 
@@ -37,6 +37,7 @@ class Cluster:
         logging.getLogger("distributed").setLevel(logging.CRITICAL)
         self._dask: Any = distributed
         self._patience = patience
+        self._version = installed_version()
         self._local: Any = None
         if address is None:
             cores = len(os.sched_getaffinity(0))
@@ -87,9 +88,15 @@ class Cluster:
         except TimeoutError as error:
             raise InputError(f"the Dask scheduler at {self._address} has no workers; start some") from error
         except (ImportError, AttributeError) as error:
-            raise InputError(f"{self._address}: {_OTHER} ({error})") from error
-        if versions != {installed_version()}:
-            raise InputError(f"{self._address}: {_OTHER} (they have {', '.join(sorted(versions))})")
+            raise InputError(self._other_version(str(error))) from error
+        if versions != {self._version}:
+            raise InputError(self._other_version(f"they have {', '.join(sorted(versions))}"))
+
+    def _other_version(self, found: str) -> str:
+        return (
+            f"{self._address}: its workers lack geomid_ros {self._version} with the extra 'fleet' ({found}); install the "
+            "same everywhere"
+        )
 
     def run(
         self, function: Callable[..., Any], jobs: Sequence[tuple[Job, tuple[Any, ...]]]
@@ -109,9 +116,8 @@ class Cluster:
         waiting = deque(jobs)
         while waiting:
             running: dict[Any, tuple[Job, tuple[Any, ...]]] = {}
-            ended = self._dask.as_completed()
-            threads = sum(self._client.nthreads().values())
-            ahead = max(_LEAST_AHEAD, _AHEAD * threads)
+            ended = self._dask.as_completed(with_results=True, raise_errors=False)
+            ahead = max(_LEAST_AHEAD, _AHEAD * sum(self._client.nthreads().values()))
             lost = False
             while running or (waiting and not lost):
                 while waiting and len(running) < ahead and not lost:
@@ -119,13 +125,13 @@ class Cluster:
                     future = self._client.submit(function, *job[1], pure=False)
                     running[future.key] = job
                     ended.add(future)
-                future = next(ended)
-                job = running.pop(future.key)
-                if future.cancelled():
-                    waiting.append(job)
-                    lost = True
-                    continue
-                yield job[0], future.exception() or future.result()
+                for future, result in ended.next_batch():
+                    job = running.pop(future.key)
+                    if future.cancelled():
+                        waiting.append(job)
+                        lost = True
+                    else:
+                        yield job[0], future.exception() if future.status == "error" else result
             if lost:
                 self._disconnect()
                 try:
@@ -134,7 +140,6 @@ class Cluster:
                     raise InputError(f"{error}; what was done so far is kept: run the same again") from error
 
 
-_OTHER = f"its workers lack geomid_ros {installed_version()} with the extra 'fleet'; install the same everywhere"
 
 
 def failure(error: BaseException) -> str:
