@@ -42,7 +42,7 @@ class Cluster:
         if address is None:
             cores = len(os.sched_getaffinity(0))
             self._local = self._dask.LocalCluster(
-                n_workers=cores, threads_per_worker=1, dashboard_address=None, silence_logs=50
+                n_workers=cores, threads_per_worker=1, dashboard_address="127.0.0.1:0", silence_logs=50
             )
             address = self._local.scheduler_address
         self._address = address

@@ -27,7 +27,7 @@ NOBODY = "tcp://127.0.0.1:9"
 def scheduler() -> Iterator[str]:
     """The address of a cluster of two workers."""
     with distributed.LocalCluster(
-        n_workers=2, threads_per_worker=1, processes=False, protocol="tcp", dashboard_address=None, silence_logs=50
+        n_workers=2, threads_per_worker=1, processes=False, protocol="tcp", dashboard_address="127.0.0.1:0", silence_logs=50
     ) as cluster:
         yield cluster.scheduler_address
 
@@ -159,7 +159,7 @@ def test_a_scheduler_without_workers_is_told(monkeypatch: pytest.MonkeyPatch) ->
     monkeypatch.setattr(clusters, "_CONNECT", 1.0)
     with (
         distributed.LocalCluster(
-            n_workers=0, processes=False, protocol="tcp", dashboard_address=None, silence_logs=50
+            n_workers=0, processes=False, protocol="tcp", dashboard_address="127.0.0.1:0", silence_logs=50
         ) as empty,
         pytest.raises(InputError, match="has no workers; start some"),
     ):
