@@ -12,6 +12,7 @@ from typing import Any, cast
 import numpy as np
 
 from geomid_ros.estimation.estimate import Estimate, LinkEstimate, LinksInformation
+from geomid_ros.estimation.posterior import Posterior
 from geomid_ros.gap.result import GapResult
 from geomid_ros.live.background_search import SearchStatus
 from geomid_ros.live.gap_search import FoundGap
@@ -143,6 +144,16 @@ def _estimate() -> Estimate:
         rms_nominal=one,
         rms=one,
         information=LinksInformation(np.eye(10), np.zeros(10)),
+        posterior=Posterior(
+            links=("LINK",),
+            merged=((),),
+            effects=(),
+            parameters=np.ones(10),
+            covariance=np.eye(10),
+            scales=np.zeros(0),
+            prior=np.ones(10),
+            prior_spreads=np.ones(10),
+        ),
     )
 
 

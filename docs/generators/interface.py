@@ -30,6 +30,8 @@ _MEANINGS = {
     "~/robot_description": "the identified URDF",
     "~/predicted_joint_states": "efforts as the estimate predicts them, with the filtered motion, stamped as the data; "
     "while somebody listens",
+    "~/predicted_efforts_std": "the same with the standard deviations of these efforts, as links and effects are "
+    "unsure together; while somebody listens",
     "~/markers": "ellipsoids for RViz, blue where known from the prior, orange where from the data",
     "~/gap": "what `~/find_gap` found, as `gap.json`, with `compared_with` where a gap is open; with nothing but "
     "`error` in it where nothing can be said",

@@ -16,7 +16,7 @@ _WIDEST = 3.0
 
 @click.command()
 @click.argument("model", metavar="ESTIMATE", type=click.Path(path_type=Path))
-@click.option("-n", "count", type=click.IntRange(2, _MOST), default=100, show_default=True, help="How many robots.")
+@click.option("-n", "count", type=click.IntRange(1, _MOST), default=100, show_default=True, help="How many robots.")
 @click.option("--for", "tool", required=True, type=click.Choice([*DESCRIBED_FOR, JSON]), help="Who is to read them.")
 @click.option(
     "--into",
@@ -57,13 +57,13 @@ def sample(
         raise click.UsageError("--into is a file of MuJoCo's: --for mujoco.")
     from geomid_ros.commands.progress import progress_bar
     from geomid_ros.commands.results import torques
+    from geomid_ros.exports.drawn_robots import described, draw_robots
     from geomid_ros.exports.ranges import ranges_text
-    from geomid_ros.exports.samples import described, draw_samples
     from geomid_ros.exports.torque_spread import torque_spread
     from geomid_ros.files.disk import write_text
     from geomid_ros.report.torque_picture import torque_picture
 
-    drawn = draw_samples(model, count, seed, spread)
+    drawn = draw_robots(model, count, seed, spread)
     for heading, sentence in (("Warning", drawn.model.doubt), ("Note", drawn.not_drawn)):
         if sentence:
             click.echo(f"{heading}: {one_line(sentence)}", err=True)

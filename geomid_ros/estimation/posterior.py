@@ -85,6 +85,11 @@ class Posterior:
         jacobian[self.manifold.links_blocks] = blocks
         return frozen(jacobian)
 
+    @cached_property
+    def parameter_covariance(self) -> FloatArray:
+        """Covariance ``(D, D)`` of the parameters themselves, in their units."""
+        return frozen(self.jacobian @ self.covariance @ self.jacobian.T)
+
     def coordinates(self, parameters: FloatArray) -> FloatArray:
         """The coordinates ``(D,)`` of other parameters ``(D,)``: how far they are from the estimate."""
         return np.asarray(np.linalg.solve(self.jacobian, parameters - self.parameters))

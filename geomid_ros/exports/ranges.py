@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import yaml
 
-from geomid_ros.exports.samples import Samples
+from geomid_ros.exports.drawn_robots import DrawnRobots
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.model.effects import effect_class
 from geomid_ros.model.effects.parameters import COM_ENTRIES
@@ -30,10 +30,10 @@ _EVENTS = (
 _ISAAC_JOINT = {"joint/armature": "armature_distribution_params", "joint/frictionloss": "friction_distribution_params"}
 
 
-def ranges_text(samples: Samples, *, isaac: bool = False) -> str:
+def ranges_text(robots: DrawnRobots, *, isaac: bool = False) -> str:
     """The YAML of the ranges, and with ``isaac`` of the event terms."""
-    text = _HEADER + _yaml({"links": _links(samples), "effects": _effects(samples)})
-    return text + _EVENTS + _yaml({"events": _events(samples)}) if isaac else text
+    text = _HEADER + _yaml({"links": _links(robots), "effects": _effects(robots)})
+    return text + _EVENTS + _yaml({"events": _events(robots)}) if isaac else text
 
 
 def _yaml(document: dict[str, Any]) -> str:
@@ -45,39 +45,39 @@ def _band(values: FloatArray) -> list[float]:
     return [float(f"{value:.6g}") for value in np.quantile(values, _BAND)]
 
 
-def _quantities(samples: Samples) -> dict[str, FloatArray]:
+def _quantities(robots: DrawnRobots) -> dict[str, FloatArray]:
     """Quantities ``(N, 10)`` of the drawn links, by name."""
-    count = len(samples.posterior.links)
-    parameters = samples.parameters[:, : 10 * count].reshape(-1, count, 10).swapaxes(0, 1)
-    return dict(zip(samples.posterior.links, pseudo_inertia.quantities_of(parameters), strict=True))
+    count = len(robots.posterior.links)
+    parameters = robots.parameters[:, : 10 * count].reshape(-1, count, 10).swapaxes(0, 1)
+    return dict(zip(robots.posterior.links, pseudo_inertia.quantities_of(parameters), strict=True))
 
 
-def _links(samples: Samples) -> dict[str, Any]:
+def _links(robots: DrawnRobots) -> dict[str, Any]:
     names = ("mass", *COM_ENTRIES, *pseudo_inertia.INERTIA_NAMES)
     return {
         link: {name: _band(values) for name, values in zip(names, quantities.T, strict=True)}
-        for link, quantities in _quantities(samples).items()
+        for link, quantities in _quantities(robots).items()
     }
 
 
-def _effects(samples: Samples) -> list[dict[str, Any]]:
-    first = 10 * len(samples.posterior.links)
+def _effects(robots: DrawnRobots) -> list[dict[str, Any]]:
+    first = 10 * len(robots.posterior.links)
     return [
         {"effect": c.name, "joint": c.place, "parameter": c.parameter, "unit": c.unit, "range": _band(values)}
-        for c, values in zip(samples.posterior.effects, samples.parameters[:, first:].T, strict=True)
+        for c, values in zip(robots.posterior.effects, robots.parameters[:, first:].T, strict=True)
     ]
 
 
-def _events(samples: Samples) -> dict[str, Any]:
+def _events(robots: DrawnRobots) -> dict[str, Any]:
     events = {}
-    for link, quantities in _quantities(samples).items():
+    for link, quantities in _quantities(robots).items():
         body = {"name": "robot", "body_names": link}
-        centre = samples.model.bodies[link].inertial.com
+        centre = robots.model.bodies[link].inertial.com
         shifts = dict(zip("xyz", map(_band, quantities[:, 1:4].T - centre[:, None]), strict=True))
         mass = {"mass_distribution_params": _band(quantities[:, 0]), "recompute_inertia": True}
         events[f"mass_of_{link}"] = _event("randomize_rigid_body_mass", body, mass, absolute=True)
         events[f"com_of_{link}"] = _event("randomize_rigid_body_com", body, {"com_range": shifts})
-    for joint, ranges in _joint_ranges(samples).items():
+    for joint, ranges in _joint_ranges(robots).items():
         named = {"name": "robot", "joint_names": joint}
         events[f"parameters_of_{joint}"] = _event("randomize_joint_parameters", named, ranges, absolute=True)
     return events
@@ -92,11 +92,11 @@ def _event(function: str, asset: dict[str, str], ranges: dict[str, Any], *, abso
     }
 
 
-def _joint_ranges(samples: Samples) -> dict[str, dict[str, list[float]]]:
+def _joint_ranges(robots: DrawnRobots) -> dict[str, dict[str, list[float]]]:
     """What Isaac Lab draws at joints: armature and dry friction."""
     found: dict[str, dict[str, list[float]]] = {}
-    first = 10 * len(samples.posterior.links)
-    for c, values in zip(samples.posterior.effects, samples.parameters[:, first:].T, strict=True):
+    first = 10 * len(robots.posterior.links)
+    for c, values in zip(robots.posterior.effects, robots.parameters[:, first:].T, strict=True):
         forms = {form.name: form.mjcf for form in effect_class(c.name).parameters}
         if (key := _ISAAC_JOINT.get(forms.get(c.parameter, ""))) is not None:
             found.setdefault(c.place, {})[key] = _band(values)

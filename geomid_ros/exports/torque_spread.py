@@ -8,15 +8,16 @@ import numpy as np
 
 from geomid_ros.estimation.telling_motions import instants
 from geomid_ros.exports.descriptions import described_robot
-from geomid_ros.exports.samples import Samples
+from geomid_ros.exports.drawn_robots import DrawnRobots
 from geomid_ros.files.models.loaded_model import LoadedModel
 from geomid_ros.model.measurement import MeasurementModel
+from geomid_ros.model.samples import Samples
 from geomid_ros.types import FloatArray
 
 RANGE = 0.2
 """Half of the width of the ranges that drawn robots are compared with, as a share of each number."""
 _BAND = (0.025, 0.975)
-_MOST = 500  # robots; 95 % bands need no more
+_MOST = 1000  # robots; 95 % bands need no more
 _SEED = 1
 
 
@@ -43,26 +44,34 @@ class TorqueSpread:
         return float(np.mean(self.drawn / self.ranges))
 
 
-def torque_spread(samples: Samples) -> TorqueSpread:
+def torque_spread(robots: DrawnRobots) -> TorqueSpread:
     """The spread of joint torques of drawn robots."""
     model = MeasurementModel(
-        described_robot(samples.model), [], local_effects=LoadedModel.read(samples.model.source).local_effects(())
+        described_robot(robots.model), [], local_effects=LoadedModel.read(robots.model.source).local_effects(())
     )
     motion = instants(model, moving=True)
-    estimate = _in_order(model, samples, samples.posterior.parameters[None])
-    random = np.random.default_rng(_SEED)
-    bands = []
-    for robots in (_in_order(model, samples, samples.parameters[:_MOST]), _within_ranges(model, estimate, random)):
-        _, efforts = model.predict(motion, robots.T)
-        low, high = np.quantile(efforts, _BAND, axis=2)
-        bands.append(np.sqrt(np.mean((high - low) ** 2, axis=0)))
+    estimate = _in_order(model, robots, robots.posterior.parameters[None])[0]
+    drawn = _in_order(model, robots, robots.parameters[:_MOST])
+    bands = [torque_bands(model, motion, each) for each in (drawn, within_ranges(model, estimate))]
     joints = model.robot.joints
-    return TorqueSpread(tuple(joint.name for joint in joints), tuple(joint.unit for joint in joints), *bands)
+    return TorqueSpread(
+        tuple(joint.name for joint in joints),
+        tuple(joint.unit for joint in joints),
+        *(np.sqrt(np.mean((high - low) ** 2, axis=0)) for low, high in bands),
+    )
 
 
-def _in_order(model: MeasurementModel, samples: Samples, parameters: FloatArray) -> FloatArray:
+def torque_bands(model: MeasurementModel, motion: Samples, parameters: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Lower and upper ends ``(N, channels)`` of the 95 % bands of what robots with ``parameters (robots, D)`` feel at N
+    instants."""
+    _, efforts = model.predict(motion, parameters.T)
+    low, high = np.quantile(efforts, _BAND, axis=2)
+    return low, high
+
+
+def _in_order(model: MeasurementModel, robots: DrawnRobots, parameters: FloatArray) -> FloatArray:
     """Drawn ``parameters (N, D)`` in the order of a measurement model; links that were not drawn are the URDF's."""
-    posterior = samples.posterior
+    posterior = robots.posterior
     result = np.tile(model.nominal_parameters, (len(parameters), 1))
     for place, name in enumerate(model.body_names):
         if name in posterior.links:
@@ -76,10 +85,10 @@ def _in_order(model: MeasurementModel, samples: Samples, parameters: FloatArray)
     return result
 
 
-def _within_ranges(model: MeasurementModel, estimate: FloatArray, random: np.random.Generator) -> FloatArray:
-    """Robots ``(N, D)`` within 20 % of the ``estimate (1, D)``: a factor for each link, and one for each effect."""
+def within_ranges(model: MeasurementModel, estimate: FloatArray) -> FloatArray:
+    """Robots ``(N, D)`` within 20 % of the ``estimate (D,)``: a factor for each link, and one for each effect."""
     links = len(model.body_names)
-    factors = random.uniform(1.0 - RANGE, 1.0 + RANGE, (_MOST, links + len(model.coefficients)))
+    factors = np.random.default_rng(_SEED).uniform(1.0 - RANGE, 1.0 + RANGE, (_MOST, links + len(model.coefficients)))
     return np.asarray(
         estimate * np.concatenate([np.repeat(factors[:, :links], 10, axis=1), factors[:, links:]], axis=1)
     )

@@ -21,7 +21,6 @@ from geomid_ros.session.wrench_guard import WrenchGuard
 from geomid_ros.signals.decoding import Decoder
 from geomid_ros.signals.ledger import count_reason
 from geomid_ros.signals.messages import JOINT_STATES, Accepted, message_type
-from geomid_ros.types import FloatArray
 
 # A burst is taken whole; what nobody takes out of the inbox, or would be later than is of use, is dropped and counted.
 _LONGEST_STANDSTILL = 0.75  # [s] of the intake, while messages wait
@@ -33,7 +32,7 @@ _LATENCIES = 10_000  # last instants of which the latency is known
 _MOST_AT_ONCE = 1000  # messages
 _LONG = 1.0  # [s] nothing that a thread does takes longer, except solving if ``solve_period`` is longer
 
-OnSamples: TypeAlias = Callable[[Session, Samples, FloatArray], None]
+OnSamples: TypeAlias = Callable[[Session, Samples, Estimate], None]
 OnEstimate: TypeAlias = Callable[[Session, Estimate], None]
 
 
@@ -63,8 +62,8 @@ class Worker:
         Args:
             session: in which nothing has happened yet, or that was restored.
             solve_period: [s] between estimates.
-            on_samples: ``on_samples(session, samples, parameters)`` is called in the intake thread for new samples,
-                once there is an estimate.
+            on_samples: ``on_samples(session, samples, estimate)`` is called in the intake thread for new samples, once
+                there is an estimate.
             on_estimate: ``on_estimate(session, estimate)`` is called in the solver's thread for each new estimate.
         """
         self.session = session
@@ -287,7 +286,7 @@ class Worker:
 
     def _report_prediction(self, samples: Samples, estimate: Estimate) -> None:
         try:
-            self._on_samples(self.session, samples, estimate.parameters)
+            self._on_samples(self.session, samples, estimate)
         except Exception as error:  # noqa: BLE001 as above
             self._fail("a prediction could not be published", error)
 

@@ -8,6 +8,7 @@ import numpy as np
 from builtin_interfaces.msg import Time
 from geometry_msgs.msg import InertiaStamped
 from rclpy.node import Node
+from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from scipy.spatial.transform import Rotation
 from sensor_msgs.msg import JointState
@@ -15,6 +16,7 @@ from std_msgs.msg import ColorRGBA, String
 from visualization_msgs.msg import Marker, MarkerArray
 
 from geomid_ros.estimation.estimate import Estimate, LinkEstimate
+from geomid_ros.estimation.prediction import effort_deviations
 from geomid_ros.exports.weighed_payload import Payload
 from geomid_ros.files.models.gap_results import FORMAT
 from geomid_ros.geometry import pseudo_inertia
@@ -40,18 +42,20 @@ class Outputs:
         self._node = node
         self._inertias = node.create_publisher(InertiaStamped, "~/inertias", latched(256))
         self._predictions = node.create_publisher(JointState, "~/predicted_joint_states", 1000)
+        self._deviations = node.create_publisher(JointState, "~/predicted_efforts_std", 1000)
         self._identified = node.create_publisher(String, "~/robot_description", latched())
         self._ellipsoids = node.create_publisher(MarkerArray, "~/markers", latched())
         self._findings = node.create_publisher(String, "~/gap", latched())
         self._payloads = node.create_publisher(String, "~/payload", latched())
 
-    def prediction(self, session: Session, samples: Samples, parameters: FloatArray) -> None:
-        """Publish the efforts that ``parameters (D,)`` predict for samples, if anybody subscribes."""
-        if self._predictions.get_subscription_count() == 0:
-            return
-        efforts = session.model.predicted_efforts(samples, parameters)
-        for index in range(len(samples)):
-            self._predictions.publish(_predicted(session.robot, samples, index, efforts[index]))
+    def prediction(self, session: Session, samples: Samples, estimate: Estimate) -> None:
+        """Publish the efforts that an estimate predicts for samples, and how sure they are, if anybody subscribes."""
+        if self._predictions.get_subscription_count() > 0:
+            efforts = session.model.predicted_efforts(samples, estimate.parameters)
+            _publish_efforts(self._predictions, session.robot, samples, efforts)
+        if self._deviations.get_subscription_count() > 0:
+            deviations = effort_deviations(session.model, samples, estimate)
+            _publish_efforts(self._deviations, session.robot, samples, deviations)
 
     def estimate(self, session: Session, estimate: Estimate) -> None:
         """Publish an estimate."""
@@ -92,8 +96,13 @@ def _inertia(link: LinkEstimate, stamp: int) -> InertiaStamped:
     return message
 
 
-def _predicted(robot: Robot, samples: Samples, index: int, efforts: FloatArray) -> JointState:
-    """The filtered motion of one sample with the efforts that the estimate predicts; its stamp is the data's."""
+def _publish_efforts(publisher: Publisher, robot: Robot, samples: Samples, efforts: FloatArray) -> None:
+    for index in range(len(samples)):
+        publisher.publish(_joint_state(robot, samples, index, efforts[index]))
+
+
+def _joint_state(robot: Robot, samples: Samples, index: int, efforts: FloatArray) -> JointState:
+    """The filtered motion of one sample with these efforts; its stamp is the data's."""
     message = JointState()
     message.header.stamp = _time(int(samples.stamps[index]))
     message.name = list(robot.joint_names)

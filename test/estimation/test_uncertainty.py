@@ -12,6 +12,7 @@ from scipy.signal import lfilter
 
 from geomid_ros.estimation.estimate import QUANTITIES, Estimate
 from geomid_ros.estimation.estimator import EstimatorSettings, estimate
+from geomid_ros.estimation.prediction import effort_deviations
 from geomid_ros.estimation.summary import RowSummary
 from geomid_ros.estimation.uncertainty import (
     Fold,
@@ -298,6 +299,30 @@ def test_intervals_of_95_percent_hold_the_truth_about_that_often(correlation: fl
     assert set(found) == set(LEAST)
     for kind, share in found.items():
         assert share >= LEAST[kind], found
+
+
+def test_deviations_of_predicted_efforts_are_those_of_robots_drawn_from_the_posterior() -> None:
+    case = arm("arm3", 2)
+    rows = case.model.rows(case.samples)
+    rng = np.random.default_rng(11)
+    found = solved(case, rows.coefficients, rows.targets + NOISE * rng.normal(size=rows.targets.shape))
+    few = case.samples.select(slice(0, 400, 10))
+    drawn = found.posterior.draw(4000, rng, 0.1)  # so narrow that none is cut off
+    _, efforts = case.model.predict(few, drawn.T)
+    np.testing.assert_allclose(10.0 * np.std(efforts, axis=2), effort_deviations(case.model, few, found), rtol=0.07)
+
+
+def test_the_joint_covariance_holds_the_truth_along_straight_lines_and_not_along_geodesics() -> None:
+    """Squared distances of the truth in variances, per direction: near one in all directions together."""
+    straight, geodesic = [], []
+    for _, planted, found in runs("arm3", 0.0):
+        posterior = found.posterior
+        away = posterior.coordinates(planted)
+        along = posterior.manifold.log(posterior.point, posterior.manifold.point(planted))
+        for errors, kept in ((away, straight), (along, geodesic)):
+            kept.append(errors @ np.linalg.solve(posterior.covariance, errors) / len(errors))
+    assert 0.7 < np.mean(straight) < 1.4
+    assert np.mean(geodesic) > 2.0 * np.mean(straight)
 
 
 @pytest.mark.parametrize("size", [1e2, 1e8, 1e14])

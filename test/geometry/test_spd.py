@@ -171,3 +171,12 @@ def test_a_centre_of_mass_moves_farther_across_a_bar_than_along_it() -> None:
     origin = at(np.zeros(3))
     along, across = (spd.distance(origin, at(0.3 * np.eye(3)[axis])) for axis in (0, 1))
     assert across > 4.0 * along
+
+
+@SEEDS
+def test_positive_definite_is_what_has_no_other_eigenvalues(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    matrices = np.concatenate([bodies.spd(rng, 5), bodies.symmetric(rng, 50) + 1.5 * np.eye(4)])
+    expected = np.linalg.eigvalsh(matrices)[:, 0] > 0.0
+    assert 0 < np.count_nonzero(expected) < len(matrices)
+    np.testing.assert_array_equal(spd.is_positive_definite(matrices), expected)

@@ -39,6 +39,7 @@ class Live:
     urdf: str = ""
     answer: tuple[bool, str] = (False, "")
     predicted: list[JointState] = field(default_factory=list)
+    deviations: list[JointState] = field(default_factory=list)
     diagnostics: list[DiagnosticArray] = field(default_factory=list)
     inertias: list[InertiaStamped] = field(default_factory=list)
     descriptions: list[String] = field(default_factory=list)
@@ -75,6 +76,7 @@ def perform(stage: Stage, run: Live, out: Path) -> None:
     node = stage.node({**parameters, **WRIST_PARAMETERS})
     observer = stage.observer
     run.predicted = observer.collect(JointState, "/geomid/predicted_joint_states")
+    run.deviations = observer.collect(JointState, "/geomid/predicted_efforts_std")
     run.diagnostics = observer.collect(DiagnosticArray, "/diagnostics")
     run.inertias = observer.collect(InertiaStamped, "/geomid/inertias", latched())
     run.descriptions = observer.collect(String, "/geomid/robot_description", latched())
@@ -195,6 +197,19 @@ def test_predicted_efforts_are_stamped_and_sized_as_the_data(live: Live) -> None
         efforts.append([effort[joint] for joint in joints])
     rms_error, rms_effort = (np.sqrt(np.mean(np.square(part), axis=0)) for part in (errors[-50:], efforts))
     assert np.all(rms_error < rms_effort)  # on a busy machine they are of an early estimate
+
+
+def test_predicted_efforts_have_standard_deviations_of_the_same_instants(live: Live) -> None:
+    expected = {(m.header.stamp.sec, m.header.stamp.nanosec): m for m in live.predicted}
+    found = {(m.header.stamp.sec, m.header.stamp.nanosec): m for m in live.deviations}
+    assert len(expected.keys() & found.keys()) > 10
+    sizes = np.sqrt(np.mean([np.square(message.effort) for message in live.predicted], axis=0))
+    for stamp in expected.keys() & found.keys():
+        assert list(found[stamp].name) == list(expected[stamp].name)
+        assert list(found[stamp].position) == list(expected[stamp].position)
+        assert np.all(np.array(found[stamp].effort) > 0.0)
+    last = np.sqrt(np.mean([np.square(message.effort) for message in live.deviations[-50:]], axis=0))
+    assert np.all(last < sizes)  # on a busy machine they are of an early estimate
 
 
 def test_diagnostics(live: Live) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import re
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -29,26 +28,29 @@ from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.model.effects import KnownEffect, Quantity
 from geomid_ros.types import FloatArray
 
+_ENOUGH = 1000  # robots, for 95 % ranges
 _SAME = 1e-6  # relative; the same number in two files
 
 
 @dataclass(frozen=True, eq=False)
-class Samples:
+class DrawnRobots:
     """Robots drawn from a posterior.
 
     Attributes:
         model: The estimate.
         posterior: What is known of it.
-        parameters: Of the drawn robots ``(N, D)``, in the posterior's order.
+        parameters: Of drawn robots ``(N, D)``, in the posterior's order, enough of them for ranges.
+        count: How many of these were asked for.
     """
 
     model: Model
     posterior: Posterior
     parameters: FloatArray
+    count: int
 
     def __iter__(self) -> Iterator[Model]:
-        """Each drawn robot in turn."""
-        return map(self._robot, self.parameters)
+        """Each robot that was asked for in turn."""
+        return map(self._robot, self.parameters[: self.count])
 
     def _robot(self, parameters: FloatArray) -> Model:
         """The model with these parameters ``(D,)``."""
@@ -118,7 +120,7 @@ class Samples:
         return f"the same in all robots, as the posterior has nothing of it: {', '.join(names)}" if names else ""
 
 
-def draw_samples(path: Path, count: int, seed: int, spread: float) -> Samples:
+def draw_robots(path: Path, count: int, seed: int, spread: float) -> DrawnRobots:
     """Draw ``count`` robots from the posterior beside an ``estimate.json``, standard deviations times ``spread``.
 
     Raises:
@@ -132,7 +134,8 @@ def draw_samples(path: Path, count: int, seed: int, spread: float) -> Samples:
         raise InputError(f"{path}: there is no {POSTERIOR} beside it, which 'geomid identify' writes; identify again")
     posterior = read_posterior(file)
     _check_same(model, posterior, file)
-    return Samples(model, posterior, posterior.draw(count, np.random.default_rng(seed), spread))
+    drawn = posterior.draw(max(count, _ENOUGH), np.random.default_rng(seed), spread)
+    return DrawnRobots(model, posterior, drawn, count)
 
 
 def _check_same(model: Model, posterior: Posterior, file: Path) -> None:
@@ -148,22 +151,22 @@ def _check_same(model: Model, posterior: Posterior, file: Path) -> None:
 
 
 def described(
-    samples: Samples, tool: str, into: Path | None, packages: Mapping[str, Path]
+    robots: DrawnRobots, tool: str, into: Path | None, packages: Mapping[str, Path]
 ) -> Iterator[tuple[str, str]]:
     """Names and texts of files of the drawn robots.
 
     Args:
-        samples: What was drawn.
+        robots: What was drawn.
         tool: Who is to read it: of :data:`~geomid_ros.exports.descriptions.DESCRIPTIONS` a file each, or ``json`` one
             of all.
         into: An MJCF of the user's own, for mujoco.
         packages: Folders of ROS packages, by name.
     """
     if tool == JSON:
-        yield "robots.json", _json(samples)
+        yield "robots.json", _json(robots)
         return
-    write, digits = _writer(samples.model, tool, into, packages), len(str(len(samples.parameters)))
-    for number, model in enumerate(samples, 1):
+    write, digits = _writer(robots.model, tool, into, packages), len(str(robots.count))
+    for number, model in enumerate(robots, 1):
         yield f"robot_{number:0{digits}d}{'.xml' if tool == 'mujoco' else '.urdf'}", write(model)
 
 
@@ -190,17 +193,18 @@ def _with_absolute_folders(text: str, path: Path) -> str:
     attributes = " ".join(
         f"{key}={quoteattr(str((path.parent / folder).resolve()))}" for key, folder in folders.items()
     )
-    return re.sub(r"</mujoco\s*>\s*\Z", lambda end: f"  <compiler {attributes}/>\n{end[0]}", text)
+    end = text.rindex("</mujoco")
+    return f"{text[:end]}  <compiler {attributes}/>\n{text[end:]}"
 
 
-def _json(samples: Samples) -> str:
+def _json(robots: DrawnRobots) -> str:
     """All robots with their links and effects as ``estimate.json`` has them."""
-    return json.dumps({"format": 1, "robots": [_entries(samples, model) for model in samples]}, indent=1) + "\n"
+    return json.dumps({"format": 1, "robots": [_entries(robots, model) for model in robots]}) + "\n"
 
 
-def _entries(samples: Samples, model: Model) -> dict[str, Any]:
+def _entries(robots: DrawnRobots, model: Model) -> dict[str, Any]:
     links = []
-    for name, merged in zip(samples.posterior.links, samples.posterior.merged, strict=True):
+    for name, merged in zip(robots.posterior.links, robots.posterior.merged, strict=True):
         inertial = model.bodies[name].inertial
         links.append(link_entry(name, merged, (inertial.mass, inertial.com, inertial.inertia)))
     return {

@@ -1,0 +1,164 @@
+"""``geomid sample``: robots from a recording's posterior, for those who simulate, and what is refused."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from xml.etree import ElementTree
+
+import mujoco
+import numpy as np
+import pinocchio as pin
+import pytest
+import yaml
+from matplotlib.figure import Figure
+
+from geomid_ros.api import identify as front_door
+
+from .running import WRIST, done, geomid, identify, refused
+
+TETRAHEDRON = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 4 3\nf 1 2 4\nf 2 3 4\n"
+FEW = ("-n", "12")
+
+
+@pytest.fixture(scope="module")
+def estimate(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The small arm with the sensor at its wrist."""
+    folder = tmp_path_factory.mktemp("wrist")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(front_door, "draw_identification", lambda *_: Figure())
+        done(*identify("arm3", *WRIST, "--out", folder))
+    return folder / "estimate.json"
+
+
+def robots(estimate: Path, out: Path, *more: str) -> list[dict]:
+    """Drawn robots, as JSON."""
+    geomid("sample", estimate, *FEW, "--for", "json", "--out", out, *more)
+    found: list[dict] = json.loads((out / "robots.json").read_text())["robots"]
+    return found
+
+
+def test_mujoco_loads_the_robots_that_were_drawn(estimate: Path, tmp_path: Path) -> None:
+    """Each with the bodies and joints that the JSON of the same seed says."""
+    printed = geomid("sample", estimate, *FEW, "--for", "mujoco", "--out", tmp_path / "m")
+    assert printed.exit_code == 0
+    assert "ranges of ±20 %" in printed.stdout
+    expected = robots(estimate, tmp_path / "j")
+    files = sorted((tmp_path / "m").glob("robot_*.xml"))
+    assert [file.name for file in files] == [f"robot_{number:02d}.xml" for number in range(1, 13)]
+    assert f"{files[0]} to {files[-1].name}" in printed.stdout
+    for file, robot in zip(files, expected, strict=True):
+        model = mujoco.MjModel.from_xml_path(str(file))
+        for link in robot["links"]:
+            body = model.body(link["name"])
+            assert body.mass[0] == pytest.approx(link["mass"], rel=1e-9)
+            np.testing.assert_allclose(body.ipos, link["com"], rtol=0, atol=1e-9)
+            np.testing.assert_allclose(np.sort(body.inertia), np.linalg.eigvalsh(link["inertia"]), rtol=1e-7)
+        for effect in robot["effects"]:
+            joint = {"viscous_friction": "damping", "coulomb_friction": "frictionloss", "rotor_inertia": "armature"}
+            if effect["name"] in joint:
+                said = getattr(model.joint(effect["joint"]), joint[effect["name"]])[0]
+                assert said == pytest.approx(effect["value"], rel=1e-9)
+    assert len({robot["links"][0]["mass"] for robot in expected}) == len(expected)
+
+
+def test_pinocchio_reads_the_urdfs_and_nothing_else_of_them_changed(estimate: Path, tmp_path: Path) -> None:
+    geomid("sample", estimate, *FEW, "--for", "moveit", "--out", tmp_path / "u")
+    before = (estimate.parent / "identified.urdf").read_text()
+    for number, robot in enumerate(robots(estimate, tmp_path / "j"), 1):
+        text = (tmp_path / f"u/robot_{number:02d}.urdf").read_text()
+        model = pin.buildModelFromXML(text)
+        masses = sum(link["mass"] for link in robot["links"] if link["name"] != "base_link")
+        assert sum(inertia.mass for inertia in model.inertias[1:]) == pytest.approx(masses, rel=1e-6)
+        assert [e.tag for e in ElementTree.fromstring(text).iter()] == [
+            e.tag for e in ElementTree.fromstring(before).iter()
+        ]
+
+
+def test_the_user_s_own_mjcf_is_found_with_its_meshes_from_the_folder_of_the_robots(
+    estimate: Path, tmp_path: Path
+) -> None:
+    own = tmp_path / "own"
+    (own / "parts").mkdir(parents=True)
+    (own / "parts/part.obj").write_text(TETRAHEDRON)
+    text = done_with_notes("export", estimate, "--for", "mujoco").replace(
+        "<worldbody>", '<asset><mesh name="part" file="part.obj"/></asset>\n  <worldbody><!-- mine -->', 1
+    )
+    text = text.replace("<compiler ", '<compiler meshdir="parts" ', 1)
+    (own / "robot.xml").write_text(text)
+    geomid("sample", estimate, *FEW, "--for", "mujoco", "--into", own / "robot.xml", "--out", tmp_path / "out")
+    for number, robot in enumerate(robots(estimate, tmp_path / "j"), 1):
+        file = tmp_path / f"out/robot_{number:02d}.xml"
+        model = mujoco.MjModel.from_xml_path(str(file))
+        assert model.nmesh == 1
+        assert "<!-- mine -->" in file.read_text()
+        for link in robot["links"]:
+            assert model.body(link["name"]).mass[0] == pytest.approx(link["mass"], rel=1e-9)
+
+
+def done_with_notes(*arguments: str | Path) -> str:
+    result = geomid(*arguments)
+    assert result.exit_code == 0
+    return str(result.stdout)
+
+
+def test_ranges_hold_the_estimate_and_are_event_terms_for_isaac_lab(estimate: Path, tmp_path: Path) -> None:
+    geomid("sample", estimate, *FEW, "--for", "isaac", "--out", tmp_path)
+    found = yaml.safe_load((tmp_path / "ranges.yaml").read_text())
+    document = json.loads(estimate.read_text())
+    for link in document["links"]:
+        low, high = found["links"][link["name"]]["mass"]
+        assert low < link["mass"] < high
+        event = found["events"][f"mass_of_{link['name']}"]
+        assert event["func"] == "isaaclab.envs.mdp.randomize_rigid_body_mass"
+        assert event["params"]["mass_distribution_params"] == [low, high]
+        shifts = found["events"][f"com_of_{link['name']}"]["params"]["com_range"]
+        assert all(below < 0.0 < above for below, above in shifts.values())
+    armature = found["events"]["parameters_of_joint1"]["params"]["armature_distribution_params"]
+    (rotor,) = (e["range"] for e in found["effects"] if (e["effect"], e["joint"]) == ("rotor_inertia", "joint1"))
+    assert armature == rotor
+    assert (tmp_path / "robot_01.urdf").exists()
+
+
+def test_ranges_are_as_wide_as_the_standard_deviations_say_and_wider_when_asked(estimate: Path, tmp_path: Path) -> None:
+    widths = {}
+    for spread in ("1", "2"):
+        robots(estimate, tmp_path / spread, "--spread", spread)
+        links = yaml.safe_load((tmp_path / spread / "ranges.yaml").read_text())["links"]
+        widths[spread] = {name: high - low for name, (low, high) in ((n, own["mass"]) for n, own in links.items())}
+    for link in json.loads(estimate.read_text())["links"]:
+        assert widths["1"][link["name"]] == pytest.approx(2.0 * 1.96 * link["std"]["mass"], rel=0.15)
+        assert widths["2"][link["name"]] == pytest.approx(2.0 * widths["1"][link["name"]], rel=0.15)
+
+
+def test_the_same_seed_draws_the_same_robots(estimate: Path, tmp_path: Path) -> None:
+    once, again, other = (
+        robots(estimate, tmp_path / name, "--seed", seed) for name, seed in (("a", "3"), ("b", "3"), ("c", "4"))
+    )
+    assert once == again
+    assert once != other
+
+
+def test_what_is_refused(estimate: Path, tmp_path: Path) -> None:
+    alone = tmp_path / "alone"
+    alone.mkdir()
+    for name in ("estimate.json", "identified.urdf"):
+        (alone / name).write_text((estimate.parent / name).read_text())
+    draw = ("--for", "mujoco", "--out", tmp_path / "out")
+    assert "there is no posterior.npz beside it" in refused("sample", alone / "estimate.json", *draw)
+    assert "no estimate.json" in refused("sample", alone / "identified.urdf", *draw)
+    (alone / "posterior.npz").write_bytes((estimate.parent / "posterior.npz").read_bytes()[:-100])
+    assert "cannot be read" in refused("sample", alone / "estimate.json", *draw)
+    assert "--into is a file of MuJoCo's" in refused("sample", estimate, "--for", "isaac", "--into", "robot.xml")
+    assert "0.0<x<=3.0" in refused("sample", estimate, *draw, "--spread", "4")
+    assert not (tmp_path / "out").exists()
+
+
+def test_the_posterior_of_another_run_is_refused(estimate: Path, tmp_path: Path) -> None:
+    for name in ("identified.urdf", "posterior.npz"):
+        (tmp_path / name).write_bytes((estimate.parent / name).read_bytes())
+    document = json.loads(estimate.read_text())
+    document["links"][-1]["com"][0] += 1e-4
+    (tmp_path / "estimate.json").write_text(json.dumps(document))
+    message = refused("sample", tmp_path / "estimate.json", "--for", "json", "--out", tmp_path / "out")
+    assert "not of the estimate beside it" in message
