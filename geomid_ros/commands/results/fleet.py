@@ -16,15 +16,9 @@ def show(found: FleetIdentification) -> None:
     table.add_column("unlike the others")
     table.add_column("changed")
     for line in found.lines:
-        table.add_row(
-            line.name,
-            f"{line.used} of {line.bags}",
-            "" if line.mass is None else f"{line.mass:.2f}",
-            "" if line.distance is None else f"{line.distance:.1f}",
-            line.verdict,
-            lines(line.unlike),
-            lines(line.changed),
-        )
+        numbers = ("" if number is None else f"{number:.2f}" for number in (line.mass, line.distance))
+        remarks = (line.verdict, lines(line.unlike), lines(line.changed))
+        table.add_row(line.name, f"{line.used} of {line.bags}", *numbers, *remarks)
     console.print(table)
     for line in found.lines:
         for reason in line.reasons:
