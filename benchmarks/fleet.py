@@ -17,33 +17,40 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import IO, cast
 
 import numpy as np
 
 from benchmarks.report import Report
+from geomid_ros.estimation.estimator import EstimatorSettings
+from geomid_ros.estimation.members import population_and_members
+from geomid_ros.estimation.population import Evidence
 from geomid_ros.estimation.summary import RowSummary, SummaryState
 from geomid_ros.files.models.urdf import read_urdf
 from geomid_ros.fleet.bag_summary import summarise, total
 from geomid_ros.fleet.cluster import Cluster
 from geomid_ros.fleet.plan import Plan
-from geomid_ros.fleet.recordings import FleetBag, find_bags
+from geomid_ros.fleet.recordings import find_bags
 from geomid_ros.fleet.store import Store
 from geomid_ros.fleet.work import summarise_bag
+from geomid_ros.model.channels import Channel
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.recordings import Bags, Topics
 from geomid_ros.simulation import SimulationOptions, simulate
 from geomid_ros.types import FloatArray
 
+sys.path.append(str(Path(__file__).parents[1] / "test"))  # whose simulated types are used here
 _URDF = Path(__file__).parents[1] / "bags" / "arm7.urdf"
 _SECONDS = 6.0  # of a short bag
 _SHORT = 40
 _WARM = 2  # bags before the clock starts
 _MANY, _FEW = 1000, 10
+_ROBOTS, _NEW = 20, 20
 _KILLS = 5
 _PORT = 18787
 _GEOMID = (sys.executable, "-m", "geomid_ros")
@@ -92,9 +99,9 @@ def sums(report: Report, folder: Path) -> None:
     report.result("sum of bags", max(differences))
 
 
-def _products(state: SummaryState, channels: object) -> FloatArray:
+def _products(state: SummaryState, channels: Sequence[Channel]) -> FloatArray:
     """The products of all columns, targets included, by group."""
-    summary = RowSummary(channels)  # type: ignore[arg-type]
+    summary = RowSummary(channels)
     summary.restore(state)
     factors = [np.concatenate([part.factor for part in parts]) for parts in summary.parts()]
     return np.concatenate([(factor.T @ factor).ravel() for factor in factors])
@@ -119,7 +126,7 @@ def throughput(report: Report, folder: Path) -> None:
         _store(kept, plan)
         arguments = (kept, plan.name, str(folder / "short"))
         alone = [
-            subprocess.Popen(
+            subprocess.Popen(  # noqa: S603 a command of ours
                 [sys.executable, "-c", _ALONE, *arguments, str(first), str(_WARM)],
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
@@ -128,8 +135,7 @@ def throughput(report: Report, folder: Path) -> None:
             for first in range(2)
         ]
         for process in alone:
-            assert process.stdout is not None
-            process.stdout.readline()
+            cast("IO[str]", process.stdout).readline()
         begin = time.perf_counter()
         for process in alone:
             process.communicate("go\n")
@@ -141,7 +147,7 @@ def throughput(report: Report, folder: Path) -> None:
     report.result("throughput", apart / together)
 
 
-def tasks(report: Report) -> None:
+def tasks(report: Report, _: Path) -> None:
     """What the scheduler takes for a task that does nothing."""
     with Cluster(None) as cluster:
         list(cluster.run(_nothing, [(index, ()) for index in range(100)]))
@@ -190,15 +196,15 @@ def kills(report: Report, folder: Path) -> None:
         for a, b in zip(_links(calm / name), _links(torn / name), strict=True)
     )
     report.say(
-        f"a worker killed {_KILLS} times, the scheduler once: the run ended with {ended}, masses of {len(names)} robots "
-        f"differ by {worst:.1e}"
+        f"a worker killed {_KILLS} times, the scheduler once: the run ended with {ended}, masses of {len(names)} "
+        f"robots differ by {worst:.1e}"
     )
     report.result("after kills", worst)
 
 
 def _fleet(folder: Path, out: Path, *more: str) -> subprocess.Popen[bytes]:
     command = [*_GEOMID, "fleet", str(folder / "short"), "--urdf", str(_URDF), "--out", str(out), *more]
-    return subprocess.Popen(command, stdout=subprocess.DEVNULL)
+    return subprocess.Popen(command, stdout=subprocess.DEVNULL)  # noqa: S603 a command of ours
 
 
 def _links(folder: Path) -> list[dict[str, float]]:
@@ -221,11 +227,10 @@ def _supervised(command: tuple[str, ...]) -> Iterator[Callable[[], int]]:
         "    p.wait()\n"
         "    time.sleep(1)\n"
     )
-    supervisor = subprocess.Popen(
+    supervisor = subprocess.Popen(  # noqa: S603 a command of ours
         [sys.executable, "-c", loop, *command], stdout=subprocess.PIPE, text=True, start_new_session=True
     )
-    assert supervisor.stdout is not None
-    first = int(supervisor.stdout.readline())
+    first = int(cast("IO[str]", supervisor.stdout).readline())
     time.sleep(3)
     try:
         yield lambda: first
@@ -270,7 +275,7 @@ def memory(report: Report, folder: Path) -> None:
         )
         begin = time.perf_counter()
         arguments = ("fleet", str(bags), "--urdf", str(_URDF), "--out", str(out))
-        ended = subprocess.run(
+        ended = subprocess.run(  # noqa: S603 a command of ours
             [sys.executable, "-c", script, *arguments], capture_output=True, text=True, check=True, timeout=3600
         )
         peaks[count] = int(ended.stderr.split()[-1]) / 1024
@@ -281,6 +286,46 @@ def memory(report: Report, folder: Path) -> None:
         )
     report.say(f"memory of the client: {peaks[_MANY] / peaks[_FEW]:.2f} times (at most 1.5)")
     report.result("memory", peaks[_MANY] / peaks[_FEW])
+
+
+def prior(report: Report, _: Path) -> None:
+    """What a population of twenty robots is worth to a new one, and what others among them do to it."""
+    from estimation.fleets import NOISE, solved, typical, with_tool  # noqa: PLC0415 in test/
+
+    kind, other = typical("arm7", 3), typical("arm7", 4)
+    robots = kind.fleet(_ROBOTS)
+    population, members = population_and_members(robots)
+    told = sum(not member.member for member in members)
+    report.say(
+        f"{_ROBOTS} robots of one type: {told} taken for others; errors in units of noise, median of {_NEW} robots:"
+    )
+    for seconds in (1.0, 5.0):
+        errors = []
+        for seed in range(100, 100 + _NEW):
+            case = kind.recorded(kind.robot(seed), seed, seconds)
+            fresh = case.fresh(seed)
+            both = (EstimatorSettings(), EstimatorSettings(population=population))
+            found = [fresh.error(solved(case, settings).parameters) for settings in both]
+            errors.append([np.sqrt(np.mean(error**2)) / NOISE for error in found])
+        by_urdf, by_population = np.median(errors, axis=0)
+        ratio = float(np.median([after / before for before, after in errors]))
+        report.say(
+            f"  {seconds:g} s of data: {by_urdf:.2f} beside the URDF, {by_population:.2f} beside the population, ratio "
+            f"{by_population / by_urdf:.2f}, median ratio of a robot {ratio:.2f}"
+        )
+        report.result(f"ratio with {seconds:g} s", by_population / by_urdf)
+    calm, _ = population_and_members(robots[:-1])
+    tool = Evidence.of(solved(kind.recorded(with_tool(kind.robot(19), 1.0), 19, 10.0)))
+    stranger = Evidence.of(solved(other.recorded(other.robot(19), 19, 10.0)))
+    for what, robot in (("a tool of 1 kg left on", tool), ("a robot of another type", stranger)):
+        found, members = population_and_members([*robots[:-1], robot])
+        mean = calm.manifold.log(calm.point, found.point) / np.sqrt(np.diag(calm.covariance))
+        spread = np.sqrt(np.diag(found.covariance) / np.diag(calm.covariance)) - 1.0
+        moved = float(max(np.max(np.abs(mean)), np.max(np.abs(spread))))
+        report.say(
+            f"{what}: told {not members[-1].member} ({', '.join(members[-1].unlike)}), moves the prior by {moved:.1%}"
+        )
+        report.result(what, moved)
 
 
 def _simulated(report: Report, folder: Path) -> None:
@@ -296,22 +341,19 @@ def _simulated(report: Report, folder: Path) -> None:
         simulate(tiny, replace(options, duration=3.0))
 
 
-_PARTS = ("sums", "tasks", "throughput", "kills", "memory")
+_PARTS = {"sums": sums, "tasks": tasks, "throughput": throughput, "kills": kills, "memory": memory, "prior": prior}
 
 
 def main() -> None:
     """Run all parts, or those that are named."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("parts", nargs="*", default=_PARTS, help=", ".join(_PARTS))
+    parser.add_argument("parts", nargs="*", default=list(_PARTS), help=", ".join(_PARTS))
     parser.add_argument("--out", type=Path, default=Path("out/fleet"))
     arguments = parser.parse_args()
     report = Report(arguments.out)
     _simulated(report, arguments.out)
     for part in arguments.parts:
-        if part == "tasks":
-            tasks(report)
-        else:
-            {"sums": sums, "throughput": throughput, "kills": kills, "memory": memory}[part](report, arguments.out)
+        _PARTS[part](report, arguments.out)
 
 
 if __name__ == "__main__":

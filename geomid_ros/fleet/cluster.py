@@ -94,8 +94,8 @@ class Cluster:
 
     def _other_version(self, found: str) -> str:
         return (
-            f"{self._address}: its workers lack geomid_ros {self._version} with the extra 'fleet' ({found}); install the "
-            "same everywhere"
+            f"{self._address}: its workers lack geomid_ros {self._version} with the extra 'fleet' ({found}); install "
+            "the same everywhere"
         )
 
     def run(

@@ -142,4 +142,8 @@ class Fleet:
 def _run(
     workers: Callable[[], Cluster], function: Callable[..., Any], jobs: Sequence[tuple[Any, tuple[Any, ...]]]
 ) -> Iterator[tuple[Any, Any]]:
-    return workers().run(function, jobs) if jobs else iter(())
+    """What each job returned, or its exception. Raises InputError for what no worker can do any job with."""
+    for what, found in workers().run(function, jobs) if jobs else ():
+        if isinstance(found, InputError):
+            raise found
+        yield what, found

@@ -10,7 +10,7 @@ from functools import lru_cache
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from geomid_ros.errors import GeomidError, InputError
+from geomid_ros.errors import InputError
 from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.estimation.population import Evidence
 from geomid_ros.estimation.summary import RowSummary
@@ -146,14 +146,15 @@ def _kept(store: Store, name: str, session: Session) -> BagSummary:
 
 @lru_cache(maxsize=4)
 def _plan(store: Store, name: str) -> Plan:
-    """The plan of that name. Raises GeomidError if it is another version's, or if it cannot be seen here."""
+    """The plan of that name. Raises InputError if it is another version's, or if it cannot be seen here."""
     content = store.get(name)
     if content is None:
-        raise GeomidError(
+        raise InputError(
             f"{store.url}: a worker does not see this folder; --out must be on a disk that all workers share, or "
             "--keep a URL that they reach"
         )
     plan = Plan.of(json.loads(content))
     if plan.version != installed_version():
-        raise GeomidError(f"a worker has geomid_ros {installed_version()}, not {plan.version}: install the same everywhere")
+        found = installed_version()
+        raise InputError(f"a worker has geomid_ros {found}, not {plan.version}: install the same everywhere")
     return plan

@@ -82,7 +82,7 @@ def test_a_bag_that_changes_has_another_fingerprint(tmp_path: Path) -> None:
 
 
 def test_nothing_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="there is no rosbag, expected ROBOT/BAG folders, a pattern or a .csv file"):
+    with pytest.raises(InputError, match=r"there is no rosbag, expected ROBOT/BAG folders, a pattern or a \.csv file"):
         find_bags(str(tmp_path))
     with pytest.raises(InputError, match="there is no rosbag"):
         find_bags(str(tmp_path / "absent"))
@@ -103,7 +103,7 @@ def test_bags_in_an_object_store(folder: Path) -> None:
         with Bag(path) as bag:
             assert bag.count(["/joint_states"]) > 100
     assert not copied.exists()
-    with pytest.raises(InputError, match="no such bag|cannot be copied"), on_this_disk("memory:///fleet/absent"):
+    with pytest.raises(InputError, match=r"no such bag|cannot be copied"), on_this_disk("memory:///fleet/absent"):
         pass
 
 

@@ -97,6 +97,7 @@ def _check(
     positive = np.array([effect.positive is True for effect in effects], dtype=bool)
     possible = (
         all(isinstance(text, str) for own in texts for text in own)
+        and all(isinstance(effect.positive, bool) for effect in effects)
         and len(set(texts)) == len(texts)
         and bool(np.all(np.diff(positive.astype(int)) <= 0))  # the positive ones come first
         and bool(np.all(np.isfinite(values)) and np.all(values[positive] > 0.0))
