@@ -18,7 +18,7 @@ from geomid_ros.fleet.fleet import Fleet, Robot
 from geomid_ros.fleet.plan import Plan
 from geomid_ros.fleet.recordings import find_bags, on_this_disk
 from geomid_ros.fleet.store import Store
-from geomid_ros.plausibility.verdict import USABLE
+from geomid_ros.plausibility.verdict import DOUBTFUL, STATUS, USABLE
 from geomid_ros.report.fleet_page import FleetPage, RobotLine, write_fleet_page
 from geomid_ros.session.recordings import Progress, Topics, silent
 
@@ -40,6 +40,11 @@ class FleetIdentification:
     bad: Sequence[tuple[str, str]]
     doubtful: Sequence[tuple[str, str]]
     files: Sequence[Path]
+
+    @property
+    def status(self) -> int:
+        """The exit status: that of a doubtful result if no robot has one that can be used."""
+        return STATUS[USABLE if any(line.verdict == USABLE for line in self.lines) else DOUBTFUL]
 
 
 def identify_fleet(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -46,3 +47,4 @@ def fleet(bags: str, out: Path, **options: Any) -> None:
     with progress_bar() as progress:
         found = identify_fleet(bags, out=out, progress=progress, **options)
     results.show(found)
+    sys.exit(found.status)

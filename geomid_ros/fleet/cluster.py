@@ -140,8 +140,6 @@ class Cluster:
                     raise InputError(f"{error}; what was done so far is kept: run the same again") from error
 
 
-
-
 def failure(error: BaseException) -> str:
     """What to say of a task that ended in an exception."""
     if isinstance(error, GeomidError):

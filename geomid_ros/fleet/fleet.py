@@ -81,16 +81,22 @@ class Fleet:
     def _summarise(self, workers: Callable[[], Cluster], progress: Progress) -> dict[FleetBag, BagOutcome]:
         """What became of every bag."""
         names = {bag: f"{self._plan.of_bag(bag)}.json" for bag in self._bags}
-        outcomes = {
-            bag: BagOutcome.read(content)
-            for bag, name in names.items()
-            if name in self._kept and (content := self._store.get(name)) is not None
-        }
+        found = {bag: self._outcome(name) for bag, name in names.items() if name in self._kept}
+        outcomes = {bag: outcome for bag, outcome in found.items() if outcome is not None}
+        progress(f"{len(outcomes)} of {len(self._bags)} bags", 0.0)
         jobs = [(bag, (self._store, self._plan.name, bag)) for bag in self._bags if bag not in outcomes]
-        for bag, found in _run(workers, summarise_bag, jobs):
-            outcomes[bag] = found if isinstance(found, BagOutcome) else BagOutcome(error=f"{bag.url}: {failure(found)}")
+        for bag, outcome in _run(workers, summarise_bag, jobs):
+            failed = not isinstance(outcome, BagOutcome)
+            outcomes[bag] = BagOutcome(error=f"{bag.url}: {failure(outcome)}") if failed else outcome
             progress(f"{len(outcomes)} of {len(self._bags)} bags", len(outcomes) / len(self._bags))
         return outcomes
+
+    def _outcome(self, name: str) -> BagOutcome | None:
+        """What became of a bag that was read before; None if that cannot be told."""
+        try:
+            return BagOutcome.read(self._store.get(name) or b"")
+        except (KeyError, TypeError, ValueError):
+            return None
 
     def _solve(
         self, workers: Callable[[], Cluster], outcomes: Mapping[FleetBag, BagOutcome], progress: Progress
@@ -136,7 +142,12 @@ class Fleet:
         content = self._store.get(f"{robot.kept}.npz")
         if content is None:
             raise InputError(f"{self._store.url}: the results of robot '{robot.name}' are missing; run the same again")
-        return RobotResults.decoded(content)
+        try:
+            return RobotResults.decoded(content)
+        except InputError as error:
+            raise InputError(
+                f"{self._store.url}/{robot.kept}.npz: {error}; delete it, and run the same again"
+            ) from error
 
 
 def _run(

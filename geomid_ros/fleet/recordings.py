@@ -11,7 +11,7 @@ from pathlib import Path, PurePosixPath
 from tempfile import TemporaryDirectory
 from typing import Any
 
-from geomid_ros.errors import InputError, unknown_name
+from geomid_ros.errors import GeomidError, InputError, unknown_name
 from geomid_ros.fleet.store import file_system, is_local
 
 _SUFFIXES = (".mcap", ".db3", ".mcap.zstd", ".db3.zstd", ".mcap.lz4", ".db3.lz4")
@@ -114,7 +114,7 @@ def on_this_disk(url: str) -> Iterator[Path]:
     """The path of a bag; of one that is elsewhere, that of a copy, for a ``with`` statement.
 
     Raises:
-        InputError: it cannot be copied.
+        GeomidError: it cannot be copied now.
     """
     system, path = file_system(url)
     if is_local(system):
@@ -127,7 +127,7 @@ def on_this_disk(url: str) -> Iterator[Path]:
             targets = [str(Path(folder, name, file.rpartition("/")[2])) for file in files]
             system.get(files, targets)
         except OSError as error:
-            raise InputError(f"{url}: cannot be copied ({error})") from error
+            raise GeomidError(f"{url}: cannot be copied ({error})") from error
         if not files:
-            raise InputError(f"{url}: no such bag")
+            raise GeomidError(f"{url}: no such bag")
         yield Path(targets[0] if files == [path] else Path(folder, name))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+import zipfile
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -11,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from geomid_ros.errors import InputError
 from geomid_ros.estimation.population import Evidence
 from geomid_ros.estimation.posterior import EffectCoordinate
 from geomid_ros.files.disk import write_bytes
@@ -38,7 +40,14 @@ class RobotResults:
 
     @staticmethod
     def decoded(content: bytes) -> RobotResults:
-        """From such an archive."""
+        """From such an archive. Raises InputError for what is none."""
+        try:
+            return RobotResults._read(content)
+        except (zipfile.BadZipFile, KeyError, TypeError, ValueError, EOFError) as error:
+            raise InputError(f"what is kept of a robot cannot be read ({error})") from error
+
+    @staticmethod
+    def _read(content: bytes) -> RobotResults:
         with np.load(io.BytesIO(content), allow_pickle=False) as archive:
             header = json.loads(str(archive[_HEADER]))
             evidence = Evidence(
@@ -58,4 +67,4 @@ class RobotResults:
     def write(self, folder: Path) -> None:
         """Write the files into a folder. Raises GeomidError if they cannot be written."""
         for name, content in self.files.items():
-            write_bytes(folder / name, content)
+            write_bytes(folder / Path(name).name, content)

@@ -149,6 +149,28 @@ def test_bags_of_the_fleet_serve_as_a_prior(first: tuple[Path, str], bags: Path,
     assert "no population.json of geomid fleet" in message
 
 
+def test_a_fleet_of_which_nothing_can_be_used_is_doubtful(bags: Path, scheduler: str, tmp_path: Path) -> None:
+    result = geomid("fleet", bags / "dan", "--urdf", URDF, "--scheduler", scheduler, "--out", tmp_path)
+    assert result.exit_code == 4
+    assert "no effort is measured" in " ".join(result.stdout.split())
+
+
+def test_what_is_kept_and_damaged_is_told_or_made_anew(bags: Path, scheduler: str, tmp_path: Path) -> None:
+    arguments = ("fleet", bags / "bob", "--urdf", URDF, "--scheduler", scheduler, "--out", tmp_path)
+    done(*arguments)
+    before = read(tmp_path / "bob")
+    (outcome,) = (tmp_path / "kept").glob("bag-*.json")
+    outcome.write_text("{")
+    done(*arguments)
+    assert read(tmp_path / "bob") == before
+    (results,) = (tmp_path / "kept").glob("robot-*.npz")
+    results.write_bytes(results.read_bytes()[:100])
+    assert "delete it, and run the same again" in refused(*arguments)
+    results.unlink()
+    done(*arguments)
+    assert without_time(read(tmp_path / "bob")) == without_time(before)
+
+
 def test_forgetting_is_refused(bags: Path, tmp_path: Path) -> None:
     config = tmp_path / "config.yaml"
     config.write_text("/**:\n  ros__parameters:\n    forgetting_time: 10.0\n")

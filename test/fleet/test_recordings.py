@@ -13,7 +13,7 @@ import fsspec
 import pytest
 from files.recordings import BAGS
 
-from geomid_ros.errors import InputError
+from geomid_ros.errors import GeomidError, InputError
 from geomid_ros.files.bags.bag import Bag
 from geomid_ros.fleet.recordings import find_bags, on_this_disk
 
@@ -103,7 +103,7 @@ def test_bags_in_an_object_store(folder: Path) -> None:
         with Bag(path) as bag:
             assert bag.count(["/joint_states"]) > 100
     assert not copied.exists()
-    with pytest.raises(InputError, match=r"no such bag|cannot be copied"), on_this_disk("memory:///fleet/absent"):
+    with pytest.raises(GeomidError, match=r"no such bag|cannot be copied"), on_this_disk("memory:///fleet/absent"):
         pass
 
 
