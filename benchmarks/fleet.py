@@ -265,7 +265,7 @@ def memory(report: Report, folder: Path) -> None:
         bags = folder / f"copies{count}"
         if not bags.is_dir():
             for index in range(count):
-                shutil.copytree(folder / "tiny" / "bag", bags / f"robot{index // 10}" / f"bag{index}")
+                shutil.copytree(folder / "tiny" / "bag", bags / f"robot{index % 2}" / f"bag{index}")
         out = folder / f"out{count}"
         shutil.rmtree(out, ignore_errors=True)
         script = (
