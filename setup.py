@@ -77,7 +77,7 @@ setup(
     extras_require={
         "dashboard": ["tornado"],
         "docs": ["latex2mathml", "mkdocs", "mkdocs-material", "mkdocstrings-python", "ruff"],
-        "fleet": ["dask[distributed]", "fsspec"],
+        "fleet": ["dask[distributed]", "fsspec[http]"],
         "ros": ["ros-jazzy-common-interfaces", "ros-jazzy-rclpy[fastrtps]"],
         "simulate": ["mujoco"],
         "test": ["build", "example-robot-data", "hypothesis", "pyriemann", "pytest", "pytest-timeout", "safetensors"],

@@ -35,6 +35,7 @@ FLOORS = {
     "session": 6,
     "report": 7,
     "exports": 7,
+    "fleet": 7,
     "api": 8,
     "live": 8,
     "__init__": 9,

@@ -154,6 +154,8 @@ def _estimate() -> Estimate:
             prior=np.ones(10),
             prior_spreads=np.ones(10),
         ),
+        rows=np.eye(10),
+        targets=np.zeros(10),
     )
 
 

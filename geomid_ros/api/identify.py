@@ -193,6 +193,7 @@ def identify(
     *,
     config: Config | None = None,
     model: PathLike | None = None,
+    prior: PathLike | None = None,
     xacro_args: Texts = (),
     effects: Texts | None = None,
     candidates: Texts | None = None,
@@ -217,6 +218,7 @@ def identify(
             recorded on robot_description in the bags.
         config: the node's parameter file (YAML), or parameters by their full names.
         model: an estimate.json to start from.
+        prior: a population.json of the robot's type (``geomid fleet``) to start from.
         xacro_args: arguments, as ``NAME:=VALUE``, of ``urdf``, if that is a .xacro file, which is run.
         effects: names of the effects to identify at every joint and no others, ``[]`` for none; None for the configured
             ones, and for the candidates where held-out data ask for them.
@@ -235,6 +237,8 @@ def identify(
         InputError: a file, an argument or the data cannot be used; the message names it and says what to do.
     """
     chosen: dict[str, Any] = {"known": texts(known)} if known else {}
+    if prior is not None:
+        chosen["prior"] = str(prior)
     if effects is not None:
         chosen |= {"effects": texts(effects), "candidates": []}
     chosen |= {

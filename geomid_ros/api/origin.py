@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import hashlib
 from datetime import UTC, datetime
-from importlib.metadata import PackageNotFoundError, version
 
 from geomid_ros.report.identification_page import Origin
 from geomid_ros.session.recordings import Bags
 from geomid_ros.session.session import Session
+from geomid_ros.session.version import installed_version
 
 
 def origin(session: Session, bags: Bags, command: str) -> Origin:
@@ -22,7 +22,7 @@ def origin(session: Session, bags: Bags, command: str) -> Origin:
     urdf = hashlib.sha256(session.urdf.encode(errors="replace")).hexdigest()
     recordings = [(str(path), _what(share)) for path, share in bags.shares]
     return Origin(
-        version=_version(),
+        version=installed_version(),
         command=command,
         date=datetime.now(UTC).strftime("%Y-%m-%d %H:%M:%S UTC"),
         files=[(f"{session.robot.source} (SHA-256 {urdf})", "robot"), *recordings],
@@ -34,10 +34,3 @@ def _what(share: float) -> str:
     if share >= 1.0:
         return "recording to judge on"
     return "recording, fitted" + (f" but for the last {100.0 * share:.0f} %" if share > 0.0 else "")
-
-
-def _version() -> str:
-    try:
-        return version("geomid_ros")
-    except PackageNotFoundError:
-        return "not installed"

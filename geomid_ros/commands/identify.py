@@ -30,6 +30,11 @@ from geomid_ros.errors import one_line
     metavar="LINK=MASS:STD",
     help="A mass that was weighed, of a link, of LINK+LINK together, or total; may be repeated.",
 )
+@click.option(
+    "--prior",
+    type=click.Path(path_type=Path),
+    help="Start from this population.json, which 'geomid fleet' wrote of robots of this type.",
+)
 @click.option("--out", default=Path("geomid_out"), **OUT)
 @click.option("--json", "as_json", is_flag=True, help="Print estimate.json instead of tables.")
 def identify(bags: tuple[Path, ...], effects: str | None, out: Path, as_json: bool, **options: Any) -> None:

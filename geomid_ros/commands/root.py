@@ -18,6 +18,7 @@ COMMANDS = {
     "demo": "Watch a robot's inertias being identified live.",
     "excite": "Move so that much can be learned.",
     "export": "Print an estimate in the terms of other software.",
+    "fleet": "Identify many robots of a type from many bags.",
     "gap": "Find what a simulation lacks.",
     "identify": "Identify link inertias from rosbags.",
     "payload": "Weigh what a robot carries.",

@@ -146,6 +146,8 @@ class Estimate:
             nominal and of the identified model; NaN where nothing was measured.
         spreads: Of the links' priors ``(links,)``, geodesic distances, as found from the data.
         information: What the data say of all links together.
+        rows, targets: The same of all parameters of the posterior: rows ``(<= D, D)`` and targets of independent errors
+            of standard deviation 1.
         posterior: What is known of links and effects together.
         warnings: What makes the result doubtful, in sentences.
     """
@@ -167,5 +169,7 @@ class Estimate:
     rms: FloatArray
     information: LinksInformation
     posterior: Posterior
+    rows: FloatArray
+    targets: FloatArray
     known: tuple[WeighedEstimate, ...] = ()
     warnings: tuple[str, ...] = ()

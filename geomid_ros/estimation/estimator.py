@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
 from itertools import compress
 
 import numpy as np
@@ -22,6 +23,8 @@ from geomid_ros.estimation.estimate import (
 )
 from geomid_ros.estimation.fit import INDEPENDENT, Fit, Problem, fit, subproblem
 from geomid_ros.estimation.objective import GeodesicObjective, ResidualObjective
+from geomid_ros.estimation.population import Population
+from geomid_ros.estimation.population_prior import PopulationPrior, fit_with_population, unlike_population
 from geomid_ros.estimation.posterior import EffectCoordinate, Posterior
 from geomid_ros.estimation.rows import OBJECTIVES
 from geomid_ros.estimation.solvers import SOLVERS
@@ -51,6 +54,7 @@ class EstimatorSettings:
         max_steps: Of the solver.
         known: Weighed masses.
         cutoff: Of the filter that made the rows [Hz], which says how many of them are independent.
+        population: Of the robot's type, in place of the URDF as the prior.
     """
 
     gamma: float | None = None
@@ -61,6 +65,7 @@ class EstimatorSettings:
     max_steps: int = 300
     known: tuple[WeighedMass, ...] = ()
     cutoff: float = np.inf
+    population: Population | None = None
 
     def __post_init__(self) -> None:
         if self.objective not in OBJECTIVES:
@@ -123,17 +128,30 @@ def estimate(
         independent=_independent(summary, settings.cutoff),
         given_spreads=spreads,
     )
-    columns = choose(whole) if warm is None else _kept(model, warm)
+    columns = choose(_beside(settings.population, whole)) if warm is None else _kept(model, warm)
     problem = subproblem(whole, columns)
     start = None if warm is None else problem.manifold.point(warm.parameters[columns])
-    found = fit(
-        problem,
-        start,
-        None if warm is None else warm.spreads,
+    solve = partial(
+        fit,
+        start=start,
+        spreads=None if warm is None else warm.spreads,
         tolerance=settings.tolerance,
         max_steps=settings.max_steps,
     )
-    return _estimate(problem, columns, model, found, settings, begin)
+    if settings.population is None:
+        return _estimate(problem, columns, model, solve(problem), settings, begin)
+    beside = PopulationPrior.of(settings.population, problem)
+    found, weights = fit_with_population(beside, solve)
+    result = _estimate(found.problem, columns, model, found, settings, begin)
+    return replace(result, warnings=(*result.warnings, *unlike_population(beside, weights)))
+
+
+def _beside(population: Population | None, whole: Problem) -> Problem:
+    """A problem beside a population, of which its robot is one."""
+    if population is None:
+        return whole
+    prior = PopulationPrior.of(population, whole)
+    return prior.problem_at(prior.problem.prior_point, dict.fromkeys(prior.population.blocks, 1.0))
 
 
 def _kept(model: MeasurementModel, warm: WarmStart) -> IntArray:
@@ -175,6 +193,7 @@ def _estimate(
     )
     parameters = np.zeros(whole.dimension)
     parameters[columns] = solution.point.parameters
+    independent = np.sqrt(min(found.share, problem.independent))
     return Estimate(
         converged=solution.converged,
         reason=solution.reason,
@@ -193,6 +212,8 @@ def _estimate(
         rms=frozen(summary.rms(solution.point.parameters)),
         information=uncertainty.links_information(manifold, prior_point, solution.point, fitted.rows, known, found),
         posterior=_posterior(problem, solution.point, found),
+        rows=frozen(independent * fitted.rows[0]),
+        targets=frozen(independent * fitted.rows[1]),
         known=_known(known, manifold, solution.point, found),
         warnings=tuple(_run_away(model, fitted, solution.point)),
     )
@@ -330,10 +351,11 @@ def _posterior(problem: Problem, point: Point, found: uncertainty.Uncertainty) -
 def _known(
     known: WeighedRows, manifold: ParameterManifold, point: Point, found: uncertainty.Uncertainty
 ) -> tuple[WeighedEstimate, ...]:
-    normals = manifold.whiten(point, known.rows)
+    weighed = slice(len(known.masses))  # other rows are of a population
+    normals = manifold.whiten(point, known.rows[weighed])
     stds = np.sqrt(np.einsum("ki,ij,kj->k", normals, found.covariance, normals))
     # In units of the given standard deviation, and without what is not identified of it.
-    errors = known.rows @ point.parameters - known.targets
+    errors = (known.rows @ point.parameters - known.targets)[weighed]
     return tuple(
         WeighedEstimate(
             name=given.name,

@@ -71,6 +71,26 @@ class SummaryState:
     counts: FloatArray
     factors: tuple[tuple[FloatArray, ...], ...]
 
+    def plus(self, other: SummaryState, pause: float = 0.0) -> SummaryState:
+        """All rows of both, of the same channels and folds, where nothing is forgotten.
+
+        Args:
+            other: rows that were added after these, or to another summary.
+            pause: time between the last instant of these and the first of the others [s].
+        """
+        factors = tuple(
+            tuple(triangular(np.concatenate(pair)) for pair in zip(own, others, strict=True))
+            for own, others in zip(self.factors, other.factors, strict=True)
+        )
+        return SummaryState(
+            self.instants + other.instants,
+            self.time + pause + other.time,
+            self.rows + other.rows,
+            self.weight + other.weight,
+            self.counts + other.counts,
+            factors,
+        )
+
 
 class RowSummary:
     """Summaries of all groups in ``folds`` folds: blocks of ``block`` instants go to the folds in turn.

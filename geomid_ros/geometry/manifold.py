@@ -22,6 +22,7 @@ import numpy as np
 from geomid_ros.geometry import pseudo_inertia, spd, symmetric
 from geomid_ros.types import FloatArray, IntArray, frozen
 
+_UNITS = symmetric.to_matrix(np.eye(symmetric.SIZE))
 _SMALLEST_FACTOR = 0.05  # by which one straight step shrinks a positive number or an inertia at most
 
 
@@ -132,6 +133,19 @@ class ParameterManifold:
             base.positives * np.exp(tangent[self.positive]),
             base.reals + self.scales * tangent[self.real],
         )
+
+    def exp_derivative(self, base: Point, tangent: FloatArray) -> FloatArray:
+        """Derivative ``(D, D)`` of the parameters of ``exp(base, tangent)`` by the tangent coordinates at ``base``."""
+        matrices = symmetric.to_matrix(tangent[self.inertial].reshape(self.links, symmetric.SIZE))
+        values, vectors = np.linalg.eigh(matrices)
+        turned = spd.congruence(np.swapaxes(vectors, -1, -2)[:, None], _UNITS)
+        changes = spd.congruence(vectors[:, None], spd.exp_differences(values)[:, None] * turned)
+        blocks = pseudo_inertia.to_parameters(spd.congruence(base.root[:, None], changes))
+        derivative = np.diag(
+            np.concatenate([np.zeros(self.inertial.stop), base.positives * np.exp(tangent[self.positive]), self.scales])
+        )
+        derivative[self.links_blocks] = np.swapaxes(blocks, -1, -2)
+        return derivative
 
     def straight(self, base: Point, tangent: FloatArray) -> Point:
         """The end of a straight line of the parameters that leaves ``base`` with tangent coordinates ``(D,)``.

@@ -62,6 +62,16 @@ def distance(a: FloatArray, b: FloatArray) -> FloatArray:
     return np.asarray(np.sqrt(np.sum(np.log(relative_eigenvalues(a, b)) ** 2, axis=-1)))
 
 
+def exp_differences(values: FloatArray) -> FloatArray:
+    """Divided differences ``(..., n, n)`` of the exponential at eigenvalues ``(..., n)``: in the eigenvectors' basis,
+    the entries that the derivative of the matrix exponential multiplies a change by (Daleckii and Krein 1965)."""
+    half = 0.5 * (values[..., :, None] - values[..., None, :])
+    middle = 0.5 * (values[..., :, None] + values[..., None, :])
+    small = np.abs(half) < 1e-6
+    safe = np.where(small, 1.0, half)
+    return np.asarray(np.exp(middle) * np.where(small, 1.0, np.sinh(safe) / safe))
+
+
 def half_squared_distance_hessian(values: FloatArray, vectors: FloatArray) -> FloatArray:
     """Hessian ``(..., 10, 10)`` of ``d(P, P_0)^2/2`` at P along geodesics, of 4x4 matrices, in whitened coordinates.
 

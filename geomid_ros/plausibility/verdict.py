@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from geomid_ros.estimation.estimate import Estimate
+from geomid_ros.estimation.summary import RowSummary
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.samples import Samples
 from geomid_ros.plausibility.hypotheses import Finding
@@ -165,11 +166,23 @@ def worse_channels(model: MeasurementModel, batches: Sequence[Samples], paramete
     errors = np.concatenate([(predicted - measured[:, :, None]) ** 2 for measured, predicted in pairs])
     blocks = np.unique(np.concatenate([samples.stamps for samples in batches]) // _BLOCK, return_inverse=True)[1]
     means = [_means(error, blocks) for error in np.moveaxis(errors, 2, 0)]
+    return _worse(model, *means)
+
+
+def worse_in_folds(model: MeasurementModel, rows: RowSummary, parameters: FloatArray) -> list[str]:
+    """The same by rows to judge on, beyond the scatter of their folds."""
+    folds = range(rows.folds)
+    pair = (parameters, model.nominal_parameters)
+    return _worse(model, *(np.array([rows.rms(vector, [fold]) ** 2 for fold in folds]) for vector in pair))
+
+
+def _worse(model: MeasurementModel, own: FloatArray, nominal: FloatArray) -> list[str]:
+    """The channels whose mean squared errors in blocks ``(blocks, channels)`` are larger than the URDF's."""
     worse = []
-    for channel, own, nominal in zip(model.channels, *(mean.T for mean in means), strict=True):
-        known = np.isfinite(own) & np.isfinite(nominal)
-        rise = own[known] - nominal[known]
-        if len(rise) < _FEWEST_BLOCKS or not np.mean(own[known]) > _WORSE**2 * np.mean(nominal[known]):
+    for channel, after, before in zip(model.channels, own.T, nominal.T, strict=True):
+        known = np.isfinite(after) & np.isfinite(before)
+        rise = after[known] - before[known]
+        if len(rise) < _FEWEST_BLOCKS or not np.mean(after[known]) > _WORSE**2 * np.mean(before[known]):
             continue
         if np.mean(rise) > _SCATTER * np.std(rise, ddof=1) / np.sqrt(len(rise)):
             worse.append(channel.name)

@@ -57,6 +57,7 @@ GAIN = 0.03
 PARAMETERS = (
     Parameter("robot_description", "", "URDF text; empty: taken from the topic robot_description"),
     Parameter("model", "", "estimate.json of an earlier run to start from instead of the URDF's inertias"),
+    Parameter("prior", "", "population.json of the robot's type to start from instead of the URDF's inertias"),
     Parameter("links", _NONE, "moving links to identify; empty: all that have a mass"),
     Parameter("known", _NONE, "masses that were weighed, as LINK=MASS:STD, LINK+LINK=MASS:STD or total=MASS:STD [kg]"),
     Parameter("effects", list(DEFAULT_EFFECTS), "effects identified at every joint and wrench sensor"),
@@ -98,7 +99,7 @@ PARAMETERS = (
 )
 # All others say what a row is: rows of before serve as long as they are the same.
 _NOT_OF_ROWS = (
-    *("robot_description", "model", "known", "gamma", "objective", "solver", "sigma.*", "still_speed"),
+    *("robot_description", "model", "prior", "known", "gamma", "objective", "solver", "sigma.*", "still_speed"),
     *(
         "still_distance",
         "solve_period",

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable, Iterable, Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -12,13 +13,15 @@ import numpy as np
 
 from geomid_ros.errors import InputError
 from geomid_ros.estimation.estimate import Estimate
-from geomid_ros.estimation.estimator import WarmStart
+from geomid_ros.estimation.estimator import EstimatorSettings, WarmStart
 from geomid_ros.estimation.identifier import Identifier
+from geomid_ros.estimation.summary import RowSummary
 from geomid_ros.files.bags.bag import Bag
 from geomid_ros.files.checkpoints.checkpoint import Checkpoint
 from geomid_ros.files.disk import write_json, write_text
 from geomid_ros.files.models.judgements import account_entry, verdict_entry
 from geomid_ros.files.models.loaded_model import LoadedModel
+from geomid_ros.files.models.population import read_population
 from geomid_ros.files.models.posterior import POSTERIOR, write_posterior
 from geomid_ros.files.models.results import estimate_document, model_effects
 from geomid_ros.files.models.urdf import with_effects, with_identified_inertias
@@ -29,8 +32,9 @@ from geomid_ros.model.robot import Robot
 from geomid_ros.model.samples import Samples
 from geomid_ros.plausibility.check import RecordingCheck
 from geomid_ros.plausibility.hypotheses import Finding
-from geomid_ros.plausibility.verdict import Verdict, unlike, verdict, worse_channels, worse_on_rows
+from geomid_ros.plausibility.verdict import Verdict, unlike, verdict, worse_channels, worse_in_folds, worse_on_rows
 from geomid_ros.session.configuration import Configuration
+from geomid_ros.session.recorded import Recorded
 from geomid_ros.session.streams import faulty_streams, peculiarities
 from geomid_ros.signals.gates import Limits
 from geomid_ros.signals.ledger import Account, Ledger
@@ -82,12 +86,8 @@ class Session:
             candidates=configuration.candidates,
             behind_gear=configuration.behind_gear(self.robot.joint_names),
         )
-        self.identifier = Identifier(
-            self.model,
-            configuration.estimator([channel.name for channel in self.model.channels]),
-            configuration.buffer,
-            self.prior,
-        )
+        self._settings = self._estimator_settings()
+        self.identifier = Identifier(self.model, self._settings, configuration.buffer, self.prior)
         joints = self.robot.joint_names
         named = {s.topic: name for name, s in zip(configuration["wrenches"], configuration.sensors, strict=True)}
         gains = configuration.signals(joints).effort_gains(joints)
@@ -108,6 +108,7 @@ class Session:
         """The names of joints in all messages."""
         self._incomplete: list[str] = []  # sentences on the recordings that were read
         self._unchecked: list[str] = []  # their names
+        self._elsewhere = Recorded()  # of recordings that were read elsewhere
         self.recent = Recent(configuration["gap.memory"])
         self.pipeline = self.new_pipeline(on_accepted=self.recent, ledger=ledger)
 
@@ -115,6 +116,16 @@ class Session:
     def prior(self) -> FloatArray | None:
         """The parameters ``(D,)`` of an earlier estimate to start from, NaN where it has none; None without one."""
         return self.loaded.parameters(self.model)
+
+    def _estimator_settings(self) -> EstimatorSettings:
+        """With the population that is the prior. Raises InputError where several priors are given, or none fits."""
+        settings = self.configuration.estimator([channel.name for channel in self.model.channels])
+        if not (path := self.configuration["prior"]):
+            return settings
+        for other in ("model", "gamma"):
+            if self.configuration[other]:
+                raise InputError(f"{self.configuration.source}: prior and {other} are both given; choose one")
+        return replace(settings, population=read_population(Path(path)))
 
     def judge(self) -> None:
         """Judge the recording as a whole, by the samples that :attr:`check` was told of so far."""
@@ -137,19 +148,23 @@ class Session:
         self.findings = self._kept = kept
 
     def verdict(
-        self, estimate: Estimate, batches: Sequence[Samples] = (), held_out: FloatArray | None = None
+        self, estimate: Estimate, judged: Sequence[Samples] | RowSummary = (), held_out: FloatArray | None = None
     ) -> Verdict:
         """Whether an estimate can be used.
 
         Args:
             estimate: what was found.
-            batches: samples on which it is compared with the URDF; none to compare on its own rows.
+            judged: samples, or their rows, on which it is compared with the URDF; none to compare on its own rows.
             held_out: RMS ``(channels,)`` of what it leaves on held-out data; None if nothing was held out.
         """
-        worse = worse_channels(self.model, batches, estimate.parameters) if batches else worse_on_rows(estimate)
-        peculiar = [*peculiarities(self.pipeline.ledger.topics), *self.check.remarks]
+        if isinstance(judged, RowSummary):
+            worse = worse_in_folds(self.model, judged, estimate.parameters)
+        else:
+            worse = worse_channels(self.model, judged, estimate.parameters) if judged else worse_on_rows(estimate)
+        recorded = self.recorded
+        peculiar = [*peculiarities(recorded.accounts), *recorded.remarks]
         peculiar += [] if held_out is None else unlike(estimate, held_out)
-        return verdict(estimate, self.findings, self.model, worse, self.check.unmeasured, peculiar)
+        return verdict(estimate, self.findings, self.model, worse, recorded.unmeasured, peculiar)
 
     def warnings(self, estimate: Estimate | None = None, verdict: Verdict | None = None) -> list[str]:
         """What makes results doubtful, in sentences: of the model it began with, of an estimate and its verdict."""
@@ -180,6 +195,29 @@ class Session:
         """Note what is missing of a recording that is going to be read."""
         self._incomplete += [warning for warning in bag.warnings if warning not in self._incomplete]
         self._unchecked += [] if bag.checked else [bag.path.name]
+
+    @property
+    def recorded(self) -> Recorded:
+        """What is known of all recordings beside their samples."""
+        elsewhere = self._elsewhere
+        return Recorded(
+            accounts=self.pipeline.ledger.topics,
+            findings=self.findings,
+            remarks=(*elsewhere.remarks, *self.check.remarks),
+            unmeasured=(*elsewhere.unmeasured, *self.check.unmeasured),
+            incomplete=tuple(self._incomplete),
+            unchecked=tuple(self._unchecked),
+            settled=tuple(self.settled),
+        )
+
+    def read_elsewhere(self, recorded: Recorded) -> None:
+        """Take note of recordings that another session read, whose rows the identifier is given."""
+        self._elsewhere = recorded
+        self.pipeline.ledger.add(recorded.accounts)
+        self.findings = self._kept = recorded.findings
+        self._incomplete += recorded.incomplete
+        self._unchecked += recorded.unchecked
+        self.settled += recorded.settled
 
     @property
     def topics(self) -> tuple[str, ...]:
@@ -267,9 +305,8 @@ class Session:
     @property
     def _solving(self) -> str:
         """A checksum of what a solve depends on beside the rows."""
-        settings = self.configuration.estimator([channel.name for channel in self.model.channels])
         prior = self.prior
-        text = f"{settings} {prior.tolist() if prior is not None else None}"
+        text = f"{self._settings} {prior.tolist() if prior is not None else None}"
         return hashlib.sha256(text.encode(errors="replace")).hexdigest()
 
     def document(

@@ -72,4 +72,6 @@ def estimate_of(*links: LinkEstimate, effects: tuple[EffectEstimate, ...] = ()) 
             prior=parameters,
             prior_spreads=np.full(len(parameters), 0.2),
         ),
+        rows=np.eye(len(parameters)),
+        targets=parameters,
     )

@@ -210,3 +210,17 @@ def test_points_are_read_only_copies() -> None:
     ):
         with pytest.raises(ValueError, match="read-only"):
             array[...] = 0.0
+
+
+@SHAPES
+@SEEDS
+def test_the_derivative_of_the_exponential_is_that_of_finite_differences(
+    manifold: ParameterManifold, seed: int
+) -> None:
+    rng = np.random.default_rng(seed)
+    base, tangent = bodies.point(rng, manifold), 0.5 * rng.normal(size=manifold.dimension)
+    steps = 1e-5 * np.eye(manifold.dimension)
+    ends = [[manifold.exp(base, tangent + sign * step).parameters for step in steps] for sign in (1.0, -1.0)]
+    numeric = (np.array(ends[0]) - np.array(ends[1])).T / 2e-5
+    derivative = manifold.exp_derivative(base, tangent)
+    np.testing.assert_allclose(derivative, numeric, rtol=1e-4, atol=FINITE_DIFFERENCE * np.max(np.abs(numeric)))

@@ -1,0 +1,157 @@
+"""From the bags of many robots of a type to an estimate of each, and to what they have in common."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+
+from geomid_ros.api.arguments import Config, PathLike, Texts, configuration, description
+from geomid_ros.estimation.members import population_and_members
+from geomid_ros.estimation.population import FEWEST, Evidence, Population
+from geomid_ros.files.models.population import write_population
+from geomid_ros.files.models.results import read_estimate
+from geomid_ros.fleet.changes import changes
+from geomid_ros.fleet.cluster import Cluster
+from geomid_ros.fleet.fleet import Fleet, Robot
+from geomid_ros.fleet.plan import Plan
+from geomid_ros.fleet.recordings import find_bags, on_this_disk
+from geomid_ros.fleet.store import Store
+from geomid_ros.plausibility.verdict import DOUBTFUL, STATUS, USABLE
+from geomid_ros.report.fleet_page import FleetPage, RobotLine, write_fleet_page
+from geomid_ros.session.recordings import Progress, Topics, silent
+
+_KEPT = "kept"
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class FleetIdentification:
+    """What was identified of a fleet.
+
+    Attributes:
+        lines: a line for every robot.
+        bad: bags that could not be used, with why, in sentences.
+        doubtful: bags that were left out, or make their robot doubtful, with what seems to be wrong with them.
+        files: that were written.
+    """
+
+    lines: Sequence[RobotLine]
+    bad: Sequence[tuple[str, str]]
+    doubtful: Sequence[tuple[str, str]]
+    files: Sequence[Path]
+
+    @property
+    def status(self) -> int:
+        """The exit status: that of a doubtful result if no robot has one that can be used."""
+        return STATUS[USABLE if any(line.verdict == USABLE for line in self.lines) else DOUBTFUL]
+
+
+def identify_fleet(
+    bags: str,
+    urdf: PathLike | None = None,
+    *,
+    out: PathLike,
+    by: str = "robot",
+    scheduler: str | None = None,
+    keep: str | None = None,
+    since: PathLike | None = None,
+    config: Config | None = None,
+    xacro_args: Texts = (),
+    floating_base: bool = False,
+    wrench: Texts = (),
+    joint_topic: str = "joint_states",
+    odom_topic: str = "odom",
+    hold_out: float | None = None,
+    progress: Progress = silent,
+) -> FleetIdentification:
+    """Identify many robots of a type from many bags.
+
+    ``geomid fleet`` calls this; its options have the same names.
+
+    Args:
+        bags: a folder with a folder of bags for each robot, a pattern, or a table (.csv) with the columns ``robot`` and
+            ``bag``; on a disk, or by a URL that fsspec knows.
+        urdf: path or text of the robot description; None for what is recorded in the first bag.
+        out: folder for results, one for each robot.
+        by: the column of the table that names the robot.
+        scheduler: address of a Dask scheduler; None for workers on this machine's cores.
+        keep: path or URL, which all workers see, of what was done so far; None for a folder in ``out``.
+        since: folder of an earlier run, to tell which robots have changed.
+        config, xacro_args, floating_base, wrench, joint_topic, odom_topic: as of :func:`geomid_ros.identify`.
+        hold_out: share of each bag's time, at the end, to judge on; None for 0.3.
+        progress: called with what is being done and the share of it, 0 to 1, that is done.
+
+    Raises:
+        InputError: a file, an argument or the cluster cannot be used; what was done so far is kept.
+    """
+    folder = Path(out)
+    found = find_bags(bags, by)
+    if urdf is None:
+        with on_this_disk(found[0].url) as path:
+            described = description(None, [path])
+    else:
+        described = description(urdf, [], xacro_args=xacro_args)
+    settings = configuration(config, model=None, floating_base=floating_base, wrench=wrench)
+    plan = Plan(
+        description=described.text,
+        source=described.source,
+        given=settings.given,
+        topics=Topics(joint_topic, odom_topic),
+        hold_out=hold_out,
+    )
+    fleet = Fleet(plan, found, Store(keep or str((folder / _KEPT).absolute())))
+    robots = fleet.work(partial(Cluster, scheduler), progress)
+    files = [folder / "fleet.html"]
+    lines, evidence = {}, {}
+    for robot in robots:
+        lines[robot.name], told = _written(fleet, robot, folder, None if since is None else Path(since))
+        if told is not None:
+            evidence[robot.name] = told
+    if len(evidence) >= FEWEST:
+        progress("population", 0.0)
+        population, members = population_and_members(list(evidence.values()))
+        files.append(folder / "population.json")
+        write_population(files[-1], population)
+        for name, member in zip(evidence, members, strict=True):
+            unlike = tuple(_in_words(what, evidence[name], population) for what in member.unlike)
+            lines[name] = replace(lines[name], distance=member.distance, unlike=unlike)
+    bad = [(bag.url, outcome.error) for robot in robots for bag, outcome in robot.bags if outcome.error]
+    doubtful = [
+        (bag.url, "; ".join(outcome.doubts)) for robot in robots for bag, outcome in robot.bags if outcome.doubts
+    ]
+    ordered = sorted(lines.values(), key=lambda line: line.remarkable, reverse=True)
+    write_fleet_page(files[0], FleetPage(lines=ordered, bad=bad, doubtful=doubtful))
+    return FleetIdentification(lines=ordered, bad=bad, doubtful=doubtful, files=files)
+
+
+def _written(fleet: Fleet, robot: Robot, folder: Path, since: Path | None) -> tuple[RobotLine, Evidence | None]:
+    """The line of a robot, whose files are written, and what it says of its type, if its result can be used."""
+    if not robot.kept:
+        line = RobotLine(name=robot.name, bags=len(robot.bags), used=0, verdict="no estimate", reasons=(robot.error,))
+        return line, None
+    results = fleet.results(robot)
+    document = results.document
+    before = None if since is None else since / robot.name / "estimate.json"
+    changed = changes(read_estimate(before), document) if before is not None and before.is_file() else ()
+    results.write(folder / robot.name)
+    word = document["verdict"]["result"]
+    line = RobotLine(
+        name=robot.name,
+        bags=len(robot.bags),
+        used=len(robot.used),
+        verdict=word,
+        reasons=tuple(document["verdict"]["reasons"]),
+        changed=tuple(changed),
+        mass=sum(link["mass"] for link in document["links"]),
+    )
+    return line, results.evidence if word == USABLE else None
+
+
+def _in_words(what: str, robot: Evidence, population: Population) -> str:
+    """In what a robot is unlike the others: a link with its mass, or an effect."""
+    if what not in robot.links:
+        return what.replace("_", " ")
+    own = robot.parameters[10 * robot.links.index(what)]
+    usual = population.parameters[10 * population.links.index(what)]
+    return f"{what}: {own:.3g} kg, others {usual:.3g} kg"

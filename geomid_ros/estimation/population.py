@@ -1,0 +1,293 @@
+"""What robots of a type have in common: random effects on the manifold.
+
+A robot's parameters are ``exp(m, t)`` with the Karcher mean m of its type and tangent coordinates t that are normal
+with the covariance S between robots. Its data say of t what its rows say: no robot's own prior enters. Of the mean a
+URDF says what it says of any robot, so that what no data tell stays as uncertain as it was. Expectation-maximisation
+(Dempster, Laird and Rubin 1977; Laird and Ware 1982): the expectation solves for the mean and every robot jointly, with
+the rows linearised at each robot; then S is the mean of the expected squares. First S has one variance for all links
+and one for each effect; then it is free, but drawn towards that: few robots tell no covariance of many parameters.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from geomid_ros.errors import InputError
+from geomid_ros.estimation.estimate import Estimate
+from geomid_ros.estimation.posterior import EffectCoordinate
+from geomid_ros.estimation.starting_point import usual_spreads
+from geomid_ros.estimation.summary import triangular
+from geomid_ros.geometry.manifold import ParameterManifold, Point
+from geomid_ros.types import FloatArray, IntArray, frozen
+
+FEWEST = 3
+"""Of fewer robots nothing is said of all."""
+SHARED = 10.0
+"""The common variance counts as much as so many robots."""
+_FIRST_SPREAD = 0.5  # times the usual
+_LEAST_VARIANCE = 1e-8
+_ROUNDS = 50
+_SETTLED = 1e-2  # of the logarithms of variances, and of the mean in standard deviations
+_LONGEST_STEP = 0.5  # of a robot in tangent coordinates
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Evidence:
+    """What one robot's data say of its parameters, without any prior.
+
+    Attributes:
+        links: names of the moving links.
+        effects: the effects' coefficients, the positive ones first.
+        rows, targets: ``(N, D)`` and ``(N,)``: ``rows . parameters = targets`` with independent errors of standard
+            deviation 1.
+        parameters: the robot's estimate ``(D,)``.
+        prior: the parameters ``(D,)`` that its estimate began with.
+        scales: of the real coefficients.
+    """
+
+    links: tuple[str, ...]
+    effects: tuple[EffectCoordinate, ...]
+    rows: FloatArray
+    targets: FloatArray
+    parameters: FloatArray
+    prior: FloatArray
+    scales: FloatArray
+
+    @staticmethod
+    def of(estimate: Estimate) -> Evidence:
+        """Of an estimate."""
+        posterior = estimate.posterior
+        return Evidence(
+            links=posterior.links,
+            effects=posterior.effects,
+            rows=estimate.rows,
+            targets=estimate.targets,
+            parameters=posterior.parameters,
+            prior=posterior.prior,
+            scales=posterior.scales,
+        )
+
+    def of_effects(self, effects: Sequence[EffectCoordinate]) -> Evidence:
+        """What is said of the links and these effects alone, whatever the others are."""
+        first = 10 * len(self.links)
+        places = {effect: first + index for index, effect in enumerate(self.effects)}
+        kept = [*range(first), *(places[effect] for effect in effects)]
+        others = [column for column in range(first + len(self.effects)) if column not in kept]
+        stacked = np.column_stack([self.rows, self.targets])[:, [*others, *kept, -1]]
+        left = triangular(stacked)[len(others) :, len(others) :]
+        scales = dict(zip([effect for effect in self.effects if not effect.positive], self.scales, strict=True))
+        return Evidence(
+            links=self.links,
+            effects=tuple(effects),
+            rows=left[:, :-1],
+            targets=left[:, -1],
+            parameters=self.parameters[kept],
+            prior=self.prior[kept],
+            scales=np.array([scales[effect] for effect in effects if not effect.positive]),
+        )
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Population:
+    """What is known of a robot of a type before its data: ``exp(parameters, N(0, covariance))`` on the manifold.
+
+    Attributes:
+        links: names of the moving links.
+        effects: the effects' coefficients, the positive ones first.
+        parameters: the Karcher mean ``(D,)``.
+        covariance: ``(D, D)`` of the tangent coordinates at the mean (:mod:`geomid_ros.geometry.manifold`): between
+            robots, and of the mean itself.
+        scales: of the real coefficients.
+        robots: how many it is from.
+    """
+
+    links: tuple[str, ...]
+    effects: tuple[EffectCoordinate, ...]
+    parameters: FloatArray
+    covariance: FloatArray
+    scales: FloatArray
+    robots: int
+
+    @cached_property
+    def manifold(self) -> ParameterManifold:
+        """Where the parameters live."""
+        return ParameterManifold(len(self.links), sum(effect.positive for effect in self.effects), self.scales)
+
+    @cached_property
+    def point(self) -> Point:
+        """The mean."""
+        return self.manifold.point(self.parameters)
+
+    def part(self, links: Sequence[str], effects: Sequence[EffectCoordinate]) -> Population:
+        """What is known of some of the links and effects, in the order in which they are given."""
+        first = 10 * len(self.links)
+        kept = [
+            *(10 * self.links.index(name) + k for name in links for k in range(10)),
+            *(first + self.effects.index(effect) for effect in effects),
+        ]
+        scales = dict(zip([effect for effect in self.effects if not effect.positive], self.scales, strict=True))
+        return Population(
+            links=tuple(links),
+            effects=tuple(effects),
+            parameters=self.parameters[kept],
+            covariance=self.covariance[np.ix_(kept, kept)],
+            scales=np.array([scales[effect] for effect in effects if not effect.positive]),
+            robots=self.robots,
+        )
+
+    @cached_property
+    def blocks(self) -> dict[str, IntArray]:
+        """The coordinates of every link, and of every effect at all joints, by name."""
+        links = {name: np.arange(10 * index, 10 * index + 10) for index, name in enumerate(self.links)}
+        names = np.array([effect.name for effect in self.effects])
+        effects = {name: 10 * len(self.links) + np.flatnonzero(names == name) for name in dict.fromkeys(names.tolist())}
+        return links | effects
+
+
+def common(robots: Sequence[Evidence]) -> list[Evidence]:
+    """What is said of the links and of the effects that all robots have.
+
+    Raises:
+        InputError: there are fewer than :data:`FEWEST`, or they have different links.
+    """
+    if len(robots) < FEWEST:
+        raise InputError(f"a population of {len(robots)} robots, expected at least {FEWEST}")
+    if any(robot.links != robots[0].links for robot in robots):
+        raise InputError("the robots of a population have different links")
+    shared = set.intersection(*(set(robot.effects) for robot in robots))
+    effects = [effect for effect in robots[0].effects if effect in shared]
+    return [robot.of_effects(effects) for robot in robots]
+
+
+@dataclass(frozen=True, eq=False)
+class _Share:
+    """What a robot adds in a round: ``information (D, D)`` on the mean and the vector ``pull (D,)`` that it is of
+    ``information @ mean``, and its expected ``squares (D, D)``."""
+
+    information: FloatArray
+    pull: FloatArray
+    squares: FloatArray
+
+
+class PopulationFit:
+    """The population of robots all of which belong to it, by expectation-maximisation."""
+
+    def __init__(self, robots: Sequence[Evidence]) -> None:
+        """Fit it to at least :data:`FEWEST` robots with the same links and effects (:func:`common`)."""
+        first = robots[0]
+        self._robots = robots
+        positives = sum(effect.positive for effect in first.effects)
+        scales = np.median([robot.scales for robot in robots], axis=0)
+        self._manifold = manifold = ParameterManifold(len(first.links), positives, scales)
+        starts = np.array([robot.prior for robot in robots])
+        starts[:, manifold.inertial] = first.prior[manifold.inertial]
+        self._prior = manifold.point(np.median(starts, axis=0))
+        self._usual = usual_spreads(manifold)
+        self._mean = self._prior
+        self._covariance = np.diag((_FIRST_SPREAD * self._usual) ** 2)
+        self._common: FloatArray | None = None
+        self._of_mean = np.diag(self._usual**2)
+        self._points = [manifold.point(robot.parameters) for robot in robots]
+        self._shares: list[_Share] = []
+        self._settle()
+        self._common = self._covariance
+        self._settle()
+
+    @property
+    def population(self) -> Population:
+        """The population of all robots."""
+        return self._population(self._mean, self._covariance + self._of_mean, len(self._robots))
+
+    def without(self, index: int) -> Population:
+        """That of the others, by one round."""
+        left = [share for place, share in enumerate(self._shares) if place != index]
+        of_mean, tangent = self._mean_of(left)
+        mean = self._manifold.exp(self._mean, tangent)
+        return self._population(mean, self._between(left) + of_mean, len(left))
+
+    def _population(self, mean: Point, covariance: FloatArray, robots: int) -> Population:
+        first = self._robots[0]
+        return Population(
+            links=first.links,
+            effects=first.effects,
+            parameters=mean.parameters,
+            covariance=frozen(covariance),
+            scales=self._manifold.scales,
+            robots=robots,
+        )
+
+    def _settle(self) -> None:
+        """Go on until a round changes next to nothing."""
+        for _ in range(_ROUNDS):
+            if self._advance():
+                break
+
+    def _advance(self) -> bool:
+        """One round; whether it changed next to nothing."""
+        manifold = self._manifold
+        between = np.linalg.inv(self._covariance)
+        linearised = [linear(manifold, self._mean, *pair) for pair in zip(self._robots, self._points, strict=True)]
+        unsure = [np.linalg.inv(between + information) for information, _ in linearised]
+        nothing = np.zeros_like(between)
+        self._shares = [
+            _Share(between - between @ covariance @ between, between @ (covariance @ pull), nothing)
+            for (_, pull), covariance in zip(linearised, unsure, strict=True)
+        ]
+        self._of_mean, mean = self._mean_of(self._shares)
+        ends = []
+        for index, ((_, pull), covariance) in enumerate(zip(linearised, unsure, strict=True)):
+            found = covariance @ (between @ mean + pull)
+            moved = covariance @ between - np.eye(len(mean))
+            squares = np.outer(found - mean, found - mean) + covariance + moved @ self._of_mean @ moved.T
+            self._shares[index] = replace(self._shares[index], squares=squares)
+            ends.append(found)
+        before = np.diag(self._covariance)
+        self._covariance = self._between(self._shares)
+        self._points = [self._towards(point, end) for point, end in zip(self._points, ends, strict=True)]
+        self._mean = manifold.exp(self._mean, mean)
+        change = np.max(np.abs(np.log(np.diag(self._covariance) / before)))
+        return bool(max(change, np.max(np.abs(mean) / np.sqrt(before))) < _SETTLED)
+
+    def _mean_of(self, shares: Sequence[_Share]) -> tuple[FloatArray, FloatArray]:
+        """Covariance ``(D, D)`` and tangent coordinates ``(D,)`` of the mean, by what robots and prior say of it."""
+        own = self._usual**-2.0
+        information = np.diag(own) + np.sum([share.information for share in shares], axis=0)
+        pull = own * self._manifold.log(self._mean, self._prior) + np.sum([share.pull for share in shares], axis=0)
+        covariance = np.linalg.inv(information)
+        return covariance, covariance @ pull
+
+    def _towards(self, point: Point, end: FloatArray) -> Point:
+        """A robot's next point: that with the tangent coordinates ``end``, or a part of the way."""
+        begin = self._manifold.log(self._mean, point)
+        step = end - begin
+        return self._manifold.exp(self._mean, begin + step * min(1.0, _LONGEST_STEP / max(np.max(np.abs(step)), 1e-12)))
+
+    def _between(self, shares: Sequence[_Share]) -> FloatArray:
+        """The covariance of robots, from their expected squares."""
+        squares = np.sum([share.squares for share in shares], axis=0)
+        if self._common is not None:
+            return np.asarray((squares + SHARED * self._common) / (len(shares) + SHARED))
+        variances = np.diag(squares) / len(shares)
+        for columns in self._groups:
+            variances[columns] = max(float(np.mean(variances[columns])), _LEAST_VARIANCE)
+        return np.diag(variances)
+
+    @cached_property
+    def _groups(self) -> list[IntArray]:
+        """The coordinates of all links, and of every effect."""
+        first = self._manifold.inertial.stop
+        names = np.array([effect.name for effect in self._robots[0].effects])
+        return [np.arange(first), *(first + np.flatnonzero(names == name) for name in dict.fromkeys(names.tolist()))]
+
+
+def linear(manifold: ParameterManifold, base: Point, robot: Evidence, point: Point) -> tuple[FloatArray, FloatArray]:
+    """What a robot's rows, linearised at ``point``, say of its tangent coordinates t at ``base``: the information
+    ``(D, D)`` and the vector ``(D,)`` that it is of ``information @ t``."""
+    tangent = manifold.log(base, point)
+    rows = robot.rows @ manifold.exp_derivative(base, tangent)
+    targets = robot.targets - robot.rows @ point.parameters + rows @ tangent
+    return rows.T @ rows, rows.T @ targets

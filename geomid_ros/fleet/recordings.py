@@ -1,0 +1,133 @@
+"""Which bags a fleet has, and whose they are: in folders, by a pattern, or listed in a table."""
+
+from __future__ import annotations
+
+import csv
+import hashlib
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path, PurePosixPath
+from tempfile import TemporaryDirectory
+from typing import Any
+
+from geomid_ros.errors import GeomidError, InputError, unknown_name
+from geomid_ros.fleet.store import file_system, is_local
+
+_SUFFIXES = (".mcap", ".db3", ".mcap.zstd", ".db3.zstd", ".mcap.lz4", ".db3.lz4")
+_METADATA = "metadata.yaml"
+_PATTERN = frozenset("*?[")
+_TABLE = ".csv"
+_BAG = "bag"  # the table's column
+# What file systems call the time of the last change, or stands for the content.
+_CHANGED = ("mtime", "LastModified", "last_modified", "updated", "ETag", "etag", "modified", "created")
+
+
+@dataclass(frozen=True)
+class FleetBag:
+    """A bag of a ``robot``: its path or ``url``, and the ``fingerprint`` of its files' names, sizes and times."""
+
+    robot: str
+    url: str
+    fingerprint: str
+
+
+def find_bags(source: str, by: str = "robot") -> list[FleetBag]:
+    """All bags of a fleet, by robot and address.
+
+    Args:
+        source: a folder, a pattern, or a .csv file, on a disk or by a URL that fsspec knows. The robot of a bag is the
+            folder that it lies in. A table has the columns ``bag``, addresses that may be relative to its folder, and
+            ``by``.
+        by: the column that names the robot.
+
+    Raises:
+        InputError: there is none, or it cannot be looked at.
+    """
+    system, path = file_system(source)
+    try:
+        if path.endswith(_TABLE):
+            found = list(_listed(source, system, path, by))
+        else:
+            places = sorted(system.glob(path)) if _PATTERN & set(path) else [path]
+            found = [_bag(system, bag, files) for place in places for bag, files in _bags_below(system, place)]
+    except OSError as error:
+        raise InputError(f"{source}: cannot be looked at ({error})") from error
+    if not found:
+        raise InputError(f"{source}: there is no rosbag, expected ROBOT/BAG folders, a pattern or a .csv file")
+    return sorted(set(found), key=lambda bag: (bag.robot, bag.url))
+
+
+def _listed(source: str, system: Any, path: str, by: str) -> Iterator[FleetBag]:
+    """The bags in a table."""
+    with system.open(path, "r", encoding="utf-8", newline="") as file:
+        table = csv.DictReader(file)
+        for column in (_BAG, by):
+            if column not in (table.fieldnames or ()):
+                raise InputError(f"{source}: {unknown_name('column', column, table.fieldnames or ())}")
+        entries = [(row[_BAG] or "", row[by] or "") for row in table]
+    for line, (bag, robot) in enumerate(entries, 2):
+        if not bag or not robot:
+            raise InputError(f"{source}: line {line} has no {_BAG} or no {by}")
+        url = bag if "://" in bag or PurePosixPath(bag).is_absolute() else f"{source.rpartition('/')[0] or '.'}/{bag}"
+        own, place = file_system(url)
+        found = list(_bags_below(own, place))
+        # What is not there is no reason to refuse the others: it is told when it is read.
+        for address, files in found or [(place, {})]:
+            yield _bag(own, address, files, robot)
+
+
+def _bags_below(system: Any, path: str) -> Iterator[tuple[str, Mapping[str, Any]]]:
+    """Every bag at a path or below it, with its files."""
+    if path.endswith(_SUFFIXES) and system.isfile(path):
+        yield path, {path: system.info(path)}
+        return
+    by_folder: dict[str, dict[str, Any]] = {}
+    for name, info in system.find(path, detail=True).items():
+        by_folder.setdefault(name.rpartition("/")[0], {})[name] = info
+    for folder, files in sorted(by_folder.items()):
+        if any(name.endswith((*_SUFFIXES, f"/{_METADATA}")) for name in files):
+            yield folder, files
+
+
+def _bag(system: Any, path: str, files: Mapping[str, Any], robot: str = "") -> FleetBag:
+    url = path if is_local(system) else system.unstrip_protocol(path)
+    name = robot or PurePosixPath(path).parent.name
+    if not name.isprintable() or "/" in name or name in ("", ".", ".."):
+        raise InputError(f"{url}: the robot's name is {name!r}, which no folder can have")
+    # A listing of a web server knows names only.
+    told = [info if info.get("size") is not None else system.info(file) for file, info in sorted(files.items())]
+    return FleetBag(name, url, _fingerprint(told))
+
+
+def _fingerprint(files: Iterable[Mapping[str, Any]]) -> str:
+    """A checksum of names, sizes and times of files."""
+    told = [
+        (info["name"].rpartition("/")[2], info["size"], next((str(info[key]) for key in _CHANGED if key in info), ""))
+        for info in files
+    ]
+    return hashlib.sha256(repr(told).encode()).hexdigest()
+
+
+@contextmanager
+def on_this_disk(url: str) -> Iterator[Path]:
+    """The path of a bag; of one that is elsewhere, that of a copy, for a ``with`` statement.
+
+    Raises:
+        GeomidError: it cannot be copied now.
+    """
+    system, path = file_system(url)
+    if is_local(system):
+        yield Path(path)
+        return
+    with TemporaryDirectory(prefix="geomid_bag_") as folder:
+        name = PurePosixPath(path.rstrip("/")).name
+        try:
+            files = [path] if path.endswith(_SUFFIXES) else sorted(system.find(path))
+            targets = [str(Path(folder, name, file.rpartition("/")[2])) for file in files]
+            system.get(files, targets)
+        except OSError as error:
+            raise GeomidError(f"{url}: cannot be copied ({error})") from error
+        if not files:
+            raise GeomidError(f"{url}: no such bag")
+        yield Path(targets[0] if files == [path] else Path(folder, name))

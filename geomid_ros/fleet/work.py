@@ -1,0 +1,160 @@
+"""What workers do: a bag to its summary, a robot's summaries to its results. Each leaves what it finds in the store."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from functools import lru_cache
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+from geomid_ros.errors import InputError
+from geomid_ros.estimation.estimate import Estimate
+from geomid_ros.estimation.population import Evidence
+from geomid_ros.estimation.summary import RowSummary
+from geomid_ros.fleet.bag_summary import BagSummary, summarise, total
+from geomid_ros.fleet.plan import Plan
+from geomid_ros.fleet.recordings import FleetBag, on_this_disk
+from geomid_ros.fleet.results import RobotResults
+from geomid_ros.fleet.store import Store
+from geomid_ros.plausibility.verdict import Verdict
+from geomid_ros.session.locking import with_locked
+from geomid_ros.session.recordings import Bags
+from geomid_ros.session.session import Session
+from geomid_ros.session.version import installed_version
+from geomid_ros.types import FloatArray
+
+
+@dataclass(frozen=True, kw_only=True)
+class BagOutcome:
+    """What became of a bag.
+
+    Attributes:
+        error: why it could not be used, in a sentence; empty if it could.
+        doubts: what seems to be wrong with it, in sentences.
+        locked: joints that were locked, as it does not name them.
+        rows: how many rows it gave.
+        seconds: that it took.
+        size: bytes of its summary.
+    """
+
+    error: str = ""
+    doubts: tuple[str, ...] = ()
+    locked: tuple[str, ...] = ()
+    rows: int = 0
+    seconds: float = 0.0
+    size: int = 0
+
+    @staticmethod
+    def read(content: bytes) -> BagOutcome:
+        """From JSON."""
+        entry = json.loads(content)
+        return BagOutcome(**entry | {name: tuple(entry[name]) for name in ("doubts", "locked")})
+
+    @property
+    def encoded(self) -> bytes:
+        """As JSON."""
+        return json.dumps(asdict(self)).encode()
+
+
+def summarise_bag(store: Store, plan_name: str, bag: FleetBag) -> BagOutcome:
+    """Summarise a bag. What is wrong with the bag itself is an outcome, too."""
+    plan = _plan(store, plan_name)
+    name = plan.of_bag(bag)
+    begin = time.perf_counter()
+    try:
+        with on_this_disk(bag.url) as path:
+            bags = Bags(fitted=[path], hold_out=plan.hold_out, topics=plan.topics)
+            session, summary = summarise(plan.description, plan.source, plan.configuration, bags)
+        content = summary.encoded(session)
+    except InputError as error:
+        outcome = BagOutcome(error=str(error), seconds=time.perf_counter() - begin)
+    else:
+        store.put(f"{name}.npz", content)
+        outcome = BagOutcome(
+            doubts=tuple(finding.sentence for finding in summary.recorded.findings),
+            locked=summary.locked,
+            rows=summary.fitted.summary.rows,
+            seconds=time.perf_counter() - begin,
+            size=len(content),
+        )
+    store.put(f"{name}.json", outcome.encoded)
+    return outcome
+
+
+def solve_robot(store: Store, plan_name: str, name: str, bags: Sequence[str], locked: Sequence[str]) -> str:
+    """Identify a robot from the kept summaries of its bags.
+
+    Args:
+        store: where they are.
+        plan_name: what the plan is kept under.
+        name: what the results are kept under.
+        bags: what the summaries are kept under.
+        locked: joints that none of the bags names.
+
+    Returns:
+        Why that is impossible, in a sentence; empty if it is not.
+    """
+    plan = _plan(store, plan_name)
+    try:
+        session = Session(plan.description, with_locked(plan.configuration, locked), plan.source)
+        summary = total([_kept(store, bag, session) for bag in bags])
+        results = _results(session, *solve(session, summary))
+    except InputError as error:
+        return str(error)
+    store.put(f"{name}.npz", results.encoded)
+    return ""
+
+
+def solve(session: Session, summary: BagSummary) -> tuple[Estimate, FloatArray | None, Verdict]:
+    """Identify a robot as ``geomid identify`` does, from what was kept of its bags.
+
+    Args:
+        session: of the robot, which has read nothing.
+        summary: of its bags.
+
+    Returns:
+        The estimate, the RMS residual of each channel on what was held out, if anything was, and the verdict.
+    """
+    session.read_elsewhere(summary.recorded)
+    session.identifier.restore(summary.fitted)
+    estimate = session.identifier.solve()
+    judged = RowSummary(session.model.channels)
+    judged.restore(summary.held_out)
+    if not judged.rows:
+        return estimate, None, session.verdict(estimate)
+    held_out = judged.rms(estimate.parameters)
+    return estimate, held_out, session.verdict(estimate, judged, held_out)
+
+
+def _results(session: Session, estimate: Estimate, held_out: FloatArray | None, verdict: Verdict) -> RobotResults:
+    """Its files, as ``geomid identify`` writes them, and what a population is made of."""
+    with TemporaryDirectory(prefix="geomid_robot_") as folder:
+        files = session.save(Path(folder), estimate, held_out, verdict)
+        content = {file.name: file.read_bytes() for file in files}
+    return RobotResults(files=content, evidence=Evidence.of(estimate))
+
+
+def _kept(store: Store, name: str, session: Session) -> BagSummary:
+    content = store.get(f"{name}.npz")
+    if content is None:
+        raise InputError(f"{store.url}: a bag's summary is missing ({name}); run the same again")
+    return BagSummary.decoded(content, session)
+
+
+@lru_cache(maxsize=4)
+def _plan(store: Store, name: str) -> Plan:
+    """The plan of that name. Raises InputError if it is another version's, or if it cannot be seen here."""
+    content = store.get(name)
+    if content is None:
+        raise InputError(
+            f"{store.url}: a worker does not see this folder; --out must be on a disk that all workers share, or "
+            "--keep a URL that they reach"
+        )
+    plan = Plan.of(json.loads(content))
+    if plan.version != installed_version():
+        found = installed_version()
+        raise InputError(f"a worker has geomid_ros {found}, not {plan.version}: install the same everywhere")
+    return plan

@@ -1,0 +1,53 @@
+"""Tasks on a cluster of two workers in this process."""
+
+from __future__ import annotations
+
+import operator
+import time
+from collections.abc import Iterator
+
+import pytest
+
+from geomid_ros.errors import InputError
+from geomid_ros.fleet.cluster import Cluster, failure
+
+distributed = pytest.importorskip("distributed")
+
+
+@pytest.fixture
+def local() -> Iterator[object]:
+    """The cluster."""
+    with distributed.LocalCluster(
+        n_workers=2, threads_per_worker=1, processes=False, protocol="tcp", dashboard_address="127.0.0.1:0"
+    ) as cluster:
+        yield cluster
+
+
+def test_every_task_ends_once_and_a_failure_costs_itself(local: distributed.LocalCluster) -> None:
+    with Cluster(local.scheduler_address) as cluster:
+        found = dict(cluster.run(operator.truediv, [(place, (6, place)) for place in range(200)]))
+    assert sorted(found) == list(range(200))
+    assert isinstance(error := found.pop(0), ZeroDivisionError)
+    assert failure(error) == "ZeroDivisionError: division by zero"
+    assert all(value == 6 / place for place, value in found.items())
+
+
+def test_tasks_that_a_scheduler_forgot_are_done_after_all(local: distributed.LocalCluster) -> None:
+    """As when it is restarted: what was handed over is lost."""
+    with Cluster(local.scheduler_address) as cluster:
+        running = cluster.run(time.sleep, [(place, (0.02,)) for place in range(100)])
+        done = [next(running)[0]]
+        client = cluster._client
+        client.cancel([distributed.Future(key, client) for key in list(client.futures)], force=True)
+        done += [place for place, _ in running]
+        assert cluster._client is not client
+    assert sorted(done) == list(range(100))
+
+
+def test_a_scheduler_that_does_not_come_back_is_told(local: distributed.LocalCluster) -> None:
+    with Cluster(local.scheduler_address, patience=1.0) as cluster:
+        running = cluster.run(time.sleep, [(place, (0.02,)) for place in range(100)])
+        next(running)
+        local.close()
+        with pytest.raises(InputError, match="what was done so far is kept: run the same again"):
+            list(running)
