@@ -15,6 +15,7 @@ from geomid_ros.errors import TOO_LITTLE_MEMORY, GeomidError, is_lack_of_memory
 
 COMMANDS = {
     "demo": "Watch a robot's inertias being identified live.",
+    "excite": "Design a motion from which much is learned.",
     "export": "Print an estimate in the terms of other software.",
     "gap": "Find what a simulation lacks.",
     "identify": "Identify link inertias from rosbags.",
