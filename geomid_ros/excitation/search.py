@@ -52,23 +52,27 @@ def expected_error(feasibility: Feasibility, weight: FloatArray, form: MotionFor
     return criterion
 
 
+def random_feasible(feasibility: Feasibility, form: MotionForm, random: np.random.Generator) -> Motion:
+    """A random motion, bent where it comes too close to something, and then made feasible."""
+    return Search(feasibility, form).improved(random_motion(feasibility, form, random))
+
+
 @dataclass(frozen=True, eq=False)
 class Search:
-    """The search for motions of a form."""
+    """The search for motions of a form; without a criterion, for feasible ones."""
 
     feasibility: Feasibility
     form: MotionForm
-    criterion: Criterion
+    criterion: Criterion | None = None
 
     def run(self, random: np.random.Generator, progress: Callable[[float], None] = lambda _: None) -> Motion:
         """A feasible motion that makes the criterion small."""
         begun = [random_motion(self.feasibility, self.form, random) for _ in range(_RANDOM)]
         costs = [self._value(motion) for motion in begun]
-        best = begun[int(np.argmin(costs))]
-        return self.feasibility.made_feasible(self._polished(best, progress))
+        return self.improved(begun[int(np.argmin(costs))], progress)
 
-    def _polished(self, motion: Motion, progress: Callable[[float], None]) -> Motion:
-        """Downhill from a motion."""
+    def improved(self, motion: Motion, progress: Callable[[float], None] = lambda _: None) -> Motion:
+        """A feasible motion, downhill from another."""
         # In units in which every coefficient of a joint, by itself, goes as far as the joint's limits allow.
         units = np.array(
             [self.feasibility.largest_scale(self._unit_motion(place)) for place in range(self.form.size)]
@@ -84,7 +88,7 @@ class Search:
 
         begin = (motion.coefficients / np.where(units > 0.0, units, 1.0)).ravel()
         found = minimize(at, begin, jac=True, method="L-BFGS-B", options={"maxfun": _STEPS, "maxcor": 20})
-        return Motion(self.form, motion.start, units * found.x.reshape(units.shape))
+        return self.feasibility.made_feasible(Motion(self.form, motion.start, units * found.x.reshape(units.shape)))
 
     def _unit_motion(self, place: int) -> Motion:
         coefficients = np.zeros((self.form.size, len(self.feasibility.start)))
@@ -102,24 +106,33 @@ class Search:
         return states
 
     def _value(self, motion: Motion) -> float:
+        """The cost of a motion."""
         states = self._states(motion)
-        rows = self.feasibility.knowledge.rows(states[:3])
-        value = self.criterion(rows / self.feasibility.knowledge.sigmas[:, None])[0]
-        return value + self._of_limits(states)[0] + self._of_efforts(states, rows)[0] + self._of_distances(states)[0]
+        value = self._of_limits(states)[0] + self._of_distances(states)[0]
+        if self.criterion is not None:
+            rows = self.feasibility.knowledge.rows(states[:3])
+            value += self.criterion(rows / self.feasibility.knowledge.sigmas[:, None])[0] + self._of_efforts(rows)[0]
+        return value
 
     def _value_and_slope(self, motion: Motion) -> tuple[float, FloatArray]:
-        """The cost of a motion, and its derivatives ``(size, J)`` by the coefficients."""
-        states, knowledge = self._states(motion), self.feasibility.knowledge
-        rows, moved = self._rows_nearby(states)
-        value, by_rows = self.criterion(rows / knowledge.sigmas[:, None])
-        cost, by_efforts = self._of_efforts(states, rows)
-        pull = by_rows / knowledge.sigmas[:, None] + by_efforts[..., None] * self._whitened_parameters
-        slopes = np.zeros_like(states)
-        slopes[:3] = np.einsum("onkjd,njd->onk", moved, pull, optimize=True)
-        for more, by_states in (self._of_limits(states), self._of_distances(states)):
+        """The same, and its derivatives ``(size, J)`` by the coefficients."""
+        states = self._states(motion)
+        value, slopes = 0.0, np.zeros_like(states)
+        for more, by_states in (self._of_limits(states), self._of_distances(states), self._of_rows(states)):
             value += more
-            slopes += by_states
-        return value + cost, np.einsum("onm,onj->mj", self._basis, slopes)
+            slopes[: len(by_states)] += by_states
+        return value, np.einsum("onm,onj->mj", self._basis, slopes)
+
+    def _of_rows(self, states: FloatArray) -> tuple[float, FloatArray]:
+        """The criterion and what efforts cost, and the derivatives ``(3, N, J)``."""
+        if self.criterion is None:
+            return 0.0, np.zeros_like(states[:3])
+        sigmas = self.feasibility.knowledge.sigmas[:, None]
+        rows, moved = self._rows_nearby(states)
+        value, by_rows = self.criterion(rows / sigmas)
+        cost, by_efforts = self._of_efforts(rows)
+        pull = by_rows / sigmas + by_efforts[..., None] * self._whitened_parameters
+        return value + cost, np.einsum("onkjd,njd->onk", moved, pull, optimize=True)
 
     @cached_property
     def _whitened_parameters(self) -> FloatArray:
@@ -151,7 +164,7 @@ class Search:
         away[0] -= centre
         return _hinge(away / scales[:, None], 1.0 / scales[:, None])
 
-    def _of_efforts(self, states: FloatArray, rows: FloatArray) -> tuple[float, FloatArray]:
+    def _of_efforts(self, rows: FloatArray) -> tuple[float, FloatArray]:
         """What efforts cost, and the derivatives ``(N, J)`` by them; their uncertainty counts as it is."""
         knowledge, limit = self.feasibility.knowledge, self.feasibility.limits.effort
         spread = np.sqrt(np.maximum(np.sum((rows @ knowledge.posterior.covariance) * rows, axis=2), 0.0))

@@ -15,7 +15,7 @@ from geomid_ros.excitation.knowledge import Knowledge, known_before, prior_knowl
 from geomid_ros.excitation.learning import Learning, expected_learning
 from geomid_ros.excitation.limits import MotionLimits, motion_limits
 from geomid_ros.excitation.motion import Motion, MotionForm
-from geomid_ros.excitation.search import Search, expected_error, random_motion
+from geomid_ros.excitation.search import Search, expected_error, random_feasible, random_motion
 from geomid_ros.excitation.start import starts
 from geomid_ros.files.models.joint_limits import read_joint_limits
 from geomid_ros.files.models.posterior import POSTERIOR, read_posterior
@@ -232,6 +232,6 @@ def design(task: Task, wish: Wish, progress: Callable[[str, float], None]) -> Ex
     criterion = expected_error(feasibility, weight, task.form)
     motion = Search(feasibility, task.form, criterion).run(random, lambda share: progress("searching", share))
     progress("comparing", 0.0)
-    randoms = [feasibility.made_feasible(random_motion(feasibility, task.form, random)) for _ in range(_COMPARED)]
+    randoms = [random_feasible(feasibility, task.form, random) for _ in range(_COMPARED)]
     learning = expected_learning(task.knowledge, weight, motion, randoms)
     return Excitation(task=task, motion=motion, margins=feasibility.margins(motion), learning=learning)
