@@ -21,7 +21,7 @@ from geomid_ros.types import FloatArray
 _STEP = 1e-6  # of positions, speeds and accelerations, by which rows are differentiated
 _RATE = 6.0  # [Hz] of instants
 _RANDOM = 12  # motions to begin with
-_STEPS = 30
+_STEPS = 50
 _USED = 0.97  # of a limit, before it costs anything
 _COST = 300.0  # of exceeding a limit by all of it, squared, at every instant
 _NEAR = 2.0  # clearances within which distances cost something
