@@ -68,7 +68,7 @@ class Search:
     def run(self, random: np.random.Generator, progress: Callable[[float], None] = lambda _: None) -> Motion:
         """A feasible motion that makes the criterion small."""
         begun = [random_motion(self.feasibility, self.form, random) for _ in range(_RANDOM)]
-        costs = [self._value(motion) for motion in begun]
+        costs = [self.cost(motion) for motion in begun]
         return self.improved(begun[int(np.argmin(costs))], progress)
 
     def improved(self, motion: Motion, progress: Callable[[float], None] = lambda _: None) -> Motion:
@@ -105,8 +105,8 @@ class Search:
         states[0] += motion.start
         return states
 
-    def _value(self, motion: Motion) -> float:
-        """The cost of a motion."""
+    def cost(self, motion: Motion) -> float:
+        """What a motion costs: the criterion, and what it comes too close to."""
         states = self._states(motion)
         value = self._of_limits(states)[0] + self._of_distances(states)[0]
         if self.criterion is not None:

@@ -70,6 +70,9 @@ def excitation_document(found: Excitation) -> dict[str, Any]:
             }
             for name, stage in stages.items()
         },
+        "decisions": [
+            {"found": d.found, "rival": d.rival, "difference": d.difference, "random": d.random} for d in found.decisions
+        ],
         "notes": list(found.task.notes),
     }
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -15,6 +15,7 @@ from geomid_ros.excitation.knowledge import Knowledge, known_before, prior_knowl
 from geomid_ros.excitation.learning import Learning, expected_learning
 from geomid_ros.excitation.limits import MotionLimits, motion_limits
 from geomid_ros.excitation.motion import Motion, MotionForm
+from geomid_ros.excitation.rivals import DECIDED, Judge, deciding_motion
 from geomid_ros.excitation.search import Search, expected_error, random_feasible, random_motion
 from geomid_ros.excitation.start import starts
 from geomid_ros.files.models.joint_limits import read_joint_limits
@@ -25,6 +26,7 @@ from geomid_ros.files.trajectories.trajectory import Trajectory
 from geomid_ros.model.collision import CollisionModel, Pair
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.session.configuration import Configuration
+from geomid_ros.session.open_questions import open_questions
 from geomid_ros.session.session import Session
 from geomid_ros.types import FloatArray
 
@@ -34,6 +36,7 @@ _OTHERS = 8  # motions on which efforts are to be predicted
 _COMPARED = 3  # random motions with which a designed one is compared
 _SLOW_SHARE = {PREDICTION: 0.1, "friction": 0.5}
 _SEED = 0
+_MANY = 20.0
 _NEIGHBOURS = 2  # joints between links whose hulls may overlap all the time
 
 
@@ -52,6 +55,7 @@ class Wish:
         collide: whether collisions are looked for.
         packages: folders of ``package://``.
         aim: see :func:`~geomid_ros.excitation.criteria.weight_of`.
+        settle: path of a gap.json whose rivals are to be told apart.
         seed: of the search.
     """
 
@@ -65,6 +69,7 @@ class Wish:
     collide: bool = True
     packages: Mapping[str, Path] = field(default_factory=dict)
     aim: str = PREDICTION
+    settle: Path | None = None
     seed: int = _SEED
 
 
@@ -87,14 +92,45 @@ class Task:
     notes: tuple[str, ...]
 
 
+@dataclass(frozen=True)
+class Decision:
+    """By how much a name and its rival will differ (-2 log p, in the worse case of which is true): after the designed
+    motion, and after a ``random`` one."""
+
+    found: str
+    rival: str
+    difference: float
+    random: float
+
+    @property
+    def is_sure(self) -> bool:
+        """Whether the motion is expected to decide."""
+        return self.difference >= DECIDED
+
+    @property
+    def sentence(self) -> str:
+        """In words."""
+        said = (
+            f"{self.found} or {self.rival}: after this motion their scores differ by {self.difference:.3g} or more, "
+            f"after a random one by {self.random:.3g}"
+        )
+        if self.is_sure:
+            return f"{said}; {DECIDED:g} decide"
+        times = DECIDED / max(self.difference, 1e-9)
+        longer = f"record it {times:.0f} times" if times < _MANY else "no motion within these limits tells them apart"
+        return f"{said}; {DECIDED:g} would decide: {longer}"
+
+
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Excitation:
-    """A designed motion, with how far it stays from all limits and what it is expected to teach."""
+    """A designed motion, with how far it stays from all limits, what it is expected to teach, and which rivals it is
+    expected to tell apart."""
 
     task: Task
     motion: Motion
     margins: Margins
     learning: Learning
+    decisions: tuple[Decision, ...] = ()
 
     @property
     def closest(self) -> str:
@@ -227,11 +263,31 @@ def _said(not_watched: Sequence[Pair]) -> list[str]:
 def design(task: Task, wish: Wish, progress: Callable[[str, float], None]) -> Excitation:
     """Search for a motion and say what to expect of it."""
     random, feasibility = np.random.default_rng(wish.seed), task.feasibility
+    judge, labels = (None, []) if wish.settle is None else open_questions(task.feasibility, wish.settle)
     others = [random_motion(feasibility, task.form, random) for _ in range(_OTHERS)]
     weight = weight_of(wish.aim, task.knowledge, others)
     criterion = expected_error(feasibility, weight, task.form)
-    motion = Search(feasibility, task.form, criterion).run(random, lambda share: progress("searching", share))
+
+    def searching(share: float) -> None:
+        progress("searching", share)
+
+    if judge is None:
+        motion = Search(feasibility, task.form, criterion).run(random, searching)
+    else:
+        motion = deciding_motion(feasibility, task.form, judge, random, searching)
     progress("comparing", 0.0)
     randoms = [random_feasible(feasibility, task.form, random) for _ in range(_COMPARED)]
     learning = expected_learning(task.knowledge, weight, motion, randoms)
-    return Excitation(task=task, motion=motion, margins=feasibility.margins(motion), learning=learning)
+    decisions = () if judge is None else tuple(_decisions(judge, labels, motion, randoms))
+    return Excitation(
+        task=task, motion=motion, margins=feasibility.margins(motion), learning=learning, decisions=decisions
+    )
+
+
+def _decisions(
+    judge: Judge, labels: Sequence[tuple[str, Sequence[str]]], motion: Motion, randoms: Sequence[Motion]
+) -> Iterator[Decision]:
+    own, others = judge.differences(motion), [judge.differences(random) for random in randoms]
+    for place, (found, rivals) in enumerate(labels):
+        for index, rival in enumerate(rivals):
+            yield Decision(found, rival, own[place][index], float(np.median([o[place][index] for o in others])))

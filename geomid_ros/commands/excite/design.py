@@ -22,6 +22,11 @@ def design_options(function: Callable[..., None]) -> Callable[..., None]:
         click.option("--no-collision", is_flag=True, help="Do not look for collisions, e.g. of a URDF without shapes."),
         click.option("--lock", default="", metavar="JOINTS", help="These joints stand at zero; separated by commas."),
         click.option(
+            "--settle",
+            type=click.Path(path_type=Path),
+            help="Tell the rivals apart that this gap.json names.",
+        ),
+        click.option(
             "--from",
             "model",
             type=click.Path(path_type=Path),

@@ -24,6 +24,8 @@ def show(found: Excitation) -> None:
     console.print(_links(found))
     if found.task.knowledge.posterior.effects:
         console.print(_effects(found))
+    for decision in found.decisions:
+        say(console, "Decides:" if decision.is_sure else "Does not decide:", f" {decision.sentence}")
     for sentence in found.learning.sentences:
         say(console, "Expected:", f" {sentence}")
 

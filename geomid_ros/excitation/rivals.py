@@ -1,0 +1,171 @@
+"""Which motion decides between names for the same thing: the one whose efforts each name predicts differently, however
+well the others are fitted to it anew."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import block_diag
+
+from geomid_ros.excitation.feasibility import Feasibility
+from geomid_ros.excitation.knowledge import ROWS_PER_SECOND, Knowledge
+from geomid_ros.excitation.motion import Motion, MotionForm
+from geomid_ros.excitation.response import Responses
+from geomid_ros.excitation.search import Search, random_motion
+from geomid_ros.model.effects import Effect, Place
+from geomid_ros.types import FloatArray
+
+DECIDED = 20.0
+"""Difference of -2 log p by which two names are told apart."""
+_RATE = 20.0  # [Hz] of the instants
+_RANDOM = 24
+_STEPS = 150
+_FIRST, _GROWTH = 0.3, 1.5  # size of the first random step, and by how much it grows with success
+_RIDGE = 1e-12  # of columns of unit size
+_REFERENCE = 0.5  # share of the limits' reach of the motion on which a rival is fitted for the first time
+
+
+@dataclass(frozen=True, eq=False)
+class Name:
+    """One name for what was found: an effect, of any of its ``variants``, at a place."""
+
+    variants: tuple[Effect, ...]
+    place: Place
+    label: str
+
+
+@dataclass(frozen=True, eq=False)
+class Dispute:
+    """A ``found`` name with its ``coefficients (k,)`` at the effect ``variants[0]``, and its ``rivals``."""
+
+    found: Name
+    coefficients: FloatArray
+    rivals: tuple[Name, ...]
+
+
+class Judge:
+    """What a motion would say of disputes."""
+
+    def __init__(self, knowledge: Knowledge, responses: Responses, disputes: Sequence[Dispute]) -> None:
+        self._knowledge, self._responses, self._disputes = knowledge, responses, disputes
+        self._imitations: dict[tuple[int, int], tuple[int, FloatArray]] = {}
+
+    def prepare(self, reference: Motion) -> None:
+        """Find how large rivals are that look like what was found, in a motion that does not tell them apart well."""
+        rows, own = self._at(reference)
+        for place, dispute in enumerate(self._disputes):
+            target, known = own(dispute.found)[0] @ dispute.coefficients, self._beside(rows, own, dispute)
+            for index, rival in enumerate(dispute.rivals):
+                fits = [known.fit(columns, target) for columns in own(rival)]
+                best = int(np.argmin([left for left, _ in fits]))
+                self._imitations[place, index] = best, fits[best][1]
+
+    def differences(self, motion: Motion) -> list[list[float]]:
+        """Of each dispute and rival: the least expected difference of -2 log p, whichever of both is true."""
+        rows, own = self._at(motion)
+        found = []
+        for place, dispute in enumerate(self._disputes):
+            columns, known = own(dispute.found), self._beside(rows, own, dispute)
+            least = []
+            for index, rival in enumerate(dispute.rivals):
+                variant, coefficients = self._imitations[place, index]
+                others = own(rival)
+                least.append(
+                    min(
+                        known.least(others, columns[0] @ dispute.coefficients),
+                        known.least(columns, others[variant] @ coefficients),
+                    )
+                )
+            found.append(least)
+        return found
+
+    def least(self, motion: Motion) -> float:
+        """The least of all differences."""
+        return min(difference for differences in self.differences(motion) for difference in differences)
+
+    def _beside(self, rows: FloatArray, own: Callable[[Name], list[FloatArray]], dispute: Dispute) -> _Known:
+        """What is fitted anew with either name: the inertias, and the other findings about as large as they are."""
+        others = [other for other in self._disputes if other is not dispute]
+        columns = [own(other.found)[0] for other in others]
+        sizes = np.concatenate([np.zeros(0), *(other.coefficients for other in others)])
+        precision = np.diag(1.0 / np.maximum(sizes**2, np.finfo(float).tiny))
+        return _Known(np.column_stack([rows, *columns]), block_diag(self._knowledge.precision, precision))
+
+    def _at(self, motion: Motion) -> tuple[FloatArray, Callable[[Name], list[FloatArray]]]:
+        """Weighted rows ``(n, D)`` of a motion, and the weighted columns ``(n, k)`` of each variant of a name."""
+        duration = motion.form.period
+        count = int(np.ceil(_RATE * duration))
+        period = duration / count
+        states = motion.at((np.arange(count) + 0.5) * period)[:3]
+        weights = np.sqrt(ROWS_PER_SECOND * motion.form.duration / count) / self._knowledge.sigmas
+        rows = self._knowledge.rows(states) * weights[:, None]
+        asked = [name for dispute in self._disputes for name in (dispute.found, *dispute.rivals)]
+        pairs = [(variant, name.place) for name in asked for variant in name.variants]
+        columns = self._responses.columns(states, period, pairs)
+        by_pair = {
+            (id(name), index): next_columns
+            for (name, index), next_columns in zip(
+                ((name, index) for name in asked for index in range(len(name.variants))), columns, strict=True
+            )
+        }
+
+        def own(name: Name) -> list[FloatArray]:
+            found = (by_pair[id(name), index] * weights[:, None] for index in range(len(name.variants)))
+            return [column.reshape(-1, column.shape[2]) for column in found]
+
+        return rows.reshape(-1, rows.shape[2]), own
+
+
+@dataclass(frozen=True, eq=False)
+class _Known:
+    """Weighted rows ``(n, D)`` of parameters with a prior of that ``precision (D, D)``."""
+
+    rows: FloatArray
+    precision: FloatArray
+
+    def least(self, variants: Sequence[FloatArray], target: FloatArray) -> float:
+        """What is left of a target ``(n,)``, squared, by the variant of columns that explains it best."""
+        return min(self.fit(columns, target)[0] for columns in variants)
+
+    def fit(self, columns: FloatArray, target: FloatArray) -> tuple[float, FloatArray]:
+        """What ``columns (n, k)`` and these parameters leave of a target, squared, and the columns' coefficients."""
+        size = self.rows.shape[1]
+        both = np.column_stack([self.rows, columns])
+        normal, right = both.T @ both, both.T @ target
+        normal[:size, :size] += self.precision
+        units = 1.0 / np.sqrt(np.maximum(np.diag(normal), np.finfo(float).tiny))
+        scaled = normal * np.outer(units, units) + _RIDGE * np.eye(len(units))
+        solution = units * np.linalg.solve(scaled, units * right)
+        return max(float(target @ target - right @ solution), 0.0), solution[size:]
+
+
+def deciding_motion(
+    feasibility: Feasibility,
+    form: MotionForm,
+    judge: Judge,
+    random: np.random.Generator,
+    progress: Callable[[float], None] = lambda _: None,
+) -> Motion:
+    """A feasible motion after which the least of a judge's differences is large: the best of random ones, and from
+    there uphill by random steps."""
+    judge.prepare(random_motion(feasibility, form, random).scaled(_REFERENCE))
+    costs = Search(feasibility, form)
+
+    def value(motion: Motion) -> float:
+        return costs.cost(motion) - float(np.log(judge.least(motion) + 1e-9))
+
+    best = min((random_motion(feasibility, form, random) for _ in range(_RANDOM)), key=value)
+    lowest, step = value(best), _FIRST
+    for index in range(_STEPS):
+        progress(index / _STEPS)
+        other = random_motion(feasibility, form, random)
+        tried = Motion(form, best.start, best.coefficients + step * other.coefficients)
+        cost = value(tried)
+        better = cost < lowest
+        if better:
+            best, lowest = tried, cost
+        # One success in five keeps the size of the step (Rechenberg 1973).
+        step *= _GROWTH if better else _GROWTH**-0.25
+    return costs.improved(best)
