@@ -28,6 +28,7 @@ FLOORS = {
     "monitoring": 3,
     "plausibility": 3,
     "gap": 3,
+    "excitation": 3,
     "files": 4,
     "simulation": 4,
     "resimulation": 5,
@@ -42,7 +43,7 @@ FLOORS = {
     "__main__": 11,
 }
 # Names from outside, and the rooms in which alone they may be imported.
-KEPT_IN = {"pinocchio": ("model",), "mujoco": ("simulation", "resimulation"), "rclpy": ("ros",)}
+KEPT_IN = {"coal": ("model",), "pinocchio": ("model",), "mujoco": ("simulation", "resimulation"), "rclpy": ("ros",)}
 COMPUTED = "(computed)"  # a name that is known only when the program runs: the player's message types
 MOST_POSITIONAL = 6
 ROS_SUFFIXES = ("_msgs", "_srvs", "_interfaces")

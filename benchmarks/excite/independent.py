@@ -41,7 +41,7 @@ class Limits:
 
 def positions(path: Path) -> tuple[list[str], FloatArray]:
     """Joint names, and positions ``(N, J)`` at 1 kHz."""
-    document = yaml.load(path.read_text(encoding="utf-8"), Loader=yaml.CSafeLoader)  # noqa: S506 it is the safe one
+    document = yaml.load(path.read_text(encoding="utf-8"), Loader=yaml.CSafeLoader)
     points = document["points"]
     stamps = [point["time_from_start"] for point in points]
     times = np.array([stamp["sec"] + 1e-9 * stamp["nanosec"] for stamp in stamps])

@@ -119,7 +119,7 @@ def _gravity_and_inertia(robot: Robot, positions: FloatArray, inertias: FloatArr
     """Efforts ``(N, J)`` that hold a robot in pinocchio's ``positions (N, nq)``, and the inertia about each joint."""
 
     def efforts(q: FloatArray, a: FloatArray) -> FloatArray:
-        return np.einsum("jbk,bk->j", robot.joint_effort_rows(q, np.zeros_like(a), a), inertias)
+        return np.asarray(np.einsum("jbk,bk->j", robot.joint_effort_rows(q, np.zeros_like(a), a), inertias))
 
     still, units = np.zeros(robot.coupling.shape[0]), robot.coupling.T
     gravity = np.array([efforts(q, still) for q in positions])

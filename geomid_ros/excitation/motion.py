@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
 
 import numpy as np
 from scipy.interpolate import PPoly
@@ -71,7 +72,7 @@ class MotionForm:
     @cached_property
     def _weights(self) -> FloatArray:
         """Of cosines, sines and a constant in each wave, ``(2 harmonics + 1, waves)``: at rest at the ends."""
-        return null_space(self._harmonic_table(np.zeros(1))[:, 0])
+        return np.asarray(null_space(self._harmonic_table(np.zeros(1))[:, 0]))
 
     def _harmonic_table(self, times: FloatArray) -> FloatArray:
         """Derivatives ``(4, N, 2 harmonics + 1)`` of harmonics whose speeds are all of one size, and of a constant."""
@@ -89,7 +90,7 @@ class MotionForm:
         """Beginning, end and the four derivatives of each run."""
         shares = 1.0 / np.array(_SPEEDS[: self.runs])
         ends = self._fast + self.slow_share * self.period * np.cumsum([0.0, *(shares / np.sum(shares))])
-        return [(begin, end, _to_and_fro(begin, end)) for begin, end in zip(ends[:-1], ends[1:], strict=True)]
+        return [(begin, end, _to_and_fro(begin, end)) for begin, end in pairwise(ends.tolist())]
 
     def basis(self, times: FloatArray) -> FloatArray:
         """Values and derivatives ``(4, N, size)`` of the basis at ``times (N,)`` [s] within all periods."""

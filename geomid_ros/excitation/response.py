@@ -16,7 +16,6 @@ from geomid_ros.model.moving import SIGN
 from geomid_ros.types import FloatArray
 
 
-
 @dataclass(frozen=True, eq=False)
 class Responses:
     """Columns of effects at instants that are one ``period`` apart, of a robot with ``inertias (all bodies, 10)``."""

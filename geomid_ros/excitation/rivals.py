@@ -98,7 +98,7 @@ class Judge:
         duration = motion.form.period
         count = int(np.ceil(_RATE * duration))
         period = duration / count
-        states = motion.at((np.arange(count) + 0.5) * period)[:3]
+        states = motion.at(np.asarray((np.arange(count) + 0.5) * period))[:3]
         weights = np.sqrt(ROWS_PER_SECOND * motion.form.duration / count) / self._knowledge.sigmas
         rows = self._knowledge.rows(states) * weights[:, None]
         asked = [name for dispute in self._disputes for name in (dispute.found, *dispute.rivals)]

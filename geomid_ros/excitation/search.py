@@ -74,9 +74,7 @@ class Search:
     def improved(self, motion: Motion, progress: Callable[[float], None] = lambda _: None) -> Motion:
         """A feasible motion, downhill from another."""
         # In units in which every coefficient of a joint, by itself, goes as far as the joint's limits allow.
-        units = np.array(
-            [self.feasibility.largest_scale(self._unit_motion(place)) for place in range(self.form.size)]
-        )
+        units = np.array([self.feasibility.largest_scale(self._unit_motion(place)) for place in range(self.form.size)])
         done = 0
 
         def at(vector: FloatArray) -> tuple[float, FloatArray]:

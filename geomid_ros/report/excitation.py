@@ -71,7 +71,8 @@ def excitation_document(found: Excitation) -> dict[str, Any]:
             for name, stage in stages.items()
         },
         "decisions": [
-            {"found": d.found, "rival": d.rival, "difference": d.difference, "random": d.random} for d in found.decisions
+            {"found": d.found, "rival": d.rival, "difference": d.difference, "random": d.random}
+            for d in found.decisions
         ],
         "notes": list(found.task.notes),
     }
@@ -85,9 +86,7 @@ def _effects(found: Excitation, stage: Expected) -> list[dict[str, Any]]:
 
 
 def _by(names: tuple[str, ...], values: FloatArray) -> dict[str, float | None]:
-    return {
-        name: value if np.isfinite(value) else None for name, value in zip(names, values.tolist(), strict=True)
-    }
+    return {name: value if np.isfinite(value) else None for name, value in zip(names, values.tolist(), strict=True)}
 
 
 def motion_figure(found: Excitation) -> Figure:

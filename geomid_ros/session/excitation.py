@@ -212,9 +212,7 @@ def _knowledge(session: Session, model: MeasurementModel, limits: MotionLimits) 
     return known_before(model, read_posterior(_beside(session)), own, session.loaded.source)
 
 
-def _collision(
-    session: Session, urdf: str, source: Path, wish: Wish
-) -> tuple[CollisionModel | None, tuple[str, ...]]:
+def _collision(session: Session, urdf: str, source: Path, wish: Wish) -> tuple[CollisionModel | None, tuple[str, ...]]:
     if not wish.collide:
         if wish.avoid:
             raise InputError("--avoid and --no-collision exclude each other")

@@ -12,7 +12,7 @@ from geomid_ros.commands.excite.design import design, design_options
 @click.group(invoke_without_command=True)
 @design_options
 @click.pass_context
-def excite(context: click.Context, **options: Any) -> None:
+def excite(context: click.Context, /, **options: Any) -> None:
     """Design a motion from which much is learned.
 
     Writes a trajectory that is feasible at every instant: position, speed, acceleration, jerk, effort with a margin

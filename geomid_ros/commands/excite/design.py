@@ -61,7 +61,12 @@ def design_options(function: Callable[..., None]) -> Callable[..., None]:
             help="box:X,Y,Z,LENGTH,WIDTH,HEIGHT (its centre), plane:NX,NY,NZ,OFFSET (solid below) or a mesh file, in "
             "metres in the base frame; may be repeated.",
         ),
-        click.option("--start", default="", metavar="Q", help="Where it begins and ends: numbers, separated by commas."),
+        click.option(
+            "--start",
+            default="",
+            metavar="Q",
+            help="Where it begins and ends: one number for each joint, separated by commas.",
+        ),
         click.option(
             "--repeats", default=2, show_default=True, type=click.IntRange(1, 20), help="How often a period is run."
         ),
