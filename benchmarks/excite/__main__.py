@@ -58,10 +58,10 @@ def _safety(report: Report, robots: list[str], seeds: int, folder: Path) -> None
 def _violations(robot: str, designed: Excitation, path: Path) -> dict[str, int]:
     write_yaml(path, designed.trajectory)
     feasibility = designed.task.feasibility
-    own, collision = feasibility.limits, feasibility.collision
-    assert collision is not None
+    own = feasibility.limits
     clearances: dict[frozenset[str], float] = {}
-    for pair, asked in zip(collision.pairs, feasibility.clearances.tolist(), strict=True):
+    pairs = feasibility.collision.pairs if feasibility.collision else ()
+    for pair, asked in zip(pairs, feasibility.clearances.tolist(), strict=True):
         names = frozenset((pair.first, pair.second))
         clearances[names] = min(asked, clearances.get(names, np.inf))
     limits = Limits(own.position, own.velocity, own.acceleration, own.jerk, own.effort, clearances)

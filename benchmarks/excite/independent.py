@@ -10,11 +10,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import combinations
 from pathlib import Path
-from xml.etree import ElementTree
+from xml.etree.ElementTree import SubElement, tostring
 
 import mujoco
 import numpy as np
 import yaml
+from defusedxml.ElementTree import fromstring
 from scipy.interpolate import BPoly
 
 from benchmarks.excite.robots import PACKAGE, Description
@@ -104,13 +105,13 @@ class Simulated:
 
 def _for_mujoco(description: Description) -> str:
     """The URDF with its meshes' absolute paths, all links, and collision shapes alone."""
-    robot = ElementTree.fromstring(description.text)
+    robot = fromstring(description.text)
     for link in robot.iter("link"):
         for visual in link.findall("visual"):
             link.remove(visual)
     for mesh in robot.iter("mesh"):
         mesh.set("filename", mesh.get("filename", "").replace(f"package://{PACKAGE}", str(description.package)))
-    extension = ElementTree.SubElement(robot, "mujoco")
+    extension = SubElement(robot, "mujoco")
     options = {"strippath": "false", "fusestatic": "false", "discardvisual": "false", "balanceinertia": "true"}
-    ElementTree.SubElement(extension, "compiler", options | {"boundmass": "1e-6", "boundinertia": "1e-9"})
-    return ElementTree.tostring(robot, encoding="unicode")
+    SubElement(extension, "compiler", options | {"boundmass": "1e-6", "boundinertia": "1e-9"})
+    return tostring(robot, encoding="unicode")

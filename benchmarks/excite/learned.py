@@ -9,6 +9,7 @@ import numpy as np
 from benchmarks.excite.robots import Recorded, identified, predicted_error, recorded, task, truth, wish
 from benchmarks.report import Report
 from geomid_ros.excitation.criteria import weight_of
+from geomid_ros.excitation.feasibility import Feasibility
 from geomid_ros.excitation.knowledge import Knowledge, known_before
 from geomid_ros.excitation.motion import Motion, MotionForm
 from geomid_ros.excitation.search import Search, expected_error, random_feasible, random_motion
@@ -137,8 +138,6 @@ def _pick_and_place(own: Task, true: FloatArray, random: np.random.Generator) ->
 
 def _knowing(own: Task, knowledge: Knowledge) -> Task:
     """The task of one who knows that."""
-    from geomid_ros.excitation.feasibility import Feasibility
-
     before = own.feasibility
     feasibility = Feasibility(knowledge, before.limits, before.start, before.collision)
     return replace(own, knowledge=knowledge, feasibility=feasibility)

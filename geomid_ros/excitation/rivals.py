@@ -102,17 +102,11 @@ class Judge:
         weights = np.sqrt(ROWS_PER_SECOND * motion.form.duration / count) / self._knowledge.sigmas
         rows = self._knowledge.rows(states) * weights[:, None]
         asked = [name for dispute in self._disputes for name in (dispute.found, *dispute.rivals)]
-        pairs = [(variant, name.place) for name in asked for variant in name.variants]
-        columns = self._responses.columns(states, period, pairs)
-        by_pair = {
-            (id(name), index): next_columns
-            for (name, index), next_columns in zip(
-                ((name, index) for name in asked for index in range(len(name.variants))), columns, strict=True
-            )
-        }
+        pairs = dict.fromkeys((variant, name.place) for name in asked for variant in name.variants)
+        columns = dict(zip(pairs, self._responses.columns(states, period, [*pairs]), strict=True))
 
         def own(name: Name) -> list[FloatArray]:
-            found = (by_pair[id(name), index] * weights[:, None] for index in range(len(name.variants)))
+            found = (columns[variant, name.place] * weights[:, None] for variant in name.variants)
             return [column.reshape(-1, column.shape[2]) for column in found]
 
         return rows.reshape(-1, rows.shape[2]), own
