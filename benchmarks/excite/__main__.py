@@ -11,6 +11,7 @@ import numpy as np
 from benchmarks.excite.independent import Limits, Simulated
 from benchmarks.excite.learned import after_poor_data, against_random
 from benchmarks.excite.robots import ROBOTS, description, task, wish
+from benchmarks.excite.settled import settled
 from benchmarks.report import Report, chosen
 from geomid_ros.files.trajectories.trajectory import write_yaml
 from geomid_ros.session.excitation import Excitation, design
@@ -22,7 +23,7 @@ def main() -> None:
     parser = ArgumentParser(description=__doc__)
     parser.add_argument("robots", nargs="*", help="all unless named")
     parser.add_argument("--seeds", type=int, default=20)
-    parser.add_argument("--only", choices=("safety", "learning", "poor"))
+    parser.add_argument("--only", choices=("safety", "learning", "poor", "settle"))
     parser.add_argument("--out", type=Path, default=Path("out/excite"))
     options = parser.parse_args()
     report = Report(options.out)
@@ -33,6 +34,8 @@ def main() -> None:
         against_random(report, list(robots), SECONDS, options.seeds)
     if options.only in (None, "poor"):
         after_poor_data(report, list(robots), SECONDS, options.seeds)
+    if options.only in (None, "settle"):
+        settled(report, SECONDS, options.out)
 
 
 def _safety(report: Report, robots: list[str], seeds: int, folder: Path) -> None:

@@ -113,10 +113,14 @@ class Feasibility:
         worst = np.max(np.nan_to_num(shares, nan=0.0, posinf=np.inf), axis=0)
         return np.where(worst > 0.0, 1.0 / np.where(worst > 0.0, worst, 1.0), 0.0)
 
+    def within_limits(self, motion: Motion) -> Motion:
+        """The motion, each joint shrunk into its own limits."""
+        return motion.scaled(np.minimum(1.0, self.largest_scale(motion)))
+
     def made_feasible(self, motion: Motion) -> Motion:
         """The motion, each joint shrunk into its own limits, and all of it towards the start until efforts and
         distances hold, too."""
-        shrunk = motion.scaled(np.minimum(1.0, self.largest_scale(motion)))
+        shrunk = self.within_limits(motion)
         if self.holds(shrunk):
             return shrunk
         low, high = 0.0, 1.0

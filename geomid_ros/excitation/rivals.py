@@ -35,6 +35,11 @@ class Name:
     place: Place
     label: str
 
+    def is_case_of(self, other: Name) -> bool:
+        """Whether it is a special case of the ``other``, which then explains it, too, and is only less simple."""
+        own, richer = self.variants[0], other.variants[0]
+        return self.place == other.place and own != richer and (richer.contains == own.name or own in richer.parts)
+
 
 @dataclass(frozen=True, eq=False)
 class Dispute:
@@ -49,35 +54,38 @@ class Judge:
     """What a motion would say of disputes."""
 
     def __init__(self, knowledge: Knowledge, responses: Responses, disputes: Sequence[Dispute]) -> None:
-        self._knowledge, self._responses, self._disputes = knowledge, responses, disputes
-        self._imitations: dict[tuple[int, int], tuple[int, FloatArray]] = {}
+        self._knowledge, self._responses, self.disputes = knowledge, responses, disputes
+        self.imitations: dict[tuple[int, int], tuple[int, FloatArray]] = {}
+        """The variant and the coefficients of each rival that look like what was found, by dispute and rival."""
 
     def prepare(self, reference: Motion) -> None:
-        """Find how large rivals are that look like what was found, in a motion that does not tell them apart well."""
+        """Find how large rivals are that look like what was found, in some motion: so that as much is unexplained."""
         rows, own = self._at(reference)
-        for place, dispute in enumerate(self._disputes):
+        for place, dispute in enumerate(self.disputes):
             target, known = own(dispute.found)[0] @ dispute.coefficients, self._beside(rows, own, dispute)
             for index, rival in enumerate(dispute.rivals):
                 fits = [known.fit(columns, target) for columns in own(rival)]
                 best = int(np.argmin([left for left, _ in fits]))
-                self._imitations[place, index] = best, fits[best][1]
+                looks = known.unexplained(own(rival)[best] @ fits[best][1])
+                size = np.sqrt(known.unexplained(target) / max(looks, np.finfo(float).tiny))
+                self.imitations[place, index] = best, size * fits[best][1]
 
     def differences(self, motion: Motion) -> list[list[float]]:
         """Of each dispute and rival: the least expected difference of -2 log p, whichever of both is true."""
         rows, own = self._at(motion)
         found = []
-        for place, dispute in enumerate(self._disputes):
+        for place, dispute in enumerate(self.disputes):
             columns, known = own(dispute.found), self._beside(rows, own, dispute)
             least = []
             for index, rival in enumerate(dispute.rivals):
-                variant, coefficients = self._imitations[place, index]
+                variant, coefficients = self.imitations[place, index]
                 others = own(rival)
-                least.append(
-                    min(
-                        known.least(others, columns[0] @ dispute.coefficients),
-                        known.least(columns, others[variant] @ coefficients),
-                    )
-                )
+                differences = []
+                if not dispute.found.is_case_of(rival):
+                    differences.append(known.least(others, columns[0] @ dispute.coefficients))
+                if not rival.is_case_of(dispute.found):
+                    differences.append(known.least(columns, others[variant] @ coefficients))
+                least.append(min(differences))
             found.append(least)
         return found
 
@@ -87,7 +95,7 @@ class Judge:
 
     def _beside(self, rows: FloatArray, own: Callable[[Name], list[FloatArray]], dispute: Dispute) -> _Known:
         """What is fitted anew with either name: the inertias, and the other findings about as large as they are."""
-        others = [other for other in self._disputes if other is not dispute]
+        others = [other for other in self.disputes if other is not dispute]
         columns = [own(other.found)[0] for other in others]
         sizes = np.concatenate([np.zeros(0), *(other.coefficients for other in others)])
         precision = np.diag(1.0 / np.maximum(sizes**2, np.finfo(float).tiny))
@@ -101,7 +109,7 @@ class Judge:
         states = motion.at(np.asarray((np.arange(count) + 0.5) * period))[:3]
         weights = np.sqrt(ROWS_PER_SECOND * motion.form.duration / count) / self._knowledge.sigmas
         rows = self._knowledge.rows(states) * weights[:, None]
-        asked = [name for dispute in self._disputes for name in (dispute.found, *dispute.rivals)]
+        asked = [name for dispute in self.disputes for name in (dispute.found, *dispute.rivals)]
         pairs = dict.fromkeys((variant, name.place) for name in asked for variant in name.variants)
         columns = dict(zip(pairs, self._responses.columns(states, period, [*pairs]), strict=True))
 
@@ -122,6 +130,10 @@ class _Known:
     def least(self, variants: Sequence[FloatArray], target: FloatArray) -> float:
         """What is left of a target ``(n,)``, squared, by the variant of columns that explains it best."""
         return min(self.fit(columns, target)[0] for columns in variants)
+
+    def unexplained(self, target: FloatArray) -> float:
+        """What these parameters leave of a target, squared."""
+        return self.fit(np.zeros((len(target), 0)), target)[0]
 
     def fit(self, columns: FloatArray, target: FloatArray) -> tuple[float, FloatArray]:
         """What ``columns (n, k)`` and these parameters leave of a target, squared, and the columns' coefficients."""
@@ -155,11 +167,11 @@ def deciding_motion(
     for index in range(_STEPS):
         progress(index / _STEPS)
         other = random_motion(feasibility, form, random)
-        tried = Motion(form, best.start, best.coefficients + step * other.coefficients)
+        tried = feasibility.within_limits(Motion(form, best.start, best.coefficients + step * other.coefficients))
         cost = value(tried)
         better = cost < lowest
         if better:
             best, lowest = tried, cost
         # One success in five keeps the size of the step (Rechenberg 1973).
         step *= _GROWTH if better else _GROWTH**-0.25
-    return costs.improved(best)
+    return best if feasibility.holds(best) else costs.improved(best)
