@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +19,7 @@ from benchmarks.report import Report
 from geomid_ros.excitation.knowledge import ROWS_PER_SECOND, samples_of
 from geomid_ros.excitation.motion import Motion
 from geomid_ros.excitation.response import Responses
-from geomid_ros.excitation.rivals import Judge, deciding_motion
+from geomid_ros.excitation.rivals import DECIDED, Judge, deciding_motion
 from geomid_ros.excitation.search import random_feasible
 from geomid_ros.model.effects import OnLink, joints_of
 from geomid_ros.model.measurement import MeasurementModel
@@ -29,7 +29,8 @@ from geomid_ros.types import FloatArray
 
 ROBOTS = ("panda", "ur10")
 LEFT = 8.0  # difference of -2 log p that a random motion is expected to leave
-SURE = 6.0  # beyond which a name is given
+SURE = 5.0  # of the score, beyond which a name is given: odds of 12 to 1
+MOST = 5  # times that a motion is recorded
 _FINE = 0.005  # [s]
 
 
@@ -85,23 +86,28 @@ def _outcomes(own: Task, case: Case, folder: Path) -> list[tuple[list[str], dict
         row = [case.found if true_is_found else case.rival]
         row += [f"{judge.least(designed):.1f}", f"{judge.least(others[1]):.1f}"]
         outcome, scores = {}, []
+        times = int(np.clip(np.ceil(DECIDED / judge.least(designed)), 1, MOST))
         for kind, motion in (("designed", designed), ("random", others[1])):
-            scores.append(_score(own, judge, case, motion, true_is_found))
+            scores.append(_score(own, judge, case, _repeated(motion, times), true_is_found))
             outcome[kind] = 0 if scores[-1] > SURE else 2 if scores[-1] < -SURE else 1
         words = ("right", "open", "WRONG")
         found.append(([*row, *(f"{score:.1f}" for score in scores), *(words[o] for o in outcome.values())], outcome))
     return found
 
 
+def _repeated(motion: Motion, times: int) -> Motion:
+    return Motion(replace(motion.form, repeats=times), motion.start, motion.coefficients)
+
+
 def _sized(own: Task, case: Case, others: list[Motion], folder: Path) -> Judge:
     """The judge of a finding that is so large that random motions leave it open."""
-    factor = 1.0
-    for _ in range(2):
-        judge = _judge(own, case, factor, folder)
+    low, high = -7.0, 7.0  # of the logarithm of its size
+    for _ in range(10):
+        middle = 0.5 * (low + high)
+        judge = _judge(own, case, float(np.exp(middle)), folder)
         judge.prepare(others[0].scaled(0.5))
-        factor *= float(np.sqrt(LEFT / np.median([judge.least(other) for other in others])))
-    judge = _judge(own, case, factor, folder)
-    judge.prepare(others[0].scaled(0.5))
+        open_still = np.median([judge.least(other) for other in others]) < LEFT
+        low, high = (middle, high) if open_still else (low, middle)
     return judge
 
 
@@ -151,7 +157,7 @@ def _score(own: Task, judge: Judge, case: Case, motion: Motion, true_is_found: b
         pairs = [(own_effect, own_name.place) for own_effect in own_name.variants]
         columns = [found[chosen] / sigmas[:, None] for found in responses.columns(states, _FINE, pairs)]
         least = min(_left(rows, own_columns, target) for own_columns in columns)
-        scores.append(least + np.log(target.size) * columns[0].shape[2])
+        scores.append(least + np.log(target.size) * own_name.parameters)
     return float(scores[1] - scores[0] if true_is_found else scores[0] - scores[1])
 
 

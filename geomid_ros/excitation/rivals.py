@@ -29,11 +29,13 @@ _REFERENCE = 0.5  # share of the limits' reach of the motion on which a rival is
 
 @dataclass(frozen=True, eq=False)
 class Name:
-    """One name for what was found: an effect, of any of its ``variants``, at a place."""
+    """One name for what was found: an effect, of any of its ``variants``, at a place, which counts for so many
+    ``parameters``."""
 
     variants: tuple[Effect, ...]
     place: Place
     label: str
+    parameters: float = 1.0
 
     def is_case_of(self, other: Name) -> bool:
         """Whether it is a special case of the ``other``, which then explains it, too, and is only less simple."""
@@ -71,8 +73,10 @@ class Judge:
                 self.imitations[place, index] = best, size * fits[best][1]
 
     def differences(self, motion: Motion) -> list[list[float]]:
-        """Of each dispute and rival: the least expected difference of -2 log p, whichever of both is true."""
+        """Of each dispute and rival: the least expected difference of -2 log p, whichever of both is true; a name with
+        more parameters has to make up for them (BIC)."""
         rows, own = self._at(motion)
+        each = float(np.log(ROWS_PER_SECOND * motion.form.duration * len(self._knowledge.sigmas)))
         found = []
         for place, dispute in enumerate(self.disputes):
             columns, known = own(dispute.found), self._beside(rows, own, dispute)
@@ -80,11 +84,12 @@ class Judge:
             for index, rival in enumerate(dispute.rivals):
                 variant, coefficients = self.imitations[place, index]
                 others = own(rival)
+                handicap = each * (dispute.found.parameters - rival.parameters)
                 differences = []
                 if not dispute.found.is_case_of(rival):
-                    differences.append(known.least(others, columns[0] @ dispute.coefficients))
+                    differences.append(known.least(others, columns[0] @ dispute.coefficients) - handicap)
                 if not rival.is_case_of(dispute.found):
-                    differences.append(known.least(columns, others[variant] @ coefficients))
+                    differences.append(known.least(columns, others[variant] @ coefficients) + handicap)
                 least.append(min(differences))
             found.append(least)
         return found
@@ -160,7 +165,10 @@ def deciding_motion(
     costs = Search(feasibility, form)
 
     def value(motion: Motion) -> float:
-        return costs.cost(motion) - float(np.log(judge.least(motion) + 1e-9))
+        difference = judge.least(motion)
+        # As the logarithm, and on where there is none.
+        gain = np.log(difference) if difference > 1.0 else difference - 1.0
+        return costs.cost(motion) - float(gain)
 
     best = min((random_motion(feasibility, form, random) for _ in range(_RANDOM)), key=value)
     lowest, step = value(best), _FIRST

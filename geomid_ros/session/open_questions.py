@@ -13,6 +13,7 @@ from geomid_ros.excitation.response import Responses, coefficients_of
 from geomid_ros.excitation.rivals import Dispute, Judge, Name
 from geomid_ros.files.models.effect_forms import payload_parameters
 from geomid_ros.files.models.gap_rivals import OpenFinding, read_open_findings
+from geomid_ros.gap.candidates import Candidate
 from geomid_ros.model.effects import KnownEffect, OnLink, Place, effect_class, values_of
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.types import FloatArray, frozen
@@ -58,7 +59,8 @@ def _any(model: MeasurementModel, effect: str, joint: str, link: str = "") -> Na
     places = {_link_of(model, place) or model.places.name(place): place for place in model.places.of(variants[0])}
     place = places[link] if link in places else model.places.named(variants[0], joint)
     where = link or joint
-    return Name(variants, place, f"{cls.label} at {where}" if where else cls.label)
+    label = f"{cls.label} at {where}" if where else cls.label
+    return Name(variants, place, label, Candidate.of(variants[0], place).penalty)
 
 
 def _link_of(model: MeasurementModel, place: Place) -> str:

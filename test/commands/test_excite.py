@@ -66,7 +66,7 @@ def test_the_report_says_margins_and_clearances(folder: Path) -> None:
     assert (folder / "excitation.png").stat().st_size > 10_000
 
 
-def test_a_urdf_without_shapes(arm: Path, tmp_path: Path) -> None:
+def test_a_urdf_without_shapes(tmp_path: Path) -> None:
     bare = tmp_path / "bare.urdf"
     bare.write_text(urdf().replace("collision>", "other>"))
     assert "no link has a <collision> or <visual> shape" in refused("excite", "--urdf", bare)

@@ -29,7 +29,7 @@ def command(name: str) -> click.Command:
 
 def test_the_commands() -> None:
     text = done("--help")
-    assert NAMES == ["demo", "export", "gap", "identify", "payload", "play", "prior", "simulate", "verify"]
+    assert NAMES == ["demo", "excite", "export", "gap", "identify", "payload", "play", "prior", "simulate", "verify"]
     assert "..." not in text.partition("Commands:")[2], "a command's first sentence is too long for the list"
     assert all(f"  {name} " in text for name in NAMES)
 

@@ -24,8 +24,8 @@ LIMIT = '<limit lower="-2.5" upper="2.5" effort="60" velocity="2"/>'
 def urdf(limit: str = LIMIT, kind: str = "revolute") -> str:
     """Three joints about z, y and y; ``limit`` and ``kind`` are those of the last."""
     parts = [
-        '<robot name="small"><link name="base"><collision><geometry><box size="0.2 0.2 0.1"/></geometry></collision>'
-        "</link>",
+        '<robot name="small"><link name="base">',
+        '<collision><geometry><box size="0.2 0.2 0.1"/></geometry></collision></link>',
         *(
             _LINK.format(name=name, mass=mass, length=length, half=0.5 * length)
             for name, mass, length in (("turret", 3.0, 0.3), ("upper", 2.0, 0.4), ("fore", 1.0, 0.4))

@@ -7,6 +7,7 @@ import pytest
 
 from geomid_ros.errors import InputError
 from geomid_ros.excitation.feasibility import Feasibility
+from geomid_ros.excitation.knowledge import samples_of
 from geomid_ros.excitation.motion import Motion
 from geomid_ros.excitation.search import random_feasible, random_motion
 from geomid_ros.session.excitation import Wish
@@ -73,15 +74,9 @@ def test_efforts_count_with_their_uncertainty() -> None:
         posterior.manifold.straight(posterior.point, deviations * random.standard_normal(len(deviations))).parameters
         for _ in range(200)
     ]
-    rows = feasibility.knowledge.model.rows(_samples(states)).coefficients
+    rows = feasibility.knowledge.model.rows(samples_of(states)).coefficients
     largest = np.max(np.abs(rows @ np.array(torques).T), axis=0) / feasibility.limits.effort[:, None]
     assert np.mean(largest <= used[:, None]) > 0.9
-
-
-def _samples(states: np.ndarray) -> object:
-    from geomid_ros.excitation.knowledge import samples_of
-
-    return samples_of(states)
 
 
 def test_starts_that_cannot_be() -> None:
