@@ -153,6 +153,7 @@ def test_the_simulator_shares_no_code_with_the_estimator() -> None:
 NAMESAKES = {
     ("geomid_ros.commands.options", "effort_gain"),
     ("geomid_ros.commands.root", "payload"),
+    ("geomid_ros.excitation.criteria", "payload"),
     ("geomid_ros.plausibility.words", "effort_gain"),
     ("geomid_ros.session.configuration", "effort_gain"),
     ("geomid_ros.session.session", "effort_gain"),

@@ -36,6 +36,11 @@ class Learning:
     random_twice: Expected
 
     @property
+    def gain(self) -> float:
+        """By what share the designed motion lowers the expected error."""
+        return 1.0 - self.designed.error / self.before.error
+
+    @property
     def sentences(self) -> list[str]:
         """The comparison in words."""
         said = [f"expected error: {self.before.error:.3g} before, {self.designed.error:.3g} after this motion"]

@@ -96,6 +96,13 @@ def test_what_is_refused(arm: Path, arguments: tuple[str, ...], message: str) ->
     assert message in refused("excite", *(str(arm) if argument == "ARM" else argument for argument in arguments))
 
 
+def test_nothing_is_written_where_nothing_is_worth_it(arm: Path, tmp_path: Path) -> None:
+    text = done("excite", "--urdf", arm, *QUICK, "--until", "99.9%", "--out", tmp_path / "out")
+    assert "Nothing is written: 6 s more would lower the expected error by" in text
+    assert not (tmp_path / "out").exists()
+    assert "'5 apples' is no share" in refused("excite", "--urdf", arm, "--until", "5 apples")
+
+
 def test_help_says_what_it_is_for() -> None:
     text = geomid("excite", "--help").output
     for option in ("--urdf", "--avoid", "--for", "--from", "--settle", "--no-collision"):

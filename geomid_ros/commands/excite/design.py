@@ -4,12 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from geomid_ros.commands.options import OUT, package_option
 from geomid_ros.errors import InputError
+
+if TYPE_CHECKING:
+    from geomid_ros.session.excitation import Excitation
 
 
 def design_options(function: Callable[..., None]) -> Callable[..., None]:
@@ -21,6 +24,12 @@ def design_options(function: Callable[..., None]) -> Callable[..., None]:
         package_option,
         click.option("--no-collision", is_flag=True, help="Do not look for collisions, e.g. of a URDF without shapes."),
         click.option("--lock", default="", metavar="JOINTS", help="These joints stand at zero; separated by commas."),
+        click.option(
+            "--until",
+            metavar="SHARE",
+            callback=_share,
+            help="Write nothing if the motion would lower the expected error by less than this, e.g. 5%.",
+        ),
         click.option(
             "--settle",
             type=click.Path(path_type=Path),
@@ -94,6 +103,7 @@ def design(
     start: str,
     no_collision: bool,
     package_path: dict[str, Path],
+    until: float,
     out: Path,
     **options: Any,
 ) -> None:
@@ -115,10 +125,28 @@ def design(
     with progress_bar() as progress:
         task = excitation.task_of(robot.text, Path(robot.source), Configuration(values, "options"), wish)
         found = excitation.design(task, wish, progress)
+        worth_it = found.learning.gain >= until
         progress("writing", 0.0)
-        files = save(found, out)
+        files = save(found, out) if worth_it else []
     results.show(found)
-    click.echo(f"\nWritten: {', '.join(map(str, files))}")
+    said = f"Written: {', '.join(map(str, files))}" if worth_it else f"Nothing is written: {_not_worth(found, until)}"
+    click.echo(f"\n{said}")
+
+
+def _not_worth(found: Excitation, until: float) -> str:
+    gain = max(found.learning.gain, 0.0)
+    return f"{found.motion.form.duration:g} s more would lower the expected error by {gain:.1%}, less than {until:.3g}"
+
+
+def _share(_context: click.Context, _option: click.Parameter, text: str | None) -> float:
+    """A share of ``5%`` or ``0.05``."""
+    try:
+        share = float((text or "0").removesuffix("%")) / (100.0 if (text or "").endswith("%") else 1.0)
+    except ValueError:
+        share = -1.0
+    if not 0.0 <= share < 1.0:
+        raise click.BadParameter(f"'{text}' is no share; expected e.g. 5%")
+    return share
 
 
 def _numbers(text: str) -> list[float]:
