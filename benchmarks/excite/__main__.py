@@ -51,11 +51,11 @@ def _safety(report: Report, robots: list[str], seeds: int, folder: Path) -> None
             seconds.append(time.process_time() - begin)
             found.append(_violations(robot, designed, folder / "trajectory.yaml"))
         total = {kind: sum(own[kind] for own in found) for kind in found[0]}
-        results[robot] = total | {"processor seconds": float(np.mean(seconds))}
+        results[robot] = total | {"processor seconds": float(np.mean(seconds)), "motions": len(found)}
+        report.result("safety", results)
         rows.append([robot, *map(str, total.values()), f"{np.mean(seconds):.1f}", f"{max(seconds):.1f}"])
     headings = ["robot", *(kind for kind in found[0]), "design [s]", "longest"]
     report.table(f"Instants in violation at 1 kHz, {seeds} motions of {SECONDS:g} s each", headings, rows)
-    report.result("safety", results)
 
 
 def _violations(robot: str, designed: Excitation, path: Path) -> dict[str, int]:
