@@ -1,4 +1,4 @@
-"""What is wrong, on the console: for whoever does not watch the diagnostics."""
+"""What is wrong and what gets on, on the console: for whoever does not watch the diagnostics."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ class Console:
     """A log in which every entry is one printable line, whatever names are in it.
 
     It says a complaint when it lasts, that is, when two diagnostics in a row have it; and once a minute while it does.
-    Complaints that differ in numbers only are the same.
+    News are said at once, the same ones once a minute. Sentences that differ in numbers only are the same.
     """
 
     def __init__(self, log: Log) -> None:
@@ -45,7 +45,7 @@ class Console:
 
     def tell(self, complaints: Sequence[Complaint]) -> None:
         """Take what the present diagnostics complain of."""
-        kinds = {re.sub(r"\d+", "#", complaint.sentence): complaint for complaint in complaints}
+        kinds = {_kind(complaint.sentence): complaint for complaint in complaints}
         for error in (True, False):
             new = [kind for kind, found in kinds.items() if found.error is error and self._is_due(kind)]
             if new:
@@ -54,13 +54,27 @@ class Console:
                 self._remember(new)
         self._before = set(kinds)
 
+    def tell_news(self, sentences: Iterable[str]) -> None:
+        """Take what is new."""
+        for sentence in sentences:
+            if self._was_long_ago(_kind(sentence)):
+                self.info(sentence)
+                self._remember([_kind(sentence)])
+
     def _is_due(self, kind: str) -> bool:
-        return kind in self._before and time.monotonic() - self._said.get(kind, -AGAIN) >= AGAIN
+        return kind in self._before and self._was_long_ago(kind)
+
+    def _was_long_ago(self, kind: str) -> bool:
+        return time.monotonic() - self._said.get(kind, -AGAIN) >= AGAIN
 
     def _remember(self, kinds: Iterable[str]) -> None:
         self._said |= dict.fromkeys(kinds, time.monotonic())
         while len(self._said) > _MOST_KINDS:
             self._said.pop(min(self._said, key=self._said.__getitem__))
+
+
+def _kind(sentence: str) -> str:
+    return re.sub(r"\d+", "#", sentence)
 
 
 def _with_hint(sentence: str) -> str:

@@ -34,6 +34,7 @@ from geomid_ros.live.worker import Worker
 from geomid_ros.ros.console import Console
 from geomid_ros.ros.diagnostics import NO_DESCRIPTION, STOPPED, Diagnostics
 from geomid_ros.ros.inputs import Inputs
+from geomid_ros.ros.news import News
 from geomid_ros.ros.outputs import Outputs, latched
 from geomid_ros.ros.starting import starting_ros
 from geomid_ros.session.configuration import PARAMETERS, Configuration, Parameter, find_parameter
@@ -69,6 +70,7 @@ class GeomidNode(Node):
     def _set_up(self, solving: SolvingProcess | None) -> None:
         self._configuration = _read_parameters(self)
         self._console = Console(self.get_logger())
+        self._news = News()
         self._active: bool = self._configuration["active"]
         self._outputs = Outputs(self)
         self._search = BackgroundSearch("no finding", self._outputs.finding)
@@ -109,6 +111,8 @@ class GeomidNode(Node):
             self._build(self._configuration["robot_description"], "parameter robot_description")
         else:
             self._inputs.hear(String, "robot_description", self._on_description, latched())
+        if not self._active:
+            self._console.info("waiting for ~/start, as the parameter active is false")
 
     @property
     def _worker(self) -> Worker | None:
@@ -171,8 +175,10 @@ class GeomidNode(Node):
     def _publish_diagnostics(self) -> None:
         self._supervisor.lock_absent_joints()
         self._supervisor.restart_what_hangs()
-        array = self._diagnostics.array(self._status(), self._search.status, self._supervisor.checkpoints)
+        status = self._status()
+        array = self._diagnostics.array(status, self._search.status, self._supervisor.checkpoints)
         self._console.tell(self._diagnostics.complaints)
+        self._console.tell_news(self._news.since(status))
         array.header.stamp = self.get_clock().now().to_msg()
         self._diagnostic_arrays.publish(array)
 

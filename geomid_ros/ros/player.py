@@ -10,17 +10,14 @@ from importlib.machinery import PathFinder
 from pathlib import Path
 from typing import Any
 
-import rclpy
 from rclpy.exceptions import NameValidationException
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, QoSProfile
-from rclpy.signals import SignalHandlerOptions
-from rclpy.utilities import try_shutdown
 
 from geomid_ros.errors import InputError, unknown_name
 from geomid_ros.files.bags.bag import Bag
-from geomid_ros.ros.starting import starting_ros
+from geomid_ros.ros.starting import running_node
 from geomid_ros.signals.messages import JOINT_STATES, ODOM
 
 _READ = (JOINT_STATES, ODOM, "robot_description", "/clock")  # by geomid, with any configuration
@@ -61,20 +58,10 @@ def play(
         for topic in [topic for topic, kind in kinds.items() if kind is None]:
             skipped(f"{topic} is left out: its type {bag.topics[topic]} is not installed here")
             del kinds[topic]
-        # rclpy's own handlers would invalidate the publishers while they publish.
-        with starting_ros():
-            rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, signal.default_int_handler)
-        try:
-            with starting_ros():
-                node = rclpy.create_node("geomid_play")
-            try:
-                yield from _published(node, bag, kinds, rate, wait)
-            finally:
-                node.destroy_node()
-        finally:
-            try_shutdown()
+        with running_node("geomid_play") as node:
+            yield from _published(node, bag, kinds, rate, wait)
 
 
 def _published(node: Node, bag: Bag, kinds: dict[str, Any], rate: float, wait: float) -> Iterator[tuple[int, int]]:

@@ -1,10 +1,15 @@
-"""When ROS cannot start: one sentence that says why, as its arguments and variables are the user's."""
+"""Starting ROS. When it cannot start: one sentence that says why, as its arguments and variables are the user's."""
 
 from __future__ import annotations
 
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
+
+import rclpy
+from rclpy.node import Node
+from rclpy.signals import SignalHandlerOptions
+from rclpy.utilities import try_shutdown
 
 from geomid_ros.errors import InputError
 
@@ -17,6 +22,23 @@ def starting_ros() -> Iterator[None]:
     except RuntimeError as error:  # rclpy's own are such
         reason = " ".join(str(error).split())
         raise InputError(f"ROS cannot start with these arguments and variables ({reason}){_security()}") from error
+
+
+@contextmanager
+def running_node(name: str) -> Iterator[Node]:
+    """A node, as long as ROS runs. Signals are the caller's: rclpy's own handlers would invalidate the publishers while
+    they publish."""
+    with starting_ros():
+        rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
+    try:
+        with starting_ros():
+            node = rclpy.create_node(name)
+        try:
+            yield node
+        finally:
+            node.destroy_node()
+    finally:
+        try_shutdown()
 
 
 def _security() -> str:

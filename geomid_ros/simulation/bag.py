@@ -64,7 +64,7 @@ def write_bag(path: Path, trace: RunTrace, names: Sequence[str], urdf: str, opti
                 commands.write(stamp, _joint_state(stamp, names, *wanted))
             if wrenches is not None:
                 wrenches.write(wrench_stamp, _wrench(trace.wrench[row], wrench_stamp, frame))
-    _add_checksums(path / f"{path.name}.mcap")
+    add_checksums(path / f"{path.name}.mcap")
 
 
 class _Topic:
@@ -76,14 +76,15 @@ class _Topic:
         self._writer = writer
         self._kind = kind
         self._connection = writer.add_connection(
-            name, kind, typestore=_TYPES, offered_qos_profiles=[_reliable(durability)]
+            name, kind, typestore=_TYPES, offered_qos_profiles=[reliable(durability)]
         )
 
     def write(self, stamp: int, message: object) -> None:
         self._writer.write(self._connection, stamp, _TYPES.serialize_cdr(message, self._kind))
 
 
-def _reliable(durability: QosDurability) -> Qos:
+def reliable(durability: QosDurability) -> Qos:
+    """The quality of service of a publisher, as it is recorded."""
     return Qos(
         history=QosHistory.KEEP_LAST,
         depth=1 if durability is QosDurability.TRANSIENT_LOCAL else 10,
@@ -135,7 +136,7 @@ def _wrench(wrench: FloatArray, stamp: int, frame: str | None) -> Any:
     )
 
 
-def _add_checksums(path: Path) -> None:
+def add_checksums(path: Path) -> None:
     """Write the checksums of chunks, data section and summary into a file with zstd chunks."""
     data = bytearray(path.read_bytes())
     begin, data_end, kind = _MAGIC_LENGTH, 0, 0

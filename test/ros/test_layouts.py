@@ -78,20 +78,30 @@ class TestRviz:
     def document(self) -> Any:
         return yaml.safe_load((CONFIG / "geomid.rviz").read_text(encoding="utf-8"))["Visualization Manager"]
 
-    def test_displays_hear_what_the_node_publishes(self, document: Any) -> None:
-        displays = {entry["Class"].removeprefix("rviz_default_plugins/"): entry for entry in document["Displays"]}
-        assert displays.keys() == {"Grid", "TF", "RobotModel", "MarkerArray"}
+    def test_displays_hear_what_the_node_publishes_and_the_robots_own_description(self, document: Any) -> None:
+        displays = {entry["Name"]: entry for entry in document["Displays"]}
+        kinds = {name: entry["Class"].removeprefix("rviz_default_plugins/") for name, entry in displays.items()}
+        assert kinds == {
+            "Grid": "Grid",
+            "TF": "TF",
+            "Robot": "RobotModel",
+            "Identified robot": "RobotModel",
+            "Identified ellipsoids": "MarkerArray",
+        }
         assert all(entry["Enabled"] for entry in displays.values())
-        for display, key, kind in (
-            ("RobotModel", "Description Topic", "std_msgs/msg/String"),
-            ("MarkerArray", "Topic", "visualization_msgs/msg/MarkerArray"),
+        for display, key, heard, kind in (
+            ("Robot", "Description Topic", "/robot_description", "std_msgs/msg/String"),
+            ("Identified robot", "Description Topic", "/geomid/robot_description", "std_msgs/msg/String"),
+            ("Identified ellipsoids", "Topic", "/geomid/markers", "visualization_msgs/msg/MarkerArray"),
         ):
             topic = displays[display][key]
-            assert topic["Value"].startswith("/geomid/")
-            assert TOPICS[topic["Value"]] == (kind, "reliable, transient local, last 1")
+            assert topic["Value"] == heard
+            assert TOPICS[heard] == (kind, "reliable, transient local, last 1")
             assert (topic["Reliability Policy"], topic["Durability Policy"]) == ("Reliable", "Transient Local")
-        assert displays["RobotModel"]["Description Source"] == "Topic"
-        assert displays["RobotModel"]["Mass Properties"] == {"Inertia": True, "Mass": False}
+        for display, visible, inertia in (("Robot", True, False), ("Identified robot", False, True)):
+            assert displays[display]["Description Source"] == "Topic"
+            assert displays[display]["Visual Enabled"] == visible
+            assert displays[display]["Mass Properties"] == {"Inertia": inertia, "Mass": False}
 
     def test_the_fixed_frame_is_the_base_of_the_arm(self, document: Any) -> None:
         children = {joint.find("child").get("link") for joint in ARM7.iter("joint")}  # type: ignore[union-attr]

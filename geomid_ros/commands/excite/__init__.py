@@ -7,6 +7,7 @@ from typing import Any
 import click
 
 from geomid_ros.commands.excite.design import design, design_options
+from geomid_ros.commands.excite.run import run
 
 
 @click.group(invoke_without_command=True)
@@ -21,3 +22,6 @@ def excite(context: click.Context, /, **options: Any) -> None:
     """
     if context.invoked_subcommand is None:
         design(**options)
+
+
+excite.add_command(run)

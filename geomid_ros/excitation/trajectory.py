@@ -1,0 +1,82 @@
+"""A motion of joints by points in time, as trajectory_msgs/JointTrajectory has it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from geomid_ros.types import FloatArray, frozen
+
+
+@dataclass(frozen=True, eq=False)
+class Trajectory:
+    """Positions, velocities and accelerations of ``joints`` at N instants; quintic polynomials lead from one to the
+    next. Arrays are read-only.
+
+    Attributes:
+        joints: Names, in the order of the columns.
+        times: ``(N,)`` [s] after the start, increasing.
+        positions: ``(N, joints)`` [rad, m].
+        velocities: ``(N, joints)`` [rad/s, m/s].
+        accelerations: ``(N, joints)`` [rad/s^2, m/s^2].
+    """
+
+    joints: tuple[str, ...]
+    times: FloatArray
+    positions: FloatArray
+    velocities: FloatArray
+    accelerations: FloatArray
+
+    def __post_init__(self) -> None:
+        for name in ("times", "positions", "velocities", "accelerations"):
+            object.__setattr__(self, name, frozen(getattr(self, name)))
+
+    @property
+    def duration(self) -> float:
+        """Time of the last point [s]."""
+        return float(self.times[-1])
+
+    @property
+    def speeds(self) -> FloatArray:
+        """Each joint's largest speed at a point ``(joints,)`` [rad/s, m/s]."""
+        return np.asarray(np.max(np.abs(self.velocities), axis=0))
+
+    def at_speed(self, factor: float) -> Trajectory:
+        """The same path, ``factor`` times as fast."""
+        return replace(
+            self,
+            times=self.times / factor,
+            velocities=self.velocities * factor,
+            accelerations=self.accelerations * factor**2,
+        )
+
+    def at(self, time: float) -> tuple[FloatArray, FloatArray]:
+        """Positions and velocities ``(joints,)`` at a ``time`` [s]; before the first point and after the last one those
+        of this point."""
+        time = min(max(time, float(self.times[0])), self.duration)
+        after = min(max(int(np.searchsorted(self.times, time)), 1), len(self.times) - 1)
+        pair = slice(after - 1, after + 1)
+        span, passed = float(np.diff(self.times[pair])[0]), time - float(self.times[after - 1])
+        coefficients = _quintic(span, self.positions[pair], self.velocities[pair], self.accelerations[pair])
+        powers = np.arange(6)
+        slopes = powers[1:] * passed ** powers[:-1]
+        return passed**powers @ coefficients, slopes @ coefficients[1:]
+
+
+def _quintic(span: float, positions: FloatArray, velocities: FloatArray, accelerations: FloatArray) -> FloatArray:
+    """Coefficients ``(6, joints)``, by power of the time [s], of the polynomials between two points ``(2, joints)``."""
+    (p, end), (v, last_v), (a, last_a) = positions, velocities, accelerations
+    rest = (end - p) / span - v - a * span / 2.0  # what the powers above two must add
+    speed = last_v - v - a * span
+    bend = (last_a - a) * span
+    return np.array(
+        [
+            p,
+            v,
+            a / 2.0,
+            (10.0 * rest - 4.0 * speed + bend / 2.0) / span**2,
+            (-15.0 * rest + 7.0 * speed - bend) / span**3,
+            (6.0 * rest - 3.0 * speed + bend / 2.0) / span**4,
+        ]
+    )

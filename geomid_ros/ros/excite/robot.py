@@ -1,0 +1,119 @@
+"""A robot as it is heard: its joints, its description, and what is recorded of it."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from functools import partial
+from pathlib import Path
+from typing import TypeVar
+
+from geometry_msgs.msg import WrenchStamped
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.serialization import deserialize_message, serialize_message
+from sensor_msgs.msg import JointState as JointStateMessage
+from std_msgs.msg import String
+
+from geomid_ros.errors import GeomidError
+from geomid_ros.excitation.running.watch import JointState
+from geomid_ros.ros.excite.recorder import Recorder
+from geomid_ros.ros.outputs import latched
+from geomid_ros.signals.messages import JOINT_STATES, JointMessage, parse
+
+_LOOK = 0.003  # [s] at most that a look waits for a message
+_MOST_AT_ONCE = 1000  # messages
+_DESCRIPTION = "robot_description"
+_WRENCH, _STATE, _TEXT = "geometry_msgs/msg/WrenchStamped", "sensor_msgs/msg/JointState", "std_msgs/msg/String"
+T = TypeVar("T")
+
+
+class HeardRobot:
+    """Subscribes to joint states and description, and records what is heard when it is asked to."""
+
+    def __init__(self, node: Node, joints: tuple[str, ...], topic: str, interrupted: Callable[[], bool]) -> None:
+        """
+        Args:
+            node: subscribes.
+            joints: whose states are asked for.
+            topic: of the joint states.
+            interrupted: whether the user wants an end.
+        """
+        self._joints = joints
+        self._interrupted = interrupted
+        self._node = node
+        self._executor = SingleThreadedExecutor()
+        self._executor.add_node(node)
+        self._new: list[JointState] = []
+        self._recorder: Recorder | None = None
+        self.description = ""
+        """The robot's URDF, as it was heard."""
+        self.names: set[str] = set()
+        """Of all joints that were heard of."""
+        self.state: JointState | None = None
+        """The last one."""
+        self._qos = QoSProfile(depth=1000, history=HistoryPolicy.KEEP_LAST, reliability=ReliabilityPolicy.BEST_EFFORT)
+        self._states = node.create_subscription(JointStateMessage, topic, self._take, self._qos, raw=True)
+        self._descriptions = node.create_subscription(String, _DESCRIPTION, self._describe, latched())
+        self.topic: str = self._states.topic_name
+        """Of the joint states, in full."""
+
+    def look(self) -> list[JointState]:
+        """What has come since the last look, or comes within a moment."""
+        self._executor.spin_once(timeout_sec=_LOOK)
+        for _ in range(_MOST_AT_ONCE):
+            with self._states.handle:
+                taken = self._states.handle.take_message(JointStateMessage, True)
+            if taken is None:
+                break
+            self._take(taken[0])
+        new, self._new = self._new, []
+        return new
+
+    def wait_for(self, find: Callable[[], T | None], patience: float) -> T | None:
+        """What is found within ``patience`` [s]. Raises GeomidError when the user wants an end."""
+        end = time.monotonic() + patience
+        while (found := find()) is None and time.monotonic() < end:
+            if self._interrupted():
+                raise GeomidError("interrupted; nothing has moved")
+            self.look()
+        return found
+
+    def period(self, seconds: float) -> float:
+        """The time from one joint state to the next [s], by what comes within some ``seconds``."""
+        begin, count = time.monotonic(), 0
+        while time.monotonic() - begin < seconds:
+            count += len(self.look())
+        return (time.monotonic() - begin) / max(count, 1)
+
+    @contextmanager
+    def recorded(self, path: Path, urdf: str) -> Iterator[Recorder]:
+        """Record joint states and all wrenches that there are into a new bag, and the ``urdf`` as description."""
+        known = self._node.get_topic_names_and_types()
+        wrenches = {topic: _WRENCH for topic, kinds in known if kinds == [_WRENCH]}
+        description: str = self._descriptions.topic_name
+        with Recorder(path, {self.topic: _STATE, description: _TEXT, **wrenches}) as recorder:
+            recorder.write(description, serialize_message(String(data=urdf)))
+            for topic in wrenches:
+                write = partial(recorder.write, topic)
+                self._node.create_subscription(WrenchStamped, topic, write, self._qos, raw=True)
+            self._recorder = recorder
+            try:
+                yield recorder
+            finally:
+                self._recorder = None
+
+    def _take(self, data: bytes) -> None:
+        if self._recorder is not None:
+            self._recorder.write(self.topic, data)
+        message = parse(JOINT_STATES, deserialize_message(data, JointStateMessage))
+        if isinstance(message, JointMessage):
+            self.names.update(message.names)
+            if (state := JointState.of(message, self._joints)) is not None:
+                self.state = state
+                self._new.append(state)
+
+    def _describe(self, message: String) -> None:
+        self.description = message.data

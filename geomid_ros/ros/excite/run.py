@@ -1,0 +1,196 @@
+"""Runs a motion on a robot: what would be done, and doing it."""
+
+from __future__ import annotations
+
+import signal
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from rclpy.node import Node
+
+from geomid_ros.errors import GeomidError, InputError
+from geomid_ros.excitation.running.limits import RobotLimits, check_motion
+from geomid_ros.excitation.running.watch import JointState, Watch
+from geomid_ros.excitation.running.ways import stopping_accelerations, way_to, way_to_rest
+from geomid_ros.excitation.trajectory import Trajectory
+from geomid_ros.model.robot import Robot
+from geomid_ros.ros.excite.controller import Controller, find_controller
+from geomid_ros.ros.excite.recorder import Recorder
+from geomid_ros.ros.excite.robot import HeardRobot
+from geomid_ros.ros.starting import running_node
+
+_PATIENCE = 5.0  # [s] for joint states and a description
+_LISTENING = 0.5  # [s] to learn how often joint states come
+_SILENCE, _PERIODS = 0.04, 3.0  # [s] and periods of the joint states without any
+_SETTLING = 0.5  # [s] after a motion
+_RESTING, _LATELY = 0.02, 0.1  # [rad/s, m/s] below which a joint stands, within the last [s]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Order:
+    """What is to be run, and how.
+
+    Attributes:
+        motion: at full speed.
+        source: where it is from, for messages.
+        speed: times its own.
+        controller: name of the joint_trajectory_controller.
+        joint_topic: topic of the joint states.
+        urdf: text and source of the robot's description; None for that on the topic robot_description.
+        tolerance: how far a joint may be from where it should be [rad, m].
+        silence: how long joint states may stay away [s]; None for 40 ms, or three of their periods if that is longer.
+    """
+
+    motion: Trajectory
+    source: str
+    speed: float
+    controller: str
+    joint_topic: str
+    urdf: tuple[str, str] | None
+    tolerance: float
+    silence: float | None
+
+    @property
+    def slowed(self) -> Trajectory:
+        """The motion as it is run."""
+        return self.motion.at_speed(self.speed)
+
+
+@dataclass(frozen=True, eq=False)
+class Plan:
+    """What would be done: the slow ``way`` from where the robot is to the start, then the ``motion``, within
+    ``limits``; joint states may stay away for ``silence`` [s]."""
+
+    way: Trajectory
+    motion: Trajectory
+    limits: RobotLimits
+    silence: float
+
+
+@contextmanager
+def prepared_run(order: Order) -> Iterator[MotionRun]:
+    """A run with all that it needs of ROS. SIGINT and SIGTERM stop it.
+
+    Raises:
+        InputError: the motion does not fit the robot, or what is needed is not there.
+    """
+    signals: list[int] = []
+    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    for number in before:
+        signal.signal(number, lambda number, _: signals.append(number))
+    try:
+        with running_node("geomid_excite") as node:
+            yield MotionRun(node, order, lambda: bool(signals))
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+class MotionRun:
+    """One motion of one robot; see :func:`prepared_run`."""
+
+    def __init__(self, node: Node, order: Order, interrupted: Callable[[], bool]) -> None:
+        self._node = node
+        self._order = order
+        self._interrupted = interrupted
+        self._robot = HeardRobot(node, order.motion.joints, order.joint_topic, interrupted)
+        self._urdf, source = order.urdf or self._description()
+        self._limits = RobotLimits.of(Robot(self._urdf, source=source), order.motion.joints)
+        check_motion(order.slowed, self._limits, order.source)
+        self.plan = self._planned(self._heard())
+        self._stopping = stopping_accelerations(order.motion, self._limits.speeds)
+
+    def _description(self) -> tuple[str, str]:
+        text = self._robot.wait_for(lambda: self._robot.description or None, _PATIENCE)
+        if text is None:
+            raise InputError("nothing comes on robot_description; name the robot's URDF with --urdf")
+        return text, "topic robot_description"
+
+    def _heard(self) -> JointState:
+        state = self._robot.wait_for(lambda: self._robot.state, _PATIENCE)
+        if state is not None:
+            return state
+        topic, missing = self._robot.topic, sorted({*self._order.motion.joints} - self._robot.names)
+        if not self._robot.names:
+            raise InputError(f"no joint states on {topic}: does the driver run? --joint-topic names another topic")
+        what = f"nothing of {', '.join(missing)}" if missing else "no message has finite positions of all joints"
+        raise InputError(f"{topic}: {what}; {self._order.source} moves {', '.join(self._order.motion.joints)}")
+
+    def _planned(self, state: JointState) -> Plan:
+        motion = self._order.slowed
+        silence = self._order.silence or max(_SILENCE, _PERIODS * self._robot.period(_LISTENING))
+        way = way_to(motion.joints, state.position, motion.positions[0], self._limits.speeds)
+        return Plan(way, motion, self._limits, silence)
+
+    def execute(self, bag: Path, say: Callable[[str], None]) -> None:
+        """Move, and record.
+
+        Args:
+            bag: to write, which does not exist yet.
+            say: is told what happens.
+
+        Raises:
+            GeomidError: why the motion was stopped. The bag is whole.
+        """
+        controller = find_controller(self._node, self._order.controller, self._robot.look)
+        with self._robot.recorded(bag, self._urdf) as recorder:
+            for name, motion in (("to the start", self.plan.way), ("the motion", self.plan.motion)):
+                say(f"{name}: {motion.duration:.1f} s")
+                self._follow(motion, controller, recorder, say)
+        if recorder.problem:
+            raise GeomidError(recorder.problem)
+
+    def _follow(
+        self, motion: Trajectory, controller: Controller, recorder: Recorder, say: Callable[[str], None]
+    ) -> None:
+        """Let the robot follow a motion, and watch over it. Raises GeomidError when it had to be stopped."""
+        if self._interrupted():
+            raise GeomidError(f"interrupted before {'the motion' if motion is self.plan.motion else 'anything moved'}")
+        self._robot.look()
+        begin = self._robot.state.stamp if self._robot.state is not None else 0
+        watch = Watch(motion, self._limits, tolerance=self._order.tolerance, silence=self.plan.silence, begin=begin)
+        controller.send(motion)
+        try:
+            problem = self._watched(watch, motion.duration + _SETTLING, controller, recorder)
+        except BaseException:
+            controller.send(self._to_rest(watch))
+            raise
+        if problem:
+            way = self._to_rest(watch)
+            controller.send(way)
+            say(f"stopping: {problem}")
+            ending = self._ending(way.duration + _SETTLING)
+            raise GeomidError(f"the motion was stopped: {problem}. {ending}. Recorded until then: {recorder.path}")
+
+    def _watched(self, watch: Watch, duration: float, controller: Controller, recorder: Recorder) -> str:
+        """Why the robot must be stopped, or nothing when the motion is over."""
+        before = time.monotonic()
+        while watch.elapsed < duration:
+            states = self._robot.look()
+            now = time.monotonic()
+            seen = watch.look(states, now - before)
+            before = now
+            interruption = "interrupted" if self._interrupted() else ""
+            if problem := interruption or controller.problem or seen or recorder.problem:
+                return problem
+        return ""
+
+    def _to_rest(self, watch: Watch) -> Trajectory:
+        return way_to_rest(self._order.motion.joints, *watch.whereabouts, self._stopping)
+
+    def _ending(self, seconds: float) -> str:
+        """Whether the robot stands after some seconds, in a sentence."""
+        heard: list[JointState] = []
+        end = time.monotonic() + seconds
+        while time.monotonic() < end:
+            heard += self._robot.look()
+        lately = [state.position for state in heard if state.stamp > heard[-1].stamp - 1e9 * _LATELY]
+        if len(lately) < 2:
+            return "Whether the robot stands is not known, as no joint states come: look at it"
+        if np.max(np.ptp(lately, axis=0)) > _RESTING * _LATELY:
+            return "The robot still moves: use its emergency stop"
+        return "The robot stands"

@@ -1,0 +1,244 @@
+"""``geomid excite run`` on a simulated robot whose joint_trajectory_controller is a process of its own."""
+
+from __future__ import annotations
+
+import signal
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+from excitation.motions import Motion, bump, lively
+from files.recordings import BAGS, Recorded, recorded
+from sensor_msgs.msg import JointState
+from std_msgs.msg import String
+from trajectory_msgs.msg import JointTrajectory
+
+from benchmarks.trajectory_controller import DEAF, GONE, PUSHED, SILENT, STRONG
+from geomid_ros.excitation.running.watch import Watch
+from geomid_ros.files.bags.bag import Bag
+from geomid_ros.files.trajectories.reading import read_trajectory
+from geomid_ros.ros.excite.run import Order, prepared_run
+
+from .processes import Process
+from .stage import Stage
+
+JOINTS = ("joint1", "joint2", "joint3")
+URDF = BAGS / "arm3.urdf"
+START = 0.2  # [rad] of all joints
+# However busy the machine is, a robot that does as it is told must not be stopped.
+PATIENT = ("--silence", "100", "--tolerance", "0.5")
+FAST = ("--speed", "1", "--execute")
+
+
+def controller(stage: Stage, start: float = START) -> Process:
+    return stage.start("benchmarks.trajectory_controller", "--urdf", URDF, "--rate", "100", "--start", str(start))
+
+
+def excite(stage: Stage, motion: Motion, *arguments: str | Path) -> Process:
+    path = motion.write(stage.folder / "trajectory.yaml", 100)
+    return stage.start("geomid_ros", "excite", "run", path, "--out", stage.folder / "out", *arguments)
+
+
+def status(stage: Stage, process: Process) -> int:
+    """The exit status of a process; messages come meanwhile."""
+    stage.observer.wait_for(lambda: not process.running, "the end of a process")
+    return process.status()
+
+
+def states(bag: Path) -> list[Recorded]:
+    """The joint states in a bag, which must be whole and have its checksums."""
+    with Bag(bag) as opened:
+        assert opened.warnings == ()
+        assert opened.checked
+    return [item for item in recorded(bag) if item.topic == "/joint_states"]
+
+
+def column(messages: list[Any], name: str) -> np.ndarray[Any, np.dtype[np.float64]]:
+    return np.array([list(getattr(message, name)) for message in messages])
+
+
+def test_without_execute_nothing_moves(stage: Stage) -> None:
+    commands = stage.observer.collect(JointTrajectory, "/joint_trajectory_controller/joint_trajectory")
+    heard = stage.observer.collect(JointState, "/joint_states")
+    controller(stage, start=0.5)
+    process = excite(stage, bump(JOINTS, 4.0))
+    assert status(stage, process) == 0, process.output
+    assert "First to the start, 0.300 rad (m) away" in process.output
+    assert "20 % of its speed: 20.0 s" in process.output
+    assert "Nothing has moved" in process.output
+    assert commands == []
+    assert np.all(column(heard, "position") == 0.5)
+    assert not (stage.folder / "out").exists()
+
+
+def test_it_goes_slowly_to_the_start_then_through_the_motion_and_records_both(stage: Stage) -> None:
+    controller(stage, start=-0.3)
+    motion = bump(JOINTS, 3.0)
+    process = excite(stage, motion, "--speed", "0.5", "--execute", *PATIENT)
+    assert status(stage, process) == 0, process.output
+    bag = stage.folder / "out/run1"
+    assert f"Next: geomid identify {bag}" in process.output
+    (description,) = [item for item in recorded(bag) if item.topic == "/robot_description"]
+    assert description.message.data == URDF.read_text()
+    items = states(bag)
+    stamps = [item.message.header.stamp.sec * 10**9 + item.message.header.stamp.nanosec for item in items]
+    times = 1e-9 * (np.array(stamps) - stamps[0])
+    assert np.all(np.diff(times) > 0.0)
+    positions, velocities = (column([item.message for item in items], name) for name in ("position", "velocity"))
+    np.testing.assert_allclose(positions[0], -0.3, atol=1e-6)
+    away = int(np.argmax(positions[:, 0] > START + 0.01))  # then the motion has begun
+    assert np.abs(velocities[:away]).max() < 0.26
+    assert np.ptp(positions[:away]) > 0.49
+    # The motion is recorded at half of its speed, whenever it began.
+    rising = np.linspace(0.0, motion.duration / 2.0, 2000)
+    begin = times[away] - 2.0 * np.interp(positions[away, 0], motion.rows(rising)[:, 0], rising)
+    wanted = motion.rows(np.clip(0.5 * (times - begin), 0.0, motion.duration))
+    np.testing.assert_allclose(positions[away:], wanted[away:], atol=2e-3)
+    np.testing.assert_allclose(positions[-1], START, atol=1e-6)
+
+
+def under_way(stage: Stage, motion: Motion, *arguments: str) -> tuple[Process, list[Any], list[Any]]:
+    """A run in the middle of its motion, with the joint states and commands so far."""
+    commands = stage.observer.collect(JointTrajectory, "/joint_trajectory_controller/joint_trajectory")
+    heard = stage.observer.collect(JointState, "/joint_states")
+    process = excite(stage, motion, *FAST, *arguments)
+
+    def moving() -> bool:
+        assert process.running, process.output
+        return "the motion:" in process.output and bool(heard) and heard[-1].position[0] > START + 0.1
+
+    stage.observer.wait_for(moving, "the motion")
+    return process, heard, commands
+
+
+def rests(stage: Stage, heard: list[Any], commands: list[Any]) -> None:
+    """The last command leads to rest, and the robot has followed it."""
+    (point,) = commands[-1].points
+    assert list(point.velocities) == [0.0] * 3
+    stage.observer.wait_for(lambda: np.allclose(heard[-1].position, point.positions, atol=1e-6), "rest")
+
+
+FAULTS: dict[str, tuple[str, str]] = {
+    "a push": (PUSHED, "joint 'joint1' is 0."),
+    "an effort": (STRONG, "the effort of joint 'joint1' is"),
+    "a controller that is deaf": (DEAF, "the controller does not follow"),
+    "a controller that is gone": (GONE, "the controller "),  # is gone, or does not follow: whichever is seen first
+}
+
+
+@pytest.mark.parametrize("case", FAULTS)
+def test_what_goes_wrong_stops_it_and_the_bag_is_whole(case: str, stage: Stage) -> None:
+    fault, said = FAULTS[case]
+    robot = controller(stage)
+    process, heard, commands = under_way(stage, bump(JOINTS, 20.0, amplitude=1.5), *PATIENT)
+    faults = stage.observer.node.create_publisher(String, "/joint_trajectory_controller/fault", 10)
+    stage.observer.wait_for(faults.get_subscription_count, "the robot")
+    faults.publish(String(data=fault))
+    assert status(stage, process) == 2
+    assert f"stopping: {said}" in process.output
+    assert f"Error: the motion was stopped: {said}" in process.output
+    assert len(states(stage.folder / "out/run1")) > 10
+    assert robot.running
+    if fault == STRONG:
+        rests(stage, heard, commands)
+    assert "The robot stands" in process.output
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_stops_it_and_the_bag_is_whole(number: signal.Signals, stage: Stage) -> None:
+    controller(stage)
+    process, heard, commands = under_way(stage, bump(JOINTS, 20.0, amplitude=1.5), *PATIENT)
+    process.send(number)
+    assert status(stage, process) == 2
+    assert "Error: the motion was stopped: interrupted. The robot stands. Recorded until then:" in process.output
+    rests(stage, heard, commands)
+    assert len(states(stage.folder / "out/run1")) > 10
+
+
+def test_an_error_of_our_own_stops_it_too(stage: Stage, monkeypatch: pytest.MonkeyPatch) -> None:
+    """In this process, with a watch that fails."""
+    controller(stage)
+    commands = stage.observer.collect(JointTrajectory, "/joint_trajectory_controller/joint_trajectory")
+    path = bump(JOINTS, 20.0).write(stage.folder / "trajectory.yaml", 100)
+    order = Order(
+        motion=read_trajectory(path),
+        source=str(path),
+        speed=1.0,
+        controller="/joint_trajectory_controller",
+        joint_topic="joint_states",
+        urdf=None,
+        tolerance=0.5,
+        silence=100.0,
+    )
+
+    def fail(*_: object) -> str:
+        raise RuntimeError("a defect")
+
+    monkeypatch.setenv("ROS_DOMAIN_ID", str(stage.domain))
+    before = signal.getsignal(signal.SIGINT)
+    with prepared_run(order) as run:
+        monkeypatch.setattr(Watch, "look", fail)
+        with pytest.raises(RuntimeError, match="a defect"):
+            run.execute(stage.folder / "run1", lambda _: None)
+    assert signal.getsignal(signal.SIGINT) is before
+    stage.observer.wait_for(lambda: commands and len(commands[-1].points) == 1, "the command to rest")
+    states(stage.folder / "run1")
+
+
+def test_a_robot_that_is_killed_is_silent(stage: Stage) -> None:
+    robot = controller(stage)
+    process, _, _ = under_way(stage, bump(JOINTS, 20.0, amplitude=1.5), "--silence", "3", "--tolerance", "0.5")
+    robot.send(signal.SIGKILL)
+    assert status(stage, process) == 2
+    assert "stopping: no joint states for" in process.output
+    assert "Whether the robot stands is not known" in process.output
+    assert len(states(stage.folder / "out/run1")) > 10
+
+
+def test_silence_stops_it(stage: Stage) -> None:
+    controller(stage)
+    process, _, commands = under_way(stage, bump(JOINTS, 20.0, amplitude=1.5), "--silence", "3", "--tolerance", "0.5")
+    faults = stage.observer.node.create_publisher(String, "/joint_trajectory_controller/fault", 10)
+    stage.observer.wait_for(faults.get_subscription_count, "the robot")
+    faults.publish(String(data=SILENT))
+    assert status(stage, process) == 2
+    assert "stopping: no joint states for" in process.output
+    (point,) = commands[-1].points
+    assert list(point.velocities) == [0.0] * 3
+
+
+def refused(stage: Stage, *arguments: str | Path) -> str:
+    """What a run says that must not begin."""
+    process = excite(stage, bump(JOINTS, 4.0), *arguments)
+    assert status(stage, process) == 2
+    assert not (stage.folder / "out").exists()
+    return process.output.partition("Error: ")[2]
+
+
+def test_what_is_not_there_is_named(stage: Stage) -> None:
+    assert "nothing comes on robot_description; name the robot's URDF with --urdf" in refused(stage)
+    assert "no joint states on /joint_states: does the driver run?" in refused(stage, "--urdf", URDF)
+    controller(stage)
+    message = refused(stage, "--controller", "/arm_controller", "--execute")
+    assert "nobody listens to /arm_controller/joint_trajectory" in message
+    assert "these are there: /joint_trajectory_controller" in message
+    assert "unknown joint of topic robot_description" in refused_motion(stage, joint_names=["joint1", "joint2", "x"])
+
+
+def refused_motion(stage: Stage, **changes: Any) -> str:
+    path = stage.folder / "changed.yaml"
+    path.write_text(yaml.safe_dump({**bump(JOINTS, 4.0).document(20), **changes}))
+    process = stage.start("geomid_ros", "excite", "run", path)
+    assert status(stage, process) == 2
+    return process.output.partition("Error: ")[2]
+
+
+def test_from_a_urdf_to_an_identified_robot(stage: Stage) -> None:
+    """The simulated robot's inertias are a fifth larger than the URDF's."""
+    controller(stage, start=0.0)
+    process = excite(stage, lively(JOINTS, 12.0, 0.4), *FAST, *PATIENT, "--identify")
+    assert status(stage, process) == 0, process.output
+    assert (stage.folder / "out/run1_identified/estimate.json").exists()
+    assert "Links" in process.output

@@ -1,0 +1,110 @@
+"""What the console says of how the node gets on."""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+from files.recordings import BAGS
+
+from geomid_ros.estimation.estimate import QUANTITIES
+from geomid_ros.live.status import Status
+from geomid_ros.ros import console as module
+from geomid_ros.ros.console import AGAIN, Console
+from geomid_ros.ros.news import News
+from geomid_ros.signals.ledger import Account
+
+from .stage import Stage, description
+from .test_catalogue_console import Lines
+
+
+def link(name: str, mass: float, told: bool) -> Any:
+    return SimpleNamespace(name=name, mass=mass, std_mass=0.01, cannot_tell=() if told else QUANTITIES)
+
+
+def status(received: int, told: dict[str, bool] | None = None, accepted: int | None = None) -> Status:
+    """After so many messages, with an estimate of these links, and whether their masses are told."""
+    estimate: Any = told and SimpleNamespace(
+        rows_accepted=7, links=[link(name, 2.0, known) for name, known in told.items()]
+    )
+    good = received if accepted is None else accepted
+    account = Account(accepted=good, rejected=Counter({"for a reason": received - good}))
+    return Status(active=True, accounts={"joint_states": account}, estimate=estimate)
+
+
+def said(*seconds: Status) -> list[list[str]]:
+    news = News()
+    return [[*news.since(second)] for second in seconds]
+
+
+def test_data_that_come_are_said_once_in_their_second_second() -> None:
+    counts = (0, 60, 160, 260, 260, 300, 400)
+    assert said(*(status(count) for count in counts)) == [
+        [],
+        [],
+        ["joint_states comes, 100 messages a second"],
+        [],
+        [],
+        [],
+        ["joint_states comes, 100 messages a second"],
+    ]
+
+
+def test_messages_that_are_all_refused_do_not_come() -> None:
+    assert said(*(status(count, accepted=0) for count in (0, 60, 160, 260))) == [[]] * 4
+
+
+def test_the_first_estimate_and_every_link_that_becomes_known_are_said_once() -> None:
+    seconds = [
+        status(0),
+        status(0, {"a": False, "b": True, "c": False}),
+        status(0, {"a": False, "b": True, "c": False}),
+        status(0, {"a": True, "b": False, "c": True}),
+        status(0, {"a": True, "b": True, "c": True}),
+    ]
+    assert said(*seconds) == [
+        [],
+        ["first estimate, from 7 rows; known: b 2.000 ± 0.010 kg; not yet: a, c"],
+        [],
+        ["known now: a 2.000 ± 0.010 kg, c 2.000 ± 0.010 kg"],
+        [],
+    ]
+
+
+def test_after_a_reset_there_is_a_first_estimate_again() -> None:
+    first = ["first estimate, from 7 rows; no link's mass is known by itself yet"]
+    nothing, some = status(0), status(0, {"a": False})
+    assert said(some, nothing, some) == [first, [], first]
+
+
+def test_names_without_end_do_not_fill_the_console() -> None:
+    (first,) = said(status(0, {f"link{number}": True for number in range(100)}))[0]
+    assert first.endswith("link7 2.000 ± 0.010 kg and 92 more")
+
+
+def test_the_same_news_are_said_once_a_minute(monkeypatch: pytest.MonkeyPatch) -> None:
+    now, log = [5.0], Lines()
+    monkeypatch.setattr(module, "time", SimpleNamespace(monotonic=lambda: now[0]))
+    console = Console(log)
+    for second in range(301):
+        console.tell_news([f"joint_states comes, {second} messages a second"])
+        now[0] += 1.0
+    assert [line for line, _ in log.lines] == ["info"] * (1 + 300 // int(AGAIN))
+
+
+def test_a_node_says_what_comes_and_what_it_has_found(stage: Stage) -> None:
+    node = stage.node({"robot_description": description("arm3"), "solve_period": 0.2})
+    player = stage.play(BAGS / "arm3", 1.0)
+    stage.spin_while(player)
+    stage.observer.wait_for(lambda: "first estimate, from" in node.output, "the first estimate")
+    lines = re.findall(r"\[INFO\] \S+ \[geomid\]: (.*)", node.output)
+    assert re.fullmatch(r"joint_states comes, \d+ messages a second", lines[1])
+    assert lines[0].startswith("identifying 3 links")
+
+
+def test_a_node_that_is_to_wait_says_so(stage: Stage) -> None:
+    node = stage.node({"active": False})
+    stage.observer.wait_for(lambda: "waiting for ~/start, as the parameter active is false" in node.output, "the line")
