@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from geomid_ros.estimation.estimate import QUANTITIES
 from geomid_ros.excitation.learning import Expected
 from geomid_ros.files.disk import make_folder, write_json
-from geomid_ros.files.trajectories.trajectory import write_bag, write_csv, write_yaml
+from geomid_ros.files.trajectories.writing import write_bag, write_csv, write_yaml
 from geomid_ros.report.sheet import DPI, FAINT, IDENTIFIED, INK, write_picture
 from geomid_ros.session.excitation import Excitation
 from geomid_ros.types import FloatArray
@@ -96,11 +96,11 @@ def motion_figure(found: Excitation) -> Figure:
     figure = Figure(figsize=(_WIDTH, _ROW_HEIGHT * len(names) + 1.0), dpi=DPI, facecolor="white", layout="constrained")
     FigureCanvasAgg(figure)
     axes = figure.subplots(len(names), 2, sharex=True, squeeze=False)
-    efforts = found.task.knowledge.efforts(trajectory.states)
+    efforts = found.task.knowledge.efforts(found.motion.at(trajectory.times)[:3])
     for index, (name, (left, right)) in enumerate(zip(names, axes, strict=True)):
-        left.plot(trajectory.times, trajectory.states[0, :, index], color=INK, lw=1.2)
+        left.plot(trajectory.times, trajectory.positions[:, index], color=INK, lw=1.2)
         left.set_ylabel(name, fontsize=8, parse_math=False)
-        right.plot(trajectory.times, trajectory.states[1, :, index] / limits.velocity[index], color=INK, lw=1.0)
+        right.plot(trajectory.times, trajectory.velocities[:, index] / limits.velocity[index], color=INK, lw=1.0)
         right.plot(trajectory.times, efforts[:, index] / limits.effort[index], color=IDENTIFIED, lw=1.0)
         right.set_ylim(-1.05, 1.05)
         for edge in (-1.0, 1.0):

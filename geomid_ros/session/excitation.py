@@ -18,11 +18,11 @@ from geomid_ros.excitation.motion import Motion, MotionForm
 from geomid_ros.excitation.rivals import DECIDED, Judge, deciding_motion
 from geomid_ros.excitation.search import Search, expected_error, random_feasible, random_motion
 from geomid_ros.excitation.start import starts
+from geomid_ros.excitation.trajectory import Trajectory
 from geomid_ros.files.models.joint_limits import read_joint_limits
 from geomid_ros.files.models.posterior import POSTERIOR, read_posterior
 from geomid_ros.files.models.results import read_estimate
 from geomid_ros.files.shapes.outlines import link_shapes, obstacles
-from geomid_ros.files.trajectories.trajectory import Trajectory
 from geomid_ros.model.collision import CollisionModel, Pair
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.session.configuration import Configuration
@@ -147,7 +147,7 @@ class Excitation:
         """The motion as points."""
         duration = self.motion.form.duration
         times = np.linspace(0.0, duration, round(RATE * duration) + 1)
-        return Trajectory(self.task.feasibility.names, times, self.motion.at(times)[:3])
+        return Trajectory(self.task.feasibility.names, times, *self.motion.at(times)[:3])
 
 
 def task_of(urdf: str, source: Path, configuration: Configuration, wish: Wish) -> Task:

@@ -12,6 +12,8 @@ from excitation.arm import urdf
 from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_typestore
 
+from geomid_ros.files.trajectories.reading import read_trajectory
+
 from .running import done, geomid, refused
 
 QUICK = ("--duration", "6", "--repeats", "2")
@@ -46,6 +48,9 @@ def test_the_files_say_the_same_motion(folder: Path) -> None:
     for ends in (velocity, acceleration):
         assert np.allclose(ends[[0, -1]], 0.0, atol=1e-6)
     assert np.allclose(position[:301], position[300:], atol=1e-9)
+    read = read_trajectory(folder / "trajectory.yaml")
+    assert np.array_equal(read.positions, position)
+    assert read.duration == 6.0
     table = np.loadtxt(folder / "trajectory.csv", delimiter=",", skiprows=1)
     assert np.allclose(table, np.column_stack([times, position, velocity, acceleration]))
     with AnyReader([folder / "trajectory_bag"], default_typestore=get_typestore(Stores.ROS2_JAZZY)) as bag:

@@ -34,7 +34,7 @@ def _margins(found: Excitation) -> Table:
     table = plain_table("How much of each limit is used")
     table.add_column("joint", overflow="fold")
     number_columns(table, ["from", "to", "to limit", "speed", "acceleration", "jerk", "effort, with its margin"])
-    margins, positions = found.margins, found.trajectory.states[0]
+    margins, positions = found.margins, found.trajectory.positions
     for index, name in enumerate(found.task.feasibility.names):
         used = (margins.velocity, margins.acceleration, margins.jerk, margins.effort)
         ends = np.min(positions[:, index]), np.max(positions[:, index]), margins.position[index]

@@ -1,4 +1,4 @@
-"""Trajectories for a joint trajectory controller: ``trajectory.yaml``, ``trajectory.csv`` and a rosbag.
+"""Writing trajectories: ``trajectory.yaml``, ``trajectory.csv`` and a rosbag for a joint trajectory controller.
 
 ``trajectory.yaml`` has the fields of ``trajectory_msgs/JointTrajectory``: ``joint_names`` and ``points`` of
 ``positions``, ``velocities``, ``accelerations`` and ``time_from_start`` {``sec``, ``nanosec``}.
@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import shutil
 import tempfile
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +16,7 @@ from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
 from geomid_ros.errors import GeomidError
+from geomid_ros.excitation.trajectory import Trajectory
 from geomid_ros.files.disk import write_text
 from geomid_ros.types import FloatArray
 
@@ -26,25 +26,11 @@ _TYPES = get_typestore(Stores.ROS2_JAZZY)
 _KIND = "trajectory_msgs/msg/JointTrajectory"
 
 
-@dataclass(frozen=True, eq=False)
-class Trajectory:
-    """``states (3, N, J)``, positions, velocities and accelerations of the ``joints`` at ``times (N,)`` [s]."""
-
-    joints: tuple[str, ...]
-    times: FloatArray
-    states: FloatArray
-
-    @property
-    def stamps(self) -> list[tuple[int, int]]:
-        """Seconds and nanoseconds from the start, of each point."""
-        return [divmod(round(time * _NANO), _NANO) for time in self.times.tolist()]
-
-
 def write_yaml(path: Path, trajectory: Trajectory) -> None:
     """Write ``trajectory.yaml``. Raises GeomidError naming the file."""
     lines = [f"joint_names: [{', '.join(map(_quoted, trajectory.joints))}]", "points:"]
-    for row, (seconds, nanoseconds) in enumerate(trajectory.stamps):
-        position, velocity, acceleration = (_numbers(own[row]) for own in trajectory.states)
+    for row, (seconds, nanoseconds) in enumerate(_stamps(trajectory)):
+        position, velocity, acceleration = (_numbers(own[row]) for own in _states(trajectory))
         lines += [
             f"- positions: [{position}]",
             f"  velocities: [{velocity}]",
@@ -59,7 +45,7 @@ def write_csv(path: Path, trajectory: Trajectory) -> None:
     kinds = ("position", "velocity", "acceleration")
     lines = [",".join(["time", *(f"{name} {kind}" for kind in kinds for name in trajectory.joints)])]
     for row, time in enumerate(trajectory.times.tolist()):
-        lines.append(f"{time!r},{_numbers(trajectory.states[:, row].ravel(), ',')}")
+        lines.append(f"{time!r},{_numbers(np.concatenate([own[row] for own in _states(trajectory)]), ',')}")
     write_text(path, "\n".join(lines) + "\n")
 
 
@@ -71,13 +57,13 @@ def write_bag(folder: Path, trajectory: Trajectory) -> None:
     types = _TYPES.types
     points = [
         types["trajectory_msgs/msg/JointTrajectoryPoint"](
-            positions=np.array(trajectory.states[0, row]),
-            velocities=np.array(trajectory.states[1, row]),
-            accelerations=np.array(trajectory.states[2, row]),
+            positions=np.array(trajectory.positions[row]),
+            velocities=np.array(trajectory.velocities[row]),
+            accelerations=np.array(trajectory.accelerations[row]),
             effort=np.zeros(0),
             time_from_start=types["builtin_interfaces/msg/Duration"](sec=seconds, nanosec=nanoseconds),
         )
-        for row, (seconds, nanoseconds) in enumerate(trajectory.stamps)
+        for row, (seconds, nanoseconds) in enumerate(_stamps(trajectory))
     ]
     time = types["builtin_interfaces/msg/Time"](sec=0, nanosec=0)
     header = types["std_msgs/msg/Header"](stamp=time, frame_id="")
@@ -96,6 +82,15 @@ def _write(folder: Path, message: Any) -> None:
             made.rename(folder)
     except OSError as error:
         raise GeomidError(f"{folder}: the bag cannot be written ({error})") from error
+
+
+def _states(trajectory: Trajectory) -> tuple[FloatArray, FloatArray, FloatArray]:
+    return trajectory.positions, trajectory.velocities, trajectory.accelerations
+
+
+def _stamps(trajectory: Trajectory) -> list[tuple[int, int]]:
+    """Seconds and nanoseconds from the start, of each point."""
+    return [divmod(round(time * _NANO), _NANO) for time in trajectory.times.tolist()]
 
 
 def _numbers(values: FloatArray, separator: str = ", ") -> str:
