@@ -1,4 +1,4 @@
-"""A designed motion holds its limits by another route: its file, finite differences at 1 kHz, and MuJoCo's distances and
+"""A feasible motion holds its limits by another route: finite differences of its file at 1 kHz, MuJoCo's distances and
 efforts."""
 
 from __future__ import annotations
