@@ -56,6 +56,8 @@ class Simulated:
 
     def __init__(self, description: Description, joints: Sequence[str]) -> None:
         self.model = mujoco.MjModel.from_xml_string(_for_mujoco(description))
+        # Efforts are those of free links: hulls of neighbours overlap, and would push each other apart.
+        self.model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONSTRAINT
         self.data = mujoco.MjData(self.model)
         ids = [self.model.joint(name).id for name in joints]
         self._q, self._v = self.model.jnt_qposadr[ids], self.model.jnt_dofadr[ids]
