@@ -44,7 +44,7 @@ FLOORS = {
     "__main__": 11,
 }
 # Names from outside, and the rooms in which alone they may be imported.
-KEPT_IN = {"pinocchio": ("model",), "mujoco": ("simulation", "resimulation"), "rclpy": ("ros",)}
+KEPT_IN = {"coal": ("model",), "pinocchio": ("model",), "mujoco": ("simulation", "resimulation"), "rclpy": ("ros",)}
 COMPUTED = "(computed)"  # a name that is known only when the program runs: the player's message types
 MOST_POSITIONAL = 6
 ROS_SUFFIXES = ("_msgs", "_srvs", "_interfaces")
@@ -154,6 +154,7 @@ def test_the_simulator_shares_no_code_with_the_estimator() -> None:
 NAMESAKES = {
     ("geomid_ros.commands.options", "effort_gain"),
     ("geomid_ros.commands.root", "payload"),
+    ("geomid_ros.excitation.criteria", "payload"),
     ("geomid_ros.plausibility.words", "effort_gain"),
     ("geomid_ros.session.configuration", "effort_gain"),
     ("geomid_ros.session.session", "effort_gain"),

@@ -16,7 +16,7 @@ from geomid_ros.errors import TOO_LITTLE_MEMORY, GeomidError, is_lack_of_memory,
 COMMANDS = {
     "dashboard": "Show a running node on a local page.",
     "demo": "Watch a robot's inertias being identified live.",
-    "excite": "Move so that much can be learned.",
+    "excite": "Design a motion from which much is learned.",
     "export": "Print an estimate in the terms of other software.",
     "fleet": "Identify many robots of a type from many bags.",
     "gap": "Find what a simulation lacks.",

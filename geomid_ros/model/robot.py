@@ -282,6 +282,28 @@ class Robot:
             v[:, joint.v], a[:, joint.v] = velocity, acceleration
         return q, v, a
 
+    @property
+    def pinocchio_model(self) -> pin.Model:
+        """A copy of pinocchio's model."""
+        return self._model.copy()
+
+    def pinocchio_positions(self, position: FloatArray) -> FloatArray:
+        """Pinocchio's q ``(N, nq)`` at positions ``(N, joints)``, with what follows them."""
+        still, none = np.zeros_like(position), np.zeros((len(position), 0))
+        return self.configuration(
+            Samples(
+                stamps=np.zeros(len(position), dtype=np.int64),
+                position=position,
+                velocity=still,
+                acceleration=still,
+                effort=still,
+                base_pose=none,
+                base_velocity=none,
+                base_acceleration=none,
+                wrenches=np.zeros((len(position), 0, 6)),
+            )
+        )[0]
+
     def _motions(self, samples: Samples) -> Iterator[tuple[Joint, FloatArray, FloatArray, FloatArray]]:
         """Every moving joint's position, velocity and acceleration, each ``(N,)``."""
         motions = np.stack([samples.position, samples.velocity, samples.acceleration])

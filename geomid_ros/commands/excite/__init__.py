@@ -1,15 +1,27 @@
-"""``geomid excite``: motions that tell what a robot weighs."""
+"""``geomid excite``: motions that tell what a robot weighs. Without a subcommand it designs one."""
 
 from __future__ import annotations
 
+from typing import Any
+
 import click
 
+from geomid_ros.commands.excite.design import design, design_options
 from geomid_ros.commands.excite.run import run
 
 
-@click.group()
-def excite() -> None:
-    """Move so that much can be learned."""
+@click.group(invoke_without_command=True)
+@design_options
+@click.pass_context
+def excite(context: click.Context, /, **options: Any) -> None:
+    """Design a motion from which much is learned.
+
+    Writes a trajectory that is feasible at every instant: position, speed, acceleration, jerk, effort with a margin
+    for inertias that are not known yet, and a clearance between all links and their surroundings. It is at rest at
+    both ends.
+    """
+    if context.invoked_subcommand is None:
+        design(**options)
 
 
 excite.add_command(run)

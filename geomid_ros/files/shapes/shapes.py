@@ -75,6 +75,15 @@ class ShapeReader:
                 return Solid(self._union(found, link.get("name", "")), *_together(found), f"{kind}: {name}")
         return None
 
+    def outlines(self, link: Element) -> list[FloatArray]:
+        """Corners ``(V, 3)`` [m] of each shape of a ``<link>``, in its frame: of the collision shapes, or of the visual
+        ones if there are no others.
+
+        Raises InputError naming the link.
+        """
+        found = list(self._shapes(link, "collision")) or list(self._shapes(link, "visual"))
+        return [np.asarray(shape.surface.vertices) for shape in found]
+
     def _shapes(self, link: Element, kind: str) -> Iterator[_Shape]:
         """The shapes of one kind in the link's frame, without those of no volume."""
         name = link.get("name", "")

@@ -1,0 +1,1 @@
+"""Designed motions: whether they are safe, what they tell, and how long a design takes."""

@@ -1,0 +1,218 @@
+"""Whether a motion is feasible at every instant, with what margin, and how it is made so."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from geomid_ros.errors import InputError
+from geomid_ros.excitation.knowledge import Knowledge
+from geomid_ros.excitation.limits import MotionLimits
+from geomid_ros.excitation.motion import Motion
+from geomid_ros.model.collision import CollisionModel
+from geomid_ros.types import FloatArray, IntArray
+
+SURE = 2.0
+"""Standard deviations of the efforts to expect that must fit below the limits, too."""
+_FINE = 500.0  # [Hz] at which positions, speeds, accelerations, jerks are looked at
+_EFFORTS = 50.0  # [Hz]
+_DISTANCES = 50.0  # [Hz] to begin with
+_SHORTEST = 2e-4  # [s] between instants of which the distance is computed
+_RESERVE = 1e-3  # of each limit, for what happens between two instants
+_EDGE = 0.01  # of a joint's range, at most so many rad or m
+_HALVINGS = 12
+_SHARE_AT_START = 0.5  # of the distance at the start, for pairs that begin closer than the clearance
+
+
+@dataclass(frozen=True, eq=False)
+class Margins:
+    """How far a motion stays from what it must not do.
+
+    Attributes:
+        position: least distance of each joint from its limits ``(J,)`` [rad, m].
+        velocity, acceleration, jerk, effort: largest share of each joint's limit that is used ``(J,)``; that of the
+            effort includes :data:`SURE` standard deviations.
+        distance: a lower bound of the distance of each pair ``(pairs,)`` [m].
+    """
+
+    position: FloatArray
+    velocity: FloatArray
+    acceleration: FloatArray
+    jerk: FloatArray
+    effort: FloatArray
+    distance: FloatArray
+
+
+class Feasibility:
+    """All that a motion from ``start (J,)`` must hold."""
+
+    def __init__(
+        self,
+        knowledge: Knowledge,
+        limits: MotionLimits,
+        start: FloatArray,
+        collision: CollisionModel | None = None,
+        clearance: float = 0.02,
+    ) -> None:
+        """``clearance`` [m]: between all pairs that have it at the start; others keep half of what they have there.
+
+        Raises InputError for a start that is not feasible itself.
+        """
+        self.knowledge, self.limits, self.start, self.collision = knowledge, limits, start, collision
+        self.names = knowledge.model.robot.joint_names
+        self.edge = np.minimum(_EDGE, _EDGE * np.diff(limits.position)[:, 0])
+        self._check_start()
+        self.clearances = np.zeros(0)
+        """Of each pair [m]."""
+        if collision is not None:
+            at_start = collision.distances(start[None])[0]
+            self._refuse_touching(at_start)
+            self.clearances = np.minimum(clearance, _SHARE_AT_START * at_start)
+
+    def _check_start(self) -> None:
+        low, high = self.limits.position.T
+        for name, own, lower, upper in zip(self.names, self.start, low, high, strict=True):
+            if not lower <= own <= upper:
+                raise InputError(
+                    f"the start of joint '{name}' is {own:.4g}, outside of its limits {lower:.4g} to {upper:.4g}; "
+                    "give another --start"
+                )
+        still = np.stack([self.start, 0.0 * self.start, 0.0 * self.start])[:, None]
+        used = self._effort_shares(still)[0]
+        worst = int(np.argmax(used))
+        if used[worst] >= 1.0:
+            raise InputError(
+                f"at the start gravity and its uncertainty take {100 * used[worst]:.0f} % of the effort limit of joint "
+                f"'{self.names[worst]}'; give another --start"
+            )
+
+    def _refuse_touching(self, distances: FloatArray) -> None:
+        if self.collision is not None and np.any(distances <= 0.0):
+            pair = self.collision.pairs[int(np.argmin(distances))]
+            raise InputError(f"at the start {pair} overlap by {-1e3 * np.min(distances):.0f} mm; give another --start")
+
+    def _effort_shares(self, states: FloatArray) -> FloatArray:
+        """Shares of the effort limits ``(N, J)`` that are used at ``states (3, N, J)``."""
+        rows = self.knowledge.rows(states)
+        spread = np.sqrt(np.maximum(np.einsum("njd,de,nje->nj", rows, self.knowledge.posterior.covariance, rows), 0.0))
+        return np.asarray((np.abs(self.knowledge.efforts(states)) + SURE * spread) / self.limits.effort)
+
+    def largest_scale(self, motion: Motion) -> FloatArray:
+        """The factors ``(J,)`` that bring each joint of a motion to the first of its limits of position, speed,
+        acceleration and jerk."""
+        states = motion.at(_times(motion, _FINE))
+        away = states[0] - self.start
+        low, high = self.limits.position.T
+        room = np.stack([self.start - low - self.edge, high - self.edge - self.start])
+        room = np.maximum(room, 0.0)
+        far = np.stack([-np.min(away, axis=0), np.max(away, axis=0)])
+        fast = np.max(np.abs(states[1:]), axis=1)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            shares = np.concatenate([far / room, fast / ((1.0 - _RESERVE) * self.limits.derivatives)])
+        worst = np.max(np.nan_to_num(shares, nan=0.0, posinf=np.inf), axis=0)
+        return np.where(worst > 0.0, 1.0 / np.where(worst > 0.0, worst, 1.0), 0.0)
+
+    def within_limits(self, motion: Motion) -> Motion:
+        """The motion, each joint shrunk into its own limits."""
+        return motion.scaled(np.minimum(1.0, self.largest_scale(motion)))
+
+    def made_feasible(self, motion: Motion) -> Motion:
+        """The motion, each joint shrunk into its own limits, and all of it towards the start until efforts and
+        distances hold, too."""
+        shrunk = self.within_limits(motion)
+        if self.holds(shrunk):
+            return shrunk
+        low, high = 0.0, 1.0
+        for _ in range(_HALVINGS):
+            middle = 0.5 * (low + high)
+            low, high = (middle, high) if self.holds(shrunk.scaled(middle)) else (low, middle)
+        return shrunk.scaled(low)
+
+    def holds(self, motion: Motion) -> bool:
+        """Whether a motion within its joints' limits holds those of efforts and distances, too."""
+        times = _times(motion, _EFFORTS)
+        if np.max(self._effort_shares(motion.at(times)[:3])) > 1.0 - _RESERVE:
+            return False
+        return self.collision is None or self._is_clear(motion, self.collision)
+
+    def _is_clear(self, motion: Motion, collision: CollisionModel) -> bool:
+        found = _Distances(motion, collision, self.clearances)
+        return found.settle()
+
+    def margins(self, motion: Motion) -> Margins:
+        """How far a feasible motion stays from all limits."""
+        states = motion.at(_times(motion, _FINE))
+        low, high = self.limits.position.T
+        used = np.max(np.abs(states[1:]), axis=1) / self.limits.derivatives
+        efforts = np.max(self._effort_shares(motion.at(_times(motion, _EFFORTS))[:3]), axis=0)
+        return Margins(
+            position=np.min(np.minimum(states[0] - low, high - states[0]), axis=0),
+            velocity=used[0],
+            acceleration=used[1],
+            jerk=used[2],
+            effort=efforts,
+            distance=self._least_distances(motion),
+        )
+
+    def _least_distances(self, motion: Motion) -> FloatArray:
+        if self.collision is None:
+            return np.zeros(0)
+        found = _Distances(motion, self.collision, self.clearances)
+        found.settle()
+        return found.bounds()
+
+
+def _times(motion: Motion, rate: float) -> FloatArray:
+    """Instants of a period, at a ``rate`` [Hz]."""
+    return np.linspace(0.0, motion.form.period, int(np.ceil(rate * motion.form.period)) + 1)
+
+
+class _Distances:
+    """Distances at some instants of a motion, and what they say of those between.
+
+    No point of a pair's bodies moves faster relative to the other than ``reach . |speeds|``. Between two instants the
+    distance is at least half of what it is at both together, less half of the way in between.
+    """
+
+    def __init__(self, motion: Motion, collision: CollisionModel, clearances: FloatArray) -> None:
+        self._motion, self._collision, self._clearances = motion, collision, clearances
+        self._reach = collision.reach @ collision.coupling_sizes
+        self._times = _times(motion, _DISTANCES)
+        self._distances = collision.distances(motion.at(self._times)[0])
+
+    def settle(self) -> bool:
+        """Halve intervals until the clearances are certain, or are found not to hold."""
+        while np.all(self._distances >= self._clearances):
+            unsure = np.flatnonzero(np.any(self._between() < self._clearances, axis=1))
+            if not len(unsure):
+                return True
+            if np.min(np.diff(self._times)[unsure]) < _SHORTEST:
+                return False
+            self._refine(unsure)
+        return False
+
+    def _between(self) -> FloatArray:
+        """Lower bounds ``(N - 1, pairs)`` of the distances between instants."""
+        ends = self._distances[:-1] + self._distances[1:]
+        return np.asarray(0.5 * (ends - self._ways() @ self._reach.T))
+
+    def _ways(self) -> FloatArray:
+        """At least the ways ``(N - 1, J)`` that joints go between instants."""
+        states = self._motion.at(self._times)
+        steps = np.diff(self._times)[:, None]
+        # The speed is at most that at the nearer end, and what the largest acceleration adds in half of the time.
+        fastest = np.maximum(np.abs(states[1, :-1]), np.abs(states[1, 1:]))
+        jerk = np.max(np.abs(states[3]), axis=0)
+        harder = np.max(np.abs(states[2]), axis=0) + 0.5 * np.max(steps) * jerk
+        return np.asarray(steps * (fastest + 0.5 * steps * harder))
+
+    def _refine(self, intervals: IntArray) -> None:
+        middles = 0.5 * (self._times[intervals] + self._times[intervals + 1])
+        new = self._collision.distances(self._motion.at(middles)[0])
+        self._times = np.insert(self._times, intervals + 1, middles)
+        self._distances = np.insert(self._distances, intervals + 1, new, axis=0)
+
+    def bounds(self) -> FloatArray:
+        """Lower bounds of the distances ``(pairs,)`` at all instants."""
+        return np.asarray(np.min(self._between(), axis=0))

@@ -1,0 +1,197 @@
+"""What is known of a robot's parameters, and what a motion would add to it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from geomid_ros.errors import InputError
+from geomid_ros.estimation.fit import INDEPENDENT
+from geomid_ros.estimation.posterior import EffectCoordinate, Posterior
+from geomid_ros.estimation.starting_point import usual_spreads
+from geomid_ros.estimation.uncertainty import physical_sensitivity
+from geomid_ros.excitation.limits import MotionLimits
+from geomid_ros.excitation.motion import Motion
+from geomid_ros.model.measurement import MeasurementModel
+from geomid_ros.model.samples import Samples
+from geomid_ros.model.urdf_tree import read_numbers, read_xml
+from geomid_ros.types import FloatArray, frozen
+
+NOISE = 2e-3
+"""Standard deviation of an effort of which nothing is known, as a share of the joint's limit."""
+CUTOFF = 5.0
+"""[Hz] of the low-pass that recordings usually pass."""
+ROWS_PER_SECOND = INDEPENDENT * CUTOFF
+"""Independent measurements of each joint in a second behind that filter."""
+_USUAL_SHARE = 0.02  # of the joint's effort limit that an effect usually adds
+_RATE = 4.0  # [1/s] of acceleration to speed, in random states
+_STATES = 200
+_DYNAMICS = ("damping", "friction")
+_WIDEST = np.pi  # [rad, m]
+
+
+def samples_of(states: FloatArray) -> Samples:
+    """Samples at positions, velocities and accelerations ``(3, N, J)``, nothing measured."""
+    still, none = np.zeros_like(states[0]), np.zeros((states.shape[1], 0))
+    return Samples(
+        stamps=np.arange(states.shape[1], dtype=np.int64),
+        position=states[0],
+        velocity=states[1],
+        acceleration=states[2],
+        effort=still,
+        base_pose=none,
+        base_velocity=none,
+        base_acceleration=none,
+        wrenches=np.zeros((states.shape[1], 0, 6)),
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class Knowledge:
+    """What is known before a motion.
+
+    Attributes:
+        model: which parameters are unknown; its channels are the joints' efforts.
+        posterior: of these parameters, in their order.
+        sigmas: standard deviations of the measured efforts ``(J,)``.
+    """
+
+    model: MeasurementModel
+    posterior: Posterior
+    sigmas: FloatArray
+
+    @cached_property
+    def precision(self) -> FloatArray:
+        """The inverse of the covariance ``(D, D)``."""
+        deviations = np.sqrt(np.diag(self.posterior.covariance))
+        scaled = self.posterior.covariance / np.outer(deviations, deviations)
+        inverse = np.linalg.pinv(scaled, rcond=1e-12, hermitian=True)
+        return frozen(inverse / np.outer(deviations, deviations))
+
+    def rows(self, states: FloatArray) -> FloatArray:
+        """Rows ``(N, J, D)`` by the tangent coordinates, of efforts in N m or N, at ``states (3, N, J)``."""
+        coefficients = self.model.rows(samples_of(states)).coefficients
+        flat = self.posterior.manifold.whiten(self.posterior.point, coefficients.reshape(-1, self.model.dimension))
+        return flat.reshape(coefficients.shape)
+
+    def efforts(self, states: FloatArray) -> FloatArray:
+        """The efforts ``(N, J)`` to expect at ``states (3, N, J)``."""
+        return np.asarray(self.model.rows(samples_of(states)).coefficients @ self.posterior.parameters)
+
+    def information(self, motion: Motion) -> FloatArray:
+        """What a motion tells of the tangent coordinates ``(D, D)``."""
+        count = int(np.ceil(ROWS_PER_SECOND * motion.form.period))
+        times = (np.arange(count) + 0.5) * motion.form.period / count
+        rows = self.rows(motion.at(times)[:3]) / self.sigmas[:, None]
+        return self.information_of(rows, motion.form.duration)
+
+    def information_of(self, rows: FloatArray, duration: float) -> FloatArray:
+        """The same, of rows ``(N, J, D)`` in units of the noise at instants spread over a ``duration`` [s]."""
+        flat = rows.reshape(-1, rows.shape[-1])
+        return np.asarray(ROWS_PER_SECOND * duration / len(rows) * (flat.T @ flat))
+
+    def after(self, information: FloatArray) -> Knowledge:
+        """What is known when that ``information (D, D)`` is added; the estimate itself stays."""
+        covariance = covariance_of(self.precision + information)
+        return replace(self, posterior=replace(self.posterior, covariance=frozen(covariance)))
+
+    def deviations(self) -> tuple[FloatArray, FloatArray]:
+        """Standard deviations of the links' quantities ``(links, 10)``, as :data:`QUANTITIES` names them, and of the
+        effects' coefficients ``(effects,)``."""
+        manifold, point = self.posterior.manifold, self.posterior.point
+        covariance = self.posterior.covariance
+        sensitivity = physical_sensitivity(manifold, point)
+        links = [
+            np.sqrt(np.einsum("ij,jk,ik->i", own, covariance[block, block], own))
+            for own, block in zip(sensitivity, map(manifold.link, range(manifold.links)), strict=True)
+        ]
+        _, diagonal = manifold.jacobian(point)
+        effects = diagonal * np.sqrt(np.diag(covariance)[manifold.inertial.stop :])
+        return np.array(links), np.asarray(effects)
+
+
+def covariance_of(precision: FloatArray) -> FloatArray:
+    """The inverse of a positive definite matrix."""
+    units = 1.0 / np.sqrt(np.diag(precision))
+    return np.asarray(np.linalg.inv(precision * np.outer(units, units)) * np.outer(units, units))
+
+
+def prior_knowledge(model: MeasurementModel, limits: MotionLimits) -> Knowledge:
+    """What a URDF says: inertias as sure as CAD's, effects of any size about the usual, or about
+    what its <dynamics> say where that is more."""
+    random = np.random.default_rng(0)
+    states = _random_states(limits, random)
+    coefficients = model.rows(samples_of(states)).coefficients
+    first = len(model.nominal_inertias)
+    usual = _channel_sizes(model, limits, coefficients)
+    columns = np.sqrt(np.mean(coefficients[:, :, first:] ** 2, axis=0))  # (J, effects)
+    sizes = np.max(usual[:, None] / np.where(columns > 0.0, columns, np.inf), axis=0, initial=0.0)
+    sizes = np.maximum(np.where(sizes > 0.0, sizes, 1.0), _stated(model))
+    positive = np.arange(len(sizes)) < model.positives
+    parameters = np.concatenate([model.nominal_inertias, np.where(positive, sizes, 0.0)])
+    # A real coefficient is of any sign and about the size that a positive one has.
+    scales = sizes[~positive] / usual_spreads(model.manifold(np.ones(int(np.sum(~positive)))))[-1:]
+    spreads = usual_spreads(model.manifold(scales))
+    bodies = [model.robot.bodies[index] for index in model.identified]
+    posterior = Posterior(
+        links=model.body_names,
+        merged=tuple(body.merged for body in bodies),
+        effects=effect_coordinates(model),
+        parameters=frozen(parameters),
+        covariance=frozen(np.diag(spreads**2)),
+        scales=frozen(scales),
+        prior=frozen(parameters),
+        prior_spreads=frozen(spreads),
+    )
+    return Knowledge(model, posterior, frozen(NOISE / _USUAL_SHARE * usual))
+
+
+def _stated(model: MeasurementModel) -> FloatArray:
+    """What the URDF's <dynamics> say of each coefficient ``(effects,)``; zero where they say nothing."""
+    source = model.robot.source
+    said = {
+        (joint.get("name", ""), f"dynamics/{key}"): read_numbers(joint, "dynamics", (key,), [0.0], source)[0]
+        for joint in read_xml(model.robot.urdf, source).findall("joint")
+        for key in _DYNAMICS
+    }
+    return np.array([said.get((c.place_name, c.effect.own[c.index].urdf), 0.0) for c in model.coefficients])
+
+
+def effect_coordinates(model: MeasurementModel) -> tuple[EffectCoordinate, ...]:
+    """A model's coefficients, as a posterior names them."""
+    return tuple(
+        EffectCoordinate(
+            name=c.effect.name, place=c.place_name, parameter=c.parameter, unit=c.unit, positive=c.positive
+        )
+        for c in model.coefficients
+    )
+
+
+def known_before(model: MeasurementModel, posterior: Posterior, sigmas: Sequence[float], source: str) -> Knowledge:
+    """What an estimate knows, of a model with the same links and effects.
+
+    Raises InputError naming the ``source`` if it is of another robot.
+    """
+    if posterior.links != model.body_names or posterior.effects != effect_coordinates(model):
+        raise InputError(
+            f"{source}: an estimate of other links or effects than this robot has; give the URDF and the options with "
+            "which it was identified"
+        )
+    return Knowledge(model, posterior, frozen(sigmas))
+
+
+def _channel_sizes(model: MeasurementModel, limits: MotionLimits, coefficients: FloatArray) -> FloatArray:
+    """The usual size of an effect at each joint ``(J,)`` [N m, N]."""
+    weights = np.sqrt(np.mean((coefficients @ model.nominal_parameters) ** 2, axis=0))
+    return _USUAL_SHARE * np.where(np.isfinite(limits.effort), limits.effort, np.maximum(weights, 1e-6))
+
+
+def _random_states(limits: MotionLimits, random: np.random.Generator) -> FloatArray:
+    low, high = np.clip(limits.position, -_WIDEST, _WIDEST).T
+    fastest = np.minimum(_RATE * limits.velocity, limits.acceleration)
+    position = random.uniform(low, high, (_STATES, len(low)))
+    velocity, acceleration = random.uniform(-1.0, 1.0, (2, _STATES, len(low)))
+    return np.array([position, velocity * limits.velocity, acceleration * fastest])

@@ -1,0 +1,141 @@
+"""What a motion must not exceed."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from geomid_ros.errors import InputError
+from geomid_ros.model.robot import Robot
+from geomid_ros.types import FloatArray
+
+JERK = 10.0
+"""[1/s] of jerk to acceleration, where no jerk limit is given."""
+ACCELERATION = 10.0
+"""[1/s] of acceleration to speed at most, where no acceleration limit is given."""
+_POSTURES = 300
+_WIDEST = np.pi  # [rad, m] of joints without ends, and to either side of the start
+_LEAST_SHARE = 0.1  # of the effort is left to accelerate with, wherever gravity takes more
+
+
+@dataclass(frozen=True)
+class JointLimits:
+    """One joint's limits as a file gives them; None where it says nothing. SI units."""
+
+    lower: float | None = None
+    upper: float | None = None
+    velocity: float | None = None
+    acceleration: float | None = None
+    jerk: float | None = None
+    effort: float | None = None
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class MotionLimits:
+    """Limits of J joints, each ``(J,)``: of ``position (J, 2)``, ``velocity``, ``acceleration``, ``jerk`` and
+    ``effort``; ``notes``: which of them follow from others, in sentences."""
+
+    position: FloatArray
+    velocity: FloatArray
+    acceleration: FloatArray
+    jerk: FloatArray
+    effort: FloatArray
+    notes: tuple[str, ...] = ()
+
+    @property
+    def derivatives(self) -> FloatArray:
+        """Of velocity, acceleration and jerk ``(3, J)``."""
+        return np.array([self.velocity, self.acceleration, self.jerk])
+
+
+def motion_limits(
+    robot: Robot, given: dict[str, JointLimits], inertias: FloatArray, speed: float, source: str
+) -> MotionLimits:
+    """All limits of a robot's joints.
+
+    Args:
+        robot: whose URDF says limits of position, velocity and effort.
+        given: others by joint, which win.
+        inertias: of all bodies ``(bodies, 10)``.
+        speed: share of the velocity limits that may be used.
+        source: names the URDF in messages.
+
+    Raises:
+        InputError: naming the joint whose limit is missing.
+    """
+    own = [given.get(name, JointLimits()) for name in robot.joint_names]
+    position = _or_given(robot.position_limits, [(limit.lower, limit.upper) for limit in own])
+    velocity = _or_given(robot.speed_limits, [limit.velocity for limit in own])
+    effort = _or_given(robot.effort_limits, [limit.effort for limit in own])
+    acceleration = _or_given(np.full(len(own), np.inf), [limit.acceleration for limit in own])
+    jerk = _or_given(np.full(len(own), np.inf), [limit.jerk for limit in own])
+    _require(robot, velocity, "velocity", source)
+    derived = ~np.isfinite(acceleration)
+    _require(robot, np.where(derived, effort, 0.0), "acceleration", source)
+    if np.any(derived):
+        by_effort = _by_effort(robot, position, effort, inertias)
+        acceleration = np.where(derived, np.minimum(by_effort, ACCELERATION * velocity), acceleration)
+    by_jerk = ~np.isfinite(jerk)
+    return MotionLimits(
+        position=position,
+        velocity=speed * velocity,
+        acceleration=acceleration,
+        jerk=np.where(by_jerk, JERK * acceleration, jerk),
+        effort=effort,
+        notes=tuple(_notes(robot.joint_names, derived, by_jerk, acceleration)),
+    )
+
+
+def _or_given(known: FloatArray, given: Sequence[object]) -> FloatArray:
+    """The known numbers, and those that are given in their place."""
+    stated = np.array(given, dtype=np.float64)  # None is not a number
+    return np.where(np.isfinite(stated), stated, known)
+
+
+def _require(robot: Robot, limits: FloatArray, kind: str, source: str) -> None:
+    for name, limit in zip(robot.joint_names, limits, strict=True):
+        if not np.isfinite(limit):
+            needed = "velocity in its <limit>" if kind == "velocity" else "effort in its <limit>"
+            raise InputError(
+                f"{source}: joint '{name}' has no {kind} limit; give it an {needed}, or has_{kind}_limits: true and "
+                f"max_{kind} in the file of --limits".replace("an velocity", "a velocity")
+            )
+
+
+def _by_effort(robot: Robot, position: FloatArray, effort: FloatArray, inertias: FloatArray) -> FloatArray:
+    """The accelerations ``(J,)`` for which the efforts suffice beside gravity, each joint's by itself, in the worst of
+    some postures."""
+    random = np.random.default_rng(0)
+    low, high = np.clip(position, -_WIDEST, _WIDEST).T
+    postures = random.uniform(low, high, (_POSTURES, len(effort)))
+    gravity, inertia = _gravity_and_inertia(robot, robot.pinocchio_positions(postures), inertias)
+    left = np.maximum(effort - np.abs(gravity), _LEAST_SHARE * effort)
+    return np.asarray(np.min(left / np.maximum(inertia, np.finfo(float).tiny), axis=0))
+
+
+def _gravity_and_inertia(robot: Robot, positions: FloatArray, inertias: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Efforts ``(N, J)`` that hold a robot in pinocchio's ``positions (N, nq)``, and the inertia about each joint."""
+
+    def efforts(q: FloatArray, a: FloatArray) -> FloatArray:
+        return np.asarray(np.einsum("jbk,bk->j", robot.joint_effort_rows(q, np.zeros_like(a), a), inertias))
+
+    still, units = np.zeros(robot.coupling.shape[0]), robot.coupling.T
+    gravity = np.array([efforts(q, still) for q in positions])
+    moved = np.array([[efforts(q, unit)[joint] for joint, unit in enumerate(units)] for q in positions])
+    return gravity, moved - gravity
+
+
+def _notes(names: Sequence[str], derived: FloatArray, by_jerk: FloatArray, acceleration: FloatArray) -> list[str]:
+    notes = []
+    if np.any(derived):
+        said = ", ".join(f"{name} {a:.3g}" for name, a, own in zip(names, acceleration, derived, strict=True) if own)
+        notes.append(
+            "acceleration limits follow from the effort limits, and are at most "
+            f"{ACCELERATION:g} 1/s times the velocity limits [rad/s^2, m/s^2]: {said}"
+        )
+    if np.any(by_jerk):
+        which = "all joints" if np.all(by_jerk) else ", ".join(np.array(names)[by_jerk])
+        notes.append(f"jerk limits are {JERK:g} 1/s times the acceleration limits: {which}")
+    return notes

@@ -1,0 +1,193 @@
+"""The search for a motion: random ones, the best of them, and from there downhill.
+
+The criterion and what it costs to come close to a limit are differentiated by positions, speeds and accelerations at
+some instants, and these by the coefficients, in which they are linear.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from scipy.optimize import minimize
+
+from geomid_ros.excitation.feasibility import SURE, Feasibility
+from geomid_ros.excitation.knowledge import covariance_of
+from geomid_ros.excitation.motion import Motion, MotionForm
+from geomid_ros.types import FloatArray
+
+_STEP = 1e-6  # of positions, speeds and accelerations, by which rows are differentiated
+_RATE = 6.0  # [Hz] of instants
+_RANDOM = 12  # motions to begin with
+_STEPS = 50
+_USED = 0.97  # of a limit, before it costs anything
+_COST = 300.0  # of exceeding a limit by all of it, squared, at every instant
+_NEAR = 2.0  # clearances within which distances cost something
+
+Criterion = Callable[[FloatArray], tuple[float, FloatArray]]
+"""Of rows ``(N, J, D)`` in units of the noise: the logarithm of what is to be small, and its derivatives by them."""
+
+
+def random_motion(feasibility: Feasibility, form: MotionForm, random: np.random.Generator) -> Motion:
+    """A random motion, each joint's as large as its own limits allow."""
+    motion = Motion(form, feasibility.start, random.standard_normal((form.size, len(feasibility.start))))
+    return motion.scaled(feasibility.largest_scale(motion))
+
+
+def expected_error(feasibility: Feasibility, weight: FloatArray, form: MotionForm) -> Criterion:
+    """The trace of a ``weight (D, D)`` times the covariance after a motion of that form."""
+    knowledge = feasibility.knowledge
+    precision = knowledge.precision
+
+    def criterion(rows: FloatArray) -> tuple[float, FloatArray]:
+        information = knowledge.information_of(rows, form.duration)
+        covariance = covariance_of(precision + information)
+        spread = covariance @ weight @ covariance
+        value = float(np.sum(weight * covariance))
+        share = knowledge.information_of(np.eye(rows.shape[-1])[None], form.duration)[0, 0] / len(rows)
+        return np.log(value), -2.0 * share / value * (rows @ spread)
+
+    return criterion
+
+
+def random_feasible(feasibility: Feasibility, form: MotionForm, random: np.random.Generator) -> Motion:
+    """A random motion, bent where it comes too close to something, and then made feasible."""
+    return Search(feasibility, form).improved(random_motion(feasibility, form, random))
+
+
+@dataclass(frozen=True, eq=False)
+class Search:
+    """The search for motions of a form; without a criterion, for feasible ones."""
+
+    feasibility: Feasibility
+    form: MotionForm
+    criterion: Criterion | None = None
+
+    def run(self, random: np.random.Generator, progress: Callable[[float], None] = lambda _: None) -> Motion:
+        """A feasible motion that makes the criterion small."""
+        begun = [random_motion(self.feasibility, self.form, random) for _ in range(_RANDOM)]
+        costs = [self.cost(motion) for motion in begun]
+        return self.improved(begun[int(np.argmin(costs))], progress)
+
+    def improved(self, motion: Motion, progress: Callable[[float], None] = lambda _: None) -> Motion:
+        """A feasible motion, downhill from another."""
+        # In units in which every coefficient of a joint, by itself, goes as far as the joint's limits allow.
+        units = np.array([self.feasibility.largest_scale(self._unit_motion(place)) for place in range(self.form.size)])
+        done = 0
+
+        def at(vector: FloatArray) -> tuple[float, FloatArray]:
+            nonlocal done
+            done += 1
+            progress(min(done / _STEPS, 1.0))
+            value, slope = self._value_and_slope(Motion(self.form, motion.start, units * vector.reshape(units.shape)))
+            return value, (units * slope).ravel()
+
+        begin = (motion.coefficients / np.where(units > 0.0, units, 1.0)).ravel()
+        found = minimize(at, begin, jac=True, method="L-BFGS-B", options={"maxfun": _STEPS, "maxcor": 20})
+        return self.feasibility.made_feasible(Motion(self.form, motion.start, units * found.x.reshape(units.shape)))
+
+    def _unit_motion(self, place: int) -> Motion:
+        coefficients = np.zeros((self.form.size, len(self.feasibility.start)))
+        coefficients[place] = 1.0
+        return Motion(self.form, self.feasibility.start, coefficients)
+
+    @cached_property
+    def _basis(self) -> FloatArray:
+        count = int(np.ceil(_RATE * self.form.period))
+        return self.form.basis((np.arange(count) + 0.5) * self.form.period / count)
+
+    def _states(self, motion: Motion) -> FloatArray:
+        states = np.array(self._basis @ motion.coefficients)
+        states[0] += motion.start
+        return states
+
+    def cost(self, motion: Motion) -> float:
+        """What a motion costs: the criterion, and what it comes too close to."""
+        states = self._states(motion)
+        value = self._of_limits(states)[0] + self._of_distances(states)[0]
+        if self.criterion is not None:
+            rows = self.feasibility.knowledge.rows(states[:3])
+            value += self.criterion(rows / self.feasibility.knowledge.sigmas[:, None])[0] + self._of_efforts(rows)[0]
+        return value
+
+    def _value_and_slope(self, motion: Motion) -> tuple[float, FloatArray]:
+        """The same, and its derivatives ``(size, J)`` by the coefficients."""
+        states = self._states(motion)
+        value, slopes = 0.0, np.zeros_like(states)
+        for more, by_states in (self._of_limits(states), self._of_distances(states), self._of_rows(states)):
+            value += more
+            slopes[: len(by_states)] += by_states
+        return value, np.einsum("onm,onj->mj", self._basis, slopes)
+
+    def _of_rows(self, states: FloatArray) -> tuple[float, FloatArray]:
+        """The criterion and what efforts cost, and the derivatives ``(3, N, J)``."""
+        if self.criterion is None:
+            return 0.0, np.zeros_like(states[:3])
+        sigmas = self.feasibility.knowledge.sigmas[:, None]
+        rows, moved = self._rows_nearby(states)
+        value, by_rows = self.criterion(rows / sigmas)
+        cost, by_efforts = self._of_efforts(rows)
+        pull = by_rows / sigmas + by_efforts[..., None] * self._whitened_parameters
+        return value + cost, np.einsum("onkjd,njd->onk", moved, pull, optimize=True)
+
+    @cached_property
+    def _whitened_parameters(self) -> FloatArray:
+        """Tangent coordinates ``(D,)`` by which rows make efforts."""
+        posterior = self.feasibility.knowledge.posterior
+        blocks, diagonal = posterior.manifold.jacobian(posterior.point)
+        first = posterior.manifold.inertial.stop
+        links = np.linalg.solve(blocks, posterior.parameters[:first].reshape(-1, 10, 1))
+        return np.concatenate([links.ravel(), posterior.parameters[first:] / diagonal])
+
+    def _rows_nearby(self, states: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Rows ``(N, J, D)``, and their derivatives ``(3, N, J, J, D)`` by each joint's position, speed and
+        acceleration."""
+        count, joints = states.shape[1:]
+        steps = _STEP * np.eye(3 * joints).reshape(3 * joints, 3, 1, joints)
+        near = np.concatenate([states[None, :3], states[None, :3] + steps]).swapaxes(0, 1).reshape(3, -1, joints)
+        rows = self.feasibility.knowledge.rows(near).reshape(3 * joints + 1, count, joints, -1)
+        moved = (rows[1:] - rows[0]) / _STEP
+        return rows[0], moved.reshape(3, joints, count, joints, -1).swapaxes(1, 2)
+
+    def _of_limits(self, states: FloatArray) -> tuple[float, FloatArray]:
+        """What positions, speeds, accelerations and jerks cost, and the derivatives ``(4, N, J)``."""
+        limits, feasibility = self.feasibility.limits, self.feasibility
+        low, high = limits.position.T
+        half = np.where(np.isfinite(high - low), 0.5 * (high - low), np.pi)
+        centre = np.where(np.isfinite(high - low), 0.5 * (high + low), feasibility.start)
+        scales = np.concatenate([half[None] - feasibility.edge, limits.derivatives])
+        away = states.copy()
+        away[0] -= centre
+        return _hinge(away / scales[:, None], 1.0 / scales[:, None])
+
+    def _of_efforts(self, rows: FloatArray) -> tuple[float, FloatArray]:
+        """What efforts cost, and the derivatives ``(N, J)`` by them; their uncertainty counts as it is."""
+        knowledge, limit = self.feasibility.knowledge, self.feasibility.limits.effort
+        spread = np.sqrt(np.maximum(np.sum((rows @ knowledge.posterior.covariance) * rows, axis=2), 0.0))
+        left = np.maximum(limit - SURE * spread, 0.05 * limit)
+        return _hinge(rows @ self._whitened_parameters / left, 1.0 / left)
+
+    def _of_distances(self, states: FloatArray) -> tuple[float, FloatArray]:
+        """What pairs cost that come close, and the derivatives ``(4, N, J)``."""
+        slopes, cost, collision = np.zeros_like(states), 0.0, self.feasibility.collision
+        if collision is None:
+            return cost, slopes
+        wanted = _NEAR * self.feasibility.clearances
+        close = collision.distances(states[0]) < wanted
+        for instant in np.flatnonzero(np.any(close, axis=1)):
+            pairs = np.flatnonzero(close[instant])
+            values, by_position = collision.gradients(states[0, instant], pairs)
+            lack = np.maximum(1.0 - values / wanted[pairs], 0.0)
+            cost += _COST / states.shape[1] * float(np.sum(lack**2))
+            slopes[0, instant] -= 2.0 * _COST / states.shape[1] * ((lack / wanted[pairs]) @ by_position)
+        return cost, slopes
+
+
+def _hinge(shares: FloatArray, per_unit: FloatArray) -> tuple[float, FloatArray]:
+    """The cost of shares of limits ``(..., N, J)`` that are used, and its derivatives by what is ``per_unit`` of a
+    share."""
+    over = np.maximum(np.abs(shares) - _USED, 0.0)
+    cost = _COST / shares.shape[-2]
+    return cost * float(np.sum(over**2)), 2.0 * cost * over * np.sign(shares) * per_unit

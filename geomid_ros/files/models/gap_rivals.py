@@ -1,0 +1,58 @@
+"""What a ``gap.json`` leaves open: findings that have other names."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from geomid_ros.errors import InputError
+from geomid_ros.files.disk import read_text
+from geomid_ros.files.models.gap_results import FORMAT
+from geomid_ros.files.models.sidecar import effect_of
+from geomid_ros.model.effects import KnownEffect, effect_class
+
+_MOST_BYTES = 20_000_000
+
+
+@dataclass(frozen=True)
+class OpenFinding:
+    """A finding, and its ``rivals``: effects with the names of their places."""
+
+    finding: KnownEffect
+    rivals: tuple[tuple[str, str], ...]
+
+
+def read_open_findings(path: Path) -> tuple[list[OpenFinding], dict[str, float]]:
+    """The findings with rivals in a ``gap.json``, and the noise floor of its channels [N m, N].
+
+    Raises InputError naming the file and what is wrong in it, or that nothing is open.
+    """
+    try:
+        document = json.loads(read_text(path, "gap report", _MOST_BYTES))
+    except (ValueError, RecursionError) as error:
+        raise InputError(f"{path}: the gap report cannot be read ({error})") from error
+    if not isinstance(document, dict) or not isinstance(document.get("findings"), list):
+        raise InputError(f"{path}: not a gap.json, it has no list 'findings'")
+    if document.get("format") != FORMAT:
+        raise InputError(f"{path}: has format {document.get('format')}, this version reads format {FORMAT}")
+    found = [_open(entry, f"{path}: findings[{index}]") for index, entry in enumerate(document["findings"])]
+    left = [finding for finding in found if finding.rivals]
+    if not left:
+        raise InputError(f"{path}: no finding has a rival, so that there is nothing to settle")
+    floor = document.get("floor")
+    known = floor if isinstance(floor, Mapping) else {}
+    return left, {str(name): float(value) for name, value in known.items() if isinstance(value, float | int)}
+
+
+def _open(entry: Any, where: str) -> OpenFinding:
+    finding = effect_of(entry, where)
+    rivals = entry.get("rivals", [])
+    if not isinstance(rivals, list) or not all(isinstance(rival, dict) for rival in rivals):
+        raise InputError(f"{where}: 'rivals' is no list of names")
+    named = [(str(rival.get("effect")), str(rival.get("joint") or "")) for rival in rivals]
+    for name, _ in named:
+        effect_class(name)
+    return OpenFinding(finding, tuple(named))

@@ -1,0 +1,102 @@
+"""Writing trajectories: ``trajectory.yaml``, ``trajectory.csv`` and a rosbag for a joint trajectory controller.
+
+``trajectory.yaml`` has the fields of ``trajectory_msgs/JointTrajectory``: ``joint_names`` and ``points`` of
+``positions``, ``velocities``, ``accelerations`` and ``time_from_start`` {``sec``, ``nanosec``}.
+"""
+
+from __future__ import annotations
+
+import shutil
+import tempfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rosbags.rosbag2 import StoragePlugin, Writer
+from rosbags.typesys import Stores, get_typestore
+
+from geomid_ros.errors import GeomidError
+from geomid_ros.excitation.trajectory import Trajectory
+from geomid_ros.files.disk import write_text
+from geomid_ros.types import FloatArray
+
+TOPIC = "/joint_trajectory_controller/joint_trajectory"
+_NANO = 1_000_000_000
+_TYPES = get_typestore(Stores.ROS2_JAZZY)
+_KIND = "trajectory_msgs/msg/JointTrajectory"
+
+
+def write_yaml(path: Path, trajectory: Trajectory) -> None:
+    """Write ``trajectory.yaml``. Raises GeomidError naming the file."""
+    lines = [f"joint_names: [{', '.join(map(_quoted, trajectory.joints))}]", "points:"]
+    for row, (seconds, nanoseconds) in enumerate(_stamps(trajectory)):
+        position, velocity, acceleration = (_numbers(own[row]) for own in _states(trajectory))
+        lines += [
+            f"- positions: [{position}]",
+            f"  velocities: [{velocity}]",
+            f"  accelerations: [{acceleration}]",
+            f"  time_from_start: {{sec: {seconds}, nanosec: {nanoseconds}}}",
+        ]
+    write_text(path, "\n".join(lines) + "\n")
+
+
+def write_csv(path: Path, trajectory: Trajectory) -> None:
+    """Write one line per point: time, then positions, velocities and accelerations. Raises GeomidError."""
+    kinds = ("position", "velocity", "acceleration")
+    lines = [",".join(["time", *(f"{name} {kind}" for kind in kinds for name in trajectory.joints)])]
+    for row, time in enumerate(trajectory.times.tolist()):
+        lines.append(f"{time!r},{_numbers(np.concatenate([own[row] for own in _states(trajectory)]), ',')}")
+    write_text(path, "\n".join(lines) + "\n")
+
+
+def write_bag(folder: Path, trajectory: Trajectory) -> None:
+    """Write a rosbag with one ``trajectory_msgs/JointTrajectory``; a bag that is there is replaced.
+
+    Raises GeomidError naming the folder.
+    """
+    types = _TYPES.types
+    points = [
+        types["trajectory_msgs/msg/JointTrajectoryPoint"](
+            positions=np.array(trajectory.positions[row]),
+            velocities=np.array(trajectory.velocities[row]),
+            accelerations=np.array(trajectory.accelerations[row]),
+            effort=np.zeros(0),
+            time_from_start=types["builtin_interfaces/msg/Duration"](sec=seconds, nanosec=nanoseconds),
+        )
+        for row, (seconds, nanoseconds) in enumerate(_stamps(trajectory))
+    ]
+    time = types["builtin_interfaces/msg/Time"](sec=0, nanosec=0)
+    header = types["std_msgs/msg/Header"](stamp=time, frame_id="")
+    _write(folder, types[_KIND](header=header, joint_names=list(trajectory.joints), points=points))
+
+
+def _write(folder: Path, message: Any) -> None:
+    try:
+        folder.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryDirectory(dir=folder.parent) as temporary:
+            made = Path(temporary) / folder.name
+            with Writer(made, version=Writer.VERSION_LATEST, storage_plugin=StoragePlugin.MCAP) as writer:
+                connection = writer.add_connection(TOPIC, _KIND, typestore=_TYPES)
+                writer.write(connection, 0, _TYPES.serialize_cdr(message, _KIND))
+            shutil.rmtree(folder, ignore_errors=True)
+            made.rename(folder)
+    except OSError as error:
+        raise GeomidError(f"{folder}: the bag cannot be written ({error})") from error
+
+
+def _states(trajectory: Trajectory) -> tuple[FloatArray, FloatArray, FloatArray]:
+    return trajectory.positions, trajectory.velocities, trajectory.accelerations
+
+
+def _stamps(trajectory: Trajectory) -> list[tuple[int, int]]:
+    """Seconds and nanoseconds from the start, of each point."""
+    return [divmod(round(time * _NANO), _NANO) for time in trajectory.times.tolist()]
+
+
+def _numbers(values: FloatArray, separator: str = ", ") -> str:
+    return separator.join(map(repr, values.tolist()))
+
+
+def _quoted(name: str) -> str:
+    escaped = name.replace("\\", "\\\\").replace('"', '\\"')
+    return f'"{escaped}"'

@@ -1,0 +1,204 @@
+"""Distances between a robot's links, and to what surrounds it, by coal."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import combinations
+from typing import TypeAlias
+
+import coal
+import numpy as np
+import pinocchio as pin
+from scipy.spatial import ConvexHull
+
+from geomid_ros.model.robot import Robot
+from geomid_ros.types import FloatArray, IntArray
+
+_PLANE_REACH = 0.0  # a half-space has no radius: nothing moves it
+
+
+@dataclass(frozen=True, eq=False)
+class ConvexShape:
+    """A convex body: the hull of ``vertices (V, 3)`` [m] in a link's frame, or in the base frame."""
+
+    name: str
+    vertices: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class HalfSpace:
+    """All points x with ``normal . x <= offset`` in the base frame are solid; ``normal (3,)`` has length 1."""
+
+    name: str
+    normal: FloatArray
+    offset: float
+
+
+Obstacle: TypeAlias = ConvexShape | HalfSpace
+
+
+@dataclass(frozen=True)
+class Pair:
+    """Two bodies that may collide, by their names; ``is_obstacle``: the second is no link."""
+
+    first: str
+    second: str
+    is_obstacle: bool = False
+
+    def __str__(self) -> str:
+        return f"{self.first} and {self.second}"
+
+
+class CollisionModel:
+    """Distances of all pairs of shapes that can come closer: not those on one rigid body or on neighbours.
+
+    Several shapes of one link, and links that are fixed to each other, are one rigid body.
+    """
+
+    def __init__(
+        self, robot: Robot, shapes: Mapping[str, Sequence[ConvexShape]], obstacles: Sequence[Obstacle] = ()
+    ) -> None:
+        """``shapes`` by the link in whose frame they are."""
+        self._robot = robot
+        self._model = robot.pinocchio_model
+        self._data = self._model.createData()
+        self._geometry = pin.GeometryModel()
+        self._owners: list[tuple[str, int, float]] = []  # name, joint, radius about the joint's origin
+        for link, own in shapes.items():
+            frame = self._model.frames[self._model.getFrameId(link, pin.BODY)]
+            for shape in own:
+                placed = shape.vertices @ frame.placement.rotation.T + frame.placement.translation
+                self._add(link, frame.parentJoint, _hull(placed), float(np.max(np.linalg.norm(placed, axis=1))))
+        robots = len(self._owners)
+        for obstacle in obstacles:
+            self._add(obstacle.name, 0, _obstacle(obstacle), _PLANE_REACH)
+        self._indices = [pair for pair in combinations(range(len(self._owners)), 2) if self._may_touch(*pair, robots)]
+        self._set_pairs()
+
+    def _add(self, name: str, joint: int, shape: coal.CollisionGeometry, radius: float) -> None:
+        placed = pin.GeometryObject(f"{len(self._owners)} {name}", joint, pin.SE3.Identity(), shape)
+        self._geometry.addGeometryObject(placed)
+        self._owners.append((name, joint, radius))
+
+    def _may_touch(self, first: int, second: int, robots: int) -> bool:
+        one, other = self._owners[first][1], self._owners[second][1]
+        if second >= robots:
+            return first < robots and one != 0
+        parents = self._model.parents
+        return one != other and parents[one] != other and parents[other] != one
+
+    def _set_pairs(self) -> None:
+        self._geometry.removeAllCollisionPairs()
+        for first, second in self._indices:
+            self._geometry.addCollisionPair(pin.CollisionPair(first, second))
+        self._geometry_data = self._geometry.createData()
+        robots = sum(joint != 0 for _, joint, _ in self._owners)
+        self.pairs = tuple(
+            Pair(self._owners[i][0], self._owners[j][0], is_obstacle=j >= robots and self._is_obstacle(j))
+            for i, j in self._indices
+        )
+        """The pairs, in the order of all arrays."""
+        self.reach = np.array([self._reach(i, j) for i, j in self._indices]).reshape(-1, self._model.nv)
+        """How far a point of a pair's bodies moves at most relative to the other body by unit of each of pinocchio's
+        velocities ``(pairs, nv)`` [m/rad]."""
+
+    def _is_obstacle(self, index: int) -> bool:
+        name = self._owners[index][0]
+        return name not in self._robot.tree.links
+
+    def _reach(self, first: int, second: int) -> FloatArray:
+        """Bounds of the relative speed of two shapes: the joints on the way between them, each times the longest lever
+        from it to the shape that it moves."""
+        one, other = self._chain(first), self._chain(second)
+        own = [joint for joint in (*one, *other) if (joint in one) != (joint in other)]
+        bounds = np.zeros(self._model.nv)
+        for joint in own:
+            chain, shape = (one, first) if joint in one else (other, second)
+            bounds[self._model.joints[joint].idx_v] = self._lever(joint, chain, self._owners[shape][2])
+        return bounds
+
+    def _chain(self, shape: int) -> list[int]:
+        """The joints that carry a shape, the nearest first."""
+        joint, chain = self._owners[shape][1], []
+        while joint:
+            chain.append(joint)
+            joint = self._model.parents[joint]
+        return chain
+
+    def _lever(self, joint: int, chain: Sequence[int], radius: float) -> float:
+        if "JointModelP" in self._model.joints[joint].shortname():
+            return 1.0
+        total = radius
+        for other in chain[: chain.index(joint)]:
+            total += float(np.linalg.norm(self._model.jointPlacements[other].translation)) + self._travel(other)
+        return total
+
+    def _travel(self, joint: int) -> float:
+        """How far a prismatic joint slides at most [m]."""
+        model = self._model.joints[joint]
+        if "JointModelP" not in model.shortname():
+            return 0.0
+        ends = self._model.lowerPositionLimit[model.idx_q], self._model.upperPositionLimit[model.idx_q]
+        return float(np.max(np.abs(ends)))
+
+    @property
+    def coupling_sizes(self) -> FloatArray:
+        """How fast all of pinocchio's velocities are, by the size of those of the joints, ``(nv, joints)``."""
+        return np.abs(self._robot.coupling)
+
+    def without(self, pairs: IntArray) -> None:
+        """Count these pairs, by their places, no more."""
+        left = np.setdiff1d(np.arange(len(self._indices)), pairs)
+        self._indices = [self._indices[place] for place in left.tolist()]
+        self._set_pairs()
+
+    def distances(self, position: FloatArray) -> FloatArray:
+        """Distances ``(N, pairs)`` [m] at positions ``(N, joints)``; negative where shapes overlap."""
+        found = np.empty((len(position), len(self.pairs)))
+        for row, q in zip(found, self._robot.pinocchio_positions(position), strict=True):
+            pin.computeDistances(self._model, self._data, self._geometry, self._geometry_data, q)
+            row[:] = [result.min_distance for result in self._geometry_data.distanceResults]
+        return found
+
+    def gradients(self, position: FloatArray, pairs: IntArray) -> tuple[FloatArray, FloatArray]:
+        """Distances ``(n,)`` of ``pairs (n,)`` at one ``position (joints,)``, and their derivatives ``(n, joints)``."""
+        (q,) = self._robot.pinocchio_positions(position[None])
+        pin.computeJointJacobians(self._model, self._data, q)
+        pin.updateGeometryPlacements(self._model, self._data, self._geometry, self._geometry_data)
+        values, slopes = np.empty(len(pairs)), np.empty((len(pairs), len(position)))
+        for row, pair in enumerate(pairs.tolist()):
+            result = pin.computeDistance(self._geometry, self._geometry_data, pair)
+            values[row] = result.min_distance
+            ends = result.getNearestPoint1(), result.getNearestPoint2()
+            moved = [self._point_jacobian(shape, end) for shape, end in zip(self._indices[pair], ends, strict=True)]
+            slopes[row] = (result.normal @ (moved[1] - moved[0])) @ self._robot.coupling
+        return values, slopes
+
+    def _point_jacobian(self, shape: int, point: FloatArray) -> FloatArray:
+        """Jacobian ``(3, nv)`` of a point of a shape in the world."""
+        joint = self._owners[shape][1]
+        if joint == 0:
+            return np.zeros((3, self._model.nv))
+        jacobian = pin.getJointJacobian(self._model, self._data, joint, pin.WORLD)
+        return np.asarray(jacobian[:3] - pin.skew(point) @ jacobian[3:])
+
+
+def _hull(vertices: FloatArray) -> coal.Convex:
+    hull = ConvexHull(vertices)
+    places = np.full(len(vertices), -1)
+    places[hull.vertices] = np.arange(len(hull.vertices))
+    points, triangles = coal.StdVec_Vec3s(), coal.StdVec_Triangle()
+    points.extend([vertices[index] for index in hull.vertices])
+    centre = np.mean(vertices[hull.vertices], axis=0)
+    for simplex in hull.simplices:
+        a, b, c = vertices[simplex]
+        outward = np.dot(np.cross(b - a, c - a), a - centre) > 0.0
+        triangles.append(coal.Triangle(*(int(places[index]) for index in (simplex if outward else simplex[::-1]))))
+    return coal.Convex(points, triangles)
+
+
+def _obstacle(obstacle: Obstacle) -> coal.CollisionGeometry:
+    if isinstance(obstacle, HalfSpace):
+        return coal.Halfspace(obstacle.normal, obstacle.offset)
+    return _hull(obstacle.vertices)

@@ -1,0 +1,291 @@
+"""From a robot description and what a user asks for to a motion that is feasible and tells much."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from geomid_ros.errors import InputError
+from geomid_ros.excitation.criteria import PREDICTION, weight_of
+from geomid_ros.excitation.feasibility import Feasibility, Margins
+from geomid_ros.excitation.knowledge import Knowledge, known_before, prior_knowledge
+from geomid_ros.excitation.learning import Learning, expected_learning
+from geomid_ros.excitation.limits import MotionLimits, motion_limits
+from geomid_ros.excitation.motion import Motion, MotionForm
+from geomid_ros.excitation.rivals import DECIDED, Judge, deciding_motion
+from geomid_ros.excitation.search import Search, expected_error, random_feasible, random_motion
+from geomid_ros.excitation.start import starts
+from geomid_ros.excitation.trajectory import Trajectory
+from geomid_ros.files.models.joint_limits import read_joint_limits
+from geomid_ros.files.models.posterior import POSTERIOR, read_posterior
+from geomid_ros.files.models.results import read_estimate
+from geomid_ros.files.shapes.outlines import link_shapes, obstacles
+from geomid_ros.model.collision import CollisionModel, Pair
+from geomid_ros.model.measurement import MeasurementModel
+from geomid_ros.session.configuration import Configuration
+from geomid_ros.session.open_questions import open_questions
+from geomid_ros.session.session import Session
+from geomid_ros.types import FloatArray
+
+RATE = 100.0
+"""[Hz] of the points of a trajectory."""
+_OTHERS = 8  # motions on which efforts are to be predicted
+_COMPARED = 3  # random motions with which a designed one is compared
+_SLOW_SHARE = {PREDICTION: 0.1, "friction": 0.5}
+_SEED = 0
+_MANY = 20.0
+_NEIGHBOURS = 2  # joints between links whose hulls may overlap all the time
+
+
+@dataclass(frozen=True, kw_only=True)
+class Wish:
+    """What a motion is asked for.
+
+    Attributes:
+        limits: path of a joint_limits.yaml.
+        duration: of all periods [s].
+        repeats: how often the period is repeated.
+        start: where it begins and ends; by itself if empty.
+        avoid: obstacles, see :func:`~geomid_ros.files.shapes.outlines.obstacles`.
+        clearance: [m] of all that may collide.
+        speed: share of the velocity limits.
+        collide: whether collisions are looked for.
+        packages: folders of ``package://``.
+        aim: see :func:`~geomid_ros.excitation.criteria.weight_of`.
+        settle: path of a gap.json whose rivals are to be told apart.
+        seed: of the search.
+    """
+
+    limits: Path | None = None
+    duration: float = 20.0
+    repeats: int = 2
+    start: Sequence[float] = ()
+    avoid: Sequence[str] = ()
+    clearance: float = 0.02
+    speed: float = 0.5
+    collide: bool = True
+    packages: Mapping[str, Path] = field(default_factory=dict)
+    aim: str = PREDICTION
+    settle: Path | None = None
+    seed: int = _SEED
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Task:
+    """A robot, its limits and surroundings, and what is known of it.
+
+    Attributes:
+        feasibility: what a motion must hold.
+        knowledge: before the motion.
+        form: of the motion.
+        not_watched: pairs of links whose distance is not looked at.
+        notes: what was settled for the user, in sentences.
+    """
+
+    feasibility: Feasibility
+    knowledge: Knowledge
+    form: MotionForm
+    not_watched: tuple[Pair, ...]
+    notes: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Decision:
+    """By how much a name and its rival will differ (-2 log p, in the worse case of which is true): after the designed
+    motion, and after a ``random`` one."""
+
+    found: str
+    rival: str
+    difference: float
+    random: float
+
+    @property
+    def is_sure(self) -> bool:
+        """Whether the motion is expected to decide."""
+        return self.difference >= DECIDED
+
+    @property
+    def sentence(self) -> str:
+        """In words."""
+        said = (
+            f"{self.found} or {self.rival}: after this motion their scores differ by {self.difference:.3g} or more, "
+            f"after a random one by {self.random:.3g}"
+        )
+        if self.is_sure:
+            return f"{said}; {DECIDED:g} decide"
+        times = DECIDED / max(self.difference, 1e-9)
+        longer = f"record it {times:.0f} times" if times < _MANY else "no motion within these limits tells them apart"
+        return f"{said}; {DECIDED:g} would decide: {longer}"
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Excitation:
+    """A designed motion, with how far it stays from all limits, what it is expected to teach, and which rivals it is
+    expected to tell apart."""
+
+    task: Task
+    motion: Motion
+    margins: Margins
+    learning: Learning
+    decisions: tuple[Decision, ...] = ()
+
+    @property
+    def closest(self) -> str:
+        """The pair that has the least to spare, in words; empty if nothing is watched."""
+        collision, clearances = self.task.feasibility.collision, self.task.feasibility.clearances
+        if collision is None or not collision.pairs:
+            return ""
+        place = int(np.argmin(self.margins.distance - clearances))
+        lower, asked = 1e3 * self.margins.distance[place], 1e3 * clearances[place]
+        return f"{collision.pairs[place]} stay {lower:.0f} mm apart or more ({asked:.0f} mm are asked for)"
+
+    @property
+    def trajectory(self) -> Trajectory:
+        """The motion as points."""
+        duration = self.motion.form.duration
+        times = np.linspace(0.0, duration, round(RATE * duration) + 1)
+        return Trajectory(self.task.feasibility.names, times, *self.motion.at(times)[:3])
+
+
+def task_of(urdf: str, source: Path, configuration: Configuration, wish: Wish) -> Task:
+    """All that a search needs.
+
+    Args:
+        urdf: text of the robot description.
+        source: its file, from where meshes are looked for.
+        configuration: parameters; ``model`` says what is known already.
+        wish: what is asked for.
+
+    Raises:
+        InputError: something is missing, or the robot cannot begin.
+    """
+    session = Session(urdf, configuration, str(source))
+    robot, model = session.robot, _model_of(session)
+    if robot.floating_base or session.model.sensors:
+        raise InputError("motions are designed for arms on a fixed base, by joint efforts; leave out wrench sensors")
+    given = read_joint_limits(wish.limits, robot.joint_names) if wish.limits else {}
+    inertias = np.array([body.parameters for body in robot.bodies])
+    limits = motion_limits(robot, given, inertias, wish.speed, str(source))
+    knowledge = _knowledge(session, model, limits)
+    collision, notes = _collision(session, urdf, source, wish)
+    feasibility, not_watched = _feasibility(knowledge, limits, collision, wish)
+    slow = _SLOW_SHARE.get(wish.aim, _SLOW_SHARE[PREDICTION])
+    form = MotionForm(period=wish.duration / wish.repeats, slow_share=slow, repeats=wish.repeats)
+    return Task(
+        feasibility=feasibility,
+        knowledge=knowledge,
+        form=form,
+        not_watched=not_watched,
+        notes=(*limits.notes, *notes, *_said(not_watched), *robot.repaired.values()),
+    )
+
+
+def _model_of(session: Session) -> MeasurementModel:
+    """The session's model with the effects that every place has, or that an earlier estimate found."""
+    model = session.model
+    if session.loaded.source:
+        known = read_posterior(_beside(session))
+        found = {(effect.name, effect.place, effect.parameter, effect.positive) for effect in known.effects}
+        chosen = [
+            index
+            for index, c in enumerate(model.coefficients)
+            if (c.effect.name, c.place_name, c.parameter, c.positive) in found
+        ]
+        return model.with_coefficients(chosen)
+    return model.with_coefficients([index for index, c in enumerate(model.coefficients) if not c.optional])
+
+
+def _beside(session: Session) -> Path:
+    return Path(session.loaded.source).with_name(POSTERIOR)
+
+
+def _knowledge(session: Session, model: MeasurementModel, limits: MotionLimits) -> Knowledge:
+    prior = prior_knowledge(model, limits)
+    if not session.loaded.source:
+        return prior
+    measured = read_estimate(Path(session.loaded.source)).get("sigma") or {}
+    sigmas = [measured.get(name) for name in model.robot.joint_names]
+    own = [float(sigma) if sigma else usual for sigma, usual in zip(sigmas, prior.sigmas.tolist(), strict=True)]
+    return known_before(model, read_posterior(_beside(session)), own, session.loaded.source)
+
+
+def _collision(session: Session, urdf: str, source: Path, wish: Wish) -> tuple[CollisionModel | None, tuple[str, ...]]:
+    if not wish.collide:
+        if wish.avoid:
+            raise InputError("--avoid and --no-collision exclude each other")
+        return None, ("collisions are not looked for (--no-collision): watch the robot",)
+    around = [obstacle for text in wish.avoid for obstacle in obstacles(text)]
+    return CollisionModel(session.robot, link_shapes(urdf, source, wish.packages), around), ()
+
+
+def _feasibility(
+    knowledge: Knowledge, limits: MotionLimits, collision: CollisionModel | None, wish: Wish
+) -> tuple[Feasibility, tuple[Pair, ...]]:
+    """The first of the starts that can be begun from, and the pairs that are left out."""
+    names = knowledge.model.robot.joint_names
+    if len(wish.start) not in (0, len(names)):
+        raise InputError(
+            f"--start has {len(wish.start)} numbers, expected {len(names)}: those of {', '.join(names)} [rad, m]"
+        )
+    tried = [np.array(wish.start)] if wish.start else list(starts(limits))
+    not_watched = _without_touching(collision, tried[0]) if collision is not None else ()
+    refused = []
+    for start in tried:
+        try:
+            return Feasibility(knowledge, limits, start, collision, wish.clearance), not_watched
+        except InputError as error:
+            refused.append(error)
+    if wish.start:
+        raise refused[0]
+    raise InputError(f"no posture was found to begin from, of {len(tried)} that were tried; of the first: {refused[0]}")
+
+
+def _without_touching(collision: CollisionModel, start: FloatArray) -> tuple[Pair, ...]:
+    """Leave out pairs of links that overlap at the start and are only two joints apart: their hulls are too rough."""
+    touching = collision.distances(start[None])[0] <= 0.0
+    touching &= np.count_nonzero(collision.reach, axis=1) <= _NEIGHBOURS
+    touching &= np.array([not pair.is_obstacle for pair in collision.pairs], dtype=bool)
+    pairs = tuple(collision.pairs[place] for place in np.flatnonzero(touching))
+    collision.without(np.flatnonzero(touching))
+    return tuple(dict.fromkeys(pairs))
+
+
+def _said(not_watched: Sequence[Pair]) -> list[str]:
+    named = "; ".join(map(str, not_watched))
+    return [f"not watched, as their convex hulls overlap at the start already: {named}"] if named else []
+
+
+def design(task: Task, wish: Wish, progress: Callable[[str, float], None]) -> Excitation:
+    """Search for a motion and say what to expect of it."""
+    random, feasibility = np.random.default_rng(wish.seed), task.feasibility
+    judge, labels = (None, []) if wish.settle is None else open_questions(task.feasibility, wish.settle)
+    others = [random_motion(feasibility, task.form, random) for _ in range(_OTHERS)]
+    weight = weight_of(wish.aim, task.knowledge, others)
+    criterion = expected_error(feasibility, weight, task.form)
+
+    def searching(share: float) -> None:
+        progress("searching", share)
+
+    if judge is None:
+        motion = Search(feasibility, task.form, criterion).run(random, searching)
+    else:
+        motion = deciding_motion(feasibility, task.form, judge, random, searching)
+    progress("comparing", 0.0)
+    randoms = [random_feasible(feasibility, task.form, random) for _ in range(_COMPARED)]
+    learning = expected_learning(task.knowledge, weight, motion, randoms)
+    decisions = () if judge is None else tuple(_decisions(judge, labels, motion, randoms))
+    return Excitation(
+        task=task, motion=motion, margins=feasibility.margins(motion), learning=learning, decisions=decisions
+    )
+
+
+def _decisions(
+    judge: Judge, labels: Sequence[tuple[str, Sequence[str]]], motion: Motion, randoms: Sequence[Motion]
+) -> Iterator[Decision]:
+    own, others = judge.differences(motion), [judge.differences(random) for random in randoms]
+    for place, (found, rivals) in enumerate(labels):
+        for index, rival in enumerate(rivals):
+            yield Decision(found, rival, own[place][index], float(np.median([o[place][index] for o in others])))

@@ -1,0 +1,75 @@
+"""The names that a gap report leaves open, as the search for a deciding motion wants them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from geomid_ros.excitation.feasibility import Feasibility
+from geomid_ros.excitation.knowledge import prior_knowledge
+from geomid_ros.excitation.response import Responses, coefficients_of
+from geomid_ros.excitation.rivals import Dispute, Judge, Name
+from geomid_ros.files.models.effect_forms import payload_parameters
+from geomid_ros.files.models.gap_rivals import OpenFinding, read_open_findings
+from geomid_ros.gap.candidates import Candidate
+from geomid_ros.model.effects import KnownEffect, OnLink, Place, effect_class, values_of
+from geomid_ros.model.measurement import MeasurementModel
+from geomid_ros.types import FloatArray, frozen
+
+
+def open_questions(feasibility: Feasibility, path: Path) -> tuple[Judge, list[tuple[str, list[str]]]]:
+    """Who says what a motion would decide, and of each finding its label and those of its rivals.
+
+    Raises InputError naming the ``path`` of the gap.json, and what does not fit the robot.
+    """
+    findings, floor = read_open_findings(path)
+    before = feasibility.knowledge
+    model = before.model.without_effects()
+    knowledge = prior_knowledge(model, feasibility.limits)
+    names = model.robot.joint_names
+    sigmas = [floor.get(name) or own for name, own in zip(names, knowledge.sigmas.tolist(), strict=True)]
+    knowledge = replace(knowledge, sigmas=frozen(sigmas))
+    disputes = [_dispute(model, finding) for finding in findings]
+    inertias = np.array([body.parameters for body in model.robot.bodies])
+    labels = [(dispute.found.label, [rival.label for rival in dispute.rivals]) for dispute in disputes]
+    return Judge(knowledge, Responses(model, inertias), disputes), labels
+
+
+def _dispute(model: MeasurementModel, entry: OpenFinding) -> Dispute:
+    found = _name_of_finding(model, entry.finding)
+    rivals = [_any(model, effect, joint) for effect, joint in entry.rivals]
+    return Dispute(found, _coefficients(entry.finding, found), tuple(rivals))
+
+
+def _name_of_finding(model: MeasurementModel, finding: KnownEffect) -> Name:
+    """The found effect with its constants first."""
+    any_of = _any(model, finding.effect, finding.joint, finding.link)
+    if isinstance(any_of.place, OnLink):
+        return any_of
+    own = effect_class(finding.effect).from_values(values_of(finding))
+    return replace(any_of, variants=(own, *(variant for variant in any_of.variants if variant != own)))
+
+
+def _any(model: MeasurementModel, effect: str, joint: str, link: str = "") -> Name:
+    """An effect with any of its constants, at the place that files call ``joint``."""
+    cls = effect_class(effect)
+    variants = cls.variants()
+    places = {_link_of(model, place) or model.places.name(place): place for place in model.places.of(variants[0])}
+    place = places[link] if link in places else model.places.named(variants[0], joint)
+    where = link or joint
+    label = f"{cls.label} at {where}" if where else cls.label
+    return Name(variants, place, label, Candidate.of(variants[0], place).penalty)
+
+
+def _link_of(model: MeasurementModel, place: Place) -> str:
+    """The link of a place on one; empty for others."""
+    return model.body_names[place.link] if isinstance(place, OnLink) else ""
+
+
+def _coefficients(finding: KnownEffect, found: Name) -> FloatArray:
+    values = values_of(finding)
+    if isinstance(found.place, OnLink):
+        return payload_parameters(values)
+    return coefficients_of(effect_class(finding.effect), values, found.variants[0].parts)

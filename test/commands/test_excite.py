@@ -1,0 +1,114 @@
+"""``geomid excite``: from a URDF to a trajectory, and what is refused."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from excitation.arm import urdf
+from rosbags.highlevel import AnyReader
+from rosbags.typesys import Stores, get_typestore
+
+from geomid_ros.files.trajectories.reading import read_trajectory
+
+from .running import done, geomid, refused
+
+QUICK = ("--duration", "6", "--repeats", "2")
+
+
+@pytest.fixture(scope="module")
+def arm(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("excite") / "small.urdf"
+    path.write_text(urdf())
+    return path
+
+
+@pytest.fixture(scope="module")
+def folder(arm: Path) -> Path:
+    out = arm.parent / "out"
+    text = done("excite", "--urdf", arm, *QUICK, "--avoid", "plane:0,0,1,-0.2", "--out", out)
+    for said in ("acceleration limits follow", "jerk limits are 10", "Least distance:", "Expected:", "trajectory.yaml"):
+        assert said in text
+    return out
+
+
+def test_the_files_say_the_same_motion(folder: Path) -> None:
+    document = yaml.safe_load((folder / "trajectory.yaml").read_text())
+    assert document["joint_names"] == ["j1", "j2", "j3"]
+    points = document["points"]
+    times = np.array([p["time_from_start"]["sec"] + 1e-9 * p["time_from_start"]["nanosec"] for p in points])
+    assert np.allclose(times, np.arange(601) / 100.0)
+    position, velocity, acceleration = (
+        np.array([point[kind] for point in points]) for kind in ("positions", "velocities", "accelerations")
+    )
+    assert np.allclose(np.gradient(position, times, axis=0)[1:-1], velocity[1:-1], atol=5e-3)
+    for ends in (velocity, acceleration):
+        assert np.allclose(ends[[0, -1]], 0.0, atol=1e-6)
+    assert np.allclose(position[:301], position[300:], atol=1e-9)
+    read = read_trajectory(folder / "trajectory.yaml")
+    assert np.array_equal(read.positions, position)
+    assert read.duration == 6.0
+    table = np.loadtxt(folder / "trajectory.csv", delimiter=",", skiprows=1)
+    assert np.allclose(table, np.column_stack([times, position, velocity, acceleration]))
+    with AnyReader([folder / "trajectory_bag"], default_typestore=get_typestore(Stores.ROS2_JAZZY)) as bag:
+        ((connection, _, data),) = list(bag.messages())
+        message = bag.deserialize(data, connection.msgtype)
+    assert connection.msgtype == "trajectory_msgs/msg/JointTrajectory"
+    assert list(message.joint_names) == document["joint_names"]
+    assert np.allclose([point.positions for point in message.points], position)
+    assert message.points[-1].time_from_start.sec == 6
+
+
+def test_the_report_says_margins_and_clearances(folder: Path) -> None:
+    report = json.loads((folder / "excitation.json").read_text())
+    assert all(share <= 1.0 for used in report["used"].values() for share in used.values())
+    assert all(entry["at_least"] >= entry["clearance"] for entry in report["distances"])
+    assert any(entry["second"].startswith("plane:") for entry in report["distances"])
+    assert report["expected"]["designed"]["error"] < report["expected"]["before"]["error"]
+    assert (folder / "excitation.png").stat().st_size > 10_000
+
+
+def test_a_urdf_without_shapes(tmp_path: Path) -> None:
+    bare = tmp_path / "bare.urdf"
+    bare.write_text(urdf().replace("collision>", "other>"))
+    assert "no link has a <collision> or <visual> shape" in refused("excite", "--urdf", bare)
+    text = done("excite", "--urdf", bare, *QUICK, "--no-collision", "--out", tmp_path / "out")
+    assert "collisions are not looked for" in text
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ((), "no robot is given"),
+        (("--urdf", "ARM", "--start", "1,2"), "--start has 2 numbers, expected 3: those of j1, j2, j3"),
+        (("--urdf", "ARM", "--start", "a,b"), "expected numbers"),
+        (("--urdf", "ARM", "--for", "fun"), "aim 'fun'"),
+        (("--urdf", "ARM", "--for", "link:wing"), "'wing'"),
+        (("--urdf", "ARM", "--avoid", "cone:1"), "--avoid cone:1: expected box:"),
+        (("--urdf", "ARM", "--avoid", "box:0,0,0,1,1,0"), "edges greater than zero"),
+        (("--urdf", "ARM", "--avoid", "plane:0,0,0,1"), "the normal of the plane is zero"),
+        (("--urdf", "ARM", "--avoid", "plane:0,0,1"), "expected 4 finite numbers"),
+        (("--urdf", "ARM", "--avoid", "box:0,0,0,9,9,9"), "no posture was found to begin from"),
+        (("--urdf", "ARM", "--avoid", "plane:0,0,1,-1", "--no-collision"), "exclude each other"),
+        (("--urdf", "ARM", "--lock", "wrist"), "'wrist'"),
+        (("--urdf", "ARM", "--limits", "nowhere.yaml"), "nowhere.yaml"),
+    ],
+)
+def test_what_is_refused(arm: Path, arguments: tuple[str, ...], message: str) -> None:
+    assert message in refused("excite", *(str(arm) if argument == "ARM" else argument for argument in arguments))
+
+
+def test_nothing_is_written_where_nothing_is_worth_it(arm: Path, tmp_path: Path) -> None:
+    text = done("excite", "--urdf", arm, *QUICK, "--until", "99.9%", "--out", tmp_path / "out")
+    assert "Nothing is written: 6 s more would lower the expected error by" in text
+    assert not (tmp_path / "out").exists()
+    assert "'5 apples' is no share" in refused("excite", "--urdf", arm, "--until", "5 apples")
+
+
+def test_help_says_what_it_is_for() -> None:
+    text = geomid("excite", "--help").output
+    for option in ("--urdf", "--avoid", "--for", "--from", "--settle", "--no-collision"):
+        assert option in text

@@ -1,0 +1,114 @@
+"""What motions tell: information adds up, and what is foretold comes out."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from geomid_ros.errors import InputError
+from geomid_ros.excitation.criteria import weight_of
+from geomid_ros.excitation.knowledge import ROWS_PER_SECOND, known_before, samples_of
+from geomid_ros.excitation.learning import expected_learning
+from geomid_ros.excitation.motion import MotionForm
+from geomid_ros.excitation.search import random_feasible, random_motion
+
+from .arm import small_task, urdf
+
+TASK = small_task()
+KNOWLEDGE = TASK.knowledge
+
+
+def motion(seed: int = 0):
+    return random_feasible(TASK.feasibility, TASK.form, np.random.default_rng(seed))
+
+
+def test_repeats_add_up() -> None:
+    one = motion()
+    twice = replace(one, form=MotionForm(period=one.form.period, slow_share=one.form.slow_share, repeats=2))
+    assert np.allclose(KNOWLEDGE.information(twice), 2.0 * KNOWLEDGE.information(one))
+
+
+def test_more_is_known_afterwards() -> None:
+    after = KNOWLEDGE.after(KNOWLEDGE.information(motion()))
+    gained = np.linalg.eigvalsh(KNOWLEDGE.posterior.covariance - after.posterior.covariance)
+    assert np.all(gained > -1e-9)
+    assert np.max(gained) > 0.01
+    again = known_before(after.model, after.posterior, after.sigmas.tolist(), "here")
+    assert np.allclose(again.precision, KNOWLEDGE.precision + KNOWLEDGE.information(motion()), rtol=1e-5, atol=1e-3)
+
+
+def test_friction_that_the_urdf_states_is_expected() -> None:
+    """The effort that it takes is part of what must fit below the limits."""
+    text = urdf().replace('<axis xyz="0 0 1"/>', '<axis xyz="0 0 1"/><dynamics damping="12" friction="3"/>')
+    own, states = small_task(text=text).knowledge, np.zeros((3, 1, 3))
+    states[1, 0, 0] = 1.0
+    assert own.efforts(states)[0, 0] == pytest.approx(15.0, abs=0.01)
+    assert KNOWLEDGE.efforts(states)[0, 0] < 5.0
+
+
+def test_an_estimate_of_another_robot_is_refused() -> None:
+    other = replace(KNOWLEDGE.posterior, links=("x", *KNOWLEDGE.posterior.links[1:]))
+    with pytest.raises(InputError, match=r"estimate.json: an estimate of other links"):
+        known_before(KNOWLEDGE.model, other, [1.0] * 3, "estimate.json")
+
+
+def test_foretold_deviations_are_those_of_many_linear_estimates() -> None:
+    """Truths drawn from the prior, efforts with noise, and the posterior's mean by least squares in tangent
+    coordinates: its errors are as large as was foretold."""
+    own, random = motion(), np.random.default_rng(8)
+    count = round(ROWS_PER_SECOND * own.form.period)
+    times = (np.arange(count) + 0.5) * own.form.period / count
+    rows = KNOWLEDGE.rows(own.at(times)[:3])
+    whitened = (rows / KNOWLEDGE.sigmas[:, None]).reshape(-1, rows.shape[2])
+    spreads = np.sqrt(np.diag(KNOWLEDGE.posterior.covariance))
+    truths = spreads * random.standard_normal((400, len(spreads)))
+    measured = truths @ whitened.T + random.standard_normal((400, len(whitened)))
+    stacked = np.concatenate([whitened, np.diag(1.0 / spreads)])
+    targets = np.concatenate([measured.T, np.zeros((len(spreads), 400))])
+    errors = np.linalg.lstsq(stacked, targets, rcond=None)[0].T - truths
+    after = KNOWLEDGE.after(KNOWLEDGE.information(own))
+    foretold = np.sqrt(np.diag(after.posterior.covariance))
+    assert np.allclose(np.sqrt(np.mean(errors**2, axis=0)) / foretold, 1.0, atol=0.15)
+
+
+@pytest.mark.parametrize("aim", ["prediction", "friction", "payload", "link:upper"])
+def test_the_criterion_is_the_mean_squared_error_that_it_says(aim: str) -> None:
+    others = [random_motion(TASK.feasibility, TASK.form, np.random.default_rng(9))]
+    weight = weight_of(aim, KNOWLEDGE, others)
+    tangent = 0.01 * np.random.default_rng(10).standard_normal(len(weight))
+    value = tangent @ weight @ tangent
+    posterior = KNOWLEDGE.posterior
+    moved = posterior.manifold.straight(posterior.point, tangent).parameters - posterior.parameters
+    if aim == "prediction":
+        times = np.linspace(0.0, TASK.form.period, 2000, endpoint=False)
+        coefficients = KNOWLEDGE.model.rows(samples_of(others[0].at(times)[:3])).coefficients
+        assert value == pytest.approx(np.mean((coefficients @ moved / KNOWLEDGE.sigmas) ** 2), rel=0.05)
+    elif aim == "friction":
+        own = [i for i, e in enumerate(posterior.effects) if e.name in ("viscous_friction", "coulomb_friction")]
+        first = posterior.manifold.inertial.stop
+        relative = moved[first:][own] / posterior.parameters[first:][own]
+        assert value == pytest.approx(np.sum(relative**2), rel=1e-6)
+    else:
+        link = posterior.links.index("fore" if aim == "payload" else "upper")
+        own = np.zeros_like(tangent)
+        own[posterior.manifold.link(link)] = tangent[posterior.manifold.link(link)]
+        reached = posterior.manifold.exp(posterior.point, own)
+        assert value == pytest.approx(posterior.manifold.distance(posterior.point, reached) ** 2, rel=1e-6)
+
+
+@pytest.mark.parametrize(("aim", "message"), [("weight", "aim 'weight'"), ("link:wheel", "'wheel'")])
+def test_unknown_aims(aim: str, message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        weight_of(aim, KNOWLEDGE, [])
+
+
+def test_what_is_expected_is_said_honestly() -> None:
+    """A random motion as good as the designed one: the design saves nothing, and twice as long is better."""
+    weight = weight_of("prediction", KNOWLEDGE, [motion(1)])
+    found = expected_learning(KNOWLEDGE, weight, motion(2), [motion(2)])
+    assert any("saves nothing" in sentence for sentence in found.sentences)
+    assert any("no design replaces the time" in sentence for sentence in found.sentences)
+    assert found.before.error > found.designed.error > found.twice.error
+    assert np.all(found.before.links >= found.designed.links - 1e-12)

@@ -1,0 +1,136 @@
+"""Motions that decide: differences by brute force, and rivals that a decided motion tells apart."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from geomid_ros.errors import InputError
+from geomid_ros.excitation.knowledge import ROWS_PER_SECOND, samples_of
+from geomid_ros.excitation.motion import Motion
+from geomid_ros.excitation.response import Responses
+from geomid_ros.excitation.rivals import deciding_motion
+from geomid_ros.excitation.search import random_motion
+from geomid_ros.model.effects import AtJoint, OnRobot, effect_class
+from geomid_ros.session.open_questions import open_questions
+
+from .arm import small_task
+
+TASK = small_task()
+
+
+def finding(effect: str, joint: str, rivals: list[tuple[str, str]], **values: float) -> dict[str, Any]:
+    forms = {form.name: form.units[0] for form in effect_class(effect).parameters}
+    parameters = {name: {"value": value, "std": 0.1, "unit": forms[name]} for name, value in values.items()}
+    named = [{"effect": name, "joint": place, "loss": 1.0} for name, place in rivals]
+    return {"effect": effect, "joint": joint, "parameters": parameters, "rivals": named, "confidence": "ambiguous"}
+
+
+def written(folder: Path, *findings: dict[str, Any], **more: Any) -> Path:
+    path = folder / "gap.json"
+    path.write_text(json.dumps({"format": 1, "findings": list(findings), "floor": {}} | more))
+    return path
+
+
+ROTOR = finding("rotor_inertia", "j3", [("payload", "j3")], inertia=0.05)
+SPRING = finding("spring", "j2", [("effort_offset", "j2")], stiffness=2.0, equilibrium=0.5)
+ELASTIC = finding("joint_elasticity", "j2", [("effort_delay", "")], stiffness=300.0)
+
+
+@pytest.mark.parametrize("own", [ROTOR, SPRING, ELASTIC], ids=["rotor", "spring", "elastic"])
+def test_a_deciding_motion_tells_more_than_random_ones(own: dict[str, Any], tmp_path: Path) -> None:
+    judge, _ = open_questions(TASK.feasibility, written(tmp_path, own))
+    random = np.random.default_rng(1)
+    motion = deciding_motion(TASK.feasibility, TASK.form, judge, random)
+    assert TASK.feasibility.holds(motion)
+    others = [
+        judge.least(TASK.feasibility.made_feasible(random_motion(TASK.feasibility, TASK.form, random)))
+        for _ in range(6)
+    ]
+    assert judge.least(motion) > max(others)
+
+
+def test_the_difference_is_what_the_rival_cannot_explain(tmp_path: Path) -> None:
+    """A spring, by least squares with an offset and inertias within their prior: the residual that is left."""
+    judge, _ = open_questions(TASK.feasibility, written(tmp_path, SPRING))
+    motion = random_motion(TASK.feasibility, TASK.form, np.random.default_rng(2))
+    judge.prepare(motion.scaled(0.5))
+    ((difference,),) = judge.differences(motion)
+    count = 120
+    states = motion.at((np.arange(count) + 0.5) * 6.0 / count)[:3]
+    model = TASK.knowledge.model.without_effects()
+    sigmas = TASK.knowledge.sigmas
+    posterior = TASK.knowledge.posterior
+    rows = np.concatenate(
+        [
+            model.rows(samples_of(states)).coefficients[:, :, 10 * k : 10 * k + 10] @ posterior.point.links_jacobian[k]
+            for k in range(len(posterior.links))
+        ],
+        axis=2,
+    )
+    offset = np.zeros((count, 3, 1))
+    offset[:, 1] = 1.0
+    target = np.zeros((count, 3))
+    target[:, 1] = 2.0 * (states[0][:, 1] - 0.5)
+    weight = np.sqrt(ROWS_PER_SECOND * 6.0 / count) / sigmas
+    stacked = (np.concatenate([rows, offset], axis=2) * weight[:, None]).reshape(3 * count, -1)
+    prior = np.zeros((rows.shape[2], stacked.shape[1]))
+    prior[:, :-1] = np.eye(rows.shape[2]) / 0.2
+    both = np.concatenate([stacked, prior])
+    wanted = np.concatenate([(target * weight).ravel(), np.zeros(len(prior))])
+    left = wanted - both @ np.linalg.lstsq(both, wanted, rcond=None)[0]
+    # The spring has one parameter more.
+    assert np.isclose(difference, left @ left - np.log(ROWS_PER_SECOND * 6.0 * 3), rtol=1e-6)
+
+
+def test_columns_of_effects_that_depend_on_the_load() -> None:
+    """A delay and an elastic gear, by differences of the efforts of shifted motions."""
+    model = TASK.knowledge.model.without_effects()
+    inertias = np.array([body.parameters for body in model.robot.bodies])
+    motion = random_motion(TASK.feasibility, TASK.form, np.random.default_rng(3))
+    period = 0.005
+    times = np.arange(1.0, 4.0, period)
+
+    def efforts(instants: np.ndarray) -> np.ndarray:
+        return np.asarray(model.rows(samples_of(motion.at(instants)[:3])).coefficients @ inertias.ravel())
+
+    pairs = [(effect_class("effort_delay")(), OnRobot()), (effect_class("joint_elasticity")(), AtJoint(1))]
+    delay, elastic = Responses(model, inertias).columns(motion.at(times)[:3], period, pairs)
+    late = (efforts(times - 1e-3) - efforts(times + 1e-3)) / 2e-3
+    assert np.allclose(delay[2:-2, :, 0], late[2:-2], atol=0.02 * np.max(np.abs(late)))
+    states = motion.at(times)[:3]
+    load = efforts(times)[:, 1]
+    behind = states.copy()
+    behind[0, :, 1] -= 1e-4 * load
+    behind[1, :, 1] -= 1e-4 * np.gradient(load, period)
+    behind[2, :, 1] -= 1e-4 * np.gradient(np.gradient(load, period), period)
+    changed = model.rows(samples_of(behind)).coefficients @ inertias.ravel() - efforts(times)
+    assert np.allclose(1e-4 * elastic[4:-4, :, 0], changed[4:-4], atol=0.05 * np.max(np.abs(changed)))
+
+
+@pytest.mark.parametrize(
+    ("document", "message"),
+    [
+        ({"findings": []}, "no finding has a rival"),
+        ({"findings": 3}, "not a gap.json"),
+        ({"format": 2, "findings": []}, "has format 2"),
+        ({"findings": [finding("spring", "j2", [("ghost", "")], stiffness=1.0)]}, "'ghost'"),
+        ({"findings": [finding("spring", "elbow", [("effort_offset", "j2")], stiffness=1.0)]}, "'elbow'"),
+    ],
+)
+def test_reports_that_cannot_be_used(document: dict[str, Any], message: str, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=message):
+        open_questions(TASK.feasibility, written(tmp_path, **document))
+
+
+def test_a_motion_is_not_changed_by_its_judge(tmp_path: Path) -> None:
+    judge, labels = open_questions(TASK.feasibility, written(tmp_path, ROTOR, SPRING))
+    motion = random_motion(TASK.feasibility, TASK.form, np.random.default_rng(4))
+    judge.prepare(motion.scaled(0.5))
+    assert [len(own) for own in judge.differences(motion)] == [len(rivals) for _, rivals in labels] == [1, 1]
+    still = Motion(motion.form, motion.start, 0.0 * motion.coefficients)
+    assert judge.least(still) < judge.least(motion)
