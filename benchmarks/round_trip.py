@@ -118,7 +118,7 @@ class RoundTrip:
         model = None
         if self.planted.is_payload:
             bare = geomid_ros.identify(self.bag(3, bare=True), URDF, effects=[])
-            model, _ = bare.session.save(self.folder / "bare", bare.estimate, bare.held_out_rms)
+            model, *_ = bare.session.save(self.folder / "bare", bare.estimate, bare.held_out_rms)
         return self._gap(1, model, "first")
 
     @cached_property

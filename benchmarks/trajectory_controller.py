@@ -17,6 +17,7 @@ import pinocchio as pin
 import rclpy
 from numpy.typing import NDArray
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.utilities import ok, try_shutdown
@@ -165,11 +166,15 @@ def main() -> None:
     executor.add_node(node)
     due = time.monotonic()
     with contextlib.suppress(KeyboardInterrupt, ExternalShutdownException):
-        while ok():
-            due = max(due + 1.0 / arguments.rate, time.monotonic())
-            while (left := due - time.monotonic()) > 0.0:
-                executor.spin_once(timeout_sec=left)
-            node.step()
+        try:
+            while ok():
+                due = max(due + 1.0 / arguments.rate, time.monotonic())
+                while (left := due - time.monotonic()) > 0.0:
+                    executor.spin_once(timeout_sec=left)
+                node.step()
+        except rclpy_implementation.RCLError:  # the signal came in between, and what is called says so
+            if ok():
+                raise
     node.destroy_node()
     try_shutdown()
 

@@ -43,7 +43,7 @@ class Learning:
     @property
     def sentences(self) -> list[str]:
         """The comparison in words."""
-        said = [f"expected error: {self.before.error:.3g} before, {self.designed.error:.3g} after this motion"]
+        said = [f"{self.before.error:.3g} before, {self.designed.error:.3g} after this motion"]
         gain = 1.0 - self.designed.error / self.random.error
         if gain > _WORTH:
             said.append(f"a random feasible motion of the same length leaves {self.random.error:.3g}: {gain:.0%} saved")

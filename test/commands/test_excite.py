@@ -30,7 +30,13 @@ def arm(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def folder(arm: Path) -> Path:
     out = arm.parent / "out"
     text = done("excite", "--urdf", arm, *QUICK, "--avoid", "plane:0,0,1,-0.2", "--out", out)
-    for said in ("acceleration limits follow", "jerk limits are 10", "Least distance:", "Expected:", "trajectory.yaml"):
+    for said in (
+        "acceleration limits follow",
+        "jerk limits are 10",
+        "Least distance:",
+        "Expected error:",
+        "trajectory.yaml",
+    ):
         assert said in text
     return out
 

@@ -27,7 +27,7 @@ def show(found: Excitation) -> None:
     for decision in found.decisions:
         say(console, "Decides:" if decision.is_sure else "Does not decide:", f" {decision.sentence}")
     for sentence in found.learning.sentences:
-        say(console, "Expected:", f" {sentence}")
+        say(console, "Expected error:", f" {sentence}")
 
 
 def _margins(found: Excitation) -> Table:
