@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -89,6 +89,30 @@ class Posterior:
     def parameter_covariance(self) -> FloatArray:
         """Covariance ``(D, D)`` of the parameters themselves, in their units."""
         return frozen(self.jacobian @ self.covariance @ self.jacobian.T)
+
+    def with_effects(self, effects: Sequence[EffectCoordinate]) -> Posterior:
+        """The same with the effects in another order, the positive ones first. Raises ValueError if they are others."""
+        left = list(enumerate(self.effects))
+        places = []
+        for effect in effects:
+            place = next((place for place, own in left if own == effect), None)
+            if place is None:
+                raise ValueError(f"it has no {effect.name} of {effect.place}")
+            left.remove((place, effect))
+            places.append(place)
+        if left:
+            raise ValueError(f"it has a {left[0][1].name} of {left[0][1].place}")
+        first, positive = self.manifold.inertial.stop, len(self.effects) - len(self.scales)
+        order = np.concatenate([np.arange(first), first + np.array(places, dtype=np.int64)])
+        return replace(
+            self,
+            effects=tuple(effects),
+            parameters=frozen(self.parameters[order]),
+            covariance=frozen(self.covariance[np.ix_(order, order)]),
+            scales=frozen(self.scales[np.array(places[positive:], dtype=np.int64) - positive]),
+            prior=frozen(self.prior[order]),
+            prior_spreads=frozen(self.prior_spreads[order]),
+        )
 
     def coordinates(self, parameters: FloatArray) -> FloatArray:
         """The coordinates ``(D,)`` of other parameters ``(D,)``: how far they are from the estimate."""

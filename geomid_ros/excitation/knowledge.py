@@ -31,6 +31,10 @@ _RATE = 4.0  # [1/s] of acceleration to speed, in random states
 _STATES = 200
 _DYNAMICS = ("damping", "friction")
 _WIDEST = np.pi  # [rad, m]
+_OTHERS = (
+    "{}: an estimate of other links or effects than this robot has ({}); give the URDF and the options with which it "
+    "was identified"
+)
 
 
 def samples_of(states: FloatArray) -> Samples:
@@ -173,14 +177,15 @@ def effect_coordinates(model: MeasurementModel) -> tuple[EffectCoordinate, ...]:
 def known_before(model: MeasurementModel, posterior: Posterior, sigmas: Sequence[float], source: str) -> Knowledge:
     """What an estimate knows, of a model with the same links and effects.
 
-    Raises InputError naming the ``source`` if it is of another robot.
+    The order of the effects may be another. Raises InputError naming the ``source`` if it is of another robot.
     """
-    if posterior.links != model.body_names or posterior.effects != effect_coordinates(model):
-        raise InputError(
-            f"{source}: an estimate of other links or effects than this robot has; give the URDF and the options with "
-            "which it was identified"
-        )
-    return Knowledge(model, posterior, frozen(sigmas))
+    if posterior.links != model.body_names:
+        raise InputError(_OTHERS.format(source, f"its links are {', '.join(posterior.links)}"))
+    try:
+        known = posterior.with_effects(effect_coordinates(model))
+    except ValueError as error:
+        raise InputError(_OTHERS.format(source, error)) from error
+    return Knowledge(model, known, frozen(sigmas))
 
 
 def _channel_sizes(model: MeasurementModel, limits: MotionLimits, coefficients: FloatArray) -> FloatArray:

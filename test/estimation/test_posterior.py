@@ -51,6 +51,27 @@ def test_the_jacobian_is_the_derivative_along_geodesics() -> None:
         np.testing.assert_allclose(found.jacobian[:, k], expected, rtol=0, atol=1e-8 * np.max(np.abs(found.parameters)))
 
 
+def test_the_effects_may_come_in_another_order() -> None:
+    """What is known of each of them, and of it with the others, stays."""
+    found = posterior(mixed(4, np.linspace(0.1, 0.5, ALL.dimension)))
+    positive = len(found.effects) - len(ALL.scales)
+    order = [*reversed(range(positive)), *reversed(range(positive, len(found.effects)))]
+    other = found.with_effects([found.effects[place] for place in order])
+    columns = [*range(10 * ALL.links), *(10 * ALL.links + place for place in order)]
+    np.testing.assert_array_equal(other.parameters, found.parameters[columns])
+    expected = found.parameter_covariance[np.ix_(columns, columns)]
+    np.testing.assert_allclose(other.parameter_covariance, expected, rtol=1e-12, atol=0.0)
+
+
+def test_other_effects_are_refused() -> None:
+    found = posterior(np.eye(ALL.dimension))
+    own = found.effects[0]
+    with pytest.raises(ValueError, match=f"it has a {own.name} of {own.place}"):
+        found.with_effects(found.effects[1:])
+    with pytest.raises(ValueError, match=f"it has no {own.name} of {own.place}"):
+        found.with_effects([*found.effects, own])
+
+
 def test_coordinates_are_those_of_the_documented_matrices() -> None:
     """Of another robot, whose pseudo-inertias are ``P^1/2 (1 + X) P^1/2``, written out."""
     rng, found = np.random.default_rng(3), posterior(np.eye(ALL.dimension))
