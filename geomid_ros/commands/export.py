@@ -54,8 +54,8 @@ def export(
     """Print an estimate in the terms of other software.
 
     FROM is an estimate.json with its identified.urdf beside it, or any URDF. For ur (Universal Robots) and franka, that
-    is the payload at the flange, as commands for the controller and its ROS driver. For moveit, isaac, gazebo and drake
-    it is the robot's URDF, for mujoco its MJCF, with inertias and friction, and what else each of these can say; or
+    is the payload at the flange, as commands for the controller and its ROS driver. For urdf, moveit, isaac, gazebo and
+    drake it is the robot's URDF, for mujoco its MJCF, with inertias, friction, and what else each of these can say; or
     with --frame the inertial of a payload. Standard deviations stand beside the numbers or behind them. What a format
     cannot say is said. What the data did not show is not exported as a payload. A model whose verdict is not 'usable'
     is warned of.

@@ -6,6 +6,7 @@ gazebo   turns a URDF into SDF: <dynamics> of joints, and springs as <gazebo> el
 drake    reads damping of <dynamics>, not friction; rotor inertia at the actuators of transmissions
          (multibody/parsing/detail_urdf_parser.cc)
 isaac    reads <dynamics> (isaacsim.asset.importer.urdf, UrdfDynamics), no armature
+urdf     whatever reads a URDF
 moveit   reads a URDF, of whose inertials and <dynamics> its planners take nothing
 =======  ===============================================================================================================
 """
@@ -129,6 +130,7 @@ DESCRIPTIONS = dict(
     zip(
         formats.DESCRIBED_FOR,
         (
+            Description(("urdf",), (), formats.urdf_inertial, _urdf),
             Description(("urdf",), _MOVEIT_NOTE, formats.urdf_inertial, _urdf),
             Description(("urdf",), _ISAAC_NOTE, formats.urdf_inertial, _isaac),
             Description(("urdf", "gazebo"), _GAZEBO_NOTE, formats.sdf_inertial, _gazebo),

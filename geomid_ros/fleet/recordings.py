@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import csv
 import hashlib
+import os
 from collections.abc import Iterable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from tempfile import TemporaryDirectory
@@ -83,11 +84,30 @@ def _bags_below(system: Any, path: str) -> Iterator[tuple[str, Mapping[str, Any]
         yield path, {path: system.info(path)}
         return
     by_folder: dict[str, dict[str, Any]] = {}
-    for name, info in system.find(path, detail=True).items():
+    for name, info in _files_below(system, path):
         by_folder.setdefault(name.rpartition("/")[0], {})[name] = info
     for folder, files in sorted(by_folder.items()):
         if any(name.endswith((*_SUFFIXES, f"/{_METADATA}")) for name in files):
             yield folder, files
+
+
+def _files_below(system: Any, path: str) -> Iterator[tuple[str, Mapping[str, Any]]]:
+    """Every file with what is told of it; on disks also behind links to folders, each folder once."""
+    if not is_local(system):
+        yield from system.find(path, detail=True).items()
+        return
+    seen: set[str] = set()
+    for folder, folders, names in os.walk(path, followlinks=True):
+        folders.sort()
+        own = os.path.realpath(folder)
+        if own in seen:
+            folders.clear()
+            continue
+        seen.add(own)
+        for name in names:
+            with suppress(FileNotFoundError):  # a link to nowhere
+                file = f"{folder}/{name}"
+                yield file, system.info(file)
 
 
 def _bag(system: Any, path: str, files: Mapping[str, Any], robot: str = "") -> FleetBag:

@@ -91,7 +91,7 @@ def test_mujoco_predicts_what_geomid_does(tmp_path: Path) -> None:
     np.testing.assert_allclose(in_mujoco(exported(model, "mujoco"), samples), expected, atol=DIGITS)
 
 
-@pytest.mark.parametrize("tool", ["moveit", "isaac", "gazebo", "drake"])
+@pytest.mark.parametrize("tool", ["urdf", "moveit", "isaac", "gazebo", "drake"])
 def test_pinocchio_predicts_what_geomid_does(tool: str, tmp_path: Path) -> None:
     """By urdfdom, with the rotors from geomid's file, as a URDF cannot say them."""
     model = written(tmp_path, EFFECTS)
@@ -173,6 +173,7 @@ def test_gazebo_has_springs(tmp_path: Path) -> None:
 
 LOAD = effect("load_friction", "joint3", coefficient=0.1)
 CANNOT = {
+    "urdf": "rotor inertia, spring of joint2",
     "moveit": "rotor inertia, spring of joint2",
     "isaac": "rotor inertia, spring of joint2",
     "gazebo": "rotor inertia of joint2",

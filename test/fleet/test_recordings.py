@@ -43,6 +43,16 @@ def test_a_folder_of_robots(folder: Path) -> None:
     assert found(folder) == EVERY
 
 
+def test_bags_behind_links(folder: Path, tmp_path: Path) -> None:
+    """To a robot's folder and to a bag; circles and links to nowhere are no matter, and no bag counts twice."""
+    (tmp_path / "left").symlink_to(folder / "left")
+    (tmp_path / "right").mkdir()
+    (tmp_path / "right" / "monday").symlink_to(folder / "right" / "monday")
+    (tmp_path / "right" / "again").symlink_to(tmp_path)
+    (tmp_path / "right" / "lost").symlink_to(tmp_path / "nowhere")
+    assert found(tmp_path) == EVERY
+
+
 def test_a_pattern(folder: Path) -> None:
     assert found(folder / "*" / "mon*") == [EVERY[0], EVERY[2]]
     assert found(folder / "left" / "*" / "*.mcap") == [("monday", "monday.mcap"), ("tuesday", "tuesday.mcap")]
