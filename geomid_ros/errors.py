@@ -58,6 +58,11 @@ def is_lack_of_memory(error: BaseException) -> bool:
     return any(isinstance(each, MemoryError) or any(word in str(each) for word in _NO_MEMORY) for each in causes)
 
 
+def load_hashes() -> None:
+    """Load Python's hashes while there is room: later, without any, their module logs a traceback for each of them."""
+    import hashlib  # noqa: F401, PLC0415
+
+
 def missing_library(error: BaseException) -> str:
     """What to do when a library is not installed; empty for any other error."""
     name = (error.name or "").partition(".")[0] if isinstance(error, ModuleNotFoundError) else ""

@@ -11,7 +11,7 @@ import click
 from click.shell_completion import CompletionItem
 
 import geomid_ros
-from geomid_ros.errors import TOO_LITTLE_MEMORY, GeomidError, is_lack_of_memory, missing_library
+from geomid_ros.errors import TOO_LITTLE_MEMORY, GeomidError, is_lack_of_memory, load_hashes, missing_library
 
 COMMANDS = {
     "dashboard": "Show a running node on a local page.",
@@ -46,6 +46,7 @@ class _Group(click.Group):
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:  # noqa: ARG002
         if cmd_name not in COMMANDS:
             return None
+        load_hashes()
         command: click.Command = getattr(import_module(f"geomid_ros.commands.{cmd_name}"), cmd_name)
         return command
 

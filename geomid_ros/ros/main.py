@@ -10,7 +10,7 @@ import time
 from contextlib import closing
 from typing import TYPE_CHECKING
 
-from geomid_ros.errors import TOO_LITTLE_MEMORY, GeomidError, is_lack_of_memory, missing_library
+from geomid_ros.errors import TOO_LITTLE_MEMORY, GeomidError, is_lack_of_memory, load_hashes, missing_library
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -36,6 +36,7 @@ def main() -> None:
     # once.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     try:
+        load_hashes()
         _run()
     except GeomidError as error:
         print(f"geomid_node: {error}", file=sys.stderr)
