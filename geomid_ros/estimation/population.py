@@ -18,7 +18,7 @@ import numpy as np
 
 from geomid_ros.errors import InputError
 from geomid_ros.estimation.estimate import Estimate
-from geomid_ros.estimation.posterior import EffectCoordinate
+from geomid_ros.estimation.posterior import EffectCoordinate, manifold_of
 from geomid_ros.estimation.starting_point import usual_spreads
 from geomid_ros.estimation.summary import triangular
 from geomid_ros.geometry.manifold import ParameterManifold, Point
@@ -115,7 +115,7 @@ class Population:
     @cached_property
     def manifold(self) -> ParameterManifold:
         """Where the parameters live."""
-        return ParameterManifold(len(self.links), sum(effect.positive for effect in self.effects), self.scales)
+        return manifold_of(self.links, self.effects, self.scales)
 
     @cached_property
     def point(self) -> Point:

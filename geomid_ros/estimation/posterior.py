@@ -29,6 +29,11 @@ class EffectCoordinate:
     positive: bool
 
 
+def manifold_of(links: Sequence[str], effects: Sequence[EffectCoordinate], scales: FloatArray) -> ParameterManifold:
+    """Where the parameters of links and effects live; ``scales``: of the real coefficients."""
+    return ParameterManifold(len(links), sum(effect.positive for effect in effects), scales)
+
+
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Posterior:
     """What is known of all parameters together: ``N(0, covariance)``, given that such a robot can exist.
@@ -70,7 +75,7 @@ class Posterior:
     @cached_property
     def manifold(self) -> ParameterManifold:
         """Where the parameters live."""
-        return ParameterManifold(len(self.links), sum(effect.positive for effect in self.effects), self.scales)
+        return manifold_of(self.links, self.effects, self.scales)
 
     @cached_property
     def point(self) -> Point:
