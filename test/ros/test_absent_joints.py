@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Iterator
 from contextlib import suppress
+from threading import Event
 from types import SimpleNamespace
 
 import numpy as np
@@ -67,9 +67,9 @@ def feed(supervisor: Supervisor, finger: bool = False) -> int:
         fields = {key: np.append(getattr(message, key), 0.01) for key in ("position", "velocity", "effort")}
         taken = item.changed(name=[*message.name, FINGER], **fields) if finger else item
         worker.take(*taken.raw)
-    end = time.monotonic() + PATIENCE
-    while worker.status(active=True).queue > worker.session.pipeline.held and time.monotonic() < end:
-        time.sleep(0.01)
+    all_taken = Event()
+    worker.final_estimate(lambda _: all_taken.set())
+    assert all_taken.wait(PATIENCE)
     return worker.session.identifier.counts.taken
 
 
