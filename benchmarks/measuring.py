@@ -77,7 +77,8 @@ def processor_seconds(process: int) -> float:
 
 def family(process: int) -> list[int]:
     """A process and those that it has started."""
-    children = Path(f"/proc/{process}/task/{process}/children").read_text(encoding="ascii").split()
+    threads = Path(f"/proc/{process}/task").glob("*/children")
+    children = [child for thread in threads for child in thread.read_text(encoding="ascii").split()]
     return [process, *(member for child in children for member in family(int(child)))]
 
 

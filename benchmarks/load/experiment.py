@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import statistics
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from typing import Any
@@ -10,12 +11,14 @@ from typing import Any
 from benchmarks.load.cycles import lives, services
 from benchmarks.load.day import day
 from benchmarks.load.endings import endings
+from benchmarks.load.kills import kills
 from benchmarks.load.overload import overload
 from benchmarks.load.robots import robots
 from benchmarks.load.steady import steady
 from benchmarks.load.watched import QUANTILES, Account
 from benchmarks.report import Report
 
+_KILLS = 50
 _COUNTS = ["sent", "received", "accepted", "lost", "unaccounted", "rejected or dropped"]
 
 
@@ -83,6 +86,19 @@ def _overload(report: Report, seconds: float) -> None:
     report.result("overload", asdict(outcome) | {"unaccounted": outcome.unaccounted})
 
 
+def _kills(report: Report, seconds: float) -> None:
+    outcome = kills(robots()["arm7"], seconds, _KILLS)
+    headings = ["kills", *_COUNTS, "seconds to the next estimate: median, longest"]
+    pauses = f"{statistics.median(outcome.pauses):.1f}, {max(outcome.pauses):.1f}"
+    report.table(
+        f"The solving process is killed within {seconds:g} s",
+        headings,
+        [[str(outcome.kills), *_counts(outcome), pauses]],
+        "7 joints and a wrench at 1 kHz, default parameters. " + _machine(),
+    )
+    report.result("kills", asdict(outcome) | {"unaccounted": outcome.unaccounted})
+
+
 def _day(report: Report, hours: float) -> None:
     outcome = day(
         robots()["arm7"], hours, lambda hour, memory: report.progress(f"load: day: {hour} h, {memory:.1f} MB")
@@ -139,6 +155,7 @@ SCENARIOS = {
     "calm": Scenario(_calm, 300.0, "seconds", 60.0),
     "body": Scenario(_body, 300.0, "seconds", 60.0),
     "overload": Scenario(_overload, 10.0, "seconds", 5.0),
+    "kills": Scenario(_kills, 600.0, "seconds", 300.0),
     "day": Scenario(_day, 24.0, "hours", 2.0),
     "cycles": Scenario(_cycles, 200.0, "cycles", 20.0),
     "endings": Scenario(_endings, 1.0, "times", 1.0),
