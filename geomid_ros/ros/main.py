@@ -8,6 +8,7 @@ import sys
 import threading
 import time
 from contextlib import closing
+from functools import partial
 from typing import TYPE_CHECKING
 
 from geomid_ros.errors import TOO_LITTLE_MEMORY, GeomidError, is_lack_of_memory, load_hashes, missing_library
@@ -15,15 +16,14 @@ from geomid_ros.errors import TOO_LITTLE_MEMORY, GeomidError, is_lack_of_memory,
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from rclpy.executors import Executor
-
     from geomid_ros.live.solving_process import SolvingProcess
     from geomid_ros.ros.node import GeomidNode
 
 _SWITCH_INTERVAL = 5e-4  # [s]
-# Messages cost least when many are taken at once, and none is of use before the next instant is due.
+# Messages cost least when many are taken at once, and none is of use before the next instant is due. To look for
+# anything else, in which the executor also takes a message, costs as much as to take ten.
 _AT_ONCE = 10  # messages
-_SHORTEST, _LONGEST = 2e-3, 20e-3  # [s] pauses between taking them
+_SHORTEST, _LONGEST = 2e-3, 20e-3  # [s] pauses between taking them, the longest between looks for anything else
 
 
 def main() -> None:
@@ -80,10 +80,14 @@ def _run_node(solving: SolvingProcess) -> None:
         node = GeomidNode(solving)
         executor = SingleThreadedExecutor()
         executor.add_node(node)
-        pause = _SHORTEST
         try:
+            pause, next_spin = _SHORTEST, 0.0
             while ok() and not stopping.is_set():
-                pause = _next_pause(pause, _spin_once(executor, node))
+                taken = _guarded(node, node.take_waiting)
+                if time.monotonic() >= next_spin:
+                    _guarded(node, partial(executor.spin_once, timeout_sec=0.1))
+                    next_spin = time.monotonic() + _LONGEST
+                pause = _next_pause(pause, taken or 0)
                 time.sleep(pause)
         finally:
             node.close()
@@ -93,15 +97,13 @@ def _run_node(solving: SolvingProcess) -> None:
         try_shutdown()
 
 
-def _spin_once(executor: Executor, node: GeomidNode) -> int:
-    """Run a callback that is due, and take the data that wait. An error in one is reported, and the node lives on.
-    Returns how many messages were taken."""
+def _guarded(node: GeomidNode, run: Callable[[], int | None]) -> int | None:
+    """Run something, and give its result. An error in it is reported, and the node lives on."""
     try:
-        executor.spin_once(timeout_sec=0.1)
-        return node.take_waiting()
+        return run()
     except Exception as error:  # noqa: BLE001 the other callbacks go on
         node.fail("a callback failed", error)
-    return 0
+    return None
 
 
 def _next_pause(pause: float, taken: int) -> float:
