@@ -159,6 +159,7 @@ class Worker:
             warnings=(
                 *self.session.warnings(self.solver.estimate),
                 *self._causes(sure=False),
+                *self.session.recorded.remarks,
                 *filter(None, (self.solver.problem, self._solver_is_late, self._silence)),
             ),
             failures=failures,

@@ -14,7 +14,7 @@ from geomid_ros.plausibility.descriptions import impossible_description
 from geomid_ros.plausibility.encoders import encoder_hypotheses
 from geomid_ros.plausibility.evidence import LEAST_SIGMA, Evidence
 from geomid_ros.plausibility.flexible import FlexibleFit
-from geomid_ros.plausibility.hypotheses import FOLLOWS, GAIN_OF_ORDER, Finding, Hypothesis, decide
+from geomid_ros.plausibility.hypotheses import FOLLOWS, GAIN_OF_ORDER, Cause, Finding, Hypothesis, decide
 from geomid_ros.plausibility.instants import FEWEST
 from geomid_ros.plausibility.lags import Lags, Pairs
 from geomid_ros.plausibility.motions import degree_hypotheses, name_hypotheses
@@ -78,22 +78,30 @@ class EffortCheck:
         fit = FlexibleFit(world, subject.samples, subject.joints)
         self.remarks = [words.MODEL] if is_model(world.measured, world.predicted) else []
         causes = frozen(subject.names, subject.samples, world.measured, fit.rigid)
-        own = self._best(world, fit)
+        own, level = self._best(subject, world, fit)
+        if own is None and level is not None:
+            self.remarks.append(level.sentence)
+            subject = subject.under(np.array(level.settings["gravity"]))
+            world = subject.world(subject.samples)
+            own, _ = self._best(subject, world, FlexibleFit(world, subject.samples, subject.joints))
         return [*(Finding(cause=cause) for cause in causes), *([] if own is None else [own])]
 
-    def _best(self, world: World, fit: FlexibleFit) -> Finding | None:
-        """What explains efforts better than that they are as they should be."""
-        subject = self._subject
+    def _best(self, subject: Subject, world: World, fit: FlexibleFit) -> tuple[Finding | None, Cause | None]:
+        """What explains efforts better than that they are as they should be; and the same of what may only be remarked
+        on: a base that is not level."""
+        instants = len(subject.samples)
         nominal = world.judge(as_it_is(len(subject.joints)))
-        tried = [*self._tried(world, nominal), *self._changing(fit, nominal)]
+        tried = [*self._tried(subject, world, nominal), *self._changing(subject, fit, nominal)]
         best = max([nominal, *(h.evidence for h in tried if h.allowed)], key=lambda found: found.log)
         if np.all(best.sigmas > FOLLOWS):
-            return Finding(cause=words.unrelated(subject.names))
-        return decide(tried, nominal, len(subject.samples))
+            return Finding(cause=words.unrelated(subject.names)), None
+        aside = [h for h in tried if not h.alone and h.is_named(nominal, instants)]
+        remarked = max(aside, key=lambda hypothesis: hypothesis.score).cause if aside else None
+        return decide(tried, nominal, instants), remarked
 
-    def _tried(self, world: World, nominal: Evidence) -> Iterator[Hypothesis]:
+    @staticmethod
+    def _tried(subject: Subject, world: World, nominal: Evidence) -> Iterator[Hypothesis]:
         """What may be so all of the time."""
-        subject = self._subject
         yield from sign_hypotheses(subject, world)
         yield from friction_hypotheses(subject, world)
         yield from magnitude_hypotheses(subject, world)
@@ -106,12 +114,12 @@ class EffortCheck:
             yield from name_hypotheses(subject)
             yield from encoder_hypotheses(subject, world, nominal)
 
-    def _changing(self, fit: FlexibleFit, nominal: Evidence) -> Iterator[Hypothesis]:
+    def _changing(self, subject: Subject, fit: FlexibleFit, nominal: Evidence) -> Iterator[Hypothesis]:
         """What may change, or come at another time."""
-        yield from Changes(self._subject, fit).hypotheses(nominal)
-        yield from SwitchedUnit(self._subject).hypotheses(nominal)
+        yield from Changes(subject, fit).hypotheses(nominal)
+        yield from SwitchedUnit(subject).hypotheses(nominal)
         if self._pairs is not None:
-            yield from Lags(self._subject, self._pairs).hypotheses(nominal)
+            yield from Lags(subject, self._pairs).hypotheses(nominal)
 
 
 def _usable(samples: Samples, joints: IntArray) -> Samples:

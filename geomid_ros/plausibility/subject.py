@@ -34,6 +34,10 @@ class Subject:
         self.prior = np.array([body.parameters for body in self.robot.bodies]).ravel()
         self.factor = prior_factor(self.robot)
 
+    def under(self, gravity: FloatArray) -> Subject:
+        """The same under another ``gravity (3,)`` in the base frame [m/s^2]."""
+        return Subject(self.model.with_gravity(gravity), self.samples, self.joints, self.gains)
+
     @property
     def everywhere(self) -> range:
         """All channels."""

@@ -13,7 +13,7 @@ from geomid_ros.plausibility.rows import gravity_rows
 from geomid_ros.plausibility.subject import Subject
 from geomid_ros.types import FloatArray
 
-_TILT = np.cos(np.radians(25.0))
+_TILT = np.radians(25.0)
 _DIRECTIONS = 20  # that gravity may well have
 
 
@@ -30,9 +30,12 @@ def gravity_hypotheses(subject: Subject) -> Iterator[Hypothesis]:
         return World(efforts, still + np.tensordot(gravity, by_gravity, 1))
 
     def turned(gravity: FloatArray) -> Hypothesis:
-        tilted = bool(gravity @ nominal < _TILT * size**2)
-        cause = words.other_gravity(gravity, subject.names)
-        return subject.hypothesis(cause, world(gravity).judge(reading), _DIRECTIONS, alone=tilted)
+        angle = float(np.arccos(np.clip(gravity @ nominal / size**2, -1.0, 1.0)))
+        if angle > _TILT:
+            cause = words.other_gravity(gravity, subject.names)
+        else:
+            cause = words.not_level(gravity, angle, subject.names)
+        return subject.hypothesis(cause, world(gravity).judge(reading), _DIRECTIONS, alone=angle > _TILT)
 
     fitted = efforts.fitted_gravity(still, by_gravity, efforts.prior)
     for start in (size, -size):

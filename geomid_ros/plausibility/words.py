@@ -91,12 +91,26 @@ def degrees(joints: Sequence[str]) -> Cause:
 
 def other_gravity(gravity: FloatArray, joints: Sequence[str]) -> Cause:
     """Gravity acts in another direction."""
-    rounded = [float(entry) for entry in np.round(gravity, 2) + 0.0]
-    settings = {"gravity": rounded}
+    settings = _gravity(gravity)
     sentence = (
         f"gravity acts in another direction than configured: {written(settings)} fits (how is the robot mounted?)"
     )
     return Cause(kind="gravity", sentence=sentence, settings=settings, places=tuple(joints))
+
+
+def not_level(gravity: FloatArray, angle: float, joints: Sequence[str]) -> Cause:
+    """The base is tilted a little, by an angle [rad]."""
+    written = " ".join(f"{entry:g}" for entry in np.round(gravity, 2) + 0.0)
+    sentence = (
+        f"the efforts are explained much better if gravity is {written} in the base frame: is the base "
+        f"{np.degrees(angle):.1f} degrees off? Measure it; --gravity {written} (the parameter gravity) corrects it, "
+        "and 'geomid gap' fits it"
+    )
+    return Cause(kind="gravity", sentence=sentence, settings=_gravity(gravity), places=tuple(joints))
+
+
+def _gravity(gravity: FloatArray) -> dict[str, list[float]]:
+    return {"gravity": [float(entry) for entry in np.round(gravity, 2) + 0.0]}
 
 
 def no_gravity(joints: Sequence[str]) -> Cause:

@@ -17,28 +17,54 @@ from geomid_ros.session.session import Session
 PATIENCE = 120.0
 
 
-def session() -> Session:
-    configuration = Configuration({"effort_gain": -1.0, "candidates": []})
-    return Session(read_urdf(BAGS / "arm3.urdf"), configuration, "arm3.urdf")
+def session(**settings: object) -> Session:
+    return Session(read_urdf(BAGS / "arm3.urdf"), Configuration({"candidates": [], **settings}), "arm3.urdf")
+
+
+def fed(worker: Worker) -> None:
+    """Let a worker take a recording."""
+    for item in recorded(BAGS / "arm3"):
+        if item.topic == "/joint_states":
+            worker.take(*item.raw)
+
+
+def solved(worker: Worker) -> Estimate | GeomidError:
+    """What it finds."""
+    answers: queue.Queue[Estimate | GeomidError] = queue.Queue()
+    worker.final_estimate(answers.put)
+    return answers.get(timeout=PATIENCE)
 
 
 def test_it_is_an_error_in_the_same_words_until_a_reset() -> None:
-    of_bag = session()
+    of_bag = session(effort_gain=-1.0)
     read_bags(of_bag, Bags(fitted=[BAGS / "arm3"]))
-    worker = Worker(session(), 3600.0, lambda *_: None, lambda *_: None)
+    worker = Worker(session(effort_gain=-1.0), 3600.0, lambda *_: None, lambda *_: None)
     try:
-        for item in recorded(BAGS / "arm3"):
-            if item.topic == "/joint_states":
-                worker.take(*item.raw)
-        answers: queue.Queue[Estimate | GeomidError] = queue.Queue()
-        worker.final_estimate(answers.put)
-        assert isinstance(answers.get(timeout=PATIENCE), Estimate)
+        fed(worker)
+        assert isinstance(solved(worker), Estimate)
         (sentence,) = worker.status(active=True).problems
         assert sentence == of_bag.findings[0].sentence
         assert "effort_gain: 1.0" in sentence
         worker.reset()
-        worker.final_estimate(answers.put)
-        assert isinstance(answers.get(timeout=PATIENCE), GeomidError)
+        assert isinstance(solved(worker), GeomidError)
         assert worker.status(active=True).problems == ()
+    finally:
+        worker.close()
+
+
+def test_a_remark_is_a_warning_in_the_same_words_until_a_reset() -> None:
+    tilted = [1.5, -0.8, -9.66]
+    of_bag = session(gravity=tilted)
+    read_bags(of_bag, Bags(fitted=[BAGS / "arm3"]))
+    (remark,) = of_bag.recorded.remarks
+    worker = Worker(session(gravity=tilted), 3600.0, lambda *_: None, lambda *_: None)
+    try:
+        fed(worker)
+        assert isinstance(solved(worker), Estimate)
+        assert remark in worker.status(active=True).warnings
+        assert worker.status(active=True).problems == ()
+        worker.reset()
+        assert isinstance(solved(worker), GeomidError)
+        assert remark not in worker.status(active=True).warnings
     finally:
         worker.close()
