@@ -198,9 +198,9 @@ def _estimate(
         prior_weights,
         manifold.log(solution.point, prior_point),
         _parameter_groups(model, manifold),
-        least_inflation(summary, settings.cutoff),
-        fitted.assumed_spreads,
-        _information_at(manifold, solution.point, known.prior_rows),
+        least_inflation=least_inflation(summary, settings.cutoff),
+        assumed_spreads=fitted.assumed_spreads,
+        expected=_information_at(manifold, solution.point, known.prior_rows),
     )
     parameters = np.zeros(whole.dimension)
     parameters[columns] = solution.point.parameters

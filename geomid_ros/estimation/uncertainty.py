@@ -79,6 +79,7 @@ def estimate_uncertainty(
     prior_weights: FloatArray,
     from_prior: FloatArray,
     groups: Sequence[ParameterGroup],
+    *,
     least_inflation: float = 1.0,
     assumed_spreads: FloatArray | None = None,
     expected: FloatArray | None = None,

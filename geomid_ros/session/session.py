@@ -328,6 +328,7 @@ class Session:
         return document | {
             "verdict": verdict_entry(judged, self.findings),
             "warnings": self.warnings(estimate, judged),
+            "notes": self.notes,
             "messages": {topic: account_entry(account) for topic, account in self.pipeline.ledger.topics.items()},
         }
 

@@ -141,12 +141,12 @@ def test_what_belongs_to_the_prior_is_not_from_data() -> None:
     rng = np.random.default_rng(4)
     own, measured = information(rng, 4, 4), np.diag([1e6, 0.0, 0.0, 0.0])
     spreads, known = np.full(4, 0.2), Fold(np.zeros(4), own)
-    problem = ([Fold(np.zeros(4), measured)], known, 1.0, spreads**-2.0, np.zeros(4), one_group(4), 1.0, spreads)
-    found = estimate_uncertainty(*problem, own)
+    problem = ([Fold(np.zeros(4), measured)], known, 1.0, spreads**-2.0, np.zeros(4), one_group(4))
+    found = estimate_uncertainty(*problem, assumed_spreads=spreads, expected=own)
     np.testing.assert_allclose(found.prior, np.linalg.inv(own + np.diag(spreads**-2.0)), rtol=1e-9)
     np.testing.assert_allclose(found.covariance, np.linalg.inv(own + measured + np.diag(spreads**-2.0)), rtol=1e-9)
     assert 0.2 < found.from_data(slice(0, 4)) < 0.25
-    assert estimate_uncertainty(*problem).from_data(slice(0, 4)) > 0.5
+    assert estimate_uncertainty(*problem, assumed_spreads=spreads).from_data(slice(0, 4)) > 0.5
 
 
 @pytest.mark.parametrize(("cutoff", "period"), [(5.0, 0.01), (3.0, 0.002), (10.0, 0.02)])
