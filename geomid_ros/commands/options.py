@@ -26,7 +26,7 @@ class Output(click.Path):
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
         from geomid_ros.files.disk import check_writable
 
-        path = super().convert(value, param, ctx)
+        path = Path(super().convert(value, param, ctx))  # type: ignore[arg-type]  # it is one
         check_writable(path.parent if self._within else path)
         return path
 
