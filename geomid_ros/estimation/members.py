@@ -16,7 +16,7 @@ from geomid_ros.estimation.population import FEWEST, SHARED, Evidence, Populatio
 from geomid_ros.estimation.posterior import manifold_of
 from geomid_ros.types import FloatArray, IntArray
 
-_CHANCE = 1e-3  # that a robot of the type is taken for another, of all its blocks
+_CHANCE = 1e-2  # at most, that a robot of the type is taken for another, of all its blocks
 _IDENTIFIED = 0.1  # of the variance between robots in a direction that counts, at least, is seen
 _FEWEST_JUDGED = 5
 _LEAST_DEVIATION = 1e-3
