@@ -183,8 +183,8 @@ class Sampler:
         if not (repeated := account.rejected[FROZEN]):
             return ""
         return (
-            f". Of the first {account.received} messages on {JOINT_STATES} {repeated} only repeat the one before though "
-            "the robot moves, and are left out: the driver publishes more often than it measures"
+            f". Of the first {account.received} messages on {JOINT_STATES} {repeated} only repeat the one before "
+            "though the robot moves, and are left out: the driver publishes more often than it measures"
         )
 
     def _open_streams(self, grid: Grid) -> None:
