@@ -269,9 +269,10 @@ def memory(report: Report, folder: Path) -> None:
         out = folder / f"out{count}"
         shutil.rmtree(out, ignore_errors=True)
         script = (
-            "import resource, sys; from geomid_ros.commands.root import root; "
-            "root(sys.argv[1:], standalone_mode=False); "
-            "print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss, file=sys.stderr)"
+            "import atexit, resource, sys; from geomid_ros.commands.root import root; "
+            "used = lambda: resource.getrusage(resource.RUSAGE_SELF).ru_maxrss; "
+            "atexit.register(lambda: print(used(), file=sys.stderr)); "
+            "root(sys.argv[1:])"
         )
         begin = time.perf_counter()
         arguments = ("fleet", str(bags), "--urdf", str(_URDF), "--out", str(out))

@@ -59,7 +59,9 @@ class Gap:
     def document(self) -> dict[str, Any]:
         """All numbers, as ``gap.json`` has them."""
         document = gap_document(self.result, {simulation.kind: simulation.errors for simulation in self.simulated})
-        return document | {"causes": causes_entry(self.session.findings), "warnings": self.session.warnings()}
+        session = self.session
+        remarks = {"causes": causes_entry(session.findings), "warnings": session.warnings(), "notes": session.notes}
+        return document | remarks
 
     def report(self, path: PathLike, *, progress: Progress = silent) -> Path:
         """Write everything with pictures on one HTML page that needs no network.
@@ -87,6 +89,7 @@ class Gap:
             not_simulated=self.not_simulated,
             doubts=[finding.sentence for finding in self.session.findings],
             warnings=self.session.warnings(),
+            notes=self.session.notes,
         )
         write_gap_page(Path(path), page, lambda share: progress("drawing", share))
         return Path(path)

@@ -12,11 +12,32 @@ import click
 if TYPE_CHECKING:
     from geomid_ros.session.configuration import Configuration
 
+
+class Output(click.Path):
+    """Where results go: what cannot be written is told before any work is done.
+
+    A folder, or with ``within`` what is made in its folder.
+    """
+
+    def __init__(self, *, within: bool = False, **options: Any) -> None:
+        super().__init__(path_type=Path, **options)
+        self._within = within
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        from geomid_ros.files.disk import check_writable
+
+        path = Path(super().convert(value, param, ctx))  # type: ignore[arg-type]  # it is one
+        check_writable(path.parent if self._within else path)
+        return path
+
+
 OUT: dict[str, Any] = {
-    "type": click.Path(path_type=Path, file_okay=False),
+    "type": Output(file_okay=False),
     "show_default": True,
     "help": "Folder for results.",
 }
+UNTRIED_OUT = OUT | {"type": click.Path(path_type=Path, file_okay=False)}
+"""The same for commands that do not always write: they try it themselves."""
 
 
 def robot_options(function: Callable[..., None]) -> Callable[..., None]:

@@ -9,7 +9,7 @@ from xml.etree.ElementTree import Element
 
 import click
 
-from geomid_ros.commands.options import package_option
+from geomid_ros.commands.options import Output, package_option
 from geomid_ros.errors import InputError, unknown_name
 
 if TYPE_CHECKING:
@@ -31,7 +31,7 @@ _LIGHTEST, _HEAVIEST = 50.0, 20_000.0  # [kg/m^3]
 @package_option
 @click.option(
     "--out",
-    type=click.Path(path_type=Path, dir_okay=False),
+    type=Output(within=True, dir_okay=False),
     default=Path("prior.urdf"),
     show_default=True,
     help="The URDF to write.",

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from geomid_ros.commands.options import Output
 from geomid_ros.simulation import (
     EFFECTS,
     LINK_MASS,
@@ -35,7 +36,7 @@ Hide a physical effect, alone or with others (repeat the option):
 
 
 @click.command(epilog=f"Effects: {', '.join(EFFECTS)}. An unknown joint or parameter is answered with those there are.")
-@click.argument("out", type=click.Path(path_type=Path))
+@click.argument("out", type=Output(within=True))
 @click.option("--robot", default=_DEFAULT.robot, show_default=True, help=f"{', '.join(robot_names())}, or a URDF file.")
 @click.option("--hide", "hide", multiple=True, metavar="EFFECT[:PLACE][=VALUE]", help=_HIDE)
 @click.option("--duration", default=_DEFAULT.duration, show_default=True, help="Seconds.")

@@ -38,6 +38,7 @@ from geomid_ros.types import FloatArray, IntArray, frozen
 _FAR = 2.0  # times the usual distance
 _SAME_MASS = 0.2  # logarithm of the ratio of masses
 _ROUNDING = 1e-9
+_OF_WHITE_NOISE = 1.79  # independent rows per period of the filter's cutoff: twice its noise bandwidth in cutoffs
 
 
 @dataclass(frozen=True)
@@ -168,6 +169,13 @@ def _independent(summary: RowSummary, cutoff: float) -> float:
     return min(INDEPENDENT * cutoff * summary.period, 1.0)
 
 
+def least_inflation(summary: RowSummary, cutoff: float) -> float:
+    """How many rows there are for each that white noise leaves independent, seen by what moves slowly."""
+    if not (np.isfinite(cutoff) and summary.period > 0.0):
+        return 1.0
+    return max(1.0 / (_OF_WHITE_NOISE * cutoff * summary.period), 1.0)
+
+
 def _estimate(
     problem: Problem, columns: IntArray, whole: MeasurementModel, fitted: Fit, settings: EstimatorSettings, begin: float
 ) -> Estimate:
@@ -190,6 +198,9 @@ def _estimate(
         prior_weights,
         manifold.log(solution.point, prior_point),
         _parameter_groups(model, manifold),
+        least_inflation=least_inflation(summary, settings.cutoff),
+        assumed_spreads=fitted.assumed_spreads,
+        expected=_information_at(manifold, solution.point, known.prior_rows),
     )
     parameters = np.zeros(whole.dimension)
     parameters[columns] = solution.point.parameters
@@ -210,7 +221,9 @@ def _estimate(
         spreads=frozen(fitted.spreads),
         rms_nominal=frozen(summary.rms(model.nominal_parameters)),
         rms=frozen(summary.rms(solution.point.parameters)),
-        information=uncertainty.links_information(manifold, prior_point, solution.point, fitted.rows, known, found),
+        information=uncertainty.links_information(
+            manifold, prior_point, solution.point, fitted.rows, known.weighed, found
+        ),
         posterior=_posterior(problem, solution.point, found),
         rows=frozen(independent * fitted.rows[0]),
         targets=frozen(independent * fitted.rows[1]),
@@ -269,6 +282,14 @@ def _fold_at(manifold: ParameterManifold, point: Point, products: FloatArray) ->
     return uncertainty.Fold(manifold.whiten(point, slope[None])[0], manifold.whiten(point, half.T))
 
 
+def _information_at(manifold: ParameterManifold, point: Point, rows: FloatArray) -> FloatArray | None:
+    """Of rows ``(N, D)`` of standard deviation 1; None of none."""
+    if not len(rows):
+        return None
+    normals = manifold.whiten(point, rows)
+    return np.asarray(normals.T @ normals)
+
+
 def _parameter_groups(model: MeasurementModel, manifold: ParameterManifold) -> list[uncertainty.ParameterGroup]:
     """The links' coordinates, and each effect's at all joints."""
     first, usual = manifold.inertial.stop, starting_point.usual_spreads(manifold)
@@ -290,9 +311,10 @@ def _links(
     for index, name in enumerate(model.body_names):
         block = manifold.link(index)
         derivative = sensitivity[index]
-        variances = np.einsum("ij,jk,ik->i", derivative, found.covariance[block, block], derivative)
-        std = np.sqrt(np.maximum(variances, 0.0))
-        of_prior = np.linalg.norm(derivative * found.prior_spreads[block], axis=1)
+        std, of_prior = (
+            np.sqrt(np.maximum(np.einsum("ij,jk,ik->i", derivative, covariance[block, block], derivative), 0.0))
+            for covariance in (found.covariance, found.prior)
+        )
         unidentified = std > IDENTIFIABLE * of_prior
         links.append(
             LinkEstimate(
@@ -351,11 +373,11 @@ def _posterior(problem: Problem, point: Point, found: uncertainty.Uncertainty) -
 def _known(
     known: WeighedRows, manifold: ParameterManifold, point: Point, found: uncertainty.Uncertainty
 ) -> tuple[WeighedEstimate, ...]:
-    weighed = slice(len(known.masses))  # other rows are of a population
-    normals = manifold.whiten(point, known.rows[weighed])
+    weighed = known.weighed
+    normals = manifold.whiten(point, weighed.rows)
     stds = np.sqrt(np.einsum("ki,ij,kj->k", normals, found.covariance, normals))
     # In units of the given standard deviation, and without what is not identified of it.
-    errors = (known.rows @ point.parameters - known.targets)[weighed]
+    errors = weighed.rows @ point.parameters - weighed.targets
     return tuple(
         WeighedEstimate(
             name=given.name,
@@ -364,5 +386,5 @@ def _known(
             mass=given.mass + float(error) * given.std,
             std=float(std) * given.std,
         )
-        for given, error, std in zip(known.masses, errors, stds, strict=True)
+        for given, error, std in zip(weighed.masses, errors, stds, strict=True)
     )

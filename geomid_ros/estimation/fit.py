@@ -181,6 +181,11 @@ class Fit:
         """The parameters."""
         return self.solution.point
 
+    @property
+    def assumed_spreads(self) -> FloatArray:
+        """Standard deviations ``(D,)`` of the prior's error, tangent coordinates."""
+        return _every_spread(self.problem, self.spreads)
+
 
 def fit(
     problem: Problem,
@@ -237,12 +242,18 @@ def _rough(problem: Problem, sigmas: FloatArray, spreads: FloatArray) -> Product
 
 def _prior_weights(problem: Problem, spreads: FloatArray, measured: float) -> FloatArray:
     """Weights ``(D,)`` of the squared distance to the prior, for these spreads of the links and rows of this weight."""
-    usual = usual_spreads(problem.manifold)
-    usual[problem.manifold.inertial] = np.repeat(spreads, 10)
+    usual = _every_spread(problem, spreads)
     if problem.gamma is not None:
         return np.asarray(problem.gamma * measured * (USUAL_SPREAD_OF_LINKS / usual) ** 2)
     # Of the rows only a share counts: in units of all of them the prior, and what was weighed, are as much heavier.
     return np.asarray(usual**-2.0 / problem.independent)
+
+
+def _every_spread(problem: Problem, spreads: FloatArray) -> FloatArray:
+    """Spreads ``(D,)`` of all priors, for these of the links."""
+    every = usual_spreads(problem.manifold)
+    every[problem.manifold.inertial] = np.repeat(spreads, 10)
+    return every
 
 
 def _gradient(objective: ResidualObjective | ProductsObjective, tolerance: float) -> float:

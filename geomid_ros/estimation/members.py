@@ -13,10 +13,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from geomid_ros.estimation.population import FEWEST, SHARED, Evidence, Population, PopulationFit, common, linear
-from geomid_ros.geometry.manifold import ParameterManifold
+from geomid_ros.estimation.posterior import manifold_of
 from geomid_ros.types import FloatArray, IntArray
 
-_CHANCE = 1e-3  # that a robot of the type is taken for another, of all its blocks
+_CHANCE = 1e-2  # at most, that a robot of the type is taken for another, of all its blocks
 _IDENTIFIED = 0.1  # of the variance between robots in a direction that counts, at least, is seen
 _FEWEST_JUDGED = 5
 _LEAST_DEVIATION = 1e-3
@@ -65,8 +65,7 @@ def population_and_members(robots: Sequence[Evidence]) -> tuple[Population, list
 def _most_alike(robots: Sequence[Evidence]) -> tuple[int, ...]:
     """The half of the robots whose estimates are nearest to the medians."""
     first = robots[0]
-    positives = sum(effect.positive for effect in first.effects)
-    manifold = ParameterManifold(len(first.links), positives, np.ones(len(first.effects) - positives))
+    manifold = manifold_of(first.links, first.effects, np.ones(len(first.scales)))
     base = manifold.point(first.prior)
     places = np.array([manifold.log(base, manifold.point(robot.parameters)) for robot in robots])
     off = places - np.median(places, axis=0)

@@ -180,9 +180,8 @@ class PopulationFit:
         """Fit it to at least :data:`FEWEST` robots with the same links and effects (:func:`common`)."""
         first = robots[0]
         self._robots = robots
-        positives = sum(effect.positive for effect in first.effects)
         scales = np.median([robot.scales for robot in robots], axis=0)
-        self._manifold = manifold = ParameterManifold(len(first.links), positives, scales)
+        self._manifold = manifold = manifold_of(first.links, first.effects, scales)
         starts = np.array([robot.prior for robot in robots])
         starts[:, manifold.inertial] = first.prior[manifold.inertial]
         self._prior = manifold.point(np.median(starts, axis=0))

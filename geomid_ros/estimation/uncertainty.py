@@ -48,13 +48,18 @@ class Uncertainty:
 
     Attributes:
         covariance: ``(D, D)`` of the estimate's error.
-        prior_spreads: Standard deviations ``(D,)`` of the prior's error.
+        prior: Covariance ``(D, D)`` of the prior's error.
         share: Share of the measured rows' information that correlations leave, 0 to 1.
     """
 
     covariance: FloatArray
-    prior_spreads: FloatArray
+    prior: FloatArray
     share: float
+
+    @property
+    def prior_spreads(self) -> FloatArray:
+        """Standard deviations ``(D,)`` of the prior's error."""
+        return np.asarray(np.sqrt(np.diag(self.prior)))
 
     def from_data(self, columns: slice) -> float:
         """The share of the prior's variance in these coordinates that the data removed, 0 to 1.
@@ -62,8 +67,8 @@ class Uncertainty:
         Per principal direction, and on average. Where the prior has the weight that its spread deserves, this is the
         trace of the resolution matrix over its size.
         """
-        spreads = self.prior_spreads[columns]
-        left = np.linalg.eigvalsh(self.covariance[columns, columns] / np.outer(spreads, spreads))
+        root = np.linalg.inv(np.linalg.cholesky(self.prior[columns, columns]))
+        left = np.linalg.eigvalsh(root @ self.covariance[columns, columns] @ root.T)
         return float(np.mean(np.clip(1.0 - left, 0.0, 1.0)))
 
 
@@ -74,11 +79,16 @@ def estimate_uncertainty(
     prior_weights: FloatArray,
     from_prior: FloatArray,
     groups: Sequence[ParameterGroup],
+    *,
+    least_inflation: float = 1.0,
+    assumed_spreads: FloatArray | None = None,
+    expected: FloatArray | None = None,
 ) -> Uncertainty:
     """Uncertainty of a regularised estimate.
 
     Per group two numbers are estimated from the data: the factor by which correlated residuals make errors larger than
     independent ones would (:func:`variance_inflation`), and the spread of the prior's errors (:func:`prior_spreads`).
+    Few blocks of time and few links tell both roughly, so that neither is less than what is known without them.
 
     Args:
         folds: The measured rows by blocks of time.
@@ -87,16 +97,21 @@ def estimate_uncertainty(
         prior_weights: Factors ``(D,)`` of the squared distance to the prior.
         from_prior: Tangent coordinates ``(D,)`` of the prior at the estimate.
         groups: A partition of all coordinates.
+        least_inflation: The factor that the filter of the rows is known to cause.
+        assumed_spreads: Standard deviations ``(D,)`` of the prior's error with which the estimate was made.
+        expected: Information ``(D, D)`` of those known rows that belong to the prior.
     """
     weights = np.maximum(prior_weights, np.finfo(float).tiny)
     measured = _sum(folds, len(weights))
-    factors = variance_inflation(folds, trust * known.information, weights, groups)
+    factors = variance_inflation(folds, trust * known.information, weights, groups, least_inflation)
     share = 1.0 / float(np.mean(factors))
     independent = Fold(share * measured.gradient + known.gradient, share * measured.information + known.information)
     spreads = prior_spreads(independent, from_prior, groups)
-    return Uncertainty(
-        error_covariance(measured.information, known.information, trust, weights, factors, spreads), spreads, share
-    )
+    if assumed_spreads is not None:
+        spreads = np.maximum(spreads, assumed_spreads)
+    covariance = error_covariance(measured.information, known.information, trust, weights, factors, spreads)
+    prior = np.diag(spreads**2) if expected is None else _inverse(expected, spreads**-2.0)
+    return Uncertainty(covariance, prior, share)
 
 
 def _sum(folds: Sequence[Fold], dimension: int) -> Fold:
@@ -157,16 +172,16 @@ def _own_part(scaled: FloatArray) -> float:
 
 
 def variance_inflation(
-    folds: Sequence[Fold], known: FloatArray, weights: FloatArray, groups: Sequence[ParameterGroup]
+    folds: Sequence[Fold], known: FloatArray, weights: FloatArray, groups: Sequence[ParameterGroup], least: float = 1.0
 ) -> FloatArray:
-    """Factors ``(D,)``, at least 1, by which errors vary more than under independent residuals.
+    """Factors ``(D,)``, not below ``least``, by which errors vary more than under independent residuals.
 
     The variance is the jackknife's: each fold in turn is left out, and how far the estimate moves shows the effect of
     correlations inside of a fold (Efron 1982). There are only a few folds, so that the ratio to the variance under
     independent residuals is averaged over all directions of a group. Groups differ: noise that changes slowly is taken
     for an offset, and hardly for friction.
     """
-    result = np.ones(len(weights))
+    result = np.full(len(weights), least)
     if len(folds) < 2:
         return result
     measured = _sum(folds, len(weights)).information
@@ -181,7 +196,7 @@ def variance_inflation(
         if floor > 0.0:
             damped = np.linalg.inv(block + floor * np.eye(len(block)))
             seen = moves[:, group.columns]
-            result[group.columns] = max(1.0, float(np.sum((seen @ damped) * seen) / np.sum(damped * block)))
+            result[group.columns] = max(least, float(np.sum((seen @ damped) * seen) / np.sum(damped * block)))
     return result
 
 
@@ -243,7 +258,7 @@ def links_information(
     Args:
         manifold, prior, point: The problem, its prior and the estimate.
         measured: Rows ``(N, D)`` and targets ``(N,)`` of standard deviation 1.
-        known: Rows of weighed masses.
+        known: Rows of weighed masses, and of no population.
         found: The uncertainty at the estimate.
     """
     size, first = manifold.dimension, manifold.inertial.stop

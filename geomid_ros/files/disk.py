@@ -61,6 +61,19 @@ def make_folder(path: Path) -> None:
     path.mkdir(_FOLDER_MODE, exist_ok=True)
 
 
+def check_writable(folder: Path) -> None:
+    """Refuse a folder in which no file can be made, or that cannot be made. Nothing is left behind.
+
+    Raises GeomidError naming it.
+    """
+    try:
+        existing = next(each for each in (folder.absolute(), *folder.absolute().parents) if os.path.lexists(each))
+        with tempfile.TemporaryFile(dir=existing):
+            pass
+    except OSError as error:
+        raise GeomidError(f"{folder}: cannot be written ({error.strerror or error})") from error
+
+
 def _sync_folder(folder: Path) -> None:
     """Write a folder's names to the disk, too."""
     descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)

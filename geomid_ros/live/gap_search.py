@@ -24,12 +24,13 @@ COMPARED = "compared with what was identified before the gap"
 
 @dataclass(frozen=True)
 class FoundGap:
-    """The ``result`` of a search, the ``causes`` that make it doubtful, ``warnings`` beside, and what the robot was
-    ``compared`` with, if not with its description."""
+    """The ``result`` of a search, the ``causes`` that make it doubtful, ``warnings`` and ``notes`` beside, and what the
+    robot was ``compared`` with, if not with its description."""
 
     result: GapResult
     causes: Sequence[Finding] = ()
     warnings: Sequence[str] = ()
+    notes: Sequence[str] = ()
     compared: str = ""
 
     @property
@@ -41,7 +42,8 @@ class FoundGap:
     @property
     def document(self) -> dict[str, Any]:
         """The document of ``gap.json``."""
-        document = gap_document(self.result, {}) | {"causes": causes_entry(self.causes), "warnings": [*self.warnings]}
+        remarks = {"causes": causes_entry(self.causes), "warnings": [*self.warnings], "notes": [*self.notes]}
+        document = gap_document(self.result, {}) | remarks
         return document | ({"compared_with": self.compared} if self.compared else {})
 
 
@@ -63,7 +65,7 @@ def look_for_gap(
     own = _session(session, before)
     result = find_in_messages(own, messages, progress)
     compared = "" if before is None else f"{COMPARED}, of {before.rows_accepted} rows"
-    return FoundGap(result, own.findings, own.warnings(), compared)
+    return FoundGap(result, own.findings, own.warnings(), session.notes, compared)
 
 
 def _session(session: Session, before: Estimate | None) -> Session:

@@ -103,7 +103,8 @@ class Supervisor:
         self._restore(session)
         self.worker = Worker(session, self._configuration["solve_period"], self._on_samples, self._on_estimate)
         self._log.info(f"identifying {len(session.model.body_names)} links from {len(session.model.channels)} channels")
-        for warning in (*session.warnings(), *([locked_note(absent)] if absent else [])):
+        session.settled += [locked_note(absent)] if absent else []
+        for warning in (*session.warnings(), *session.settled):
             self._log.warning(warning)
         self._absent, self._agreed = absent, time.monotonic()
 

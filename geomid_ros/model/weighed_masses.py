@@ -51,11 +51,23 @@ class WeighedMass:
 
 @dataclass(frozen=True, eq=False)
 class WeighedRows:
-    """``rows (K, D) . parameters = targets (K,)`` with standard deviation 1, from weighed ``masses``."""
+    """``rows (K, D) . parameters = targets (K,)`` with standard deviation 1, from weighed ``masses``; those after them
+    are a prior's."""
 
     rows: FloatArray
     targets: FloatArray
     masses: tuple[WeighedMass, ...] = ()
+
+    @property
+    def weighed(self) -> WeighedRows:
+        """Those of the masses alone."""
+        count = len(self.masses)
+        return WeighedRows(self.rows[:count], self.targets[:count], self.masses)
+
+    @property
+    def prior_rows(self) -> FloatArray:
+        """The rows of a prior."""
+        return self.rows[len(self.masses) :]
 
     @property
     def products(self) -> FloatArray:

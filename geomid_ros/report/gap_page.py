@@ -47,7 +47,7 @@ class GapPage:
     (bodies, 10)`` are the model file's inertias of the result's bodies. ``rigid (N, channels)`` is what the final
     model predicts on the trace without any named effect. ``known`` are effects that the model had before.
     ``simulated`` are simulations; if there are none, ``not_simulated`` says why. ``doubts`` say why the recording is
-    not to be believed, ``warnings`` what to be careful about.
+    not to be believed, ``warnings`` what to be careful about, ``notes`` what is worth knowing.
     """
 
     robot: str
@@ -62,6 +62,7 @@ class GapPage:
     not_simulated: str = ""
     doubts: Sequence[str] = ()
     warnings: Sequence[str] = ()
+    notes: Sequence[str] = ()
 
 
 def write_gap_page(path: Path, page: GapPage, progress: Callable[[float], None]) -> None:

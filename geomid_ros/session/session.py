@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import json
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from functools import partial
@@ -21,7 +22,7 @@ from geomid_ros.files.checkpoints.checkpoint import Checkpoint
 from geomid_ros.files.disk import write_json, write_text
 from geomid_ros.files.models.judgements import account_entry, verdict_entry
 from geomid_ros.files.models.loaded_model import LoadedModel
-from geomid_ros.files.models.population import read_population
+from geomid_ros.files.models.population import population_document, read_population
 from geomid_ros.files.models.posterior import POSTERIOR, write_posterior
 from geomid_ros.files.models.results import estimate_document, model_effects
 from geomid_ros.files.models.urdf import with_effects, with_identified_inertias
@@ -305,8 +306,10 @@ class Session:
     @property
     def _solving(self) -> str:
         """A checksum of what a solve depends on beside the rows."""
-        prior = self.prior
-        text = f"{self._settings} {prior.tolist() if prior is not None else None}"
+        prior, population = self.prior, self._settings.population
+        text = f"{replace(self._settings, population=None)} {prior.tolist() if prior is not None else None}"
+        if population is not None:  # whose arrays are printed shortened
+            text += json.dumps(population_document(population))
         return hashlib.sha256(text.encode(errors="replace")).hexdigest()
 
     def document(
@@ -325,6 +328,7 @@ class Session:
         return document | {
             "verdict": verdict_entry(judged, self.findings),
             "warnings": self.warnings(estimate, judged),
+            "notes": self.notes,
             "messages": {topic: account_entry(account) for topic, account in self.pipeline.ledger.topics.items()},
         }
 

@@ -42,6 +42,7 @@ def peculiarities(accounts: Mapping[str, Account]) -> list[str]:
         if +account.rejected:
             ((reason, most),) = account.rejected.most_common(1)
             refused = f"{account.rejected.total()} of {account.received} messages are refused"
-            found.append(f"{topic}: {refused}, {most} of them: {reason}{_ASKED.get(reason, '')}")
+            which = "all" if most == account.rejected.total() else f"{most}"
+            found.append(f"{topic}: {refused}, {which} of them: {reason}{_ASKED.get(reason, '')}")
         found += [f"{topic}: {remark}" for remark in account.noted if remark.endswith(_TOLD)]
     return found

@@ -9,10 +9,11 @@ from typing import Any
 
 import numpy as np
 
+from geomid_ros.errors import InputError
 from geomid_ros.model.columns import Columns
 from geomid_ros.model.samples import Samples
-from geomid_ros.signals.joint_messages import DRIVER_ERROR
-from geomid_ros.signals.ledger import Ledger
+from geomid_ros.signals.joint_messages import DRIVER_ERROR, FROZEN
+from geomid_ros.signals.ledger import Account, Ledger
 from geomid_ros.signals.messages import JOINT_STATES, ODOM, Accepted
 from geomid_ros.signals.periods import FEWEST, FEWEST_IN_BURSTS, RegularClock, in_bursts
 from geomid_ros.signals.settings import PERIOD_ROUNDING, SignalSettings
@@ -166,12 +167,25 @@ class Sampler:
             self._watched = self._watched[FEWEST_IN_BURSTS:]
 
     def _start(self, period: int) -> None:
-        grid = Grid(period, self._settings.cutoff, self._settings.samples_per_cutoff_period)
+        try:
+            grid = Grid(period, self._settings.cutoff, self._settings.samples_per_cutoff_period)
+        except InputError as error:
+            raise InputError(f"{error}{self._repeated()}") from error
         self._grid = grid
         self._open_streams(grid)
         for accepted in self._waiting:
             self._take(accepted)
         self._waiting.clear()
+
+    def _repeated(self) -> str:
+        """What to say of joint messages that are slower than their rate, as some only repeat the one before."""
+        account = self._ledger.topics.get(JOINT_STATES, Account())
+        if not (repeated := account.rejected[FROZEN]):
+            return ""
+        return (
+            f". Of the first {account.received} messages on {JOINT_STATES} {repeated} only repeat the one before "
+            "though the robot moves, and are left out: the driver publishes more often than it measures"
+        )
 
     def _open_streams(self, grid: Grid) -> None:
         joint_segment = partial(JointSegment, grid, len(self._continuous), self._effect_columns)

@@ -92,6 +92,17 @@ def test_a_new_robot_with_one_second_of_data_is_predicted_far_better_than_from_i
     assert np.median(ratios) < MOST_OF_URDF
 
 
+def test_a_population_does_not_count_as_data() -> None:
+    """Of the little that a population leaves open, data take no larger share away than of the much that a URDF does."""
+    kind = of_type()
+    case = kind.recorded(kind.robot(51), 51, 1.0)
+    alone, beside = (
+        np.array([link.from_data for link in solved(case, settings).links])
+        for settings in (EstimatorSettings(), EstimatorSettings(population=population()))
+    )
+    assert np.all(beside < alone + 0.1)
+
+
 def test_much_data_win_over_the_population() -> None:
     kind = of_type()
     case = kind.recorded(kind.robot(50), 50, 30.0)

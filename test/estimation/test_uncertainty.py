@@ -11,7 +11,7 @@ from geometry import bodies
 from scipy.signal import lfilter
 
 from geomid_ros.estimation.estimate import QUANTITIES, Estimate
-from geomid_ros.estimation.estimator import EstimatorSettings, estimate
+from geomid_ros.estimation.estimator import EstimatorSettings, estimate, least_inflation
 from geomid_ros.estimation.prediction import effort_deviations
 from geomid_ros.estimation.summary import RowSummary
 from geomid_ros.estimation.uncertainty import (
@@ -25,6 +25,7 @@ from geomid_ros.estimation.uncertainty import (
     variance_inflation,
 )
 from geomid_ros.geometry import pseudo_inertia
+from geomid_ros.signals.kernels import derivative_kernels
 from geomid_ros.types import FloatArray
 
 from .arms import Case, arm, motion, samples, truth
@@ -95,7 +96,7 @@ def test_where_the_weight_is_that_of_bayes_from_data_is_the_trace_of_the_resolut
     fisher, spreads = information(rng, 6, 3), np.full(6, 0.3)
     covariance = error_covariance(fisher, np.zeros((6, 6)), 1.0, spreads**-2.0, np.ones(6), spreads)
     resolution = np.linalg.inv(fisher + np.diag(spreads**-2.0)) @ fisher
-    found = Uncertainty(covariance, spreads, 1.0)
+    found = Uncertainty(covariance, np.diag(spreads**2), 1.0)
     assert found.from_data(slice(0, 6)) == pytest.approx(np.trace(resolution) / 6.0, rel=1e-9)
 
 
@@ -120,6 +121,51 @@ def test_a_direction_in_no_row_is_not_from_data_and_others_become_so_with_more_o
         shares.append(found.from_data(slice(0, 3)))
     assert np.all(np.diff(shares) > 0.0)
     assert shares[-1] > 0.99
+
+
+def test_no_fewer_directions_are_open_than_the_estimate_took_for_open() -> None:
+    """The known links are near their prior by chance, and tell nothing of the others."""
+    information = np.diag([1e6, 1e6, 1e6, 0.0, 0.0, 0.0])
+    folds = [Fold(np.zeros(6), information)]
+    near = estimate_uncertainty(folds, nothing(6), 1.0, np.full(6, 25.0), np.zeros(6), one_group(6))
+    assert near.covariance[5, 5] < 0.5 * 0.04
+    found = estimate_uncertainty(
+        folds, nothing(6), 1.0, np.full(6, 25.0), np.zeros(6), one_group(6), assumed_spreads=np.full(6, 0.2)
+    )
+    assert found.covariance[5, 5] == pytest.approx(0.04)
+    assert found.from_data(slice(3, 6)) == pytest.approx(0.0, abs=1e-9)
+
+
+def test_what_belongs_to_the_prior_is_not_from_data() -> None:
+    """Known rows that are a prior's own, however much they tell, beside rows that tell one direction."""
+    rng = np.random.default_rng(4)
+    own, measured = information(rng, 4, 4), np.diag([1e6, 0.0, 0.0, 0.0])
+    spreads, known = np.full(4, 0.2), Fold(np.zeros(4), own)
+    problem = ([Fold(np.zeros(4), measured)], known, 1.0, spreads**-2.0, np.zeros(4), one_group(4))
+    found = estimate_uncertainty(*problem, assumed_spreads=spreads, expected=own)
+    np.testing.assert_allclose(found.prior, np.linalg.inv(own + np.diag(spreads**-2.0)), rtol=1e-9)
+    np.testing.assert_allclose(found.covariance, np.linalg.inv(own + measured + np.diag(spreads**-2.0)), rtol=1e-9)
+    assert 0.2 < found.from_data(slice(0, 4)) < 0.25
+    assert estimate_uncertainty(*problem, assumed_spreads=spreads).from_data(slice(0, 4)) > 0.5
+
+
+@pytest.mark.parametrize(("cutoff", "period"), [(5.0, 0.01), (3.0, 0.002), (10.0, 0.02)])
+def test_white_noise_through_the_low_pass_counts_as_its_bandwidth(cutoff: float, period: float) -> None:
+    """The variance of a mean of filtered noise, by that of as many independent numbers of the same variance."""
+    kernel = derivative_kernels(cutoff, period)[0]
+    summary = RowSummary(arm("arm3", 2).model.channels)
+    summary.add(np.zeros((0, 0)), np.zeros(0), elapsed=period)
+    assert least_inflation(summary, cutoff) == pytest.approx(np.sum(kernel) ** 2 / np.sum(kernel**2), rel=0.01)
+    assert least_inflation(summary, np.inf) == 1.0
+
+
+def test_few_blocks_do_not_make_noise_less_correlated_than_the_filter_does() -> None:
+    rng = np.random.default_rng(5)
+    rows = rng.normal(size=(90, 6))
+    folds = recorded(rows, rng.normal(size=90), folds=3)
+    assert np.all(variance_inflation(folds, np.zeros((6, 6)), np.full(6, 1e-6), one_group(6), 5.0) >= 5.0)
+    alone = folds[:1]
+    np.testing.assert_array_equal(variance_inflation(alone, np.zeros((6, 6)), np.ones(6), one_group(6), 5.0), 5.0)
 
 
 @pytest.mark.parametrize("copies", [4, 25])

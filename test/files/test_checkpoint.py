@@ -23,11 +23,13 @@ from hypothesis import strategies as st
 from geomid_ros.errors import GeomidError, InputError
 from geomid_ros.estimation.estimator import WarmStart
 from geomid_ros.estimation.identifier import Memory
+from geomid_ros.estimation.population import Population
 from geomid_ros.estimation.summary import SummaryState
 from geomid_ros.files.checkpoints import checkpoint_folder
 from geomid_ros.files.checkpoints.checkpoint import Checkpoint, decoded, encoded, largest_size
 from geomid_ros.files.checkpoints.checkpoint_folder import CheckpointFolder
 from geomid_ros.files.checkpoints.tensor_file import pack, unpack
+from geomid_ros.files.models.population import write_population
 from geomid_ros.model.samples import Samples
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.session import Session
@@ -430,6 +432,19 @@ class TestFolder:
         same = session(solve_period=2.0, still_speed=0.1)
         assert restored(folder, same) == (600, ())
         assert same.warm is not None
+
+    def test_any_number_of_a_population_changes_what_a_solve_depends_on(self, tmp_path: Path) -> None:
+        """Also one in the middle of a matrix that numpy would print with dots."""
+        posterior = learned().identifier.solve().posterior
+        size, path, found = len(posterior.parameters), tmp_path / "population.json", set()
+        assert size**2 > np.get_printoptions()["threshold"]
+        for change in (0.0, 1e-9):
+            covariance = np.eye(size)
+            covariance[size // 2, size // 2] += change
+            same = {name: getattr(posterior, name) for name in ("links", "effects", "parameters", "scales")}
+            write_population(path, Population(**same, covariance=covariance, robots=20))
+            found |= {session(prior=str(path)).checkpoint().solving for _ in range(2)}
+        assert len(found) == 2
 
     def test_what_was_being_written_is_cleared(self, folder: Path) -> None:
         (folder / f".{GENERATIONS[0]}.abcd").write_bytes(b"half a checkp")

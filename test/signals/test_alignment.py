@@ -133,6 +133,18 @@ def test_joints_may_be_too_slow_for_the_cutoff() -> None:
         feed(slow, joint_messages(regular(0.1, 6.0)))
 
 
+def test_messages_that_only_repeat_others_are_said_to_make_joints_too_slow() -> None:
+    """At 20 Hz, each measurement twice: what is known of the motion comes at 10 Hz."""
+    twice = SignalPipeline(JOINTS)
+    messages = joint_messages(regular(0.05, 6.0))
+    again = [
+        message if index % 2 == 0 else replace(messages[index - 1], stamp=message.stamp)
+        for index, message in enumerate(messages)
+    ]
+    with pytest.raises(InputError, match=r"at 10 Hz: .* Of the first \d+ messages on joint_states \d+ only repeat"):
+        feed(twice, again)
+
+
 def test_who_waits_for_ever_for_joints_does_not_fill_the_memory() -> None:
     """A wrench topic alone: the oldest messages are given up and counted."""
     alone = pipeline(0.0)

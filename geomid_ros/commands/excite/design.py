@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from geomid_ros.commands.options import OUT, package_option
+from geomid_ros.commands.options import UNTRIED_OUT, package_option
 from geomid_ros.errors import InputError
 
 if TYPE_CHECKING:
@@ -19,7 +19,7 @@ def design_options(function: Callable[..., None]) -> Callable[..., None]:
     """The options of a design."""
     command = function
     for option in (
-        click.option("--out", default=Path("geomid_excite"), **OUT),
+        click.option("--out", default=Path("geomid_excite"), **UNTRIED_OUT),
         click.option("--seed", default=0, show_default=True, help="Of the search; another one finds another motion."),
         package_option,
         click.option("--no-collision", is_flag=True, help="Do not look for collisions, e.g. of a URDF without shapes."),
@@ -111,10 +111,12 @@ def design(
     from geomid_ros.api.arguments import description
     from geomid_ros.commands.progress import progress_bar
     from geomid_ros.commands.results import excitation as results
+    from geomid_ros.files.disk import check_writable
     from geomid_ros.report.excitation import save
     from geomid_ros.session import excitation
     from geomid_ros.session.configuration import Configuration
 
+    check_writable(out)
     if urdf is None and model is None:
         raise InputError("no robot is given: add --urdf ROBOT.urdf (or --from estimate.json, with identified.urdf)")
     robot = description(urdf, [], model=model, xacro_args=xacro_args)

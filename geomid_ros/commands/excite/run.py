@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from geomid_ros.commands.options import OUT
+from geomid_ros.commands.options import UNTRIED_OUT
 from geomid_ros.errors import InputError, printable
 
 if TYPE_CHECKING:
@@ -49,7 +49,7 @@ _PERCENT = 100.0
     help="Stop where joint states stay away so long [s].  [default: 0.04, or three of their periods if that is longer]",
 )
 @click.option("--identify", is_flag=True, help="Identify the robot from the recording afterwards.")
-@click.option("--out", default=Path("geomid_out/excite"), **OUT)
+@click.option("--out", default=Path("geomid_out/excite"), **UNTRIED_OUT)
 def run(trajectory: Path, urdf: Path | None, execute: bool, identify: bool, out: Path, **options: object) -> None:
     """Run a motion on a robot, and record it.
 
@@ -59,8 +59,11 @@ def run(trajectory: Path, urdf: Path | None, execute: bool, identify: bool, out:
     Nothing looks for obstacles here: keep the emergency stop at hand. Needs ROS 2.
     """
     from geomid_ros.api.arguments import description
+    from geomid_ros.files.disk import check_writable
     from geomid_ros.files.trajectories.reading import read_trajectory
 
+    if execute:
+        check_writable(out)
     try:
         from geomid_ros.ros.excite.run import Order, prepared_run
     except ImportError as error:

@@ -27,6 +27,7 @@ closed_loop     the same of efforts in closed loop under the recorded commands, 
 causes          what makes the recording doubtful: list of {``kind``, ``places``, ``sentence``, ``settings`` (to write
                 into the configuration), ``sure``, ``rivals``}
 warnings        what else to know, in sentences: of the recording, and of the model that it was compared with
+notes           what was settled for the user, in sentences: where the description was found, which joints were locked
 ==============  =======================================================================================================
 
 Numbers that do not exist (a channel without measurements, say) are null.

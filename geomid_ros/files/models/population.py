@@ -13,6 +13,7 @@ from __future__ import annotations
 import base64
 import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -32,13 +33,18 @@ _OF_EFFECT = ("name", "place", "parameter", "unit", "positive")
 
 def write_population(path: Path, population: Population) -> None:
     """Write a population. Raises GeomidError naming the file."""
+    write_json(path, population_document(population))
+
+
+def population_document(population: Population) -> dict[str, Any]:
+    """The document of ``population.json``."""
     first = 10 * len(population.links)
     bodies = population.parameters[:first].reshape(-1, 10)
     masses, central = bodies[:, 0], pseudo_inertia.central_inertia(bodies)
     scales = iter(population.scales.tolist())
     values = population.parameters[first:].tolist()
     triangle = population.covariance[np.triu_indices(len(population.parameters))]
-    document = {
+    return {
         "format": FORMAT,
         "robots": population.robots,
         "links": [
@@ -53,7 +59,6 @@ def write_population(path: Path, population: Population) -> None:
         ],
         "covariance": base64.b64encode(triangle.astype(_NUMBER).tobytes()).decode(),
     }
-    write_json(path, document)
 
 
 def read_population(path: Path) -> Population:
