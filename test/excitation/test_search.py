@@ -8,11 +8,12 @@ from geomid_ros.excitation.criteria import weight_of
 from geomid_ros.excitation.motion import Motion
 from geomid_ros.excitation.search import Search, expected_error, random_feasible, random_motion
 from geomid_ros.session.excitation import Wish
+from geomid_ros.session.surroundings import Surroundings
 from geomid_ros.types import FloatArray
 
 from .arm import small_task
 
-TASK = small_task(Wish(duration=6.0, repeats=1, avoid=("box:0.75,0,0.7,0.2,2,2",)))
+TASK = small_task(Wish(duration=6.0, repeats=1, surroundings=Surroundings(avoid=("box:0.75,0,0.7,0.2,2,2",))))
 
 
 def weight(seed: int, aim: str = "prediction") -> FloatArray:

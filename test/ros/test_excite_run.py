@@ -20,6 +20,7 @@ from geomid_ros.excitation.running.watch import Watch
 from geomid_ros.files.bags.bag import Bag
 from geomid_ros.files.trajectories.reading import read_trajectory
 from geomid_ros.ros.excite.run import Order, prepared_run
+from geomid_ros.session.surroundings import Surroundings
 
 from .processes import Process
 from .stage import Stage
@@ -169,6 +170,7 @@ def test_an_error_of_our_own_stops_it_too(stage: Stage, monkeypatch: pytest.Monk
         controller="/joint_trajectory_controller",
         joint_topic="joint_states",
         urdf=None,
+        surroundings=Surroundings(),
         tolerance=0.5,
         silence=100.0,
     )
