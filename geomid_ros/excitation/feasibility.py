@@ -87,7 +87,7 @@ class Feasibility:
 
     def _effort_shares(self, states: FloatArray) -> FloatArray:
         """Shares of the effort limits ``(N, J)`` that are used at ``states (3, N, J)``."""
-        rows = self.knowledge.rows(states)
+        rows = self.knowledge.rows(states)[:, : len(self.names)]
         spread = np.sqrt(np.maximum(np.einsum("njd,de,nje->nj", rows, self.knowledge.posterior.covariance, rows), 0.0))
         return np.asarray((np.abs(self.knowledge.efforts(states)) + SURE * spread) / self.limits.effort)
 

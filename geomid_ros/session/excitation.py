@@ -161,8 +161,8 @@ def task_of(urdf: str, source: Path, configuration: Configuration, wish: Wish) -
     """
     session = Session(urdf, configuration, str(source))
     robot, model = session.robot, _model_of(session)
-    if robot.floating_base or session.model.sensors:
-        raise InputError("motions are designed for arms on a fixed base, by joint efforts; leave out wrench sensors")
+    if robot.floating_base or not model.layout.efforts:
+        raise InputError("motions are designed for arms on a fixed base whose joint efforts can be predicted")
     given = read_joint_limits(wish.limits, robot.joint_names) if wish.limits else {}
     inertias = np.array([body.parameters for body in robot.bodies])
     limits = motion_limits(robot, given, inertias, wish.speed, str(source))
@@ -205,7 +205,7 @@ def _knowledge(session: Session, model: MeasurementModel, limits: MotionLimits) 
     if not session.loaded.source:
         return prior
     measured = read_estimate(Path(session.loaded.source)).get("sigma") or {}
-    sigmas = [measured.get(name) for name in model.robot.joint_names]
+    sigmas = [measured.get(channel.name) for channel in model.channels]
     own = [float(sigma) if sigma else usual for sigma, usual in zip(sigmas, prior.sigmas.tolist(), strict=True)]
     return known_before(model, read_posterior(_beside(session)), own, session.loaded.source)
 

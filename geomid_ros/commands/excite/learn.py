@@ -84,7 +84,7 @@ def learn(
         learning.run(designed)
         learning.identify()
     else:
-        click.echo(f"That were {rounds} rounds (--rounds)")
+        click.echo(f"Stopped after {rounds} rounds (--rounds)")
     learning.tell()
 
 
@@ -184,6 +184,8 @@ class _Learning:
             )
             command = shlex.join(["geomid", *sys.argv[1:]])
             self.found.save(self.folder, progress=progress, command=command)
+        masses = ", ".join(f"{link.name} {link.mass:.3f} ± {link.std_mass:.3f}" for link in self.found.links)
+        click.echo(printable(f"Masses after round {self.number} [kg]: {masses}"))
 
     def tell(self) -> None:
         """What was learned in the end. Raises SystemExit with the verdict's status."""
