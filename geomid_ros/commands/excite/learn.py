@@ -97,7 +97,7 @@ class _Learning:
         wish: what all motions are asked for.
         out: folder of all rounds.
         options: of a run.
-        number: of the round.
+        number: of the last round that was begun.
         found: after the last round.
     """
 
@@ -111,7 +111,7 @@ class _Learning:
 
     @property
     def folder(self) -> Path:
-        """Of this round."""
+        """Of the last round that was begun."""
         return self.out / f"round{self.number}"
 
     def designs(self, rounds: int) -> Iterator[Excitation]:
@@ -120,7 +120,7 @@ class _Learning:
         from geomid_ros.session import excitation
         from geomid_ros.session.configuration import Configuration
 
-        for number in range(1, rounds + 1):
+        for _ in range(rounds):
             wish, known = self.wish, self.chosen
             if self.found is None:
                 wish = replace(wish, speed=_FIRST * wish.speed)
@@ -130,13 +130,13 @@ class _Learning:
             with progress_bar() as progress:
                 task = excitation.task_of(self.robot.text, Path(self.robot.source), known, wish)
                 designed = excitation.design(task, wish, progress)
-            self.number = number
             yield designed
 
     def show(self, designed: Excitation) -> None:
-        """Write a round's motion, and say what to expect of it."""
+        """Begin a round: write its motion, and say what to expect of it."""
         from geomid_ros.report.excitation import save
 
+        self.number += 1
         save(designed, self.folder)
         form = designed.motion.form
         click.echo(f"\nRound {self.number}: {form.repeats} x {form.period:g} s, in {self.folder}")
