@@ -236,6 +236,14 @@ def test_a_robot_that_is_out_of_its_range_is_not_moved(stage: Stage) -> None:
     assert "joint 'joint1' is at 2.900, out of its range -2.8 to 2.8 in the URDF: bring it back" in message
 
 
+def test_what_is_in_the_way_is_named_before_anything_moves(stage: Stage) -> None:
+    controller(stage)
+    inside = refused(stage, "--execute", "--avoid", "box:0,0,0.6,0.5,0.5,0.5")
+    assert "where the robot is, " in inside
+    assert " and box:0,0,0.6,0.5,0.5,0.5 overlap by " in inside
+    assert "exclude each other" in refused(stage, "--no-collision", "--avoid", "plane:0,0,1,-1")
+
+
 def refused_motion(stage: Stage, **changes: Any) -> str:
     path = stage.folder / "changed.yaml"
     path.write_text(yaml.safe_dump({**bump(JOINTS, 4.0).document(20), **changes}))
