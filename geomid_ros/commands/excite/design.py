@@ -5,16 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import Any
 
 import click
 
-from geomid_ros.commands.excite.options import motion_options, names_of, share_of
+from geomid_ros.commands.excite.options import motion_options, names_of, share_of, wish_of
 from geomid_ros.commands.options import OUT
 from geomid_ros.errors import InputError
-
-if TYPE_CHECKING:
-    from geomid_ros.session.excitation import Wish
 
 
 def design_options(command: Callable[..., None]) -> Callable[..., None]:
@@ -45,10 +42,10 @@ def design(
     model: Path | None,
     lock: str,
     wrench: tuple[str, ...],
-    wish: Wish,
     settle: Path | None,
     until: float,
     out: Path,
+    **options: Any,
 ) -> None:
     """Design a motion, print what to expect of it, and write it."""
     from geomid_ros.api.arguments import configuration, description
@@ -61,7 +58,7 @@ def design(
         raise InputError("no robot is given: add --urdf ROBOT.urdf (or --from estimate.json, with identified.urdf)")
     robot = description(urdf, [], model=model, xacro_args=xacro_args)
     chosen = configuration(None, model=model, floating_base=False, wrench=wrench, locked_joints=names_of(lock))
-    asked = replace(wish, settle=settle)
+    asked = replace(wish_of(options), settle=settle)
     with progress_bar() as progress:
         task = excitation.task_of(robot.text, Path(robot.source), chosen, asked)
         found = excitation.design(task, asked, progress)

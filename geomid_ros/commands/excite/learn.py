@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from geomid_ros.commands.excite.options import motion_options, names_of, robot_run_options, share_of
+from geomid_ros.commands.excite.options import motion_options, names_of, robot_run_options, share_of, wish_of
 from geomid_ros.commands.excite.run import ros_runs, show_plan
 from geomid_ros.commands.options import OUT
 from geomid_ros.errors import InputError, printable
@@ -46,7 +46,6 @@ def learn(
     model: Path | None,
     lock: str,
     wrench: tuple[str, ...],
-    wish: Wish,
     until: float,
     rounds: int,
     yes: bool,
@@ -69,7 +68,7 @@ def learn(
         raise InputError(f"{out / 'round1'} exists already; name another folder with --out")
     robot = description(urdf, [], model=model, xacro_args=xacro_args)
     chosen = configuration(None, model=model, floating_base=False, wrench=wrench, locked_joints=names_of(lock))
-    learning = _Learning(robot, chosen, wish, out, options)
+    learning = _Learning(robot, chosen, wish_of(options), out, options)
     for designed in learning.designs(rounds):
         if learning.found and designed.learning.gain < until:
             click.echo(f"Nothing worth it is left: {designed.not_worth(until)}")

@@ -3,33 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import wraps
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from geomid_ros.commands.options import package_option
 from geomid_ros.errors import InputError
 
+if TYPE_CHECKING:
+    from geomid_ros.session.excitation import Wish
+    from geomid_ros.session.surroundings import Surroundings
 
-def surroundings_options(function: Callable[..., None]) -> Callable[..., None]:
-    """What must not be touched: it reaches the function in ``surroundings``."""
 
-    @wraps(function)
-    def command(
-        *,
-        avoid: tuple[str, ...],
-        clearance: float,
-        no_collision: bool,
-        package_path: dict[str, Path],
-        **options: Any,
-    ) -> None:
-        from geomid_ros.session.surroundings import Surroundings
-
-        around = Surroundings(avoid=avoid, clearance=clearance, collide=not no_collision, packages=package_path)
-        function(surroundings=around, **options)
-
+def surroundings_options(command: Callable[..., None]) -> Callable[..., None]:
+    """What must not be touched; see :func:`surroundings_of`."""
     for option in (
         package_option,
         click.option("--no-collision", is_flag=True, help="Do not look for collisions, e.g. of a URDF without shapes."),
@@ -52,37 +40,20 @@ def surroundings_options(function: Callable[..., None]) -> Callable[..., None]:
     return command
 
 
-def motion_options(function: Callable[..., None]) -> Callable[..., None]:
-    """What a designed motion is asked for: it reaches the function in ``wish``, beside the robot's options."""
+def surroundings_of(options: dict[str, Any]) -> Surroundings:
+    """What these options say, which are taken out of the ``options``."""
+    from geomid_ros.session.surroundings import Surroundings
 
-    @wraps(function)
-    def command(
-        *,
-        limits: Path | None,
-        duration: float,
-        repeats: int,
-        start: str,
-        speed: float,
-        aim: str,
-        seed: int,
-        surroundings: Any,
-        **options: Any,
-    ) -> None:
-        from geomid_ros.session.excitation import Wish
+    return Surroundings(
+        avoid=options.pop("avoid"),
+        clearance=options.pop("clearance"),
+        collide=not options.pop("no_collision"),
+        packages=options.pop("package_path"),
+    )
 
-        wish = Wish(
-            limits=limits,
-            duration=duration,
-            repeats=repeats,
-            start=_numbers(start),
-            surroundings=surroundings,
-            speed=speed,
-            aim=aim,
-            seed=seed,
-        )
-        function(wish=wish, **options)
 
-    result: Callable[..., None] = command
+def motion_options(command: Callable[..., None]) -> Callable[..., None]:
+    """What a designed motion is asked for; see :func:`wish_of`."""
     for option in (
         surroundings_options,
         click.option("--seed", default=0, show_default=True, help="Of the search; another one finds another motion."),
@@ -134,8 +105,16 @@ def motion_options(function: Callable[..., None]) -> Callable[..., None]:
         click.option("--xacro-arg", "xacro_args", multiple=True, metavar="NAME:=VALUE", help="For a xacro."),
         click.option("--urdf", type=click.Path(path_type=Path), help="The robot's description, URDF or .xacro."),
     ):
-        result = option(result)
-    return result
+        command = option(command)
+    return command
+
+
+def wish_of(options: dict[str, Any]) -> Wish:
+    """What these options ask for, which are taken out of the ``options``."""
+    from geomid_ros.session.excitation import Wish
+
+    own = {name: options.pop(name) for name in ("limits", "duration", "repeats", "speed", "aim", "seed")}
+    return Wish(start=_numbers(options.pop("start")), surroundings=surroundings_of(options), **own)
 
 
 def robot_run_options(command: Callable[..., None]) -> Callable[..., None]:

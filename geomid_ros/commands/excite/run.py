@@ -5,11 +5,11 @@ from __future__ import annotations
 import shlex
 from pathlib import Path
 from types import ModuleType
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
-from geomid_ros.commands.excite.options import robot_run_options, surroundings_options
+from geomid_ros.commands.excite.options import robot_run_options, surroundings_of, surroundings_options
 from geomid_ros.commands.options import OUT
 from geomid_ros.errors import InputError, printable
 
@@ -37,7 +37,7 @@ _PERCENT = 100.0
 @surroundings_options
 @click.option("--identify", is_flag=True, help="Identify the robot from the recording afterwards.")
 @click.option("--out", default=Path("geomid_out/excite"), **OUT)
-def run(trajectory: Path, urdf: Path | None, execute: bool, identify: bool, out: Path, **options: object) -> None:
+def run(trajectory: Path, urdf: Path | None, execute: bool, identify: bool, out: Path, **options: Any) -> None:
     """Run a motion on a robot, and record it.
 
     Reads TRAJECTORY, as 'geomid excite' writes it. Says what would be done; with --execute the robot goes slowly to
@@ -55,6 +55,7 @@ def run(trajectory: Path, urdf: Path | None, execute: bool, identify: bool, out:
         motion=read_trajectory(trajectory),
         source=str(trajectory),
         urdf=(robot.text, robot.source) if robot else None,
+        surroundings=surroundings_of(options),
         **options,
     )
     with ros.prepared_run(order) as prepared:

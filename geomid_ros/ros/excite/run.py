@@ -132,15 +132,16 @@ class MotionRun:
             raise InputError(f"{outside} in the URDF: bring it back before anything else moves")
         motion = self._order.slowed
         silence = self._order.silence or max(_SILENCE, _PERIODS * self._robot.period(_LISTENING))
-        postures, notes = self._postures(robot, state.position, motion)
+        postures, notes = self._postures(robot, state.position)
         return Plan(way_by(motion.joints, postures, self._limits.speeds), motion, self._limits, silence, notes)
 
-    def _postures(self, robot: Robot, here: FloatArray, motion: Trajectory) -> tuple[list[FloatArray], tuple[str, ...]]:
+    def _postures(self, robot: Robot, here: FloatArray) -> tuple[list[FloatArray], tuple[str, ...]]:
         """By which the robot goes to the start, from ``here``, and what to say of it.
 
         Raises InputError if there is no free way, or the motion comes too close to something.
         """
-        around, start = self._order.surroundings, motion.positions[0]
+        around, motion = self._order.surroundings, self._order.motion
+        start = motion.positions[0]
         collision = around.collision(robot, Path(robot.source))
         heard = [self._robot.positions.get(name, np.nan) for name in robot.joint_names]
         passage = Passage(robot, motion.joints, np.nan_to_num(heard), collision)
