@@ -67,6 +67,17 @@ def test_a_robot_that_is_enclosed_is_not_moved() -> None:
         found.to(HERE, THERE)
 
 
+def test_who_is_close_to_something_may_leave_it_and_not_come_closer() -> None:
+    """The arm stands upright, 5 mm beside a wall, and turns away from it, or into it."""
+    wall = "box:0.085,0,1.1,0.1,1,0.6"  # its face is at 0.035, that of the arm at 0.03
+    upright, away, into = np.zeros(3), np.array([0.0, 0.0, -0.8]), np.array([0.0, 0.0, 0.02])
+    for end, free in ((away, True), (into, False)):
+        found, collision = passage(wall)
+        assert 0.004 < np.min(collision.distances(np.zeros((1, 3)))) < 0.006
+        found.keep(upright[None], CLEARANCE)
+        assert (found._obstacle(upright, end) == "") == free
+
+
 def test_joints_that_stand_elsewhere_count() -> None:
     """With the second joint bent forwards, the third one, which alone moves, meets the box in front."""
     for bend, free in ((0.0, True), (1.2, False)):
