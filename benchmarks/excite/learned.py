@@ -56,7 +56,8 @@ def against_random(report: Report, robots: list[str], seconds: float, truths: in
 
 
 def _weight(own: Task, knowledge: Knowledge, random: np.random.Generator) -> FloatArray:
-    others = [random_motion(own.feasibility, own.form, random) for _ in range(_EXPECTED)]
+    motions = [random_motion(own.feasibility, own.form, random) for _ in range(_EXPECTED)]
+    others = [own.feasibility.made_feasible(motion) for motion in motions]
     return weight_of("prediction", knowledge, others)
 
 

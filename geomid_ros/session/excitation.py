@@ -236,7 +236,8 @@ def design(task: Task, wish: Wish, progress: Callable[[str, float], None]) -> Ex
     """Search for a motion and say what to expect of it."""
     random, feasibility = np.random.default_rng(wish.seed), task.feasibility
     judge, labels = (None, []) if wish.settle is None else open_questions(task.feasibility, wish.settle)
-    others = [random_motion(feasibility, task.form, random) for _ in range(_OTHERS)]
+    # Such as the robot can make: in tight places others are far larger, and an error on them means nothing.
+    others = [feasibility.made_feasible(random_motion(feasibility, task.form, random)) for _ in range(_OTHERS)]
     weight = weight_of(wish.aim, task.knowledge, others)
     criterion = expected_error(feasibility, weight, task.form)
 

@@ -122,5 +122,3 @@ def test_the_states_of_a_trajectory_are_those_of_quintic_polynomials(tmp_path: P
     times = np.random.default_rng(1).uniform(0.0, 3.0, 200)
     for order, found in enumerate(motion.states(times)):
         np.testing.assert_allclose(found, expected(times, order), atol=1e-6 * 10.0**order)
-
-
