@@ -169,6 +169,7 @@ def main() -> None:
         try:
             while ok():
                 due = max(due + 1.0 / arguments.rate, time.monotonic())
+                executor.spin_once(timeout_sec=0.0)  # trajectories are taken even where there is no time left
                 while (left := due - time.monotonic()) > 0.0:
                     executor.spin_once(timeout_sec=left)
                 node.step()

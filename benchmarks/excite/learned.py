@@ -18,6 +18,7 @@ from geomid_ros.types import FloatArray
 
 _RANDOM = 60
 _OTHERS = 5
+_MORE = 4  # random motions, whose errors' mean counts: one may be lucky
 _EXPECTED = 8  # motions by which a design counts the expected error
 
 
@@ -55,7 +56,8 @@ def against_random(report: Report, robots: list[str], seconds: float, truths: in
 
 
 def _weight(own: Task, knowledge: Knowledge, random: np.random.Generator) -> FloatArray:
-    others = [random_motion(own.feasibility, own.form, random) for _ in range(_EXPECTED)]
+    motions = [random_motion(own.feasibility, own.form, random) for _ in range(_EXPECTED)]
+    others = [own.feasibility.made_feasible(motion) for motion in motions]
     return weight_of("prediction", knowledge, others)
 
 
@@ -93,7 +95,7 @@ def after_poor_data(report: Report, robots: list[str], seconds: float, truths: i
         own = task(robot, wish(robot, seconds))
         random = np.random.default_rng(2)
         generic = _designed(own, _weight(own, own.knowledge, random), random)
-        more = random_feasible(own.feasibility, own.form, random)
+        more = [random_feasible(own.feasibility, own.form, random) for _ in range(_MORE)]
         others = [random_feasible(own.feasibility, own.form, random) for _ in range(_OTHERS)]
         found = []
         for seed in range(truths):
@@ -104,9 +106,12 @@ def after_poor_data(report: Report, robots: list[str], seconds: float, truths: i
             feasible = _knowing(own, poor.knowledge)
             designed = _designed(feasible, _weight(own, poor.knowledge, random), random)
             errors = [_error_after(own.knowledge, [poor.recording], true, others)]
-            for motion in (more, generic, designed):
-                recording = recorded(own.knowledge, motion, true, np.random.default_rng([seed, 1]))
-                errors.append(_error_after(own.knowledge, [poor.recording, recording], true, others))
+            for motions in (more, [generic], [designed]):
+                recordings = [
+                    recorded(own.knowledge, motion, true, np.random.default_rng([seed, 1])) for motion in motions
+                ]
+                each = [_error_after(own.knowledge, [poor.recording, r], true, others) for r in recordings]
+                errors.append(float(np.mean(each)))
             found.append(errors)
         means = np.mean(found, axis=0)
         ratios.append(means[3] / means[1])

@@ -16,6 +16,7 @@ from geomid_ros.excitation.knowledge import ROWS_PER_SECOND, Knowledge, samples_
 from geomid_ros.excitation.motion import Motion
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.excitation import Task, Wish, task_of
+from geomid_ros.session.surroundings import Surroundings
 from geomid_ros.types import FloatArray
 
 PACKAGE = "example-robot-data"
@@ -51,8 +52,8 @@ def description(robot: str) -> Description:
 
 def wish(robot: str, seconds: float, seed: int = 0, aim: str = "prediction") -> Wish:
     """One period of a design for a robot."""
-    packages = {PACKAGE: description(robot).package}
-    return Wish(duration=seconds, repeats=1, packages=packages, seed=seed, aim=aim)
+    around = Surroundings(packages={PACKAGE: description(robot).package})
+    return Wish(duration=seconds, repeats=1, surroundings=around, seed=seed, aim=aim)
 
 
 def task(robot: str, asked: Wish) -> Task:

@@ -7,22 +7,20 @@ from dataclasses import dataclass
 import numpy as np
 
 from geomid_ros.errors import InputError
+from geomid_ros.excitation.clearance import Distances, clearances_from, overlap
 from geomid_ros.excitation.knowledge import Knowledge
 from geomid_ros.excitation.limits import MotionLimits
 from geomid_ros.excitation.motion import Motion
 from geomid_ros.model.collision import CollisionModel
-from geomid_ros.types import FloatArray, IntArray
+from geomid_ros.types import FloatArray
 
 SURE = 2.0
 """Standard deviations of the efforts to expect that must fit below the limits, too."""
 _FINE = 500.0  # [Hz] at which positions, speeds, accelerations, jerks are looked at
 _EFFORTS = 50.0  # [Hz]
-_DISTANCES = 50.0  # [Hz] to begin with
-_SHORTEST = 2e-4  # [s] between instants of which the distance is computed
 _RESERVE = 1e-3  # of each limit, for what happens between two instants
 _EDGE = 0.01  # of a joint's range, at most so many rad or m
 _HALVINGS = 12
-_SHARE_AT_START = 0.5  # of the distance at the start, for pairs that begin closer than the clearance
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,9 +64,9 @@ class Feasibility:
         self.clearances = np.zeros(0)
         """Of each pair [m]."""
         if collision is not None:
-            at_start = collision.distances(start[None])[0]
-            self._refuse_touching(at_start)
-            self.clearances = np.minimum(clearance, _SHARE_AT_START * at_start)
+            if touching := overlap(collision, start):
+                raise InputError(f"at the start {touching}; give another --start")
+            self.clearances = clearances_from(collision, start[None], clearance)
 
     def _check_start(self) -> None:
         low, high = self.limits.position.T
@@ -87,14 +85,9 @@ class Feasibility:
                 f"'{self.names[worst]}'; give another --start"
             )
 
-    def _refuse_touching(self, distances: FloatArray) -> None:
-        if self.collision is not None and np.any(distances <= 0.0):
-            pair = self.collision.pairs[int(np.argmin(distances))]
-            raise InputError(f"at the start {pair} overlap by {-1e3 * np.min(distances):.0f} mm; give another --start")
-
     def _effort_shares(self, states: FloatArray) -> FloatArray:
         """Shares of the effort limits ``(N, J)`` that are used at ``states (3, N, J)``."""
-        rows = self.knowledge.rows(states)
+        rows = self.knowledge.rows(states)[:, : len(self.names)]
         spread = np.sqrt(np.maximum(np.einsum("njd,de,nje->nj", rows, self.knowledge.posterior.covariance, rows), 0.0))
         return np.asarray((np.abs(self.knowledge.efforts(states)) + SURE * spread) / self.limits.effort)
 
@@ -137,8 +130,7 @@ class Feasibility:
         return self.collision is None or self._is_clear(motion, self.collision)
 
     def _is_clear(self, motion: Motion, collision: CollisionModel) -> bool:
-        found = _Distances(motion, collision, self.clearances)
-        return found.settle()
+        return Distances(motion.at, motion.form.period, collision, self.clearances).settle()
 
     def margins(self, motion: Motion) -> Margins:
         """How far a feasible motion stays from all limits."""
@@ -158,7 +150,7 @@ class Feasibility:
     def _least_distances(self, motion: Motion) -> FloatArray:
         if self.collision is None:
             return np.zeros(0)
-        found = _Distances(motion, self.collision, self.clearances)
+        found = Distances(motion.at, motion.form.period, self.collision, self.clearances)
         found.settle()
         return found.bounds()
 
@@ -166,53 +158,3 @@ class Feasibility:
 def _times(motion: Motion, rate: float) -> FloatArray:
     """Instants of a period, at a ``rate`` [Hz]."""
     return np.linspace(0.0, motion.form.period, int(np.ceil(rate * motion.form.period)) + 1)
-
-
-class _Distances:
-    """Distances at some instants of a motion, and what they say of those between.
-
-    No point of a pair's bodies moves faster relative to the other than ``reach . |speeds|``. Between two instants the
-    distance is at least half of what it is at both together, less half of the way in between.
-    """
-
-    def __init__(self, motion: Motion, collision: CollisionModel, clearances: FloatArray) -> None:
-        self._motion, self._collision, self._clearances = motion, collision, clearances
-        self._reach = collision.reach @ collision.coupling_sizes
-        self._times = _times(motion, _DISTANCES)
-        self._distances = collision.distances(motion.at(self._times)[0])
-
-    def settle(self) -> bool:
-        """Halve intervals until the clearances are certain, or are found not to hold."""
-        while np.all(self._distances >= self._clearances):
-            unsure = np.flatnonzero(np.any(self._between() < self._clearances, axis=1))
-            if not len(unsure):
-                return True
-            if np.min(np.diff(self._times)[unsure]) < _SHORTEST:
-                return False
-            self._refine(unsure)
-        return False
-
-    def _between(self) -> FloatArray:
-        """Lower bounds ``(N - 1, pairs)`` of the distances between instants."""
-        ends = self._distances[:-1] + self._distances[1:]
-        return np.asarray(0.5 * (ends - self._ways() @ self._reach.T))
-
-    def _ways(self) -> FloatArray:
-        """At least the ways ``(N - 1, J)`` that joints go between instants."""
-        states = self._motion.at(self._times)
-        steps = np.diff(self._times)[:, None]
-        # The speed is at most that at the nearer end, and what the largest acceleration adds in half of the time.
-        fastest = np.maximum(np.abs(states[1, :-1]), np.abs(states[1, 1:]))
-        jerk = np.max(np.abs(states[3]), axis=0)
-        harder = np.max(np.abs(states[2]), axis=0) + 0.5 * np.max(steps) * jerk
-        return np.asarray(steps * (fastest + 0.5 * steps * harder))
-
-    def _refine(self, intervals: IntArray) -> None:
-        middles = 0.5 * (self._times[intervals] + self._times[intervals + 1])
-        new = self._collision.distances(self._motion.at(middles)[0])
-        self._times = np.insert(self._times, intervals + 1, middles)
-        self._distances = np.insert(self._distances, intervals + 1, new, axis=0)
-
-    def bounds(self) -> FloatArray:
-        """Lower bounds of the distances ``(pairs,)`` at all instants."""
-        return np.asarray(np.min(self._between(), axis=0))

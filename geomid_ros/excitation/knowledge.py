@@ -37,8 +37,8 @@ _OTHERS = (
 )
 
 
-def samples_of(states: FloatArray) -> Samples:
-    """Samples at positions, velocities and accelerations ``(3, N, J)``, nothing measured."""
+def samples_of(states: FloatArray, sensors: int = 0) -> Samples:
+    """Samples at positions, velocities and accelerations ``(3, N, J)``, nothing measured by so many wrench sensors."""
     still, none = np.zeros_like(states[0]), np.zeros((states.shape[1], 0))
     return Samples(
         stamps=np.arange(states.shape[1], dtype=np.int64),
@@ -49,7 +49,7 @@ def samples_of(states: FloatArray) -> Samples:
         base_pose=none,
         base_velocity=none,
         base_acceleration=none,
-        wrenches=np.zeros((states.shape[1], 0, 6)),
+        wrenches=np.zeros((states.shape[1], sensors, 6)),
     )
 
 
@@ -58,9 +58,9 @@ class Knowledge:
     """What is known before a motion.
 
     Attributes:
-        model: which parameters are unknown; its channels are the joints' efforts.
+        model: which parameters are unknown; its C channels begin with the joints' efforts.
         posterior: of these parameters, in their order.
-        sigmas: standard deviations of the measured efforts ``(J,)``.
+        sigmas: standard deviations of what is measured ``(C,)``.
     """
 
     model: MeasurementModel
@@ -75,15 +75,17 @@ class Knowledge:
         inverse = np.linalg.pinv(scaled, rcond=1e-12, hermitian=True)
         return frozen(inverse / np.outer(deviations, deviations))
 
+    def rows_of_parameters(self, states: FloatArray) -> FloatArray:
+        """Rows ``(N, C, D)`` by the parameters, of efforts in N m or N, at ``states (3, N, J)``."""
+        return self.model.rows(samples_of(states, len(self.model.sensors))).coefficients
+
     def rows(self, states: FloatArray) -> FloatArray:
-        """Rows ``(N, J, D)`` by the tangent coordinates, of efforts in N m or N, at ``states (3, N, J)``."""
-        coefficients = self.model.rows(samples_of(states)).coefficients
-        flat = self.posterior.manifold.whiten(self.posterior.point, coefficients.reshape(-1, self.model.dimension))
-        return flat.reshape(coefficients.shape)
+        """The same by the tangent coordinates."""
+        return self.rows_of_parameters(states) @ self.posterior.jacobian
 
     def efforts(self, states: FloatArray) -> FloatArray:
         """The efforts ``(N, J)`` to expect at ``states (3, N, J)``."""
-        return np.asarray(self.model.rows(samples_of(states)).coefficients @ self.posterior.parameters)
+        return np.asarray((self.rows_of_parameters(states) @ self.posterior.parameters)[:, : states.shape[2]])
 
     def information(self, motion: Motion) -> FloatArray:
         """What a motion tells of the tangent coordinates ``(D, D)``."""
@@ -93,7 +95,7 @@ class Knowledge:
         return self.information_of(rows, motion.form.duration)
 
     def information_of(self, rows: FloatArray, duration: float) -> FloatArray:
-        """The same, of rows ``(N, J, D)`` in units of the noise at instants spread over a ``duration`` [s]."""
+        """The same, of rows ``(N, C, D)`` in units of the noise at instants spread over a ``duration`` [s]."""
         flat = rows.reshape(-1, rows.shape[-1])
         return np.asarray(ROWS_PER_SECOND * duration / len(rows) * (flat.T @ flat))
 
@@ -128,10 +130,10 @@ def prior_knowledge(model: MeasurementModel, limits: MotionLimits) -> Knowledge:
     what its <dynamics> say where that is more."""
     random = np.random.default_rng(0)
     states = _random_states(limits, random)
-    coefficients = model.rows(samples_of(states)).coefficients
+    coefficients = model.rows(samples_of(states, len(model.sensors))).coefficients
     first = len(model.nominal_inertias)
     usual = _channel_sizes(model, limits, coefficients)
-    columns = np.sqrt(np.mean(coefficients[:, :, first:] ** 2, axis=0))  # (J, effects)
+    columns = np.sqrt(np.mean(coefficients[:, :, first:] ** 2, axis=0))  # (C, effects)
     sizes = np.max(usual[:, None] / np.where(columns > 0.0, columns, np.inf), axis=0, initial=0.0)
     sizes = np.maximum(np.where(sizes > 0.0, sizes, 1.0), _stated(model))
     positive = np.arange(len(sizes)) < model.positives
@@ -189,9 +191,11 @@ def known_before(model: MeasurementModel, posterior: Posterior, sigmas: Sequence
 
 
 def _channel_sizes(model: MeasurementModel, limits: MotionLimits, coefficients: FloatArray) -> FloatArray:
-    """The usual size of an effect at each joint ``(J,)`` [N m, N]."""
+    """The usual size of an effect at each channel ``(C,)`` [N m, N]."""
     weights = np.sqrt(np.mean((coefficients @ model.nominal_parameters) ** 2, axis=0))
-    return _USUAL_SHARE * np.where(np.isfinite(limits.effort), limits.effort, np.maximum(weights, 1e-6))
+    limit = np.full(len(model.channels), np.inf)
+    limit[: len(limits.effort)] = limits.effort
+    return _USUAL_SHARE * np.where(np.isfinite(limit), limit, np.maximum(weights, 1e-6))
 
 
 def _random_states(limits: MotionLimits, random: np.random.Generator) -> FloatArray:

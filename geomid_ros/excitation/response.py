@@ -25,14 +25,14 @@ class Responses:
 
     def columns(self, states: FloatArray, period: float, effects: Sequence[tuple[Effect, Place]]) -> list[FloatArray]:
         """Efforts ``(N, J, k)`` per unit of each coefficient of each effect, at ``states (3, N, J)``."""
-        samples = samples_of(states)
+        samples = samples_of(states, len(self.model.sensors))
         needed = any(isinstance(part, SituationEffect) for effect, _ in effects for part in effect.parts)
         situation = self._situation(states, period) if needed else None
         found = []
         for effect, place in effects:
             if isinstance(place, OnLink):
                 first = 10 * place.link
-                found.append(self.model.rows(samples).coefficients[:, :, first : first + 10])
+                found.append(self.model.rows(samples).coefficients[:, : states.shape[2], first : first + 10])
                 continue
             own = [self._part(part, place, states, situation) for part in effect.parts]
             found.append(np.concatenate(own, axis=2))
@@ -46,7 +46,7 @@ class Responses:
         return np.zeros((*states.shape[1:], 0))
 
     def _situation(self, states: FloatArray, period: float) -> Situation:
-        samples = samples_of(states)
+        samples = samples_of(states, len(self.model.sensors))
         dynamics = Dynamics(self.model, self.inertias)
         load = dynamics.efforts(samples)
         value, rate, acceleration = _derivatives(load[..., None], period)

@@ -76,7 +76,7 @@ class Judge:
         """Of each dispute and rival: the least expected difference of -2 log p, whichever of both is true; a name with
         more parameters has to make up for them (BIC)."""
         rows, own = self._at(motion)
-        each = float(np.log(ROWS_PER_SECOND * motion.form.duration * len(self._knowledge.sigmas)))
+        each = float(np.log(ROWS_PER_SECOND * motion.form.duration * len(motion.start)))
         found = []
         for place, dispute in enumerate(self.disputes):
             columns, known = own(dispute.found), self._beside(rows, own, dispute)
@@ -112,8 +112,8 @@ class Judge:
         count = int(np.ceil(_RATE * duration))
         period = duration / count
         states = motion.at(np.asarray((np.arange(count) + 0.5) * period))[:3]
-        weights = np.sqrt(ROWS_PER_SECOND * motion.form.duration / count) / self._knowledge.sigmas
-        rows = self._knowledge.rows(states) * weights[:, None]
+        weights = np.sqrt(ROWS_PER_SECOND * motion.form.duration / count) / self._knowledge.sigmas[: states.shape[2]]
+        rows = self._knowledge.rows(states)[:, : states.shape[2]] * weights[:, None]
         asked = [name for dispute in self.disputes for name in (dispute.found, *dispute.rivals)]
         pairs = dict.fromkeys((variant, name.place) for name in asked for variant in name.variants)
         columns = dict(zip(pairs, self._responses.columns(states, period, [*pairs]), strict=True))

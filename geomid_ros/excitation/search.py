@@ -21,13 +21,13 @@ from geomid_ros.types import FloatArray
 _STEP = 1e-6  # of positions, speeds and accelerations, by which rows are differentiated
 _RATE = 6.0  # [Hz] of instants
 _RANDOM = 12  # motions to begin with
-_STEPS = 50
+_STEPS, _BENDS = 100, 50  # evaluations at most, with a criterion and without
 _USED = 0.97  # of a limit, before it costs anything
 _COST = 300.0  # of exceeding a limit by all of it, squared, at every instant
 _NEAR = 2.0  # clearances within which distances cost something
 
 Criterion = Callable[[FloatArray], tuple[float, FloatArray]]
-"""Of rows ``(N, J, D)`` in units of the noise: the logarithm of what is to be small, and its derivatives by them."""
+"""Of rows ``(N, C, D)`` in units of the noise: the logarithm of what is to be small, and its derivatives by them."""
 
 
 def random_motion(feasibility: Feasibility, form: MotionForm, random: np.random.Generator) -> Motion:
@@ -75,17 +75,17 @@ class Search:
         """A feasible motion, downhill from another."""
         # In units in which every coefficient of a joint, by itself, goes as far as the joint's limits allow.
         units = np.array([self.feasibility.largest_scale(self._unit_motion(place)) for place in range(self.form.size)])
-        done = 0
+        done, most = 0, _BENDS if self.criterion is None else _STEPS
 
         def at(vector: FloatArray) -> tuple[float, FloatArray]:
             nonlocal done
             done += 1
-            progress(min(done / _STEPS, 1.0))
+            progress(min(done / most, 1.0))
             value, slope = self._value_and_slope(Motion(self.form, motion.start, units * vector.reshape(units.shape)))
             return value, (units * slope).ravel()
 
         begin = (motion.coefficients / np.where(units > 0.0, units, 1.0)).ravel()
-        found = minimize(at, begin, jac=True, method="L-BFGS-B", options={"maxfun": _STEPS, "maxcor": 20})
+        found = minimize(at, begin, jac=True, method="L-BFGS-B", options={"maxfun": most, "maxcor": 20})
         return self.feasibility.made_feasible(Motion(self.form, motion.start, units * found.x.reshape(units.shape)))
 
     def _unit_motion(self, place: int) -> Motion:
@@ -125,31 +125,31 @@ class Search:
         """The criterion and what efforts cost, and the derivatives ``(3, N, J)``."""
         if self.criterion is None:
             return 0.0, np.zeros_like(states[:3])
-        sigmas = self.feasibility.knowledge.sigmas[:, None]
-        rows, moved = self._rows_nearby(states)
-        value, by_rows = self.criterion(rows / sigmas)
+        knowledge, (count, joints) = self.feasibility.knowledge, states.shape[1:]
+        nearby = self._rows_nearby(states)
+        rows = nearby[0] @ knowledge.posterior.jacobian
+        value, by_rows = self.criterion(rows / knowledge.sigmas[:, None])
         cost, by_efforts = self._of_efforts(rows)
-        pull = by_rows / sigmas + by_efforts[..., None] * self._whitened_parameters
-        return value + cost, np.einsum("onkjd,njd->onk", moved, pull, optimize=True)
+        pull = by_rows / knowledge.sigmas[:, None]
+        pull[:, :joints] += by_efforts[..., None] * self._whitened_parameters
+        along = np.einsum("ancd,ncd->an", nearby, pull @ knowledge.posterior.jacobian.T)
+        slopes = (along[1:] - along[0]) / _STEP
+        return value + cost, slopes.reshape(3, joints, count).swapaxes(1, 2)
 
     @cached_property
     def _whitened_parameters(self) -> FloatArray:
         """Tangent coordinates ``(D,)`` by which rows make efforts."""
         posterior = self.feasibility.knowledge.posterior
-        blocks, diagonal = posterior.manifold.jacobian(posterior.point)
-        first = posterior.manifold.inertial.stop
-        links = np.linalg.solve(blocks, posterior.parameters[:first].reshape(-1, 10, 1))
-        return np.concatenate([links.ravel(), posterior.parameters[first:] / diagonal])
+        return np.asarray(np.linalg.solve(posterior.jacobian, posterior.parameters))
 
-    def _rows_nearby(self, states: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Rows ``(N, J, D)``, and their derivatives ``(3, N, J, J, D)`` by each joint's position, speed and
-        acceleration."""
+    def _rows_nearby(self, states: FloatArray) -> FloatArray:
+        """Rows ``(1 + 3 J, N, C, D)`` by the parameters: there, and a step of each joint's position, speed and
+        acceleration away."""
         count, joints = states.shape[1:]
         steps = _STEP * np.eye(3 * joints).reshape(3 * joints, 3, 1, joints)
         near = np.concatenate([states[None, :3], states[None, :3] + steps]).swapaxes(0, 1).reshape(3, -1, joints)
-        rows = self.feasibility.knowledge.rows(near).reshape(3 * joints + 1, count, joints, -1)
-        moved = (rows[1:] - rows[0]) / _STEP
-        return rows[0], moved.reshape(3, joints, count, joints, -1).swapaxes(1, 2)
+        rows = self.feasibility.knowledge.rows_of_parameters(near)
+        return rows.reshape(3 * joints + 1, count, *rows.shape[1:])
 
     def _of_limits(self, states: FloatArray) -> tuple[float, FloatArray]:
         """What positions, speeds, accelerations and jerks cost, and the derivatives ``(4, N, J)``."""
@@ -165,6 +165,7 @@ class Search:
     def _of_efforts(self, rows: FloatArray) -> tuple[float, FloatArray]:
         """What efforts cost, and the derivatives ``(N, J)`` by them; their uncertainty counts as it is."""
         knowledge, limit = self.feasibility.knowledge, self.feasibility.limits.effort
+        rows = rows[:, : len(limit)]
         spread = np.sqrt(np.maximum(np.sum((rows @ knowledge.posterior.covariance) * rows, axis=2), 0.0))
         left = np.maximum(limit - SURE * spread, 0.05 * limit)
         return _hinge(rows @ self._whitened_parameters / left, 1.0 / left)

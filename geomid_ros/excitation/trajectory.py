@@ -51,21 +51,41 @@ class Trajectory:
             accelerations=self.accelerations * factor**2,
         )
 
+    def followed_by(self, other: Trajectory) -> Trajectory:
+        """This and then another one of the same joints, which begins where this one ends."""
+        return Trajectory(
+            self.joints,
+            np.concatenate([self.times, self.duration + other.times[1:]]),
+            np.vstack([self.positions, other.positions[1:]]),
+            np.vstack([self.velocities, other.velocities[1:]]),
+            np.vstack([self.accelerations, other.accelerations[1:]]),
+        )
+
     def at(self, time: float) -> tuple[FloatArray, FloatArray]:
         """Positions and velocities ``(joints,)`` at a ``time`` [s]; before the first point and after the last one those
         of this point."""
-        time = min(max(time, float(self.times[0])), self.duration)
-        after = min(max(int(np.searchsorted(self.times, time)), 1), len(self.times) - 1)
-        pair = slice(after - 1, after + 1)
-        span, passed = float(np.diff(self.times[pair])[0]), time - float(self.times[after - 1])
-        coefficients = _quintic(span, self.positions[pair], self.velocities[pair], self.accelerations[pair])
+        positions, velocities, *_ = self.states(np.array([time]))
+        return positions[0], velocities[0]
+
+    def states(self, times: FloatArray) -> FloatArray:
+        """The same, and accelerations and jerks, ``(4, N, joints)`` at ``times (N,)`` [s]."""
+        times = np.clip(times, self.times[0], self.duration)
+        after = np.clip(np.searchsorted(self.times, times), 1, len(self.times) - 1)
+        pairs = np.array([after - 1, after])
+        span, passed = np.diff(self.times[pairs], axis=0)[0], times - self.times[after - 1]
         powers = np.arange(6)
-        slopes = powers[1:] * passed ** powers[:-1]
-        return passed**powers @ coefficients, slopes @ coefficients[1:]
+        coefficients = _quintic(span[:, None], self.positions[pairs], self.velocities[pairs], self.accelerations[pairs])
+        found, factors = [], np.ones(6)
+        for order in range(4):
+            terms = factors * passed[:, None] ** np.maximum(powers - order, 0)
+            found.append(np.einsum("np,pnj->nj", terms, coefficients))
+            factors = factors * (powers - order)
+        return np.array(found)
 
 
-def _quintic(span: float, positions: FloatArray, velocities: FloatArray, accelerations: FloatArray) -> FloatArray:
-    """Coefficients ``(6, joints)``, by power of the time [s], of the polynomials between two points ``(2, joints)``."""
+def _quintic(span: FloatArray, positions: FloatArray, velocities: FloatArray, accelerations: FloatArray) -> FloatArray:
+    """Coefficients ``(6, N, joints)``, by power of the time [s], of the polynomials between two points
+    ``(2, N, joints)`` that lie a ``span (N, 1)`` [s] apart."""
     (p, end), (v, last_v), (a, last_a) = positions, velocities, accelerations
     rest = (end - p) / span - v - a * span / 2.0  # what the powers above two must add
     speed = last_v - v - a * span

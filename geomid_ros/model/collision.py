@@ -61,6 +61,7 @@ class CollisionModel:
     ) -> None:
         """``shapes`` by the link in whose frame they are."""
         self._robot = robot
+        self.shapes, self.obstacles = shapes, obstacles
         self._model = robot.pinocchio_model
         self._data = self._model.createData()
         self._geometry = pin.GeometryModel()

@@ -13,6 +13,7 @@ from geomid_ros.estimation.estimate import QUANTITIES
 from geomid_ros.excitation.learning import Expected
 from geomid_ros.files.disk import make_folder, write_json
 from geomid_ros.files.trajectories.writing import write_bag, write_csv, write_yaml
+from geomid_ros.report.motion_page import write_motion_page
 from geomid_ros.report.sheet import DPI, FAINT, IDENTIFIED, INK, write_picture
 from geomid_ros.session.excitation import Excitation
 from geomid_ros.types import FloatArray
@@ -24,15 +25,16 @@ _ROW_HEIGHT, _WIDTH = 1.5, 12.0  # [inch]
 def save(found: Excitation, folder: Path) -> list[Path]:
     """Write all files of a motion into a folder; returns their paths. Raises GeomidError naming a file."""
     make_folder(folder)
-    names = ("trajectory.yaml", "trajectory.csv", "trajectory_bag", "excitation.json", "excitation.png")
-    yaml, csv, bag, document, picture = (folder / name for name in names)
+    names = ("trajectory.yaml", "trajectory.csv", "trajectory_bag", "excitation.json", "excitation.png", "motion.html")
+    yaml, csv, bag, document, picture, page = (folder / name for name in names)
     trajectory = found.trajectory
     write_yaml(yaml, trajectory)
     write_csv(csv, trajectory)
     write_bag(bag, trajectory)
     write_json(document, excitation_document(found))
     write_picture(picture, motion_figure(found))
-    return [yaml, csv, bag, document, picture]
+    write_motion_page(page, found)
+    return [yaml, csv, bag, document, picture, page]
 
 
 def excitation_document(found: Excitation) -> dict[str, Any]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -22,13 +22,12 @@ from geomid_ros.excitation.trajectory import Trajectory
 from geomid_ros.files.models.joint_limits import read_joint_limits
 from geomid_ros.files.models.posterior import POSTERIOR, read_posterior
 from geomid_ros.files.models.results import read_estimate
-from geomid_ros.files.shapes.outlines import link_shapes, obstacles
 from geomid_ros.model.collision import CollisionModel, Pair
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.open_questions import open_questions
 from geomid_ros.session.session import Session
-from geomid_ros.types import FloatArray
+from geomid_ros.session.surroundings import NOT_LOOKED, Surroundings, not_watched, without_touching
 
 RATE = 100.0
 """[Hz] of the points of a trajectory."""
@@ -37,7 +36,6 @@ _COMPARED = 3  # random motions with which a designed one is compared
 _SLOW_SHARE = {PREDICTION: 0.1, "friction": 0.5}
 _SEED = 0
 _MANY = 20.0
-_NEIGHBOURS = 2  # joints between links whose hulls may overlap all the time
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -49,11 +47,8 @@ class Wish:
         duration: of all periods [s].
         repeats: how often the period is repeated.
         start: where it begins and ends; by itself if empty.
-        avoid: obstacles, see :func:`~geomid_ros.files.shapes.outlines.obstacles`.
-        clearance: [m] of all that may collide.
+        surroundings: what must not be touched.
         speed: share of the velocity limits.
-        collide: whether collisions are looked for.
-        packages: folders of ``package://``.
         aim: see :func:`~geomid_ros.excitation.criteria.weight_of`.
         settle: path of a gap.json whose rivals are to be told apart.
         seed: of the search.
@@ -63,11 +58,8 @@ class Wish:
     duration: float = 20.0
     repeats: int = 2
     start: Sequence[float] = ()
-    avoid: Sequence[str] = ()
-    clearance: float = 0.02
+    surroundings: Surroundings = field(default_factory=Surroundings)
     speed: float = 0.5
-    collide: bool = True
-    packages: Mapping[str, Path] = field(default_factory=dict)
     aim: str = PREDICTION
     settle: Path | None = None
     seed: int = _SEED
@@ -142,6 +134,11 @@ class Excitation:
         lower, asked = 1e3 * self.margins.distance[place], 1e3 * clearances[place]
         return f"{collision.pairs[place]} stay {lower:.0f} mm apart or more ({asked:.0f} mm are asked for)"
 
+    def not_worth(self, until: float) -> str:
+        """Why a motion is not worth it that lowers the expected error by less than the share ``until``, in words."""
+        gain, seconds = max(self.learning.gain, 0.0), self.motion.form.duration
+        return f"{seconds:g} s more would lower the expected error by {gain:.1%}, less than {until:.3g}"
+
     @property
     def trajectory(self) -> Trajectory:
         """The motion as points."""
@@ -164,22 +161,23 @@ def task_of(urdf: str, source: Path, configuration: Configuration, wish: Wish) -
     """
     session = Session(urdf, configuration, str(source))
     robot, model = session.robot, _model_of(session)
-    if robot.floating_base or session.model.sensors:
-        raise InputError("motions are designed for arms on a fixed base, by joint efforts; leave out wrench sensors")
+    if robot.floating_base or not model.layout.efforts:
+        raise InputError("motions are designed for arms on a fixed base whose joint efforts can be predicted")
     given = read_joint_limits(wish.limits, robot.joint_names) if wish.limits else {}
     inertias = np.array([body.parameters for body in robot.bodies])
     limits = motion_limits(robot, given, inertias, wish.speed, str(source))
     knowledge = _knowledge(session, model, limits)
-    collision, notes = _collision(session, urdf, source, wish)
-    feasibility, not_watched = _feasibility(knowledge, limits, collision, wish)
+    collision = wish.surroundings.collision(robot, source)
+    feasibility, unwatched = _feasibility(knowledge, limits, collision, wish)
+    notes = [*limits.notes, "" if collision else NOT_LOOKED, not_watched(unwatched), *robot.repaired.values()]
     slow = _SLOW_SHARE.get(wish.aim, _SLOW_SHARE[PREDICTION])
     form = MotionForm(period=wish.duration / wish.repeats, slow_share=slow, repeats=wish.repeats)
     return Task(
         feasibility=feasibility,
         knowledge=knowledge,
         form=form,
-        not_watched=not_watched,
-        notes=(*limits.notes, *notes, *_said(not_watched), *robot.repaired.values()),
+        not_watched=unwatched,
+        notes=tuple(filter(None, notes)),
     )
 
 
@@ -207,18 +205,9 @@ def _knowledge(session: Session, model: MeasurementModel, limits: MotionLimits) 
     if not session.loaded.source:
         return prior
     measured = read_estimate(Path(session.loaded.source)).get("sigma") or {}
-    sigmas = [measured.get(name) for name in model.robot.joint_names]
+    sigmas = [measured.get(channel.name) for channel in model.channels]
     own = [float(sigma) if sigma else usual for sigma, usual in zip(sigmas, prior.sigmas.tolist(), strict=True)]
     return known_before(model, read_posterior(_beside(session)), own, session.loaded.source)
-
-
-def _collision(session: Session, urdf: str, source: Path, wish: Wish) -> tuple[CollisionModel | None, tuple[str, ...]]:
-    if not wish.collide:
-        if wish.avoid:
-            raise InputError("--avoid and --no-collision exclude each other")
-        return None, ("collisions are not looked for (--no-collision): watch the robot",)
-    around = [obstacle for text in wish.avoid for obstacle in obstacles(text)]
-    return CollisionModel(session.robot, link_shapes(urdf, source, wish.packages), around), ()
 
 
 def _feasibility(
@@ -231,11 +220,11 @@ def _feasibility(
             f"--start has {len(wish.start)} numbers, expected {len(names)}: those of {', '.join(names)} [rad, m]"
         )
     tried = [np.array(wish.start)] if wish.start else list(starts(limits))
-    not_watched = _without_touching(collision, tried[0]) if collision is not None else ()
+    unwatched = without_touching(collision, tried[0]) if collision is not None else ()
     refused = []
     for start in tried:
         try:
-            return Feasibility(knowledge, limits, start, collision, wish.clearance), not_watched
+            return Feasibility(knowledge, limits, start, collision, wish.surroundings.clearance), unwatched
         except InputError as error:
             refused.append(error)
     if wish.start:
@@ -243,26 +232,12 @@ def _feasibility(
     raise InputError(f"no posture was found to begin from, of {len(tried)} that were tried; of the first: {refused[0]}")
 
 
-def _without_touching(collision: CollisionModel, start: FloatArray) -> tuple[Pair, ...]:
-    """Leave out pairs of links that overlap at the start and are only two joints apart: their hulls are too rough."""
-    touching = collision.distances(start[None])[0] <= 0.0
-    touching &= np.count_nonzero(collision.reach, axis=1) <= _NEIGHBOURS
-    touching &= np.array([not pair.is_obstacle for pair in collision.pairs], dtype=bool)
-    pairs = tuple(collision.pairs[place] for place in np.flatnonzero(touching))
-    collision.without(np.flatnonzero(touching))
-    return tuple(dict.fromkeys(pairs))
-
-
-def _said(not_watched: Sequence[Pair]) -> list[str]:
-    named = "; ".join(map(str, not_watched))
-    return [f"not watched, as their convex hulls overlap at the start already: {named}"] if named else []
-
-
 def design(task: Task, wish: Wish, progress: Callable[[str, float], None]) -> Excitation:
     """Search for a motion and say what to expect of it."""
     random, feasibility = np.random.default_rng(wish.seed), task.feasibility
     judge, labels = (None, []) if wish.settle is None else open_questions(task.feasibility, wish.settle)
-    others = [random_motion(feasibility, task.form, random) for _ in range(_OTHERS)]
+    # Such as the robot can make: in tight places others are far larger, and an error on them means nothing.
+    others = [feasibility.made_feasible(random_motion(feasibility, task.form, random)) for _ in range(_OTHERS)]
     weight = weight_of(wish.aim, task.knowledge, others)
     criterion = expected_error(feasibility, weight, task.form)
 

@@ -28,7 +28,7 @@ def open_questions(feasibility: Feasibility, path: Path) -> tuple[Judge, list[tu
     before = feasibility.knowledge
     model = before.model.without_effects()
     knowledge = prior_knowledge(model, feasibility.limits)
-    names = model.robot.joint_names
+    names = [channel.name for channel in model.channels]
     sigmas = [floor.get(name) or own for name, own in zip(names, knowledge.sigmas.tolist(), strict=True)]
     knowledge = replace(knowledge, sigmas=frozen(sigmas))
     disputes = [_dispute(model, finding) for finding in findings]

@@ -9,12 +9,13 @@ import numpy as np
 import pytest
 import yaml
 from excitation.arm import urdf
+from files.recordings import BAGS
 from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_typestore
 
 from geomid_ros.files.trajectories.reading import read_trajectory
 
-from .running import done, geomid, refused
+from .running import WRIST, done, geomid, identify, link, refused
 
 QUICK = ("--duration", "6", "--repeats", "2")
 
@@ -75,6 +76,20 @@ def test_the_report_says_margins_and_clearances(folder: Path) -> None:
     assert any(entry["second"].startswith("plane:") for entry in report["distances"])
     assert report["expected"]["designed"]["error"] < report["expected"]["before"]["error"]
     assert (folder / "excitation.png").stat().st_size > 10_000
+
+
+def test_what_a_wrench_sensor_told_is_known(tmp_path: Path) -> None:
+    """The sensor is recorded, so that a motion tells of what it carries, too."""
+    done(*identify("arm3", *WRIST, "--out", tmp_path))
+    command = ("excite", "--from", tmp_path / "estimate.json", "--urdf", BAGS / "arm3.urdf", *QUICK)
+    text = done(*command, *WRIST, "--out", tmp_path / "next")
+    assert "wrench_offset" in text
+    expected = json.loads((tmp_path / "next/excitation.json").read_text())["expected"]
+    before, after = (expected[stage]["links"]["wrist_ft"]["mass"] for stage in ("before", "designed"))
+    known = link(json.loads((tmp_path / "estimate.json").read_text()), "wrist_ft")["std"]["mass"]
+    assert before == pytest.approx(known, rel=1e-6)
+    assert after < 0.7 * before
+    assert "declare the same mounted wrench sensors" in refused(*command)
 
 
 def test_a_urdf_without_shapes(tmp_path: Path) -> None:

@@ -11,10 +11,11 @@ from geomid_ros.excitation.knowledge import samples_of
 from geomid_ros.excitation.motion import Motion
 from geomid_ros.excitation.search import random_feasible, random_motion
 from geomid_ros.session.excitation import Wish
+from geomid_ros.session.surroundings import Surroundings
 
 from .arm import small_task, urdf
 
-TASK = small_task(Wish(duration=6.0, repeats=1, avoid=("box:0.75,0,0.7,0.2,2,2",)))
+TASK = small_task(Wish(duration=6.0, repeats=1, surroundings=Surroundings(avoid=("box:0.75,0,0.7,0.2,2,2",))))
 
 
 def dense(motion: Motion) -> np.ndarray:
@@ -90,4 +91,4 @@ def test_starts_that_cannot_be() -> None:
 
 def test_surroundings_that_enclose_the_arm() -> None:
     with pytest.raises(InputError, match="no posture was found to begin from"):
-        small_task(Wish(duration=6.0, avoid=("box:0,0,0,5,5,5",)))
+        small_task(Wish(duration=6.0, surroundings=Surroundings(avoid=("box:0,0,0,5,5,5",))))

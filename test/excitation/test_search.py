@@ -3,25 +3,30 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
+from files.recordings import BAGS
 
 from geomid_ros.excitation.criteria import weight_of
 from geomid_ros.excitation.motion import Motion
 from geomid_ros.excitation.search import Search, expected_error, random_feasible, random_motion
-from geomid_ros.session.excitation import Wish
+from geomid_ros.model.sensors import WrenchSensor
+from geomid_ros.session.configuration import Configuration
+from geomid_ros.session.excitation import Task, Wish, task_of
+from geomid_ros.session.surroundings import Surroundings
 from geomid_ros.types import FloatArray
 
 from .arm import small_task
 
-TASK = small_task(Wish(duration=6.0, repeats=1, avoid=("box:0.75,0,0.7,0.2,2,2",)))
+TASK = small_task(Wish(duration=6.0, repeats=1, surroundings=Surroundings(avoid=("box:0.75,0,0.7,0.2,2,2",))))
 
 
-def weight(seed: int, aim: str = "prediction") -> FloatArray:
+def weight(seed: int, aim: str = "prediction", task: Task = TASK) -> FloatArray:
     random = np.random.default_rng(seed)
-    return weight_of(aim, TASK.knowledge, [random_motion(TASK.feasibility, TASK.form, random) for _ in range(4)])
+    return weight_of(aim, task.knowledge, [random_motion(task.feasibility, task.form, random) for _ in range(4)])
 
 
-def search(aim: str = "prediction") -> Search:
-    return Search(TASK.feasibility, TASK.form, expected_error(TASK.feasibility, weight(0, aim), TASK.form))
+def search(aim: str = "prediction", task: Task = TASK) -> Search:
+    return Search(task.feasibility, task.form, expected_error(task.feasibility, weight(0, aim, task), task.form))
 
 
 def error(motion: Motion, of: FloatArray) -> float:
@@ -29,16 +34,24 @@ def error(motion: Motion, of: FloatArray) -> float:
     return float(np.sum(of * after.posterior.covariance))
 
 
-def test_slopes_are_those_of_the_cost() -> None:
-    own, random = search(), np.random.default_rng(3)
-    motion = random_motion(TASK.feasibility, TASK.form, random).scaled(1.05)  # beyond limits, which cost
+def with_a_sensor() -> Task:
+    sensor = WrenchSensor("/wrench", "wrist_ft", "mounted")
+    path = BAGS / "arm3.urdf"
+    chosen = Configuration({}, "test").with_sensors([sensor])
+    return task_of(path.read_text(), path, chosen, Wish(duration=6.0, repeats=1))
+
+
+@pytest.mark.parametrize("task", [TASK, with_a_sensor()], ids=["efforts", "efforts and wrenches"])
+def test_slopes_are_those_of_the_cost(task: Task) -> None:
+    own, random = search(task=task), np.random.default_rng(3)
+    motion = random_motion(task.feasibility, task.form, random).scaled(1.05)  # beyond limits, which cost
     value, slope = own._value_and_slope(motion)
     assert np.isclose(value, own.cost(motion), rtol=1e-9)
     for _ in range(3):
         way = np.abs(motion.coefficients) * random.standard_normal(slope.shape)
         step = 1e-6
         ahead, behind = (
-            own.cost(Motion(TASK.form, motion.start, motion.coefficients + s * way)) for s in (step, -step)
+            own.cost(Motion(task.form, motion.start, motion.coefficients + s * way)) for s in (step, -step)
         )
         assert np.isclose((ahead - behind) / (2.0 * step), np.sum(slope * way), rtol=2e-2, atol=1e-2)
 

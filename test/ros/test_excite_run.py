@@ -20,6 +20,7 @@ from geomid_ros.excitation.running.watch import Watch
 from geomid_ros.files.bags.bag import Bag
 from geomid_ros.files.trajectories.reading import read_trajectory
 from geomid_ros.ros.excite.run import Order, prepared_run
+from geomid_ros.session.surroundings import Surroundings
 
 from .processes import Process
 from .stage import Stage
@@ -169,6 +170,7 @@ def test_an_error_of_our_own_stops_it_too(stage: Stage, monkeypatch: pytest.Monk
         controller="/joint_trajectory_controller",
         joint_topic="joint_states",
         urdf=None,
+        surroundings=Surroundings(),
         tolerance=0.5,
         silence=100.0,
     )
@@ -232,6 +234,14 @@ def test_a_robot_that_is_out_of_its_range_is_not_moved(stage: Stage) -> None:
     controller(stage, start=2.9)
     message = refused(stage, "--execute")
     assert "joint 'joint1' is at 2.900, out of its range -2.8 to 2.8 in the URDF: bring it back" in message
+
+
+def test_what_is_in_the_way_is_named_before_anything_moves(stage: Stage) -> None:
+    controller(stage)
+    inside = refused(stage, "--execute", "--avoid", "box:0,0,0.6,0.5,0.5,0.5")
+    assert "where the robot is, " in inside
+    assert " and box:0,0,0.6,0.5,0.5,0.5 overlap by " in inside
+    assert "exclude each other" in refused(stage, "--no-collision", "--avoid", "plane:0,0,1,-1")
 
 
 def refused_motion(stage: Stage, **changes: Any) -> str:

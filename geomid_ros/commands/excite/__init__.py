@@ -7,6 +7,7 @@ from typing import Any
 import click
 
 from geomid_ros.commands.excite.design import design, design_options
+from geomid_ros.commands.excite.learn import learn
 from geomid_ros.commands.excite.run import run
 
 
@@ -25,3 +26,4 @@ def excite(context: click.Context, /, **options: Any) -> None:
 
 
 excite.add_command(run)
+excite.add_command(learn)

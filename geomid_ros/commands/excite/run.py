@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import shlex
 from pathlib import Path
-from typing import TYPE_CHECKING
+from types import ModuleType
+from typing import TYPE_CHECKING, Any
 
 import click
 
+from geomid_ros.commands.excite.options import robot_run_options, surroundings_of, surroundings_options
 from geomid_ros.commands.options import UNTRIED_OUT
 from geomid_ros.errors import InputError, printable
 
@@ -20,14 +22,10 @@ _PERCENT = 100.0
 @click.command()
 @click.argument("trajectory", type=click.Path(path_type=Path))
 @click.option(
-    "--controller", default="/joint_trajectory_controller", show_default=True, help="Who is to follow the motion."
-)
-@click.option(
     "--urdf",
     type=click.Path(path_type=Path),
     help="The robot's description, URDF or .xacro.  [default: that on the topic robot_description]",
 )
-@click.option("--joint-topic", default="joint_states", show_default=True, help="Topic of the joint states.")
 @click.option(
     "--speed",
     default=0.2,
@@ -35,28 +33,18 @@ _PERCENT = 100.0
     type=click.FloatRange(0.0, 1.0, min_open=True),
     help="Times the motion's own speed; raise it when the robot has shown that nothing is in its way.",
 )
-@click.option("--execute", is_flag=True, help="Move. Without it nothing moves.")
-@click.option(
-    "--tolerance",
-    default=0.1,
-    show_default=True,
-    type=click.FloatRange(0.0, min_open=True),
-    help="Stop where a joint is so far from where it should be [rad, m].",
-)
-@click.option(
-    "--silence",
-    type=click.FloatRange(0.0, min_open=True),
-    help="Stop where joint states stay away so long [s].  [default: 0.04, or three of their periods if that is longer]",
-)
+@robot_run_options
+@surroundings_options
 @click.option("--identify", is_flag=True, help="Identify the robot from the recording afterwards.")
 @click.option("--out", default=Path("geomid_out/excite"), **UNTRIED_OUT)
-def run(trajectory: Path, urdf: Path | None, execute: bool, identify: bool, out: Path, **options: object) -> None:
+def run(trajectory: Path, urdf: Path | None, execute: bool, identify: bool, out: Path, **options: Any) -> None:
     """Run a motion on a robot, and record it.
 
     Reads TRAJECTORY, as 'geomid excite' writes it. Says what would be done; with --execute the robot goes slowly to
-    the start, then through the motion, at a fifth of its speed unless --speed says otherwise. Ctrl-C stops it, and so
-    does a joint that is not where it should be, leaves its range or needs more than its effort limit, and silence.
-    Nothing looks for obstacles here: keep the emergency stop at hand. Needs ROS 2.
+    the start, by a way on which nothing collides, then through the motion, at a fifth of its speed unless --speed says
+    otherwise. Ctrl-C stops it, and so does a joint that is not where it should be, leaves its range or needs more than
+    its effort limit, and silence. Nothing knows what --avoid does not name: keep the emergency stop at hand. Needs
+    ROS 2.
     """
     from geomid_ros.api.arguments import description
     from geomid_ros.files.disk import check_writable
@@ -64,19 +52,17 @@ def run(trajectory: Path, urdf: Path | None, execute: bool, identify: bool, out:
 
     if execute:
         check_writable(out)
-    try:
-        from geomid_ros.ros.excite.run import Order, prepared_run
-    except ImportError as error:
-        raise InputError(f"ROS 2 is needed to run a motion, and cannot be imported ({error})") from error
+    ros = ros_runs()
     robot = description(urdf, []) if urdf else None
-    order = Order(
+    order = ros.Order(
         motion=read_trajectory(trajectory),
         source=str(trajectory),
         urdf=(robot.text, robot.source) if robot else None,
-        **options,  # type: ignore[arg-type]  # click has checked them
+        surroundings=surroundings_of(options),
+        **options,
     )
-    with prepared_run(order) as prepared:
-        _show(order, prepared.plan)
+    with ros.prepared_run(order) as prepared:
+        show_plan(order, prepared.plan)
         if not execute:
             click.echo("\nNothing has moved. To move: the same with --execute")
             return
@@ -86,9 +72,18 @@ def run(trajectory: Path, urdf: Path | None, execute: bool, identify: bool, out:
     _identify(bag, identify)
 
 
-def _show(order: Order, plan: Plan) -> None:
+def ros_runs() -> ModuleType:
+    """What runs motions. Raises InputError where there is no ROS."""
+    try:
+        from geomid_ros.ros.excite import run
+    except ImportError as error:
+        raise InputError(f"ROS 2 is needed to run a motion, and cannot be imported ({error})") from error
+    return run
+
+
+def show_plan(order: Order, plan: Plan) -> None:
     """What would be done."""
-    from geomid_ros.commands.tables import number_columns, plain_table, results_console
+    from geomid_ros.commands.tables import number_columns, plain_table, results_console, say
 
     console = results_console()
     table = plain_table(f"{order.source} on {order.controller}")
@@ -102,11 +97,13 @@ def _show(order: Order, plan: Plan) -> None:
         table.add_row(joint, *(f"{number:.3f}" for number in numbers), share)
     console.print(table)
     far = max(abs(plan.way.positions[-1] - here))
+    for note in plan.notes:
+        say(console, "Note:", f" {note}")
     console.print(
-        f"First to the start, {far:.3f} rad (m) away, in {plan.way.duration:.1f} s; nobody has checked what is in this "
-        f"way. Then the motion at {_PERCENT * order.speed:g} % of its speed: {motion.duration:.1f} s, at most "
-        f"{max(motion.speeds):.3f} rad/s (m/s).\nWhat stops it: Ctrl-C; {order.tolerance:g} rad (m) from where a joint "
-        f"should be; the URDF's limits of positions and efforts; {1e3 * plan.silence:.0f} ms without joint states."
+        f"First to the start, {far:.3f} rad (m) away, in {plan.way.duration:.1f} s. Then the motion at "
+        f"{_PERCENT * order.speed:g} % of its speed: {motion.duration:.1f} s, at most {max(motion.speeds):.3f} rad/s "
+        f"(m/s).\nWhat stops it: Ctrl-C; {order.tolerance:g} rad (m) from where a joint should be; the URDF's limits "
+        f"of positions and efforts; {1e3 * plan.silence:.0f} ms without joint states."
     )
 
 

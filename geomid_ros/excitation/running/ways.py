@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from itertools import pairwise
+
 import numpy as np
 
 from geomid_ros.excitation.trajectory import Trajectory
@@ -14,14 +17,22 @@ _POINTS = 20.0  # a second
 _PEAK = 15.0 / 8.0  # of the speed of a quintic from rest to rest, as a multiple of its mean
 
 
-def way_to(joints: tuple[str, ...], here: FloatArray, there: FloatArray, speed_limits: FloatArray) -> Trajectory:
-    """From rest to rest by a quintic, no joint faster than a tenth of its limit or 0.25 rad/s (m/s).
+def way_by(joints: tuple[str, ...], postures: Sequence[FloatArray], speed_limits: FloatArray) -> Trajectory:
+    """From rest to rest by a quintic, from each posture to the next, no joint faster than a tenth of its limit or
+    0.25 rad/s (m/s).
 
     Args:
         joints: names.
-        here, there: positions ``(joints,)``.
+        postures: two or more positions ``(joints,)``.
         speed_limits: ``(joints,)``, infinite where there is none.
     """
+    way, *others = (_way_to(joints, *ends, speed_limits) for ends in pairwise(postures))
+    for other in others:
+        way = way.followed_by(other)
+    return way
+
+
+def _way_to(joints: tuple[str, ...], here: FloatArray, there: FloatArray, speed_limits: FloatArray) -> Trajectory:
     distance = there - here
     slow = np.minimum(_SHARE * speed_limits, _FASTEST)
     duration = max(_SHORTEST_WAY, float(np.max(_PEAK * np.abs(distance) / slow)))

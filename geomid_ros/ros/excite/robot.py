@@ -9,6 +9,7 @@ from functools import partial
 from pathlib import Path
 from typing import TypeVar
 
+import numpy as np
 from geometry_msgs.msg import WrenchStamped
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
@@ -50,8 +51,8 @@ class HeardRobot:
         self._recorder: Recorder | None = None
         self.description = ""
         """The robot's URDF, as it was heard."""
-        self.names: set[str] = set()
-        """Of all joints that were heard of."""
+        self.positions: dict[str, float] = {}
+        """Of all joints that were heard of, by name; not finite where they are not known."""
         self.state: JointState | None = None
         """The last one."""
         self._qos = QoSProfile(depth=1000, history=HistoryPolicy.KEEP_LAST, reliability=ReliabilityPolicy.BEST_EFFORT)
@@ -110,7 +111,10 @@ class HeardRobot:
             self._recorder.write(self.topic, data)
         message = parse(JOINT_STATES, deserialize_message(data, JointStateMessage))
         if isinstance(message, JointMessage):
-            self.names.update(message.names)
+            known = (
+                message.position if len(message.position) == len(message.names) else np.full(len(message.names), np.nan)
+            )
+            self.positions.update(zip(message.names, known.tolist(), strict=True))
             if (state := JointState.of(message, self._joints)) is not None:
                 self.state = state
                 self._new.append(state)

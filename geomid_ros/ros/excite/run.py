@@ -14,14 +14,17 @@ from rclpy.node import Node
 
 from geomid_ros.errors import GeomidError, InputError
 from geomid_ros.excitation.running.limits import RobotLimits, check_motion
+from geomid_ros.excitation.running.passage import Passage
 from geomid_ros.excitation.running.watch import JointState, Watch
-from geomid_ros.excitation.running.ways import stopping_accelerations, way_to, way_to_rest
+from geomid_ros.excitation.running.ways import stopping_accelerations, way_by, way_to_rest
 from geomid_ros.excitation.trajectory import Trajectory
 from geomid_ros.model.robot import Robot
 from geomid_ros.ros.excite.controller import Controller, find_controller
 from geomid_ros.ros.excite.recorder import Recorder
 from geomid_ros.ros.excite.robot import HeardRobot
 from geomid_ros.ros.starting import running_node
+from geomid_ros.session.surroundings import NOT_LOOKED, Surroundings, not_watched, without_touching
+from geomid_ros.types import FloatArray
 
 _PATIENCE = 5.0  # [s] for joint states and a description
 _LISTENING = 0.5  # [s] to learn how often joint states come
@@ -41,6 +44,7 @@ class Order:
         controller: name of the joint_trajectory_controller.
         joint_topic: topic of the joint states.
         urdf: text and source of the robot's description; None for that on the topic robot_description.
+        surroundings: what must not be touched.
         tolerance: how far a joint may be from where it should be [rad, m].
         silence: how long joint states may stay away [s]; None for 40 ms, or three of their periods if that is longer.
     """
@@ -51,6 +55,7 @@ class Order:
     controller: str
     joint_topic: str
     urdf: tuple[str, str] | None
+    surroundings: Surroundings
     tolerance: float
     silence: float | None
 
@@ -63,12 +68,13 @@ class Order:
 @dataclass(frozen=True, eq=False)
 class Plan:
     """What would be done: the slow ``way`` from where the robot is to the start, then the ``motion``, within
-    ``limits``; joint states may stay away for ``silence`` [s]."""
+    ``limits``; joint states may stay away for ``silence`` [s]. ``notes``: on what was looked at, in sentences."""
 
     way: Trajectory
     motion: Trajectory
     limits: RobotLimits
     silence: float
+    notes: tuple[str, ...]
 
 
 @contextmanager
@@ -99,9 +105,10 @@ class MotionRun:
         self._interrupted = interrupted
         self._robot = HeardRobot(node, order.motion.joints, order.joint_topic, interrupted)
         self._urdf, source = order.urdf or self._description()
-        self._limits = RobotLimits.of(Robot(self._urdf, source=source), order.motion.joints)
+        robot = Robot(self._urdf, source=source)
+        self._limits = RobotLimits.of(robot, order.motion.joints)
         check_motion(order.slowed, self._limits, order.source)
-        self.plan = self._planned(self._heard())
+        self.plan = self._planned(robot, self._heard())
         self._stopping = stopping_accelerations(order.motion, self._limits.speeds)
 
     def _description(self) -> tuple[str, str]:
@@ -114,19 +121,38 @@ class MotionRun:
         state = self._robot.wait_for(lambda: self._robot.state, _PATIENCE)
         if state is not None:
             return state
-        topic, missing = self._robot.topic, sorted({*self._order.motion.joints} - self._robot.names)
-        if not self._robot.names:
+        topic, missing = self._robot.topic, sorted({*self._order.motion.joints} - self._robot.positions.keys())
+        if not self._robot.positions:
             raise InputError(f"no joint states on {topic}: does the driver run? --joint-topic names another topic")
         what = f"nothing of {', '.join(missing)}" if missing else "no message has finite positions of all joints"
         raise InputError(f"{topic}: {what}; {self._order.source} moves {', '.join(self._order.motion.joints)}")
 
-    def _planned(self, state: JointState) -> Plan:
+    def _planned(self, robot: Robot, state: JointState) -> Plan:
         if outside := self._limits.out_of_range(state.position):
             raise InputError(f"{outside} in the URDF: bring it back before anything else moves")
         motion = self._order.slowed
         silence = self._order.silence or max(_SILENCE, _PERIODS * self._robot.period(_LISTENING))
-        way = way_to(motion.joints, state.position, motion.positions[0], self._limits.speeds)
-        return Plan(way, motion, self._limits, silence)
+        postures, notes = self._postures(robot, state.position)
+        return Plan(way_by(motion.joints, postures, self._limits.speeds), motion, self._limits, silence, notes)
+
+    def _postures(self, robot: Robot, here: FloatArray) -> tuple[list[FloatArray], tuple[str, ...]]:
+        """By which the robot goes to the start, from ``here``, and what to say of it.
+
+        Raises InputError if there is no free way, or the motion comes too close to something.
+        """
+        around, motion = self._order.surroundings, self._order.motion
+        start = motion.positions[0]
+        collision = around.collision(robot, Path(robot.source))
+        heard = [self._robot.positions.get(name, np.nan) for name in robot.joint_names]
+        passage = Passage(robot, motion.joints, np.nan_to_num(heard), collision)
+        unwatched = without_touching(collision, passage.whole(start[None])[0]) if collision else ()
+        for where, position in (("where the robot is", here), ("at the start of the motion", start)):
+            if touching := passage.overlap(position):
+                raise InputError(f"{where}, {touching}; bring it elsewhere first, or correct --avoid")
+        passage.keep(np.array([here, start]), around.clearance)
+        passage.check(motion, self._order.source)
+        notes = ["" if collision else NOT_LOOKED, not_watched(unwatched)]
+        return [here, *passage.to(here, start)], tuple(filter(None, notes))
 
     def execute(self, bag: Path, say: Callable[[str], None]) -> None:
         """Move, and record.

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.interpolate import CubicHermiteSpline
 
-from geomid_ros.excitation.running.ways import stopping_accelerations, way_to, way_to_rest
+from geomid_ros.excitation.running.ways import stopping_accelerations, way_by, way_to_rest
 
 JOINTS = ("a", "b", "c")
 
@@ -17,7 +17,7 @@ def test_the_way_to_the_start_is_slow_and_at_rest_at_both_ends(seed: int, first:
     random = np.random.default_rng(seed)
     here, there = random.uniform(-3.0, 3.0, (2, 3))
     limits = np.array([first, 3.0, np.inf])
-    way = way_to(JOINTS, here, there, limits)
+    way = way_by(JOINTS, [here, there], limits)
     np.testing.assert_allclose(way.positions[[0, -1]], [here, there])
     np.testing.assert_allclose(way.velocities[[0, -1]], 0.0, atol=1e-12)
     np.testing.assert_allclose(way.accelerations[[0, -1]], 0.0, atol=1e-12)
@@ -32,7 +32,7 @@ def test_the_way_to_the_start_is_slow_and_at_rest_at_both_ends(seed: int, first:
 
 
 def test_a_short_way_takes_its_time() -> None:
-    way = way_to(JOINTS, np.zeros(3), np.full(3, 1e-4), np.full(3, 2.0))
+    way = way_by(JOINTS, [np.zeros(3), np.full(3, 1e-4)], np.full(3, 2.0))
     assert way.duration == pytest.approx(2.0)
 
 
@@ -60,7 +60,7 @@ def test_a_joint_that_is_not_moved_stays() -> None:
 
 
 def test_a_joint_stops_as_hard_as_it_moves_and_from_its_limit_in_half_a_second() -> None:
-    motion = way_to(JOINTS, np.zeros(3), np.array([0.1, 0.1, 0.1]), np.full(3, 2.0)).at_speed(4.0)
+    motion = way_by(JOINTS, [np.zeros(3), np.array([0.1, 0.1, 0.1])], np.full(3, 2.0)).at_speed(4.0)
     own = np.abs(motion.accelerations).max()
     found = stopping_accelerations(motion, np.array([0.01, 3.0, np.inf]))
     np.testing.assert_allclose(found, [own, 6.0, own])

@@ -1,0 +1,197 @@
+"""``geomid excite learn``: from a URDF to an identified robot, round by round."""
+
+from __future__ import annotations
+
+import shlex
+import sys
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from geomid_ros.commands.excite.options import motion_options, names_of, robot_run_options, share_of, wish_of
+from geomid_ros.commands.excite.run import ros_runs, show_plan
+from geomid_ros.commands.options import OUT
+from geomid_ros.errors import InputError, printable
+
+if TYPE_CHECKING:
+    from geomid_ros.api.arguments import Description
+    from geomid_ros.api.identify import Identification
+    from geomid_ros.session.configuration import Configuration
+    from geomid_ros.session.excitation import Excitation, Wish
+
+_FIRST = 0.2  # of the speed
+
+
+@click.command()
+@motion_options
+@click.option(
+    "--until",
+    default="5%",
+    show_default=True,
+    metavar="SHARE",
+    callback=share_of,
+    help="Stop when another round would lower the expected error by less than this.",
+)
+@click.option("--rounds", default=10, show_default=True, type=click.IntRange(1), help="Stop after so many.")
+@click.option("--yes", is_flag=True, help="Do not ask before each round.")
+@robot_run_options
+@click.option("--out", default=Path("geomid_out/learn"), **OUT)
+def learn(
+    *,
+    urdf: Path | None,
+    xacro_args: tuple[str, ...],
+    model: Path | None,
+    lock: str,
+    wrench: tuple[str, ...],
+    until: float,
+    rounds: int,
+    yes: bool,
+    execute: bool,
+    out: Path,
+    **options: Any,
+) -> None:
+    """Identify a robot: design a motion, run it, identify, and design the next from what is known then.
+
+    Goes on until nothing that is worth it is left to learn (--until). The first motion is designed for a fifth of the
+    speed. Without --execute it only designs the first motion and says what would be done. Each round is asked for
+    before anything moves, and leaves its motion, its recording and what was identified from all recordings so far in
+    a folder of its own. What stops a motion is what stops 'geomid excite run'. Needs ROS 2.
+    """
+    from geomid_ros.api.arguments import configuration, description
+
+    if urdf is None and model is None:
+        raise InputError("no robot is given: add --urdf ROBOT.urdf (or --from estimate.json, with identified.urdf)")
+    if (out / "round1").exists():
+        raise InputError(f"{out / 'round1'} exists already; name another folder with --out")
+    robot = description(urdf, [], model=model, xacro_args=xacro_args)
+    chosen = configuration(None, model=model, floating_base=False, wrench=wrench, locked_joints=names_of(lock))
+    learning = _Learning(robot, chosen, wish_of(options), out, options)
+    for designed in learning.designs(rounds):
+        if learning.found and designed.learning.gain < until:
+            click.echo(f"Nothing worth it is left: {designed.not_worth(until)}")
+            break
+        learning.show(designed)
+        if not execute:
+            learning.plan(designed)
+            click.echo("\nNothing has moved. To move: the same with --execute")
+            return
+        if not yes:
+            click.confirm(f"Run this motion ({learning.folder / 'motion.html'} plays it)?", abort=True)
+        learning.run(designed)
+        learning.identify()
+    else:
+        click.echo(f"Stopped after {rounds} rounds (--rounds)")
+    learning.tell()
+
+
+@dataclass
+class _Learning:
+    """What is known so far of a ``robot``.
+
+    Attributes:
+        chosen: the configuration at the beginning.
+        wish: what all motions are asked for.
+        out: folder of all rounds.
+        options: of a run.
+        number: of the last round that was begun.
+        found: after the last round.
+    """
+
+    robot: Description
+    chosen: Configuration
+    wish: Wish
+    out: Path
+    options: dict[str, Any]
+    number: int = 0
+    found: Identification | None = None
+
+    @property
+    def folder(self) -> Path:
+        """Of the last round that was begun."""
+        return self.out / f"round{self.number}"
+
+    def designs(self, rounds: int) -> Iterator[Excitation]:
+        """The motion of each round, from what is known when it begins."""
+        from geomid_ros.commands.progress import progress_bar
+        from geomid_ros.session import excitation
+        from geomid_ros.session.configuration import Configuration
+
+        for _ in range(rounds):
+            wish, known = self.wish, self.chosen
+            if self.found is None:
+                wish = replace(wish, speed=_FIRST * wish.speed)
+            else:
+                model = str(self.folder / "estimate.json")
+                known = known.with_values(Configuration({"model": model}, "options").given)
+            with progress_bar() as progress:
+                task = excitation.task_of(self.robot.text, Path(self.robot.source), known, wish)
+                designed = excitation.design(task, wish, progress)
+            yield designed
+
+    def show(self, designed: Excitation) -> None:
+        """Begin a round: write its motion, and say what to expect of it."""
+        from geomid_ros.report.excitation import save
+
+        self.number += 1
+        save(designed, self.folder)
+        form = designed.motion.form
+        click.echo(f"\nRound {self.number}: {form.repeats} x {form.period:g} s, in {self.folder}")
+        for sentence in designed.task.notes if self.number == 1 else ():
+            click.echo(printable(f"Note: {sentence}"))
+        click.echo(f"Expected error: {designed.learning.sentences[0]}")
+
+    def plan(self, designed: Excitation) -> None:
+        """Say what would be done."""
+        ros, order = ros_runs(), self._order(designed)
+        with ros.prepared_run(order) as prepared:
+            show_plan(order, prepared.plan)
+
+    def run(self, designed: Excitation) -> None:
+        """Move, and record."""
+        ros, order = ros_runs(), self._order(designed)
+        with ros.prepared_run(order) as prepared:
+            show_plan(order, prepared.plan)
+            prepared.execute(self.folder / "recording", lambda said: click.echo(printable(said), err=True))
+
+    def _order(self, designed: Excitation) -> Any:
+        return ros_runs().Order(
+            motion=designed.trajectory,
+            source=str(self.folder / "trajectory.yaml"),
+            speed=1.0,
+            urdf=(self.robot.text, self.robot.source),
+            surroundings=self.wish.surroundings,
+            **self.options,
+        )
+
+    def identify(self) -> None:
+        """Identify from all recordings."""
+        import geomid_ros
+        from geomid_ros.commands.progress import progress_bar
+
+        bags = [self.out / f"round{number}" / "recording" for number in range(1, self.number + 1)]
+        with progress_bar() as progress:
+            self.found = geomid_ros.identify(
+                bags,
+                self.robot.text,
+                config=self.chosen,
+                joint_topic=self.options["joint_topic"],
+                hold_out=0.0,
+                progress=progress,
+            )
+            command = shlex.join(["geomid", *sys.argv[1:]])
+            self.found.save(self.folder, progress=progress, command=command)
+        masses = ", ".join(f"{link.name} {link.mass:.3f} ± {link.std_mass:.3f}" for link in self.found.links)
+        click.echo(printable(f"Masses after round {self.number} [kg]: {masses}"))
+
+    def tell(self) -> None:
+        """What was learned in the end. Raises SystemExit with the verdict's status."""
+        if self.found is None:
+            return
+        from geomid_ros.commands.results import identification
+
+        identification.show(self.found)
+        click.echo(f"\nIdentified from {self.number} rounds: {self.folder / 'identified.urdf'}")
+        sys.exit(self.found.verdict.status)

@@ -1,0 +1,169 @@
+"""Options that the commands of ``geomid excite`` share."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from geomid_ros.commands.options import package_option
+from geomid_ros.errors import InputError
+
+if TYPE_CHECKING:
+    from geomid_ros.session.excitation import Wish
+    from geomid_ros.session.surroundings import Surroundings
+
+
+def surroundings_options(command: Callable[..., None]) -> Callable[..., None]:
+    """What must not be touched; see :func:`surroundings_of`."""
+    for option in (
+        package_option,
+        click.option("--no-collision", is_flag=True, help="Do not look for collisions, e.g. of a URDF without shapes."),
+        click.option(
+            "--clearance",
+            default=0.02,
+            show_default=True,
+            type=click.FloatRange(0.0),
+            help="Least distance of links from each other and from obstacles [m].",
+        ),
+        click.option(
+            "--avoid",
+            multiple=True,
+            metavar="OBSTACLE",
+            help="box:X,Y,Z,LENGTH,WIDTH,HEIGHT (its centre), plane:NX,NY,NZ,OFFSET (solid below) or a mesh file, in "
+            "metres in the base frame; may be repeated.",
+        ),
+    ):
+        command = option(command)
+    return command
+
+
+def surroundings_of(options: dict[str, Any]) -> Surroundings:
+    """What these options say, which are taken out of the ``options``."""
+    from geomid_ros.session.surroundings import Surroundings
+
+    return Surroundings(
+        avoid=options.pop("avoid"),
+        clearance=options.pop("clearance"),
+        collide=not options.pop("no_collision"),
+        packages=options.pop("package_path"),
+    )
+
+
+def motion_options(command: Callable[..., None]) -> Callable[..., None]:
+    """What a designed motion is asked for; see :func:`wish_of`."""
+    for option in (
+        surroundings_options,
+        click.option("--seed", default=0, show_default=True, help="Of the search; another one finds another motion."),
+        click.option("--lock", default="", metavar="JOINTS", help="These joints stand at zero; separated by commas."),
+        click.option(
+            "--wrench",
+            multiple=True,
+            metavar="TOPIC:FRAME:ROLE[:AXES]",
+            help="A wrench sensor that is recorded, too; ROLE is mounted or external.",
+        ),
+        click.option(
+            "--from",
+            "model",
+            type=click.Path(path_type=Path),
+            help="Learn what this estimate.json does not know yet; posterior.npz is read beside it.",
+        ),
+        click.option(
+            "--for",
+            "aim",
+            default="prediction",
+            show_default=True,
+            metavar="AIM",
+            help="prediction (of the efforts in other motions), friction, payload or link:NAME.",
+        ),
+        click.option(
+            "--speed",
+            default=0.5,
+            show_default=True,
+            type=click.FloatRange(0.0, 1.0, min_open=True),
+            help="Share of the velocity limits.",
+        ),
+        click.option(
+            "--start",
+            default="",
+            metavar="Q",
+            help="Where it begins and ends: one number for each joint, separated by commas.",
+        ),
+        click.option(
+            "--repeats", default=2, show_default=True, type=click.IntRange(1, 20), help="How often a period is run."
+        ),
+        click.option(
+            "--duration",
+            default=20.0,
+            show_default=True,
+            type=click.FloatRange(2.0, 600.0),
+            help="Of all periods together [s].",
+        ),
+        click.option("--limits", type=click.Path(path_type=Path), help="joint_limits.yaml, as MoveIt has it."),
+        click.option("--xacro-arg", "xacro_args", multiple=True, metavar="NAME:=VALUE", help="For a xacro."),
+        click.option("--urdf", type=click.Path(path_type=Path), help="The robot's description, URDF or .xacro."),
+    ):
+        command = option(command)
+    return command
+
+
+def wish_of(options: dict[str, Any]) -> Wish:
+    """What these options ask for, which are taken out of the ``options``."""
+    from geomid_ros.session.excitation import Wish
+
+    own = {name: options.pop(name) for name in ("limits", "duration", "repeats", "speed", "aim", "seed")}
+    return Wish(start=_numbers(options.pop("start")), surroundings=surroundings_of(options), **own)
+
+
+def robot_run_options(command: Callable[..., None]) -> Callable[..., None]:
+    """Who moves the robot, and what stops it."""
+    for option in (
+        click.option("--execute", is_flag=True, help="Move. Without it nothing moves."),
+        click.option(
+            "--silence",
+            type=click.FloatRange(0.0, min_open=True),
+            help="Stop where joint states stay away so long [s].  [default: 0.04, or three of their periods if that is "
+            "longer]",
+        ),
+        click.option(
+            "--tolerance",
+            default=0.1,
+            show_default=True,
+            type=click.FloatRange(0.0, min_open=True),
+            help="Stop where a joint is so far from where it should be [rad, m].",
+        ),
+        click.option("--joint-topic", default="joint_states", show_default=True, help="Topic of the joint states."),
+        click.option(
+            "--controller",
+            default="/joint_trajectory_controller",
+            show_default=True,
+            help="Who is to follow the motion.",
+        ),
+    ):
+        command = option(command)
+    return command
+
+
+def share_of(_context: click.Context, _option: click.Parameter, text: str | None) -> float:
+    """A share of ``5%`` or ``0.05``."""
+    try:
+        share = float((text or "0").removesuffix("%")) / (100.0 if (text or "").endswith("%") else 1.0)
+    except ValueError:
+        share = -1.0
+    if not 0.0 <= share < 1.0:
+        raise click.BadParameter(f"'{text}' is no share; expected e.g. 5%")
+    return share
+
+
+def names_of(text: str) -> list[str]:
+    """Names that are separated by commas."""
+    return [name.strip() for name in text.split(",") if name.strip()]
+
+
+def _numbers(text: str) -> list[float]:
+    try:
+        return [float(part) for part in text.split(",")] if text.strip() else []
+    except ValueError as error:
+        raise InputError(f"--start is '{text}', expected numbers that are separated by commas") from error

@@ -1,0 +1,35 @@
+"""What is foretold of a design holds for motions that the robot can make."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from geomid_ros.excitation.criteria import weight_of
+from geomid_ros.excitation.feasibility import Feasibility
+from geomid_ros.excitation.motion import Motion, MotionForm
+from geomid_ros.excitation.search import random_feasible, random_motion
+from geomid_ros.session.excitation import Wish, design
+from geomid_ros.session.surroundings import Surroundings
+
+from .arm import small_task
+
+WALLS = ("plane:1,0,0,-0.2", "plane:-1,0,0,-0.2", "plane:0,1,0,-0.2", "plane:0,-1,0,-0.2")
+
+
+def test_in_a_tight_place_the_error_on_feasible_motions_is_foretold() -> None:
+    """The arm stands upright in a shaft, 0.4 m wide, in which random motions within its limits collide."""
+    wish = Wish(duration=6.0, repeats=1, surroundings=Surroundings(avoid=WALLS))
+    task = small_task(wish)
+    found = design(task, wish, lambda *_: None)
+    random = np.random.default_rng(8)
+    after = task.knowledge.after(task.knowledge.information(found.motion)).posterior.covariance
+
+    def error(make: Callable[[Feasibility, MotionForm, np.random.Generator], Motion]) -> float:
+        motions = [make(task.feasibility, task.form, random) for _ in range(6)]
+        return float(np.sqrt(np.sum(weight_of("prediction", task.knowledge, motions) * after)))
+
+    foretold = found.learning.designed.error
+    assert 0.6 < foretold / error(random_feasible) < 1.5
+    assert error(random_motion) > 1.6 * foretold

@@ -1,0 +1,157 @@
+"""The page that plays a motion: what is drawn is where the robot is, names are escaped, and the script runs."""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+import subprocess
+from html import unescape
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from excitation.arm import small_task, urdf
+from scipy.spatial import ConvexHull
+
+from geomid_ros.report.motion_page import corners, write_motion_page
+from geomid_ros.session.excitation import Excitation, Wish, design
+from geomid_ros.session.surroundings import Surroundings
+
+from .pages import EVIL, Page
+
+ROOT = Path(__file__).parents[2]
+AVOID = ("plane:0,0,1,-0.2", "box:0.9,0,0.7,0.2,2,2")
+
+
+def designed(text: str | None = None, avoid: tuple[str, ...] = AVOID) -> Excitation:
+    wish = Wish(duration=6.0, repeats=2, surroundings=Surroundings(avoid=avoid, collide=bool(avoid)))
+    return design(small_task(wish, text), wish, lambda *_: None)
+
+
+@pytest.fixture(scope="module")
+def found() -> Excitation:
+    return designed()
+
+
+def written(found: Excitation, folder: Path) -> tuple[str, dict[str, Any]]:
+    write_motion_page(folder / "motion.html", found)
+    text = (folder / "motion.html").read_text(encoding="utf-8")
+    (data,) = re.findall(r'<script type="application/json" id="motion">(.*?)</script>', text, re.DOTALL)
+    scene: dict[str, Any] = json.loads(data)
+    return text, scene
+
+
+def test_bodies_are_where_pinocchio_has_them(found: Excitation, tmp_path: Path) -> None:
+    _, scene = written(found, tmp_path)
+    model = pin.buildModelFromXML(urdf())
+    data = model.createData()
+    times = np.arange(len(scene["positions"])) / scene["rate"]
+    assert times[-1] == pytest.approx(3.0)
+    positions = found.motion.at(times)[0]
+    np.testing.assert_allclose(scene["positions"], positions, atol=1e-4)
+    for index, q in enumerate(positions):
+        pin.framesForwardKinematics(model, data, q)
+        for place, link in enumerate(("base", "turret", "upper", "fore")):
+            own = data.oMf[model.getFrameId(link)]
+            np.testing.assert_allclose(scene["origins"][index][place], own.translation, atol=1e-4)
+            np.testing.assert_allclose(np.reshape(scene["turns"][index][place], (3, 3)), own.rotation, atol=1e-4)
+    assert scene["above"] == [-1, 0, 1, 2]
+    box = np.array(scene["bodies"][3][0])
+    np.testing.assert_allclose(sorted(map(tuple, np.abs(box - [0.0, 0.0, 0.2]))), [(0.03, 0.03, 0.2)] * 8)
+
+
+def test_what_is_to_be_avoided_is_drawn(found: Excitation, tmp_path: Path) -> None:
+    _, scene = written(found, tmp_path)
+    plane, box = map(np.array, scene["around"])
+    np.testing.assert_allclose(plane[:, 2], -0.2)
+    assert len(ConvexHull(plane[:, :2]).vertices) == 4
+    np.testing.assert_allclose([box.min(axis=0), box.max(axis=0)], [[0.8, -1.0, -0.3], [1.0, 1.0, 1.7]])
+
+
+def test_corners_are_the_farthest_points_of_a_shape() -> None:
+    points = np.random.default_rng(0).standard_normal((5000, 3))
+    few = corners(points)
+    assert 20 < len(few) <= 80
+    hull = {tuple(point) for point in points[ConvexHull(points).vertices].round(4)}
+    assert {tuple(point) for point in few} <= hull
+
+
+@pytest.mark.parametrize("evil", EVIL)
+def test_names_are_escaped_and_nothing_is_loaded(evil: str, tmp_path: Path) -> None:
+    name = evil.replace("&", "&amp;").replace("<", "&lt;").replace('"', "&quot;")
+    text, _ = written(designed(urdf().replace('"j1"', f'"{name}"').replace("fore", name), avoid=()), tmp_path)
+    page = Page(text)
+    assert unescape(" ".join(evil.split())) in page.text
+    assert [tag for tag, _ in page.elements].count("script") == 2
+    for _, attributes in page.elements:
+        assert not {"src", "onerror"} & attributes.keys()
+    assert any("default-src 'none'" in (a.get("content") or "") for _, a in page.elements)
+
+
+def test_the_page_is_small(found: Excitation, tmp_path: Path) -> None:
+    text, _ = written(found, tmp_path)
+    assert len(text) < 100_000
+
+
+def test_the_script_plays_what_the_page_has(found: Excitation, tmp_path: Path) -> None:
+    """Run by an engine without a browser around it."""
+    node = shutil.which("node")
+    if node is None:
+        pytest.skip("no node to run the script with")
+    _, scene = written(found, tmp_path)
+    script = (ROOT / "geomid_ros/report/motion.js").read_text(encoding="utf-8")
+    (tmp_path / "run.js").write_text(STAGE.replace("MOTION", json.dumps(json.dumps(scene))).replace("SCRIPT", script))
+    run = subprocess.run([node, tmp_path / "run.js"], capture_output=True, text=True, check=False, timeout=60)
+    assert run.returncode == 0, run.stderr
+    lines = run.stdout.splitlines()
+    assert lines[:3] == ["0.0 of 6.0 s", "1.3 of 6.0 s Pause", "4.5 of 6.0 s Play"]
+    # The second period is as the first one.
+    middle = found.motion.at(np.array([1.5]))[0, 0]
+    np.testing.assert_allclose([float(value) for value in lines[3].split()], middle, atol=0.02)
+    low, high = found.task.feasibility.limits.position.T
+    shown = [float(value.rstrip("%")) for value in lines[4].split()]
+    np.testing.assert_allclose(shown, 100.0 * (middle - low) / (high - low), atol=1.0)
+    # Every body and obstacle is one outline, every link but the first one line; to turn it draws other points.
+    assert lines[5] == f"{4 + 2} filled, {3} lines"
+    assert lines[6] == "turned true"
+
+
+STAGE = """
+const told = {};
+const element = (extra) => Object.assign({ style: {}, textContent: "", value: "0",
+  addEventListener(name, call) { (told[extra.id] ??= {})[name] = call; }, setPointerCapture() {} }, extra);
+let drawn = [];
+const context = { beginPath() { drawn.push([]); }, closePath() {}, moveTo(x, y) { drawn.at(-1).push([x, y]); },
+  lineTo(x, y) { drawn.at(-1).push([x, y]); }, fill() { drawn.at(-1).filled = true; }, stroke() {} };
+const sheet = element({ id: "canvas", clientWidth: 400, clientHeight: 300, getContext: () => context });
+const parts = { canvas: sheet, "button.play": element({ id: "button" }), input: element({ id: "slider" }),
+  "output.clock": element({ id: "clock" }) };
+const dots = [1, 2, 3].map(() => element({})), texts = [1, 2, 3].map(() => element({}));
+let frame = null;
+globalThis.window = element({ id: "window", devicePixelRatio: 2 });
+globalThis.getComputedStyle = () => ({ getPropertyValue: () => "#000" });
+globalThis.requestAnimationFrame = (call) => { frame = call; };
+globalThis.document = { getElementById: () => ({ textContent: MOTION }), querySelector: (name) => parts[name],
+  querySelectorAll: (name) => (name.includes("output") ? texts : dots) };
+SCRIPT
+console.log(clock.textContent);
+told.button.click();
+frame(1000); frame(2250);
+console.log(clock.textContent, button.textContent);
+slider.value = "0.75";
+told.slider.input();
+console.log(clock.textContent, button.textContent);
+console.log(values.map((value) => value.textContent).join(" "));
+console.log(marks.map((mark) => mark.style.left).join(" "));
+drawn = []; draw();
+const unturned = JSON.stringify(drawn);
+const filled = drawn.filter((path) => path.filled).length;
+console.log(`${filled} filled, ${drawn.length - filled} lines`);
+told.canvas.pointerdown({ clientX: 0, clientY: 0, pointerId: 1 });
+drawn = [];
+told.canvas.pointermove({ clientX: 50, clientY: 0 });
+console.log("turned", JSON.stringify(drawn) !== unturned);
+"""

@@ -1,0 +1,78 @@
+"""``geomid excite learn`` in closed loop with a simulated robot, whose controller is a process of its own."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from sensor_msgs.msg import JointState
+from trajectory_msgs.msg import JointTrajectory
+
+from .processes import Process
+from .stage import Stage
+from .test_excite_run import PATIENT, URDF, controller, states, status
+
+NOMINAL = 1.5  # [kg] of the last link with its tool in the URDF
+HEAVIER, VISCOUS, COULOMB = 1.2, 0.3, 0.4  # what is true of the simulated robot
+QUICK = ("--duration", "5", "--repeats", "1")
+
+
+def learn(stage: Stage, *arguments: str | Path) -> Process:
+    out = stage.folder / "out"
+    return stage.start("geomid_ros", "excite", "learn", "--urdf", URDF, *QUICK, "--out", out, *arguments)
+
+
+def estimate(folder: Path) -> dict[str, Any]:
+    document: dict[str, Any] = json.loads((folder / "estimate.json").read_text())
+    return document
+
+
+def test_without_execute_and_without_consent_nothing_moves(stage: Stage) -> None:
+    commands = stage.observer.collect(JointTrajectory, "/joint_trajectory_controller/joint_trajectory")
+    heard = stage.observer.collect(JointState, "/joint_states")
+    controller(stage)
+    process = learn(stage)
+    assert status(stage, process) == 0, process.output
+    assert "Round 1: 1 x 5 s" in process.output
+    assert "First to the start, 0.200 rad (m) away" in process.output
+    assert "Nothing has moved" in process.output
+    page = stage.folder / "out/round1/motion.html"
+    assert page.exists()
+    assert "round1 exists already; name another folder with --out" in refused(stage)
+    asked = learn(stage, "--out", stage.folder / "asked", "--execute")  # nobody answers
+    assert status(stage, asked) == 1
+    assert "Run this motion" in asked.output
+    assert commands == []
+    assert np.ptp([list(state.position) for state in heard]) == 0.0
+
+
+def refused(stage: Stage, *arguments: str | Path) -> str:
+    process = learn(stage, *arguments)
+    assert status(stage, process) == 2
+    return process.output.partition("Error: ")[2]
+
+
+def test_from_a_urdf_to_an_identified_robot_until_nothing_worth_it_is_left(stage: Stage) -> None:
+    controller(stage)
+    process = learn(stage, "--execute", "--yes", "--until", "65%", *PATIENT)
+    for said in ("Round 1:", "Masses after round 1", "Masses after round 2"):
+        stage.observer.wait_for(lambda said=said: said in process.output or not process.running, said)
+    assert status(stage, process) == 0, process.output
+    assert "Nothing worth it is left: 5 s more would lower the expected error by" in process.output
+    rounds = sorted((stage.folder / "out").iterdir(), key=lambda folder: int(folder.name.removeprefix("round")))
+    assert len(rounds) >= 2
+    assert f"Identified from {len(rounds)} rounds: {rounds[-1] / 'identified.urdf'}" in process.output
+    slow, fast = (np.array([s.message.velocity for s in states(folder / "recording")]) for folder in rounds[:2])
+    assert np.max(np.abs(slow)) < 0.5 * np.max(np.abs(fast))
+    first, last = estimate(rounds[0]), estimate(rounds[-1])
+    assert last["rows"]["accepted"] > 1.5 * first["rows"]["accepted"], "it identifies from all recordings"
+    joints = [effect for effect in last["effects"] if effect["name"] in ("viscous_friction", "coulomb_friction")]
+    assert len(joints) == 6
+    for effect in joints:
+        true = VISCOUS if effect["name"] == "viscous_friction" else COULOMB
+        assert abs(effect["value"] - true) < max(5.0 * effect["std"], 0.02)
+    end = next(link for link in last["links"] if link["name"] == "link3")
+    assert abs(end["mass"] - HEAVIER * NOMINAL) < max(4.0 * end["std"]["mass"], 0.1)
+    assert abs(end["mass"] - HEAVIER * NOMINAL) < 0.5 * (HEAVIER - 1.0) * NOMINAL, "nearer to the truth than the URDF"
