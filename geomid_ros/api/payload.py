@@ -1,13 +1,15 @@
-"""From a recording of a robot without a payload and one with it to the payload."""
+"""From a recording with a payload, and a recording or an estimate of the robot without it, to the payload."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
 
-from geomid_ros.api.arguments import Config, PathLike, Paths, Texts, bag_paths, configuration, description
+from geomid_ros.api.arguments import Config, PathLike, Paths, Texts, bag_paths, configuration, description, paths
 from geomid_ros.errors import InputError
+from geomid_ros.estimation.posterior import Posterior
 from geomid_ros.exports.weighed_payload import Payload, weigh_at
+from geomid_ros.files.models.posterior import POSTERIOR, read_posterior
 from geomid_ros.model.samples import Samples
 from geomid_ros.session.locking import read_with_locked
 from geomid_ros.session.payload import payload_session
@@ -30,17 +32,19 @@ def weigh_payload(
     odom_topic: str = "odom",
     progress: Progress = silent,
 ) -> Payload:
-    """Weigh what a robot carries: the same links and friction in two recordings, and one body more in the second.
+    """Weigh what a robot carries: the same links and friction with and without it, and one body more with it.
 
-    ``geomid payload`` calls this; its options have the same names. Both recordings move all joints; the motions need
-    not be the same.
+    ``geomid payload`` calls this; its options have the same names. The recordings move all joints; the motions need not
+    be the same.
 
     Args:
-        empty: rosbag folders, or .mcap and .db3 files, without the payload.
-        loaded: the same with it.
-        urdf: path or text of the robot description; None for what is recorded on robot_description in the bags.
+        empty: rosbag folders, or .mcap and .db3 files, without the payload; or the estimate.json of an earlier
+            identification without it, with the posterior.npz that was written beside it.
+        loaded: rosbag folders, or .mcap and .db3 files, with it.
+        urdf: path or text of the robot description; None for the identified.urdf beside the estimate.json, or else what
+            is recorded on robot_description in the bags.
         frame: the flange, a link of the URDF; None for the configured ``payload.frame``, or the last link that moves.
-        gain_std: standard deviation of the efforts' common gain, relative; 0 for calibrated torque sensors; None for
+        gain_std: standard deviation of the efforts' gain, relative; 0 for calibrated torque sensors; None for
             the configured ``payload.gain``.
         config: the node's parameter file (YAML), or parameters by their full names.
         xacro_args: arguments, as ``NAME:=VALUE``, of ``urdf``, if that is a .xacro file, which is run.
@@ -55,9 +59,12 @@ def weigh_payload(
     """
     if gain_std is not None and not 0.0 <= gain_std < 1.0:
         raise InputError(f"gain_std is {gain_std:g}, expected a number from 0 to 1")
-    parameters = configuration(config, model=None, floating_base=floating_base, wrench=wrench)
-    both = bag_paths(empty), bag_paths(loaded)
-    robot, topics = description(urdf, [*both[0], *both[1]], xacro_args=xacro_args), Topics(joint_topic, odom_topic)
+    model = _estimate(empty)
+    known = None if model is None else _posterior_beside(model)
+    parameters = configuration(config, model=model, floating_base=floating_base, wrench=wrench)
+    both = bag_paths(empty) if model is None else [], bag_paths(loaded)
+    topics = Topics(joint_topic, odom_topic)
+    robot = description(urdf, [*both[0], *both[1]], model=model, xacro_args=xacro_args)
     session, (before, after) = read_with_locked(
         lambda chosen: payload_session(robot.text, chosen, robot.source),
         parameters,
@@ -66,11 +73,30 @@ def weigh_payload(
     session.settled.extend(robot.notes)
     progress("solving", 0.0)
     own_gain = parameters["payload.gain"] if gain_std is None else gain_std
-    return weigh_at(session, before, after, frame or parameters["payload.frame"], own_gain)
+    return weigh_at(session, known or before, after, frame or parameters["payload.frame"], own_gain)
 
 
-def _all(session: Session, bags: Sequence[Path], topics: Topics, progress: Progress) -> list[Samples]:
+def _estimate(empty: Paths) -> Path | None:
+    """The estimate.json that is given in place of recordings."""
+    given = paths(empty)
+    return given[0] if len(given) == 1 and given[0].suffix == ".json" else None
+
+
+def _posterior_beside(estimate: Path) -> Posterior:
+    """What the estimate knows of all parameters together. Raises InputError naming the file."""
+    path = estimate.parent / POSTERIOR
+    if not path.is_file():
+        raise InputError(
+            f"{estimate}: there is no {POSTERIOR} beside it, which says how well the robot is known without the "
+            "payload; keep the files that 'geomid identify' wrote together in one folder, or identify again"
+        )
+    return read_posterior(path)
+
+
+def _all(session: Session, bags: Sequence[Path], topics: Topics, progress: Progress) -> Sequence[Samples]:
     """All samples of some bags."""
+    if not bags:
+        return ()
     session.judge_apart()
     train, _ = read_bags(session, Bags(fitted=bags, hold_out=0.0, topics=topics), progress)
     return train

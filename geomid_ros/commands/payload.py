@@ -1,4 +1,4 @@
-"""``geomid payload``: what a robot carries, from a recording without it and one with it."""
+"""``geomid payload``: what a robot carries, from a recording with it, and a recording or an estimate without it."""
 
 from __future__ import annotations
 
@@ -23,14 +23,15 @@ from geomid_ros.exports.formats import CONTROLLERS
 @click.option(
     "--gain-std",
     type=click.FloatRange(0.0, 1.0, max_open=True),
-    help="Standard deviation of the efforts' common gain; 0 for calibrated torque sensors.  [default: payload.gain]",
+    help="Standard deviation of the efforts' gain; 0 for calibrated torque sensors.  [default: payload.gain]",
 )
 @click.option("--json", "as_json", is_flag=True, help="Print the numbers as JSON.")
 def payload(empty: Path, loaded: Path, controller: str | None, as_json: bool, **options: Any) -> None:
     """Weigh what a robot carries.
 
-    Compares two recordings (folders, or .mcap and .db3 files) in which all joints move: EMPTY without the payload and
-    LOADED with it. Prints mass, centre of mass and inertia in the axes of the flange, with the interval of the mass.
+    EMPTY and LOADED are recordings (folders, or .mcap and .db3 files) without the payload and with it, in which all
+    joints move. EMPTY may be the estimate.json of an earlier 'geomid identify' without the payload instead. Prints
+    mass, centre of mass and inertia in the axes of the flange, with the interval of the mass.
     """
     from geomid_ros.commands.progress import progress_bar
     from geomid_ros.commands.results import payload as results

@@ -99,6 +99,7 @@ def estimate(
     prior: FloatArray | None = None,
     warm: WarmStart | None = None,
     spreads: FloatArray | None = None,
+    known: WeighedRows | None = None,
 ) -> Estimate:
     """Choose which optional effects there are, and solve for all parameters from the summarised rows.
 
@@ -112,6 +113,7 @@ def estimate(
         prior: ``(D,)``, instead of the URDF's inertias and the fitted start of the effects; NaN for not known.
         warm: Where to start; without it the result depends on nothing but the rows.
         spreads: Usual spreads ``(links,)`` of the links' priors, geodesic distances; those of a CAD file unless given.
+        known: Rows beside those of the weighed masses: what other data said.
 
     Raises:
         InputError: Nothing was measured, or settings or prior do not fit the model.
@@ -123,7 +125,7 @@ def estimate(
         model,
         summary,
         given=prior,
-        known=weighed_rows(model, settings.known),
+        known=weighed_rows(model, settings.known).plus(known),
         sigmas=_configured_sigmas(model, settings),
         gamma=settings.gamma,
         independent=_independent(summary, settings.cutoff),

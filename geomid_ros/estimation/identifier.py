@@ -142,7 +142,7 @@ class Identifier:
         rows = self.model.rows(samples)
         rows.coefficients[:, :, without] = 0.0
         moving = np.zeros(len(samples), dtype=bool)
-        unsettled = self._unsettled(samples)
+        unsettled = self.unsettled(samples)
         with self._lock:
             for index in range(len(samples)):
                 elapsed = self._elapsed(int(samples.stamps[index]))
@@ -161,8 +161,9 @@ class Identifier:
                     self._settle_before(self.instants - self._held)
         return samples.stamps[moving], Rows(rows.coefficients[moving], rows.targets[moving])
 
-    def _unsettled(self, samples: Samples) -> BoolArray:
-        """Which channels are unsettled at N instants ``(N, channels)``."""
+    def unsettled(self, samples: Samples) -> BoolArray:
+        """Which channels are unsettled at N instants ``(N, channels)``: efforts of joints at rest or near a reversal,
+        where dry friction is not what it is in motion."""
         unsettled = np.zeros((len(samples), len(self.model.channels)), dtype=bool)
         if self.model.layout.efforts:
             unsettled[:, self.model.layout.efforts] = ~moves_one_way(samples)

@@ -17,6 +17,7 @@ import numpy as np
 from geomid_ros.errors import InputError
 from geomid_ros.estimation.fit import Fit, Problem
 from geomid_ros.estimation.population import SHARED, Population
+from geomid_ros.estimation.posterior import beyond_prior
 from geomid_ros.estimation.starting_point import usual_spreads
 from geomid_ros.geometry.manifold import Point
 from geomid_ros.model.weighed_masses import WeighedRows
@@ -25,7 +26,6 @@ from geomid_ros.types import FloatArray, IntArray
 _LOOSE = 1.0  # spread of the links' own priors, which only keep what the population does not tell from running away
 _ROUNDS = 12
 _SETTLED = 1e-3  # of the logarithms of the blocks' weights
-_LEAST_VARIANCE = 1e-12  # in units of the problem's own prior
 _DOUBTED = 0.5  # a block of less weight is told
 
 
@@ -89,15 +89,12 @@ class PopulationPrior:
         spreads = self._own.copy()
         for name, block in population.blocks.items():
             spreads[block] *= weights[name] ** 0.5
-        # In units of the problem's own prior; the rows are what the population knows beyond it.
-        values, vectors = np.linalg.eigh(population.covariance / np.outer(spreads, spreads))
-        beyond = np.sqrt(np.maximum(1.0 / np.maximum(values, _LEAST_VARIANCE) - 1.0, 0.0))
-        root = (vectors * beyond).T / self._own
+        # The rows are what the population knows beyond the problem's own prior.
+        root = beyond_prior(population.covariance, spreads) / self._own
         rows = np.zeros((len(root), self.problem.model.dimension))
         rows[:, self.columns] = np.linalg.solve(self._derivative(tangent).T, root.T).T
         targets = rows @ point.parameters - root @ tangent
-        together = WeighedRows(np.concatenate([known.rows, rows]), np.append(known.targets, targets), known.masses)
-        return replace(self.problem, known=together)
+        return replace(self.problem, known=known.plus(WeighedRows(rows, targets)))
 
     def _derivative(self, tangent: FloatArray) -> FloatArray:
         return self.population.manifold.exp_derivative(self.population.point, tangent)

@@ -15,6 +15,7 @@ from geomid_ros.types import BoolArray, FloatArray, frozen
 _LEAST = 0.05  # of what the estimate has
 _REMEMBERED = 0.01  # of a chain's beginning, as a share of the variance
 _MOST_STEPS = 1000
+_LEAST_VARIANCE = 1e-12  # in units of the prior's
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -32,6 +33,17 @@ class EffectCoordinate:
 def manifold_of(links: Sequence[str], effects: Sequence[EffectCoordinate], scales: FloatArray) -> ParameterManifold:
     """Where the parameters of links and effects live; ``scales``: of the real coefficients."""
     return ParameterManifold(len(links), sum(effect.positive for effect in effects), scales)
+
+
+def beyond_prior(covariance: FloatArray, spreads: FloatArray) -> FloatArray:
+    """What a posterior with this ``covariance (D, D)`` knows beyond a prior with these ``spreads (D,)``.
+
+    Returns:
+        ``(D, D)``, a factor F of the information ``F^T F`` on the coordinates in units of the spreads.
+    """
+    values, vectors = np.linalg.eigh(covariance / np.outer(spreads, spreads))
+    beyond = np.sqrt(np.maximum(1.0 / np.maximum(values, _LEAST_VARIANCE) - 1.0, 0.0))
+    return np.asarray((vectors * beyond).T)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -94,6 +106,14 @@ class Posterior:
     def parameter_covariance(self) -> FloatArray:
         """Covariance ``(D, D)`` of the parameters themselves, in their units."""
         return frozen(self.jacobian @ self.covariance @ self.jacobian.T)
+
+    @property
+    def evidence(self) -> tuple[FloatArray, FloatArray]:
+        """What the data say beyond the prior: rows ``(D, D)`` and targets ``(D,)`` of the parameters, whose errors are
+        independent and of standard deviation 1."""
+        root = beyond_prior(self.covariance, self.prior_spreads) / self.prior_spreads
+        rows = np.asarray(np.linalg.solve(self.jacobian.T, root.T).T, dtype=np.float64)
+        return rows, rows @ self.parameters
 
     def with_effects(self, effects: Sequence[EffectCoordinate]) -> Posterior:
         """The same with the effects in another order, the positive ones first. Raises ValueError if they are others."""

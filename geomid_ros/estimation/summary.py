@@ -219,6 +219,15 @@ class RowSummary:
                 fold[index].factor = fold[index].factor.take(kept, axis=1)
         return copy
 
+    def with_more(self, channel: int, parameters: FloatArray) -> RowSummary:
+        """A copy in which the targets of a channel have what ``parameters (D,)`` predict added."""
+        copy = self._copy(self.channels)
+        own = parameters[self.channels[channel].columns]
+        for fold in copy._summaries:  # noqa: SLF001 its own
+            for part in fold[channel :: len(self.channels)]:
+                part.factor = triangular(np.column_stack([part.factor[:, :-1], part.factor @ np.append(own, 1.0)]))
+        return copy
+
     def snapshot(self) -> RowSummary:
         """A copy that later additions do not change."""
         return self._copy(self.channels)

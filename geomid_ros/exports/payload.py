@@ -54,9 +54,8 @@ def difference(model: Model, reference: Model, frame: str) -> Export:
         inertial = total(terms, f"what {model.source} has more than {reference.source} at '{frame}'")
     except InputError as error:
         raise InputError(
-            f"{error}. A small difference of two estimates drowns in their errors: identify the tool as a body of its "
-            "own (a wrench sensor mounted before it divides them), or leave all else as in the reference (identify "
-            "--urdf and --model of the reference, --links)"
+            f"{error}. A small difference of two estimates drowns in their errors: weigh the tool as a body of its own "
+            f"by {_weighing(reference, frame)}, or mount a wrench sensor before it"
         ) from error
     notes = (
         *_joints_at_zero(model, carried, frame),
@@ -181,8 +180,14 @@ def _other_differences(model: Model, reference: Model, frame: str) -> list[str]:
     differing = [link for link in common if not _same(model.bodies[link].inertial, reference.bodies[link].inertial)]
     if not differing:
         return []
-    alone = f"identify '{_carrier(model, frame)}' alone (identify --urdf and --model of the reference, --links)"
-    return [f"{', '.join(differing)} differ, too, and part of the payload may be in them: {alone}"]
+    weighing = f"weigh it by {_weighing(reference, frame)}"
+    return [f"{', '.join(differing)} differ, too, and part of the payload may be in them: {weighing}"]
+
+
+def _weighing(reference: Model, frame: str) -> str:
+    """The command that weighs a payload as a body of its own."""
+    empty = reference.source if reference.estimated else "EMPTY_BAG"
+    return f"'geomid payload {empty} LOADED_BAG --frame {frame}'"
 
 
 def _same(one: UncertainInertia, other: UncertainInertia) -> bool:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from geomid_ros.estimation.estimate import QUANTITIES
+from geomid_ros.estimation.posterior import Posterior
 from geomid_ros.exports.formats import CONTROLLERS
 from geomid_ros.exports.inertial import Export, Summand, UncertainInertia, total
 from geomid_ros.files.models.judgements import verdict_entry
@@ -69,13 +70,13 @@ class Payload:
 
 
 def weigh_at(
-    session: Session, empty: Sequence[Samples], loaded: Sequence[Samples], frame: str, gain: float = GAIN
+    session: Session, empty: Sequence[Samples] | Posterior, loaded: Sequence[Samples], frame: str, gain: float = GAIN
 ) -> Payload:
     """Weigh what hangs at a link of the URDF.
 
     Args:
         session: of :func:`payload_session`.
-        empty: samples without the payload.
+        empty: samples without the payload, or the posterior of an earlier estimate.
         loaded: samples with it.
         frame: the flange; empty for the last link that moves.
         gain: see :func:`weigh`.

@@ -10,11 +10,14 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import TypeAlias
 
+import numpy as np
+
 from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.live.activity import Activity
 from geomid_ros.live.daemon import start_daemon
 from geomid_ros.live.solver import SOLVING, Done, Solver
 from geomid_ros.live.status import Status
+from geomid_ros.model.measurement import Rows
 from geomid_ros.model.samples import Samples
 from geomid_ros.session.session import Session
 from geomid_ros.session.wrench_guard import WrenchGuard
@@ -281,7 +284,9 @@ class Worker:
         self.session.check.add(samples)
         if self._wrenches.take(new):
             self.solver.begin_anew()
-        self.solver.detector.add(identifier.instants - len(stamps), stamps, self._wrenches.without_doubtful(new))
+        unsettled = identifier.unsettled(samples.select(np.isin(samples.stamps, stamps)))
+        settled = Rows(new.coefficients, np.where(unsettled, np.nan, new.targets))
+        self.solver.detector.add(identifier.instants - len(stamps), stamps, self._wrenches.without_doubtful(settled))
         if estimate is not None:
             self._report_prediction(samples, estimate)
 

@@ -51,12 +51,19 @@ class WeighedMass:
 
 @dataclass(frozen=True, eq=False)
 class WeighedRows:
-    """``rows (K, D) . parameters = targets (K,)`` with standard deviation 1, from weighed ``masses``; those after them
-    are a prior's."""
+    """``rows (K, D) . parameters = targets (K,)`` with standard deviation 1: first those of weighed ``masses``, then
+    what was known before, a prior."""
 
     rows: FloatArray
     targets: FloatArray
     masses: tuple[WeighedMass, ...] = ()
+
+    def plus(self, other: WeighedRows | None) -> WeighedRows:
+        """These rows and others that are of no masses."""
+        if other is None:
+            return self
+        rows, targets = np.concatenate([self.rows, other.rows]), np.append(self.targets, other.targets)
+        return WeighedRows(rows, targets, self.masses)
 
     @property
     def weighed(self) -> WeighedRows:

@@ -7,6 +7,8 @@ however wrong the estimate was before; a robot that has changed adds more. No pr
 
 No model is perfect, and what it lacks shows most where a motion is unlike those before, along which least squares have
 fitted it away. Such blocks are told by their leverage ``tr(A P A^T)``; they teach what is normal, and are not judged.
+When most are so, the motion is of another kind, and what was normal in the one before is forgotten. Rows of a joint at
+rest or near a reversal, where dry friction may be anything, are not to be given.
 """
 
 from __future__ import annotations
@@ -88,7 +90,8 @@ class ChangeDetector:
         Args:
             first: the number of the first instant; instants are counted.
             stamps: ``(N,)`` [ns].
-            rows: of the ``N`` instants.
+            rows: of the ``N`` instants, with NaN for targets that tell nothing of the robot: see
+                :meth:`~geomid_ros.estimation.identifier.Identifier.unsettled`.
         """
         numbers = range(first, first + len(stamps))
         self._waiting.extend(zip(numbers, stamps.tolist(), rows.coefficients, rows.targets, strict=True))
@@ -169,6 +172,7 @@ class _Cusum:
         rows = np.column_stack([coefficients[:, self._channel.columns], targets])[measured]
         if len(rows) < BLOCK // 2:
             return
+        moved_otherwise = self._moves_otherwise
         self._unlike.append(self.ready and self._leverage(rows[:, :-1]) > _UNLIKE)
         self._factor, self._rows = np.sqrt(share) * self._factor, share * self._rows
         joined = triangular(np.concatenate([self._factor, rows]))
@@ -181,6 +185,8 @@ class _Cusum:
         elif self._evidence == 0.0 or self._moves_otherwise:
             self._evidence = 0.0
             self._learn()
+            if self._moves_otherwise and not moved_otherwise:
+                self._energies.clear()
         if self._open and np.isfinite(self._forgetting_time):
             self._factor = joined
 

@@ -1,24 +1,29 @@
-"""What a robot carries, from a recording without it and one with it."""
+"""What a robot carries, from a recording with it, and a recording or an earlier estimate without it."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
 from geomid_ros.errors import InputError
 from geomid_ros.estimation.estimate import Estimate, interval_of_positive
-from geomid_ros.estimation.estimator import estimate
+from geomid_ros.estimation.estimator import WarmStart, estimate
 from geomid_ros.estimation.identifier import Identifier
+from geomid_ros.estimation.posterior import Posterior
 from geomid_ros.estimation.starting_point import USUAL_SPREAD_OF_LINKS
+from geomid_ros.estimation.summary import RowSummary
 from geomid_ros.geometry import pseudo_inertia
+from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.samples import Samples
+from geomid_ros.model.weighed_masses import WeighedRows
 from geomid_ros.plausibility.hypotheses import Finding
 from geomid_ros.plausibility.verdict import Verdict, recording_verdict
 from geomid_ros.session.configuration import GAIN, Configuration
 from geomid_ros.session.session import Session
-from geomid_ros.types import FloatArray
+from geomid_ros.types import FloatArray, IntArray
 
 _SPREAD = 3.0  # a geodesic distance: a payload may weigh a tenth or ten times of what is usual
 _MASS = 0.2  # of the mean link's
@@ -33,7 +38,7 @@ class WeighedPayload:
         link: the moving link.
         quantities: mass, centre of mass and inertia ``(10,)``, see
             :func:`~geomid_ros.geometry.pseudo_inertia.quantities_of`.
-        std: their standard deviations ``(10,)``, with the efforts' gain in those of mass and inertia.
+        std: their standard deviations ``(10,)``, with the uncertain gain of the efforts in them.
         gain: the standard deviation of the gain that was taken.
         cannot_tell: the quantities that the motions do not tell.
         rms: what remains on both recordings by channel [N m, N].
@@ -75,16 +80,16 @@ def payload_session(urdf: str, configuration: Configuration, source: str) -> Ses
 
 
 def weigh(
-    session: Session, empty: Sequence[Samples], loaded: Sequence[Samples], link: str, gain: float = GAIN
+    session: Session, empty: Sequence[Samples] | Posterior, loaded: Sequence[Samples], link: str, gain: float = GAIN
 ) -> WeighedPayload:
-    """Fit both recordings together: the same links and effects, and one body more in the second one.
+    """Fit the links and effects of the robot, and one body more in the recording with the payload.
 
     Args:
         session: the robot.
-        empty: samples without the payload.
+        empty: samples without the payload, or what an earlier estimate knows of the robot without it.
         loaded: samples with it.
         link: the moving link that carries it.
-        gain: standard deviation of the efforts' common gain, relative: gain and mass are one to one.
+        gain: standard deviation of the efforts' gain, relative, of each joint or of all together.
 
     Raises:
         InputError: the link is not identified, or nothing was measured.
@@ -96,27 +101,67 @@ def weigh(
     first = 10 * len(model.identified)
     settings = session.configuration.estimator([channel.name for channel in model.channels])
     identifier = Identifier(carrying, settings, session.configuration.buffer)
-    for samples in empty:
+    for samples in () if isinstance(empty, Posterior) else empty:
         identifier.add(samples, slice(first, first + 10))
     for samples in loaded:
         identifier.add(samples)
-    prior = np.full(carrying.dimension, np.nan)
+    prior, known = np.full(carrying.dimension, np.nan), None
     prior[first : first + 10] = _usual(model.nominal_inertias.reshape(-1, 10), model.body_names.index(link))
+    if isinstance(empty, Posterior):
+        columns = _columns(empty, carrying)
+        prior[columns] = empty.prior
+        known = _in_columns(empty, columns, carrying.dimension)
     spreads = np.append(np.full(len(model.identified), USUAL_SPREAD_OF_LINKS), _SPREAD)
-    found = estimate(carrying, identifier.snapshot(), settings, prior, spreads=spreads)
-    return _payload(link, found, gain, session)
+    rows = identifier.snapshot()
+    solve = partial(estimate, carrying, settings=settings, prior=prior, spreads=spreads, known=known)
+    found = solve(rows)
+    shifts = [
+        _quantities(solve(more, warm=WarmStart(found.parameters, spreads=found.spreads))) - _quantities(found)
+        for more in _with_more(rows, found, gain, slice(first, first + 10))
+    ]
+    return _payload(link, found, gain, np.reshape(shifts, (-1, 10)), session)
 
 
-def _payload(link: str, found: Estimate, gain: float, session: Session) -> WeighedPayload:
+def _with_more(rows: RowSummary, found: Estimate, gain: float, columns: slice) -> Iterator[RowSummary]:
+    """The rows, as if the gain of a channel after the other were one standard deviation larger: what the payload, the
+    parameters ``columns``, adds to its efforts then looks larger. What the gain does to the robot's own efforts is in
+    its links already, with and without the payload."""
+    more = np.zeros(len(found.parameters))
+    more[columns] = gain * found.parameters[columns]
+    return (rows.with_more(channel, more) for channel in range(len(rows.channels)) if gain > 0.0)
+
+
+def _columns(posterior: Posterior, model: MeasurementModel) -> IntArray:
+    """The parameters of a model that those of a posterior are ``(D,)``."""
+    bodies = [10 * model.body_names.index(link) + np.arange(10) for link in posterior.links]
+    first = 10 * len(model.body_names)
+    places = {(c.effect.name, c.place_name, c.parameter): first + k for k, c in enumerate(model.coefficients)}
+    effects = [places[effect.name, effect.place, effect.parameter] for effect in posterior.effects]
+    return np.concatenate([*bodies, np.array(effects, dtype=int)])
+
+
+def _in_columns(posterior: Posterior, columns: IntArray, dimension: int) -> WeighedRows:
+    """What the data of a posterior say, as rows of a model with its parameters in these columns."""
+    own, targets = posterior.evidence
+    rows = np.zeros((len(own), dimension))
+    rows[:, columns] = own
+    return WeighedRows(rows, targets)
+
+
+def _quantities(found: Estimate) -> FloatArray:
+    """Those of the payload ``(10,)``."""
+    return pseudo_inertia.quantities_of(found.links[-1].parameters)
+
+
+def _payload(link: str, found: Estimate, gain: float, shifts: FloatArray, session: Session) -> WeighedPayload:
+    """``shifts (channels, 10)``: of the quantities, by the uncertain gain of each channel."""
     body = found.links[-1]
-    quantities = pseudo_inertia.quantities_of(body.parameters)
     std = np.concatenate([[body.std_mass], body.std_com, pseudo_inertia.inertia_entries(body.std_inertia)])
-    scaled = np.array([1.0, *np.zeros(3), *np.ones(6)], dtype=bool)
-    std = np.where(scaled, np.hypot(std, gain * quantities), std)
+    apart, together = np.sqrt(np.sum(shifts**2, axis=0)), np.abs(np.sum(shifts, axis=0))
     return WeighedPayload(
         link=link,
-        quantities=quantities,
-        std=std,
+        quantities=_quantities(found),
+        std=np.hypot(std, np.maximum(apart, together)),
         gain=gain,
         cannot_tell=body.cannot_tell,
         rms=dict(zip(found.channels, found.rms.tolist(), strict=True)),

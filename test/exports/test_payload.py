@@ -101,8 +101,11 @@ def test_a_difference_that_no_body_has_is_refused(tmp_path: Path) -> None:
     assert wrist is not None
     shrunk = Points(1.5 * wrist.masses, 0.5 * (wrist.positions - wrist.com) + wrist.com)
     model = Chain((*ARM[:2], replace(ARM[2], body=shrunk), ARM[3]))
-    with pytest.raises(InputError, match="no body has its principal moments of inertia"):
-        difference(read_model(model.write(tmp_path / "a")), read_model(Chain(ARM).write(tmp_path / "b")), "tool0")
+    reference = read_model(Chain(ARM).write(tmp_path / "b"))
+    with pytest.raises(InputError, match="no body has its principal moments of inertia") as refusal:
+        difference(read_model(model.write(tmp_path / "a")), reference, "tool0")
+    empty = reference.source if reference.estimated else "EMPTY_BAG"
+    assert f"geomid payload {empty} LOADED_BAG --frame tool0" in str(refusal.value)
 
 
 @pytest.mark.parametrize("quantity", ["mass", "com y"])

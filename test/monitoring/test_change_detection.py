@@ -299,3 +299,19 @@ def test_a_change_shows_in_either_motion(begin: int) -> None:
         delays.append(open_blocks(robot)[0] - begin)
     assert min(delays) >= 0
     assert np.median(delays) < DELAY
+
+
+def test_what_was_normal_in_another_kind_of_motion_is_forgotten() -> None:
+    """A rough motion, then a quiet one that shows other parameters: a change in it is not lost in the roughness."""
+    found = []
+    for seed in range(10):
+        rng = np.random.default_rng(seed)
+        robot = Robot(seed, blocks=2 * BLOCKS)
+        robot.coefficients[:HALF, COLUMNS // 2 :] *= 1e-2
+        rough = np.where(np.arange(len(robot.targets)) < HALF, 8.0, 1.0)
+        robot.targets = robot.coefficients @ rng.normal(0.0, 10.0, COLUMNS) + rough * noise("white", rng, 2 * BLOCKS)
+        robot.change(2 * HALF)
+        opened = open_blocks(robot)
+        assert all(block >= BLOCKS for block in opened)
+        found.append(bool(opened) and opened[0] < BLOCKS + DELAY)
+    assert np.mean(found) >= 0.7

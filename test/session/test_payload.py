@@ -74,3 +74,40 @@ def test_the_effects_of_the_robot_are_those_of_both_recordings() -> None:
 def test_a_link_that_is_not_identified_carries_nothing() -> None:
     with pytest.raises(InputError, match="'base' cannot carry a payload"):
         weigh(session(), [recording(0, False)], [recording(0, True)], "base", 0.0)
+
+
+def weighed_beside(estimate_of: Samples, seed: int) -> WeighedPayload:
+    """Weighed by the recording with the payload and what an estimate without it told."""
+    bare = session()
+    bare.identifier.add(estimate_of)
+    known = bare.identifier.solve().posterior
+    return weigh(session(), known, [recording(seed, True)], bare.model.body_names[-1], 0.0)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_an_earlier_estimate_tells_as_much_as_its_recording(seed: int) -> None:
+    expected = pseudo_inertia.quantities_of(pseudo_inertia.assemble(np.array(MASS), COM, INERTIA))
+    both, beside = weighed(seed), weighed_beside(recording(seed, False), seed)
+    assert beside.mass == pytest.approx(both.mass, abs=2.0 * max(both.std[0], beside.std[0]))
+    assert beside.std[0] < 3.0 * both.std[0]
+    assert np.mean(np.abs(beside.quantities - expected) < 3.0 * beside.std) > 0.8
+
+
+def test_a_payload_that_is_hardly_told_can_exist() -> None:
+    """Half a second of motion: whatever is not told, the payload stays a body."""
+    found = weighed_beside(recording(0, False), 0)
+    short = recording(0, True).select(np.arange(2000) < 50)
+    bare = session()
+    bare.identifier.add(recording(0, False))
+    little = weigh(session(), bare.identifier.solve().posterior, [short], bare.model.body_names[-1], 0.0)
+    assert pseudo_inertia.is_body(pseudo_inertia.parameters_of(little.quantities))
+    assert little.std[0] > found.std[0]
+
+
+def test_gains_of_single_joints_are_in_the_deviations() -> None:
+    """One joint's gain moves the centre of mass; a gain of all moves the mass alone, one to one."""
+    sure, unsure = weighed(2, 0.0), weighed(2, 0.05)
+    assert np.all(unsure.std >= sure.std)
+    assert np.any(unsure.std[1:4] > 1.5 * sure.std[1:4])
+    assert np.hypot(sure.std[0], 0.05 * sure.mass) <= 1.01 * unsure.std[0]
+    assert sure.quantities.tolist() == unsure.quantities.tolist()
