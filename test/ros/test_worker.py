@@ -12,6 +12,7 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
 import pytest
 from files.recordings import BAGS
 
@@ -93,6 +94,30 @@ def test_a_final_estimate_is_of_all_messages_before_it(quiet: Watched) -> None:
     assert status.accounts["joint_states"].received == status.accounts["joint_states"].accepted == len(JOINTS)
     assert status.rows == estimate.rows_accepted
     assert (status.problems + status.warnings, status.topics) == ((), ("joint_states",))
+
+
+def test_efforts_of_resting_joints_say_nothing_of_changes(quiet: Watched, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nor those near a reversal: dry friction may be anything there. Those of fast joints do."""
+    judged: dict[int, Any] = {}
+    speeds: dict[int, Any] = {}
+    monkeypatch.setattr(
+        quiet.worker.solver.detector,
+        "add",
+        lambda _, stamps, rows: judged.update(zip(stamps.tolist(), rows.targets, strict=True)),
+    )
+    monkeypatch.setattr(
+        quiet.session.check,
+        "add",
+        lambda samples: speeds.update(zip(samples.stamps.tolist(), abs(samples.velocity), strict=True)),
+    )
+    quiet.feed()
+    assert isinstance(quiet.final(), Estimate)
+    targets = np.array([judged[stamp] for stamp in sorted(judged)])
+    speed = np.array([speeds[stamp] for stamp in sorted(judged)])
+    slow, fast = speed < 0.005, speed > 0.8 * np.max(speed, axis=0)
+    assert np.sum(slow) > 3
+    assert np.all(np.isnan(targets[slow]))
+    assert np.all(np.isfinite(targets[fast]))
 
 
 def test_without_rows_the_answer_is_an_error(quiet: Watched) -> None:
