@@ -12,14 +12,14 @@ from geomid_ros.excitation.criteria import weight_of
 from geomid_ros.excitation.feasibility import Feasibility
 from geomid_ros.excitation.knowledge import Knowledge, known_before
 from geomid_ros.excitation.motion import Motion, MotionForm
-from geomid_ros.excitation.search import Search, expected_error, random_feasible, random_motion
+from geomid_ros.excitation.search import Search, expected_error, other_motions, random_feasible
 from geomid_ros.session.excitation import Task
 from geomid_ros.types import FloatArray
 
 _RANDOM = 60
 _OTHERS = 5
 _MORE = 4  # random motions, whose errors' mean counts: one may be lucky
-_EXPECTED = 8  # motions by which a design counts the expected error
+_EXPECTED = 6  # motions by which a design counts the expected error
 
 
 def against_random(report: Report, robots: list[str], seconds: float, truths: int) -> None:
@@ -56,8 +56,7 @@ def against_random(report: Report, robots: list[str], seconds: float, truths: in
 
 
 def _weight(own: Task, knowledge: Knowledge, random: np.random.Generator) -> FloatArray:
-    motions = [random_motion(own.feasibility, own.form, random) for _ in range(_EXPECTED)]
-    others = [own.feasibility.made_feasible(motion) for motion in motions]
+    others = other_motions(own.feasibility, own.form, random, _EXPECTED)
     return weight_of("prediction", knowledge, others)
 
 

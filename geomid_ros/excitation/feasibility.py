@@ -110,14 +110,14 @@ class Feasibility:
         """The motion, each joint shrunk into its own limits."""
         return motion.scaled(np.minimum(1.0, self.largest_scale(motion)))
 
-    def made_feasible(self, motion: Motion) -> Motion:
+    def made_feasible(self, motion: Motion, halvings: int = _HALVINGS) -> Motion:
         """The motion, each joint shrunk into its own limits, and all of it towards the start until efforts and
-        distances hold, too."""
+        distances hold, too; with more ``halvings`` no more than it must."""
         shrunk = self.within_limits(motion)
         if self.holds(shrunk):
             return shrunk
         low, high = 0.0, 1.0
-        for _ in range(_HALVINGS):
+        for _ in range(halvings):
             middle = 0.5 * (low + high)
             low, high = (middle, high) if self.holds(shrunk.scaled(middle)) else (low, middle)
         return shrunk.scaled(low)

@@ -21,7 +21,8 @@ from geomid_ros.types import FloatArray
 _STEP = 1e-6  # of positions, speeds and accelerations, by which rows are differentiated
 _RATE = 6.0  # [Hz] of instants
 _RANDOM = 12  # motions to begin with
-_STEPS, _BENDS = 100, 50  # evaluations at most, with a criterion and without
+_STEPS, _BENDS = 70, 50  # evaluations at most, with a criterion and without
+_ROUGHLY = 5  # halvings
 _USED = 0.97  # of a limit, before it costs anything
 _COST = 300.0  # of exceeding a limit by all of it, squared, at every instant
 _NEAR = 2.0  # clearances within which distances cost something
@@ -50,6 +51,13 @@ def expected_error(feasibility: Feasibility, weight: FloatArray, form: MotionFor
         return np.log(value), -2.0 * share / value * (rows @ spread)
 
     return criterion
+
+
+def other_motions(feasibility: Feasibility, form: MotionForm, random: np.random.Generator, count: int) -> list[Motion]:
+    """So many random motions that the robot can make: in a tight place those within its limits are far larger, and an
+    error on them means nothing."""
+    motions = [random_motion(feasibility, form, random) for _ in range(count)]
+    return [feasibility.made_feasible(motion, _ROUGHLY) for motion in motions]
 
 
 def random_feasible(feasibility: Feasibility, form: MotionForm, random: np.random.Generator) -> Motion:

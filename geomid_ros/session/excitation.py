@@ -16,7 +16,7 @@ from geomid_ros.excitation.learning import Learning, expected_learning
 from geomid_ros.excitation.limits import MotionLimits, motion_limits
 from geomid_ros.excitation.motion import Motion, MotionForm
 from geomid_ros.excitation.rivals import DECIDED, Judge, deciding_motion
-from geomid_ros.excitation.search import Search, expected_error, random_feasible, random_motion
+from geomid_ros.excitation.search import Search, expected_error, other_motions, random_feasible
 from geomid_ros.excitation.start import starts
 from geomid_ros.excitation.trajectory import Trajectory
 from geomid_ros.files.models.joint_limits import read_joint_limits
@@ -31,7 +31,7 @@ from geomid_ros.session.surroundings import NOT_LOOKED, Surroundings, not_watche
 
 RATE = 100.0
 """[Hz] of the points of a trajectory."""
-_OTHERS = 8  # motions on which efforts are to be predicted
+_OTHERS = 6  # motions on which efforts are to be predicted
 _COMPARED = 3  # random motions with which a designed one is compared
 _SLOW_SHARE = {PREDICTION: 0.1, "friction": 0.5}
 _SEED = 0
@@ -236,8 +236,7 @@ def design(task: Task, wish: Wish, progress: Callable[[str, float], None]) -> Ex
     """Search for a motion and say what to expect of it."""
     random, feasibility = np.random.default_rng(wish.seed), task.feasibility
     judge, labels = (None, []) if wish.settle is None else open_questions(task.feasibility, wish.settle)
-    # Such as the robot can make: in tight places others are far larger, and an error on them means nothing.
-    others = [feasibility.made_feasible(random_motion(feasibility, task.form, random)) for _ in range(_OTHERS)]
+    others = other_motions(feasibility, task.form, random, _OTHERS)
     weight = weight_of(wish.aim, task.knowledge, others)
     criterion = expected_error(feasibility, weight, task.form)
 

@@ -15,11 +15,11 @@ from geomid_ros.session.surroundings import Surroundings
 
 from .arm import small_task
 
-WALLS = ("plane:1,0,0,-0.2", "plane:-1,0,0,-0.2", "plane:0,1,0,-0.2", "plane:0,-1,0,-0.2")
+WALLS = ("plane:1,0,0,-0.08", "plane:-1,0,0,-0.08", "plane:0,1,0,-0.08", "plane:0,-1,0,-0.08")
 
 
 def test_in_a_tight_place_the_error_on_feasible_motions_is_foretold() -> None:
-    """The arm stands upright in a shaft, 0.4 m wide, in which random motions within its limits collide."""
+    """The arm stands upright in a shaft, 0.16 m wide, in which random motions within its limits collide."""
     wish = Wish(duration=6.0, repeats=1, surroundings=Surroundings(avoid=WALLS))
     task = small_task(wish)
     found = design(task, wish, lambda *_: None)
@@ -31,5 +31,5 @@ def test_in_a_tight_place_the_error_on_feasible_motions_is_foretold() -> None:
         return float(np.sqrt(np.sum(weight_of("prediction", task.knowledge, motions) * after)))
 
     foretold = found.learning.designed.error
-    assert 0.6 < foretold / error(random_feasible) < 1.5
-    assert error(random_motion) > 1.6 * foretold
+    assert 0.4 < foretold / error(random_feasible) < 2.0
+    assert error(random_motion) > 5.0 * foretold
