@@ -35,7 +35,8 @@ class Kills:
 
 
 def kills(robot: Robot, seconds: float, count: int) -> Kills:
-    """Let a node take a robot's messages for some time, and kill its solving process ``count`` times, evenly."""
+    """Let a node take a robot's messages for some time, and kill its solving process ``count`` times, evenly, each time
+    after another estimate."""
     with watched(robot, {}) as node:
         estimates: list[float] = []
         node.stage.observer.node.create_subscription(
@@ -48,7 +49,8 @@ def kills(robot: Robot, seconds: float, count: int) -> Kills:
         while publisher.running:
             node.stage.observer.spin(_SPIN)
             due = begin + seconds * (len(killed) + 0.5) / (count + 1)
-            if len(killed) < count and time.monotonic() > due and _kill_solving_process(node):
+            goes_on = not killed or estimates[-1] > killed[-1]
+            if len(killed) < count and time.monotonic() > due and goes_on and _kill_solving_process(node):
                 killed.append(time.monotonic())
         (sent,) = sent_by(publisher)
         node.settle()
