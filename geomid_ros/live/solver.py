@@ -17,7 +17,7 @@ from geomid_ros.estimation.estimator import WarmStart
 from geomid_ros.live.activity import Activity
 from geomid_ros.live.daemon import start_daemon
 from geomid_ros.monitoring.change_detection import ChangeDetector
-from geomid_ros.monitoring.wrench_sensors import changed_sensors, sensor_channels
+from geomid_ros.monitoring.wrench_sensors import changed_sensors, robot_may_have_changed, sensor_channels
 from geomid_ros.session.session import Session
 from geomid_ros.signals.ledger import count_reason
 
@@ -190,7 +190,8 @@ class Solver:
                     self._session.identifier.take_again(reason, detector.judged)
                 elif self._session.identifier.leave_out(reason, channels, changed[topic]):
                     self._solve_afresh()
-        doubted = [] if changed is None else [place for places in self._sensors.values() for place in places]
+        robot = robot_may_have_changed(detector.gaps, self._session.model)
+        doubted = [] if robot else [place for places in self._sensors.values() for place in places]
         self._session.identifier.settle(detector.normal(doubted))
 
     def _warm_start(self) -> WarmStart | None:

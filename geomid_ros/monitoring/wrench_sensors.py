@@ -106,13 +106,23 @@ def changed_sensors(gaps: Sequence[ChannelGap], model: MeasurementModel) -> dict
         By the topic of each changed sensor, the number of the instant before which it had not changed; None if it may
         be the robot that has.
     """
-    mounted = {topic: [model.channels[p].name for p in places] for topic, places in sensor_channels(model).items()}
-    others = {gap.channel for gap in gaps}.difference(*mounted.values())
+    mounted = _channels_by_topic(model)
     first = {gap.channel: gap.first for gap in gaps if gap.since is not None}
     begin = {
         topic: min(first[name] for name in names if name in first) - LATE
         for topic, names in mounted.items()
         if not first.keys().isdisjoint(names)
     }
-    may_be_the_robot = not others or not others.isdisjoint(first) or len(begin) > 1
-    return None if may_be_the_robot else begin
+    others = {gap.channel for gap in gaps}.difference(*mounted.values())
+    return begin if others and not robot_may_have_changed(gaps, model) else None
+
+
+def robot_may_have_changed(gaps: Sequence[ChannelGap], model: MeasurementModel) -> bool:
+    """Whether there is a gap at a joint, or at several sensors. As long as no joint is watched yet, nobody knows."""
+    mounted = _channels_by_topic(model)
+    opened = {gap.channel for gap in gaps if gap.since is not None}
+    return bool(opened.difference(*mounted.values())) or sum(map(bool, map(opened.intersection, mounted.values()))) > 1
+
+
+def _channels_by_topic(model: MeasurementModel) -> dict[str, list[str]]:
+    return {topic: [model.channels[place].name for place in places] for topic, places in sensor_channels(model).items()}
