@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import resource
 import signal
 import sys
 import threading
@@ -20,6 +21,7 @@ if TYPE_CHECKING:
     from geomid_ros.ros.node import GeomidNode
 
 _SWITCH_INTERVAL = 5e-4  # [s]
+_LEAST_MEMORY = 500_000_000  # bytes of addresses: with less, libraries crash or hang while they are loaded
 # Messages cost least when many are taken at once, and none is of use before the next instant is due. To look for
 # anything else, in which the executor also takes a message, costs as much as to take ten.
 _AT_ONCE = 10  # messages
@@ -36,6 +38,7 @@ def main() -> None:
     # once.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     try:
+        _check_memory()
         load_hashes()
         _run()
     except GeomidError as error:
@@ -48,6 +51,13 @@ def main() -> None:
         print(f"geomid_node: {sentence}", file=sys.stderr)
         sys.stderr.flush()
         os._exit(2)  # libraries that are half loaded crash when they are unloaded
+
+
+def _check_memory() -> None:
+    """Raise GeomidError where the process may not have enough."""
+    limit, _ = resource.getrlimit(resource.RLIMIT_AS)
+    if limit != resource.RLIM_INFINITY and limit < _LEAST_MEMORY:
+        raise GeomidError(TOO_LITTLE_MEMORY)
 
 
 def _on_signal(act: Callable[[], object]) -> None:

@@ -34,7 +34,7 @@ def refused(*arguments: str | Path) -> str:
     assert isinstance(result.exception, SystemExit), result.exception
     assert result.stdout == ""
     assert "Traceback" not in result.stderr
-    assert result.stderr.count("Error: ") == 1
+    assert sum(line.startswith("Error: ") for line in result.stderr.splitlines()) == 1
     message = result.stderr.partition("Error: ")[2]
     assert 0 < len(message.splitlines()) <= 2, message
     return str(message)
