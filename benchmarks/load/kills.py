@@ -60,7 +60,8 @@ def kills(robot: Robot, seconds: float, count: int) -> Kills:
 
 def _kill_solving_process(node: Watched) -> bool:
     """Kill the node's largest child, the others being Python's own; whether it had one."""
-    children = family(node.process.pid)[1:]
-    if children:
-        os.kill(max(children, key=proportional), signal.SIGKILL)
-    return bool(children)
+    try:
+        os.kill(max(family(node.process.pid)[1:], key=proportional), signal.SIGKILL)
+    except (ProcessLookupError, ValueError):  # the one before is not replaced yet
+        return False
+    return True
