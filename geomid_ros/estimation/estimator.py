@@ -6,30 +6,20 @@ import time
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import partial
-from itertools import compress
 
 import numpy as np
 
 from geomid_ros.errors import InputError, unknown_name
-from geomid_ros.estimation import starting_point, uncertainty
+from geomid_ros.estimation import estimate_parts, starting_point, uncertainty
 from geomid_ros.estimation.choice import choose
-from geomid_ros.estimation.estimate import (
-    IDENTIFIABLE,
-    QUANTITIES,
-    EffectEstimate,
-    Estimate,
-    LinkEstimate,
-    WeighedEstimate,
-)
+from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.estimation.fit import INDEPENDENT, Fit, Problem, fit, subproblem
 from geomid_ros.estimation.objective import GeodesicObjective, ResidualObjective
 from geomid_ros.estimation.population import Population
 from geomid_ros.estimation.population_prior import PopulationPrior, fit_with_population, unlike_population
-from geomid_ros.estimation.posterior import EffectCoordinate, Posterior
 from geomid_ros.estimation.rows import OBJECTIVES
 from geomid_ros.estimation.solvers import SOLVERS
 from geomid_ros.estimation.summary import RowSummary
-from geomid_ros.geometry import pseudo_inertia, spd
 from geomid_ros.geometry.manifold import ParameterManifold, Point
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.weighed_masses import WeighedMass, WeighedRows, weighed_rows
@@ -215,8 +205,8 @@ def _estimate(
         gamma=fitted.gamma,
         rows_accepted=summary.rows,
         rows_set_aside=set_aside,
-        links=_links(model, manifold, prior_point, solution.point, found),
-        effects=_effects(model, manifold, solution.point, found),
+        links=estimate_parts.links(model, manifold, prior_point, solution.point, found),
+        effects=estimate_parts.effects(model, manifold, solution.point, found),
         parameters=frozen(parameters),
         channels=tuple(channel.name for channel in model.channels),
         sigmas=frozen(fitted.sigmas[: len(model.channels)]),
@@ -226,10 +216,10 @@ def _estimate(
         information=uncertainty.links_information(
             manifold, prior_point, solution.point, fitted.rows, known.weighed, found
         ),
-        posterior=_posterior(problem, solution.point, found),
+        posterior=estimate_parts.posterior(problem, solution.point, found),
         rows=frozen(independent * fitted.rows[0]),
         targets=frozen(independent * fitted.rows[1]),
-        known=_known(known, manifold, solution.point, found),
+        known=estimate_parts.weighed(known, manifold, solution.point, found),
         warnings=tuple(_run_away(model, fitted, solution.point)),
     )
 
@@ -298,95 +288,3 @@ def _parameter_groups(model: MeasurementModel, manifold: ParameterManifold) -> l
     names = np.array([coefficient.effect.name for coefficient in model.coefficients])
     effects = [first + np.flatnonzero(names == name) for name in dict.fromkeys(names)]
     return [uncertainty.ParameterGroup(columns, float(usual[columns[0]])) for columns in (np.arange(first), *effects)]
-
-
-def _links(
-    model: MeasurementModel, manifold: ParameterManifold, prior: Point, point: Point, found: uncertainty.Uncertainty
-) -> tuple[LinkEstimate, ...]:
-    parameters = pseudo_inertia.to_parameters(point.pseudo_inertias)
-    values = pseudo_inertia.quantities_of(parameters)
-    central = pseudo_inertia.central_inertia(parameters)
-    sensitivity = uncertainty.physical_sensitivity(manifold, point)
-    distances = spd.distance(prior.pseudo_inertias, point.pseudo_inertias)
-    ratios = spd.relative_eigenvalues(prior.pseudo_inertias, point.pseudo_inertias)[:, 0]
-    links = []
-    for index, name in enumerate(model.body_names):
-        block = manifold.link(index)
-        derivative = sensitivity[index]
-        std, of_prior = (
-            np.sqrt(np.maximum(np.einsum("ij,jk,ik->i", derivative, covariance[block, block], derivative), 0.0))
-            for covariance in (found.covariance, found.prior)
-        )
-        unidentified = std > IDENTIFIABLE * of_prior
-        links.append(
-            LinkEstimate(
-                name=name,
-                merged=model.robot.bodies[model.identified[index]].merged,
-                mass=float(values[index, 0]),
-                com=frozen(values[index, 1:4]),
-                inertia=frozen(central[index]),
-                std_mass=float(std[0]),
-                std_com=frozen(std[1:4]),
-                std_inertia=frozen(pseudo_inertia.inertia_matrix(std[4:])),
-                parameters=frozen(parameters[index]),
-                distance_from_prior=float(distances[index]),
-                from_data=found.from_data(block),
-                min_eigenvalue_ratio=float(ratios[index]),
-                cannot_tell=tuple(compress(QUANTITIES, unidentified)),
-            )
-        )
-    return tuple(links)
-
-
-def _effects(
-    model: MeasurementModel, manifold: ParameterManifold, point: Point, found: uncertainty.Uncertainty
-) -> tuple[EffectEstimate, ...]:
-    first = manifold.inertial.stop
-    _, diagonal = manifold.jacobian(point)
-    std = diagonal * np.sqrt(np.diag(found.covariance)[first:])
-    shares = [found.from_data(slice(column, column + 1)) for column in range(first, manifold.dimension)]
-    return tuple(
-        EffectEstimate(
-            name=c.effect.name, joint=c.place_name, parameters=c.parameters(float(value), float(s)), from_data=share
-        )
-        for c, value, s, share in zip(model.coefficients, point.parameters[first:], std, shares, strict=True)
-    )
-
-
-def _posterior(problem: Problem, point: Point, found: uncertainty.Uncertainty) -> Posterior:
-    model = problem.model
-    return Posterior(
-        links=tuple(model.body_names),
-        merged=tuple(model.robot.bodies[body].merged for body in model.identified),
-        effects=tuple(
-            EffectCoordinate(
-                name=c.effect.name, place=c.place_name, parameter=c.parameter, unit=c.unit, positive=c.positive
-            )
-            for c in model.coefficients
-        ),
-        parameters=point.parameters,
-        covariance=frozen(found.covariance),
-        scales=problem.manifold.scales,
-        prior=frozen(problem.prior),
-        prior_spreads=frozen(found.prior_spreads),
-    )
-
-
-def _known(
-    known: WeighedRows, manifold: ParameterManifold, point: Point, found: uncertainty.Uncertainty
-) -> tuple[WeighedEstimate, ...]:
-    weighed = known.weighed
-    normals = manifold.whiten(point, weighed.rows)
-    stds = np.sqrt(np.einsum("ki,ij,kj->k", normals, found.covariance, normals))
-    # In units of the given standard deviation, and without what is not identified of it.
-    errors = weighed.rows @ point.parameters - weighed.targets
-    return tuple(
-        WeighedEstimate(
-            name=given.name,
-            given=given.mass,
-            given_std=given.std,
-            mass=given.mass + float(error) * given.std,
-            std=float(std) * given.std,
-        )
-        for given, error, std in zip(weighed.masses, errors, stds, strict=True)
-    )

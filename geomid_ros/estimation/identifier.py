@@ -134,15 +134,22 @@ class Identifier:
         with self._lock:
             self._begin_anew()
 
-    def add(self, samples: Samples, without: slice = slice(0)) -> tuple[IntArray, Rows]:
-        """Take samples, in the order of time; returns stamps and rows of those that are not standing still.
+    def add(self, samples: Samples, without: slice = slice(0)) -> tuple[IntArray, Rows, BoolArray]:
+        """Take samples, in the order of time.
 
-        ``without``: parameters of a body that the robot did not carry then.
+        Args:
+            samples: what was measured.
+            without: parameters of a body that the robot did not carry then.
+
+        Returns:
+            Stamps ``(N,)`` and rows of those samples that are not standing still, and which of their channels
+            ``(N, channels)`` are unsettled: efforts of joints at rest or near a reversal, whose dry friction may be
+            anything.
         """
         rows = self.model.rows(samples)
         rows.coefficients[:, :, without] = 0.0
         moving = np.zeros(len(samples), dtype=bool)
-        unsettled = self.unsettled(samples)
+        unsettled = self._unsettled(samples)
         with self._lock:
             for index in range(len(samples)):
                 elapsed = self._elapsed(int(samples.stamps[index]))
@@ -159,11 +166,10 @@ class Identifier:
                     )
                     self.instants += 1
                     self._settle_before(self.instants - self._held)
-        return samples.stamps[moving], Rows(rows.coefficients[moving], rows.targets[moving])
+        return samples.stamps[moving], Rows(rows.coefficients[moving], rows.targets[moving]), unsettled[moving]
 
-    def unsettled(self, samples: Samples) -> BoolArray:
-        """Which channels are unsettled at N instants ``(N, channels)``: efforts of joints at rest or near a reversal,
-        where dry friction is not what it is in motion."""
+    def _unsettled(self, samples: Samples) -> BoolArray:
+        """Which channels are unsettled at N instants ``(N, channels)``."""
         unsettled = np.zeros((len(samples), len(self.model.channels)), dtype=bool)
         if self.model.layout.efforts:
             unsettled[:, self.model.layout.efforts] = ~moves_one_way(samples)

@@ -273,7 +273,7 @@ class Worker:
         estimate, identifier = self.solver.estimate, self.session.identifier
         before = identifier.counts.made
         try:
-            stamps, new = identifier.add(samples)
+            stamps, new, unsettled = identifier.add(samples)
         except Exception as error:  # noqa: BLE001 as above
             lost = before + len(samples) * len(self.session.model.channels) - identifier.counts.made
             self._rows_lost = self._rows_lost + Counter({type(error).__name__: lost})
@@ -284,7 +284,6 @@ class Worker:
         self.session.check.add(samples)
         if self._wrenches.take(new):
             self.solver.begin_anew()
-        unsettled = identifier.unsettled(samples.select(np.isin(samples.stamps, stamps)))
         settled = Rows(new.coefficients, np.where(unsettled, np.nan, new.targets))
         self.solver.detector.add(identifier.instants - len(stamps), stamps, self._wrenches.without_doubtful(settled))
         if estimate is not None:

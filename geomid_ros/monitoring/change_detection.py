@@ -91,7 +91,7 @@ class ChangeDetector:
             first: the number of the first instant; instants are counted.
             stamps: ``(N,)`` [ns].
             rows: of the ``N`` instants, with NaN for targets that tell nothing of the robot: see
-                :meth:`~geomid_ros.estimation.identifier.Identifier.unsettled`.
+                :meth:`~geomid_ros.estimation.identifier.Identifier.add`.
         """
         numbers = range(first, first + len(stamps))
         self._waiting.extend(zip(numbers, stamps.tolist(), rows.coefficients, rows.targets, strict=True))

@@ -174,7 +174,7 @@ def take(session: Session, batches: Sequence[Samples]) -> None:
     """Give samples to the session's identifier, without the rows of wrench sensors that are not as declared."""
     guard = WrenchGuard(session)
     for samples in batches:
-        _, rows = session.identifier.add(samples)
+        _, rows, _ = session.identifier.add(samples)
         guard.take(rows)
     named = {place for finding in session.findings for place in finding.cause.places}
     session.findings += tuple(

@@ -59,7 +59,7 @@ def test_a_sensor_that_is_declared_wrongly_is_named(name: str, rig: Rig) -> None
     begin = len(rig.arrays)
     wrong = [with_wrench(item, change) for item in before + after]
     rig.send(wrong)
-    moving, _ = rig.twin.session.identifier.add(silenced(rig.twin.samples(wrong)))
+    moving, *_ = rig.twin.session.identifier.add(silenced(rig.twin.samples(wrong)))
     rig.says(begin, ERROR, "/wrench: ", says, "Its rows are left out, those before too, until ~/reset")
     rig.settled(begin)
     rig.assert_same_as_twin()

@@ -1,0 +1,116 @@
+"""What an estimate says of links, effects and weighed masses, from where a fit ended and how sure that is.
+
+In all functions ``point`` is where it ended, on the ``manifold`` of the ``model``, and ``found`` its uncertainty.
+"""
+
+from __future__ import annotations
+
+from itertools import compress
+
+import numpy as np
+
+from geomid_ros.estimation import uncertainty
+from geomid_ros.estimation.estimate import IDENTIFIABLE, QUANTITIES, EffectEstimate, LinkEstimate, WeighedEstimate
+from geomid_ros.estimation.fit import Problem
+from geomid_ros.estimation.posterior import EffectCoordinate, Posterior
+from geomid_ros.geometry import pseudo_inertia, spd
+from geomid_ros.geometry.manifold import ParameterManifold, Point
+from geomid_ros.model.measurement import MeasurementModel
+from geomid_ros.model.weighed_masses import WeighedRows
+from geomid_ros.types import frozen
+
+
+def links(
+    model: MeasurementModel, manifold: ParameterManifold, prior: Point, point: Point, found: uncertainty.Uncertainty
+) -> tuple[LinkEstimate, ...]:
+    """The links: what is known of each, beside the prior."""
+    parameters = pseudo_inertia.to_parameters(point.pseudo_inertias)
+    values = pseudo_inertia.quantities_of(parameters)
+    central = pseudo_inertia.central_inertia(parameters)
+    sensitivity = uncertainty.physical_sensitivity(manifold, point)
+    distances = spd.distance(prior.pseudo_inertias, point.pseudo_inertias)
+    ratios = spd.relative_eigenvalues(prior.pseudo_inertias, point.pseudo_inertias)[:, 0]
+    told = []
+    for index, name in enumerate(model.body_names):
+        block = manifold.link(index)
+        derivative = sensitivity[index]
+        std, of_prior = (
+            np.sqrt(np.maximum(np.einsum("ij,jk,ik->i", derivative, covariance[block, block], derivative), 0.0))
+            for covariance in (found.covariance, found.prior)
+        )
+        unidentified = std > IDENTIFIABLE * of_prior
+        told.append(
+            LinkEstimate(
+                name=name,
+                merged=model.robot.bodies[model.identified[index]].merged,
+                mass=float(values[index, 0]),
+                com=frozen(values[index, 1:4]),
+                inertia=frozen(central[index]),
+                std_mass=float(std[0]),
+                std_com=frozen(std[1:4]),
+                std_inertia=frozen(pseudo_inertia.inertia_matrix(std[4:])),
+                parameters=frozen(parameters[index]),
+                distance_from_prior=float(distances[index]),
+                from_data=found.from_data(block),
+                min_eigenvalue_ratio=float(ratios[index]),
+                cannot_tell=tuple(compress(QUANTITIES, unidentified)),
+            )
+        )
+    return tuple(told)
+
+
+def effects(
+    model: MeasurementModel, manifold: ParameterManifold, point: Point, found: uncertainty.Uncertainty
+) -> tuple[EffectEstimate, ...]:
+    """The effects, each with its standard deviation and how much of that the data tell."""
+    first = manifold.inertial.stop
+    _, diagonal = manifold.jacobian(point)
+    std = diagonal * np.sqrt(np.diag(found.covariance)[first:])
+    shares = [found.from_data(slice(column, column + 1)) for column in range(first, manifold.dimension)]
+    return tuple(
+        EffectEstimate(
+            name=c.effect.name, joint=c.place_name, parameters=c.parameters(float(value), float(s)), from_data=share
+        )
+        for c, value, s, share in zip(model.coefficients, point.parameters[first:], std, shares, strict=True)
+    )
+
+
+def posterior(problem: Problem, point: Point, found: uncertainty.Uncertainty) -> Posterior:
+    """What is known of all parameters together."""
+    model = problem.model
+    return Posterior(
+        links=tuple(model.body_names),
+        merged=tuple(model.robot.bodies[body].merged for body in model.identified),
+        effects=tuple(
+            EffectCoordinate(
+                name=c.effect.name, place=c.place_name, parameter=c.parameter, unit=c.unit, positive=c.positive
+            )
+            for c in model.coefficients
+        ),
+        parameters=point.parameters,
+        covariance=frozen(found.covariance),
+        scales=problem.manifold.scales,
+        prior=frozen(problem.prior),
+        prior_spreads=frozen(found.prior_spreads),
+    )
+
+
+def weighed(
+    known: WeighedRows, manifold: ParameterManifold, point: Point, found: uncertainty.Uncertainty
+) -> tuple[WeighedEstimate, ...]:
+    """The masses that were weighed, as they came out."""
+    rows = known.weighed
+    normals = manifold.whiten(point, rows.rows)
+    stds = np.sqrt(np.einsum("ki,ij,kj->k", normals, found.covariance, normals))
+    # In units of the given standard deviation, and without what is not identified of it.
+    errors = rows.rows @ point.parameters - rows.targets
+    return tuple(
+        WeighedEstimate(
+            name=given.name,
+            given=given.mass,
+            given_std=given.std,
+            mass=given.mass + float(error) * given.std,
+            std=float(std) * given.std,
+        )
+        for given, error, std in zip(rows.masses, errors, stds, strict=True)
+    )
