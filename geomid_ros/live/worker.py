@@ -26,7 +26,7 @@ from geomid_ros.signals.ledger import count_reason
 from geomid_ros.signals.messages import JOINT_STATES, Accepted, message_type
 
 # A burst is taken whole; what nobody takes out of the inbox, or would be later than is of use, is dropped and counted.
-_LONGEST_STANDSTILL = 0.75  # [s] of the intake, while messages wait
+_LONGEST_STANDSTILL = 3.0  # [s] of the intake, while messages wait
 _MOST_WAITING = 10_000  # messages
 _MOST_BYTES = 50_000_000  # of them
 _PATIENCE = 0.6  # [s] for both threads to end
@@ -162,7 +162,7 @@ class Worker:
             warnings=(
                 *self.session.warnings(self.solver.estimate),
                 *self._causes(sure=False),
-                *self.session.recorded.remarks,
+                *self.session.remarks,
                 *filter(None, (self.solver.problem, self._solver_is_late, self._silence)),
             ),
             failures=failures,

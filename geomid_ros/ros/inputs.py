@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
+from rclpy.callback_groups import CallbackGroup
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.exceptions import NameValidationException
 from rclpy.node import Node
@@ -25,6 +26,22 @@ from geomid_ros.errors import InputError
 from geomid_ros.signals.ledger import Ledger
 
 _MOST_AT_ONCE = 1000  # messages of a topic, before others have their turn
+
+
+class _Polled(CallbackGroup):
+    """Subscriptions that the executor leaves alone, but for what happens to them: to wait for a message takes it ten
+    times as long as to take it."""
+
+    def can_execute(self, entity: Any) -> bool:
+        """Whether it is anything but a subscription."""
+        return not isinstance(entity, Subscription)
+
+    def beginning_execution(self, entity: Any) -> bool:
+        """The same."""
+        return self.can_execute(entity)
+
+    def ending_execution(self, entity: Any) -> None:
+        """Nothing waits for it."""
 
 
 @dataclass(frozen=True)
@@ -51,7 +68,6 @@ class Inputs:
         self._ledger = ledger
         self._on_failure = on_failure
         self._inputs: list[_Input] = []
-        self._taken = 0  # messages of data, since it was asked for last
         self._numbers: dict[str, int] = {}  # of the last messages, as the publishers count them
         self._policies: dict[str, str] = {}  # in which publishers were last incompatible
 
@@ -71,7 +87,6 @@ class Inputs:
         """
 
         def take_or_drop(data: bytes, info: dict[str, Any]) -> None:
-            self._taken += 1
             # Not the node's count, which would copy the graph for every message.
             ambiguous = not entry.several and entry.subscription.get_publisher_count() > 1
             self._count_missing(entry, None if ambiguous else info["publication_sequence_number"])
@@ -96,7 +111,7 @@ class Inputs:
 
         # Best effort matches publishers of either kind; the depth carries a 1 kHz stream over pauses of Python.
         qos = QoSProfile(depth=1000, history=HistoryPolicy.KEEP_LAST, reliability=ReliabilityPolicy.BEST_EFFORT)
-        entry = _Input(name, self._subscribe(kind, name, take_or_drop, qos, raw=True), several, take_waiting)
+        entry = _Input(name, self._subscribe(kind, name, take_or_drop, qos, _Polled()), several, take_waiting)
         self._inputs.append(entry)
 
     def hear(self, kind: type, name: str, callback: Callable[[Any], None], qos: QoSProfile) -> None:
@@ -104,16 +119,13 @@ class Inputs:
         subscription = self._subscribe(kind, name, callback, qos)
         self._inputs.append(_Input(name, subscription, several=True, take_waiting=lambda: None))
 
-    def take_waiting(self) -> int:
-        """Take the data that wait on all topics: to wait for a message takes the executor ten times as long as to take
-        it. Returns how many messages were taken since the last call, by the executor too."""
+    def take_waiting(self) -> None:
+        """Take the data that wait on all topics."""
         for entry in self._inputs:
             entry.take_waiting()
-        taken, self._taken = self._taken, 0
-        return taken
 
     def _subscribe(
-        self, kind: type, name: str, callback: Callable[..., None], qos: QoSProfile, raw: bool = False
+        self, kind: type, name: str, callback: Callable[..., None], qos: QoSProfile, polled: _Polled | None = None
     ) -> Subscription:
         events = SubscriptionEventCallbacks(
             message_lost=partial(self._on_lost, name), incompatible_qos=partial(self._on_incompatible, name)
@@ -121,7 +133,14 @@ class Inputs:
         options = QoSOverridingOptions.with_default_policies()
         try:
             return self._node.create_subscription(
-                kind, name, callback, qos, event_callbacks=events, qos_overriding_options=options, raw=raw
+                kind,
+                name,
+                callback,
+                qos,
+                callback_group=polled,
+                event_callbacks=events,
+                qos_overriding_options=options,
+                raw=polled is not None,
             )
         except NameValidationException as error:
             raise InputError(f"parameters: topic '{name}': {' '.join(str(error).split())}") from error

@@ -22,10 +22,9 @@ if TYPE_CHECKING:
 
 _SWITCH_INTERVAL = 5e-4  # [s]
 _LEAST_MEMORY = 500_000_000  # bytes of addresses: with less, libraries crash or hang while they are loaded
-# Messages cost least when many are taken at once, and none is of use before the next instant is due. To look for
-# anything else, in which the executor also takes a message, costs as much as to take ten.
-_AT_ONCE = 10  # messages
-_SHORTEST, _LONGEST = 2e-3, 20e-3  # [s] pauses between taking them, the longest between looks for anything else
+# Data are taken by looking for them: each message costs a third when a hundred come at once, and the filter holds rows
+# back for ten times as long as this.
+_PAUSE = 0.05  # [s]
 
 
 def main() -> None:
@@ -91,14 +90,11 @@ def _run_node(solving: SolvingProcess) -> None:
         executor = SingleThreadedExecutor()
         executor.add_node(node)
         try:
-            pause, next_spin = _SHORTEST, 0.0
             while ok() and not stopping.is_set():
-                taken = _guarded(node, node.take_waiting)
-                if time.monotonic() >= next_spin:
-                    _guarded(node, partial(executor.spin_once, timeout_sec=0.1))
-                    next_spin = time.monotonic() + _LONGEST
-                pause = _next_pause(pause, taken or 0)
-                time.sleep(pause)
+                _guarded(node, node.take_waiting)
+                next_look = time.monotonic() + _PAUSE
+                while (left := next_look - time.monotonic()) > 0.0 and not stopping.is_set():
+                    _guarded(node, partial(executor.spin_once, timeout_sec=left))
         finally:
             node.close()
             executor.remove_node(node)
@@ -107,18 +103,12 @@ def _run_node(solving: SolvingProcess) -> None:
         try_shutdown()
 
 
-def _guarded(node: GeomidNode, run: Callable[[], int | None]) -> int | None:
-    """Run something, and give its result. An error in it is reported, and the node lives on."""
+def _guarded(node: GeomidNode, run: Callable[[], object]) -> None:
+    """Run something. An error in it is reported, and the node lives on."""
     try:
-        return run()
+        run()
     except Exception as error:  # noqa: BLE001 the other callbacks go on
         node.fail("a callback failed", error)
-    return None
-
-
-def _next_pause(pause: float, taken: int) -> float:
-    """The pause after which enough messages wait, if they come as fast as those that were ``taken`` after the last."""
-    return min(max(pause * _AT_ONCE / max(taken, 1), _SHORTEST), _LONGEST)
 
 
 if __name__ == "__main__":

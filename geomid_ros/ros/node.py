@@ -125,9 +125,9 @@ class GeomidNode(Node):
     def _worker(self) -> Worker | None:
         return self._supervisor.worker
 
-    def take_waiting(self) -> int:
-        """Take the data that wait. Returns how many messages were taken since the last call."""
-        return self._inputs.take_waiting()
+    def take_waiting(self) -> None:
+        """Take the data that wait."""
+        self._inputs.take_waiting()
 
     def _take(self, topic: str, data: bytes) -> str:
         """Take a message, or say why not."""

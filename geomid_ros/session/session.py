@@ -163,7 +163,7 @@ class Session:
         else:
             worse = worse_channels(self.model, judged, estimate.parameters) if judged else worse_on_rows(estimate)
         recorded = self.recorded
-        peculiar = [*peculiarities(recorded.accounts), *recorded.remarks]
+        peculiar = [*peculiarities(recorded.accounts), *self.remarks]
         peculiar += [] if held_out is None else unlike(estimate, held_out)
         return verdict(estimate, self.findings, self.model, worse, recorded.unmeasured, peculiar)
 
@@ -198,13 +198,18 @@ class Session:
         self._unchecked += [] if bag.checked else [bag.path.name]
 
     @property
+    def remarks(self) -> tuple[str, ...]:
+        """What to know of the recordings although nothing is wrong, in sentences."""
+        return (*self._elsewhere.remarks, *self.check.remarks)
+
+    @property
     def recorded(self) -> Recorded:
         """What is known of all recordings beside their samples."""
         elsewhere = self._elsewhere
         return Recorded(
             accounts=self.pipeline.ledger.topics,
             findings=self.findings,
-            remarks=(*elsewhere.remarks, *self.check.remarks),
+            remarks=self.remarks,
             unmeasured=(*elsewhere.unmeasured, *self.check.unmeasured),
             incomplete=tuple(self._incomplete),
             unchecked=tuple(self._unchecked),
