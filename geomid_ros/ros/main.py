@@ -95,6 +95,7 @@ def _run_node(solving: SolvingProcess) -> None:
                 next_look = time.monotonic() + _PAUSE
                 while (left := next_look - time.monotonic()) > 0.0 and not stopping.is_set():
                     _guarded(node, partial(executor.spin_once, timeout_sec=left))
+            _guarded(node, node.take_waiting)
         finally:
             node.close()
             executor.remove_node(node)
