@@ -108,6 +108,7 @@ class RoundTrip:
                 duration=self.seconds,
                 hide=() if bare else (Hidden(planted.effect, planted.place, None, planted.parameters),),
                 wrench_frame=WRIST_FRAME if planted.wrench else None,
+                longest_step=1e-3,
             )
             simulate(path, options)
         return path

@@ -8,6 +8,7 @@ import subprocess
 import sys
 import textwrap
 from collections.abc import Callable, Iterator
+from functools import cache
 from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
@@ -58,17 +59,23 @@ def module_name(path: Path) -> str:
 MODULES = {module_name(path): path for path in sorted(PACKAGE.rglob("*.py"))}
 
 
+@cache
+def imports(module: str) -> tuple[tuple[str, bool], ...]:
+    """Every name that a module imports, wherever it does so, and whether that is at once when it is loaded."""
+    return tuple(imported(MODULES[module]))
+
+
+def nodes(node: ast.AST, at_once: bool = True) -> Iterator[tuple[ast.AST, bool]]:
+    """All that is in a node, and whether it is run at once: what is in a function is not."""
+    yield node, at_once
+    at_once &= not isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef)
+    for child in ast.iter_child_nodes(node):
+        yield from nodes(child, at_once)
+
+
 def imported(path: Path) -> Iterator[tuple[str, bool]]:
-    """Every name that a file imports, wherever it does so, and whether that is at once when the file is loaded."""
-    tree = ast.parse(path.read_text(encoding="utf-8"), filename=str(path))
-    later = {
-        inner
-        for function in ast.walk(tree)
-        if isinstance(function, ast.FunctionDef | ast.AsyncFunctionDef)
-        for inner in ast.walk(function)
-    }
-    for node in ast.walk(tree):
-        at_once = node not in later
+    """The same of a file."""
+    for node, at_once in nodes(ast.parse(path.read_text(encoding="utf-8"), filename=str(path))):
         if isinstance(node, ast.Import):
             yield from ((alias.name, at_once) for alias in node.names)
         elif isinstance(node, ast.ImportFrom):
@@ -92,9 +99,6 @@ def computed(name: ast.expr) -> list[str]:
     return [COMPUTED]
 
 
-IMPORTS = {name: list(imported(path)) for name, path in MODULES.items()}
-
-
 def room(module: str) -> str:
     """The room of a module of the package."""
     return f"{module}.__init__".split(".")[1]
@@ -108,7 +112,7 @@ def test_every_room_is_on_a_floor() -> None:
 @pytest.mark.parametrize("module", MODULES)
 def test_a_room_imports_from_itself_and_from_lower_floors(module: str) -> None:
     own = FLOORS.get(room(module), -1)
-    for name, _ in IMPORTS[module]:
+    for name, _ in imports(module):
         if name.split(".")[0] == PACKAGE.name:
             assert name in MODULES, f"{module} imports {name}, which does not exist"
             assert room(name) == room(module) or FLOORS[room(name)] < own, f"{module} on floor {own} imports {name}"
@@ -124,8 +128,8 @@ def small_room(module: str) -> str:
 @pytest.mark.parametrize("of", [str, small_room], ids=["files", "rooms"])
 def test_there_are_no_circles(of: Callable[[str], str]) -> None:
     graph: dict[str, set[str]] = {}
-    for module, names in IMPORTS.items():
-        used = {of(name) for name, _ in names if name in MODULES}
+    for module in MODULES:
+        used = {of(name) for name, _ in imports(module) if name in MODULES}
         graph.setdefault(of(module), set()).update(used - {of(module)})
     try:
         list(TopologicalSorter(graph).static_order())
@@ -135,7 +139,7 @@ def test_there_are_no_circles(of: Callable[[str], str]) -> None:
 
 @pytest.mark.parametrize("module", MODULES)
 def test_what_comes_from_outside_stays_in_its_room(module: str) -> None:
-    for name, at_once in IMPORTS[module]:
+    for name, at_once in imports(module):
         top = name.split(".")[0]
         keepers = ("ros",) if top.endswith(ROS_SUFFIXES) or top == COMPUTED else KEPT_IN.get(top)
         assert keepers is None or room(module) in keepers, f"{module} imports {name}"
@@ -144,9 +148,9 @@ def test_what_comes_from_outside_stays_in_its_room(module: str) -> None:
 
 def test_the_simulator_shares_no_code_with_the_estimator() -> None:
     """Else a mistake on both sides of the comparison would go unseen."""
-    for module, names in IMPORTS.items():
+    for module in MODULES:
         if room(module) == "simulation":
-            used = {room(name) for name, _ in names if name in MODULES}
+            used = {room(name) for name, _ in imports(module) if name in MODULES}
             assert used <= {"simulation", "errors", "types"}, f"{module} imports from {used}"
 
 
@@ -168,7 +172,7 @@ def test_only_an_effect_knows_itself() -> None:
     known = {(name, node.value) for name, path in OUTSIDERS.items() for node in texts(path) if node.value in EFFECTS}
     assert known == NAMESAKES
     for name in OUTSIDERS:
-        classes = {other for other, _ in IMPORTS[name] if other.rpartition(".")[2] in EFFECTS}
+        classes = {other for other, _ in imports(name) if other.rpartition(".")[2] in EFFECTS}
         assert not {other for other in classes if other.startswith(OF_EFFECTS)}, f"{name} imports {classes}"
     for template in PACKAGE.rglob("*.j2"):
         words = set(re.findall(r"\w+", template.read_text(encoding="utf-8")))

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from files.recordings import BAGS, recorded
+from signals.feeding import completed
 
 from geomid_ros.errors import InputError
 from geomid_ros.estimation.estimate import Estimate
@@ -22,11 +23,8 @@ HONEST = [item.parsed for item in recorded(BAGS / "arm3") if item.topic == "/joi
 def found(lie: Callable[[FloatArray], FloatArray]) -> Estimate:
     """What is identified from efforts that somebody has changed."""
     session = Session(ARM3, Configuration(), "arm3.urdf")
-    for message in HONEST:
-        session.pipeline.push(replace(message, effort=lie(message.effort)))
-        samples = session.pipeline.collect()
-        if samples is not None:
-            session.identifier.add(samples)
+    for samples in completed(session.pipeline, (replace(message, effort=lie(message.effort)) for message in HONEST)):
+        session.identifier.add(samples)
     return session.identifier.solve()
 
 

@@ -22,7 +22,7 @@ import numpy as np
 import pytest
 import yaml
 from commands.running import refused
-from files.recordings import BAGS, Recorded, recorded, write_bag
+from files.recordings import BAGS, QUICK, Recorded, recorded, write_bag
 
 from geomid_ros.simulation import WRIST_FRAME, SimulationOptions, simulate
 from geomid_ros.types import FloatArray
@@ -147,7 +147,10 @@ def dry(tmp_path_factory: pytest.TempPathFactory) -> list[Recorded]:
     """The messages of a robot without any effects."""
     pytest.importorskip("mujoco")
     bag = tmp_path_factory.mktemp("dry") / "bag"
-    simulate(bag, SimulationOptions(robot="arm3", seed=8, duration=14.0, hide=(), wrench_frame=WRIST_FRAME))
+    simulate(
+        bag,
+        SimulationOptions(robot="arm3", seed=8, duration=14.0, longest_step=QUICK, hide=(), wrench_frame=WRIST_FRAME),
+    )
     return recorded(bag)
 
 

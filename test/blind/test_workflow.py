@@ -9,12 +9,15 @@ from typing import Any
 
 import pytest
 from commands.running import done
+from files.recordings import QUICK
 
 from geomid_ros.simulation import WRIST_FRAME, Hidden, SimulationOptions, simulate
 from geomid_ros.simulation.robots import robot_description
 
 PERIOD = 5.0
-ARM3 = SimulationOptions(robot="arm3", duration=12.0, inertia_error=0.15, motion_period=PERIOD, motion_harmonics=7)
+ARM3 = SimulationOptions(
+    robot="arm3", duration=12.0, inertia_error=0.15, motion_period=PERIOD, motion_harmonics=7, longest_step=QUICK
+)
 ARM7 = replace(ARM3, robot="arm7", wrench_frame=WRIST_FRAME)
 
 

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from files.recordings import BAGS, Recorded, altered, recorded, write_bag
+from files.recordings import BAGS, QUICK, Recorded, altered, recorded, write_bag
 
 from geomid_ros.files.models.results import read_estimate
 from geomid_ros.files.models.sidecar import read_sidecar
@@ -32,7 +32,12 @@ def robot(bag: Path, hide: Hidden | None, **options: Any) -> Path:
     """A recording of the small arm in which ``hide`` is hidden."""
     pytest.importorskip("mujoco")
     hidden = (hide,) if hide else ()
-    simulate(bag, SimulationOptions(robot="arm3", seed=5, duration=15.0, hide=hidden, commands=True, **options))
+    simulate(
+        bag,
+        SimulationOptions(
+            robot="arm3", seed=5, duration=15.0, longest_step=QUICK, hide=hidden, commands=True, **options
+        ),
+    )
     return bag
 
 
@@ -187,7 +192,9 @@ def test_what_the_users_simulator_knows_is_no_gap(folder: Path, rubbing: Path) -
     """The robot has the friction and a spring; its simulator moves the same way, with the friction alone."""
     both = (Hidden("coulomb_friction", "joint2", LEVEL), Hidden("spring", "joint3", 0.5))
     measured = folder / "both"
-    simulate(measured, SimulationOptions(robot="arm3", seed=5, duration=15.0, hide=both, commands=True))
+    simulate(
+        measured, SimulationOptions(robot="arm3", seed=5, duration=15.0, longest_step=QUICK, hide=both, commands=True)
+    )
     out = folder / "with a simulator"
     done("gap", measured, "--urdf", URDF, "--simulated", rubbing, "--out", out)
     named = {(finding["effect"], finding["joint"]) for finding in read(out)["findings"]}

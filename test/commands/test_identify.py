@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from files.recordings import BAGS
+from files.recordings import BAGS, QUICK
 from matplotlib.figure import Figure
 
 from geomid_ros.api import identify as front_door
@@ -101,7 +101,12 @@ def second(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Another motion of the small arm."""
     pytest.importorskip("mujoco")
     bag = tmp_path_factory.mktemp("second") / "bag"
-    simulate(bag, SimulationOptions(robot="arm3", seed=2, motion_seed=7, duration=5.0, wrench_frame="wrist_ft"))
+    simulate(
+        bag,
+        SimulationOptions(
+            robot="arm3", seed=2, motion_seed=7, duration=5.0, longest_step=QUICK, wrench_frame="wrist_ft"
+        ),
+    )
     return bag
 
 
@@ -273,7 +278,12 @@ def test_an_offset_of_the_sensor_is_found_by_default(tmp_path: Path) -> None:
     masses, offsets = [], []
     for name, hide in (("without", ()), ("with", (Hidden("wrench_offset", "/wrench", None, planted),))):
         bag = tmp_path / name
-        simulate(bag, SimulationOptions(robot="arm3", seed=2, duration=15.0, wrench_frame="wrist_ft", hide=hide))
+        simulate(
+            bag,
+            SimulationOptions(
+                robot="arm3", seed=2, duration=15.0, longest_step=QUICK, wrench_frame="wrist_ft", hide=hide
+            ),
+        )
         done("identify", bag, "--urdf", BAGS / "arm3.urdf", *WRIST, "--out", tmp_path / f"{name}_out")
         document = read(tmp_path / f"{name}_out")
         masses.append(link(document, "wrist_ft")["mass"])

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from files.recordings import BAGS, Recorded, altered, recorded, write_bag
+from files.recordings import BAGS, QUICK, Recorded, altered, recorded, write_bag
 from matplotlib.figure import Figure
 
 import geomid_ros
@@ -214,7 +214,7 @@ def moving(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The small arm in motion from the first message on."""
     pytest.importorskip("mujoco")
     bag = tmp_path_factory.mktemp("moving") / "bag"
-    simulate(bag, SimulationOptions(robot="arm3", seed=2, duration=9.0))
+    simulate(bag, SimulationOptions(robot="arm3", seed=2, duration=9.0, longest_step=QUICK))
     messages = recorded(bag)
     return write_bag(bag.parent / "cut", [item for item in messages if item.time > messages[0].time + 1_500_000_000])
 

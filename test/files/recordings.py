@@ -17,6 +17,8 @@ from geomid_ros.signals.messages import JOINT_STATES, Message, parse
 
 BAGS = Path(__file__).parents[2] / "bags"
 TYPES = get_typestore(Stores.ROS2_JAZZY)
+QUICK = 1e-3
+"""The longest step of a simulation that is data for a test, which takes half the time of the usual one [s]."""
 
 
 @dataclass(frozen=True)

@@ -77,6 +77,12 @@ def learned(end: int = INSTANTS, **values: Any) -> Session:
 
 
 @cache
+def checkpoint_of(end: int) -> Checkpoint:
+    """What such a session has to keep."""
+    return learned(end).checkpoint()
+
+
+@cache
 def small() -> tuple[Session, bytes]:
     """A session and the file of its checkpoint."""
     known = learned()
@@ -315,8 +321,8 @@ def folder(tmp_path: Path) -> Path:
     """Two generations of a session, the newer with twice the rows."""
     path = tmp_path / "kept"
     with opened(path) as keeper:
-        keeper.write(learned(100).checkpoint())
-        keeper.write(learned(200).checkpoint())
+        keeper.write(checkpoint_of(100))
+        keeper.write(checkpoint_of(200))
     return path
 
 
@@ -359,7 +365,7 @@ class TestFolder:
             before = newest(folder)
             with opened(folder) as keeper:
                 keeper.restore(session().restore)
-                keeper.write(learned(rows // 3 + 100).checkpoint())
+                keeper.write(checkpoint_of(rows // 3 + 100))
             assert newest(folder) != before
             assert contents(folder).keys() == set(GENERATIONS)
 
@@ -384,7 +390,7 @@ class TestFolder:
         assert (rows, len(problems)) == (0, 2)
         with opened(folder) as keeper:
             for _ in range(3):
-                keeper.write(learned(100).checkpoint())
+                keeper.write(checkpoint_of(100))
         assert set(before) < set(contents(folder).values())
         assert len(contents(folder)) == 4
 
@@ -493,9 +499,9 @@ class TestFolder:
             with monkeypatch.context() as patch:
                 patch.setattr(os, "fsync", fail)
                 with pytest.raises(GeomidError, match=rf"checkpoint-.*cannot be written \({os.strerror(number)}\)"):
-                    keeper.write(learned(300).checkpoint())
+                    keeper.write(checkpoint_of(300))
             assert contents(folder) == before
-            keeper.write(learned(300).checkpoint())
+            keeper.write(checkpoint_of(300))
         assert restored(folder) == (900, ())
 
     def test_what_cannot_be_set_aside_is_not_replaced(self, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -512,8 +518,8 @@ class TestFolder:
         assert contents(folder) == before
 
     def test_a_ledger_too_long_is_an_error(self, folder: Path) -> None:
-        before, known = contents(folder), learned(100)
+        before = contents(folder)
         accounts = {str(topic): Account() for topic in range(100_000)}
         with opened(folder) as keeper, pytest.raises(GeomidError, match="cannot be written"):
-            keeper.write(replace(known.checkpoint(), accounts=accounts))
+            keeper.write(replace(checkpoint_of(100), accounts=accounts))
         assert contents(folder) == before

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from dataclasses import replace
 from functools import cache
+from itertools import product
 
 import numpy as np
 import pytest
@@ -185,8 +186,12 @@ def test_what_was_always_so_does_not_change(robot: Case) -> None:
     )
 
 
-@pytest.mark.parametrize("factor", [1000.0, 0.05, -1.0, -30.0])
-@pytest.mark.parametrize("place", [0.25, 0.5, 0.8])
+@pytest.mark.parametrize(
+    ("robot", "factor", "place"),
+    # Every factor at every place, and each of them with either robot.
+    [(ROBOTS[k % 2], *each) for k, each in enumerate(product((1000.0, 0.05, -1.0, -30.0), (0.25, 0.5, 0.8)))],
+    indirect=["robot"],
+)
 def test_efforts_in_another_unit_from_some_instant_on(robot: Case, factor: float, place: float) -> None:
     effort = robot.samples.effort.copy()
     effort[round(place * len(effort)) :] *= factor

@@ -14,7 +14,16 @@ from pathlib import Path
 from unittest.mock import patch
 
 _context = get_context("forkserver")
-_context.set_forkserver_preload(["geomid_ros.commands.root", "geomid_ros.ros.node", "geomid_ros.ros.player"])
+_context.set_forkserver_preload(
+    [
+        "geomid_ros.commands.root",
+        "geomid_ros.commands.results.identification",
+        "geomid_ros.ros.excite.run",
+        "geomid_ros.ros.live_run",
+        "geomid_ros.ros.node",
+        "geomid_ros.ros.player",
+    ]
+)
 
 
 class Forked:

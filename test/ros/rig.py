@@ -15,6 +15,7 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from files.recordings import TYPES, Recorded
 from geometry_msgs.msg import InertiaStamped
 from rclpy.publisher import Publisher
+from signals.feeding import completed
 from std_srvs.srv import Trigger
 
 from geomid_ros.model.samples import Samples
@@ -44,19 +45,15 @@ class Twin:
 
     def feed(self, items: Iterable[Recorded]) -> None:
         """Take messages."""
-        for item in items:
-            samples = self.feed_pipeline(item)
-            if samples is not None:
-                self.session.identifier.add(samples)
+        for samples in self._completed(items):
+            self.session.identifier.add(samples)
 
     def samples(self, items: Iterable[Recorded]) -> Samples:
         """The samples that messages complete, all together."""
-        return Samples.concatenate([found for found in map(self.feed_pipeline, items) if found is not None])
+        return Samples.concatenate(list(self._completed(items)))
 
-    def feed_pipeline(self, item: Recorded) -> Samples | None:
-        """Take a message; the samples that it completes."""
-        self.session.pipeline.push(item.parsed)
-        return self.session.pipeline.collect()
+    def _completed(self, items: Iterable[Recorded]) -> Iterator[Samples]:
+        return completed(self.session.pipeline, (item.parsed for item in items))
 
 
 class Rig:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 from dataclasses import replace
 from typing import Any
 
@@ -19,9 +18,9 @@ def stamp_of(item: Recorded) -> int:
 
 def stamped(item: Recorded, stamp: int) -> Recorded:
     """The same message with another stamp [ns]."""
-    message = copy.deepcopy(item.message)
-    message.header.stamp.sec, message.header.stamp.nanosec = divmod(stamp, 1_000_000_000)
-    return replace(item, message=message)
+    sec, nanosec = divmod(stamp, 1_000_000_000)
+    header = item.message.header
+    return item.changed(header=replace(header, stamp=replace(header.stamp, sec=sec, nanosec=nanosec)))
 
 
 def later(item: Recorded, nanoseconds: int) -> Recorded:
@@ -43,14 +42,10 @@ def entry(item: Recorded, key: str, place: int, value: float) -> Recorded:
 
 def in_frame(item: Recorded, frame: str) -> Recorded:
     """A wrench that says that it is given in another frame."""
-    message = copy.deepcopy(item.message)
-    message.header.frame_id = frame
-    return replace(item, message=message)
+    return item.changed(header=replace(item.message.header, frame_id=frame))
 
 
 def with_force(item: Recorded, **force: float) -> Recorded:
     """A wrench with other forces, on a stamp of its own."""
-    message = copy.deepcopy(item.message)
-    for axis, value in force.items():
-        setattr(message.wrench.force, axis, value)
-    return later(replace(item, message=message), BETWEEN)
+    wrench = item.message.wrench
+    return changed(item, wrench=replace(wrench, force=replace(wrench.force, **force)))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -26,7 +27,12 @@ def description(robot: str) -> str:
 
 def messages(robot: str = "arm3") -> list[Recorded]:
     """What a shipped bag has on the data topics."""
-    return [item for item in recorded(BAGS / robot) if item.topic in KINDS]
+    return list(_messages(robot))
+
+
+@cache
+def _messages(robot: str) -> tuple[Recorded, ...]:
+    return tuple(item for item in recorded(BAGS / robot) if item.topic in KINDS)
 
 
 class Stage:

@@ -186,8 +186,7 @@ def test_52_rows_that_cannot_be_made_are_counted(faulty: Faulty) -> None:
         rig.says(begin, ERROR, "rows could not be made: ZeroDivisionError: planted")
         assert int(values["rows rejected: ZeroDivisionError"]) > 0
         assert len(rig.inertias) == heard
-    for item in after[:100]:  # the twin loses the same rows
-        rig.twin.feed_pipeline(item)
+    rig.twin.samples(after[:100])  # the twin loses the same rows
     rig.feed(after[100:])
     rig.assert_same_as_twin()
 

@@ -271,9 +271,11 @@ def test_a_bad_stream_is_named_and_leaves_no_trace(name: str, rig: Rig) -> None:
     begin = len(rig.arrays)
     last = stamp_of(before[-1])
     rig.send([case.alter(item, place) for place, item in enumerate(after)])
-    for place, item in enumerate(after):
-        spared = case.spare(item, place, stamp_of(item) - last) if case.spare else case.alter(item, place)
-        rig.twin.feed([spared] if spared else [])
+    spared = [
+        case.spare(item, place, stamp_of(item) - last) if case.spare else case.alter(item, place)
+        for place, item in enumerate(after)
+    ]
+    rig.twin.feed(item for item in spared if item)
     rig.settled(begin)
     rig.says(begin, case.level, *case.says)
     assert rig.node.running

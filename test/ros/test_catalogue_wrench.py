@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 import json
 from collections.abc import Callable
 from dataclasses import replace
@@ -23,12 +22,13 @@ def with_wrench(item: Recorded, change: Callable[[np.ndarray, np.ndarray], tuple
     """A wrench message with other forces and torques."""
     if item.topic != "/wrench":
         return item
-    message = copy.deepcopy(item.message)
-    parts = [message.wrench.force, message.wrench.torque]
-    changed = change(*(np.array([part.x, part.y, part.z]) for part in parts))
-    for part, values in zip(parts, changed, strict=True):
-        part.x, part.y, part.z = map(float, values)
-    return replace(item, message=message)
+    wrench = item.message.wrench
+    parts = (wrench.force, wrench.torque)
+    values = change(*(np.array([part.x, part.y, part.z]) for part in parts))
+    force, torque = (
+        replace(part, **dict(zip("xyz", map(float, new), strict=True))) for part, new in zip(parts, values, strict=True)
+    )
+    return item.changed(wrench=replace(wrench, force=force, torque=torque))
 
 
 TURN = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])

@@ -19,12 +19,14 @@ import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from geometry_msgs.msg import InertiaStamped
+from signals.feeding import completed
 
 from geomid_ros.estimation.estimator import WarmStart
 from geomid_ros.files.checkpoints.checkpoint import Checkpoint, decoded
 from geomid_ros.files.checkpoints.checkpoint_folder import CheckpointFolder
 from geomid_ros.live.saving import Checkpoints
 from geomid_ros.live.worker import Worker
+from geomid_ros.model.samples import Samples
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.session import Session
 
@@ -50,10 +52,8 @@ def session(robot: str = "arm3") -> Session:
 
 def fed(of: Session, begin: int, end: int) -> Session:
     """A session with this part of the bag, as a node has it that has heard nothing before."""
-    pipeline = of.new_pipeline()
-    for item in MESSAGES[begin:end]:
-        pipeline.push(item.parsed)
-    of.identifier.add(pipeline.collect())
+    part = (item.parsed for item in MESSAGES[begin:end])
+    of.identifier.add(Samples.concatenate(list(completed(of.new_pipeline(), part))))
     return of
 
 

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from commands.running import done
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
-from files.recordings import BAGS, Recorded, recorded, write_bag
+from files.recordings import BAGS, QUICK, Recorded, recorded, write_bag
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 
@@ -35,7 +35,10 @@ def rubbing(tmp_path_factory: pytest.TempPathFactory) -> list[Recorded]:
     pytest.importorskip("mujoco")
     bag = tmp_path_factory.mktemp("rubbing") / "bag"
     hide = (Hidden("coulomb_friction", "joint2", LEVEL),)
-    simulate(bag, SimulationOptions(robot="arm3", seed=5, duration=SECONDS, hide=hide, motion="aperiodic"))
+    simulate(
+        bag,
+        SimulationOptions(robot="arm3", seed=5, duration=SECONDS, longest_step=QUICK, hide=hide, motion="aperiodic"),
+    )
     return [item for item in recorded(bag) if item.topic == "/joint_states"]
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 from commands.running import done
-from files.recordings import BAGS, Recorded, recorded
+from files.recordings import BAGS, QUICK, Recorded, recorded
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 
@@ -25,7 +25,9 @@ HOUR = 3_600_000_000_000  # [ns]
 
 def simulated(bag: Path, motion: int, *hide: Hidden) -> list[Recorded]:
     """Joint messages of the same small arm."""
-    simulate(bag, SimulationOptions(robot="arm3", seed=5, motion_seed=motion, duration=20.0, hide=hide))
+    simulate(
+        bag, SimulationOptions(robot="arm3", seed=5, motion_seed=motion, duration=20.0, longest_step=QUICK, hide=hide)
+    )
     return [item for item in recorded(bag) if item.topic == "/joint_states"]
 
 

@@ -14,6 +14,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from files.recordings import BAGS
+from signals.feeding import completed
 
 from geomid_ros.errors import GeomidError
 from geomid_ros.estimation.estimate import Estimate
@@ -45,12 +46,9 @@ def parent(process: int) -> int:
 def session(messages: int = 400, **parameters: object) -> Session:
     """The small arm's, with rows of so many messages."""
     result = Session(read_urdf(BAGS / "arm3.urdf"), Configuration(parameters), "arm3.urdf")
-    for item in MESSAGES[: 2 * messages]:
-        if item.topic == "/joint_states":
-            result.pipeline.push(item.parsed)
-            samples = result.pipeline.collect()
-            if samples is not None:
-                result.identifier.add(samples)
+    joints = (item.parsed for item in MESSAGES[: 2 * messages] if item.topic == "/joint_states")
+    for samples in completed(result.pipeline, joints):
+        result.identifier.add(samples)
     return result
 
 

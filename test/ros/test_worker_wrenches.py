@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 from files.recordings import BAGS, Recorded
+from signals.feeding import AT_ONCE, completed
 
 from geomid_ros.errors import GeomidError
 from geomid_ros.estimation.estimate import Estimate
@@ -109,11 +110,12 @@ class Working:
 
     def take(self, items: list[Recorded]) -> None:
         """Take messages. At any time, all rows are accounted for."""
-        for number, item in enumerate(items):
+        for begin in range(0, len(items), AT_ONCE):
+            for item in items[begin : begin + AT_ONCE]:
+                self.worker.take(*item.raw)
+            self.status()
             while not self.worker._inbox.empty():  # on a busy machine what waits for long is dropped
-                time.sleep(1e-4)
-            self.worker.take(*item.raw)
-            if number % 20 == 0:
+                time.sleep(2e-3)
                 self.status()
 
     def status(self) -> Status:
@@ -138,12 +140,7 @@ def working() -> Iterator[Working]:
 
 def samples(items: list[Recorded]) -> Samples:
     """All that messages complete."""
-    pipeline = session().pipeline
-    found = []
-    for item in items:
-        pipeline.push(item.parsed)
-        found.append(pipeline.collect())
-    return Samples.concatenate([part for part in found if part is not None])
+    return Samples.concatenate(list(completed(session().pipeline, (item.parsed for item in items))))
 
 
 def silent(of: Samples, topic: str, begin: int = 0, end: int | None = None) -> Samples:

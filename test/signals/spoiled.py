@@ -11,11 +11,11 @@ import numpy as np
 from geomid_ros.model.samples import Samples
 from geomid_ros.model.sensors import WrenchSensor
 from geomid_ros.signals.gates import Limits
-from geomid_ros.signals.messages import Block, JointMessage, Message
+from geomid_ros.signals.messages import JointMessage, Message
 from geomid_ros.signals.pipeline import SignalPipeline
 from geomid_ros.signals.settings import SignalSettings
 
-from .feeding import JOINTS, in_time, jittered, joint_messages, regular, without, wrench_messages
+from .feeding import JOINTS, blocks, in_time, jittered, joint_messages, regular, without, wrench_messages
 
 TURN = 2.0 * np.pi
 Change = Callable[[np.random.Generator, list[Message]], list[Message]]
@@ -138,24 +138,6 @@ def pipeline(*, merge: bool, **told: Any) -> SignalPipeline:
     return SignalPipeline(
         JOINTS, sensors=[sensor], settings=settings, continuous=["wrist"], turning=JOINTS, limits=limits, **told
     )
-
-
-def blocks(messages: Sequence[Message]) -> list[Block]:
-    """Those of one layout in one block, as a decoder gives them."""
-    groups: dict[Any, list[Block]] = {}
-    for place, message in enumerate(messages):
-        one = Block.of(message, place)
-        groups.setdefault((one.topic, one.names, tuple(a.shape[1] for a in one.arrays)), []).append(one)
-    return [
-        Block(
-            several[0].topic,
-            np.concatenate([each.order for each in several]),
-            np.concatenate([each.stamps for each in several]),
-            several[0].names,
-            tuple(np.concatenate(parts) for parts in zip(*(each.arrays for each in several), strict=True)),
-        )
-        for several in groups.values()
-    ]
 
 
 def in_parts(target: SignalPipeline, messages: Sequence[Message], ends: Sequence[int]) -> Samples | None:

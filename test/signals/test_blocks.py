@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -77,14 +78,21 @@ def assert_same_to_the_last_digit(actual: Samples, expected: Samples) -> None:
         np.testing.assert_array_equal(actual.arrays[name], array, err_msg=name)
 
 
+@cache
+def one_by_one(seed: int, share: float) -> tuple[list[Message], SignalPipeline, list[Accepted], Samples]:
+    """Messages, the pipeline that took them, what it accepted, and its samples."""
+    messages, seen = spoiled(seed, share), list[Accepted]()
+    alone = pipeline(seen)
+    return messages, alone, seen, in_blocks(alone, messages, 1)
+
+
 @pytest.mark.parametrize("size", [2, 17, 400, 10_000])
 @pytest.mark.parametrize("share", [0.0, 0.004, 0.04])
 @pytest.mark.parametrize("seed", [0, 1])
 def test_blocks_of_any_size_make_the_same_samples(size: int, share: float, seed: int) -> None:
-    messages = spoiled(seed, share)
-    seen: tuple[list[Accepted], list[Accepted]] = ([], [])
-    alone, together = pipeline(seen[0]), pipeline(seen[1])
-    expected = in_blocks(alone, messages, 1)
+    messages, alone, told, expected = one_by_one(seed, share)
+    seen: tuple[list[Accepted], list[Accepted]] = (told, [])
+    together = pipeline(seen[1])
     assert_same_to_the_last_digit(in_blocks(together, messages, size), expected)
     ledgers = alone.ledger.topics, together.ledger.topics
     for topic, account in ledgers[0].items():
