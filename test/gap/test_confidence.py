@@ -253,18 +253,28 @@ def test_what_curves_say_on_unseen_data_too_is_no_doubt_of_a_name_beside_them(
     assert replace(beside, name=named("gravity_tilt", None), bare=(1.0, 12.0, 1.0)).confidence() == "tentative"
 
 
-@pytest.mark.parametrize(("after", "expected"), [((1.0, 1.5, 1.0), "tentative"), ((1.0, 1.3, 1.0), "confident")])
-def test_a_name_that_dominates_is_not_judged_beside_a_curve_that_contains_it(
-    after: tuple[float, ...], expected: Confidence, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize(
+    ("after", "varied", "expected"),
+    [
+        ((1.0, 1.5, 1.0), "coulomb_friction", "tentative"),
+        ((1.0, 1.3, 1.0), "coulomb_friction", "confident"),
+        ((1.0, 1.3, 1.0), "", "tentative"),
+    ],
+)
+def test_a_name_that_dominates_is_not_judged_beside_a_curve_by_which_its_size_varies(
+    after: tuple[float, ...], varied: str, expected: Confidence
 ) -> None:
     """Friction by position is Coulomb friction, and more: beside it nothing is lost without that."""
-    all_curves_contain(monkeypatch, True)
-    spanning = curve(1)
-    judged = replace(COULOMB, others=[spanning], after=after, loss=5.0)
-    evidence = judged.evidence
-    assert (spanning in evidence.whole.chosen) == (expected == "tentative")
-    beside = 5.0 if spanning in evidence.whole.chosen else 1000.0
-    assert replace(evidence, loss=beside).confidence({}) == expected
+    spanning = replace(curve(1), varied=varied)
+    evidence = replace(COULOMB, others=[spanning], after=after).evidence
+    beside = spanning in evidence.whole.chosen
+    assert replace(evidence, loss=5.0 if beside else 1000.0).confidence({}) == expected
+
+
+def test_a_name_that_closes_little_does_not_dominate_where_nothing_is_left() -> None:
+    """Eight times the share of a channel that still counts as closed, ``1.15^2 - 1``, are 2.58."""
+    assert not replace(SURE, unnamed=(1.0, 1.88, 1.0)).evidence.closing.dominates
+    assert replace(SURE, unnamed=(1.0, 1.9, 1.0)).evidence.closing.dominates
 
 
 @pytest.mark.parametrize(("instead", "expected"), [(-3.0, "tentative"), (3.0, "confident")])

@@ -60,14 +60,17 @@ class Closing:
     @cached_property
     def beside(self) -> JointFit:
         """The fit in which it is judged: the names with the curves that they leave room for. A name that dominates is
-        no shadow of what these curves say: those that contain it, beside which it would bring nothing, are left out."""
+        no shadow of what these say: one that lets its size vary, beside which it would bring nothing, is left out."""
         found, search = self.analysis.whole, self.analysis.search.unchanged(self.candidate)
-        curves = [c for c in found.chosen if isinstance(c, CurveCandidate) and c.joint == self.candidate.joint]
-        for curve in curves if self.dominates else []:
-            smaller = search.without(found, curve)
-            if contains(self.analysis, search.without(smaller, self.candidate), curve, self.candidate):
-                found = smaller
+        for curve in found.chosen:
+            if self.is_varied_by(curve):
+                found = search.without(found, curve)
         return found
+
+    def is_varied_by(self, curve: AnyCandidate) -> bool:
+        """Whether a curve says of a name that dominates only that its size is not the same everywhere."""
+        varied = isinstance(curve, CurveCandidate) and (curve.varied, curve.joint)
+        return varied == (self.candidate.name, self.candidate.joint) and self.dominates
 
     @cached_property
     def predicts(self) -> bool:
@@ -87,9 +90,10 @@ class Closing:
 
     @property
     def _left(self) -> float:
-        """What is left beyond noise and the uncertainty of all that was fitted."""
-        gap, reached = self.unseen.gap, self.reached
-        return float(np.nansum(np.maximum(gap.after[reached] ** 2 - gap.expected[reached] ** 2, 0.0)))
+        """What may be left beyond noise and the uncertainty of all that was fitted: no less than a channel may have
+        that counts as closed."""
+        after, expected = self.unseen.gap.after[self.reached], self.unseen.gap.expected[self.reached]
+        return float(np.nansum(np.maximum(after, REACHED * expected) ** 2 - expected**2))
 
     @cached_property
     def _squares_without(self) -> FloatArray:

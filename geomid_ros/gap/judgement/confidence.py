@@ -125,9 +125,8 @@ class Evidence:
             return np.inf
         rest, loss = self._search.without(whole, self.candidate), instead.score - whole.score
         curves = [c for c in instead.chosen if c not in whole.chosen]
-        enough = self.closing.dominates or loss >= 0.0
-        contained = enough and all(contains(self.analysis, rest, curve, self.candidate) for curve in curves)
-        return np.inf if contained else loss
+        enough = loss >= 0.0 and all(contains(self.analysis, rest, curve, self.candidate) for curve in curves)
+        return np.inf if enough or all(map(self.closing.is_varied_by, curves)) else loss
 
     @property
     def _is_weak(self) -> bool:
