@@ -254,18 +254,18 @@ def test_what_curves_say_on_unseen_data_too_is_no_doubt_of_a_name_beside_them(
 
 
 @pytest.mark.parametrize(
-    ("after", "varied", "expected"),
+    ("after", "dry", "expected"),
     [
-        ((1.0, 1.5, 1.0), "coulomb_friction", "tentative"),
-        ((1.0, 1.3, 1.0), "coulomb_friction", "confident"),
-        ((1.0, 1.3, 1.0), "", "tentative"),
+        ((1.0, 1.5, 1.0), True, "tentative"),
+        ((1.0, 1.3, 1.0), True, "confident"),
+        ((1.0, 1.3, 1.0), False, "tentative"),
     ],
 )
 def test_a_name_that_dominates_is_not_judged_beside_a_curve_by_which_its_size_varies(
-    after: tuple[float, ...], varied: str, expected: Confidence
+    after: tuple[float, ...], dry: bool, expected: Confidence
 ) -> None:
     """Friction by position is Coulomb friction, and more: beside it nothing is lost without that."""
-    spanning = replace(curve(1), varied=varied)
+    spanning = replace(curve(1), dry=dry)
     evidence = replace(COULOMB, others=[spanning], after=after).evidence
     beside = spanning in evidence.whole.chosen
     assert replace(evidence, loss=5.0 if beside else 1000.0).confidence({}) == expected

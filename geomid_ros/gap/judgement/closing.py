@@ -69,8 +69,9 @@ class Closing:
 
     def is_varied_by(self, curve: AnyCandidate) -> bool:
         """Whether a curve says of a name that dominates only that its size is not the same everywhere."""
-        varied = isinstance(curve, CurveCandidate) and (curve.varied, curve.joint)
-        return varied == (self.candidate.name, self.candidate.joint) and self.dominates
+        if not isinstance(curve, CurveCandidate) or not curve.dry or curve.joint != self.candidate.joint:
+            return False
+        return bool(np.any(self.candidate.effect.dry_friction(1.0, np.zeros(1)))) and self.dominates
 
     @cached_property
     def predicts(self) -> bool:
