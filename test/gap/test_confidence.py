@@ -20,6 +20,7 @@ LEFT = replace(SURE, after=ELSEWHERE)
 CARRIED = replace(SURE, name=PAYLOAD, reached=(0, 1, 2))
 COULOMB = replace(SURE, name=named("coulomb_friction"))
 TILT = replace(SURE, name=named("gravity_tilt", None), reached=(0, 1, 2))
+SIZE = {"size": Quantity(1.0, 0.01, "")}
 
 
 @pytest.fixture(autouse=True)
@@ -268,7 +269,7 @@ def test_a_name_that_dominates_is_not_judged_beside_a_curve_by_which_its_size_va
     spanning = replace(curve(1), dry=dry)
     evidence = replace(COULOMB, others=[spanning], after=after).evidence
     beside = spanning in evidence.whole.chosen
-    assert replace(evidence, loss=5.0 if beside else 1000.0).confidence({}) == expected
+    assert replace(evidence, loss=5.0 if beside else 1000.0).confidence(SIZE) == expected
 
 
 def test_a_name_that_closes_little_does_not_dominate_where_nothing_is_left() -> None:
@@ -299,12 +300,33 @@ def test_the_share_is_between_nothing_and_all() -> None:
     assert replace(SURE, without=(1.0, 1.0, 1.0), bare=(1.0, 1.0, 1.0)).evidence.share == 0.0
 
 
-@pytest.mark.parametrize(("std", "expected"), [(0.4, "tentative"), (0.3, "confident"), (np.nan, "confident")])
+@pytest.mark.parametrize(("std", "expected"), [(0.4, "tentative"), (0.3, "confident")])
 def test_a_payload_has_to_weigh_something(std: float, expected: Confidence) -> None:
-    """Three standard deviations; what is no payload has no mass."""
-    if np.isfinite(std):
-        assert CARRIED.confidence(1.0, std) == expected
-    assert SURE.confidence(0.0, std) == "confident"
+    """Three standard deviations."""
+    assert CARRIED.confidence(1.0, std) == expected
+
+
+@pytest.mark.parametrize(
+    ("effect", "sizes", "expected"),
+    [
+        ("viscous_friction", [(1.0, 0.4)], "tentative"),
+        ("viscous_friction", [(-1.0, 0.4)], "tentative"),
+        ("viscous_friction", [(1.0, 0.3)], "confident"),
+        ("spring", [(1.0, 0.4), (5.0, 0.1)], "confident"),
+        ("effort_gain", [(1.3, 0.11)], "tentative"),
+        ("effort_gain", [(1.3, 0.09)], "confident"),
+    ],
+)
+def test_a_name_whose_size_may_be_that_of_no_effect_is_unsure(
+    effect: str, sizes: list[tuple[float, float]], expected: Confidence
+) -> None:
+    """Three standard deviations; no gain is a gain of one."""
+    parameters = {str(place): Quantity(*size, "") for place, size in enumerate(sizes)}
+    found = replace(SURE, name=named(effect))
+    assert found.evidence.confidence(parameters) == expected
+    monitored = found.evidence
+    monitored.analysis.search.prior.terms = found.name.terms
+    assert monitored._may_be_nothing(parameters) is False  # that of the model has changed, to nothing maybe
 
 
 def test_a_payload_of_unknown_mass_is_unsure() -> None:
@@ -413,4 +435,4 @@ def test_a_name_that_shares_a_part_with_what_the_model_has_is_new() -> None:
     analysis.search.prior.terms, analysis.search.prior.values = (offset,), np.array([0.5])
     analysis.search.prior.spreads = np.array([0.1])
     analysis.names.value = lambda _: 0.5
-    assert replace(spring.evidence, analysis=analysis).confidence({}) == "confident"
+    assert replace(spring.evidence, analysis=analysis).confidence(SIZE) == "confident"

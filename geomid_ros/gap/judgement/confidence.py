@@ -36,7 +36,7 @@ DOMINANT_SHARE = 0.3
 LEAST_RISE = 1.05
 """Without a name that is sure, the remainder of some channel is so many times larger; payloads apart."""
 LEAST_OTHER_WAY = 0.05
-_SURE_OF_MASS = 3.0  # standard deviations
+_SURE_OF_SIZE = 3.0  # standard deviations
 _SURE_OF_CHANGE = 3.0  # the same
 
 
@@ -81,12 +81,22 @@ class Evidence:
             return "tentative"
         if self._is_beside_unexplained or self._is_hidden_by_others:
             return "tentative"
-        if self.candidate.payload is not None and not parameters["mass"].value > _SURE_OF_MASS * parameters["mass"].std:
-            return "tentative"  # it may weigh nothing
+        if self._may_be_nothing(parameters):
+            return "tentative"
         # Where the floor is reached the score can be trusted; else it takes errors of the model for noise.
         design, prior = self.analysis.search.design, self.analysis.search.prior
         sure = self.closing.is_all or (generalises(design, self.whole, self.candidate, prior) and self.closing.predicts)
         return "confident" if sure else "tentative"
+
+    def _may_be_nothing(self, parameters: dict[str, Quantity]) -> bool:
+        """Whether a payload may weigh nothing; or all sizes of a name be those of no effect, unless the model has it
+        and it may have come to nothing."""
+        if self.candidate.payload is not None:
+            return not parameters["mass"].value > _SURE_OF_SIZE * parameters["mass"].std
+        if set(self.candidate.terms) <= set(self.analysis.search.prior.terms):
+            return False
+        nothing = 1.0 if self.candidate.effect.scales_measurement else 0.0
+        return all(abs(size.value - nothing) <= _SURE_OF_SIZE * size.std for size in parameters.values())
 
     @property
     def _is_ambiguous(self) -> bool:
