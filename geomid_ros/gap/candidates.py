@@ -130,13 +130,15 @@ class Candidate:
 
 @dataclass(frozen=True, eq=False)
 class CurveCandidate:
-    """A free curve of one ``variable`` (position, velocity, load, time or a joint's name) at a joint."""
+    """A free curve of one ``variable`` (position, velocity, load, time or a joint's name) at a joint; ``dry``:
+    whether it lets the level of dry friction vary, so that its columns add up to that of one level."""
 
     variable: str
     curve: str
     joint: int
     terms: tuple[Term, ...]
     penalty: float
+    dry: bool = False
 
     def excludes(self, other: Candidate | CurveCandidate) -> bool:
         """Whether it is a curve of the same variable."""

@@ -56,7 +56,8 @@ class Judged:
     ``loss``: how much worse the score is without it; ``losses``: without each of the ``others``; ``instead``: with a
     curve in its place. ``without``, ``bare``: sums of squares of each channel without the name and without any,
     those of the whole being 1. ``after``, ``expected``, ``unnamed``: remainders of ``counts`` unseen instants with all
-    names, as they should be, and without the name. ``reached``: the channels that it can change.
+    names, as they should be, and without the name; ``with_curves``: with free curves, too, those of ``after`` unless
+    given. ``reached``: the channels that it can change.
     """
 
     name: Candidate = field(default_factory=lambda: named("viscous_friction"))
@@ -68,6 +69,7 @@ class Judged:
     without: Sequence[float] = (1.0, 4.0, 1.0)
     bare: Sequence[float] = (1.0, 4.0, 1.0)
     after: Sequence[float] = (1.0, 1.0, 1.0)
+    with_curves: Sequence[float] | None = None
     expected: Sequence[float] = (1.0, 1.0, 1.0)
     unnamed: Sequence[float] = (1.0, 3.0, 1.0)
     counts: Sequence[float] = (1e4, 1e4, 1e4)
@@ -79,17 +81,18 @@ class Judged:
         """As :class:`geomid_ros.gap.search.analysis.Analysis`."""
         whole = Fit(0.0, np.ones(3), (self.name, *self.others))
 
-        def without(_: Fit, candidate: AnyCandidate) -> Fit:
+        def without(found: Fit, candidate: AnyCandidate) -> Fit:
+            rest = tuple(c for c in found.chosen if c is not candidate)
             if candidate is self.name:
-                return Fit(self.loss, np.array(self.without))
-            return Fit(self.losses.get(candidate, self.loss), np.ones(3))
+                return Fit(self.loss, np.array(self.without), rest)
+            return Fit(self.losses.get(candidate, self.loss), np.ones(3), rest)
 
-        def instead(_: Fit, __: AnyCandidate) -> Fit | None:
-            return None if self.instead is None else Fit(self.instead, np.ones(3))
+        def instead(found: Fit, _: AnyCandidate) -> Fit | None:
+            return None if self.instead is None else Fit(self.instead, np.ones(3), (*found.chosen, curve(1, "instead")))
 
         search = SimpleNamespace(
             design=SimpleNamespace(reached=lambda _: list(self.reached)),
-            prior=SimpleNamespace(certainty=self.certainty, terms=()),
+            prior=SimpleNamespace(certainty=self.certainty, terms=(), spread=0.2),
             without=without,
             instead=instead,
         )
@@ -102,7 +105,10 @@ class Judged:
         """As :class:`geomid_ros.gap.judgement.held_out.HeldOut`."""
         gap = SimpleNamespace(after=np.array(self.after), expected=np.array(self.expected))
         return SimpleNamespace(
-            counts=np.array(self.counts), gap=gap, times_floor=lambda _: np.array(self.unnamed, dtype=float)
+            counts=np.array(self.counts),
+            gap=gap,
+            with_curves=np.array(self.after if self.with_curves is None else self.with_curves),
+            times_floor=lambda _: np.array(self.unnamed, dtype=float),
         )
 
     @property

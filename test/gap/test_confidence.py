@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from geomid_ros.gap.judgement import confidence, verdict
+from geomid_ros.gap.judgement import closing, confidence, verdict
 from geomid_ros.gap.result import Confidence, Rival
 from geomid_ros.model.effects import Quantity
 
@@ -20,12 +20,20 @@ LEFT = replace(SURE, after=ELSEWHERE)
 CARRIED = replace(SURE, name=PAYLOAD, reached=(0, 1, 2))
 COULOMB = replace(SURE, name=named("coulomb_friction"))
 TILT = replace(SURE, name=named("gravity_tilt", None), reached=(0, 1, 2))
+SIZE = {"size": Quantity(1.0, 0.01, "")}
 
 
 @pytest.fixture(autouse=True)
 def _every_name_generalises(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Blocks of time have a test of their own."""
+    """Blocks of time have a test of their own; and no curve contains a name."""
     monkeypatch.setattr(confidence, "generalises", lambda *_: True)
+    all_curves_contain(monkeypatch, False)
+
+
+def all_curves_contain(monkeypatch: pytest.MonkeyPatch, expected: bool) -> None:
+    """Every name, or none."""
+    for module in (closing, confidence):
+        monkeypatch.setattr(module, "contains", lambda *_: expected)
 
 
 def test_a_name_that_matters_and_leaves_nothing_is_sure() -> None:
@@ -58,9 +66,20 @@ RICHER = Rival("stribeck_friction", JOINTS[1], 5.0)
         (replace(RICHER, loss=-1.0), (1.0, 1.0, 1.0), "ambiguous"),
         (replace(RICHER, joint=JOINTS[0]), (1.0, 1.0, 1.0), "ambiguous"),
         (RICHER, OPEN, "ambiguous"),
+        (RICHER, (1.0, 1.3, 1.0), "confident"),
+        (replace(RICHER, loss=-1.0), (1.0, 1.3, 1.0), "confident"),
         (RICHER, ELSEWHERE, "confident"),
     ],
-    ids=["as good", "no better", "better", "elsewhere", "something is left here", "something is left elsewhere"],
+    ids=[
+        "as good",
+        "no better",
+        "better",
+        "elsewhere",
+        "much is left here",
+        "little is left here",
+        "little, and better",
+        "something is left elsewhere",
+    ],
 )
 def test_a_name_that_contains_it_is_no_rival_unless_it_is_needed(
     rival: Rival, after: tuple[float, ...], expected: Confidence
@@ -75,8 +94,10 @@ def test_a_payload_that_wrong_inertias_explain_as_well_is_ambiguous_where_these_
     assert replace(imitated, without=(1.0, 1.3, 1.0)).confidence() == "confident"
 
 
-def test_of_an_identified_robot_a_payload_is_what_the_known_inertias_leave() -> None:
+def test_of_an_identified_robot_a_payload_is_what_the_known_inertias_leave(monkeypatch: pytest.MonkeyPatch) -> None:
     """Fitted ones take its place, and leave as little; the other coefficients are as they were fitted."""
+    unfitted = SimpleNamespace()
+    monkeypatch.setattr(closing, "fit", lambda *_: unfitted)
     imitated = replace(CARRIED, without=(1.0, 1.0, 1.0), bare=(1.0, 1.0, 1.0), certainty=IDENTIFIED)
     evidence = imitated.evidence
     whole, search = evidence.analysis.whole, evidence.analysis.search
@@ -157,17 +178,17 @@ def test_but_for_a_payload() -> None:
     ids=["at its joint", "at another joint", "by its joint's motion", "by another joint's motion"],
 )
 def test_what_has_no_name_at_its_joint_makes_it_unsure(left: object, expected: Confidence) -> None:
-    assert replace(SURE, others=[left], after=(1.1, 1.1, 1.1), unnamed=(1.0, 1.5, 1.0)).confidence() == expected
+    assert replace(SURE, others=[left], after=(1.3, 1.3, 1.3), unnamed=(1.0, 2.0, 1.0)).confidence() == expected
 
 
-@pytest.mark.parametrize(("at_one", "at_all", "expected"), [(1.6, 2.4, "tentative"), (1.8, 2.6, "confident")])
+@pytest.mark.parametrize(("at_one", "at_all", "expected"), [(2.6, 4.2, "tentative"), (2.8, 4.4, "confident")])
 def test_but_for_a_name_that_closes_eight_times_what_is_left(
     at_one: float, at_all: float, expected: Confidence
 ) -> None:
-    """Of each channel ``1.1^2 - 1`` is left; without the name one of them has the square of what is given."""
-    left = replace(SURE, others=[curve(1)], after=(1.1, 1.1, 1.1), unnamed=(1.0, at_one, 1.0))
+    """Of each channel ``1.3^2 - 1`` is left; without the name one of them has the square of what is given."""
+    left = replace(SURE, others=[curve(1)], after=(1.3, 1.3, 1.3), unnamed=(1.0, at_one, 1.0))
     assert left.confidence() == expected
-    everywhere = replace(TILT, others=[curve(1)], after=(1.1, 1.1, 1.1), unnamed=(1.1, at_all, 1.1))
+    everywhere = replace(TILT, others=[curve(1)], after=(1.3, 1.3, 1.3), unnamed=(1.3, at_all, 1.3))
     assert replace(everywhere, bare=(1.0, 12.0, 1.0)).confidence() == expected
 
 
@@ -203,9 +224,67 @@ def test_a_small_share_of_the_gap_hides_behind_the_others(bare: float, loss: flo
     assert replace(SURE, bare=(1.0, bare, 1.0), loss=loss).confidence() == expected
 
 
-def test_a_small_share_is_hidden_however_much_it_matters_if_something_is_left() -> None:
-    assert replace(LEFT, bare=(1.0, 151.0, 1.0), loss=1e4).confidence() == "tentative"
-    assert replace(LEFT, bare=(1.0, 61.0, 1.0), loss=1e4).confidence() == "confident"
+def test_a_small_share_is_hidden_however_much_it_matters_if_much_is_left() -> None:
+    """Of the second joint it closes 8, and ``1.5^2 - 1`` is a sixth of that; ``1.3^2 - 1`` a twelfth."""
+    left = replace(SURE, after=(1.0, 1.5, 1.0), loss=1e4)
+    assert replace(left, bare=(1.0, 151.0, 1.0)).confidence() == "tentative"
+    assert replace(left, bare=(1.0, 61.0, 1.0)).confidence() == "confident"
+    assert replace(left, bare=(1.0, 151.0, 1.0), after=(1.0, 1.3, 1.0)).confidence() == "confident"
+
+
+@pytest.mark.parametrize(
+    ("rival", "after", "expected"),
+    [(50.0, ELSEWHERE, "tentative"), (70.0, ELSEWHERE, "confident"), (50.0, (1.0, 1.0, 1.0), "confident")],
+)
+def test_of_a_small_share_beside_what_has_no_name_rivals_are_far(
+    rival: float, after: tuple[float, ...], expected: Confidence
+) -> None:
+    """Five times as far as of others, as its loss is."""
+    small = replace(SURE, bare=(1.0, 151.0, 1.0), after=after)
+    assert replace(small, rivals=[Rival("rotor_inertia", JOINTS[1], rival)]).confidence() == expected
+
+
+@pytest.mark.parametrize(("curved", "expected"), [((1.0, 2.0, 1.0), "tentative"), ((1.0, 1.1, 1.0), "confident")])
+def test_what_curves_say_on_unseen_data_too_is_no_doubt_of_a_name_beside_them(
+    curved: tuple[float, ...], expected: Confidence
+) -> None:
+    """A name closes 5 of what is left, 3: it does not dominate, but beside a curve nothing is left."""
+    beside = replace(SURE, others=[curve(1)], after=OPEN, with_curves=curved)
+    assert beside.confidence() == expected
+    assert replace(beside, name=named("gravity_tilt", None), bare=(1.0, 12.0, 1.0)).confidence() == "tentative"
+
+
+@pytest.mark.parametrize(
+    ("after", "dry", "expected"),
+    [
+        ((1.0, 1.5, 1.0), True, "tentative"),
+        ((1.0, 1.3, 1.0), True, "confident"),
+        ((1.0, 1.3, 1.0), False, "tentative"),
+    ],
+)
+def test_a_name_that_dominates_is_not_judged_beside_a_curve_by_which_its_size_varies(
+    after: tuple[float, ...], dry: bool, expected: Confidence
+) -> None:
+    """Friction by position is Coulomb friction, and more: beside it nothing is lost without that."""
+    spanning = replace(curve(1), dry=dry)
+    evidence = replace(COULOMB, others=[spanning], after=after).evidence
+    beside = spanning in evidence.whole.chosen
+    assert replace(evidence, loss=5.0 if beside else 1000.0).confidence(SIZE) == expected
+
+
+def test_a_name_that_closes_little_does_not_dominate_where_nothing_is_left() -> None:
+    """Eight times the share of a channel that still counts as closed, ``1.15^2 - 1``, are 2.58."""
+    assert not replace(SURE, unnamed=(1.0, 1.88, 1.0)).evidence.closing.dominates
+    assert replace(SURE, unnamed=(1.0, 1.9, 1.0)).evidence.closing.dominates
+
+
+@pytest.mark.parametrize(("instead", "expected"), [(-3.0, "tentative"), (3.0, "confident")])
+def test_a_curve_that_contains_a_name_has_to_be_better(
+    instead: float, expected: Confidence, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    all_curves_contain(monkeypatch, True)
+    left = replace(SURE, after=(1.0, 1.5, 1.0))
+    assert replace(left, instead=instead).confidence() == expected
 
 
 def test_the_share_is_of_what_the_inertias_leave_in_the_channels_that_it_reaches() -> None:
@@ -221,12 +300,33 @@ def test_the_share_is_between_nothing_and_all() -> None:
     assert replace(SURE, without=(1.0, 1.0, 1.0), bare=(1.0, 1.0, 1.0)).evidence.share == 0.0
 
 
-@pytest.mark.parametrize(("std", "expected"), [(0.4, "tentative"), (0.3, "confident"), (np.nan, "confident")])
+@pytest.mark.parametrize(("std", "expected"), [(0.4, "tentative"), (0.3, "confident")])
 def test_a_payload_has_to_weigh_something(std: float, expected: Confidence) -> None:
-    """Three standard deviations; what is no payload has no mass."""
-    if np.isfinite(std):
-        assert CARRIED.confidence(1.0, std) == expected
-    assert SURE.confidence(0.0, std) == "confident"
+    """Three standard deviations."""
+    assert CARRIED.confidence(1.0, std) == expected
+
+
+@pytest.mark.parametrize(
+    ("effect", "sizes", "expected"),
+    [
+        ("viscous_friction", [(1.0, 0.4)], "tentative"),
+        ("viscous_friction", [(-1.0, 0.4)], "tentative"),
+        ("viscous_friction", [(1.0, 0.3)], "confident"),
+        ("spring", [(1.0, 0.4), (5.0, 0.1)], "confident"),
+        ("effort_gain", [(1.3, 0.11)], "tentative"),
+        ("effort_gain", [(1.3, 0.09)], "confident"),
+    ],
+)
+def test_a_name_whose_size_may_be_that_of_no_effect_is_unsure(
+    effect: str, sizes: list[tuple[float, float]], expected: Confidence
+) -> None:
+    """Three standard deviations; no gain is a gain of one."""
+    parameters = {str(place): Quantity(*size, "") for place, size in enumerate(sizes)}
+    found = replace(SURE, name=named(effect))
+    assert found.evidence.confidence(parameters) == expected
+    monitored = found.evidence
+    monitored.analysis.search.prior.terms = found.name.terms
+    assert monitored._may_be_nothing(parameters) is False  # that of the model has changed, to nothing maybe
 
 
 def test_a_payload_of_unknown_mass_is_unsure() -> None:
@@ -335,4 +435,4 @@ def test_a_name_that_shares_a_part_with_what_the_model_has_is_new() -> None:
     analysis.search.prior.terms, analysis.search.prior.values = (offset,), np.array([0.5])
     analysis.search.prior.spreads = np.array([0.1])
     analysis.names.value = lambda _: 0.5
-    assert replace(spring.evidence, analysis=analysis).confidence({}) == "confident"
+    assert replace(spring.evidence, analysis=analysis).confidence(SIZE) == "confident"

@@ -60,7 +60,7 @@ def rivals(name: Candidate, others: dict[AnyCandidate, float], forward: float = 
     fits = [Fit(score, np.ones(3), (beside, other)) for other, score in others.items()]
     analysis = analysis_with(judged, rivals=lambda _, __: fits)
     analysis.problem = moving(forward)
-    return [(r.effect, r.joint, r.loss) for r in verdict._rivals(MODEL, analysis, name)]
+    return [(r.effect, r.joint, r.loss) for r in verdict._rivals(MODEL, analysis, name, analysis.whole)]
 
 
 def test_rivals_are_listed_by_how_much_worse_they_are() -> None:
@@ -141,6 +141,7 @@ def test_findings_come_with_the_one_that_matters_most_first(monkeypatch: pytest.
     monkeypatch.setattr(verdict, "score_test", lambda *asked: Trial(asked[-1], 0.0, 1.7))
     monkeypatch.setattr(verdict.naming, "parameters", lambda *_: {"coefficient": Quantity(0.5, 0.01, "N m s/rad")})
     monkeypatch.setattr(verdict, "scattered", lambda _, found: found)
+    monkeypatch.setattr(verdict, "as_unsure", lambda *asked: asked[3])
     beside = named("viscous_friction", 0)
     judged = Judged(others=[beside, curve(2)], losses={beside: 2000.0})
     rivals = {named("spring", 2): 500.0, named("spring", 0): 1500.0, named("effort_gain", 0): 8.0}

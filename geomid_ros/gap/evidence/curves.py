@@ -43,7 +43,8 @@ class Curves:
         for kind, name, matrix in self._matrices(records, situation, joint):
             terms = tuple(CurveTerm(joint, name, index) for index in range(matrix.shape[1]))
             look_elsewhere = 1.0 if name.startswith("wave") else 0.0
-            yield CurveCandidate(kind, name, joint, terms, len(terms) + _HANDICAP + look_elsewhere)
+            dry = name.startswith("friction by")
+            yield CurveCandidate(kind, name, joint, terms, len(terms) + _HANDICAP + look_elsewhere, dry)
 
     def columns(self, records: Records, situation: Situation) -> dict[Term, dict[int, FloatArray]]:
         """Columns of all curves' terms."""

@@ -11,7 +11,8 @@ from geomid_ros.estimation.estimate import LinksInformation
 from geomid_ros.gap.fitting.fit import fit
 from geomid_ros.gap.fitting.prior import Prior
 from geomid_ros.gap.judgement.blocks import scattered
-from geomid_ros.gap.judgement.confidence import CONFIDENT_BESIDE_UNEXPLAINED, CONFIDENT_LOSS, is_open, open_curves
+from geomid_ros.gap.judgement.closing import is_open, open_curves
+from geomid_ros.gap.judgement.confidence import CONFIDENT_BESIDE_UNEXPLAINED, CONFIDENT_LOSS
 from geomid_ros.gap.judgement.held_out import HeldOut
 from geomid_ros.gap.result import LinkChange
 from geomid_ros.gap.search.analysis import Analysis

@@ -8,9 +8,10 @@ from functools import cached_property
 
 import numpy as np
 
-from geomid_ros.estimation.fit import CERTAINTY
-from geomid_ros.gap.candidates import Candidate, CurveCandidate
+from geomid_ros.gap.candidates import Candidate
+from geomid_ros.gap.fitting.fit import JointFit
 from geomid_ros.gap.judgement.blocks import generalises
+from geomid_ros.gap.judgement.closing import Closing, contains, is_identified, is_open, open_curves
 from geomid_ros.gap.judgement.held_out import HeldOut
 from geomid_ros.gap.result import Confidence, Rival
 from geomid_ros.gap.search.analysis import Analysis
@@ -18,7 +19,7 @@ from geomid_ros.gap.search.beam_search import Search
 from geomid_ros.model.effects import EFFECTS, Quantity, joints_of
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.moving import SIGN
-from geomid_ros.types import BoolArray, FloatArray
+from geomid_ros.types import FloatArray
 
 CONFIDENT_LOSS = 20.0
 CONFIDENT_BESIDE_UNEXPLAINED = 200.0
@@ -34,15 +35,9 @@ DOMINANT_SHARE = 0.3
 """A name of the whole robot is sure in spite of what it leaves only if it matters so much more."""
 LEAST_RISE = 1.05
 """Without a name that is sure, the remainder of some channel is so many times larger; payloads apart."""
-LEAST_PREDICTED = 0.5
-"""Share of the gap of unseen data that a sure name closes where something is left."""
-DOMINATING = 8.0
-"""A name that closes so many times what is left of unseen data, where it acts, is no shadow of what is left."""
 LEAST_OTHER_WAY = 0.05
-_SURE_OF_MASS = 3.0  # standard deviations
+_SURE_OF_SIZE = 3.0  # standard deviations
 _SURE_OF_CHANGE = 3.0  # the same
-REACHED = 1.15
-"""A channel whose remainder is below this times the floor has reached it."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -58,6 +53,16 @@ class Evidence:
     candidate: Candidate
     rivals: Sequence[Rival]
     loss: float
+
+    @cached_property
+    def closing(self) -> Closing:
+        """What it closes of unseen data."""
+        return Closing(self.analysis, self.unseen, self.candidate)
+
+    @property
+    def whole(self) -> JointFit:
+        """The fit in which it is judged."""
+        return self.closing.beside
 
     @property
     def joint(self) -> str:
@@ -76,13 +81,22 @@ class Evidence:
             return "tentative"
         if self._is_beside_unexplained or self._is_hidden_by_others:
             return "tentative"
-        if self.candidate.payload is not None and not parameters["mass"].value > _SURE_OF_MASS * parameters["mass"].std:
-            return "tentative"  # it may weigh nothing
+        if self._may_be_nothing(parameters):
+            return "tentative"
         # Where the floor is reached the score can be trusted; else it takes errors of the model for noise.
-        design, whole = self.analysis.search.design, self.analysis.whole
-        prior = self.analysis.search.prior
-        sure = self._is_all or (generalises(design, whole, self.candidate, prior) and self._predicts)
+        design, prior = self.analysis.search.design, self.analysis.search.prior
+        sure = self.closing.is_all or (generalises(design, self.whole, self.candidate, prior) and self.closing.predicts)
         return "confident" if sure else "tentative"
+
+    def _may_be_nothing(self, parameters: dict[str, Quantity]) -> bool:
+        """Whether a payload may weigh nothing; or all sizes of a name be those of no effect, unless the model has it
+        and it may have come to nothing."""
+        if self.candidate.payload is not None:
+            return not parameters["mass"].value > _SURE_OF_SIZE * parameters["mass"].std
+        if set(self.candidate.terms) <= set(self.analysis.search.prior.terms):
+            return False
+        nothing = 1.0 if self.candidate.effect.scales_measurement else 0.0
+        return all(abs(size.value - nothing) <= _SURE_OF_SIZE * size.std for size in parameters.values())
 
     @property
     def _is_ambiguous(self) -> bool:
@@ -90,14 +104,14 @@ class Evidence:
 
     @cached_property
     def _others(self) -> list[Rival]:
-        """The rivals but for one that contains the name: that fits as well by nature, but better only where needed."""
+        """The rivals but for one that contains the name: that fits as well by nature, but better only where needed.
+        Where something is left scores do not say so: a name that dominates is the larger part of what contains it."""
         open_here = bool(np.any(is_open(self.unseen)[list(joints_of(self.candidate.place))]))
         return [
             rival
             for rival in self.rivals
             if (EFFECTS[rival.effect].contains, rival.joint) != (self.candidate.name, self.joint)
-            or rival.loss < 0.0
-            or open_here
+            or (not self.closing.dominates if open_here else rival.loss < 0.0)
         ]
 
     @property
@@ -108,50 +122,27 @@ class Evidence:
         return self.candidate.payload is not None and guessed and self._rise < LEAST_RISE
 
     @cached_property
-    def _is_all(self) -> bool:
-        """Whether unseen data of what the name reaches leave nothing open."""
-        return self._is_judged and not (open_curves(self.analysis, self.unseen) or np.any(is_open(self.unseen)))
-
-    @cached_property
-    def _dominates(self) -> bool:
-        """Whether they leave little of what the name closes."""
-        return self._is_judged and self._closed > DOMINATING * self._left
-
-    @property
-    def _is_judged(self) -> bool:
-        return bool(np.any(self.unseen.counts[self._reached] > 0.0))
-
-    @cached_property
-    def _reached(self) -> list[int]:
-        return self.analysis.search.design.reached(self.candidate)
-
-    @cached_property
-    def _closed(self) -> float:
-        """What the name closes of unseen data, in squares of the floor, over the channels that it reaches."""
-        return float(np.nansum(self._squares_unseen_without - self.unseen.gap.after[self._reached] ** 2))
-
-    @cached_property
-    def _left(self) -> float:
-        """What is left of these beyond noise and the uncertainty of all that was fitted."""
-        gap, reached = self.unseen.gap, self._reached
-        return float(np.nansum(np.maximum(gap.after[reached] ** 2 - gap.expected[reached] ** 2, 0.0)))
-
-    @cached_property
-    def _squares_unseen_without(self) -> FloatArray:
-        smaller = self._search.without(self.analysis.names, self.candidate)
-        return np.asarray(self.unseen.times_floor(smaller)[self._reached] ** 2)
-
-    @cached_property
     def _margin(self) -> float:
         """By how much the score is worse with anything else in its place, or nothing."""
-        margin = min([self.loss, *(rival.loss for rival in self._others)])
-        instead = self._search.instead(self.analysis.whole, self.candidate)
-        return margin if instead is None else min(margin, instead.score - self.analysis.whole.score)
+        return min([self.loss, *(rival.loss for rival in self._others), self._margin_to_curves])
+
+    @property
+    def _margin_to_curves(self) -> float:
+        """By how much the score is worse with free curves in its place. Those that contain it fit as well by nature,
+        but better only where it is not enough."""
+        whole, instead = self.whole, self._search.instead(self.whole, self.candidate)
+        if instead is None:
+            return np.inf
+        rest, loss = self._search.without(whole, self.candidate), instead.score - whole.score
+        curves = [c for c in instead.chosen if c not in whole.chosen]
+        enough = loss >= 0.0 and all(contains(self.analysis, rest, curve, self.candidate) for curve in curves)
+        return np.inf if enough or all(map(self.closing.is_varied_by, curves)) else loss
 
     @property
     def _is_weak(self) -> bool:
-        beside_unexplained = CONFIDENT_IN_THE_SHADE if self._dominates else CONFIDENT_BESIDE_UNEXPLAINED
-        least = CONFIDENT_LOSS if self._is_all else beside_unexplained
+        clear = self.closing.dominates or self.closing.is_settled
+        beside_unexplained = CONFIDENT_IN_THE_SHADE if clear else CONFIDENT_BESIDE_UNEXPLAINED
+        least = CONFIDENT_LOSS if self.closing.is_all else beside_unexplained
         beside_gear = BESIDE_A_GEAR * self._largest_gear_loss
         return self.loss < least or self._margin < CONFIDENT_RIVAL or self.loss < beside_gear
 
@@ -189,7 +180,7 @@ class Evidence:
     def _is_beside_unexplained(self) -> bool:
         """Whether what is left without a name is at its joint; of a name of the whole robot: anywhere, unless the name
         matters much more."""
-        if self._is_all or self._dominates:
+        if self.closing.is_all or self.closing.dominates or self.closing.is_settled:
             return False
         if not joints_of(self.candidate.place):
             return self._margin < DOMINANT_LOSS or self.share < DOMINANT_SHARE
@@ -200,29 +191,27 @@ class Evidence:
 
     @property
     def _is_hidden_by_others(self) -> bool:
-        return self.share < CONFIDENT_SHARE and not (self._is_all and self.loss > CONFIDENT_IN_THE_SHADE)
+        """Whether it may be what the larger names lack. Errors of these make differences of scores larger than they
+        are: a name that leaves little beside them has to be as much surer of its rivals as of its loss."""
+        if self.share >= CONFIDENT_SHARE:
+            return False
+        surer = CONFIDENT_IN_THE_SHADE / CONFIDENT_LOSS
+        clear = self.closing.is_all or (self.closing.dominates and self._margin > surer * CONFIDENT_RIVAL)
+        return not (clear and self.loss > CONFIDENT_IN_THE_SHADE)
 
     @property
     def _largest_gear_loss(self) -> float:
         """Of the other names, those that are known to first order only; 0 if there are none."""
-        whole, search = self.analysis.whole, self.analysis.search
+        whole, search = self.whole, self.analysis.search
         gears = [c for c in whole.chosen if isinstance(c, Candidate) and c.effect.first_order]
         losses = [search.without(whole, gear).score - whole.score for gear in gears if gear is not self.candidate]
         return max(losses, default=0.0)
-
-    @property
-    def _predicts(self) -> bool:
-        """Whether the name closes enough of the gap of unseen data, over the channels that it reaches."""
-        expected = self.unseen.gap.expected[self._reached]
-        gap = np.nansum(np.maximum(self._squares_unseen_without - expected**2, 0.0))
-        return bool(self._closed > LEAST_PREDICTED * gap)
 
     @cached_property
     def share(self) -> float:
         """Of the gap that the inertias leave, above the floor, over the channels that it reaches: how much the name
         closes beside the others."""
-        whole = self.analysis.whole
-        reached = self.analysis.search.design.reached(self.candidate)
+        whole, reached = self.whole, self.closing.reached
         without = self._squares_without
         closed = np.sum(((without - whole.squares) / whole.squares)[reached])
         gap = np.sum((np.maximum(self.analysis.bare.squares, without) / whole.squares - 1.0)[reached])
@@ -232,7 +221,7 @@ class Evidence:
     def _squares_without(self) -> FloatArray:
         """Sums of squares ``(C,)`` without the name. Without a payload on an identified robot the inertias are those
         that are known: fitted ones would take its place."""
-        whole, search = self.analysis.whole, self._search
+        whole, search = self.whole, self._search
         if self.candidate.payload is None or not is_identified(self.analysis):
             return search.without(whole, self.candidate).squares
         known = whole.point.parameters.copy()
@@ -244,14 +233,9 @@ class Evidence:
     @property
     def _rise(self) -> float:
         """Factor by which the remainder of the channel that is concerned most grows without the name."""
-        whole = self.analysis.whole
+        whole = self.whole
         without = self._search.without(whole, self.candidate)
         return float(np.sqrt(np.max(without.squares / whole.squares)))
-
-
-def is_identified(analysis: Analysis) -> bool:
-    """Whether the inertias were identified before, not guessed."""
-    return analysis.search.prior.certainty > CERTAINTY
 
 
 def moves_one_way(analysis: Analysis, joint: int) -> bool:
@@ -259,21 +243,3 @@ def moves_one_way(analysis: Analysis, joint: int) -> bool:
     problem = analysis.problem
     signs = problem.records.samples.column(SIGN)[problem.valid[:, joint], joint]
     return float(min(np.mean(signs > 0.0), np.mean(signs < 0.0))) < LEAST_OTHER_WAY
-
-
-def open_curves(analysis: Analysis, unseen: HeldOut) -> list[CurveCandidate]:
-    """The free curves for which unseen data leave room."""
-    room = _is_above(unseen, 1.0)
-    return [c for c in analysis.whole.chosen if isinstance(c, CurveCandidate) and room[c.joint]]
-
-
-def is_open(unseen: HeldOut) -> BoolArray:
-    """The channels ``(C,)`` whose gap on unseen data is larger than noise and the uncertainty of all that was fitted
-    explain."""
-    return _is_above(unseen, REACHED)
-
-
-def _is_above(unseen: HeldOut, times: float) -> BoolArray:
-    # A standard deviation from n values is itself uncertain by 1 / sqrt(2 n), relative.
-    reached = times * (1.0 + 2.0 / np.sqrt(2.0 * np.maximum(unseen.counts, 1.0))) * unseen.gap.expected
-    return np.nan_to_num(unseen.gap.after) >= np.nan_to_num(reached, nan=np.inf)

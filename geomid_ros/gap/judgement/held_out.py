@@ -41,6 +41,14 @@ class HeldOut:
         return Gap(before, bare, after, np.sqrt(1.0 + unsure**2))
 
     @cached_property
+    def with_curves(self) -> FloatArray:
+        """What is left in units of the floor ``(C,)`` where free curves say it, too, or else beside the names alone."""
+        whole = self._analysis.whole
+        problem = self._problem(whole)
+        columns = problem.columns(whole.chosen, self._prior.terms, self._analysis.curves)
+        return np.fmin(self.gap.after, self._times_floor(problem.residual(columns, whole)))
+
+    @cached_property
     def trace(self) -> Trace:
         """The measured values and the predictions."""
         samples, measured = self._records.samples, self._model.rows(self._records.samples).targets

@@ -12,9 +12,9 @@ import numpy as np
 
 from geomid_ros.gap.candidates import AnyCandidate, Candidate
 from geomid_ros.gap.evidence.record import Records
-from geomid_ros.gap.fitting.fit import JointFit, fit
+from geomid_ros.gap.fitting.fit import JointFit
 from geomid_ros.gap.fitting.prior import Prior
-from geomid_ros.gap.judgement.confidence import is_identified
+from geomid_ros.gap.judgement.closing import without
 from geomid_ros.gap.judgement.held_out import HeldOut
 from geomid_ros.gap.search.analysis import Analysis, with_curves
 from geomid_ros.model.measurement import MeasurementModel
@@ -32,7 +32,7 @@ def confirmed(model: MeasurementModel, held: Records, prior: Prior, analysis: An
     unseen = HeldOut(model, held, prior, analysis)
     refused: set[AnyCandidate] = set()
     while doubtful := [c for c in names.chosen if isinstance(c, Candidate) and c not in refused]:
-        absent = {c: _without(analysis, names, c) for c in doubtful}
+        absent = {c: without(analysis, names, c) for c in doubtful}
         losses = {c: found.score - names.score for c, found in absent.items()}
         least = min(doubtful, key=losses.__getitem__)
         smaller = search.without(names, least)
@@ -45,16 +45,6 @@ def confirmed(model: MeasurementModel, held: Records, prior: Prior, analysis: An
     if names is analysis.names:
         return analysis
     return replace(analysis, names=names, whole=with_curves(search, names))
-
-
-def _without(analysis: Analysis, names: JointFit, candidate: Candidate) -> JointFit:
-    """The fit without a name. What the model has of it is as it was; and so are, without a payload, the inertias of a
-    robot that was identified: fitted ones would take its place."""
-    search = analysis.search
-    if candidate.payload is not None and is_identified(analysis):
-        rest = [c for c in names.chosen if c is not candidate]
-        return fit(search.design, search.prior, rest, names, search.prior.spread)
-    return search.unchanged(candidate).without(names, candidate)
 
 
 def _worse(unseen: HeldOut, found: JointFit, smaller: JointFit) -> float:

@@ -8,9 +8,11 @@ from geomid_ros.gap.candidates import Candidate
 from geomid_ros.gap.fitting.fit import JointFit
 from geomid_ros.gap.judgement import naming
 from geomid_ros.gap.judgement.blocks import scattered
-from geomid_ros.gap.judgement.confidence import CONFIDENT_RIVAL, Evidence, is_open, moves_one_way, open_curves
+from geomid_ros.gap.judgement.closing import Closing, is_open, open_curves
+from geomid_ros.gap.judgement.confidence import CONFIDENT_RIVAL, Evidence, moves_one_way
 from geomid_ros.gap.judgement.held_out import HeldOut
 from geomid_ros.gap.judgement.locate import strongest
+from geomid_ros.gap.judgement.unsure import as_unsure
 from geomid_ros.gap.result import Finding, Ranked, Rival, Unexplained, Verdict
 from geomid_ros.gap.search.analysis import Analysis
 from geomid_ros.gap.search.score_test import score_test
@@ -29,14 +31,16 @@ def findings(model: MeasurementModel, analysis: Analysis, unseen: HeldOut) -> tu
 def _finding(
     model: MeasurementModel, analysis: Analysis, candidate: Candidate, unseen: HeldOut, sized: JointFit
 ) -> Finding:
-    whole, search = analysis.whole, analysis.search.unchanged(candidate)
+    search = analysis.search.unchanged(candidate)
+    whole = Closing(analysis, unseen, candidate).beside
     without = search.without(whole, candidate)
     loss = without.score - whole.score
-    rivals = _rivals(model, analysis, candidate)
+    rivals = _rivals(model, analysis, candidate, whole)
     joint, link = model.places.name(candidate.place), naming.link_name(model, candidate)
     close = [(EFFECTS[rival.effect](), rival.joint) for rival in rivals if rival.loss < CONFIDENT_RIVAL]
     load = analysis.problem.situation.usual_load(candidate.place) if candidate.effect.scanned else 0.0
     parameters = naming.parameters(model, sized, candidate, _scanned_std(analysis, candidate), load)
+    parameters = as_unsure(model, analysis, candidate, parameters, load)
     was = naming.known_before(model, analysis.search.prior, candidate, load)
     evidence = Evidence(model=model, analysis=analysis, unseen=unseen, candidate=candidate, rivals=rivals, loss=loss)
     confidence = evidence.confidence(parameters)
@@ -74,8 +78,7 @@ def _scanned_std(analysis: Analysis, candidate: Candidate) -> float:
     return min(1.0, float(np.sqrt(2.0 / curvature + step**2 / 12.0))) if curvature > 0.0 else 1.0
 
 
-def _rivals(model: MeasurementModel, analysis: Analysis, candidate: Candidate) -> list[Rival]:
-    whole = analysis.whole
+def _rivals(model: MeasurementModel, analysis: Analysis, candidate: Candidate, whole: JointFit) -> list[Rival]:
     found = []
     for rival in analysis.search.unchanged(candidate).rivals(whole, candidate):
         (other,) = (c for c in rival.chosen if isinstance(c, Candidate) and c not in whole.chosen)

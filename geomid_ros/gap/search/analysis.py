@@ -41,6 +41,7 @@ class Analysis:
     names: JointFit
     whole: JointFit
     floor: FloatArray
+    curves: Curves
 
 
 def analyse(
@@ -87,6 +88,7 @@ def analyse(
         names=names,
         whole=whole,
         floor=repeats.floor(_root_mean_square(residual, problem.valid) / np.sqrt(freedom)),
+        curves=curves,
     )
 
 

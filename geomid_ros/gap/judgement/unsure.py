@@ -1,0 +1,56 @@
+"""How unsure a size is for what else may be true."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+
+from geomid_ros.gap.candidates import Candidate
+from geomid_ros.gap.fitting.fit import JointFit
+from geomid_ros.gap.judgement import naming
+from geomid_ros.gap.judgement.blocks import scattered
+from geomid_ros.gap.search.analysis import Analysis
+from geomid_ros.model.effects import Quantity
+from geomid_ros.model.measurement import MeasurementModel
+
+
+def as_unsure(
+    model: MeasurementModel, analysis: Analysis, candidate: Candidate, parameters: dict[str, Quantity], load: float
+) -> dict[str, Quantity]:
+    """Parameters that are as unsure as what else may be true leaves them."""
+    wider = dict(parameters)
+    if candidate.payload is not None:
+        # One to one with the efforts' gains: if these had not changed, it would be lighter or heavier by as much.
+        gain = _largest_change_of_gain(analysis.names)
+        return {name: _unsure_by(q, gain * q.value) if q.unit.startswith("kg") else q for name, q in wider.items()}
+    for found, own in _richer(analysis, candidate):
+        other = naming.parameters(model, scattered(analysis.search.design, found), own, usual_load=load)
+        for name in wider.keys() & other.keys():
+            off = wider[name].value - other[name].value
+            wider[name] = replace(wider[name], std=max(wider[name].std, float(np.hypot(off, other[name].std))))
+    return wider
+
+
+def _unsure_by(quantity: Quantity, std: float) -> Quantity:
+    """With an independent error more."""
+    return replace(quantity, std=float(np.hypot(quantity.std, std)))
+
+
+def _largest_change_of_gain(names: JointFit) -> float:
+    """That was found, relative; 0 without."""
+    scaling = [c for c in names.chosen if isinstance(c, Candidate) and c.effect.scales_measurement]
+    gains = [c.effect.transformed(np.array([names.value(c.terms[0])]))[0][0] for c in scaling]
+    return max((abs(float(gain) - 1.0) for gain in gains), default=0.0)
+
+
+def _richer(analysis: Analysis, candidate: Candidate) -> Iterator[tuple[JointFit, Candidate]]:
+    """Fits with a name that contains this one in its place. That it was not needed does not make it false: of Coulomb
+    friction the level depends on how much more there is near standstill."""
+    search, names = analysis.search, analysis.names
+    rest = search.without(names, candidate)
+    richer = [c for c in search.candidates if c.effect.contains == candidate.name and c.place == candidate.place]
+    for trial in search.ranked(rest, richer):  # of whichever sign: an interval has two sides
+        if isinstance(own := trial.candidate, Candidate):
+            yield search.fit([*rest.chosen, own], names), own

@@ -1,0 +1,71 @@
+"""Sizes are as unsure as what else may be true leaves them."""
+
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from geomid_ros.gap.candidates import Candidate, EffectTerm
+from geomid_ros.gap.judgement import naming, unsure
+from geomid_ros.gap.search.beam_search import Search
+from geomid_ros.model.effects import EFFECTS, AtJoint, Quantity
+
+from . import planted, small
+
+MODEL = planted.model()
+PLACE = AtJoint(0)
+STRIBECK = EFFECTS["stribeck_friction"](0.1)
+LEVEL, EXCESS = STRIBECK.parts
+COULOMB = Candidate(LEVEL, PLACE, (EffectTerm(LEVEL, PLACE),), 1.0)
+RICHER = Candidate(STRIBECK, PLACE, (EffectTerm(LEVEL, PLACE), EffectTerm(EXCESS, PLACE)), 3.0)
+
+
+def level(seed: int, excess: float, alike: bool) -> tuple[Quantity, Quantity]:
+    """Of Coulomb friction of level 1 and a little more near standstill: by its own fit, and as unsure as it is."""
+    terms = RICHER.terms
+    recording = small.Recording(seed, [RICHER], {terms[1]: terms[0]} if alike else None)
+    design = recording.design({terms[0]: 1.0, terms[1]: excess}, noise=0.3)
+    search = Search(design, small.PRIOR, [COULOMB, RICHER])
+    names = search.fit([COULOMB])
+    analysis: Any = SimpleNamespace(search=search, names=names)
+    own = naming.parameters(MODEL, names, COULOMB)
+    return own["level"], unsure.as_unsure(MODEL, analysis, COULOMB, own, 0.0)["level"]
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_a_level_is_as_unsure_as_the_excess_near_standstill_that_was_not_told(seed: int) -> None:
+    """What there is of it passes for a higher level, ten standard deviations of that."""
+    own, whole = level(seed, 0.2, alike=True)
+    assert abs(own.value - 1.0) > 5.0 * own.std
+    assert whole.value == own.value
+    assert abs(whole.value - 1.0) < 2.0 * whole.std
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_what_a_motion_tells_apart_stays_sure(seed: int) -> None:
+    own, whole = level(seed, 0.02, alike=False)
+    assert own.std <= whole.std < 1.6 * own.std
+
+
+@pytest.mark.parametrize("effect", ["viscous_friction", "rotor_inertia"])
+def test_what_nothing_contains_is_as_sure_as_its_fit(effect: str) -> None:
+    candidate = small.at(effect, 0)
+    recording = small.Recording(1, [candidate])
+    search = Search(recording.design({candidate.terms[0]: 1.0}), small.PRIOR, [candidate])
+    analysis: Any = SimpleNamespace(search=search, names=search.fit([candidate]))
+    own = naming.parameters(MODEL, analysis.names, candidate)
+    assert unsure.as_unsure(MODEL, analysis, candidate, own, 0.0) == own
+
+
+@pytest.mark.parametrize(("gain", "expected"), [(1.0, 0.1), (0.7, np.hypot(0.1, 0.6)), (1.05, np.hypot(0.1, 0.1))])
+def test_a_payload_is_as_unsure_as_gains_beside_it_have_changed(gain: float, expected: float) -> None:
+    """Nothing tells 2 kg at seven tenths of the gain from 1.4 kg."""
+    changed = small.at("effort_gain", 0)
+    found = SimpleNamespace(chosen=(changed, small.PAYLOAD), value=lambda _: gain - 1.0)
+    analysis: Any = SimpleNamespace(names=found)
+    sizes = {"mass": Quantity(2.0, 0.1, "kg"), "com_x": Quantity(0.2, 0.01, "m")}
+    wider = unsure.as_unsure(MODEL, analysis, small.PAYLOAD, sizes, 0.0)
+    assert wider["mass"].value == 2.0
+    assert wider["mass"].std == pytest.approx(expected)
+    assert wider["com_x"] == sizes["com_x"]
