@@ -22,8 +22,8 @@ if TYPE_CHECKING:
 
 _SWITCH_INTERVAL = 5e-4  # [s]
 _LEAST_MEMORY = 500_000_000  # bytes of addresses: with less, libraries crash or hang while they are loaded
-# Data are taken by looking for them: each message costs a third when a hundred come at once, and the filter holds rows
-# back for ten times as long as this.
+# Everything is looked for. Each message costs a third when a hundred come at once, and the filter holds rows back for
+# ten times as long as this; to let the executor wait for anything else would wake it for every message.
 _PAUSE = 0.05  # [s]
 
 
@@ -92,9 +92,8 @@ def _run_node(solving: SolvingProcess) -> None:
         try:
             while ok() and not stopping.is_set():
                 _guarded(node, node.take_waiting)
-                next_look = time.monotonic() + _PAUSE
-                while (left := next_look - time.monotonic()) > 0.0 and not stopping.is_set():
-                    _guarded(node, partial(executor.spin_once, timeout_sec=left))
+                _guarded(node, partial(executor.spin_once, timeout_sec=0.0))
+                time.sleep(_PAUSE)
             _guarded(node, node.take_waiting)
         finally:
             node.close()
