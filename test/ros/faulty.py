@@ -25,7 +25,7 @@ from geomid_ros.session.session import Session
 from geomid_ros.signals.pipeline import SignalPipeline
 
 VARIABLE = "GEOMID_TEST_FAULT"
-SLOW = 4.0  # [s] for the messages that come together: longer than the inbox waits
+SLOW, STANDSTILL = 0.01, 0.75  # [s] for a message, and for so long they may wait meanwhile
 AT_ONCE, SLOW_MACHINE = 100, 0.003  # messages that are taken together, and [s] for each on a slow machine
 HANGING = ("solver hangs", "solver computes for ever", "intake hangs", "everything hangs")
 
@@ -99,9 +99,10 @@ def slowly(healthy: Any, *arguments: Any) -> Any:
     return healthy(*arguments)
 
 
-def very_slowly(healthy: Any, *arguments: Any) -> Any:
-    time.sleep(SLOW)
-    return healthy(*arguments)
+def a_little_slowly(healthy: Any, owner: Any, messages: list[Any]) -> Any:
+    with patch.object(worker, "_LONGEST_STANDSTILL", STANDSTILL):
+        time.sleep(SLOW * sum(message.topic == "/wrench" for message in messages))
+    return healthy(owner, messages)
 
 
 def as_a_slow_machine(healthy: Any, owner: Any, messages: list[Any]) -> Any:
@@ -141,7 +142,7 @@ def run() -> None:
     })  # fmt: skip
     plant(Identifier, "add", {"rows fail": fail, "intake hangs": hang})
     plant(SignalPipeline, "_use", {"messages fail": of_wrenches(fail)})
-    plant(Worker, "_take", {"messages slow": very_slowly, "machine slow": as_a_slow_machine})
+    plant(Worker, "_take", {"messages slow": a_little_slowly, "machine slow": as_a_slow_machine})
     plant(Worker, "take", {"callback fails": of_wrenches(fail), "callback shuts down": of_wrenches(shut_down)})
     plant(Worker, "recent_messages", {"service fails": fail})
     plant(os, "fsync", {"disk full": full, "disk read-only": read_only, "disk slow": slowly, "everything hangs": hang})

@@ -112,7 +112,7 @@ def test_31_what_does_not_fit_into_the_queue_is_dropped(faulty: Faulty) -> None:
     rig.twin.feed(wrenches)
     with faulty.has("messages slow"):
         rig.send([item for item in wrenches for _ in range(10)], pause=0.0)
-        rig.send(wrenches[-1:] * 500, pause=SLOW / 400)
+        rig.send(wrenches[-1:] * 500, pause=0.5 * SLOW)
         rig.says(begin, WARN, "/wrench dropped: queue full")
         assert len(rig.inertias) == heard
     assert 0 < int(rig.settled(len(rig.arrays))["/wrench dropped: queue full"]) <= 500
