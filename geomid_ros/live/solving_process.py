@@ -8,15 +8,12 @@ import pickle
 import signal
 import threading
 import time
+from collections.abc import Callable
 from multiprocessing import get_context
 from multiprocessing.connection import Connection
-from typing import Any
+from typing import Any, Concatenate, ParamSpec, TypeVar
 
 from geomid_ros.errors import GeomidError
-from geomid_ros.estimation.estimate import Estimate
-from geomid_ros.estimation.estimator import WarmStart
-from geomid_ros.estimation.identifier import EstimationTask
-from geomid_ros.estimation.summary import RowSummary
 from geomid_ros.live.daemon import end_with_parent
 
 _NICE = 5  # the process that takes messages comes first
@@ -27,9 +24,13 @@ _WORTH_TELLING = 60.0  # [s] after an end
 _PROTOCOL = 5  # of pickle; it leaves read-only arrays read-only
 _SIGNALS = (signal.SIGINT, signal.SIGTERM)  # to the whole group are the parent's to answer
 
+Task = TypeVar("Task")
+Arguments = ParamSpec("Arguments")
+Answer = TypeVar("Answer")
+
 
 class SolvingProcess:
-    """Solves one task after the other.
+    """Does one thing after the other: solves, and judges recordings.
 
     A process that ends, as one does that is killed for its memory, or that hangs in a solve whose caller has given up,
     is replaced by another, which gets the same task. While one after the other ends without a result, longer and longer
@@ -56,7 +57,7 @@ class SolvingProcess:
         self._process.start()
         signal.pthread_sigmask(signal.SIG_SETMASK, masked)
         theirs.close()
-        self._task: EstimationTask | None = None  # that the process knows
+        self._tasks: dict[type, object] = {}  # that the process knows, one of each type
 
     @property
     def warning(self) -> str:
@@ -69,30 +70,38 @@ class SolvingProcess:
             return ""
         return f"the solving process has ended (is there too little memory?) and was started again, time {self._ends}"
 
-    def solve(self, task: EstimationTask, summary: RowSummary, warm: WarmStart | None) -> Estimate:
-        """Like :meth:`EstimationTask.solve`.
+    def remote(
+        self, method: Callable[Concatenate[Task, Arguments], Answer]
+    ) -> Callable[Concatenate[Task, Arguments], Answer]:
+        """A method, as one that is done in the process.
 
-        Raises:
-            GeomidError: the solve failed, or its process ended more than once, or by :meth:`close`.
+        Its task, ``self``, which has all that stays the same, is sent once. It raises GeomidError, too, if the process
+        ends more than once, or is ended by :meth:`close`.
         """
-        if not self._solving.acquire(timeout=_PATIENCE):
-            self._hangs = True
-            self._process.kill()  # whoever waits for it sees its end
-            self._solving.acquire()
-        try:
-            return self._solved(task, summary, warm)
-        finally:
-            self._solving.release()
 
-    def _solved(self, task: EstimationTask, summary: RowSummary, warm: WarmStart | None) -> Estimate:
+        def run(task: Task, /, *arguments: Arguments.args, **named: Arguments.kwargs) -> Answer:
+            if not self._solving.acquire(timeout=_PATIENCE):
+                self._hangs = True
+                self._process.kill()  # whoever waits for it sees its end
+                self._solving.acquire()
+            try:
+                return self._answered(method, task, arguments, named)
+            finally:
+                self._solving.release()
+
+        return run
+
+    def _answered(
+        self, method: Callable[..., Answer], task: object, arguments: tuple[Any, ...], named: dict[str, Any]
+    ) -> Answer:
         for _ in range(_TRIES):
             if self._closed:
-                return task.solve(summary, warm)
+                return method(task, *arguments, **named)
             if not self._process.is_alive():
                 self._note_end()
                 self._replace()
             try:
-                answer = self._answer(task, summary, warm)
+                answer = self._answer(method, task, arguments, named)
             except (EOFError, OSError) as error:  # the process has ended
                 self._note_end()
                 if self._closed or self._hangs:
@@ -122,11 +131,14 @@ class SolvingProcess:
             raise GeomidError(f"the solving process has ended; it is started again in {left:.0f} s")
         self._begin("spawn")
 
-    def _answer(self, task: EstimationTask, summary: RowSummary, warm: WarmStart | None) -> Estimate | Exception:
-        new = task if task is not self._task else None
-        self._connection.send_bytes(pickle.dumps((new, summary, warm), _PROTOCOL))
-        answer: Estimate | Exception = pickle.loads(self._connection.recv_bytes())  # noqa: S301 it is ours
-        self._task = task
+    def _answer(
+        self, method: Callable[..., Answer], task: object, arguments: tuple[Any, ...], named: dict[str, Any]
+    ) -> Answer | Exception:
+        kind = type(task)
+        new = task if task is not self._tasks.get(kind) else None
+        self._connection.send_bytes(pickle.dumps((method, kind, new, arguments, named), _PROTOCOL))
+        answer: Answer | Exception = pickle.loads(self._connection.recv_bytes())  # noqa: S301 it is ours
+        self._tasks[kind] = task
         return answer
 
     def close(self) -> None:
@@ -137,15 +149,16 @@ class SolvingProcess:
 
 
 def _serve(connection: Connection[Any, Any]) -> None:
-    """Solve what is asked for until the parent is gone."""
+    """Do what is asked for until the parent is gone."""
     end_with_parent()
     os.nice(_NICE)
-    task: Any = None  # until the first request brings it
+    tasks: dict[type, object] = {}
     while True:
-        new, summary, warm = pickle.loads(connection.recv_bytes())  # noqa: S301 it is ours
-        task = new or task
+        method, kind, new, arguments, named = pickle.loads(connection.recv_bytes())  # noqa: S301 it is ours
+        if new is not None:
+            tasks[kind] = new
         try:
-            answer: Estimate | Exception = task.solve(summary, warm)
+            answer = method(tasks[kind], *arguments, **named)
         except Exception as error:  # noqa: BLE001 the parent raises it
             answer = error
         connection.send_bytes(pickle.dumps(answer, _PROTOCOL))

@@ -10,9 +10,11 @@ from typing import Protocol
 
 from geomid_ros.errors import InputError
 from geomid_ros.estimation.estimate import Estimate
+from geomid_ros.estimation.identifier import EstimationTask
 from geomid_ros.live.saving import Checkpoints, CheckpointStatus
 from geomid_ros.live.solving_process import SolvingProcess
 from geomid_ros.live.worker import OnEstimate, OnSamples, Worker
+from geomid_ros.plausibility.check import JudgementTask
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.locking import locked_note, with_locked
 from geomid_ros.session.session import Session
@@ -97,7 +99,8 @@ class Supervisor:
         configuration = with_locked(self._configuration, absent) if absent else self._configuration
         session = Session(urdf, configuration, source, self._ledger)
         if self._solving:
-            session.identifier.solve_with(self._solving.solve)
+            session.identifier.solve_with(self._solving.remote(EstimationTask.solve))
+            session.judge_with(self._solving.remote(JudgementTask.judge))
         if self.worker is not None:
             self.worker.close()
         self._restore(session)

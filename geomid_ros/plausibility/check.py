@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import TypeAlias
 
 import numpy as np
 
@@ -18,27 +20,81 @@ from geomid_ros.types import FloatArray
 _RENEWED = 1.5
 
 
+@dataclass(frozen=True, eq=False)
+class Excerpt:
+    """What is kept of a recording: ``samples``, a few instants of all of it, and a ``stretch``, the last at which
+    something moved; None if there were none."""
+
+    samples: Samples
+    stretch: Samples | None
+
+
+@dataclass(frozen=True, eq=False)
+class Judgement:
+    """What seems to be wrong with a recording, and what to know of one that may be right, in sentences."""
+
+    findings: tuple[Finding, ...] = ()
+    remarks: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class JudgementTask:
+    """What a recording is judged by.
+
+    Attributes:
+        model: of the robot.
+        gains: ``(joints,)`` factors that the messages' efforts are multiplied by.
+        sensors: the names of the wrench sensors in the configuration, by topic.
+    """
+
+    model: MeasurementModel
+    gains: FloatArray
+    sensors: Mapping[str, str]
+
+    def judge(self, excerpt: Excerpt) -> Judgement:
+        """What a recording seems to be, by an excerpt of it."""
+        findings: list[Finding] = []
+        remarks: list[str] = []
+        if self._efforts_alone:
+            check = EffortCheck(self.model, excerpt.samples, self.gains, excerpt.stretch)
+            findings, remarks = check.findings(), check.remarks
+        wrenches = filter(None, (self._wrench(sensor, excerpt) for sensor in self.model.mounted))
+        return Judgement((*findings, *wrenches), tuple(remarks))
+
+    def _wrench(self, sensor: WrenchSensor, excerpt: Excerpt) -> Finding | None:
+        if excerpt.stretch is None or not can_be_judged(sensor):
+            return None
+        name = self.sensors.get(sensor.topic, sensor.topic)
+        return WrenchSensorCheck(self.model, sensor, name, excerpt.samples, excerpt.stretch).finding()
+
+    @property
+    def _efforts_alone(self) -> bool:
+        """Whether links and gravity alone decide on the efforts: not what the surroundings do to the robot."""
+        external = len(self.model.sensors) > len(self.model.mounted)
+        return bool(self.model.layout.efforts) and not self.model.robot.floating_base and not external
+
+
+Judge: TypeAlias = Callable[[JudgementTask, Excerpt], Judgement]
+
+
 class RecordingCheck:
     """Keeps a few instants of what was recorded, and judges them when asked.
 
     One thread may call :meth:`add` while another asks.
     """
 
-    def __init__(self, model: MeasurementModel, gains: FloatArray, sensors: Mapping[str, str]) -> None:
+    def __init__(self, task: JudgementTask, judge: Judge = JudgementTask.judge) -> None:
         """
         Args:
-            model: of the robot.
-            gains: ``(joints,)`` factors that the messages' efforts are multiplied by.
-            sensors: the names of the wrench sensors in the configuration, by topic.
+            task: what is judged by.
+            judge: judges; in another process, for example.
         """
-        self._model = model
-        self._gains = gains
-        self._names = sensors
-        self._sensors = [sensor for sensor in model.mounted if can_be_judged(sensor)]
+        self._task = task
+        self._judge = judge
         self._instants = Instants()
         self._stretch = Stretch()
         self._judged_at = 0.0
-        self.remarks: list[str] = []
+        self.remarks: tuple[str, ...] = ()
         """What to know of a recording that may be right, once it has been judged."""
 
     def add(self, samples: Samples) -> None:
@@ -56,30 +112,15 @@ class RecordingCheck:
         samples, self._judged_at = self._instants.samples, self._instants.taken
         if samples is None:
             return ()
-        efforts = []
-        if self._efforts_alone:
-            check = EffortCheck(self._model, samples, self._gains, self._stretch.samples)
-            efforts, self.remarks = check.findings(), check.remarks
-        return (*efforts, *filter(None, map(self._wrench, self._sensors)))
+        judgement = self._judge(self._task, Excerpt(samples, self._stretch.samples))
+        self.remarks = judgement.remarks
+        return judgement.findings
 
     @property
     def unmeasured(self) -> list[str]:
         """The joints whose efforts are missing at half of the instants or more: empty, not finite or all zero."""
-        samples = self._instants.samples
-        if samples is None or not self._model.layout.efforts:
+        samples, model = self._instants.samples, self._task.model
+        if samples is None or not model.layout.efforts:
             return []
         shares = np.mean(np.isfinite(samples.effort), axis=0)
-        return [name for name, share in zip(self._model.robot.joint_names, shares, strict=True) if share < MEASURED]
-
-    def _wrench(self, sensor: WrenchSensor) -> Finding | None:
-        samples, dense = self._instants.samples, self._stretch.samples
-        if samples is None or dense is None:
-            return None
-        name = self._names.get(sensor.topic, sensor.topic)
-        return WrenchSensorCheck(self._model, sensor, name, samples, dense).finding()
-
-    @property
-    def _efforts_alone(self) -> bool:
-        """Whether links and gravity alone decide on the efforts: not what the surroundings do to the robot."""
-        external = len(self._model.sensors) > len(self._model.mounted)
-        return bool(self._model.layout.efforts) and not self._model.robot.floating_base and not external
+        return [name for name, share in zip(model.robot.joint_names, shares, strict=True) if share < MEASURED]

@@ -31,7 +31,7 @@ from geomid_ros.model.columns import Columns
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.robot import Robot
 from geomid_ros.model.samples import Samples
-from geomid_ros.plausibility.check import RecordingCheck
+from geomid_ros.plausibility.check import Judge, JudgementTask, RecordingCheck
 from geomid_ros.plausibility.hypotheses import Finding
 from geomid_ros.plausibility.verdict import Verdict, unlike, verdict, worse_channels, worse_in_folds, worse_on_rows
 from geomid_ros.session.configuration import Configuration
@@ -94,7 +94,7 @@ class Session:
         gains = configuration.signals(joints).effort_gains(joints)
         # Judged in another thread than rows are made in: pinocchio's buffers are not shared.
         own = self.model.with_gravity(self.robot.gravity)
-        self._new_check = partial(RecordingCheck, own, gains, named)
+        self._new_check = partial(RecordingCheck, JudgementTask(own, gains, named))
         self.check = self._new_check()
         """Told of all samples, it judges them as a whole."""
         self.findings: tuple[Finding, ...] = ()
@@ -135,6 +135,12 @@ class Session:
         if check is self.check:  # nothing was forgotten meanwhile
             found = (*self._kept, *found, *faulty_streams(self.pipeline.ledger.topics, self._forgotten))
             self.findings = tuple({finding.sentence: finding for finding in found}.values())
+
+    def judge_with(self, judge: Judge) -> None:
+        """Judge by ``judge`` instead of :meth:`JudgementTask.judge`, in another process for example, before there are
+        samples."""
+        self._new_check = partial(self._new_check, judge=judge)
+        self.check = self._new_check()
 
     def forget_findings(self) -> None:
         """Judge by the samples to come alone."""

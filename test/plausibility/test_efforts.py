@@ -13,7 +13,7 @@ from estimation.arms import Case, arm, efforts, motion, samples, shipped, truth
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.robot import Robot
 from geomid_ros.model.samples import Samples
-from geomid_ros.plausibility.check import RecordingCheck
+from geomid_ros.plausibility.check import JudgementTask, RecordingCheck
 from geomid_ros.plausibility.hypotheses import Cause, Finding
 from geomid_ros.types import FloatArray
 
@@ -29,7 +29,7 @@ def case(name: str, seed: int) -> Case:
 
 def checked(model: MeasurementModel, recorded: Samples, gains: FloatArray | None = None) -> RecordingCheck:
     """A check that was told of a recording in pieces."""
-    check = RecordingCheck(model, np.ones(len(model.robot.joints)) if gains is None else gains, {})
+    check = RecordingCheck(JudgementTask(model, np.ones(len(model.robot.joints)) if gains is None else gains, {}))
     for begin in range(0, len(recorded), 300):
         check.add(recorded.select(slice(begin, begin + 300)))
     return check
@@ -70,7 +70,7 @@ def test_a_sound_recording_is_not_doubted(name: str, seed: int) -> None:
     sound = case(name, seed)
     check = checked(sound.model, sound.samples)
     assert check.findings() == ()
-    assert check.remarks == []
+    assert check.remarks == ()
 
 
 def test_all_efforts_are_reversed(robot: Case) -> None:

@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 from geomid_ros.files.models.urdf import read_urdf
 from geomid_ros.model.samples import Samples
 from geomid_ros.model.sensors import WrenchSensor
-from geomid_ros.plausibility.check import RecordingCheck
+from geomid_ros.plausibility.check import JudgementTask, RecordingCheck
 from geomid_ros.plausibility.hypotheses import Cause
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.recordings import Bags, read_bags
@@ -37,7 +37,7 @@ def cause(change: Callable[[FloatArray], FloatArray]) -> Cause | None:
     """What is said of a sensor whose wrenches ``(N, 2, 3)``, force and torque, were changed."""
     session, samples = recorded()
     wrenches = change(samples.wrenches.reshape(-1, 2, 3).copy()).reshape(samples.wrenches.shape)
-    check = RecordingCheck(session.model, np.ones(len(session.robot.joints)), {"/wrench": "wrist"})
+    check = RecordingCheck(JudgementTask(session.model, np.ones(len(session.robot.joints)), {"/wrench": "wrist"}))
     check.add(replace(samples, wrenches=wrenches))
     findings = check.findings()
     assert len(findings) <= 1

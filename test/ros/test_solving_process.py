@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import os
 import signal
 import threading
@@ -18,12 +19,16 @@ from signals.feeding import completed
 
 from geomid_ros.errors import GeomidError
 from geomid_ros.estimation.estimate import Estimate
-from geomid_ros.estimation.identifier import Identifier
+from geomid_ros.estimation.identifier import EstimationTask, Identifier
 from geomid_ros.files.models.urdf import read_urdf
 from geomid_ros.live import solving_process as module
 from geomid_ros.live.solving_process import SolvingProcess
+from geomid_ros.live.supervisor import Supervisor
+from geomid_ros.model.samples import Samples
+from geomid_ros.plausibility.efforts import EffortCheck
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.session import Session
+from geomid_ros.signals.ledger import Ledger
 
 from .rig import WARN, rigged
 from .stage import Stage, description, messages
@@ -46,10 +51,20 @@ def parent(process: int) -> int:
 def session(messages: int = 400, **parameters: object) -> Session:
     """The small arm's, with rows of so many messages."""
     result = Session(read_urdf(BAGS / "arm3.urdf"), Configuration(parameters), "arm3.urdf")
-    joints = (item.parsed for item in MESSAGES[: 2 * messages] if item.topic == "/joint_states")
-    for samples in completed(result.pipeline, joints):
+    for samples in parts(messages, result):
         result.identifier.add(samples)
+        result.check.add(samples)
     return result
+
+
+def parts(messages: int, of: Session) -> Iterator[Samples]:
+    """The samples of so many messages."""
+    joints = (item.parsed for item in MESSAGES[: 2 * messages] if item.topic == "/joint_states")
+    return completed(of.pipeline, joints)
+
+
+def ignored(*_: object) -> None:
+    """What nobody looks at."""
 
 
 def wait_until(look: Callable[[], bool]) -> None:
@@ -78,7 +93,7 @@ def test_the_estimates_are_those_of_one_process(solving: SolvingProcess) -> None
     """Of one session and of another one, cold and warm."""
     for effects in (["viscous_friction"], [""]):
         ours, theirs = session(effects=effects), session(effects=effects)
-        ours.identifier.solve_with(solving.solve)
+        ours.identifier.solve_with(solving.remote(EstimationTask.solve))
         assert_same(ours.identifier.solve(), theirs.identifier.solve())
     assert solving.warning == ""
 
@@ -86,16 +101,36 @@ def test_the_estimates_are_those_of_one_process(solving: SolvingProcess) -> None
 def test_errors_are_those_of_one_process(solving: SolvingProcess) -> None:
     empty, full = session(0), session()
     for each in (empty, full):
-        each.identifier.solve_with(solving.solve)
+        each.identifier.solve_with(solving.remote(EstimationTask.solve))
     with pytest.raises(GeomidError, match="no usable rows"):
         empty.identifier.solve()
     assert full.identifier.solve().rows_accepted > 0
     assert solving.warning == ""
 
 
+def test_recordings_are_judged_there_and_alike(solving: SolvingProcess, monkeypatch: pytest.MonkeyPatch) -> None:
+    """By what the supervisor builds; here, judging would fail."""
+    faulty = {"effort_gain": -1.0}
+    alone = session(2000, **faulty)
+    alone.judge()
+    (expected,) = alone.findings
+    assert "effort_gain: 1.0" in expected.sentence
+    supervisor = Supervisor(
+        Configuration(faulty), Ledger(), logging.getLogger(), on_samples=ignored, on_estimate=ignored, solving=solving
+    )
+    supervisor.build(read_urdf(BAGS / "arm3.urdf"), "arm3.urdf")
+    assert supervisor.worker is not None
+    with closing(supervisor.worker) as worker:
+        monkeypatch.setattr(EffortCheck, "findings", None)
+        for joints in parts(2000, worker.session):
+            worker.session.check.add(joints)
+        worker.session.judge()
+        assert worker.session.findings == (expected,)
+
+
 def test_after_its_end_it_is_solved_here(solving: SolvingProcess) -> None:
     ours, theirs = session(), session()
-    ours.identifier.solve_with(solving.solve)
+    ours.identifier.solve_with(solving.remote(EstimationTask.solve))
     ours.identifier.solve()
     solving.close()
     assert_same(ours.identifier.solve(), theirs.identifier.solve())
@@ -110,7 +145,7 @@ def pid(solving: SolvingProcess) -> int:
 def test_a_process_that_is_killed_is_replaced(busy: bool, solving: SolvingProcess) -> None:
     """Idle, or in the middle of a solve, which is done again; as often as it is killed."""
     ours, expected = session(), session().identifier.solve()
-    ours.identifier.solve_with(solving.solve)
+    ours.identifier.solve_with(solving.remote(EstimationTask.solve))
     killed = set()
     for _ in range(3):
         before = pid(solving)
@@ -140,7 +175,7 @@ def test_one_that_ends_in_every_solve_is_started_after_pauses(
         module, "time", SimpleNamespace(monotonic=lambda: now[0])
     )  # not for all of Python, which waits by it
     ours = session()
-    ours.identifier.solve_with(solving.solve)
+    ours.identifier.solve_with(solving.remote(EstimationTask.solve))
     answer, begun = solving._answer, []
     begin = solving._begin
 
@@ -182,7 +217,7 @@ def test_a_solve_that_was_given_up_is_waited_for(solving: SolvingProcess) -> Non
     """The process goes on with what is asked for next: here, rows of another session."""
     ours, theirs = session(effects=["viscous_friction"]), session()
     for each in (ours, theirs):
-        each.identifier.solve_with(solving.solve)
+        each.identifier.solve_with(solving.remote(EstimationTask.solve))
     os.kill(solving._process.pid or 0, signal.SIGSTOP)
     first, given_up = in_thread(ours.identifier)
     wait_until(solving._solving.locked)
@@ -200,7 +235,7 @@ def test_a_process_that_does_not_come_to_an_end_is_ended(
 ) -> None:
     monkeypatch.setattr(module, "_PATIENCE", 0.1)
     ours, theirs = session(), session()
-    ours.identifier.solve_with(solving.solve)
+    ours.identifier.solve_with(solving.remote(EstimationTask.solve))
     os.kill(solving._process.pid or 0, signal.SIGSTOP)
     thread, given_up = in_thread(ours.identifier)
     wait_until(solving._solving.locked)
