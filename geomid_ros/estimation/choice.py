@@ -20,7 +20,8 @@ from geomid_ros.estimation.objective import Evaluation
 from geomid_ros.estimation.profile_objective import ProfileObjective, StraightManifold
 from geomid_ros.estimation.solvers import trust_region
 from geomid_ros.geometry.manifold import Point
-from geomid_ros.model.effects import Place
+from geomid_ros.model.dry_friction import held_from_driving
+from geomid_ros.model.effects import Effect, Place
 from geomid_ros.types import FloatArray, IntArray
 
 LEAST_GAIN = 12.0
@@ -129,6 +130,19 @@ class _Rows:
 
     def fit(self, columns: IntArray, start: _Fit | None = None, *, firm: bool = False) -> _Fit:
         """Fit these parameters, from an earlier fit where one is given; ``firm``: all links keep the usual spread."""
+        found = self._fit(columns, start, np.zeros((0, len(columns))), firm=firm)
+        rows = held_from_driving([self._term(column) for column in columns], found.point.parameters)
+        return self._fit(columns, found, rows, firm=firm) if len(rows) else found
+
+    def _term(self, column: int) -> tuple[Effect, Place] | None:
+        """The effect and the place of a coefficient; None for a link's parameter."""
+        if column < self.first:
+            return None
+        coefficient = self.problem.model.coefficients[column - self.first]
+        return coefficient.effect, coefficient.place
+
+    def _fit(self, columns: IntArray, start: _Fit | None, held: FloatArray, *, firm: bool) -> _Fit:
+        """The same, with rows ``(r, columns)`` that are zero."""
         scales = self.scales[columns[columns >= self.first] - self.first]
         manifold = StraightManifold(self.first // 10, 0, scales)
         inertias = self.problem.prior[: self.first]
@@ -136,15 +150,16 @@ class _Rows:
         spreads = self.problem.usual
         point = prior
         if start is not None:
-            known = np.zeros(self.size)
-            known[start.columns] = start.point.parameters
-            point, spreads = manifold.point(known[columns]), start.spreads
+            before = np.zeros(self.size)
+            before[start.columns] = start.point.parameters
+            point, spreads = manifold.point(before[columns]), start.spreads
         own = np.append(columns, self.size)
         products = self.all_products[:, own[:, None], own]
         least = _LEAST_SHARE * products[:, -1, -1] + np.finfo(float).tiny
         weighed = self.problem.known
-        off = weighed.rows[:, columns] @ prior.parameters - weighed.targets
-        known_rows = np.column_stack([weighed.rows[:, columns], off])
+        known = np.concatenate([weighed.rows[:, columns], held])
+        off = known @ prior.parameters - np.append(weighed.targets, np.zeros(len(held)))
+        known_rows = np.column_stack([known, off])
 
         def objective(spreads: FloatArray) -> ProfileObjective:
             weights = np.full(manifold.dimension, _FREE)
@@ -159,12 +174,12 @@ class _Rows:
             point = solution.point
             if firm:
                 break
-            before = spreads
+            earlier = spreads
             hessian = solution.evaluation.information + np.diag(trusted.weights)
             unsure = np.diag(np.linalg.inv(hessian))[manifold.inertial]
             errors = np.sum((manifold.log(prior, point)[manifold.inertial] ** 2 + unsure).reshape(-1, 10), axis=1)
             spreads = np.sqrt((errors + CERTAINTY * self.problem.usual**2) / (10.0 + CERTAINTY))
-            if np.all(np.abs(np.log(spreads / before)) < _SETTLED):
+            if np.all(np.abs(np.log(spreads / earlier)) < _SETTLED):
                 break
         return _Fit(self, columns, point, objective(spreads), spreads)
 

@@ -6,6 +6,7 @@ import time
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import Any
 
 import numpy as np
 
@@ -13,7 +14,7 @@ from geomid_ros.errors import InputError, unknown_name
 from geomid_ros.estimation import estimate_parts, starting_point, uncertainty
 from geomid_ros.estimation.choice import choose
 from geomid_ros.estimation.estimate import Estimate
-from geomid_ros.estimation.fit import INDEPENDENT, Fit, Problem, fit, subproblem
+from geomid_ros.estimation.fit import INDEPENDENT, Fit, Problem, driven_rows, fit, subproblem
 from geomid_ros.estimation.objective import GeodesicObjective, ResidualObjective
 from geomid_ros.estimation.population import Population
 from geomid_ros.estimation.population_prior import PopulationPrior, fit_with_population, unlike_population
@@ -125,17 +126,17 @@ def estimate(
     problem = subproblem(whole, columns)
     start = None if warm is None else problem.manifold.point(warm.parameters[columns])
     solve = partial(
-        fit,
+        _fit,
         start=start,
         spreads=None if warm is None else warm.spreads,
         tolerance=settings.tolerance,
         max_steps=settings.max_steps,
     )
     if settings.population is None:
-        return _estimate(problem, columns, model, solve(problem), settings, begin)
+        return _estimate(columns, model, solve(problem), settings, begin)
     beside = PopulationPrior.of(settings.population, problem)
     found, weights = fit_with_population(beside, solve)
-    result = _estimate(found.problem, columns, model, found, settings, begin)
+    result = _estimate(columns, model, found, settings, begin)
     return replace(result, warnings=(*result.warnings, *unlike_population(beside, weights)))
 
 
@@ -168,10 +169,18 @@ def least_inflation(summary: RowSummary, cutoff: float) -> float:
     return max(1.0 / (_OF_WHITE_NOISE * cutoff * summary.period), 1.0)
 
 
+def _fit(problem: Problem, **options: Any) -> Fit:
+    """A fit, in which no joint is driven by its dry friction; its problem has the rows that see to that."""
+    found = fit(problem, **options)
+    rows = driven_rows(problem.model, found.point.parameters)
+    return fit(problem.beside(rows), **options) if len(rows) else found
+
+
 def _estimate(
-    problem: Problem, columns: IntArray, whole: MeasurementModel, fitted: Fit, settings: EstimatorSettings, begin: float
+    columns: IntArray, whole: MeasurementModel, fitted: Fit, settings: EstimatorSettings, begin: float
 ) -> Estimate:
     """All that is said of a fit."""
+    problem = fitted.problem
     model, manifold, summary, known = problem.model, problem.manifold, problem.summary, problem.known
     objective, solution = fitted.objective, fitted.solution
     prior_point, prior_weights = problem.prior_point, objective.prior_weights

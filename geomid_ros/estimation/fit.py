@@ -26,6 +26,7 @@ from geomid_ros.estimation.starting_point import (
 )
 from geomid_ros.estimation.summary import RowSummary
 from geomid_ros.geometry.manifold import ParameterManifold, Point
+from geomid_ros.model.dry_friction import held_from_driving
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.weighed_masses import WeighedRows
 from geomid_ros.types import FloatArray, IntArray
@@ -63,6 +64,10 @@ class Problem:
     gamma: float | None
     independent: float
     given_spreads: FloatArray | None = None
+
+    def beside(self, rows: FloatArray) -> Problem:
+        """The problem with rows ``(r, D)`` more that are known to be zero, with standard deviation 1."""
+        return replace(self, known=self.known.plus(WeighedRows(rows, np.zeros(len(rows)))))
 
     @cached_property
     def usual(self) -> FloatArray:
@@ -293,6 +298,14 @@ def _spreads(problem: Problem, objective: ProductsObjective, solution: Solution)
     squares = np.sum(errors.reshape(-1, 10), axis=1) + CERTAINTY * problem.usual**2
     spreads: FloatArray = np.sqrt(squares / (10.0 + CERTAINTY))
     return spreads
+
+
+def driven_rows(model: MeasurementModel, parameters: FloatArray) -> FloatArray:
+    """Rows ``(r, D)`` that keep those joints from being driven by their dry friction that parameters ``(D,)`` drive."""
+    first = model.dimension - len(model.coefficients)
+    terms = [(coefficient.effect, coefficient.place) for coefficient in model.coefficients]
+    own = held_from_driving(terms, parameters[first:])
+    return np.column_stack([np.zeros((len(own), first)), own])
 
 
 def subproblem(whole: Problem, columns: IntArray) -> Problem:

@@ -523,3 +523,28 @@ def test_a_sensor_s_offset_has_a_parameter_for_each_axis_with_its_unit() -> None
         "fx": (3.0, 0.5, "N"),
         "tz": (-0.5, 0.1, "N m"),
     }
+
+
+@pytest.mark.parametrize(("excess", "known"), [(-3.0, None), (-3.0, "rows"), (-0.6, None)])
+def test_known_dry_friction_drives_no_joint(excess: float, known: str | None) -> None:
+    """Where the data would have it so, the fit is that of one column: friction that is nothing at standstill."""
+    stribeck = at("stribeck_friction", 0)
+    level, own = stribeck.terms
+    recording = Recording(4, [stribeck, VISCOUS])
+    design = recording.design({level: 1.0, own: excess})
+    others = LinksInformation(np.random.default_rng(1).normal(scale=3.0, size=(8, 10)), np.zeros(8)) if known else None
+    wide = {"inertias": LINK, "spread": 0.2, "certainty": 4.0, "known": others}
+    found = fit(design, Prior(terms=(level, own), values=np.ones(2), spreads=np.full(2, 1e3), **wide), [])
+    if excess > -1.0:
+        assert found.value(own) == pytest.approx(excess, abs=0.05)
+        return
+    assert found.value(level) + found.value(own) == pytest.approx(0.0, abs=1e-3)
+    merged = Recording(4, [stribeck, VISCOUS])
+    merged.columns[TERM] = merged.columns[level] - merged.columns[own]
+    one = fit(
+        merged.design({level: 1.0, own: excess}),
+        Prior(terms=(TERM,), values=np.ones(1), spreads=np.full(1, 1e3), **wide),
+        [],
+    )
+    assert found.value(level) == pytest.approx(one.value(TERM), rel=1e-3)
+    np.testing.assert_allclose(found.inertias, one.inertias, atol=1e-3)

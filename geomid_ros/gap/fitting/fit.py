@@ -16,12 +16,13 @@ import numpy as np
 
 from geomid_ros.estimation.profile_objective import ProfileObjective, StraightManifold
 from geomid_ros.estimation.solvers import trust_region
-from geomid_ros.gap.candidates import AnyCandidate, Term
+from geomid_ros.gap.candidates import AnyCandidate, EffectTerm, Term
 from geomid_ros.gap.evidence.design import Design
 from geomid_ros.gap.fitting import prior as priors
 from geomid_ros.gap.fitting.prior import Prior
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.geometry.manifold import ParameterManifold, Point
+from geomid_ros.model.dry_friction import held_from_driving
 from geomid_ros.types import FloatArray
 
 _LEAST_SHARE = 1e-10  # of the target's sum of squares: no residual is smaller
@@ -139,7 +140,22 @@ def _fit(
     start: JointFit | None,
     spread: float | FloatArray | None = None,
 ) -> JointFit:
-    """The minimum that is reached from the start."""
+    """The minimum that is reached from the start, in which no joint is driven by its dry friction."""
+    found = _free_fit(design, prior, chosen, start, spread)
+    terms = [(term.effect, term.place) if isinstance(term, EffectTerm) else None for term in found.terms]
+    rows = held_from_driving(terms, found.point.reals)
+    return _free_fit(design, prior, chosen, found, spread, rows) if len(rows) else found
+
+
+def _free_fit(
+    design: Design,
+    prior: Prior,
+    chosen: Sequence[AnyCandidate],
+    start: JointFit | None,
+    spread: float | FloatArray | None,
+    driven: FloatArray | None = None,
+) -> JointFit:
+    """The minimum that is reached from the start; ``driven``: rows ``(r, terms)`` of the coefficients that are zero."""
     bodies = [c.payload for c in chosen if c.payload is not None]
     own = dict.fromkeys(term for c in chosen for term in c.terms)
     terms = (*prior.terms, *(term for term in own if term not in prior.terms))
@@ -154,6 +170,7 @@ def _fit(
     places = manifold.real.start + np.flatnonzero(held)
     weights[places] = (scales[: len(held)][held] / prior.spreads[held]) ** 2
     rows = priors.known_rows(prior.known, manifold.dimension)
+    zero = _zero_rows(driven, manifold, known)
     counts, least = design.counts, _LEAST_SHARE * design.target_squares + 1e-300
     afresh = start is None or set(bodies) != set(start.bodies)
     fixed = spread is not None
@@ -166,7 +183,13 @@ def _fit(
     def objective(spreads: FloatArray, inflation: float) -> ProfileObjective:
         trusted = np.append(np.repeat(spreads, 10) ** -2.0, weights[first:])
         return ProfileObjective(
-            manifold, products, counts, least, prior=known, weights=trusted, known=rows / np.sqrt(inflation)
+            manifold,
+            products,
+            counts,
+            least,
+            prior=known,
+            weights=trusted,
+            known=np.concatenate([rows / np.sqrt(inflation), zero]),
         )
 
     if afresh and bodies:
@@ -201,6 +224,13 @@ def _fit(
         inflation=inflation,
         products=products,
     )
+
+
+def _zero_rows(driven: FloatArray | None, manifold: ParameterManifold, known: Point) -> FloatArray:
+    """Rows for all parameters, and as the last column their residuals at the prior ``(r, D + 1)``."""
+    if driven is None:
+        return np.zeros((0, manifold.dimension + 1))
+    return np.column_stack([np.zeros((len(driven), manifold.real.start)), driven, driven @ known.reals])
 
 
 def unfitted(prior: Prior) -> JointFit:

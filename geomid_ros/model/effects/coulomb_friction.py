@@ -29,6 +29,7 @@ class CoulombFriction(JointEffect):
     parameters = (ParameterForm("level", EFFORT, above=0.0, urdf="dynamics/friction", mjcf="joint/frictionloss"),)
     settled_by = "a slow motion of this joint to and fro, at several constant speeds"
     alike_one_way = "effort_offset"
+    is_dry_friction = True
 
     @classmethod
     def variants(cls) -> tuple[Effect, ...]:

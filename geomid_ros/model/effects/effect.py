@@ -76,6 +76,8 @@ class Effect(ABC):
     """Changes of its coefficients after which the columns of all effects are others; empty if none does that."""
     before_gear: ClassVar[bool] = False
     """Whether it acts on the motor's side alone, so that a sensor behind the gear does not feel it."""
+    is_dry_friction: ClassVar[bool] = False
+    """Whether its coefficient counts in full in the dry friction just beside standstill."""
     turns_gravity: ClassVar[bool] = False
     """Whether it turns gravity, which wrench sensors feel, too."""
     adds_up: ClassVar[bool] = True

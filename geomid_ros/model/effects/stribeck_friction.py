@@ -42,6 +42,7 @@ class StribeckFriction(JointEffect):
     adds_up = False
     contains = "coulomb_friction"
     alike_one_way = "effort_offset"
+    is_dry_friction = True
 
     @classmethod
     def variants(cls) -> tuple[Effect, ...]:
@@ -65,7 +66,8 @@ class StribeckFriction(JointEffect):
 
     @property
     def own_positives(self) -> int:
-        """None: an excess below zero is dry friction that sets in gradually, if not Stribeck's."""
+        """None: an excess below zero, as far as :func:`held_from_driving` lets it, is dry friction that sets in
+        gradually, if not Stribeck's."""
         return 0
 
     def is_absurd(self, coefficients: FloatArray) -> bool:
