@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from geomid_ros.geometry import pseudo_inertia
-from geomid_ros.model.effects import EFFECTS, KnownEffect, Quantity, effect_class, identifiable, values_of
+from geomid_ros.model.effects import EFFECTS, IdentifiedEffect, KnownEffect, Quantity, effect_class, values_of
 from geomid_ros.model.effects.parameters import COM_ENTRIES
 from geomid_ros.types import FloatArray
 
@@ -21,7 +21,8 @@ def is_body(effect: KnownEffect) -> bool:
 
 def is_coefficient(effect: KnownEffect) -> bool:
     """Whether it is one number at a joint that is identified along with the inertias."""
-    return effect.effect in identifiable() and len(EFFECTS[effect.effect].parameters) == 1
+    cls = effect_class(effect.effect)
+    return issubclass(cls, IdentifiedEffect) and len(cls.parameters) == 1
 
 
 def is_sure(effect: KnownEffect) -> bool:
