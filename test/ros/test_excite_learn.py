@@ -95,8 +95,9 @@ def test_a_round_that_is_stopped_ends_it_and_the_way_to_go_on_is_said(stage: Sta
     assert f"What was learned until then is in {first}. To go on from there: the same with --from {first}" in said
     on = learn(stage, "--from", first / "estimate.json", "--out", stage.folder / "on")
     assert status(stage, on) == 0, on.output
-    known, more = (json.loads((stage.folder / f"{where}/round1/excitation.json").read_text()) for where in ("out", "on"))
-    assert more["expected"]["before"]["error"] < 0.5 * known["expected"]["before"]["error"]
+    reports = (stage.folder / out / "round1/excitation.json" for out in ("out", "on"))
+    nothing, known = (json.loads(report.read_text())["expected"]["before"]["error"] for report in reports)
+    assert known < 0.5 * nothing
 
 
 def test_before_anything_is_identified_there_is_nothing_to_go_on_from(stage: Stage) -> None:
