@@ -59,7 +59,7 @@ class Feasibility:
         Raises InputError for a start that is not feasible itself.
         """
         self.knowledge, self.limits, self.start, self.collision = knowledge, limits, start, collision
-        self.names = knowledge.model.robot.joint_names
+        self.names, self.clearance = knowledge.model.robot.joint_names, clearance
         self.edge = np.minimum(_EDGE, _EDGE * np.diff(limits.position)[:, 0])
         self._check_start()
         self.clearances = np.zeros(0)

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from geomid_ros.errors import InputError
-from geomid_ros.excitation.criteria import PREDICTION, weight_of
+from geomid_ros.excitation.criteria import PREDICTION, meaning_of, weight_of
 from geomid_ros.excitation.feasibility import Feasibility, Margins
 from geomid_ros.excitation.knowledge import Knowledge, known_before, prior_knowledge
 from geomid_ros.excitation.learning import Learning, expected_learning
@@ -115,10 +115,11 @@ class Decision:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Excitation:
-    """A designed motion, with how far it stays from all limits, what it is expected to teach, and which rivals it is
-    expected to tell apart."""
+    """A designed motion, with how far it stays from all limits, what it is expected to teach (of what the expected
+    ``error`` is, in words), and which rivals it is expected to tell apart."""
 
     task: Task
+    error: str
     motion: Motion
     margins: Margins
     learning: Learning
@@ -132,7 +133,8 @@ class Excitation:
             return ""
         place = int(np.argmin(self.margins.distance - clearances))
         lower, asked = 1e3 * self.margins.distance[place], 1e3 * clearances[place]
-        return f"{collision.pairs[place]} stay {lower:.0f} mm apart or more ({asked:.0f} mm are asked for)"
+        half = ", half of what they have at the start" if clearances[place] < self.task.feasibility.clearance else ""
+        return f"{collision.pairs[place]} stay {lower:.0f} mm apart or more ({asked:.0f} mm are asked for{half})"
 
     def not_worth(self, until: float) -> str:
         """Why a motion is not worth it that lowers the expected error by less than the share ``until``, in words."""
@@ -258,7 +260,12 @@ def design(task: Task, wish: Wish, progress: Callable[[str, float], None]) -> Ex
     learning = expected_learning(task.knowledge, weight, motion, randoms)
     decisions = () if judge is None else tuple(_decisions(judge, labels, motion, randoms))
     return Excitation(
-        task=task, motion=motion, margins=feasibility.margins(motion), learning=learning, decisions=decisions
+        task=task,
+        error=meaning_of(wish.aim),
+        motion=motion,
+        margins=feasibility.margins(motion),
+        learning=learning,
+        decisions=decisions,
     )
 
 

@@ -35,7 +35,7 @@ def folder(arm: Path) -> Path:
         "acceleration limits follow",
         "jerk limits are 10",
         "Least distance:",
-        "Expected error:",
+        "Expected error of efforts predicted for other motions, in units of the noise:",
         "trajectory.yaml",
     ):
         assert said in text

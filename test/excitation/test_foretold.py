@@ -19,6 +19,14 @@ from .arm import small_task
 WALLS = ("plane:1,0,0,-0.08", "plane:-1,0,0,-0.08", "plane:0,1,0,-0.08", "plane:0,-1,0,-0.08")
 
 
+@pytest.mark.parametrize("clearance", [0.02, 0.3])
+def test_pairs_that_begin_closer_than_the_clearance_are_said_to_keep_half(clearance: float) -> None:
+    """The walls begin 0.05 m from the arm."""
+    wish = Wish(duration=3.0, repeats=1, surroundings=Surroundings(avoid=WALLS, clearance=clearance))
+    found = design(small_task(wish), wish, lambda *_: None)
+    assert ("half of what they have at the start" in found.closest) is (clearance > 0.05)
+
+
 def test_in_a_tight_place_the_error_on_feasible_motions_is_foretold() -> None:
     """The arm stands upright in a shaft, 0.16 m wide, in which random motions within its limits collide."""
     wish = Wish(duration=6.0, repeats=1, surroundings=Surroundings(avoid=WALLS))

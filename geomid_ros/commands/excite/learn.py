@@ -150,7 +150,7 @@ class _Learning:
         click.echo(f"\nRound {self.number}: {form.repeats} x {form.period:g} s, in {self.folder}")
         for sentence in designed.task.notes if self.number == 1 else ():
             click.echo(printable(f"Note: {sentence}"))
-        click.echo(f"Expected error: {designed.learning.sentences[0]}")
+        click.echo(f"Expected error {designed.error}: {designed.learning.sentences[0]}")
 
     def plan(self, designed: Excitation) -> None:
         """Say what would be done."""
