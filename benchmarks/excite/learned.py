@@ -45,11 +45,11 @@ def against_random(report: Report, robots: list[str], seconds: float, truths: in
         means = {name: float(np.mean(values)) for name, values in found.items()}
         ratios.append(means["designed"] / means["best of 60"])
         sure = np.std(np.array(found["designed"]) / np.array(found["best of 60"])) / np.sqrt(truths)
-        foretold = _expected(own.knowledge, weight, designed)
+        foretold = _expected(own.knowledge, weight_of("prediction", own.knowledge, others), designed)
         rows.append(
             [robot, *(f"{mean:.3f}" for mean in means.values()), f"{ratios[-1]:.2f} ± {sure:.2f}", f"{foretold:.3f}"]
         )
-        report.result(f"learning {robot}", means)
+        report.result(f"learning {robot}", means | {"foretold": foretold})
     headings = ["robot", *tried, "designed to best", "foretold"]
     caption = f"mean of designed to best of {_RANDOM}: {np.mean(ratios):.3f}"
     report.table(f"Error of predicted efforts in units of noise, {truths} truths", headings, rows, caption)

@@ -7,9 +7,8 @@ from pathlib import Path
 
 from geomid_ros.api.arguments import Config, PathLike, Paths, Texts, bag_paths, configuration, description, paths
 from geomid_ros.errors import InputError
-from geomid_ros.estimation.posterior import Posterior
 from geomid_ros.exports.weighed_payload import Payload, weigh_at
-from geomid_ros.files.models.posterior import POSTERIOR, read_posterior
+from geomid_ros.files.models.posterior import beside, read_posterior
 from geomid_ros.model.samples import Samples
 from geomid_ros.session.locking import read_with_locked
 from geomid_ros.session.payload import payload_session
@@ -60,7 +59,7 @@ def weigh_payload(
     if gain_std is not None and not 0.0 <= gain_std < 1.0:
         raise InputError(f"gain_std is {gain_std:g}, expected a number from 0 to 1")
     model = _estimate(empty)
-    known = None if model is None else _posterior_beside(model)
+    known = None if model is None else read_posterior(beside(model))
     parameters = configuration(config, model=model, floating_base=floating_base, wrench=wrench)
     both = bag_paths(empty) if model is None else [], bag_paths(loaded)
     topics = Topics(joint_topic, odom_topic)
@@ -80,17 +79,6 @@ def _estimate(empty: Paths) -> Path | None:
     """The estimate.json that is given in place of recordings."""
     given = paths(empty)
     return given[0] if len(given) == 1 and given[0].suffix == ".json" else None
-
-
-def _posterior_beside(estimate: Path) -> Posterior:
-    """What the estimate knows of all parameters together. Raises InputError naming the file."""
-    path = estimate.parent / POSTERIOR
-    if not path.is_file():
-        raise InputError(
-            f"{estimate}: there is no {POSTERIOR} beside it, which says how well the robot is known without the "
-            "payload; keep the files that 'geomid identify' wrote together in one folder, or identify again"
-        )
-    return read_posterior(path)
 
 
 def _all(session: Session, bags: Sequence[Path], topics: Topics, progress: Progress) -> Sequence[Samples]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shlex
 import sys
 from pathlib import Path
 from typing import Any
@@ -35,6 +36,7 @@ def gap(bags: tuple[Path, ...], out: Path, as_json: bool, **options: Any) -> Non
     """
     from geomid_ros.commands.progress import progress_bar
     from geomid_ros.commands.results import gap as results
+    from geomid_ros.files.models.gap_rivals import is_open
     from geomid_ros.plausibility.verdict import recording_verdict
 
     with progress_bar() as progress:
@@ -45,4 +47,7 @@ def gap(bags: tuple[Path, ...], out: Path, as_json: bool, **options: Any) -> Non
     else:
         results.show(found)
         click.echo(f"\nWritten: {', '.join(map(str, files))}")
+        if is_open(found.result):
+            arguments = ("--urdf", options["urdf"] or "ROBOT.urdf", "--settle", out / "gap.json")
+            click.echo(f"A motion that decides: geomid excite {shlex.join(map(str, arguments))}")
     sys.exit(recording_verdict(found.session.findings).status)

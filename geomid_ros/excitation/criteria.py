@@ -48,6 +48,15 @@ def weight_of(aim: str, knowledge: Knowledge, others: Sequence[Motion]) -> Float
     return weight
 
 
+def meaning_of(aim: str) -> str:
+    """Of what the root of that criterion is the error."""
+    if aim == PREDICTION:
+        return "of efforts predicted for other motions, in units of the noise"
+    if aim == FRICTION:
+        return "of the friction coefficients, relative to them, all together"
+    return f"of the inertia of {'the last link' if aim == PAYLOAD else aim.removeprefix(LINK)}, as a geodesic distance"
+
+
 def _are_friction(knowledge: Knowledge) -> list[bool]:
     return [
         any(form.urdf.startswith(_FRICTION) for form in effect_class(effect.name).parameters)

@@ -20,7 +20,8 @@ _FINE = 500.0  # [Hz] at which positions, speeds, accelerations, jerks are looke
 _EFFORTS = 50.0  # [Hz]
 _RESERVE = 1e-3  # of each limit, for what happens between two instants
 _EDGE = 0.01  # of a joint's range, at most so many rad or m
-_HALVINGS = 12
+HALVINGS = 12
+"""Of the interval in which the largest feasible size of a motion lies."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,7 +59,7 @@ class Feasibility:
         Raises InputError for a start that is not feasible itself.
         """
         self.knowledge, self.limits, self.start, self.collision = knowledge, limits, start, collision
-        self.names = knowledge.model.robot.joint_names
+        self.names, self.clearance = knowledge.model.robot.joint_names, clearance
         self.edge = np.minimum(_EDGE, _EDGE * np.diff(limits.position)[:, 0])
         self._check_start()
         self.clearances = np.zeros(0)
@@ -110,7 +111,7 @@ class Feasibility:
         """The motion, each joint shrunk into its own limits."""
         return motion.scaled(np.minimum(1.0, self.largest_scale(motion)))
 
-    def made_feasible(self, motion: Motion, halvings: int = _HALVINGS) -> Motion:
+    def made_feasible(self, motion: Motion, halvings: int = HALVINGS) -> Motion:
         """The motion, each joint shrunk into its own limits, and all of it towards the start until efforts and
         distances hold, too; with more ``halvings`` no more than it must."""
         shrunk = self.within_limits(motion)

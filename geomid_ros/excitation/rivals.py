@@ -13,7 +13,7 @@ from geomid_ros.excitation.feasibility import Feasibility
 from geomid_ros.excitation.knowledge import ROWS_PER_SECOND, Knowledge
 from geomid_ros.excitation.motion import Motion, MotionForm
 from geomid_ros.excitation.response import Responses
-from geomid_ros.excitation.search import Search, random_motion
+from geomid_ros.excitation.search import BENDS, Search, random_motion
 from geomid_ros.model.effects import Effect, Place
 from geomid_ros.types import FloatArray
 
@@ -162,7 +162,7 @@ def deciding_motion(
     """A feasible motion after which the least of a judge's differences is large: the best of random ones, and from
     there uphill by random steps."""
     judge.prepare(random_motion(feasibility, form, random).scaled(_REFERENCE))
-    costs = Search(feasibility, form)
+    costs = Search(feasibility, form, evaluations=BENDS)
 
     def value(motion: Motion) -> float:
         difference = judge.least(motion)
@@ -182,4 +182,5 @@ def deciding_motion(
             best, lowest = tried, cost
         # One success in five keeps the size of the step (Rechenberg 1973).
         step *= _GROWTH if better else _GROWTH**-0.25
-    return best if feasibility.holds(best) else costs.improved(best)
+    # What is bent to be feasible may have lost what it was to show; what is shrunk is the same motion, though smaller.
+    return max((feasibility.made_feasible(best), costs.improved(best)), key=judge.least)

@@ -13,7 +13,7 @@ from functools import cached_property
 import numpy as np
 from scipy.optimize import minimize
 
-from geomid_ros.excitation.feasibility import SURE, Feasibility
+from geomid_ros.excitation.feasibility import HALVINGS, SURE, Feasibility
 from geomid_ros.excitation.knowledge import covariance_of
 from geomid_ros.excitation.motion import Motion, MotionForm
 from geomid_ros.types import FloatArray
@@ -21,8 +21,10 @@ from geomid_ros.types import FloatArray
 _STEP = 1e-6  # of positions, speeds and accelerations, by which rows are differentiated
 _RATE = 6.0  # [Hz] of instants
 _RANDOM = 12  # motions to begin with
-_STEPS, _BENDS = 70, 50  # evaluations at most, with a criterion and without
-_ROUGHLY = 5  # halvings
+_STEPS = 70  # evaluations at most
+BENDS = 50
+"""Evaluations at most of the search for a feasible motion."""
+_FEW = 5  # evaluations, and halvings, where a motion need not be more than typical
 _USED = 0.97  # of a limit, before it costs anything
 _COST = 300.0  # of exceeding a limit by all of it, squared, at every instant
 _NEAR = 2.0  # clearances within which distances cost something
@@ -55,23 +57,34 @@ def expected_error(feasibility: Feasibility, weight: FloatArray, form: MotionFor
 
 def other_motions(feasibility: Feasibility, form: MotionForm, random: np.random.Generator, count: int) -> list[Motion]:
     """So many random motions that the robot can make: in a tight place those within its limits are far larger, and an
-    error on them means nothing."""
-    motions = [random_motion(feasibility, form, random) for _ in range(count)]
-    return [feasibility.made_feasible(motion, _ROUGHLY) for motion in motions]
+    error on them means nothing. They are bent a little before they are shrunk: those that are shrunk alone are far
+    smaller than what the robot can make, and a design for them tells little of others."""
+    search = Search(feasibility, form, evaluations=_FEW, halvings=_FEW)
+    return [search.improved(random_motion(feasibility, form, random)) for _ in range(count)]
 
 
 def random_feasible(feasibility: Feasibility, form: MotionForm, random: np.random.Generator) -> Motion:
     """A random motion, bent where it comes too close to something, and then made feasible."""
-    return Search(feasibility, form).improved(random_motion(feasibility, form, random))
+    return Search(feasibility, form, evaluations=BENDS).improved(random_motion(feasibility, form, random))
 
 
 @dataclass(frozen=True, eq=False)
 class Search:
-    """The search for motions of a form; without a criterion, for feasible ones."""
+    """The search for motions of a form; without a criterion, for feasible ones.
+
+    Attributes:
+        feasibility: what they must hold.
+        form: theirs.
+        criterion: what they make small.
+        evaluations: at most.
+        halvings: of the interval in which the largest feasible size of a motion lies.
+    """
 
     feasibility: Feasibility
     form: MotionForm
     criterion: Criterion | None = None
+    evaluations: int = _STEPS
+    halvings: int = HALVINGS
 
     def run(self, random: np.random.Generator, progress: Callable[[float], None] = lambda _: None) -> Motion:
         """A feasible motion that makes the criterion small."""
@@ -81,20 +94,25 @@ class Search:
 
     def improved(self, motion: Motion, progress: Callable[[float], None] = lambda _: None) -> Motion:
         """A feasible motion, downhill from another."""
-        # In units in which every coefficient of a joint, by itself, goes as far as the joint's limits allow.
-        units = np.array([self.feasibility.largest_scale(self._unit_motion(place)) for place in range(self.form.size)])
-        done, most = 0, _BENDS if self.criterion is None else _STEPS
+        units, done = self._units, 0
 
         def at(vector: FloatArray) -> tuple[float, FloatArray]:
             nonlocal done
             done += 1
-            progress(min(done / most, 1.0))
+            progress(min(done / self.evaluations, 1.0))
             value, slope = self._value_and_slope(Motion(self.form, motion.start, units * vector.reshape(units.shape)))
             return value, (units * slope).ravel()
 
         begin = (motion.coefficients / np.where(units > 0.0, units, 1.0)).ravel()
-        found = minimize(at, begin, jac=True, method="L-BFGS-B", options={"maxfun": most, "maxcor": 20})
-        return self.feasibility.made_feasible(Motion(self.form, motion.start, units * found.x.reshape(units.shape)))
+        options = {"maxfun": self.evaluations, "maxcor": 20}
+        found = minimize(at, begin, jac=True, method="L-BFGS-B", options=options)
+        bent = Motion(self.form, motion.start, units * found.x.reshape(units.shape))
+        return self.feasibility.made_feasible(bent, self.halvings)
+
+    @cached_property
+    def _units(self) -> FloatArray:
+        """Of the coefficients ``(size, J)``: each by itself goes as far as the joint's limits allow."""
+        return np.array([self.feasibility.largest_scale(self._unit_motion(place)) for place in range(self.form.size)])
 
     def _unit_motion(self, place: int) -> Motion:
         coefficients = np.zeros((self.form.size, len(self.feasibility.start)))

@@ -21,7 +21,7 @@ from geomid_ros.exports.inertial import UncertainInertia
 from geomid_ros.exports.into import OwnMjcf, read_own_mjcf
 from geomid_ros.exports.model import Model, read_model
 from geomid_ros.files.models.effect_forms import coefficient_entry, effect_entry, is_coefficient
-from geomid_ros.files.models.posterior import POSTERIOR, read_posterior
+from geomid_ros.files.models.posterior import beside, read_posterior
 from geomid_ros.files.models.results import link_entry
 from geomid_ros.files.models.urdf import inertia_of, with_inertials
 from geomid_ros.geometry import pseudo_inertia
@@ -129,9 +129,7 @@ def draw_robots(path: Path, count: int, seed: int, spread: float) -> DrawnRobots
     model = read_model(path)
     if not model.estimated:
         raise InputError(f"{path}: no estimate.json, and so nothing is known of how sure its numbers are")
-    file = path.parent / POSTERIOR
-    if not file.exists():
-        raise InputError(f"{path}: there is no {POSTERIOR} beside it, which 'geomid identify' writes; identify again")
+    file = beside(path)
     posterior = read_posterior(file)
     _check_same(model, posterior, file)
     drawn = posterior.draw(max(count, _ENOUGH), np.random.default_rng(seed), spread)

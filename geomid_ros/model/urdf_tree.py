@@ -297,6 +297,7 @@ def read_numbers(
     parts = [part for text in texts for part in (text or "").split()]
     numbers = [float(part) for part in parts] if all(map(_NUMBER.fullmatch, parts)) else []
     if len(numbers) != expected or not np.all(np.abs(numbers) < _MAX_NUMBER):
-        found = "is absent" if element is None else "has " + ", ".join(f'{key}="{element.get(key)}"' for key in keys)
+        said = (f"no {key}" if text is None else f'{key}="{text}"' for key, text in zip(keys, texts, strict=False))
+        found = "is absent" if element is None else f"has {', '.join(said)}"
         raise InputError(f"{where}: its <{tag}> {found}; expected {expected} finite numbers as {', '.join(keys)}")
     return numbers

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from geomid_ros.errors import InputError
-from geomid_ros.excitation.criteria import PREDICTION, weight_of
+from geomid_ros.excitation.criteria import PREDICTION, meaning_of, weight_of
 from geomid_ros.excitation.feasibility import Feasibility, Margins
 from geomid_ros.excitation.knowledge import Knowledge, known_before, prior_knowledge
 from geomid_ros.excitation.learning import Learning, expected_learning
@@ -20,7 +20,7 @@ from geomid_ros.excitation.search import Search, expected_error, other_motions, 
 from geomid_ros.excitation.start import starts
 from geomid_ros.excitation.trajectory import Trajectory
 from geomid_ros.files.models.joint_limits import read_joint_limits
-from geomid_ros.files.models.posterior import POSTERIOR, read_posterior
+from geomid_ros.files.models.posterior import beside, read_posterior
 from geomid_ros.files.models.results import read_estimate
 from geomid_ros.model.collision import CollisionModel, Pair
 from geomid_ros.model.measurement import MeasurementModel
@@ -115,10 +115,11 @@ class Decision:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Excitation:
-    """A designed motion, with how far it stays from all limits, what it is expected to teach, and which rivals it is
-    expected to tell apart."""
+    """A designed motion, with how far it stays from all limits, what it is expected to teach (of what the expected
+    ``error`` is, in words), and which rivals it is expected to tell apart."""
 
     task: Task
+    error: str
     motion: Motion
     margins: Margins
     learning: Learning
@@ -132,12 +133,13 @@ class Excitation:
             return ""
         place = int(np.argmin(self.margins.distance - clearances))
         lower, asked = 1e3 * self.margins.distance[place], 1e3 * clearances[place]
-        return f"{collision.pairs[place]} stay {lower:.0f} mm apart or more ({asked:.0f} mm are asked for)"
+        half = ", half of what they have at the start" if clearances[place] < self.task.feasibility.clearance else ""
+        return f"{collision.pairs[place]} stay {lower:.0f} mm apart or more ({asked:.0f} mm are asked for{half})"
 
     def not_worth(self, until: float) -> str:
         """Why a motion is not worth it that lowers the expected error by less than the share ``until``, in words."""
         gain, seconds = max(self.learning.gain, 0.0), self.motion.form.duration
-        return f"{seconds:g} s more would lower the expected error by {gain:.1%}, less than {until:.3g}"
+        return f"{seconds:g} s more would lower the expected error by {gain:.1%}, less than {100.0 * until:g}%"
 
     @property
     def trajectory(self) -> Trajectory:
@@ -159,6 +161,8 @@ def task_of(urdf: str, source: Path, configuration: Configuration, wish: Wish) -
     Raises:
         InputError: something is missing, or the robot cannot begin.
     """
+    if known := str(configuration["model"]):
+        beside(Path(known))  # a gap's estimate has none, and its identified.urdf has links that were not identified
     session = Session(urdf, configuration, str(source))
     robot, model = session.robot, _model_of(session)
     if robot.floating_base or not model.layout.efforts:
@@ -185,7 +189,7 @@ def _model_of(session: Session) -> MeasurementModel:
     """The session's model with the effects that every place has, or that an earlier estimate found."""
     model = session.model
     if session.loaded.source:
-        known = read_posterior(_beside(session))
+        known = read_posterior(beside(Path(session.loaded.source)))
         found = {(effect.name, effect.place, effect.parameter, effect.positive) for effect in known.effects}
         chosen = [
             index
@@ -196,10 +200,6 @@ def _model_of(session: Session) -> MeasurementModel:
     return model.with_coefficients([index for index, c in enumerate(model.coefficients) if not c.optional])
 
 
-def _beside(session: Session) -> Path:
-    return Path(session.loaded.source).with_name(POSTERIOR)
-
-
 def _knowledge(session: Session, model: MeasurementModel, limits: MotionLimits) -> Knowledge:
     prior = prior_knowledge(model, limits)
     if not session.loaded.source:
@@ -207,7 +207,7 @@ def _knowledge(session: Session, model: MeasurementModel, limits: MotionLimits) 
     measured = read_estimate(Path(session.loaded.source)).get("sigma") or {}
     sigmas = [measured.get(channel.name) for channel in model.channels]
     own = [float(sigma) if sigma else usual for sigma, usual in zip(sigmas, prior.sigmas.tolist(), strict=True)]
-    return known_before(model, read_posterior(_beside(session)), own, session.loaded.source)
+    return known_before(model, read_posterior(beside(Path(session.loaded.source))), own, session.loaded.source)
 
 
 def _feasibility(
@@ -229,7 +229,15 @@ def _feasibility(
             refused.append(error)
     if wish.start:
         raise refused[0]
-    raise InputError(f"no posture was found to begin from, of {len(tried)} that were tried; of the first: {refused[0]}")
+    raise InputError(_nowhere(refused, wish.surroundings))
+
+
+def _nowhere(refused: Sequence[InputError], around: Surroundings) -> str:
+    """Why no posture can be begun from, and what to give."""
+    said = f"no posture was found to begin from, of {len(refused)} that were tried; of the first: {refused[0]}"
+    if not around.avoid:
+        return said
+    return f"{said}, or make room: --avoid is in metres in the base frame, each part of a mesh is its convex hull"
 
 
 def design(task: Task, wish: Wish, progress: Callable[[str, float], None]) -> Excitation:
@@ -252,7 +260,12 @@ def design(task: Task, wish: Wish, progress: Callable[[str, float], None]) -> Ex
     learning = expected_learning(task.knowledge, weight, motion, randoms)
     decisions = () if judge is None else tuple(_decisions(judge, labels, motion, randoms))
     return Excitation(
-        task=task, motion=motion, margins=feasibility.margins(motion), learning=learning, decisions=decisions
+        task=task,
+        error=meaning_of(wish.aim),
+        motion=motion,
+        margins=feasibility.margins(motion),
+        learning=learning,
+        decisions=decisions,
     )
 
 

@@ -35,7 +35,7 @@ def folder(arm: Path) -> Path:
         "acceleration limits follow",
         "jerk limits are 10",
         "Least distance:",
-        "Expected error:",
+        "Expected error of efforts predicted for other motions, in units of the noise:",
         "trajectory.yaml",
     ):
         assert said in text
@@ -88,7 +88,7 @@ def test_what_a_wrench_sensor_told_is_known(tmp_path: Path) -> None:
     before, after = (expected[stage]["links"]["wrist_ft"]["mass"] for stage in ("before", "designed"))
     known = link(json.loads((tmp_path / "estimate.json").read_text()), "wrist_ft")["std"]["mass"]
     assert before == pytest.approx(known, rel=1e-6)
-    assert after < 0.7 * before
+    assert after < 0.8 * before  # joint efforts alone would tell of it in tens of grams, not in one
     assert "declare the same mounted wrench sensors" in refused(*command)
 
 
@@ -112,7 +112,7 @@ def test_a_urdf_without_shapes(tmp_path: Path) -> None:
         (("--urdf", "ARM", "--avoid", "box:0,0,0,1,1,0"), "edges greater than zero"),
         (("--urdf", "ARM", "--avoid", "plane:0,0,0,1"), "the normal of the plane is zero"),
         (("--urdf", "ARM", "--avoid", "plane:0,0,1"), "expected 4 finite numbers"),
-        (("--urdf", "ARM", "--avoid", "box:0,0,0,9,9,9"), "no posture was found to begin from"),
+        (("--urdf", "ARM", "--avoid", "box:0,0,0,9,9,9"), "or make room: --avoid is in metres in the base frame"),
         (("--urdf", "ARM", "--avoid", "plane:0,0,1,-1", "--no-collision"), "exclude each other"),
         (("--urdf", "ARM", "--lock", "wrist"), "'wrist'"),
         (("--urdf", "ARM", "--limits", "nowhere.yaml"), "nowhere.yaml"),
@@ -122,9 +122,23 @@ def test_what_is_refused(arm: Path, arguments: tuple[str, ...], message: str) ->
     assert message in refused("excite", *(str(arm) if argument == "ARM" else argument for argument in arguments))
 
 
+def test_an_estimate_without_a_posterior_says_nothing_of_what_is_known(tmp_path: Path) -> None:
+    """As that of ``geomid gap``, whose identified.urdf may have a payload besides."""
+    done(*identify("arm3", "--out", tmp_path))
+    (tmp_path / "posterior.npz").unlink()
+    robot = tmp_path / "identified.urdf"
+    payload = '<link name="tool"><inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1"/></inertial></link>'
+    joint = '<joint name="held" type="fixed"><parent link="link2"/><child link="tool"/></joint>'
+    robot.write_text(robot.read_text().replace("</robot>", f"{payload}{joint}</robot>"))
+    message = refused("excite", "--from", tmp_path / "estimate.json")
+    assert "there is no posterior.npz beside it" in message
+    assert "Only 'geomid identify' writes it" in message
+
+
 def test_nothing_is_written_where_nothing_is_worth_it(arm: Path, tmp_path: Path) -> None:
     text = done("excite", "--urdf", arm, *QUICK, "--until", "99.9%", "--out", tmp_path / "out")
     assert "Nothing is written: 6 s more would lower the expected error by" in text
+    assert "less than 99.9%" in text
     assert not (tmp_path / "out").exists()
     assert "'5 apples' is no share" in refused("excite", "--urdf", arm, "--until", "5 apples")
 

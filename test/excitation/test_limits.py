@@ -56,6 +56,11 @@ def test_an_effort_suffices_for_the_acceleration_that_follows_from_it() -> None:
             "joint 'j3' has no velocity limit; give it a velocity in its <limit>, or has_velocity_limits",
         ),
         ('<limit effort="0" velocity="2" lower="-1" upper="1"/>', "revolute", "joint 'j3' has no acceleration limit"),
+        (
+            '<limit effort="9" lower="-1" upper="1"/>',
+            "revolute",
+            "joint 'j3': its <limit> has effort=\"9\", no velocity;",
+        ),
     ],
 )
 def test_missing_limits_are_named(limit: str, kind: str, message: str) -> None:

@@ -14,11 +14,14 @@ from geomid_ros.excitation.knowledge import ROWS_PER_SECOND, samples_of
 from geomid_ros.excitation.motion import Motion
 from geomid_ros.excitation.response import Responses
 from geomid_ros.excitation.rivals import deciding_motion
-from geomid_ros.excitation.search import random_motion
+from geomid_ros.excitation.search import Search, random_motion
 from geomid_ros.model.effects import AtJoint, OnRobot, effect_class
+from geomid_ros.session.excitation import Wish
 from geomid_ros.session.open_questions import open_questions
+from geomid_ros.session.surroundings import Surroundings
 
 from .arm import small_task
+from .test_foretold import WALLS
 
 TASK = small_task()
 
@@ -52,6 +55,18 @@ def test_a_deciding_motion_tells_more_than_random_ones(own: dict[str, Any], tmp_
         for _ in range(6)
     ]
     assert judge.least(motion) > max(others)
+
+
+def test_what_a_deciding_motion_shows_is_not_lost_in_making_it_feasible(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """In a shaft the best motion collides; bending it, which does not look at rivals, may leave nothing of it."""
+    task = small_task(Wish(duration=6.0, repeats=1, surroundings=Surroundings(avoid=WALLS)))
+    judge, _ = open_questions(task.feasibility, written(tmp_path, ELASTIC))
+    monkeypatch.setattr(Search, "improved", lambda _, motion: motion.scaled(0.0))
+    motion = deciding_motion(task.feasibility, task.form, judge, np.random.default_rng(1))
+    assert task.feasibility.holds(motion)
+    assert judge.least(motion) > judge.least(motion.scaled(0.0)) + 0.1
 
 
 def test_the_difference_is_what_the_rival_cannot_explain(tmp_path: Path) -> None:

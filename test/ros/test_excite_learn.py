@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import signal
 from pathlib import Path
 from typing import Any
 
@@ -76,3 +77,31 @@ def test_from_a_urdf_to_an_identified_robot_until_nothing_worth_it_is_left(stage
     end = next(link for link in last["links"] if link["name"] == "link3")
     assert abs(end["mass"] - HEAVIER * NOMINAL) < max(4.0 * end["std"]["mass"], 0.1)
     assert abs(end["mass"] - HEAVIER * NOMINAL) < 0.5 * (HEAVIER - 1.0) * NOMINAL, "nearer to the truth than the URDF"
+
+
+def test_a_round_that_is_stopped_ends_it_and_the_way_to_go_on_is_said(stage: Stage) -> None:
+    controller(stage)
+    process = learn(stage, "--execute", "--yes", *PATIENT)
+
+    def in_round_2() -> bool:
+        assert process.running, process.output
+        return "the motion:" in process.output.partition("Round 2:")[2]
+
+    stage.observer.wait_for(in_round_2, "the motion of round 2")
+    process.send(signal.SIGINT)
+    assert status(stage, process) == 2
+    said, first = process.output.partition("Error: ")[2], stage.folder / "out/round1"
+    assert "round 2: the motion was stopped: interrupted. The robot stands." in said
+    assert f"What was learned until then is in {first}. To go on from there: the same with --from {first}" in said
+    on = learn(stage, "--from", first / "estimate.json", "--out", stage.folder / "on")
+    assert status(stage, on) == 0, on.output
+    reports = (stage.folder / out / "round1/excitation.json" for out in ("out", "on"))
+    nothing, known = (json.loads(report.read_text())["expected"]["before"]["error"] for report in reports)
+    assert known < 0.5 * nothing
+
+
+def test_before_anything_is_identified_there_is_nothing_to_go_on_from(stage: Stage) -> None:
+    controller(stage)
+    said = refused(stage, "--execute", "--yes", "--controller", "/nobody")
+    assert "round 1: --controller /nobody" in said
+    assert "Nothing is identified yet. To begin again: the same with another --out" in said

@@ -14,7 +14,7 @@ import click
 from geomid_ros.commands.excite.options import motion_options, names_of, robot_run_options, share_of, wish_of
 from geomid_ros.commands.excite.run import ros_runs, show_plan
 from geomid_ros.commands.options import OUT
-from geomid_ros.errors import InputError, printable
+from geomid_ros.errors import GeomidError, InputError, printable
 
 if TYPE_CHECKING:
     from geomid_ros.api.arguments import Description
@@ -58,7 +58,8 @@ def learn(
     Goes on until nothing that is worth it is left to learn (--until). The first motion is designed for a fifth of the
     speed. Without --execute it only designs the first motion and says what would be done. Each round is asked for
     before anything moves, and leaves its motion, its recording and what was identified from all recordings so far in
-    a folder of its own. What stops a motion is what stops 'geomid excite run'. Needs ROS 2.
+    a folder of its own. What stops a motion is what stops 'geomid excite run', and ends the command, which then says
+    how to go on. Needs ROS 2.
     """
     from geomid_ros.api.arguments import configuration, description
 
@@ -78,8 +79,9 @@ def learn(
             learning.plan(designed)
             click.echo("\nNothing has moved. To move: the same with --execute")
             return
-        if not yes:
-            click.confirm(f"Run this motion ({learning.folder / 'motion.html'} plays it)?", abort=True)
+        if not yes and not click.confirm(f"Run this motion ({learning.folder / 'motion.html'} plays it)?"):
+            click.echo(f"Round {learning.number} is not run")
+            break
         learning.run(designed)
         learning.identify()
     else:
@@ -97,7 +99,8 @@ class _Learning:
         out: folder of all rounds.
         options: of a run.
         number: of the last round that was begun.
-        found: after the last round.
+        identified: of the last round whose recording counts.
+        found: after that round.
     """
 
     robot: Description
@@ -106,12 +109,18 @@ class _Learning:
     out: Path
     options: dict[str, Any]
     number: int = 0
+    identified: int = 0
     found: Identification | None = None
 
     @property
     def folder(self) -> Path:
         """Of the last round that was begun."""
         return self.out / f"round{self.number}"
+
+    @property
+    def result(self) -> Path:
+        """Folder of what was identified last."""
+        return self.out / f"round{self.identified}"
 
     def designs(self, rounds: int) -> Iterator[Excitation]:
         """The motion of each round, from what is known when it begins."""
@@ -124,7 +133,7 @@ class _Learning:
             if self.found is None:
                 wish = replace(wish, speed=_FIRST * wish.speed)
             else:
-                model = str(self.folder / "estimate.json")
+                model = str(self.result / "estimate.json")
                 known = known.with_values(Configuration({"model": model}, "options").given)
             with progress_bar() as progress:
                 task = excitation.task_of(self.robot.text, Path(self.robot.source), known, wish)
@@ -141,7 +150,7 @@ class _Learning:
         click.echo(f"\nRound {self.number}: {form.repeats} x {form.period:g} s, in {self.folder}")
         for sentence in designed.task.notes if self.number == 1 else ():
             click.echo(printable(f"Note: {sentence}"))
-        click.echo(f"Expected error: {designed.learning.sentences[0]}")
+        click.echo(f"Expected error {designed.error}: {designed.learning.sentences[0]}")
 
     def plan(self, designed: Excitation) -> None:
         """Say what would be done."""
@@ -150,11 +159,29 @@ class _Learning:
             show_plan(order, prepared.plan)
 
     def run(self, designed: Excitation) -> None:
-        """Move, and record."""
+        """Move, and record.
+
+        Raises GeomidError, which says how to go on: what stops a motion was not expected, and somebody should look at
+        the robot before it moves again.
+        """
         ros, order = ros_runs(), self._order(designed)
-        with ros.prepared_run(order) as prepared:
-            show_plan(order, prepared.plan)
-            prepared.execute(self.folder / "recording", lambda said: click.echo(printable(said), err=True))
+        try:
+            with ros.prepared_run(order) as prepared:
+                show_plan(order, prepared.plan)
+                prepared.execute(self.folder / "recording", lambda said: click.echo(printable(said), err=True))
+        except GeomidError as error:
+            raise GeomidError(f"round {self.number}: {error}. {self._to_go_on}") from error
+
+    @property
+    def _to_go_on(self) -> str:
+        """What there is after a round that was stopped, and how to go on."""
+        if self.found is None:
+            return "Nothing is identified yet. To begin again: the same with another --out"
+        estimate = self.result / "estimate.json"
+        return (
+            f"What was learned until then is in {self.result}. To go on from there: the same with --from {estimate} "
+            "and another --out"
+        )
 
     def _order(self, designed: Excitation) -> Any:
         return ros_runs().Order(
@@ -183,6 +210,7 @@ class _Learning:
             )
             command = shlex.join(["geomid", *sys.argv[1:]])
             self.found.save(self.folder, progress=progress, command=command)
+        self.identified = self.number
         masses = ", ".join(f"{link.name} {link.mass:.3f} ± {link.std_mass:.3f}" for link in self.found.links)
         click.echo(printable(f"Masses after round {self.number} [kg]: {masses}"))
 
@@ -193,5 +221,5 @@ class _Learning:
         from geomid_ros.commands.results import identification
 
         identification.show(self.found)
-        click.echo(f"\nIdentified from {self.number} rounds: {self.folder / 'identified.urdf'}")
+        click.echo(f"\nIdentified from {self.identified} rounds: {self.result / 'identified.urdf'}")
         sys.exit(self.found.verdict.status)

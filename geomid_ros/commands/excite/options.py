@@ -32,8 +32,8 @@ def surroundings_options(command: Callable[..., None]) -> Callable[..., None]:
             "--avoid",
             multiple=True,
             metavar="OBSTACLE",
-            help="box:X,Y,Z,LENGTH,WIDTH,HEIGHT (its centre), plane:NX,NY,NZ,OFFSET (solid below) or a mesh file, in "
-            "metres in the base frame; may be repeated.",
+            help="box:X,Y,Z,LENGTH,WIDTH,HEIGHT (its centre), plane:NX,NY,NZ,OFFSET (solid below) or a mesh file "
+            "(each part counts as its convex hull), in metres in the base frame; may be repeated.",
         ),
     ):
         command = option(command)

@@ -26,8 +26,9 @@ def show(found: Excitation) -> None:
         console.print(_effects(found))
     for decision in found.decisions:
         say(console, "Decides:" if decision.is_sure else "Does not decide:", f" {decision.sentence}")
+    say(console, "Expected error", f" {found.error}:")
     for sentence in found.learning.sentences:
-        say(console, "Expected error:", f" {sentence}")
+        say(console, "", f"- {sentence}")
 
 
 def _margins(found: Excitation) -> Table:

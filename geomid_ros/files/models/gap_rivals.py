@@ -12,6 +12,7 @@ from geomid_ros.errors import InputError
 from geomid_ros.files.disk import read_text
 from geomid_ros.files.models.gap_results import FORMAT
 from geomid_ros.files.models.sidecar import effect_of
+from geomid_ros.gap.result import GapResult
 from geomid_ros.model.effects import KnownEffect, effect_class
 
 _MOST_BYTES = 20_000_000
@@ -23,6 +24,11 @@ class OpenFinding:
 
     finding: KnownEffect
     rivals: tuple[tuple[str, str], ...]
+
+
+def is_open(result: GapResult) -> bool:
+    """Whether a finding is not sure and has rivals, so that a motion may decide."""
+    return any(finding.rivals and finding.settled_by for finding in result.findings)
 
 
 def read_open_findings(path: Path) -> tuple[list[OpenFinding], dict[str, float]]:

@@ -54,6 +54,17 @@ def write_posterior(path: Path, posterior: Posterior) -> list[Path]:
     return [path]
 
 
+def beside(estimate: Path) -> Path:
+    """The posterior that was written with an ``estimate.json``. Raises InputError if there is none."""
+    path = estimate.with_name(POSTERIOR)
+    if estimate.is_file() and not path.is_file():
+        raise InputError(
+            f"{estimate}: there is no {POSTERIOR} beside it, which says how well the robot is known. Only 'geomid "
+            "identify' writes it: keep its files together in one folder, or identify again"
+        )
+    return path
+
+
 def read_posterior(path: Path) -> Posterior:
     """Read a posterior. Raises InputError naming the file."""
     content = read_bytes(path, "posterior", _MOST_BYTES)
