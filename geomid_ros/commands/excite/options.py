@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from geomid_ros.commands.options import package_option
+from geomid_ros.commands.options import Names, package_option
 from geomid_ros.errors import InputError
 
 if TYPE_CHECKING:
@@ -57,7 +57,7 @@ def motion_options(command: Callable[..., None]) -> Callable[..., None]:
     for option in (
         surroundings_options,
         click.option("--seed", default=0, show_default=True, help="Of the search; another one finds another motion."),
-        click.option("--lock", default="", metavar="JOINTS", help="These joints stand at zero; separated by commas."),
+        click.option("--lock", type=Names(), metavar="JOINTS", help="These joints stand at zero; separated by commas."),
         click.option(
             "--wrench",
             multiple=True,
@@ -155,11 +155,6 @@ def share_of(_context: click.Context, _option: click.Parameter, text: str | None
     if not 0.0 <= share < 1.0:
         raise click.BadParameter(f"'{text}' is no share; expected e.g. 5%")
     return share
-
-
-def names_of(text: str) -> list[str]:
-    """Names that are separated by commas."""
-    return [name.strip() for name in text.split(",") if name.strip()]
 
 
 def _numbers(text: str) -> list[float]:
