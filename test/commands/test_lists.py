@@ -58,6 +58,10 @@ def test_an_empty_name_is_refused(option: str, text: str) -> None:
     assert ("'none' for none" in message) == (option in ("effects", "candidates"))
 
 
+def test_an_empty_mass_is_refused() -> None:
+    assert "known: an empty text" in refused("identify", BAG, "--urdf", URDF, *OUT, "--known", "")
+
+
 def test_no_candidates(tmp_path: Path) -> None:
     """The word wins over the file, whose candidate these data ask for."""
     (tmp_path / "robot.yaml").write_text(

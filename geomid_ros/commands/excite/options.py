@@ -87,7 +87,6 @@ def motion_options(command: Callable[..., None]) -> Callable[..., None]:
         ),
         click.option(
             "--start",
-            default="",
             metavar="Q",
             help="Where it begins and ends: one number for each joint, separated by commas.",
         ),
@@ -157,8 +156,8 @@ def share_of(_context: click.Context, _option: click.Parameter, text: str | None
     return share
 
 
-def _numbers(text: str) -> list[float]:
+def _numbers(text: str | None) -> list[float]:
     try:
-        return [float(part) for part in text.split(",")] if text.strip() else []
+        return [] if text is None else [float(part) for part in text.split(",")]
     except ValueError as error:
         raise InputError(f"--start is '{text}', expected numbers that are separated by commas") from error
