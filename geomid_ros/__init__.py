@@ -17,6 +17,7 @@ A name is loaded when it is first used, with all that it needs: the import itsel
 
 from __future__ import annotations
 
+import os
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
@@ -29,6 +30,10 @@ if TYPE_CHECKING:
     from geomid_ros.estimation.rows import RowsSolution, solve_rows
     from geomid_ros.exports.weighed_payload import Payload
     from geomid_ros.model.effects import Effect, JointEffect, JointMotion, ParameterForm, register
+
+# The matrices are small: threads of the linear algebra library would only wait for each other, and keep every core of
+# a busy machine from other work. numpy reads this once, when it is loaded.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 __version__ = "0.1.0"
 

@@ -39,6 +39,18 @@ def texts(given: Texts) -> list[str]:
     return [given] if isinstance(given, str) else list(given)
 
 
+def entries(argument: str, given: Texts) -> list[str]:
+    """One text or several, as the list that is given for a parameter, where an empty text would pass for none.
+
+    Raises:
+        InputError: a text is empty; it names the ``argument``.
+    """
+    result = texts(given)
+    if not all(result):
+        raise InputError(f"{argument}: an empty text is given, which says nothing; leave it out")
+    return result
+
+
 class Description(NamedTuple):
     """The ``text`` of a URDF, its ``source``, and ``notes`` on where it was found if nobody named it."""
 

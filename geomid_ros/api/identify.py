@@ -8,7 +8,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from geomid_ros.api.arguments import Config, PathLike, Paths, Texts, bag_paths, configuration, description, texts
+from geomid_ros.api.arguments import Config, PathLike, Paths, Texts, bag_paths, configuration, description, entries
 from geomid_ros.api.origin import origin
 from geomid_ros.estimation.estimate import EffectEstimate, Estimate, LinkEstimate
 from geomid_ros.estimation.telling_motions import telling_motions
@@ -236,13 +236,16 @@ def identify(
     Raises:
         InputError: a file, an argument or the data cannot be used; the message names it and says what to do.
     """
-    chosen: dict[str, Any] = {"known": texts(known)} if known else {}
+    weighed = entries("known", known)
+    chosen: dict[str, Any] = {"known": weighed} if weighed else {}
     if prior is not None:
         chosen["prior"] = str(prior)
     if effects is not None:
-        chosen |= {"effects": texts(effects), "candidates": []}
+        chosen |= {"effects": entries("effects", effects), "candidates": []}
     chosen |= {
-        name: texts(given) for name, given in (("candidates", candidates), ("links", links)) if given is not None
+        name: entries(name, given)
+        for name, given in (("candidates", candidates), ("links", links))
+        if given is not None
     }
     parameters = configuration(config, model=model, floating_base=floating_base, wrench=wrench, **chosen)
     topics = Topics(joint_topic, odom_topic)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from geomid_ros.commands.options import package_option
+from geomid_ros.commands.options import Names, package_option
 from geomid_ros.errors import InputError, one_line
 from geomid_ros.exports.formats import CONTROLLERS, DESCRIBED_FOR
 
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     help="The flange: a payload is what comes with or after this link, in its axes.  [default: for ur and franka the "
     "one link whose name ends with tool0 or link8]",
 )
-@click.option("--links", help="The payload is these links, separated by commas.")
+@click.option("--links", type=Names(), help="The payload is these links, separated by commas.")
 @click.option(
     "--without",
     type=click.Path(path_type=Path),
@@ -46,7 +46,7 @@ def export(
     model: Path,
     tool: str,
     frame: str | None,
-    links: str | None,
+    links: list[str] | None,
     without: Path | None,
     into: Path | None,
     package_path: dict[str, Path],
@@ -88,7 +88,7 @@ def _into(model: Model, into: Path) -> Whole:
     return into_mjcf(model, into)
 
 
-def _payload(model: Model, frame: str, links: str | None, without: Path | None) -> Export:
+def _payload(model: Model, frame: str, links: list[str] | None, without: Path | None) -> Export:
     if links and without:
         raise click.UsageError("A payload is either --links or what a model --without it lacks.")
     from geomid_ros.exports.payload import attached, chosen, difference
@@ -96,7 +96,7 @@ def _payload(model: Model, frame: str, links: str | None, without: Path | None) 
     if without:
         return difference(model, _read(without), frame)
     if links:
-        return chosen(model, [name.strip() for name in links.split(",")], frame)
+        return chosen(model, links, frame)
     return attached(model, frame)
 
 

@@ -11,7 +11,7 @@ from typing import Any
 import click
 
 import geomid_ros
-from geomid_ros.commands.options import OUT, recording_options, robot_options
+from geomid_ros.commands.options import OUT, Names, recording_options, robot_options
 from geomid_ros.errors import one_line
 
 
@@ -20,10 +20,16 @@ from geomid_ros.errors import one_line
 @robot_options
 @recording_options
 @click.option(
-    "--effects", help="Identify these effects everywhere and no others, separated by commas; 'none' for none."
+    "--effects",
+    type=Names(or_none=True),
+    help="Identify these effects everywhere and no others, separated by commas; 'none' for none.",
 )
-@click.option("--candidates", help="Identify these effects where held-out data ask for them, separated by commas.")
-@click.option("--links", help="Identify only these links, separated by commas.")
+@click.option(
+    "--candidates",
+    type=Names(or_none=True),
+    help="Identify these effects where held-out data ask for them, separated by commas; 'none' for none.",
+)
+@click.option("--links", type=Names(), help="Identify only these links, separated by commas.")
 @click.option(
     "--known",
     multiple=True,
@@ -37,7 +43,7 @@ from geomid_ros.errors import one_line
 )
 @click.option("--out", default=Path("geomid_out"), **OUT)
 @click.option("--json", "as_json", is_flag=True, help="Print estimate.json instead of tables.")
-def identify(bags: tuple[Path, ...], effects: str | None, out: Path, as_json: bool, **options: Any) -> None:
+def identify(bags: tuple[Path, ...], out: Path, as_json: bool, **options: Any) -> None:
     """Identify link inertias from rosbags.
 
     Reads BAGS (folders, folders of them, or .mcap and .db3 files) and writes estimate.json, identified.urdf,
@@ -47,11 +53,8 @@ def identify(bags: tuple[Path, ...], effects: str | None, out: Path, as_json: bo
     from geomid_ros.commands.progress import progress_bar
     from geomid_ros.commands.results import identification
 
-    chosen_effects = [] if effects == "none" else _names(effects)
-    for name in ("candidates", "links"):
-        options[name] = _names(options[name] or None)
     with progress_bar() as progress:
-        found = geomid_ros.identify(bags, effects=chosen_effects, progress=progress, **options)
+        found = geomid_ros.identify(bags, progress=progress, **options)
         files = found.save(out, progress=progress, command=shlex.join(["geomid", *sys.argv[1:]]))
     if as_json:
         click.echo(json.dumps(found.document, indent=2))
@@ -60,8 +63,3 @@ def identify(bags: tuple[Path, ...], effects: str | None, out: Path, as_json: bo
         click.echo(f"\nWritten: {', '.join(map(str, files))}")
         click.echo(one_line(found.not_in_urdf))
     sys.exit(found.verdict.status)
-
-
-def _names(text: str | None) -> list[str] | None:
-    """Names that are separated by commas, if there are any."""
-    return None if text is None else [name.strip() for name in text.split(",")]

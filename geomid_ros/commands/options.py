@@ -31,6 +31,27 @@ class Output(click.Path):
         return path
 
 
+class Names(click.ParamType):  # type: ignore[type-arg]  # older releases of click take none
+    """Names that are separated by commas; with ``or_none`` the word 'none' says that there are to be none.
+
+    An empty name is refused: it comes of a variable of the shell that is not set, and nobody can tell what was meant.
+    """
+
+    name = "names"
+
+    def __init__(self, *, or_none: bool = False) -> None:
+        self._or_none = or_none
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> list[str]:
+        names = [name.strip() for name in value.split(",")]
+        if self._or_none and names == ["none"]:
+            return []
+        if not all(names):
+            none = ", or 'none' for none" if self._or_none else ""
+            self.fail(f"there is an empty name in '{value}'. Write NAME,NAME,...{none}; or leave it out.", param, ctx)
+        return names
+
+
 OUT: dict[str, Any] = {
     "type": Output(file_okay=False),
     "show_default": True,
@@ -53,7 +74,7 @@ def robot_options(function: Callable[..., None]) -> Callable[..., None]:
         cutoff: float | None,
         gravity: tuple[float, ...] | None,
         gain: Sequence[str],
-        lock: str | None,
+        lock: list[str] | None,
         **options: Any,
     ) -> None:
         function(config=_configuration(config, cutoff, gravity, gain, lock), **options)
@@ -66,7 +87,7 @@ def robot_options(function: Callable[..., None]) -> Callable[..., None]:
             help="A wrench topic; ROLE is mounted or external, -ROLE reverses its sign; AXES like fz,tx,ty.",
         ),
         click.option("--joint-topic", default="joint_states", show_default=True, help="Topic of the joint states."),
-        click.option("--lock", metavar="JOINTS", help="These joints stand at zero; separated by commas."),
+        click.option("--lock", type=Names(), metavar="JOINTS", help="These joints stand at zero; separated by commas."),
         click.option(
             "--gain",
             multiple=True,
@@ -128,7 +149,7 @@ def _configuration(
     cutoff: float | None,
     gravity: Sequence[float] | None,
     gains: Sequence[str],
-    lock: str | None,
+    lock: list[str] | None,
 ) -> Configuration:
     """The parameter file with what these options say."""
     from geomid_ros.session.configuration import Configuration
@@ -139,7 +160,7 @@ def _configuration(
     if gravity:
         values["gravity"] = list(gravity)
     if lock:
-        values["locked_joints"] = [name.strip() for name in lock.split(",")]
+        values["locked_joints"] = lock
     base = Configuration.read(config) if config else Configuration(source="options")
     return base.with_values(Configuration(values, "options").given)
 

@@ -9,7 +9,7 @@ from xml.etree.ElementTree import Element
 
 import click
 
-from geomid_ros.commands.options import Output, package_option
+from geomid_ros.commands.options import Names, Output, package_option
 from geomid_ros.errors import InputError, unknown_name
 
 if TYPE_CHECKING:
@@ -27,7 +27,9 @@ _LIGHTEST, _HEAVIEST = 50.0, 20_000.0  # [kg/m^3]
 @click.option(
     "--mass", type=click.FloatRange(0.0, min_open=True), required=True, help="What all links weigh together [kg]."
 )
-@click.option("--keep", help="Links that stay as they are, separated by commas; the mass they have counts.")
+@click.option(
+    "--keep", type=Names(), help="Links that stay as they are, separated by commas; the mass they have counts."
+)
 @package_option
 @click.option(
     "--out",
@@ -36,7 +38,7 @@ _LIGHTEST, _HEAVIEST = 50.0, 20_000.0  # [kg/m^3]
     show_default=True,
     help="The URDF to write.",
 )
-def prior(urdf: Path, mass: float, keep: str | None, package_path: dict[str, Path], out: Path) -> None:
+def prior(urdf: Path, mass: float, keep: list[str] | None, package_path: dict[str, Path], out: Path) -> None:
     """Give a URDF inertials from its shapes.
 
     Fills the shapes of every link of URDF with one density, so that all links weigh --mass together: its collision
@@ -54,7 +56,7 @@ def prior(urdf: Path, mass: float, keep: str | None, package_path: dict[str, Pat
 
     text = read_urdf(urdf)
     robot = ShapedUrdf(text, str(urdf))
-    kept = [name.strip() for name in keep.split(",")] if keep else []
+    kept = keep or []
     for name in kept:
         if name not in robot.links:
             raise unknown_name("link to keep", name, robot.links)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import sys
 from importlib import import_module
 from typing import Any
@@ -73,9 +72,6 @@ def root() -> None:
 
 def main() -> None:
     """Entry point of ``geomid``."""
-    # The matrices are small: threads of the linear algebra library would only wait for each other. numpy reads this
-    # once, and none of the imports above loads it.
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     try:
         root()
     except (MemoryError, ImportError, OSError) as error:

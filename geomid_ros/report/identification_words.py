@@ -22,6 +22,7 @@ _TELLS = {
     "rotor": f"{_ALONE} with large accelerations",
     "effort": f"{_ALONE}, both ways through the same places",
     "load": "the same motion with and without a known payload",
+    "wrench": "still poses with the sensor turned to all sides; of a force plate, a scale (--known total=MASS:STD)",
 }
 
 
@@ -48,8 +49,8 @@ def _predictions(series: Sequence[Series], held_out: bool) -> list[str]:
     span = f": {100 * min(better):.0f} to {100 * max(better):.0f} % of the URDF's error remain" if better else ""
     what = "held-out data" if held_out else "the fitted data"
     sentence = (
-        f"To predict efforts in motions like the recorded ones (simulation, feed-forward, contacts): {what} are "
-        f"predicted better than by the URDF in {len(better)} of {len(ratios)} channels{span}."
+        f"To predict what was measured in motions like the recorded ones (simulation, feed-forward, contacts): {what} "
+        f"are predicted better than by the URDF in {len(better)} of {len(ratios)} channels{span}."
     )
     judge = "Nothing was held out, so this judges nothing new: give another recording with --validate."
     return [sentence] if held_out else [sentence, judge]

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
+from markupsafe import Markup, escape
 
 from geomid_ros.files.disk import write_text
 from geomid_ros.report import gap_words
@@ -46,8 +47,13 @@ def rendered_page(template: str, content: Mapping[str, Any]) -> str:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    environment.filters |= {name: getattr(gap_words, name) for name in _FILTERS}
+    environment.filters |= {name: getattr(gap_words, name) for name in _FILTERS} | {"breakable": _breakable}
     return environment.get_template(template).render(colors=_COLORS, **content)
+
+
+def _breakable(name: str) -> Markup:
+    """A name whose lines may end behind an underscore, and not in the midst of a word, where a column is narrow."""
+    return escape(name).replace("_", Markup("_<wbr>"))
 
 
 @dataclass(frozen=True)

@@ -239,7 +239,7 @@ def load_mujoco() -> Any:
     try:
         mujoco = importlib.import_module("mujoco")
     except ImportError as error:
-        raise InputError(f"simulating needs MuJoCo, which does not import ({error}): pip install mujoco") from error
+        raise InputError(f"MuJoCo is needed, which does not import ({error}): pip install mujoco") from error
     # By itself it prints them and leaves a MUJOCO_LOG.TXT where the user happens to be; the figures say it better.
     mujoco.set_mju_user_warning(_pass_over)
     return mujoco

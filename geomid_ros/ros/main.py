@@ -33,9 +33,6 @@ def main() -> None:
     _on_signal(lambda: os._exit(0))
     # So long, not the usual 5 ms, a solver in the middle of Python code may keep the intake waiting.
     sys.setswitchinterval(_SWITCH_INTERVAL)
-    # The matrices are small: threads of the linear algebra library would only wait for each other. numpy reads this
-    # once.
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     try:
         _check_memory()
         load_hashes()

@@ -27,6 +27,7 @@ HELD_OUT = 0.3
 
 _MOST_HELD_OUT = 0.9
 _DESCRIPTION, _TEXT = "robot_description", "std_msgs/msg/String"
+_WRENCH_OPTION = "--wrench, or wrench.*.topic in a parameter file,"
 
 Progress: TypeAlias = Callable[[str, float], None]
 """Called with what is being done and the share of it, 0 to 1, that is done."""
@@ -221,7 +222,7 @@ def _resolved_topics(bag: Bag, session: Session, topics: Topics) -> dict[str, st
     asked = {JOINT_STATES: (topics.joint_states, topics.joint_option)}
     if session.robot.floating_base:
         asked[ODOM] = (topics.odom, "--odom-topic")
-    asked |= {sensor.topic: (sensor.topic, "--wrench") for sensor in session.model.sensors}
+    asked |= {sensor.topic: (sensor.topic, _WRENCH_OPTION) for sensor in session.model.sensors}
     return {bag.find_topic(name, message_type(own), option): own for own, (name, option) in asked.items()}
 
 
@@ -240,7 +241,8 @@ def _why_no_samples(bag: Bag, session: Session, pipeline: SignalPipeline) -> str
     why = f"{bag.path}: no usable samples. " + "; ".join(reasons)
     missing = not pipeline.joints_heard.issuperset(session.robot.joint_names)
     joints = f"The URDF's moving joints: {', '.join(session.robot.joint_names)}"
-    return f"{why}. Or is it a recording of another robot? {joints}" if missing else why
+    end = "" if why.endswith("?") else "."
+    return f"{why}{end} Or is it a recording of another robot? {joints}" if missing else why
 
 
 def _standing(train: Sequence[Samples], session: Session) -> tuple[Finding, ...]:

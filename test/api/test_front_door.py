@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import os
 import re
 import subprocess
 import sys
@@ -28,6 +29,17 @@ def test_the_import_loads_nothing_else() -> None:
     loaded = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True).stdout.split()
     assert "geomid_ros" in loaded
     assert set(loaded) <= {"geomid_ros", "__main__"} | set(sys.stdlib_module_names) | set(before()), loaded
+
+
+@pytest.mark.parametrize(("chosen", "threads"), [({}, 1), ({"OPENBLAS_NUM_THREADS": "2"}, 2)])
+def test_linear_algebra_has_one_thread_unless_the_user_wants_more(chosen: dict[str, str], threads: int) -> None:
+    if (os.cpu_count() or 1) < 2:
+        pytest.skip("one processor: there is one thread in any case")
+    script = "import os, geomid_ros, numpy as np; np.ones((512, 512)) @ np.ones((512, 512)); print(os.listdir(TASKS))"
+    environment = {name: value for name, value in os.environ.items() if name != "OPENBLAS_NUM_THREADS"} | chosen
+    command = [sys.executable, "-c", script.replace("TASKS", "'/proc/self/task'")]
+    run = subprocess.run(command, env=environment, capture_output=True, text=True, check=True)
+    assert len(ast.literal_eval(run.stdout)) == threads
 
 
 def before() -> list[str]:

@@ -245,7 +245,7 @@ CASES: dict[str, tuple[Callable[[Path], Arguments], str]] = {
     ),
     "no such topic of commands": (
         lambda _: (BAGS / "arm3", "--urdf", URDF, "--command", "/cmd"),
-        r"arm3: has no topic /cmd, which --command names",
+        r"arm3: has no topic /cmd; --command names another",
     ),
     "no such simulation": (twin(lambda f: f / "nowhere"), "nowhere: no such bag"),
     "more simulations than bags": (

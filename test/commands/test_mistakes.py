@@ -112,7 +112,7 @@ REFUSED: dict[str, tuple[Callable[[Path], Arguments], str]] = {
     "5 other names": (on(joints(name=lambda _: ["a", "b", "c"])), r"none of the messages' names is a joint.*'a', 'b'"),
     "6 one other name": (
         on(joints(name=lambda names: ["elbow" if name == "joint2" else name for name in names])),
-        r"'joint2' is missing: .*--lock.*merge_joint_states; or is it 'elbow'\?",
+        r"'joint2' is missing: .*--lock.*merge_joint_states; or is it 'elbow'\? Or is it a recording",
     ),
     "7 no efforts": (
         on(joints(effort=lambda _: np.array([]))),
@@ -142,7 +142,7 @@ REFUSED: dict[str, tuple[Callable[[Path], Arguments], str]] = {
     ),
     "29 wrench's topic": (
         typed(*ROBOT, "--wrench", "/ft:wrist_ft:mounted"),
-        r"no topic /ft, which --wrench.*/wrench \(",
+        r"no topic /ft; --wrench, or .* in a parameter file, names another.*/wrench \(",
     ),
     "30 no role": (typed(*ROBOT, "--wrench", "/wrench:wrist_ft"), r"not of the form TOPIC:FRAME:ROLE\[:AXES\], e.g."),
     "31 known": (typed(*ROBOT, "--known", "total=23"), r"'total=23' is not of the form LINK=MASS:STD"),

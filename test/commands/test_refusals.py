@@ -91,7 +91,10 @@ CASES: dict[str, tuple[Callable[[Path], Arguments], str]] = {
     "bag cut off": (cut_bag, r"cut.mcap: cut off at byte .*no whole message"),
     "no joint states": (with_bag(without_topic("/joint_states")), r"no topic /joint_states.*--joint-topic.*/wrench"),
     "no such topic": (with_options("--joint-topic", "/robot/joints"), r"no topic /robot/joints.*/joint_states"),
-    "no wrench": (with_options("--wrench", "/ft:wrist_ft:mounted"), r"no topic /ft, which --wrench names.*/wrench"),
+    "no wrench": (
+        with_options("--wrench", "/ft:wrist_ft:mounted"),
+        r"no topic /ft; --wrench, .*names another.*/wrench",
+    ),
     "wrench on joints": (with_options("--wrench", "/joint_states:tool:mounted"), r"/joint_states is of type.*expected"),
     "no odometry": (with_options("--floating-base", "--wrench", "/wrench:odom:external"), "no topic /odom.*--odom"),
     "another robot's bag": (

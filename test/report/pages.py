@@ -7,7 +7,7 @@ import re
 from html.parser import HTMLParser
 from xml.etree import ElementTree
 
-VOID = {"meta", "img", "br", "link", "input"}
+VOID = {"meta", "img", "br", "link", "input", "wbr"}
 EVIL = ("<script>alert(1)</script>", '"><img src=http://x.example/y onerror=alert(1)>', "{{ 7 * 7 }} $\\frac$ & 関節")
 
 
@@ -35,7 +35,9 @@ class Page(HTMLParser):
         assert self.open.pop() == tag
 
     def handle_data(self, data: str) -> None:
-        if not {"style", "script"} & {*self.open}:
+        if self.elements[-1:] == [("wbr", {})]:
+            self.words[-1] += data
+        elif not {"style", "script"} & {*self.open}:
             self.words.append(data)
 
     @property

@@ -192,6 +192,15 @@ def test_wide_content_scrolls_in_itself(tmp_path: Path) -> None:
     assert set(re.findall(r"<table[^>]*>", within)) == {'<table class="bars">', '<table class="ranges">'}
 
 
+def test_long_names_break_between_words(tmp_path: Path) -> None:
+    """In a narrow column, behind underscores: a mark that whoever copies the name does not get."""
+    page, text = written(page_of("left_knee<b>_joint"), tmp_path)
+    assert "link left_knee<b>_joint 5.500" in page.text
+    rows = re.findall(r'<th scope="row(?:group)?"[^>]*>(?:link |at |/)?(left.*?)</th>', text)
+    assert len(rows) == 7
+    assert set(rows) == {"left_<wbr>knee&lt;b&gt;_<wbr>joint"}
+
+
 def test_no_channel_and_no_effect_is_a_page_too(tmp_path: Path) -> None:
     page = replace(page_of("joint1"), series=[], effects=[], messages={}, refused_rows={})
     assert "None was identified." in written(page, tmp_path)[0].text

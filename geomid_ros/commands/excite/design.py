@@ -9,7 +9,7 @@ from typing import Any
 
 import click
 
-from geomid_ros.commands.excite.options import motion_options, names_of, share_of, wish_of
+from geomid_ros.commands.excite.options import motion_options, share_of, wish_of
 from geomid_ros.commands.options import UNTRIED_OUT
 from geomid_ros.errors import InputError
 
@@ -40,7 +40,7 @@ def design(
     urdf: Path | None,
     xacro_args: tuple[str, ...],
     model: Path | None,
-    lock: str,
+    lock: list[str] | None,
     wrench: tuple[str, ...],
     settle: Path | None,
     until: float,
@@ -59,7 +59,7 @@ def design(
     if urdf is None and model is None:
         raise InputError("no robot is given: add --urdf ROBOT.urdf (or --from estimate.json, with identified.urdf)")
     robot = description(urdf, [], model=model, xacro_args=xacro_args)
-    chosen = configuration(None, model=model, floating_base=False, wrench=wrench, locked_joints=names_of(lock))
+    chosen = configuration(None, model=model, floating_base=False, wrench=wrench, locked_joints=lock or [])
     asked = replace(wish_of(options), settle=settle)
     with progress_bar() as progress:
         task = excitation.task_of(robot.text, Path(robot.source), chosen, asked)

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from geomid_ros.commands.excite.options import motion_options, names_of, robot_run_options, share_of, wish_of
+from geomid_ros.commands.excite.options import motion_options, robot_run_options, share_of, wish_of
 from geomid_ros.commands.excite.run import ros_runs, show_plan
 from geomid_ros.commands.options import OUT
 from geomid_ros.errors import GeomidError, InputError, printable
@@ -44,7 +44,7 @@ def learn(
     urdf: Path | None,
     xacro_args: tuple[str, ...],
     model: Path | None,
-    lock: str,
+    lock: list[str] | None,
     wrench: tuple[str, ...],
     until: float,
     rounds: int,
@@ -68,7 +68,7 @@ def learn(
     if (out / "round1").exists():
         raise InputError(f"{out / 'round1'} exists already; name another folder with --out")
     robot = description(urdf, [], model=model, xacro_args=xacro_args)
-    chosen = configuration(None, model=model, floating_base=False, wrench=wrench, locked_joints=names_of(lock))
+    chosen = configuration(None, model=model, floating_base=False, wrench=wrench, locked_joints=lock or [])
     learning = _Learning(robot, chosen, wish_of(options), out, options)
     for designed in learning.designs(rounds):
         if learning.found and designed.learning.gain < until:

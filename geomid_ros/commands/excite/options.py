@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from geomid_ros.commands.options import package_option
+from geomid_ros.commands.options import Names, package_option
 from geomid_ros.errors import InputError
 
 if TYPE_CHECKING:
@@ -57,7 +57,7 @@ def motion_options(command: Callable[..., None]) -> Callable[..., None]:
     for option in (
         surroundings_options,
         click.option("--seed", default=0, show_default=True, help="Of the search; another one finds another motion."),
-        click.option("--lock", default="", metavar="JOINTS", help="These joints stand at zero; separated by commas."),
+        click.option("--lock", type=Names(), metavar="JOINTS", help="These joints stand at zero; separated by commas."),
         click.option(
             "--wrench",
             multiple=True,
@@ -87,7 +87,6 @@ def motion_options(command: Callable[..., None]) -> Callable[..., None]:
         ),
         click.option(
             "--start",
-            default="",
             metavar="Q",
             help="Where it begins and ends: one number for each joint, separated by commas.",
         ),
@@ -157,13 +156,8 @@ def share_of(_context: click.Context, _option: click.Parameter, text: str | None
     return share
 
 
-def names_of(text: str) -> list[str]:
-    """Names that are separated by commas."""
-    return [name.strip() for name in text.split(",") if name.strip()]
-
-
-def _numbers(text: str) -> list[float]:
+def _numbers(text: str | None) -> list[float]:
     try:
-        return [float(part) for part in text.split(",")] if text.strip() else []
+        return [] if text is None else [float(part) for part in text.split(",")]
     except ValueError as error:
         raise InputError(f"--start is '{text}', expected numbers that are separated by commas") from error

@@ -6,9 +6,11 @@ import numpy as np
 from rich.table import Table
 
 from geomid_ros.commands.tables import number_columns, plain_table, results_console, say
+from geomid_ros.report import gap_words
 from geomid_ros.session.excitation import Excitation
 
 _PERCENT = 100.0
+_MOTIONS = ("before", "after\nthis", "after a\nrandom one", "after this,\ntwice")
 
 
 def show(found: Excitation) -> None:
@@ -48,7 +50,7 @@ def _links(found: Excitation) -> Table:
     learning = found.learning
     table = plain_table("Standard deviation of the mass [kg]")
     table.add_column("link", overflow="fold")
-    number_columns(table, ["mass", "before", "after this", "after a random one", "after this, twice"])
+    number_columns(table, ["mass", *_MOTIONS])
     masses = found.task.knowledge.posterior.parameters
     for index, name in enumerate(found.task.knowledge.posterior.links):
         kinds = (learning.before, learning.designed, learning.random, learning.twice)
@@ -61,9 +63,14 @@ def _effects(found: Excitation) -> Table:
     table = plain_table("Standard deviation of the effects")
     for heading in ("effect", "at"):
         table.add_column(heading, overflow="fold")
-    number_columns(table, ["before", "after this", "after a random one", "after this, twice"])
+    number_columns(table, _MOTIONS)
     table.add_column("unit")
     for index, effect in enumerate(found.task.knowledge.posterior.effects):
         kinds = (learning.before, learning.designed, learning.random, learning.twice)
-        table.add_row(effect.name, effect.place, *(f"{kind.effects[index]:.2g}" for kind in kinds), effect.unit)
+        table.add_row(
+            gap_words.headline(effect.name),
+            effect.place,
+            *(f"{kind.effects[index]:.2g}" for kind in kinds),
+            effect.unit,
+        )
     return table

@@ -93,7 +93,7 @@ class Bag:
         topics = {("/" + topic.lstrip("/")): (topic, kind) for topic, kind in self.topics.items()}
         if wanted not in topics:
             listing = ", ".join(f"{topic} ({kind})" for topic, kind in self.topics.items()) or "none"
-            raise InputError(f"{self.path}: has no topic {wanted}, which {option} names. Its topics: {listing}")
+            raise InputError(f"{self.path}: has no topic {wanted}; {option} names another. Its topics: {listing}")
         topic, kind = topics[wanted]
         if kind != message_type:
             raise InputError(f"{self.path}: topic {topic} is of type {kind}, expected {message_type}")

@@ -1,0 +1,76 @@
+"""Lists of names on the command line: one form in all commands, and nothing that is empty passes unnoticed."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import click
+import pytest
+from files.recordings import BAGS
+
+from geomid_ros.commands.options import Names
+from geomid_ros.commands.root import root
+
+from .running import done, read, refused
+
+BAG, URDF, OUT = BAGS / "arm3", BAGS / "arm3.urdf", ("--out", "nowhere")
+EMPTY = {
+    "effects": ("identify", BAG, "--urdf", URDF, *OUT, "--effects"),
+    "candidates": ("identify", BAG, "--urdf", URDF, *OUT, "--candidates"),
+    "links": ("identify", BAG, "--urdf", URDF, *OUT, "--links"),
+    "lock": ("gap", BAG, "--urdf", URDF, *OUT, "--lock"),
+    "lock of a motion": ("excite", "--urdf", URDF, *OUT, "--lock"),
+    "keep": ("prior", URDF, "--mass", "9", "--keep"),
+    "links to export": ("export", URDF, "--for", "ur", "--frame", "link3", "--links"),
+}
+
+
+def commands(group: click.Group) -> Iterator[click.Command]:
+    for name in group.list_commands(click.Context(group)):
+        command = group.get_command(click.Context(group), name)
+        assert command is not None
+        yield command
+        if isinstance(command, click.Group):
+            yield from commands(command)
+
+
+def test_every_option_that_takes_names_takes_them_in_the_same_way() -> None:
+    lists = [
+        option
+        for command in commands(root)
+        for option in command.params
+        if isinstance(option, click.Option) and "separated by commas" in (option.help or "") and option.name != "start"
+    ]
+    assert {option.name for option in lists} == {"effects", "candidates", "links", "lock", "keep"}
+    assert all(isinstance(option.type, Names) for option in lists)
+    assert all(
+        ("'none'" in (option.help or "")) == (option.type.convert("none", option, None) == []) for option in lists
+    )
+
+
+@pytest.mark.parametrize("text", ["", " ", "link1,,link2", "link1,"])
+@pytest.mark.parametrize("option", EMPTY)
+def test_an_empty_name_is_refused(option: str, text: str) -> None:
+    *arguments, name = EMPTY[option]
+    message = " ".join(refused(*arguments, name, text).split())
+    assert f"'{name}': there is an empty name in '{text}'. Write NAME,NAME,..." in message
+    assert ("'none' for none" in message) == (option in ("effects", "candidates"))
+
+
+def test_an_empty_mass_is_refused() -> None:
+    assert "known: an empty text" in refused("identify", BAG, "--urdf", URDF, *OUT, "--known", "")
+
+
+def test_no_candidates(tmp_path: Path) -> None:
+    """The word wins over the file, whose candidate these data ask for."""
+    (tmp_path / "robot.yaml").write_text(
+        "/**: {ros__parameters: {effects: [viscous_friction], candidates: [coulomb_friction]}}"
+    )
+    config = ("--config", tmp_path / "robot.yaml")
+    for out, more, expected in (
+        ("tried", (), {"viscous_friction", "coulomb_friction"}),
+        ("none", ("--candidates", "none"), {"viscous_friction"}),
+    ):
+        done("identify", BAG, "--urdf", URDF, *config, *more, "--out", tmp_path / out)
+        assert {entry["name"] for entry in read(tmp_path / out)["effects"]} == expected
