@@ -66,7 +66,8 @@ class Coefficient:
         own = {self.parameter: Quantity(value, std, self.unit)}
         constants = self.effect.constants([(value, std)], math.nan, 0.0)
         sliding = self.effect.parameters[0].units[0] != self.unit
-        return own | quantities(self.effect.parameters[-len(constants) :], constants, sliding=sliding)
+        first = self.effect.parameters.index(self.effect.own[-1]) + 1
+        return own | quantities(self.effect.parameters[first:], constants, sliding=sliding)
 
 
 @dataclass(frozen=True, eq=False)

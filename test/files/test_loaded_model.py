@@ -59,6 +59,7 @@ def predicted(session: Session, seed: int = 1) -> tuple[FloatArray, Any]:
 def test_effects_of_joints_are_predicted(tmp_path: Path, common: list[str]) -> None:
     effects = [
         effect("viscous_friction", "joint1", coefficient=0.3),
+        effect("coulomb_friction", "joint1", level=0.6, smoothing=0.3),
         effect("stribeck_friction", "joint2", level=2.0, excess=1.0, speed=0.5),
         effect("coulomb_friction", "joint2", level=0.5),
         effect("rotor_inertia", "joint2", inertia=0.4),
@@ -69,7 +70,7 @@ def test_effects_of_joints_are_predicted(tmp_path: Path, common: list[str]) -> N
     q, v, a = samples.position, samples.velocity, samples.acceleration
     sign = np.tanh(v[:, 1] / 0.02)
     _, expected = Reference(ARM).inverse_dynamics(samples, ["joint1", "joint2", "joint3"])
-    expected[:, 0] += 0.3 * v[:, 0]
+    expected[:, 0] += 0.3 * v[:, 0] + 0.6 * np.tanh(v[:, 0] / 0.3)
     expected[:, 1] += sign * (2.5 + np.exp(-((v[:, 1] / 0.5) ** 2))) + 0.4 * a[:, 1]
     expected[:, 2] += 5.0 * (q[:, 2] - 0.2) + 0.7
     np.testing.assert_allclose(found, expected, atol=EXACT * np.abs(expected).max())
@@ -145,7 +146,8 @@ def estimated(session: Session) -> list[EffectEstimate]:
 @pytest.mark.parametrize("common", [[""], ["viscous_friction", "coulomb_friction", "rotor_inertia", "effort_offset"]])
 def test_an_estimate_from_a_model_is_the_model_again(tmp_path: Path, common: list[str]) -> None:
     known = [
-        effect("stribeck_friction", "joint2", level=2.0, excess=1.0, speed=0.5),
+        effect("coulomb_friction", "joint1", level=0.6, smoothing=0.3),
+        effect("stribeck_friction", "joint2", level=2.0, excess=1.0, speed=0.5, smoothing=0.1),
         effect("spring", "joint3", stiffness=5.0, equilibrium=0.2),
         effect("effort_offset", "joint3", offset=0.7),
         effect("effort_gain", "joint3", gain=1.25),

@@ -91,7 +91,7 @@ class TestPrimitives:
         [
             ('<sphere radius="-1"/>', "a sphere has a negative radius"),
             ('<box size="1 2"/>', 'its <box> has size="1 2"; expected 3 finite numbers'),
-            ('<cylinder radius="1"/>', 'its <cylinder> has radius="1", length="None"; expected 2 finite numbers'),
+            ('<cylinder radius="1"/>', 'its <cylinder> has radius="1", no length; expected 2 finite numbers'),
             ('<capsule radius="1" length="2"/>', "a shape is a <capsule>. Valid: box, cylinder, sphere, mesh"),
         ],
     )

@@ -109,6 +109,19 @@ def test_an_effect_of_a_joint_leaves_the_others_alone(effect: type[JointEffect])
     assert not np.any(np.delete(efforts, 2, axis=1))
 
 
+@pytest.mark.parametrize(
+    "effect",
+    dict.fromkeys(e for cls in OF_JOINTS.values() for e in (*cls.variants(), *cls.trials()) if not e.absorbed),
+    ids=lambda effect: f"{effect.name} {[*vars(effect).values()]}",
+)
+def test_what_was_chosen_is_known_again_with_its_constants(effect: JointEffect) -> None:
+    """A file that says the parameters says the same column."""
+    sizes = np.full(len(effect.parts), 0.5)
+    said = {name: quantity.value for name, quantity in effect.quantities(sizes, np.zeros((len(sizes),) * 2)).items()}
+    again = type(effect).coefficients(said)
+    assert {part: again[part] for part in effect.parts} == dict.fromkeys(effect.parts, (0.5,))
+
+
 def test_two_effects_of_one_name_are_refused() -> None:
     """As after copying a file and forgetting to give the new one its name."""
     copied = type("CopiedEffect", (ViscousFriction,), {})

@@ -20,9 +20,9 @@ def is_body(effect: KnownEffect) -> bool:
 
 
 def is_coefficient(effect: KnownEffect) -> bool:
-    """Whether it is one number at a joint that is identified along with the inertias."""
+    """Whether it is one number at a joint that is identified along with the inertias, its constants as usual."""
     cls = effect_class(effect.effect)
-    return issubclass(cls, IdentifiedEffect) and len(cls.parameters) == 1
+    return issubclass(cls, IdentifiedEffect) and cls.is_one_number() and len(effect.parameters) == 1
 
 
 def is_sure(effect: KnownEffect) -> bool:
@@ -53,7 +53,7 @@ def effects_of_dynamics() -> dict[str, str]:
     return {
         cls.parameters[0].urdf.removeprefix("dynamics/"): name
         for name, cls in EFFECTS.items()
-        if len(cls.parameters) == 1 and cls.parameters[0].urdf.startswith("dynamics/")
+        if cls.is_one_number() and cls.parameters[0].urdf.startswith("dynamics/")
     }
 
 
@@ -63,7 +63,8 @@ def unsaid(effects: Iterable[KnownEffect], files: Iterable[str]) -> list[str]:
     found: dict[str, list[str]] = {}
     for effect in effects:
         forms = [form for form in effect_class(effect.effect).parameters if form.name in effect.parameters]
-        missing = [form.name for form in forms if not form.said_by(files)]
+        usual = effect_class(effect.effect).usual_constant  # no format has it, and no simulator needs it
+        missing = [form.name for form in forms if not form.said_by(files) and form.name != usual]
         what = effect.effect.replace("_", " ")
         what += f" ({', '.join(missing)})" if 0 < len(missing) < len(forms) else ""
         if missing or not is_sure(effect):
@@ -134,7 +135,7 @@ def _refined(effect: KnownEffect, left: dict[tuple[str, str], KnownEffect]) -> K
 
 def coefficient(name: str, joint: str, quantity: Quantity) -> KnownEffect:
     """An effect of one parameter."""
-    (form,) = effect_class(name).parameters
+    form = effect_class(name).parameters[0]
     return KnownEffect(name, joint, "", {form.name: quantity})
 
 

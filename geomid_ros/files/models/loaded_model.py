@@ -277,7 +277,7 @@ def _single_coefficients(document: Mapping[str, Any], source: str) -> list[Known
     for name, *_ in entries:
         if name not in identifiable():
             raise InputError(f"{source}: {unknown_name('effect', name, identifiable())}")
-        if len(effect_class(name).parameters) > 1:
+        if not effect_class(name).is_one_number():
             raise InputError(f"{source}: effect '{name}' has several parameters, expected it under 'added'")
     return [
         coefficient(name, joint, Quantity(value, std, effect_class(name).parameters[0].units[0]))

@@ -11,6 +11,8 @@ from geomid_ros.types import FloatArray
 
 SMOOTHINGS = (0.003, 0.02, 0.08)
 """[rad/s or m/s] over which dry friction may change its sign."""
+SMOOTHING = ParameterForm("smoothing", ("rad/s", "m/s"), above=0.0, optional=True)
+"""The same as a parameter."""
 
 
 @dataclass(frozen=True)
@@ -25,8 +27,13 @@ class CoulombFriction(JointEffect):
 
     name = "coulomb_friction"
     label = "Coulomb friction"
-    meaning = "effort level sign(v)"
-    parameters = (ParameterForm("level", EFFORT, above=0.0, urdf="dynamics/friction", mjcf="joint/frictionloss"),)
+    meaning = "effort level sign(v), its sign tanh(v/smoothing); smoothing is 0.02 where it is not said"
+    parameters = (
+        ParameterForm("level", EFFORT, above=0.0, urdf="dynamics/friction", mjcf="joint/frictionloss"),
+        SMOOTHING,
+    )
+    said_first = 1
+    usual_constant = SMOOTHING.name
     settled_by = "a slow motion of this joint to and fro, at several constant speeds"
     alike_one_way = "effort_offset"
     is_dry_friction = True

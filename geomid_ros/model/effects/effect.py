@@ -89,6 +89,8 @@ class Effect(ABC):
     """How many coefficients its own columns have."""
     constant: ClassVar[str] = ""
     """The parameter that enters nonlinearly, a field of the instances, in which the :meth:`variants` differ."""
+    usual_constant: ClassVar[str] = ""
+    """Another field and parameter of this kind, which files leave out where it is as usual, the class's own."""
     absorbed: ClassVar[bool] = False
     """Whether what was found of it is built into the model (gravity, time, scale), and only its change is a column."""
     largest: ClassVar[float] = np.inf
@@ -100,6 +102,11 @@ class Effect(ABC):
     def variants(cls) -> tuple[Effect, ...]:
         """The instances to choose from when its constants are unknown, in the order of its constant."""
         return (cls(),)
+
+    @classmethod
+    def is_one_number(cls) -> bool:
+        """Whether its coefficient says all of it, if its other constants are as usual."""
+        return len(cls.parameters) == (2 if cls.usual_constant else 1)
 
     @classmethod
     def trials(cls) -> tuple[Effect, ...]:
@@ -175,12 +182,19 @@ class Effect(ABC):
 
     def constants(self, found: Sequence[Found], unsure: float, usual_load: float) -> list[Found]:  # noqa: ARG002
         """Values and standard deviations of the parameters that are constants, from those ``found`` before."""
-        return [(self.scanned, unsure * self.scanned)] if self.constant else []
+        constants = [(self.scanned, unsure * self.scanned)] if self.constant else []
+        name = self.usual_constant
+        if name and getattr(self, name) != getattr(type(self), name):
+            constants.append((float(getattr(self, name)), 0.0))
+        return constants
 
     @classmethod
     def from_values(cls, values: Values, usual_load: float = 0.0) -> Self:  # noqa: ARG003
         """The instance with the constants of these parameters."""
-        return cls(**({cls.constant: values[cls.constant]} if cls.constant else {}))
+        given = {cls.constant: values[cls.constant]} if cls.constant else {}
+        if values.get(cls.usual_constant):
+            given[cls.usual_constant] = values[cls.usual_constant]
+        return cls(**given)
 
     @classmethod
     def coefficients(cls, values: Values, usual_load: float = 0.0) -> dict[Effect, tuple[float, ...]]:
@@ -209,7 +223,8 @@ class Effect(ABC):
         """The parameters of one effect that does what two at one place do, the ``second`` found beside the first."""
         if not cls.adds_up:
             return second
-        return {**first, **{name: first[name].plus(q) if name in first else q for name, q in second.items()}}
+        added = second.keys() & first.keys() - {cls.usual_constant}
+        return {**first, **{name: first[name].plus(q) if name in added else q for name, q in second.items()}}
 
     # What it does to the world and to the sensors; the defaults do nothing.
 

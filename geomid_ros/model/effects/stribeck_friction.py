@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from geomid_ros.model.effects.coulomb_friction import SMOOTHINGS, CoulombFriction
+from geomid_ros.model.effects.coulomb_friction import SMOOTHING, SMOOTHINGS, CoulombFriction
 from geomid_ros.model.effects.effect import Effect, JointEffect
 from geomid_ros.model.effects.parameters import EFFORT, ByEffect, ParameterForm, Quantities, Values
 from geomid_ros.model.effects.places import Place
@@ -31,12 +31,15 @@ class StribeckFriction(JointEffect):
 
     name = "stribeck_friction"
     label = "Stribeck friction"
-    meaning = "effort sign(v) (level + excess exp(-(v/speed)^2))"
+    meaning = "effort sign(v) (level + excess exp(-(v/speed)^2)); smoothing as of coulomb_friction"
     parameters = (
         ParameterForm("level", EFFORT, above=0.0, optional=True, urdf="dynamics/friction", mjcf="joint/frictionloss"),
         ParameterForm("excess", EFFORT),  # the coefficient: positive and in units as the level
         ParameterForm("speed", ("rad/s", "m/s"), above=0.0),
+        SMOOTHING,
     )
+    said_first = 3
+    usual_constant = SMOOTHING.name
     settled_by = "runs of this joint at constant speeds from creeping to fast"
     constant = "speed"
     adds_up = False
