@@ -246,10 +246,15 @@ FOUND = {"level": Quantity(0.5, 0.01, "N m"), "gain": Quantity(1.25, 0.1, "-")}
     [("elbow", "", " at 'elbow'"), ("elbow", "forearm", " at link 'forearm'"), ("", "", "")],
 )
 def test_a_sentence_says_what_where_and_how_much(joint: str, link: str, where: str) -> None:
-    effect = COULOMB.effect
+    effect = EFFECTS["stribeck_friction"]()
     values = "level 0.5 ± 0.02 N m, gain 1.25 ± 0.2 (95 % interval)."
-    assert sentence(effect, joint, link, FOUND, {}, "confident") == f"Coulomb friction{where}: {values}"
-    assert sentence(effect, joint, link, FOUND, {}, "tentative") == f"Perhaps Coulomb friction{where}: {values}"
+    assert sentence(effect, joint, link, FOUND, {}, "confident") == f"Stribeck friction{where}: {values}"
+    assert sentence(effect, joint, link, FOUND, {}, "tentative") == f"Perhaps Stribeck friction{where}: {values}"
+
+
+def test_a_sentence_does_not_say_how_sharply_friction_sets_in() -> None:
+    found = {"level": Quantity(0.5, 0.01, "N m"), "smoothing": Quantity(0.08, 0.0, "rad/s")}
+    assert "smoothing" not in sentence(COULOMB.effect, "elbow", "", found, {}, "confident")
 
 
 def test_a_sentence_begins_with_a_capital_and_says_the_first_parameters() -> None:
