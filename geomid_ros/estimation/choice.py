@@ -15,13 +15,12 @@ from functools import cached_property
 
 import numpy as np
 
-from geomid_ros.estimation.fit import CERTAINTY, Problem
+from geomid_ros.estimation.fit import CERTAINTY, Problem, driven_rows
 from geomid_ros.estimation.objective import Evaluation
 from geomid_ros.estimation.profile_objective import ProfileObjective, StraightManifold
 from geomid_ros.estimation.solvers import trust_region
 from geomid_ros.geometry.manifold import Point
-from geomid_ros.model.dry_friction import held_from_driving
-from geomid_ros.model.effects import Effect, Place
+from geomid_ros.model.effects import Place
 from geomid_ros.types import FloatArray, IntArray
 
 LEAST_GAIN = 12.0
@@ -131,15 +130,10 @@ class _Rows:
     def fit(self, columns: IntArray, start: _Fit | None = None, *, firm: bool = False) -> _Fit:
         """Fit these parameters, from an earlier fit where one is given; ``firm``: all links keep the usual spread."""
         found = self._fit(columns, start, np.zeros((0, len(columns))), firm=firm)
-        rows = held_from_driving([self._term(column) for column in columns], found.point.parameters)
+        every = np.zeros(self.size)
+        every[columns] = found.point.parameters
+        rows = driven_rows(self.problem.model, every)[:, columns]
         return self._fit(columns, found, rows, firm=firm) if len(rows) else found
-
-    def _term(self, column: int) -> tuple[Effect, Place] | None:
-        """The effect and the place of a coefficient; None for a link's parameter."""
-        if column < self.first:
-            return None
-        coefficient = self.problem.model.coefficients[column - self.first]
-        return coefficient.effect, coefficient.place
 
     def _fit(self, columns: IntArray, start: _Fit | None, held: FloatArray, *, firm: bool) -> _Fit:
         """The same, with rows ``(r, columns)`` that are zero."""

@@ -21,14 +21,14 @@ def held_from_driving(terms: Sequence[tuple[Effect, Place] | None], values: Floa
 
     Args:
         terms: the effect of each coefficient, and where it is; None for what is no effect.
-        values: the coefficients ``(k,)``.
+        values: the coefficients ``(k,)``; zero for those that are left out.
 
     Returns:
         Rows ``(r, k)`` of target 0 and standard deviation 1; r is 0 where no joint is driven.
     """
     places: dict[Place, list[int]] = {}
     for index, term in enumerate(terms):
-        if term is not None and term[0].is_dry_friction:
+        if term is not None and term[0].is_dry_friction and values[index]:
             places.setdefault(term[1], []).append(index)
     driven = [own for own in places.values() if len(own) > 1 and np.sum(values[own]) < 0.0]
     rows = np.zeros((len(driven), len(values)))
