@@ -329,6 +329,12 @@ def test_a_name_whose_size_may_be_that_of_no_effect_is_unsure(
     assert monitored._may_be_nothing(parameters) is False  # that of the model has changed, to nothing maybe
 
 
+@pytest.mark.parametrize(("std", "expected"), [(0.4, "tentative"), (0.3, "confident")])
+def test_how_sharply_friction_sets_in_is_no_size_of_it(std: float, expected: Confidence) -> None:
+    parameters = {"level": Quantity(1.0, std, "N m"), "smoothing": Quantity(0.08, 0.0, "rad/s")}
+    assert replace(SURE, name=named("coulomb_friction")).evidence.confidence(parameters) == expected
+
+
 def test_a_payload_of_unknown_mass_is_unsure() -> None:
     assert CARRIED.confidence(np.nan, 0.1) == "tentative"
 

@@ -96,7 +96,8 @@ class Evidence:
         if set(self.candidate.terms) <= set(self.analysis.search.prior.terms):
             return False
         nothing = 1.0 if self.candidate.effect.scales_measurement else 0.0
-        return all(abs(size.value - nothing) <= _SURE_OF_SIZE * size.std for size in parameters.values())
+        sizes = [size for name, size in parameters.items() if name != self.candidate.effect.usual_constant]
+        return all(abs(size.value - nothing) <= _SURE_OF_SIZE * size.std for size in sizes)
 
     @property
     def _is_ambiguous(self) -> bool:
