@@ -6,7 +6,7 @@ from collections.abc import Mapping
 
 from geomid_ros.plausibility.hypotheses import Cause, Finding
 from geomid_ros.signals.effort_habits import COARSE
-from geomid_ros.signals.gates import CLOCK_SET
+from geomid_ros.signals.gates import CLOCK_SET, KEPT
 from geomid_ros.signals.joint_messages import DRIVER_ERROR, FROZEN, UNWRAPPED
 from geomid_ros.signals.ledger import Account
 from geomid_ros.signals.sampler import SCALED
@@ -14,7 +14,7 @@ from geomid_ros.signals.timeline import NOT_LATER
 
 _OFTEN = "; does the driver publish more often than it measures? What repeats is left out, the rest serves"
 _ASKED = {FROZEN: _OFTEN, NOT_LATER: _OFTEN}
-_TOLD = (CLOCK_SET, UNWRAPPED, SCALED, COARSE)
+_TOLD = (CLOCK_SET, KEPT, UNWRAPPED, SCALED, COARSE)
 
 
 def faulty_streams(accounts: Mapping[str, Account], before: Mapping[str, Account]) -> list[Finding]:

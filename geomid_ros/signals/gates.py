@@ -8,6 +8,7 @@ which passes.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -24,6 +25,9 @@ PATIENCE = 1000
 """Messages of all topics: after so many a suspicious one passes, though fewer of its own have come."""
 
 EARLY = "stamp ahead of its time"
+SPIKE = "is a spike"
+SPIKE_OR_CONTACT = "is a spike, or a contact that messages as slow cannot tell from one"
+KEPT = ": kept"
 CLOCK_SET = "clock set: a new segment begins"
 UNIT_CHANGED = (
     DRIVER_ERROR + "efforts change at once by a factor of about {:g}, at all joints: another unit or sign begins; use "
@@ -64,11 +68,13 @@ class Limits:
 @dataclass(frozen=True)
 class _Answer:
     """What the first suspicious messages are, ``count`` of them: ``refused`` or, from the first one on, something
-    ``changed``, and in what way; else they are real, unless they are ``late``, which their stamps say."""
+    ``changed``, and in what way; else they are real, unless they are ``late``, which their stamps say. What is real may
+    be ``noted``."""
 
     count: int = 1
     refused: str = ""
     changed: str = ""
+    noted: str = ""
     late: bool = False
 
 
@@ -84,15 +90,19 @@ class Decided:
 class JointGate:
     """Refuses joint messages by their neighbours; see the module."""
 
-    def __init__(self, joints: tuple[str, ...], limits: Limits, turning: BoolArray, max_gap: int) -> None:
+    def __init__(
+        self, joints: tuple[str, ...], limits: Limits, turning: BoolArray, max_gap: int, note: Callable[[str], None]
+    ) -> None:
         """
         Args:
             joints: those of the messages.
             limits: of these.
             turning: ``(joints,)`` which are revolute: a whole turn is no jump.
             max_gap: [ns] what is further apart is not compared.
+            note: is told of what is doubtful, and passes.
         """
         self._joints = joints
+        self._note = note
         self._turn = np.where(turning, _TURN, 0.0)
         self._speed = _TOO_FAST * np.minimum(limits.speed, _FASTEST)
         self._efforts = UsualEfforts(limits.effort)
@@ -144,6 +154,8 @@ class JointGate:
                 if answer.changed:
                     changed[int(order[place])] = answer.changed
                     self._begin_anew()
+                if answer.noted:
+                    self._note(answer.noted)
                 self._pass(stamps[place : place + 1], numbers[place : place + 1])
             place += answer.count
             place += self._pass_plain(stamps[place:], numbers[place:])
@@ -232,9 +244,12 @@ class JointGate:
         if len(stamps) > 1 and stamps[0] <= self._stamps[-1] < stamps[1]:
             return _Answer(late=True)
         for count in range(1, min(_MOST, len(stamps) - 2) + 1):
-            reason = self._early(stamps, count) or self._excursion(stamps, numbers, count)
+            reason = self._early(stamps, count) or self._position_jumps(stamps, numbers, count)
             if reason:
                 return _Answer(count, refused=reason)
+            spiking = self._effort_spikes(numbers, count)
+            if spiking:
+                return self._spike(spiking, count, self._elapsed(stamps, count))
         if len(stamps) <= AHEAD:
             return _Answer() if whole else None
         if self._clock_was_set(stamps, numbers):
@@ -246,33 +261,47 @@ class JointGate:
         self._efforts.forget()
         return _Answer(changed=UNIT_CHANGED.format(factor))
 
+    @staticmethod
+    def _spike(effort: str, count: int, elapsed: float) -> _Answer:
+        """What an effort is that is back within so many seconds. That of a short contact is not the robot's either; for
+        what lasts longer the robot may have moved as never before."""
+        if elapsed <= _SHORTEST_CONTACT:
+            return _Answer(count, refused=f"{effort} {SPIKE}")
+        if count == 1 and elapsed <= 2.0 * _SHORTEST_CONTACT:
+            return _Answer(count, refused=f"{effort} {SPIKE_OR_CONTACT}")
+        return _Answer(noted=f"{effort} {SPIKE_OR_CONTACT}{KEPT}")
+
     def _early(self, stamps: IntArray, length: int) -> str:
         """The next two messages are later than the last good one, and not later than these."""
         then, after = stamps[length : length + 2].tolist()
         is_early = self._stamps[-1] < then < after <= int(np.min(stamps[:length]))
         return EARLY if is_early else ""
 
-    def _excursion(self, stamps: IntArray, numbers: FloatArray, length: int) -> str:
-        """Positions that jump away and come back faster than the joint can move, or efforts that do within less than a
-        contact takes."""
-        last, period = self._last[-1], self._period
-        if not np.isfinite(period):
-            return ""
+    def _elapsed(self, stamps: IntArray, length: int) -> float:
+        """Time [s] from the last good message to the first after these; infinite until the period is known."""
+        return max(1e-9 * float(stamps[length] - self._stamps[-1]), (length + 1) * self._period)
+
+    def _position_jumps(self, stamps: IntArray, numbers: FloatArray, length: int) -> str:
+        """Positions that jump away and come back faster than the joint can move."""
+        last, reach = self._last[-1], self._elapsed(stamps, length) * self._speed
         away, back, later = numbers[:length], numbers[length], numbers[length + 1]
-        elapsed = max(1e-9 * float(stamps[length] - self._stamps[-1]), (length + 1) * period)
-        reach = elapsed * self._speed
         far = np.min(np.minimum(self._distance(away[:, 0], last[0]), self._distance(away[:, 0], back[0])), axis=0)
         jumps = (far > reach) & (self._distance(back[0], last[0]) < reach)
         jumps &= self._distance(later[0], last[0]) < 2.0 * reach
         jumps &= far > _CLEAR * np.maximum(self._largest_step(self._last), self._largest_step(numbers[length:]))
-        if jumps.any():
-            return f"position of '{self._joints[int(np.argmax(jumps))]}' jumps, and back, faster than it can move"
-        if elapsed > _SHORTEST_CONTACT:
-            return ""
-        height = np.min(np.minimum(np.abs(away[:, 2] - last[2]), np.abs(away[:, 2] - back[2])), axis=0)
-        left = np.maximum(np.abs(back[2] - last[2]), np.abs(later[2] - last[2]))
+        return (
+            f"position of '{self._joints[int(np.argmax(jumps))]}' jumps, and back, faster than it can move"
+            if jumps.any()
+            else ""
+        )
+
+    def _effort_spikes(self, numbers: FloatArray, length: int) -> str:
+        """The effort that leaves what is usual, and comes back."""
+        last, away, back, later = self._last[-1, 2], numbers[:length, 2], numbers[length, 2], numbers[length + 1, 2]
+        height = np.min(np.minimum(np.abs(away - last), np.abs(away - back)), axis=0)
+        left = np.maximum(np.abs(back - last), np.abs(later - last))
         spikes = (height > self._efforts.spike) & (left < _BACK * height)
-        return f"effort of '{self._joints[int(np.argmax(spikes))]}' is a spike" if spikes.any() else ""
+        return f"effort of '{self._joints[int(np.argmax(spikes))]}'" if spikes.any() else ""
 
     def _largest_step(self, numbers: FloatArray) -> FloatArray:
         """Between positions of messages in a row ``(joints,)``: what moves fast anyway may be faster than thought."""

@@ -121,7 +121,8 @@ class SignalPipeline:
         joints = part or self._joints
         places = [self._joints.index(joint) for joint in joints]
         turning = self._turning[places] | self._continuous[places]
-        return JointGate(joints, self._limits.of(places), turning, self._max_gap)
+        note = partial(self.ledger.note, JOINT_STATES)
+        return JointGate(joints, self._limits.of(places), turning, self._max_gap, note)
 
     @property
     def lag(self) -> float:

@@ -24,7 +24,7 @@ from geomid_ros.model.sensors import WrenchSensor
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.recordings import Bags, read_bags, take
 from geomid_ros.session.session import Session
-from geomid_ros.signals.gates import CLOCK_SET, EARLY
+from geomid_ros.signals.gates import CLOCK_SET, EARLY, SPIKE_OR_CONTACT
 from geomid_ros.signals.joint_messages import UNWRAPPED
 from geomid_ros.signals.sampler import IN_BURSTS
 from geomid_ros.types import FloatArray, IntArray
@@ -160,6 +160,14 @@ def spikes(joints: Joints) -> IntArray:
     return CHOSEN
 
 
+def slow_spikes(joints: Joints) -> IntArray:
+    """Every second message, 20 ms from the next: too far apart to tell a spike from a contact."""
+    joints.kept[1::2] = False
+    places = CHOSEN // 2 * 2 + 120
+    joints.arrays["effort"][places, 1] -= 3.0 * np.ptp(joints.arrays["effort"][:, 1])
+    return places
+
+
 def early(joints: Joints) -> IntArray:
     joints.stamps[CHOSEN] += np.array([25, 55, 105, 405]) * 1_000_000
     return CHOSEN
@@ -233,6 +241,7 @@ CASES = {
     "71-wraps": Case(spoil=wraps, noted=UNWRAPPED, sigmas=1e-3),
     "73-position-glitches": Case(spoil=glitches, refused="jumps, and back, faster than it can move"),
     "74-effort-spikes": Case(spoil=spikes, refused="effort of 'joint2' is a spike"),
+    "74-slow-effort-spikes": Case(spoil=slow_spikes, refused=f"effort of 'joint2' {SPIKE_OR_CONTACT}"),
     "75-stamps-ahead": Case(spoil=early, refused=EARLY),
     "76-clock-set-ahead": Case(spoil=clock_set(200_000_000), noted=CLOCK_SET, sigmas=1.0),
     "76-clock-set-back": Case(spoil=clock_set(-200_000_000), noted=CLOCK_SET, sigmas=1.0),
@@ -276,7 +285,7 @@ def test_a_fault_gets_the_same_answer_in_a_bag_and_in_a_node(name: str, tmp_path
     np.testing.assert_allclose(numbers(their_estimate)[0], numbers(estimate)[0], rtol=1e-9, atol=1e-12)
     account, their_account = (each.pipeline.ledger.topics["joint_states"] for each in (found, theirs))
     assert account == their_account
-    assert account.received == (2 if joints.phantom else 1) * len(joints.stamps)
+    assert account.received == (2 if joints.phantom else 1) * np.sum(joints.kept)
     assert found.pipeline.ledger.topics["/wrench"].rejected == {}
 
     assert all(case.refused in reason for reason in account.rejected)

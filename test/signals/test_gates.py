@@ -16,7 +16,7 @@ from geomid_ros.model.samples import Samples
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.session import Session
 from geomid_ros.signals.decoding import Decoder
-from geomid_ros.signals.gates import CLOCK_SET, EARLY, PATIENCE, UNIT_CHANGED
+from geomid_ros.signals.gates import CLOCK_SET, EARLY, KEPT, PATIENCE, SPIKE_OR_CONTACT, UNIT_CHANGED
 from geomid_ros.signals.messages import JOINT_STATES, Block
 from geomid_ros.signals.pipeline import UNDECIDED
 from geomid_ros.signals.sampler import IN_BURSTS
@@ -55,7 +55,14 @@ class Recording:
 
     def chosen(self, count: int) -> IntArray:
         """Messages to spoil, far from each other."""
-        return np.linspace(FIRST, len(self.stamps) - 20, count).astype(np.int64)
+        return np.linspace(min(FIRST, len(self.stamps) - 40), len(self.stamps) - 20, count).astype(np.int64)
+
+    def thin_out(self, period: float) -> None:
+        """Leave messages that are at least this period [s] apart."""
+        kept = slice(None, None, int(np.ceil(period / self.period - 0.01)))
+        self.stamps, self.position, self.velocity, self.effort = (
+            array[kept] for array in (self.stamps, self.position, self.velocity, self.effort)
+        )
 
     def read(self, size: int = 4096, without: IntArray | None = None) -> tuple[Samples, dict[str, int], dict[str, int]]:
         """Samples, why messages were refused, and what was noted."""
@@ -176,6 +183,31 @@ def test_what_is_over_sooner_than_a_collision_is_a_spike(recording: Recording) -
     recording.effort[700:702, recording.loaded] += 2.0 * recording.range
     refused = recording.read()[1]
     assert list(refused.values()) == [2]
+
+
+@pytest.mark.parametrize("period", [0.02, 0.04])
+def test_what_slow_messages_cannot_tell_is_said(period: float, recording: Recording) -> None:
+    """At 50 Hz a contact of 40 ms is as short as a spike, and neither is the robot's effort; at 25 Hz
+    it may be motion."""
+    recording.thin_out(period)
+    refused, noted = recording.read()[1:]
+    assert refused == {}
+    assert not any(note.endswith(KEPT) for note in noted)
+    places = recording.chosen(4)
+    without = recording.read(without=places)[0]
+    spikes(recording, places)
+    samples, refused, noted = recording.read()
+    name = recording.names[recording.loaded]
+    if period < 0.03:
+        assert refused == {f"effort of '{name}' {SPIKE_OR_CONTACT}": 4}
+        assert_equal(samples, without)
+    else:
+        assert refused == {}
+        assert noted[f"effort of '{name}' {SPIKE_OR_CONTACT}{KEPT}"] == 4
+    for size in (1, 7):
+        again = recording.read(size)
+        assert_equal(again[0], samples)
+        assert again[1:] == (refused, noted)
 
 
 @pytest.mark.parametrize("size", [2, 5])
