@@ -154,7 +154,7 @@ CATALOGUE = (
     Fault(70, "unknown or ill-typed parameter", "X naming it at the start; refused later", ("test_parameters.py::test_what_cannot_be_used_is_refused_with_one_message", "test_parameters.py::test_parameters_are_described")),
     Fault(71, "a driver that wraps positions at a whole turn", "unwrapped, W", (_both("71-wraps"), _stream("71-wraps"))),
     Fault(73, "positions that jump for up to three messages (encoder glitches)", "R W", (_both("73-position-glitches"), _stream("73-position-glitches"))),
-    Fault(74, "spikes of efforts, shorter than a contact", "R W; below 45 Hz kept, W, as they may be motion", (_both("74-effort-spikes"), _stream("74-effort-spikes"))),
+    Fault(74, "spikes of efforts, shorter than a contact", "R W; below 30 Hz kept, W, as they may be motion", (_both("74-effort-spikes"), _stream("74-effort-spikes"))),
     Fault(75, "stamps ahead of their time by less than `filter.max_gap`", "R W; the messages after are used", (_both("75-stamps-ahead"), _stream("75-stamps-ahead"))),
     Fault(76, "clock set by less than `filter.max_gap` (NTP), told by the motion", "S W", (_both("76-clock-set-ahead"), _both("76-clock-set-back"))),
     Fault(77, "receipt stamps in bursts (wireless)", "E; used by their numbers in the row if a period can be told, else R E", (_both("77-bursts"), "../signals/test_periods.py::test_uneven_bursts_are_refused")),
