@@ -42,11 +42,12 @@ def curve(joint: int, variable: str = "position") -> CurveCandidate:
 
 @dataclass(eq=False)
 class Fit:
-    """A fit: its score, and what it leaves of three channels, each of a floor of one."""
+    """A fit: its score, and what it leaves of three channels, each of a floor of one; and of ``unseen`` data."""
 
     score: float
     squares: FloatArray
     chosen: tuple[AnyCandidate, ...] = ()
+    unseen: Sequence[float] = ()
 
 
 @dataclass(kw_only=True)
@@ -57,7 +58,8 @@ class Judged:
     curve in its place. ``without``, ``bare``: sums of squares of each channel without the name and without any,
     those of the whole being 1. ``after``, ``expected``, ``unnamed``: remainders of ``counts`` unseen instants with all
     names, as they should be, and without the name; ``with_curves``: with free curves, too, those of ``after`` unless
-    given. ``reached``: the channels that it can change.
+    given. ``reached``: the channels that it can change. ``outdoing``: remainders of unseen data with each of some names
+    in its place.
     """
 
     name: Candidate = field(default_factory=lambda: named("viscous_friction"))
@@ -75,6 +77,7 @@ class Judged:
     counts: Sequence[float] = (1e4, 1e4, 1e4)
     reached: Sequence[int] = (1,)
     certainty: float = GUESSED
+    outdoing: Mapping[Candidate, Sequence[float]] = field(default_factory=dict)
 
     @property
     def analysis(self) -> Any:
@@ -95,6 +98,7 @@ class Judged:
             prior=SimpleNamespace(certainty=self.certainty, terms=(), spread=0.2),
             without=without,
             instead=instead,
+            rivals=lambda *_: [Fit(0.0, np.ones(3), (other,), unseen) for other, unseen in self.outdoing.items()],
         )
         search.unchanged = lambda _: search
         bare = Fit(0.0, np.array(self.bare))
@@ -108,7 +112,7 @@ class Judged:
             counts=np.array(self.counts),
             gap=gap,
             with_curves=np.array(self.after if self.with_curves is None else self.with_curves),
-            times_floor=lambda _: np.array(self.unnamed, dtype=float),
+            times_floor=lambda found: np.array(found.unseen or self.unnamed, dtype=float),
         )
 
     @property

@@ -10,7 +10,7 @@ from geomid_ros.gap.judgement import closing, confidence, verdict
 from geomid_ros.gap.result import Confidence, Rival
 from geomid_ros.model.effects import Quantity
 
-from .judged import IDENTIFIED, JOINTS, PAYLOAD, Judged, curve, named
+from .judged import CANDIDATES, IDENTIFIED, JOINTS, PAYLOAD, Judged, curve, named
 
 SURE = Judged()
 OPEN = (1.0, 2.0, 1.0)  # times the floor: what unseen data leave at the second joint
@@ -96,7 +96,7 @@ def test_a_payload_that_wrong_inertias_explain_as_well_is_ambiguous_where_these_
 
 def test_of_an_identified_robot_a_payload_is_what_the_known_inertias_leave(monkeypatch: pytest.MonkeyPatch) -> None:
     """Fitted ones take its place, and leave as little; the other coefficients are as they were fitted."""
-    unfitted = SimpleNamespace()
+    unfitted = SimpleNamespace(unseen=())
     monkeypatch.setattr(closing, "fit", lambda *_: unfitted)
     imitated = replace(CARRIED, without=(1.0, 1.0, 1.0), bare=(1.0, 1.0, 1.0), certainty=IDENTIFIED)
     evidence = imitated.evidence
@@ -248,9 +248,12 @@ def test_of_a_small_share_beside_what_has_no_name_rivals_are_far(
 def test_what_curves_say_on_unseen_data_too_is_no_doubt_of_a_name_beside_them(
     curved: tuple[float, ...], expected: Confidence
 ) -> None:
-    """A name closes 5 of what is left, 3: it does not dominate, but beside a curve nothing is left."""
+    """A name closes 5 of what is left, 3: it does not dominate, but beside a curve nothing is left. Its share is small
+    beside what larger names close, or not."""
     beside = replace(SURE, others=[curve(1)], after=OPEN, with_curves=curved)
     assert beside.confidence() == expected
+    assert replace(beside, bare=(1.0, 151.0, 1.0)).confidence() == expected
+    assert replace(beside, bare=(1.0, 151.0, 1.0), instead=50.0).confidence() == "tentative"
     assert replace(beside, name=named("gravity_tilt", None), bare=(1.0, 12.0, 1.0)).confidence() == "tentative"
 
 
@@ -333,6 +336,37 @@ def test_a_name_whose_size_may_be_that_of_no_effect_is_unsure(
 def test_how_sharply_friction_sets_in_is_no_size_of_it(std: float, expected: Confidence) -> None:
     parameters = {"level": Quantity(1.0, std, "N m"), "smoothing": Quantity(0.08, 0.0, "rad/s")}
     assert replace(SURE, name=named("coulomb_friction")).evidence.confidence(parameters) == expected
+
+
+@pytest.mark.parametrize(("std", "expected"), [(0.4, "tentative"), (0.3, "confident")])
+@pytest.mark.parametrize("effect", ["stribeck_friction", "coupled_viscous_friction", "backlash"])
+def test_what_a_name_has_beside_its_size_makes_it_no_surer(effect: str, std: float, expected: Confidence) -> None:
+    """A ratio, a speed, a drag."""
+    name = next(c for c in CANDIDATES if c.name == effect)
+    sizes = sum(part.count for part in name.effect.parts)
+    parameters = {
+        form.name: Quantity(1.0, std if place < sizes else 0.0, "") for place, form in enumerate(name.effect.parameters)
+    }
+    assert replace(SURE, name=name).evidence._may_be_nothing(parameters) is (expected == "tentative")
+
+
+SPRING, STRIBECK = named("spring"), named("stribeck_friction")
+
+
+@pytest.mark.parametrize(
+    ("judged", "expected"),
+    [
+        (replace(SURE, outdoing={SPRING: (1.0, 1.01, 1.0)}), "confident"),
+        (replace(SURE, outdoing={SPRING: (1.0, 0.99, 1.0)}), "tentative"),
+        (replace(SURE, outdoing={SPRING: (0.5, 1.01, 0.5)}), "confident"),
+        (replace(COULOMB, outdoing={STRIBECK: (1.0, 0.9, 1.0)}), "confident"),
+        (replace(CARRIED, outdoing={SPRING: (0.9, 0.9, 0.9)}), "confident"),
+    ],
+    ids=["worse", "better", "better elsewhere", "contains it", "of a payload"],
+)
+def test_a_name_that_another_one_outdoes_on_unseen_data_is_unsure(judged: Judged, expected: Confidence) -> None:
+    """However much worse that was on those that were fitted."""
+    assert judged.confidence() == expected
 
 
 def test_a_payload_of_unknown_mass_is_unsure() -> None:

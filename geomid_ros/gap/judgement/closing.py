@@ -80,6 +80,21 @@ class Closing:
         gap = np.nansum(np.maximum(self._squares_without - expected**2, 0.0))
         return bool(self.closed > LEAST_PREDICTED * gap)
 
+    @property
+    def is_outdone(self) -> bool:
+        """Whether another name in its place leaves less of unseen data. One that contains it is another matter; and so
+        is a payload, whose place fitted inertias would take beside another name."""
+        if self.candidate.payload is not None:
+            return False
+        names, squares = self.analysis.names, np.nansum(self.unseen.gap.after[self.reached] ** 2)
+        for found in self.analysis.search.unchanged(self.candidate).rivals(names, self.candidate):
+            (rival,) = (c for c in found.chosen if isinstance(c, Candidate) and c not in names.chosen)
+            if rival.effect.contains == self.candidate.name:
+                continue
+            if np.nansum(self.unseen.times_floor(found)[self.reached] ** 2) < squares:
+                return True
+        return False
+
     @cached_property
     def closed(self) -> float:
         """What it closes, in squares of the floor."""

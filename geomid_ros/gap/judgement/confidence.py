@@ -81,7 +81,7 @@ class Evidence:
             return "tentative"
         if self._is_beside_unexplained or self._is_hidden_by_others:
             return "tentative"
-        if self._may_be_nothing(parameters):
+        if self._may_be_nothing(parameters) or self.closing.is_outdone:
             return "tentative"
         # Where the floor is reached the score can be trusted; else it takes errors of the model for noise.
         design, prior = self.analysis.search.design, self.analysis.search.prior
@@ -96,7 +96,9 @@ class Evidence:
         if set(self.candidate.terms) <= set(self.analysis.search.prior.terms):
             return False
         nothing = 1.0 if self.candidate.effect.scales_measurement else 0.0
-        sizes = [size for name, size in parameters.items() if name != self.candidate.effect.usual_constant]
+        effect = self.candidate.effect
+        constants = {form.name for form in effect.parameters[sum(part.count for part in effect.parts) :]}
+        sizes = [size for name, size in parameters.items() if name not in constants]
         return all(abs(size.value - nothing) <= _SURE_OF_SIZE * size.std for size in sizes)
 
     @property
@@ -197,7 +199,8 @@ class Evidence:
         if self.share >= CONFIDENT_SHARE:
             return False
         surer = CONFIDENT_IN_THE_SHADE / CONFIDENT_LOSS
-        clear = self.closing.is_all or (self.closing.dominates and self._margin > surer * CONFIDENT_RIVAL)
+        clears = self.closing.dominates or self.closing.is_settled
+        clear = self.closing.is_all or (clears and self._margin > surer * CONFIDENT_RIVAL)
         return not (clear and self.loss > CONFIDENT_IN_THE_SHADE)
 
     @property
