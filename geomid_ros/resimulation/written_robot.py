@@ -172,11 +172,11 @@ class WrittenRobot:
 
     def true_effort(self, measured: FloatArray) -> FloatArray:
         """What the motors supply where the effort sensors show ``measured (..., J)``, delays apart."""
-        return (measured - self.offset) / self.gain
+        return measured / self.gain - self.offset
 
     def measured_effort(self, true: FloatArray) -> FloatArray:
         """What the effort sensors show where the motors supply ``true (..., J)``, delays apart."""
-        return self.gain * true + self.offset
+        return self.gain * (true + self.offset)
 
     def wrench(self, sensed: FloatArray, sensor: WrenchSensor) -> FloatArray:
         """The true wrench at a mounted sensor, its sign reversed if it is ``(..., 6)``, of all ``sensed (...,

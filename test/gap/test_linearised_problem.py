@@ -123,6 +123,19 @@ def test_a_delay_is_the_whole_delay_up_to_second_order(at: float, share: float) 
     assert np.linalg.norm(left) < share * np.linalg.norm(prompt)
 
 
+def test_a_gain_scales_a_tilt_and_a_delay_that_are_built_in() -> None:
+    """As it scales all that is true at its joint."""
+    gravity = pin.exp3(np.array([0.03, 0.0, 0.0])).T @ MODEL.robot.gravity
+    tilted = planted.recording(planted.rigid(INERTIAS, gravity), 3, SECONDS, noise=0.0)
+    measured = Records.make([with_efforts(tilted, [1.0, 1.25, 1.0], [0.0] * 3, [0.0] * 3)], planted.CUTOFF)
+    late = replace(measured, dense=measured.advanced(-0.005).dense)
+    values: dict[Term, float] = {TILT[0]: 0.03, TILT[1]: 0.0, DELAY: 0.005, GAIN: 0.25}
+    inner = slice(3, -3)
+    left = residual(late.dense[0], values, values)[inner]
+    plain = residual(late.dense[0], {}, {})[inner]
+    assert np.all(np.linalg.norm(left, axis=0) < 1e-2 * np.linalg.norm(plain, axis=0))
+
+
 def test_the_total_model_has_every_payload_on_its_link_and_coefficients_in_order() -> None:
     problem = LinearisedProblem(MODEL, Records.make([exact()], planted.CUTOFF), total_model(MODEL, said({})))
     prior = Prior(

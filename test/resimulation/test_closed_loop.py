@@ -72,7 +72,7 @@ def test_friction_and_sensors_that_only_the_sidecar_says(tmp_path: Path) -> None
     friction[:, 1] = np.sign(velocity) * (0.5 + 0.5 * np.exp(-((velocity / 0.3) ** 2)))
     true = exact.effort + friction
     measured = recording().effort + friction
-    measured[:, 2] = 1.2 * measured[:, 2] + 0.4
+    measured[:, 2] = 1.2 * (measured[:, 2] + 0.4)
     known = [
         effect("stribeck_friction", "joint2", level=0.5, excess=0.5, speed=0.3),
         effect("effort_gain", "joint3", gain=1.2),

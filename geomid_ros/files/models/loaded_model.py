@@ -114,21 +114,7 @@ class LoadedModel:
     @property
     def in_samples(self) -> list[KnownEffect]:
         """The same, as samples show them that are corrected as :meth:`signals` and :meth:`sensors` say."""
-        return [
-            self._behind_gain(known)
-            for known in self.beside_inertias
-            if not effect_class(known.effect).corrected_in_samples
-        ]
-
-    def _behind_gain(self, known: KnownEffect) -> KnownEffect:
-        """An effect as efforts show it that were divided by their gain."""
-        own = values_of(known)
-        behind = effect_class(known.effect).behind_gain(own, self._gains.get(known.joint, 1.0))
-        parameters = {
-            name: replace(quantity, value=behind[name]) if behind[name] != own[name] else quantity
-            for name, quantity in known.parameters.items()
-        }
-        return KnownEffect(known.effect, known.joint, known.link, parameters)
+        return [known for known in self.beside_inertias if not effect_class(known.effect).corrected_in_samples]
 
     def gravity(self, gravity: FloatArray) -> FloatArray:
         """Gravity ``(3,)`` in the base frame, of what it would be if the base stood straight."""

@@ -61,7 +61,8 @@ class LinearisedProblem:
         rows = self.model.rows(self.records.samples)
         targets = rows.targets.copy()
         for effect, place, coefficients in self.total.absorbed:
-            targets += effect.columns(self.situation, place) @ coefficients
+            column = effect.columns(self.situation, place) @ coefficients
+            targets += column if effect.scales_measurement else column * self._scales
         return Rows(rows.coefficients * self._scales[:, None], targets)
 
     @cached_property

@@ -258,7 +258,7 @@ class Effect(ABC):
 
     @classmethod
     def behind_gain(cls, values: Values, gain: float) -> Values:  # noqa: ARG003
-        """Its parameters as efforts show them that were divided by ``gain``."""
+        """Its parameters, if they stay as they were while the effort's ``gain`` changes."""
         return values
 
     # What friction the motion and the load bring, beside what URDF and MJCF say.

@@ -3,8 +3,7 @@ from __future__ import annotations
 import numpy as np
 
 from geomid_ros.model.effects.effect import Effect, SituationEffect
-from geomid_ros.model.effects.effort_offset import EffortOffset
-from geomid_ros.model.effects.parameters import ByEffect, ParameterForm, Quantities, Values
+from geomid_ros.model.effects.parameters import ParameterForm, Quantities, Values
 from geomid_ros.model.effects.places import Place, joint_of
 from geomid_ros.model.effects.situation import Situation
 from geomid_ros.types import FloatArray
@@ -17,7 +16,7 @@ class EffortGain(SituationEffect):
 
     name = "effort_gain"
     label = "a wrong gain of the measured effort"
-    meaning = "measured effort = gain true"
+    meaning = "measured effort = gain (true + offset)"
     parameters = (ParameterForm("gain", ("-", "-"), above=0.0),)
     settled_by = "the same motion with a known payload"
     adds_up = False
@@ -42,14 +41,6 @@ class EffortGain(SituationEffect):
     def coefficients(cls, values: Values, usual_load: float = 0.0) -> dict[Effect, tuple[float, ...]]:  # noqa: ARG003
         """The gain's distance from 1."""
         return {cls(): (values["gain"] - 1.0,)}
-
-    @classmethod
-    def refined(cls, known: Quantities, found: ByEffect) -> tuple[Quantities, ByEffect]:
-        """The offset was estimated of efforts that are free of the gain; files say it of the measured ones."""
-        if EffortOffset.name not in found:
-            return known, found
-        offset = found[EffortOffset.name]["offset"].scaled(known["gain"].value)
-        return known, {**found, EffortOffset.name: {"offset": offset}}
 
     @classmethod
     def together(cls, first: Quantities, second: Quantities) -> Quantities:

@@ -14,7 +14,7 @@ class EffortOffset(JointEffect):
 
     name = "effort_offset"
     label = "an offset of the measured effort"
-    meaning = "measured effort = true + offset"
+    meaning = "measured effort = true + offset; beside a gain, gain (true + offset)"
     parameters = (ParameterForm("offset", EFFORT),)
     like_a_payload = True
     alike_one_way = "coulomb_friction"
@@ -30,7 +30,7 @@ class EffortOffset(JointEffect):
 
     @classmethod
     def behind_gain(cls, values: Values, gain: float) -> Values:
-        """It is an error of the measured effort, which was divided by the gain."""
+        """One that was added after a gain that is new."""
         return {"offset": values["offset"] / gain}
 
     def unsaid_efforts(self, values: Values, motion: Motion, place: Place) -> float:  # noqa: ARG002

@@ -1,6 +1,6 @@
 """Effects of measurement: what the sensors make of the true efforts and wrench, before noise.
 
-The table is in the order in which they apply: a late signal is scaled, then offset.
+The table is in the order in which they apply: a late signal is offset, then scaled.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ def _with_effort(trace: RunTrace, joint: int, column: FloatArray) -> RunTrace:
     return replace(trace, effort=effort)
 
 
-MEASURED = by_name(_effort_delay, _effort_gain, _effort_offset, _drift, _wrench_offset)
+MEASURED = by_name(_effort_delay, _effort_offset, _effort_gain, _drift, _wrench_offset)
 
 
 def sensed(trace: RunTrace, joints: Sequence[str], effects: Iterable[TrueEffect]) -> RunTrace:

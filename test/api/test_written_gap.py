@@ -1,0 +1,101 @@
+"""What ``find_gap`` writes is what it judged: loaded again, the files leave of unseen data what the table says."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+from files.recordings import BAGS, Recorded, altered
+
+import geomid_ros
+from geomid_ros.simulation import SimulationOptions, simulate
+
+JOINT = "joint2"
+Change = Callable[[float, float, float, float], float]  # of position, velocity, effort and time [s]
+
+
+@dataclass(frozen=True)
+class Case:
+    """How the measured effort of one joint is changed in the recording, and in the unseen one."""
+
+    verdict: str
+    change: Change
+    unseen: Change
+    names: tuple[str, ...] = ()
+
+
+def untouched(_q: float, _v: float, effort: float, _t: float) -> float:
+    return effort
+
+
+def rubbing(_q: float, v: float, effort: float, _t: float) -> float:
+    return effort + 2.0 * v
+
+
+def scaled(_q: float, _v: float, effort: float, _t: float) -> float:
+    return 1.2 * (effort + 3.0)
+
+
+def rough(q: float, _v: float, effort: float, _t: float) -> float:
+    return effort + 2.0 * np.sin(9.0 * q + 1.0)
+
+
+def creeping(_q: float, _v: float, effort: float, t: float) -> float:
+    return effort + 0.2 * (t % 100.0)
+
+
+CASES = [
+    Case("no gap", untouched, untouched),
+    Case("named", rubbing, rubbing, ("viscous_friction",)),
+    Case("named", scaled, scaled, ("effort_gain", "effort_offset")),
+    Case("unexplained", rough, rough),
+    Case("incomplete", untouched, creeping),
+]
+
+
+@pytest.fixture(scope="module")
+def recordings(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
+    """Two motions of one robot, whose URDF has wrong inertias and no effects."""
+    pytest.importorskip("mujoco")
+    folder = tmp_path_factory.mktemp("robot")
+    for motion in (1, 2):
+        options = SimulationOptions(robot="arm3", seed=5, motion_seed=motion, duration=12.0, longest_step=1e-3, hide=())
+        simulate(folder / str(motion), options)
+    return folder / "1", folder / "2"
+
+
+def changed(by: Change) -> Callable[[Recorded], Recorded]:
+    def change(item: Recorded) -> Recorded:
+        if item.topic != "/joint_states":
+            return item
+        message = item.message
+        place, effort = list(message.name).index(JOINT), message.effort.copy()
+        time = message.header.stamp.sec + 1e-9 * message.header.stamp.nanosec
+        effort[place] = by(message.position[place], message.velocity[place], effort[place], time)
+        return item.changed(effort=effort)
+
+    return change
+
+
+@pytest.mark.parametrize("case", CASES, ids=lambda case: case.change.__name__ + " " + case.unseen.__name__)
+def test_the_written_model_leaves_what_the_table_says(
+    case: Case, recordings: tuple[Path, Path], tmp_path: Path
+) -> None:
+    bag = altered(recordings[0], tmp_path / "fitted", changed(case.change))
+    unseen = altered(recordings[1], tmp_path / "unseen", changed(case.unseen))
+    urdf = BAGS / "arm3.urdf"
+    found = geomid_ros.find_gap(bag, urdf, validate=unseen)
+    assert found.verdict == case.verdict
+    assert {finding.effect for finding in found.findings} >= set(case.names)
+    found.save(tmp_path / "found")
+    again = geomid_ros.find_gap(bag, urdf, validate=unseen, model=tmp_path / "found/estimate.json")
+    # Of a joint whose gain was found the model predicts the efforts that were divided by it.
+    gains = np.ones(len(found.result.channels))
+    for finding in found.findings:
+        if finding.effect == "effort_gain":
+            gains[found.result.channels.index(finding.joint)] = finding.parameters["gain"].value
+    said, left = found.result.gap.after * found.result.floor, again.result.gap.before * again.result.floor
+    np.testing.assert_allclose(left * gains, said, rtol=0.02)
