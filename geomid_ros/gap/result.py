@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from typing import Literal, TypeAlias
 
 from geomid_ros.model.effects import KnownEffect, Quantity, Values
@@ -35,6 +36,7 @@ class Finding(KnownEffect):
         was: the parameters before, if the model had the effect: it has changed.
         sentence: all this in words.
         settled_by: the recording that would settle an ambiguity, empty when there is none.
+        moment: of a payload whose mass the motion does not tell, mass times centre of mass; empty of all others.
     """
 
     confidence: Confidence
@@ -45,6 +47,7 @@ class Finding(KnownEffect):
     was: Values
     sentence: str
     settled_by: str
+    moment: Mapping[str, Quantity] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)

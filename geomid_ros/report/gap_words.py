@@ -155,7 +155,9 @@ def _more(count: int) -> str:
 
 
 def _sized(finding: Finding) -> str:
-    """An effect with its place and its first parameter, and what that was."""
+    """An effect with its place and its first parameter, and what that was; or a payload's first moment."""
+    if finding.moment:
+        return f"{title(finding)} {', '.join(f'{name} {measured(q)}' for name, q in finding.moment.items())}"
     name, quantity = next(iter(finding.parameters.items()))
     was = f" instead of {finding.was[name]:.4g}" if name in finding.was else ""
     return f"{title(finding)} {measured(quantity)}{was}"

@@ -15,6 +15,7 @@ from geomid_ros.gap.result import GapResult
 from geomid_ros.gap.workflow import find_gap
 from geomid_ros.model.effects.viscous_friction import ViscousFriction
 from geomid_ros.model.measurement import MeasurementModel
+from geomid_ros.report.gap_words import in_short
 from geomid_ros.types import FloatArray
 
 from . import planted
@@ -98,12 +99,16 @@ PAYLOAD = 0.6  # [kg]
 
 def carrying(inertias: FloatArray) -> FloatArray:
     """With a small body at the last link."""
+    return with_body(inertias, -1, inertias[-1, 1:4] / inertias[-1, 0] + [0.03, 0.0, 0.05])
+
+
+def with_body(inertias: FloatArray, link: int, centre: FloatArray) -> FloatArray:
+    """With the small body there."""
     loaded = inertias.copy()
-    centre = inertias[-1, 1:4] / inertias[-1, 0] + [0.03, 0.0, 0.05]
     x, y, z = centre
     square = [y**2 + z**2, -x * y, x**2 + z**2, -x * z, -y * z, x**2 + y**2]
-    loaded[-1] += PAYLOAD * np.array([1.0, *centre, *square])
-    loaded[-1, [4, 6, 9]] += 1e-3
+    loaded[link] += PAYLOAD * np.array([1.0, *centre, *square])
+    loaded[link, [4, 6, 9]] += 1e-3
     return loaded
 
 
@@ -120,6 +125,7 @@ def test_a_payload_that_only_the_prior_tells_is_not_sure_but_beside_an_identifie
     mass = finding.parameters["mass"]
     assert abs(mass.value - PAYLOAD) < 3.0 * mass.std
     assert mass.std < 0.3 * PAYLOAD
+    assert finding.moment == {}
 
 
 def test_a_payload_weighs_what_it_weighs_beside_inertias_that_were_identified_together() -> None:
@@ -137,6 +143,26 @@ def test_a_payload_weighs_what_it_weighs_beside_inertias_that_were_identified_to
     assert abs(found[0].value - PAYLOAD) < 3.0 * found[0].std
     assert found[0].std < 0.02 * PAYLOAD
     assert found[0].std < 0.3 * found[1].std
+
+
+def test_of_a_payload_whose_mass_is_not_told_the_first_moment_is_said() -> None:
+    """The second link turns about its own origin and a vertical axis: nothing lifts its mass."""
+    inertias, centre = planted.true_inertias(51, 0.2), np.array([0.02, 0.0, 0.1])
+    identifier = Identifier(planted.model())
+    identifier.add(planted.recording(planted.rigid(inertias), 53))
+    before = identifier.solve()
+    loaded = planted.rigid(with_body(inertias, 1, centre))
+    recordings = [planted.recording(loaded, 52)], [planted.recording(loaded, 1052, 15.0)]
+    result = find_gap(planted.model(), *recordings, nominal=before.parameters, known=before.information)
+    (finding,) = result.findings
+    assert (finding.effect, finding.joint) == ("payload", JOINTS[1])
+    for axis, true in zip("xz", PAYLOAD * centre[[0, 2]], strict=True):
+        moment = finding.moment[f"m {axis}"]
+        assert abs(moment.value - true) < 3.0 * moment.std < 0.1 * true
+    assert finding.moment["m y"].std > 0.01, "it lies along the axis"
+    assert "m x 0.01" in finding.sentence
+    assert "its mass is not told by this motion" in finding.sentence
+    assert any("m x 0.01" in sentence for sentence in in_short(result))
 
 
 @pytest.mark.parametrize("seed", [54, 55])

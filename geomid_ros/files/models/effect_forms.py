@@ -145,17 +145,18 @@ def effect_entry(effect: KnownEffect) -> dict[str, Any]:
         "effect": effect.effect,
         "joint": effect.joint,
         "link": effect.link,
-        "parameters": {name: _quantity(quantity) for name, quantity in effect.parameters.items()},
+        "parameters": {name: quantity_entry(quantity) for name, quantity in effect.parameters.items()},
     }
 
 
 def coefficient_entry(effect: KnownEffect) -> dict[str, Any]:
     """An effect of one coefficient at a joint, as ``estimate.json`` has it."""
     (quantity,) = effect.parameters.values()
-    return {"name": effect.effect, "joint": effect.joint, **_quantity(quantity)}
+    return {"name": effect.effect, "joint": effect.joint, **quantity_entry(quantity)}
 
 
-def _quantity(quantity: Quantity) -> dict[str, Any]:
+def quantity_entry(quantity: Quantity) -> dict[str, Any]:
+    """A value with its unit and standard deviation; null for what is not finite."""
     return {"value": finite(quantity.value), "unit": quantity.unit, "std": finite(quantity.std)}
 
 

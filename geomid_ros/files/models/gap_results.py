@@ -13,7 +13,9 @@ findings        list of named effects, the surest first:
                 ``separability`` (0: this motion cannot tell it from the inertias, to 1: nothing like it),
                 ``loss`` (how much worse without it, a difference of -2 log p), ``share`` (of the gap that it closes),
                 ``was`` {name: value} (the parameters that the model had, if the effect has changed),
-                ``sentence`` and ``settled_by`` (the recording that would settle an ambiguity, or empty)
+                ``sentence``, ``settled_by`` (the recording that would settle an ambiguity, or empty) and
+                ``moment`` {name: {``value``, ``std``, ``unit``}} (mass times centre of mass, of a payload whose mass
+                the motion does not tell; else empty)
 links           list of links that weigh something else than the model says, the surest first:
                 ``link``, ``joint`` (that moves it), ``mass`` {``value``, ``std``, ``unit``} (by how much more),
                 ``was`` (in the model), ``loss`` (as above), ``confidence`` and ``sentence``
@@ -38,7 +40,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any, TypeAlias
 
-from geomid_ros.files.models.effect_forms import by_channel, effect_entry, finite
+from geomid_ros.files.models.effect_forms import by_channel, effect_entry, finite, quantity_entry
 from geomid_ros.gap.result import Finding, GapResult, LinkChange
 
 FORMAT = 1
@@ -76,7 +78,7 @@ def _link(change: LinkChange) -> dict[str, Any]:
     return {
         "link": change.link,
         "joint": change.joint,
-        "mass": {"value": finite(change.mass.value), "std": finite(change.mass.std), "unit": change.mass.unit},
+        "mass": quantity_entry(change.mass),
         "was": finite(change.was),
         "loss": finite(change.loss),
         "confidence": change.confidence,
@@ -96,4 +98,5 @@ def _finding(finding: Finding) -> dict[str, Any]:
         "was": {name: finite(value) for name, value in finding.was.items()},
         "sentence": finding.sentence,
         "settled_by": finding.settled_by,
+        "moment": {name: quantity_entry(quantity) for name, quantity in finding.moment.items()},
     }

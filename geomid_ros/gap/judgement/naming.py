@@ -18,6 +18,7 @@ from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.types import FloatArray
 
 _STEP = 1e-4
+_NOTHING: Mapping[str, Quantity] = {}
 _BEFORE = {"confident": "", "tentative": "Perhaps ", "ambiguous": "One of several: "}
 
 
@@ -51,12 +52,32 @@ def known_before(model: MeasurementModel, prior: Prior, candidate: Candidate, us
 
 
 def _of_payload(found: JointFit, effect: Effect, link: int) -> dict[str, Quantity]:
+    values, covariance = _payload(found, link)
+    return quantities(effect.parameters, zip(values, np.sqrt(np.maximum(np.diag(covariance), 0.0)), strict=True))
+
+
+def _payload(found: JointFit, link: int) -> tuple[FloatArray, FloatArray]:
+    """Mass, centre of mass and inertia of what a link carries ``(10,)``, and their covariance ``(10, 10)``."""
     place = found.manifold.links - len(found.bodies) + found.bodies.index(link)
     rows = found.manifold.link(place)
     values = pseudo_inertia.quantities_of(pseudo_inertia.to_parameters(found.point.pseudo_inertias[place]))
     derivative = physical_sensitivity(found.manifold, found.point, _STEP)[place]
-    stds = np.sqrt(np.maximum(np.diag(derivative @ found.inverse[rows, rows] @ derivative.T), 0.0))
-    return quantities(effect.parameters, zip(values, stds, strict=True))
+    return values, derivative @ found.inverse[rows, rows] @ derivative.T
+
+
+def first_moment(found: JointFit, candidate: Candidate) -> dict[str, Quantity]:
+    """Mass times centre of mass of a payload, about the origin of its link; empty of any other name.
+
+    It is what gravity tells of a body whose mass is not told: where the joints do not move it up and down, or about a
+    centre that stays where it is.
+    """
+    if candidate.payload is None:
+        return {}
+    values, covariance = _payload(found, candidate.payload)
+    derivative = np.column_stack([values[1:4], values[0] * np.eye(3)])
+    stds = np.sqrt(np.diag(derivative @ covariance[:4, :4] @ derivative.T))
+    moment = zip("xyz", values[0] * values[1:4], stds, strict=True)
+    return {f"m {axis}": Quantity(float(value), float(std), "kg m") for axis, value, std in moment}
 
 
 def _of_sensor(
@@ -74,17 +95,32 @@ def link_name(model: MeasurementModel, candidate: Candidate) -> str:
 
 
 def sentence(
-    effect: Effect, joint: str, link: str, found: Mapping[str, Quantity], was: Values, confidence: Confidence
+    effect: Effect,
+    joint: str,
+    link: str,
+    found: Mapping[str, Quantity],
+    was: Values,
+    confidence: Confidence,
+    moment: Mapping[str, Quantity] = _NOTHING,
 ) -> str:
-    """A finding in words, with 95 % intervals and what ``was`` known of it."""
+    """A finding in words, with 95 % intervals and what ``was`` known of it; of a payload the ``moment`` alone, where
+    the mass is not told."""
     where = f" at link '{link}'" if link else f" at '{joint}'" if joint else ""
-    values = ", ".join(
-        f"{name} {q.value:.4g} ± {1.96 * q.std:.2g}{'' if q.unit == '-' else ' ' + q.unit}"
-        + (f" instead of {was[name]:.4g}" if name in was else "")
+    untold = ""
+    if moment:
+        untold = f"; its mass is not told by this motion: {_said(found['mass'])}"
+        found, was = moment, {}
+    said = [
+        f"{name} {_said(q)}" + (f" instead of {was[name]:.4g}" if name in was else "")
         for name, q in list(found.items())[: effect.said_first]
-    )
-    sure, text = _BEFORE[confidence], f"{effect.label}{where}: {values} (95 % interval)."
+    ]
+    sure, text = _BEFORE[confidence], f"{effect.label}{where}: {', '.join(said)} (95 % interval){untold}."
     return sure + text if sure else text[0].upper() + text[1:]
+
+
+def _said(quantity: Quantity) -> str:
+    unit = "" if quantity.unit == "-" else f" {quantity.unit}"
+    return f"{quantity.value:.4g} ± {1.96 * quantity.std:.2g}{unit}"
 
 
 def settled_by(effect: Effect, joint: str, rivals: Collection[tuple[Effect, str]]) -> str:

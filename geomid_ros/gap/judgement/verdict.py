@@ -16,8 +16,10 @@ from geomid_ros.gap.judgement.unsure import as_unsure
 from geomid_ros.gap.result import Finding, Ranked, Rival, Unexplained, Verdict
 from geomid_ros.gap.search.analysis import Analysis
 from geomid_ros.gap.search.score_test import score_test
-from geomid_ros.model.effects import EFFECTS, joint_of
+from geomid_ros.model.effects import EFFECTS, Quantity, joint_of
 from geomid_ros.model.measurement import MeasurementModel
+
+_TOLD = 3.0  # standard deviations
 
 
 def findings(model: MeasurementModel, analysis: Analysis, unseen: HeldOut) -> tuple[Finding, ...]:
@@ -42,6 +44,9 @@ def _finding(
     parameters = naming.parameters(model, sized, candidate, _scanned_std(analysis, candidate), load)
     parameters = as_unsure(model, analysis, candidate, parameters, load)
     was = naming.known_before(model, analysis.search.prior, candidate, load)
+    moment = as_unsure(model, analysis, candidate, naming.first_moment(sized, candidate), load)
+    if not any(map(_is_told, moment.values())) or _is_told(parameters["mass"]):
+        moment = {}
     evidence = Evidence(model=model, analysis=analysis, unseen=unseen, candidate=candidate, rivals=rivals, loss=loss)
     confidence = evidence.confidence(parameters)
     return Finding(
@@ -55,9 +60,15 @@ def _finding(
         loss=loss,
         share=evidence.share,
         was=was,
-        sentence=naming.sentence(candidate.effect, joint, link, parameters, was, confidence),
+        sentence=naming.sentence(candidate.effect, joint, link, parameters, was, confidence, moment),
         settled_by=naming.settled_by(candidate.effect, joint, close) if confidence != "confident" else "",
+        moment=moment,
     )
+
+
+def _is_told(quantity: Quantity) -> bool:
+    """Whether it is known to a third of itself."""
+    return abs(quantity.value) > _TOLD * quantity.std
 
 
 def _scanned_std(analysis: Analysis, candidate: Candidate) -> float:

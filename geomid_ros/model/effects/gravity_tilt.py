@@ -26,6 +26,7 @@ class GravityTilt(SituationEffect):
     settled_by = "a slow motion of the first joint through its range with the arm stretched out"
     place = "robot"
     count = 2
+    largest = 0.5  # [rad] a base that is farther from level is mounted otherwise
     like_a_payload = True
     far = (0.03, 0.03)
     turns_gravity = True
