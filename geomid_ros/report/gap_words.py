@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from geomid_ros.gap.result import Confidence, Finding, GapResult, Ranked, Rival, Unexplained
-from geomid_ros.model.effects import KnownEffect, Quantity
+from geomid_ros.model.effects import KnownEffect, Quantity, effect_class
 from geomid_ros.types import FloatArray
 
 NONE = "n/a"
@@ -16,6 +16,7 @@ _CLOSED = 1.15  # a gap that falls by less did not fall
 _MOST_NAMED = 4  # in a sentence
 _MOST_NAMED_OF_MANY = 2
 _MOST_IN_SHORT = 3
+_ALIKE = 3.0  # standard deviations
 _NAMES = {"coulomb": "Coulomb", "stribeck": "Stribeck"}
 _VARIABLES = {
     "position": "its position",
@@ -133,7 +134,14 @@ def verdict_sentence(result: GapResult) -> str:
 def in_short(result: GapResult) -> list[str]:
     """What a person reads first, at most four sentences beside the verdict's: what is sure and how large it is, what
     else there may be, what is left, and what to do."""
-    said = [(finding.confidence, _sized(finding)) for finding in result.findings]
+    gains = _common_gain(result)
+    said = [(finding.confidence, _sized(finding)) for finding in result.findings if finding not in gains]
+    if gains:
+        sure = all(finding.confidence == "confident" for finding in gains)
+        low, *_, high = sorted(finding.parameters["gain"].value for finding in gains)
+        said.insert(
+            0, ("confident" if sure else "tentative", f"the efforts of all joints {low:.3g} to {high:.3g} times")
+        )
     said += [(change.confidence, change.sentence) for change in result.links]
     left = [f"{joint} {ratio(times)} times the floor, depending on {on}" for joint, times, on in not_explained(result)]
     record = to_record(result)
@@ -144,6 +152,17 @@ def in_short(result: GapResult) -> list[str]:
         "Record next": f"{record[0]}{_more(len(record) - 1)}" if record else "",
     }
     return [f"{about}: {sentence}." for about, sentence in sentences.items() if sentence]
+
+
+def _common_gain(result: GapResult) -> list[Finding]:
+    """The gains of all joints' efforts, if they are alike: three standard deviations from their mean at most."""
+    found = {f.joint: f for f in result.findings if effect_class(f.effect).scales_measurement}
+    gains = [finding.parameters["gain"] for finding in found.values()]
+    if len(gains) < 2 or set(result.channels) - set(found):
+        return []
+    values, weights = np.array([gain.value for gain in gains]), 1.0 / np.square([gain.std for gain in gains])
+    off = np.abs(values - np.average(values, weights=weights)) * np.sqrt(weights)
+    return list(found.values()) if np.all(off < _ALIKE) else []
 
 
 def _few(parts: Sequence[str]) -> str:

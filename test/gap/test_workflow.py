@@ -165,6 +165,26 @@ def test_of_a_payload_whose_mass_is_not_told_the_first_moment_is_said() -> None:
     assert any("m x 0.01" in sentence for sentence in in_short(result))
 
 
+def test_a_gain_of_all_joints_is_no_payload() -> None:
+    """Where it is known what the links weigh."""
+    inertias = planted.true_inertias(51, 0.2)
+    identifier = Identifier(planted.model())
+    identifier.add(planted.recording(planted.rigid(inertias), 53))
+    before = identifier.solve()
+    rigid = planted.rigid(inertias)
+    recordings = [
+        planted.recording(lambda q, v, a: 1.12 * rigid(q, v, a), seed, seconds)
+        for seed, seconds in ((52, 30.0), (1052, 15.0))
+    ]
+    known = {"nominal": before.parameters, "known": before.information}
+    result = find_gap(planted.model(), recordings[:1], recordings[1:], **known)
+    gains = {f.joint: f.parameters["gain"] for f in result.findings if f.effect == "effort_gain"}
+    assert set(gains) == set(JOINTS)
+    assert all(abs(gain.value - 1.12) < 4.0 * gain.std for gain in gains.values())
+    assert not [f for f in result.findings if f.effect == "payload"]
+    assert any("the efforts of all joints 1.1" in sentence for sentence in in_short(result))
+
+
 @pytest.mark.parametrize("seed", [54, 55])
 def test_a_payload_that_is_gone_is_no_other_effect(seed: int) -> None:
     """What the recordings with it said of the links contradicts those without: then it is worth little, and is not

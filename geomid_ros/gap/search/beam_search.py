@@ -176,6 +176,15 @@ class Search:
         least = max(0.5 * LEAST_GAIN, _PLAUSIBLE * (rest.score - current.score))
         return self.extended(rest, candidate, least)
 
+    def gains_instead(self, current: JointFit, candidate: AnyCandidate) -> JointFit | None:
+        """The set in which the gains of all joints' efforts stand in the place of a payload: where all have changed
+        alike, a body that weighs more looks the same but for friction and inertia; None of any other name."""
+        gains = [c for c in self.candidates if c.effect.scales_measurement]
+        if not isinstance(candidate, Candidate) or candidate.payload is None or not gains:
+            return None
+        rest = [c for c in current.chosen if c is not candidate and c not in gains]
+        return self.fit([*rest, *gains], current)
+
     def add_curve(self, current: JointFit) -> JointFit | None:
         """The best set with one free curve more; None if none is worth its parameters."""
         trials = [trial for trial in self.ranked(current, self.curves) if trial.gain > LEAST_GAIN]
@@ -232,7 +241,7 @@ class Search:
             same = [c for c in self.candidates if c.group == candidate.group]
             others = [self.fit([*rest.chosen, t.candidate], rest) for t in self.ranked(rest, same)]
             others += [self.fit([*rest.chosen, c], current) for c in self.neighbours(candidate)]
-            others += self.rivals(current, candidate)
+            others += [*self.rivals(current, candidate), *filter(None, [self.gains_instead(current, candidate)])]
             better = [f for f in others if self.possible(f) and f.score < current.score - 1e-3]
             if better:
                 return min(better, key=lambda f: f.score)
