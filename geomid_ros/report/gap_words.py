@@ -81,7 +81,9 @@ def _decimals(std: float, value: float) -> int:
 
 
 def measured(quantity: Quantity) -> str:
-    """A value with its standard deviation and unit."""
+    """A value with its standard deviation, if it was estimated, and unit."""
+    if quantity.std == 0.0:
+        return f"{quantity.value:g} {quantity.unit}".removesuffix(" -")
     decimals = _decimals(quantity.std, quantity.value)
     deviation = f" ± {quantity.std:.{decimals}f}" if math.isfinite(quantity.std) else ""
     return f"{quantity.value:.{decimals}f}{deviation} {quantity.unit}".removesuffix(" -")
@@ -91,6 +93,11 @@ def measured_angle(quantity: Quantity) -> str:
     """The same; angles within a turn in degrees as well."""
     small = quantity.unit == "rad" and abs(quantity.value) < 2.0 * math.pi
     return measured(quantity) + (f" ({math.degrees(quantity.value):.3g}°)" if small else "")
+
+
+def compared(rival: Rival) -> str:
+    """Another name, and by how much its score is worse, or better: a name that unseen data did not confirm."""
+    return f"{title(rival)} ({'worse' if rival.loss >= 0.0 else 'better'} by {abs(rival.loss):.1f})"
 
 
 def interval(quantity: Quantity) -> str:

@@ -17,7 +17,7 @@ from geomid_ros.files.disk import write_text
 from geomid_ros.report import gap_words
 
 _FOLDER = Path(__file__).parent
-_FILTERS = ("headline", "place", "title", "ratio", "percent", "measured", "measured_angle", "interval")
+_FILTERS = ("compared", "headline", "place", "title", "ratio", "percent", "measured", "measured_angle", "interval")
 # Okabe and Ito's colours for the colour-blind; lines differ in their dashes too.
 MEASURED, BEFORE, AFTER = "#1a1a1a", "#7d848a", "#d55e00"
 _COLORS = {"measured": MEASURED, "before": BEFORE, "inertias_only": "#0072b2", "after": AFTER}

@@ -9,8 +9,10 @@ import numpy as np
 import pytest
 from files.gaps import gap_result
 
+from geomid_ros.gap.result import Rival
 from geomid_ros.model.effects import Quantity
 from geomid_ros.report.gap_words import (
+    compared,
     headline,
     interval,
     measured,
@@ -33,7 +35,7 @@ JOINTS = ("hip", "knee", "ankle")
         (Quantity(1234.56, 98.7, "N m/rad"), "1235 ± 99 N m/rad", "1041 to 1428"),
         (Quantity(0.0123456, math.nan, "s"), "0.01235 s", "n/a"),
         (Quantity(-1.5902, 0.0047, "rad"), "-1.5902 ± 0.0047 rad", "-1.5994 to -1.5810"),
-        (Quantity(2.0, 0.0, "kg"), "2.000 ± 0.000 kg", "2.000 to 2.000"),
+        (Quantity(2.0, 0.0, "kg"), "2 kg", "2.000 to 2.000"),
         (Quantity(0.0, math.nan, "kg"), "0 kg", "n/a"),
     ],
 )
@@ -77,6 +79,11 @@ def test_names_are_those_of_the_field() -> None:
         "Rotor inertia",
     ]
     assert [place("knee"), place("knee", "tool"), place("")] == ["at knee", "on tool", "of the whole robot"]
+
+
+@pytest.mark.parametrize(("loss", "said"), [(1.25, "worse by 1.2"), (-39.9, "better by 39.9")])
+def test_a_rival_is_worse_or_better(loss: float, said: str) -> None:
+    assert compared(Rival("spring", "hip", loss)) == f"Spring at hip ({said})"
 
 
 def test_channels_that_were_not_measured_are_not_the_worst() -> None:

@@ -72,7 +72,7 @@ def _sentences(result: GapResult) -> Iterator[str]:
     """One of each finding, with its rivals where there are any to choose from; of many findings only of these."""
     few = len(result.findings) <= _MOST_SENTENCES
     for finding in result.findings:
-        rivals = [f"{gap_words.title(rival)} (worse by {rival.loss:.1f})" for rival in finding.rivals[:_MOST_RIVALS]]
+        rivals = [gap_words.compared(rival) for rival in finding.rivals[:_MOST_RIVALS]]
         ambiguous = finding.confidence == "ambiguous" and rivals
         if few or ambiguous:
             yield f"{finding.sentence}{' Rivals: ' + ', '.join(rivals) + '.' if ambiguous else ''}"

@@ -60,7 +60,7 @@ def _finding(
         loss=loss,
         share=evidence.share,
         was=was,
-        sentence=naming.sentence(candidate.effect, joint, link, parameters, was, confidence, moment),
+        sentence=naming.sentence(candidate.effect, joint, link, parameters, was, confidence, moment=moment),
         settled_by=naming.settled_by(candidate.effect, joint, close) if confidence != "confident" else "",
         moment=moment,
     )
