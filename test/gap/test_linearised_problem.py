@@ -154,6 +154,12 @@ def test_the_total_model_has_every_payload_on_its_link_and_coefficients_in_order
     np.testing.assert_array_equal(total.straight_gravity, MODEL.robot.gravity)
 
 
+@pytest.mark.parametrize(("tilt", "absurd"), [((0.3, -0.4), False), ((0.0, 0.6), True), ((-6e49, 0.0), True)])
+def test_a_base_that_is_far_from_level_is_no_tilt(tilt: tuple[float, float], absurd: bool) -> None:
+    """It is mounted otherwise; and what a motion does not tell may be anything."""
+    assert GravityTilt().is_absurd(np.array(tilt)) is absurd
+
+
 def test_absurd_coefficients_are_not_linearised_at() -> None:
     """A gain of minus one leaves nothing to scale."""
     ((_, _, coefficients),) = total_model(MODEL, said({GAIN: -1.0})).effects

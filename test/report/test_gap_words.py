@@ -14,6 +14,7 @@ from geomid_ros.model.effects import Quantity
 from geomid_ros.report.gap_words import (
     compared,
     headline,
+    in_short,
     interval,
     measured,
     measured_angle,
@@ -79,6 +80,23 @@ def test_names_are_those_of_the_field() -> None:
         "Rotor inertia",
     ]
     assert [place("knee"), place("knee", "tool"), place("")] == ["at knee", "on tool", "of the whole robot"]
+
+
+@pytest.mark.parametrize(
+    ("gains", "alike"),
+    [((1.10, 1.11, 1.12), True), ((1.10, 1.11, 1.30), False), ((1.10, 1.11), False)],
+    ids=["alike", "not alike", "not at all joints"],
+)
+def test_a_gain_of_all_joints_is_said_once(gains: tuple[float, ...], alike: bool) -> None:
+    named = gap_result("named", JOINTS)
+    (finding,) = named.findings
+    found = [
+        replace(finding, effect="effort_gain", joint=joint, parameters={"gain": Quantity(gain, 0.01, "-")})
+        for joint, gain in zip(JOINTS, gains, strict=False)
+    ]
+    said = " ".join(in_short(replace(named, findings=tuple(found))))
+    assert ("Sure: the efforts of all joints 1.1 to 1.12 times" in said) is alike
+    assert ("Effort gain at hip" in said) is not alike
 
 
 @pytest.mark.parametrize(("loss", "said"), [(1.25, "worse by 1.2"), (-39.9, "better by 39.9")])
