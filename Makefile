@@ -29,7 +29,7 @@ test: lint ## Set up, then run the static checks and the tests
 
 quick: $(VENV)/.test-ready ## Set up, then run ruff and the first case of every test that needs no ROS and no simulation
 	$(BIN)/ruff check
-	$(BIN)/python -m pytest --one-case $(addprefix test/,geometry model signals estimation gap)
+	$(BIN)/python -m pytest --numprocesses 2 --one-case $(addprefix test/,geometry model signals estimation gap)
 
 lint: $(VENV)/.test-ready ## Set up, then run ruff and mypy
 	$(BIN)/ruff check
