@@ -146,9 +146,8 @@ def in_short(result: GapResult) -> list[str]:
     if gains:
         sure = all(finding.confidence == "confident" for finding in gains)
         low, *_, high = sorted(finding.parameters["gain"].value for finding in gains)
-        said.insert(
-            0, ("confident" if sure else "tentative", f"the efforts of all joints {low:.3g} to {high:.3g} times")
-        )
+        what = f"efforts of all joints {low:.3g} to {high:.3g} times as large"
+        said.insert(0, ("confident" if sure else "tentative", what))
     said += [(change.confidence, change.sentence) for change in result.links]
     left = [f"{joint} {ratio(times)} times the floor, depending on {on}" for joint, times, on in not_explained(result)]
     record = to_record(result)
@@ -165,7 +164,8 @@ def _common_gain(result: GapResult) -> list[Finding]:
     """The gains of all joints' efforts, if they are alike: three standard deviations from their mean at most."""
     found = {f.joint: f for f in result.findings if effect_class(f.effect).scales_measurement}
     gains = [finding.parameters["gain"] for finding in found.values()]
-    if len(gains) < 2 or set(result.channels) - set(found):
+    joints = result.channels[: result.trace.position.shape[1]]  # their efforts come before wrenches
+    if len(gains) < 2 or set(joints) - set(found):
         return []
     values, weights = np.array([gain.value for gain in gains]), 1.0 / np.square([gain.std for gain in gains])
     off = np.abs(values - np.average(values, weights=weights)) * np.sqrt(weights)

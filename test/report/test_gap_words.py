@@ -87,15 +87,16 @@ def test_names_are_those_of_the_field() -> None:
     [((1.10, 1.11, 1.12), True), ((1.10, 1.11, 1.30), False), ((1.10, 1.11), False)],
     ids=["alike", "not alike", "not at all joints"],
 )
-def test_a_gain_of_all_joints_is_said_once(gains: tuple[float, ...], alike: bool) -> None:
-    named = gap_result("named", JOINTS)
+@pytest.mark.parametrize("wrench", [False, True])
+def test_a_gain_of_all_joints_is_said_once(gains: tuple[float, ...], alike: bool, wrench: bool) -> None:
+    named = gap_result("named", JOINTS, wrench=wrench)
     (finding,) = named.findings
     found = [
         replace(finding, effect="effort_gain", joint=joint, parameters={"gain": Quantity(gain, 0.01, "-")})
         for joint, gain in zip(JOINTS, gains, strict=False)
     ]
     said = " ".join(in_short(replace(named, findings=tuple(found))))
-    assert ("Sure: the efforts of all joints 1.1 to 1.12 times" in said) is alike
+    assert ("Sure: efforts of all joints 1.1 to 1.12 times as large" in said) is alike
     assert ("Effort gain at hip" in said) is not alike
 
 
