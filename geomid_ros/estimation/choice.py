@@ -17,7 +17,7 @@ import numpy as np
 
 from geomid_ros.estimation.fit import CERTAINTY, Problem, driven_rows
 from geomid_ros.estimation.objective import Evaluation
-from geomid_ros.estimation.profile_objective import ProfileObjective, StraightManifold
+from geomid_ros.estimation.profile_objective import Profile, ProfileObjective, StraightManifold
 from geomid_ros.estimation.solvers import trust_region
 from geomid_ros.geometry.manifold import Point
 from geomid_ros.model.effects import Place
@@ -154,13 +154,12 @@ class _Rows:
         known = np.concatenate([weighed.rows[:, columns], held])
         off = known @ prior.parameters - np.append(weighed.targets, np.zeros(len(held)))
         known_rows = np.column_stack([known, off])
+        profile = Profile(manifold, products, self.counts, least, prior)
 
         def objective(spreads: FloatArray) -> ProfileObjective:
             weights = np.full(manifold.dimension, _FREE)
             weights[manifold.inertial] = np.repeat(spreads, 10) ** -2.0
-            return ProfileObjective(
-                manifold, products, self.counts, least, prior=prior, weights=weights, known=known_rows
-            )
+            return ProfileObjective(profile, weights, known_rows)
 
         for _ in range(_ROUNDS):
             trusted = objective(spreads)
@@ -218,7 +217,7 @@ class _Fit:
     @cached_property
     def weights(self) -> FloatArray:
         """Inverse variances of the channels."""
-        return self.rows.counts / self.objective.squares(self.point)
+        return self.rows.counts / self.objective.profile.squares(self.point)
 
     @property
     def possible(self) -> bool:

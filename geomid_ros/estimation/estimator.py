@@ -173,7 +173,10 @@ def _fit(problem: Problem, **options: Any) -> Fit:
     """A fit, in which no joint is driven by its dry friction; its problem has the rows that see to that."""
     found = fit(problem, **options)
     rows = driven_rows(problem.model, found.point.parameters)
-    return fit(problem.beside(rows), **options) if len(rows) else found
+    if not len(rows):
+        return found
+    near = {} if options["start"] is None else {"start": found.point, "spreads": found.spreads}
+    return fit(problem.beside(rows), **{**options, **near})
 
 
 def _estimate(

@@ -39,6 +39,8 @@ _ROUNDS = 60
 _SETTLED = 1e-7  # relative change of standard deviations and spreads, which falls to about a third in a round
 _SETTLED_WARM = 1e-8  # the same where rounds are extrapolated, so that few more are needed
 _LEAST_GRADIENT = 1e-14  # relative to the sum of the weights; rounding allows no less
+# Of a problem: what does not depend on what is known beside the rows.
+_OF_ROWS = ("usual", "manifold", "prior", "prior_point", "products", "row_weights", "counts", "least_sigmas")
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,7 +69,9 @@ class Problem:
 
     def beside(self, rows: FloatArray) -> Problem:
         """The problem with rows ``(r, D)`` more that are known to be zero, with standard deviation 1."""
-        return replace(self, known=self.known.plus(WeighedRows(rows, np.zeros(len(rows)))))
+        other = replace(self, known=self.known.plus(WeighedRows(rows, np.zeros(len(rows)))))
+        vars(other).update({name: vars(self)[name] for name in _OF_ROWS if name in vars(self)})
+        return other
 
     @cached_property
     def usual(self) -> FloatArray:

@@ -141,8 +141,10 @@ class GeodesicObjective(_WeightedObjective):
 
     def evaluate(self, point: Point) -> Evaluation:
         """Half of (19) at ``point`` with its derivatives in the tangent coordinates there."""
-        value, gradient, hessian = _prior_terms(self.manifold, point, self.prior, self.prior_weights)
-        information = np.zeros_like(hessian)
+        value, gradient, bends = _prior_terms(self.manifold, point, self.prior, self.prior_weights)
+        information = np.zeros((self.manifold.dimension,) * 2)
+        hessian = np.zeros_like(information)
+        self.manifold.add_blocks(hessian, bends, self.prior_weights[self.manifold.inertial.stop :])
         for terms in _pool.map(lambda chunk: self._row_terms(point, chunk), _chunks(len(self.rows))):
             value += terms[0]
             gradient = gradient + terms[1]
@@ -198,12 +200,11 @@ class ResidualObjective(_WeightedObjective):
 
     def evaluate(self, point: Point) -> Evaluation:
         """Half of the objective at ``point`` with its derivatives in the tangent coordinates there."""
-        value, gradient, hessian = _prior_terms(self.manifold, point, self.prior, self.prior_weights)
+        value, gradient, bends = _prior_terms(self.manifold, point, self.prior, self.prior_weights)
         residuals = self._augmented @ np.append(point.parameters, -1.0)
         slope = self.manifold.whiten(point, (residuals @ self._augmented)[None, :-1])[0]
         information = _information(self.manifold, point, self.products)
-        # Along a straight line the rows have no curvature but their information; the prior has that of the line.
-        hessian += information + linear_hessian(self.manifold, -gradient)
+        hessian = straight_hessian(self.manifold, information, self.prior_weights, bends, -gradient)
         return Evaluation(value + 0.5 * float(residuals @ residuals), gradient + slope, information, hessian)
 
 
@@ -236,11 +237,11 @@ class ProductsObjective:
 
     def evaluate(self, point: Point) -> Evaluation:
         """As :meth:`ResidualObjective.evaluate`."""
-        value, gradient, hessian = _prior_terms(self.manifold, point, self.prior, self.prior_weights)
+        value, gradient, bends = _prior_terms(self.manifold, point, self.prior, self.prior_weights)
         vector = np.append(point.parameters, -1.0)
         moved = self.products @ vector
         information = _information(self.manifold, point, self.products)
-        hessian += information + linear_hessian(self.manifold, -gradient)
+        hessian = straight_hessian(self.manifold, information, self.prior_weights, bends, -gradient)
         slope = self.manifold.whiten(point, moved[None, :-1])[0]
         return Evaluation(value + 0.5 * float(vector @ moved), gradient + slope, information, hessian)
 
@@ -275,10 +276,16 @@ def _chunks(count: int) -> Iterator[slice]:
 def _prior_terms(
     manifold: ParameterManifold, point: Point, prior: Point, weights: FloatArray
 ) -> tuple[float, FloatArray, FloatArray]:
-    """Weights ``(D,)`` are equal within a block, so that the Hessian stays symmetric."""
-    to_prior, curvature = manifold.log_and_hessian(point, prior)
-    hessian = weights[:, None] * curvature
-    return 0.5 * float(weights @ to_prior**2), -weights * to_prior, hessian
+    """Half the weighted squared distance, its gradient, and the links' blocks of its Hessian along geodesics.
+
+    Weights ``(D,)`` are equal within a block, so that the Hessian stays symmetric.
+    """
+    to_prior, bends = manifold.log_and_hessian(point, prior)
+    return 0.5 * float(weights @ to_prior**2), -weights * to_prior, _weighted(manifold, weights, bends)
+
+
+def _weighted(manifold: ParameterManifold, weights: FloatArray, blocks: FloatArray) -> FloatArray:
+    return weights[manifold.inertial].reshape(-1, symmetric.SIZE, 1) * blocks
 
 
 _UNITS = symmetric.to_matrix(np.eye(symmetric.SIZE))
@@ -286,15 +293,21 @@ _PRODUCTS = 0.5 * np.einsum("kim,lmj->klij", _UNITS, _UNITS).reshape(symmetric.S
 _PRODUCTS = (_PRODUCTS + _PRODUCTS.transpose(1, 0, 2)).reshape(-1, _PRODUCTS.shape[-1])
 
 
-def linear_hessian(manifold: ParameterManifold, slope: FloatArray) -> FloatArray:
-    """Hessian ``(D, D)`` along geodesics of the linear function of the parameters whose gradient is ``slope (D,)``.
+def straight_hessian(
+    manifold: ParameterManifold, information: FloatArray, weights: FloatArray, bends: FloatArray, to_prior: FloatArray
+) -> FloatArray:
+    """Hessian ``(D, D)`` along straight lines of the parameters, of rows and a prior.
 
-    Per link ``tr(X exp(tQ))`` has the second derivative ``tr(X Q^2)``; a positive coefficient's is the first again.
+    Along a straight line the rows have no curvature but their ``information (D, D)``. The prior has that of its
+    weighted squared distance along geodesics, ``bends (links, 10, 10)`` and the ``weights (D,)`` themselves for what is
+    no link, and that of the line: of the linear function of the parameters whose gradient is ``to_prior (D,)``, minus
+    the prior's gradient. Per link ``tr(X exp(tQ))`` has the second derivative ``tr(X Q^2)``; a positive coefficient's
+    is the first again.
     """
-    hessian = np.zeros((manifold.dimension, manifold.dimension))
-    matrices = symmetric.to_matrix(slope[manifold.inertial].reshape(manifold.links, symmetric.SIZE))
-    blocks = matrices.reshape(manifold.links, _PRODUCTS.shape[1]) @ _PRODUCTS.T
-    hessian[manifold.links_blocks] = blocks.reshape(-1, symmetric.SIZE, symmetric.SIZE)
-    positive = np.arange(manifold.positive.start, manifold.positive.stop)
-    hessian[positive, positive] = slope[positive]
+    matrices = symmetric.to_matrix(to_prior[manifold.inertial].reshape(manifold.links, symmetric.SIZE))
+    of_lines = (matrices.reshape(manifold.links, _PRODUCTS.shape[1]) @ _PRODUCTS.T).reshape(bends.shape)
+    rest = weights[manifold.inertial.stop :].copy()
+    rest[: manifold.positives] += to_prior[manifold.positive]
+    hessian = information.copy()
+    manifold.add_blocks(hessian, bends + of_lines, rest)
     return hessian

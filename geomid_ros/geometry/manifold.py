@@ -63,8 +63,7 @@ class Point:
     @cached_property
     def links_jacobian(self) -> FloatArray:
         """Derivative of each link's parameters by its tangent coordinates, ``(links, 10, 10)``."""
-        basis = pseudo_inertia.COEFFICIENT_BASIS[None]
-        return frozen(symmetric.to_vector(spd.congruence(self.root[:, None], basis)))
+        return frozen(pseudo_inertia.COEFFICIENTS_TO_COORDINATES @ symmetric.congruence(self.root))
 
     @cached_property
     def parameters(self) -> FloatArray:
@@ -180,16 +179,18 @@ class ParameterManifold:
         """Geodesic distance: the root of the sum of the blocks' squared distances (9)."""
         return float(np.linalg.norm(self.log(a, b)))
 
-    def half_squared_distance_hessian(self, base: Point, point: Point) -> FloatArray:
-        """Hessian ``(D, D)`` of ``d(base, point)^2/2`` by the tangent coordinates at ``base``."""
-        return self.log_and_hessian(base, point)[1]
-
     def log_and_hessian(self, base: Point, point: Point) -> tuple[FloatArray, FloatArray]:
-        """:meth:`log` and :meth:`half_squared_distance_hessian` by one decomposition."""
+        """:meth:`log`, and the links' blocks ``(links, 10, 10)`` of the Hessian of ``d(base, point)^2/2`` by the
+        tangent coordinates at ``base``; the rest of that is the identity."""
         logarithm = self._logarithm(base, point)
-        hessian = np.eye(self.dimension)
-        hessian[self.links_blocks] = spd.half_squared_distance_hessian(*logarithm)
-        return self._log(base, point, *logarithm), hessian
+        return self._log(base, point, *logarithm), spd.half_squared_distance_hessian(*logarithm)
+
+    def add_blocks(self, matrix: FloatArray, blocks: FloatArray, diagonal: FloatArray) -> None:
+        """Add the links' blocks ``(links, 10, 10)`` and the ``diagonal (positives + reals,)`` of the rest to a matrix
+        ``(D, D)``."""
+        matrix[self.links_blocks] += blocks
+        rest = np.arange(self.inertial.stop, self.dimension)
+        matrix[rest, rest] += diagonal
 
     def jacobian(self, base: Point) -> tuple[FloatArray, FloatArray]:
         """Derivative of the parameters by the tangent coordinates at ``base``, by blocks.

@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 
 from geomid_ros.geometry import symmetric
-from geomid_ros.types import FloatArray
+from geomid_ros.types import FloatArray, frozen
 
 SIZE = symmetric.SIZE
 INERTIA_NAMES = ("ixx", "ixy", "iyy", "ixz", "iyz", "izz")
@@ -67,8 +67,9 @@ def to_parameters(pseudo: FloatArray) -> FloatArray:
 
 # Row k is the coordinate vector of the pseudo-inertia of the k-th unit parameter vector.
 _PARAMETERS_TO_COORDINATES = symmetric.to_vector(from_parameters(np.eye(SIZE)))
-_COEFFICIENTS_TO_COORDINATES = np.asarray(np.linalg.inv(_PARAMETERS_TO_COORDINATES).T, dtype=np.float64)
-COEFFICIENT_BASIS = symmetric.to_matrix(_COEFFICIENTS_TO_COORDINATES)
+COEFFICIENTS_TO_COORDINATES = frozen(np.linalg.inv(_PARAMETERS_TO_COORDINATES).T)
+"""The coordinates ``(10, 10)`` of the matrices of :data:`COEFFICIENT_BASIS`, one per row."""
+COEFFICIENT_BASIS = symmetric.to_matrix(COEFFICIENTS_TO_COORDINATES)
 """Matrices ``X_k (10, 4, 4)`` with ``tr((sum a_k X_k) P) = a . parameters`` for every body and row a: (18) and (20)."""
 
 

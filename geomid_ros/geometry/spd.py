@@ -83,10 +83,7 @@ def half_squared_distance_hessian(values: FloatArray, vectors: FloatArray) -> Fl
     half = 0.5 * (values[..., symmetric.ROWS] - values[..., symmetric.COLUMNS])
     safe = np.where(np.abs(half) < 1e-6, 1.0, half)
     entries = np.where(np.abs(half) < 1e-6, 1.0, safe / np.tanh(safe))
-    v = np.swapaxes(vectors, -1, -2)
-    outer = v[..., symmetric.ROWS, :, None] * v[..., symmetric.COLUMNS, None, :]
-    basis = symmetric.to_vector(0.5 * (outer + np.swapaxes(outer, -1, -2)))
-    basis *= np.where(symmetric.ROWS == symmetric.COLUMNS, 1.0, np.sqrt(2.0))[:, None]
+    basis = symmetric.congruence(np.swapaxes(vectors, -1, -2))
     return np.swapaxes(basis, -1, -2) @ (entries[..., None] * basis)
 
 

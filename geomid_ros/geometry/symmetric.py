@@ -14,11 +14,12 @@ SIZE = 10
 ROWS = np.array([0, 1, 2, 3, 0, 0, 0, 1, 1, 2])
 COLUMNS = np.array([0, 1, 2, 3, 1, 2, 3, 2, 3, 3])
 _SCALE = np.where(ROWS == COLUMNS, 1.0, np.sqrt(2.0))
+_FLAT = 4 * ROWS + COLUMNS
 
 
 def to_vector(matrix: FloatArray) -> FloatArray:
     """Coordinates ``(..., 10)`` of symmetric matrices ``(..., 4, 4)``."""
-    return matrix[..., ROWS, COLUMNS] * _SCALE
+    return np.asarray(matrix.reshape(*matrix.shape[:-2], 16).take(_FLAT, -1) * _SCALE)
 
 
 def to_matrix(vector: FloatArray) -> FloatArray:
@@ -28,3 +29,17 @@ def to_matrix(vector: FloatArray) -> FloatArray:
     matrix[..., ROWS, COLUMNS] = entries
     matrix[..., COLUMNS, ROWS] = entries
     return matrix
+
+
+# Entry (a, b) of a congruence: of (i, j) = (ROWS, COLUMNS)[a] and (k, l) = (ROWS, COLUMNS)[b].
+_IK, _JL = 4 * ROWS[:, None] + ROWS, 4 * COLUMNS[:, None] + COLUMNS
+_IL, _JK = 4 * ROWS[:, None] + COLUMNS, 4 * COLUMNS[:, None] + ROWS
+_CONGRUENCE_SCALE = 0.5 * _SCALE[:, None] * _SCALE
+
+
+def congruence(factor: FloatArray) -> FloatArray:
+    """The matrices ``(..., 10, 10)`` that take the coordinates of X to those of ``G X G^T``, of G ``(..., 4, 4)``:
+    the symmetric Kronecker product of G with itself; orthogonal where G is, symmetric where G is."""
+    entries = factor.reshape(*factor.shape[:-2], 16)
+    products = entries.take(_IK, -1) * entries.take(_JL, -1) + entries.take(_IL, -1) * entries.take(_JK, -1)
+    return np.asarray(_CONGRUENCE_SCALE * products)

@@ -224,7 +224,7 @@ def refitted(fitted: choice._Fit, products: FloatArray) -> FloatArray:
     total = np.einsum("c,fcij->ij", fitted.weights, products)
     values, vectors = np.linalg.eigh(total)
     factor = np.sqrt(np.maximum(values, 0.0))[:, None] * vectors.T
-    manifold, prior, ones = fitted.objective.manifold, fitted.objective.prior, np.ones(len(factor))
+    manifold, prior, ones = fitted.objective.manifold, fitted.objective.profile.prior, np.ones(len(factor))
     weight = float(np.sum(row_weights(manifold, prior, factor[:, :-1], ones)))
     objective = ResidualObjective(
         manifold, factor[:, :-1], factor[:, -1], ones, prior, 1.0 / weight, confidence=fitted.objective.weights

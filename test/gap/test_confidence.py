@@ -104,7 +104,9 @@ def test_of_an_identified_robot_a_payload_is_what_the_known_inertias_leave(monke
     search.prior.inertias = np.array([1.0])
     whole.point = SimpleNamespace(parameters=np.array([1.5, 0.7, 0.2]))  # a link, the payload, a coefficient
     whole.manifold = SimpleNamespace(inertial=slice(0, 2))
-    whole.products = np.array([np.diag([0.5, 9.0, 0.0, 0.5]), np.diag([3.0, 9.0, 25.0, 0.0]), np.eye(4) / 2.04])
+    whole.bodies, whole.terms = (), ()
+    products = np.array([np.diag([0.5, 9.0, 0.0, 0.5]), np.diag([3.0, 9.0, 25.0, 0.0]), np.eye(4) / 2.04])
+    search.design.gather = lambda *_: products
     np.testing.assert_allclose(evidence._squares_without, [1.0, 4.0, 1.0])
     assert evidence.share == 1.0
     assert evidence.confidence({"mass": Quantity(1.0, 0.01, "kg")}) == "confident"

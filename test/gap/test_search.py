@@ -9,7 +9,8 @@ import pytest
 
 from geomid_ros.gap.candidates import AnyCandidate, Candidate, Term
 from geomid_ros.gap.fitting.fit import JointFit
-from geomid_ros.gap.search.beam_search import LEAST_GAIN, Search
+from geomid_ros.gap.search import beam_search
+from geomid_ros.gap.search.beam_search import KEPT_PROMISE, LEAST_GAIN, Search
 from geomid_ros.model.effects.places import AtJoints
 from geomid_ros.model.effects.stribeck_friction import SPEEDS, StribeckFriction
 
@@ -69,10 +70,11 @@ def test_a_set_is_fitted_once_in_whatever_order() -> None:
 def test_the_best_comes_first() -> None:
     one = search({VISCOUS: [0.1], OFFSET: [0.3], OTHERS[0]: [0.2]}, among=CANDIDATES[:6])
     assert one.ranked(one.fit([]))[0].candidate is OFFSET
-    assert names(one.extended(one.fit([]))[0]) == {OFFSET}
-    fits = one.extended(one.fit([OFFSET]))
-    assert [names(fit) - {OFFSET} for fit in fits] == [{OTHERS[0]}, {VISCOUS}]
-    assert fits[0].score < fits[1].score
+    current, order = one.fit([]), []
+    while (larger := one.grow(current)) is not None:
+        order.append(names(larger) - names(current))
+        current = larger
+    assert order == [{OFFSET}, {OTHERS[0]}, {VISCOUS}]
 
 
 def test_of_one_name_with_several_constants_the_best_is_ranked() -> None:
@@ -170,6 +172,38 @@ def test_exchange_takes_the_better_of_two_alike() -> None:
     one = search({VISCOUS: [STRONG]}, alike={ROTOR.terms[0]: VISCOUS.terms[0]}, among=CANDIDATES[:6])
     assert names(one.exchange(one.fit([ROTOR]))) == {VISCOUS}
     assert one.exchange(one.fit([VISCOUS])) is one.fit([VISCOUS])
+
+
+def test_one_exchange_mends_all_names() -> None:
+    """At each of two joints one stands for its like."""
+    truth = {VISCOUS: [STRONG], OTHERS[0]: [STRONG]}
+    wrong = {ROTOR.terms[0]: VISCOUS.terms[0], OTHERS[2].terms[0]: OTHERS[0].terms[0]}
+    one = search(truth, alike=wrong, among=CANDIDATES[:6])
+    assert names(one.exchange(one.fit([ROTOR, OTHERS[2]]))) == {VISCOUS, OTHERS[0]}
+
+
+def test_names_bring_what_the_score_test_promises() -> None:
+    """Within the factor by which the search relies on it."""
+    rng = np.random.default_rng(1)
+    for seed in range(20):
+        sizes = {c: rng.uniform(0.0, 1.0, len(c.terms)) for c in CANDIDATES[:6]}
+        one = search({c: list(size) for c, size in sizes.items()}, seed=seed, among=CANDIDATES[:6])
+        start = one.fit([])
+        for trial in one.ranked(start):
+            alone = one.fit([trial.candidate])
+            assert not one.possible(alone) or start.score - alone.score < KEPT_PROMISE * max(trial.gain, 0.0) + 1.0
+
+
+def test_what_promises_too_little_beside_the_best_is_not_fitted(monkeypatch: pytest.MonkeyPatch) -> None:
+    fitted = []
+    real = beam_search.fit
+    monkeypatch.setattr(beam_search, "fit", lambda *given: (fitted.append(set(given[2])), real(*given))[1])
+    for weak, expected in ((0.02, [{OFFSET}]), (0.9, [{OFFSET}, {OTHERS[0]}])):
+        one = search({OFFSET: [1.0], OTHERS[0]: [weak]}, among=[OFFSET, OTHERS[0]])
+        start = one.fit([])
+        fitted.clear()
+        assert names(one.grow(start)) == {OFFSET}
+        assert [chosen for chosen in fitted if chosen] == expected
 
 
 SPEEDY = [at(StribeckFriction(speed, 0.003), 0, scout=place % 4 == 0) for place, speed in enumerate(SPEEDS[:9])]

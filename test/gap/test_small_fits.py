@@ -10,7 +10,8 @@ from scipy.optimize import minimize_scalar
 from scipy.stats import chi2
 
 from geomid_ros.estimation.estimate import LinksInformation
-from geomid_ros.estimation.profile_objective import ProfileObjective, StraightManifold
+from geomid_ros.estimation.profile_objective import Profile, ProfileObjective, StraightManifold
+from geomid_ros.estimation.solvers import trust_region
 from geomid_ros.gap.candidates import Candidate, EffectTerm
 from geomid_ros.gap.evidence.design import Design
 from geomid_ros.gap.fitting import prior as before
@@ -45,15 +46,14 @@ def objective(counts: float = 1.0) -> ProfileObjective:
     design = designed(1)
     manifold = StraightManifold(1, 0, np.array([0.5, 2.0]))
     known = np.random.default_rng(2).normal(size=(4, manifold.dimension + 1))
-    return ProfileObjective(
+    profile = Profile(
         manifold,
         design.gather([], [TERM, OFFSET.terms[0]]),
         counts * design.counts,
         np.full(CHANNELS, 1e-9),
         manifold.point(np.append(LINK, [0.1, 0.0])),
-        np.append(np.full(10, 3.0), [1.0, 5.0]),
-        known,
     )
+    return ProfileObjective(profile, np.append(np.full(10, 3.0), [1.0, 5.0]), known)
 
 
 def moved(own: ProfileObjective, direction: FloatArray, steps: tuple[float, ...]) -> list[float]:
@@ -88,7 +88,9 @@ def test_the_information_is_that_of_gaussian_rows() -> None:
     jacobian = own.manifold.whiten(start, np.eye(own.manifold.dimension))
     of_rows = sum(
         count / squares * products[:-1, :-1]
-        for count, squares, products in zip(own.counts, own.squares(start), own.products, strict=True)
+        for count, squares, products in zip(
+            own.profile.counts, own.profile.squares(start), own.profile.products, strict=True
+        )
     )
     of_known = own.known[:, :-1].T @ own.known[:, :-1]
     expected = jacobian.T @ (of_rows + of_known) @ jacobian
@@ -97,11 +99,33 @@ def test_the_information_is_that_of_gaussian_rows() -> None:
 
 
 def test_no_sum_of_squares_is_less_than_the_least() -> None:
-    own = replace(objective(), least=np.array([1e9, 1e-9]))
+    own = replace(objective().profile, least=np.array([1e9, 1e-9]))
     start = own.manifold.point(np.append(LINK, [0.2, -0.1]))
     first, second = own.squares(start)
     assert first == 1e9
-    assert second == objective().squares(start)[1]
+    assert second == objective().profile.squares(start)[1]
+
+
+def test_what_the_channels_say_at_a_point_is_computed_once() -> None:
+    own = objective()
+    start, other = (own.manifold.point(np.append(scale * LINK, [0.2, -0.1])) for scale in (1.0, 1.1))
+    assert own.profile.at(start) is own.profile.at(start)
+    firm = replace(own, weights=2.0 * own.weights)
+    np.testing.assert_array_equal(firm.evaluate(start).information, own.evaluate(start).information)
+    assert firm.evaluate(start).value > own.evaluate(start).value
+    assert own.evaluate(other).value != own.evaluate(start).value
+
+
+def test_a_minimum_is_near_enough_where_no_step_promises_much() -> None:
+    """Whatever the direction: within a twentieth of a standard deviation."""
+    own = objective()
+    start = own.manifold.point(np.append(LINK, [0.1, 0.0]))
+    rough, exact = (trust_region(own, start, 1e-12, least_decrease=least) for least in (1e-3, 0.0))
+    assert rough.converged
+    assert 0 < rough.steps < exact.steps
+    off = own.manifold.whiten(exact.point, np.eye(own.manifold.dimension))
+    off = np.linalg.solve(off, rough.point.parameters - exact.point.parameters)
+    assert np.sqrt(off @ exact.evaluation.hessian @ off) < 0.05
 
 
 class TestStraightSteps:

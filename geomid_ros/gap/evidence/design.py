@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -12,7 +12,7 @@ from geomid_ros.gap.evidence.noise import Autoregression, runs_of
 from geomid_ros.gap.evidence.record import Records
 from geomid_ros.model.effects import MotionEffect, SensorEffect, Situation, SituationEffect
 from geomid_ros.model.measurement import MeasurementModel
-from geomid_ros.types import BoolArray, FloatArray
+from geomid_ros.types import BoolArray, FloatArray, IntArray
 
 Columns = Mapping[Term, Mapping[int, FloatArray]]  # of each term, by channel: (N,)
 
@@ -65,6 +65,7 @@ class Design:
 
     channels: tuple[ChannelProducts, ...]
     dimension: int
+    _known_places: dict[AnyCandidate, IntArray] = field(default_factory=dict, init=False, repr=False)
 
     @staticmethod
     def make(
@@ -122,14 +123,17 @@ class Design:
     def own(self, alike: Sequence[AnyCandidate], bodies: Sequence[int], terms: Sequence[Term]) -> CandidateProducts:
         """Products of the columns of candidates, each of which has as many, with those of :meth:`gather`."""
         crossed, squared = [], []
-        for channel in self.channels:
-            mine = np.array([self._own_places(channel, candidate) for candidate in alike])
-            others = np.array(self._places(channel, bodies, terms))
+        every = np.array([self._own_places(candidate) for candidate in alike])
+        for index, channel in enumerate(self.channels):
+            mine, others = every[:, index], np.array(self._places(channel, bodies, terms))
             crossed.append(channel.products[mine[:, :, None], others])
             squared.append(channel.products[mine[:, :, None], mine[:, None, :]])
         return CandidateProducts(np.stack(crossed, axis=1), np.stack(squared, axis=1))
 
-    @staticmethod
-    def _own_places(channel: ChannelProducts, candidate: AnyCandidate) -> list[int]:
-        body = candidate.payload
-        return channel.gather(candidate.terms) if body is None else list(range(10 * body, 10 * body + 10))
+    def _own_places(self, candidate: AnyCandidate) -> IntArray:
+        """Places of a candidate's columns in each channel ``(C, k)``."""
+        if candidate not in self._known_places:
+            body = candidate.payload
+            carried = None if body is None else list(range(10 * body, 10 * body + 10))
+            self._known_places[candidate] = np.array([carried or c.gather(candidate.terms) for c in self.channels])
+        return self._known_places[candidate]

@@ -14,7 +14,7 @@ from functools import cached_property
 
 import numpy as np
 
-from geomid_ros.estimation.profile_objective import ProfileObjective, StraightManifold
+from geomid_ros.estimation.profile_objective import Profile, ProfileObjective, StraightManifold
 from geomid_ros.estimation.solvers import trust_region
 from geomid_ros.gap.candidates import AnyCandidate, EffectTerm, Term
 from geomid_ros.gap.evidence.design import Design
@@ -26,7 +26,7 @@ from geomid_ros.model.dry_friction import held_from_driving
 from geomid_ros.types import FloatArray
 
 _LEAST_SHARE = 1e-10  # of the target's sum of squares: no residual is smaller
-_TOLERANCE = 3e-5
+_LEAST_DECREASE = 1e-3  # of half the score
 _ROUNDS = 8
 _STEPS = 40
 
@@ -44,7 +44,6 @@ class JointFit:
         information: Hessian ``(D, D)`` of half the score in tangent coordinates.
         spreads: of the links' errors ``(links,)``, geodesic distances.
         inflation: factor on the variances of what other recordings say.
-        products: of all columns and the target, ``(C, D + 1, D + 1)``.
     """
 
     chosen: tuple[AnyCandidate, ...]
@@ -56,7 +55,6 @@ class JointFit:
     information: FloatArray
     spreads: FloatArray
     inflation: float
-    products: FloatArray
 
     @property
     def bodies(self) -> list[int]:
@@ -94,7 +92,8 @@ class JointFit:
     def parameters_by_channel(self, design: Design) -> FloatArray:
         """How many parameters each channel determined, ``(C,)``: the trace of its share of the information."""
         weights = design.counts / self.squares
-        traces = np.einsum("cij,ji->c", self.products[:, :-1, :-1], self.covariance)
+        products = design.gather(self.bodies, self.terms)
+        traces = np.einsum("cij,ji->c", products[:, :-1, :-1], self.covariance)
         return np.asarray(weights * traces)
 
     def value(self, term: Term) -> float:
@@ -178,25 +177,18 @@ def _free_fit(
     spreads = np.full(first // 10, prior.spread if spread is None else spread)
     if start is not None and not (fixed or afresh):
         spreads = start.spreads
+    profile = Profile(manifold, products, counts, least, known)
     point = _first_point(manifold, known, None if afresh else start, bodies, terms)
 
     def objective(spreads: FloatArray, inflation: float) -> ProfileObjective:
         trusted = np.append(np.repeat(spreads, 10) ** -2.0, weights[first:])
-        return ProfileObjective(
-            manifold,
-            products,
-            counts,
-            least,
-            prior=known,
-            weights=trusted,
-            known=np.concatenate([rows / np.sqrt(inflation), zero]),
-        )
+        return ProfileObjective(profile, trusted, np.concatenate([rows / np.sqrt(inflation), zero]))
 
     if afresh and bodies:
         point = priors.centred_payloads(objective(spreads, inflation), point, len(bodies))
     for _ in range(_ROUNDS):
         trusted = objective(spreads, inflation)
-        solution = trust_region(trusted, point, _TOLERANCE, _STEPS)
+        solution = trust_region(trusted, point, max_steps=_STEPS, least_decrease=_LEAST_DECREASE)
         point = solution.point
         if fixed:
             break
@@ -218,11 +210,10 @@ def _free_fit(
         point=point,
         manifold=manifold,
         score=score,
-        squares=trusted.squares(point),
+        squares=profile.squares(point),
         information=hessian,
         spreads=spreads,
         inflation=inflation,
-        products=products,
     )
 
 
@@ -247,7 +238,6 @@ def unfitted(prior: Prior) -> JointFit:
         information=np.eye(size),
         spreads=np.full(manifold.links, prior.spread),
         inflation=1.0,
-        products=np.zeros((0, size + 1, size + 1)),
     )
 
 

@@ -231,8 +231,8 @@ class Evidence:
         known = whole.point.parameters.copy()
         known[whole.manifold.inertial] = 0.0
         known[: len(search.prior.inertias)] = search.prior.inertias
-        vector = np.append(known, -1.0)
-        return np.asarray(np.einsum("cij,i,j->c", whole.products, vector, vector))
+        vector, products = np.append(known, -1.0), search.design.gather(whole.bodies, whole.terms)
+        return np.asarray(np.einsum("cij,i,j->c", products, vector, vector))
 
     @property
     def _rise(self) -> float:

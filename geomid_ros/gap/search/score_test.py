@@ -54,7 +54,8 @@ class _Test:
         self._counts = design.counts
         self._weights = self._counts / current.squares
         self._vector = np.append(current.point.parameters, -1.0)
-        self._moved = current.products @ self._vector
+        self._products = design.gather(current.bodies, current.terms)
+        self._moved = self._products @ self._vector
         self._values = dict(zip(current.terms, current.point.reals.tolist(), strict=True))
 
     def of(self, alike: Sequence[AnyCandidate]) -> dict[AnyCandidate, Trial]:
@@ -84,7 +85,7 @@ class _Test:
         current, weights = self._current, self._weights
         longer = np.pad(tangent @ current.jacobian.T, ((0, 0), (0, 1)))
         slopes = longer @ self._moved.T
-        curvatures = np.einsum("cgn,gn->gc", longer @ current.products, longer)
+        curvatures = np.einsum("cgn,gn->gc", longer @ self._products, longer)
         squares = current.squares + 2.0 * slopes + curvatures
         crossed = np.einsum("gckn,gn->gck", own.crossed, self._vector + longer)
         squares += 2.0 * np.einsum("gck,gk->gc", crossed, step)
