@@ -15,7 +15,9 @@ QUANTITIES = ("mass", "com x", "com y", "com z", "Ixx", "Ixy", "Iyy", "Ixz", "Iy
 """Names of a link's ten quantities, in the order of :func:`geomid_ros.geometry.pseudo_inertia.quantities_of`."""
 IDENTIFIABLE = 0.5
 """A quantity is identifiable when data leave at most this share of its standard deviation in the prior."""
-_SURE = 1.96  # standard deviations to either side that hold 95 %
+_TOLD = 3.0  # standard deviations
+SURE = 1.96
+"""Standard deviations to either side that hold 95 %."""
 _LARGEST_LOG = 50.0  # of a factor: nothing is known then
 FINEST = 1e7
 """Inverse of the smallest relative error of an inertia that data are believed to resolve."""
@@ -59,9 +61,14 @@ class LinkEstimate:
         return interval_of_positive(self.mass, self.std_mass)
 
 
+def is_told(value: float, deviation: float) -> bool:
+    """Whether a quantity is known to a third of itself."""
+    return bool(abs(value) > _TOLD * deviation)
+
+
 def interval_of_positive(value: float, deviation: float) -> tuple[float, float]:
     """The 95 % interval of a positive quantity along the geodesic: of its logarithm, so that it stays positive."""
-    factor = float(np.exp(min(_SURE * deviation / value, _LARGEST_LOG))) if np.isfinite(deviation) else 1.0
+    factor = float(np.exp(min(SURE * deviation / value, _LARGEST_LOG))) if np.isfinite(deviation) else 1.0
     return value / factor, value * factor
 
 

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from geomid_ros.estimation.estimate import QUANTITIES
+from geomid_ros.estimation.estimate import QUANTITIES, SURE
 from geomid_ros.estimation.posterior import Posterior
 from geomid_ros.exports.formats import CONTROLLERS
 from geomid_ros.exports.inertial import Export, Summand, UncertainInertia, total
@@ -42,10 +42,15 @@ class Payload:
 
     @property
     def sentence(self) -> str:
-        """The mass with its interval, and where it hangs."""
+        """The mass with its interval, and where it hangs; where the motions tell the first moment alone, that."""
         low, high = self.interval
         gain = f", an uncertain gain of {100.0 * self.weighed.gain:.3g} % included" if self.weighed.gain else ""
-        return f"{self.mass:.3f} kg, from {low:.3f} to {high:.3f} kg (95 %{gain}), at '{self.frame}'"
+        mass = f"{self.mass:.3f} kg, from {low:.3f} to {high:.3f} kg (95 %{gain}), at '{self.frame}'"
+        if not self.weighed.tells_moment_alone:
+            return mass
+        moments = zip("xyz", self.weighed.moment, self.weighed.moment_std, strict=True)
+        said = ", ".join(f"m {axis} {value:.4g} ± {SURE * std:.2g}" for axis, value, std in moments)
+        return f"{said} kg m (95 %{gain}) in '{self.weighed.link}'; the mass is not told by these motions: {mass}"
 
     @property
     def document(self) -> dict[str, Any]:
@@ -57,11 +62,17 @@ class Payload:
             "gain": self.weighed.gain,
             "quantities": dict(zip(QUANTITIES, quantities, strict=True)),
             "std": dict(zip(QUANTITIES, std, strict=True)),
+            "moment": self._moment,
             "cannot_tell": list(self.weighed.cannot_tell),
             "rms": self.weighed.rms,
             "warnings": list(self.weighed.warnings),
             "verdict": verdict_entry(self.weighed.verdict, self.weighed.findings),
         }
+
+    @property
+    def _moment(self) -> dict[str, Any]:
+        weighed = self.weighed
+        return {"link": weighed.link, "value": weighed.moment.tolist(), "std": weighed.moment_std.tolist()}
 
     def commands(self, controller: str) -> str:
         """The text that sets the payload at a controller: ``ur`` or ``franka``. Raises InputError for one that the

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Literal, TypeAlias
 
+from geomid_ros.estimation.estimate import SURE
 from geomid_ros.model.effects import KnownEffect, Quantity, Values
 from geomid_ros.types import FloatArray, IntArray
 
@@ -74,7 +75,7 @@ class LinkChange:
     def sentence(self) -> str:
         """In words, with the 95 % interval."""
         less = "less" if self.mass.value < 0.0 else "more"
-        size = f"{abs(self.mass.value):.3g} ± {1.96 * self.mass.std:.2g} kg"
+        size = f"{abs(self.mass.value):.3g} ± {SURE * self.mass.std:.2g} kg"
         return f"link '{self.link}' weighs {size} {less} than the {self.was:.3g} kg of the model"
 
 

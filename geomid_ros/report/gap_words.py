@@ -7,6 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from geomid_ros.estimation.estimate import SURE
 from geomid_ros.gap.result import Confidence, Finding, GapResult, Ranked, Rival, Unexplained
 from geomid_ros.model.effects import KnownEffect, Quantity, effect_class
 from geomid_ros.types import FloatArray
@@ -104,7 +105,7 @@ def interval(quantity: Quantity) -> str:
     """Where the true value lies with 95 % probability."""
     if not math.isfinite(quantity.std):
         return NONE
-    decimals, half = _decimals(quantity.std, quantity.value), 1.96 * quantity.std
+    decimals, half = _decimals(quantity.std, quantity.value), SURE * quantity.std
     return f"{quantity.value - half:.{decimals}f} to {quantity.value + half:.{decimals}f}"
 
 

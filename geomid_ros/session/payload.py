@@ -9,7 +9,7 @@ from functools import partial
 import numpy as np
 
 from geomid_ros.errors import InputError
-from geomid_ros.estimation.estimate import Estimate, interval_of_positive
+from geomid_ros.estimation.estimate import Estimate, interval_of_positive, is_told
 from geomid_ros.estimation.estimator import WarmStart, estimate
 from geomid_ros.estimation.identifier import Identifier
 from geomid_ros.estimation.posterior import Posterior
@@ -39,6 +39,8 @@ class WeighedPayload:
         quantities: mass, centre of mass and inertia ``(10,)``, see
             :func:`~geomid_ros.geometry.pseudo_inertia.quantities_of`.
         std: their standard deviations ``(10,)``, with the uncertain gain of the efforts in them.
+        moment, moment_std: mass times centre of mass ``(3,)`` [kg m], and their standard deviations: what gravity tells
+            of a body whose mass is not told.
         gain: the standard deviation of the gain that was taken.
         cannot_tell: the quantities that the motions do not tell.
         rms: what remains on both recordings by channel [N m, N].
@@ -51,6 +53,8 @@ class WeighedPayload:
     link: str
     quantities: FloatArray
     std: FloatArray
+    moment: FloatArray
+    moment_std: FloatArray
     gain: float
     cannot_tell: tuple[str, ...]
     rms: dict[str, float]
@@ -68,6 +72,11 @@ class WeighedPayload:
     def interval(self) -> tuple[float, float]:
         """The 95 % interval of the mass [kg], along the geodesic: of its logarithm."""
         return interval_of_positive(self.mass, float(self.std[0]))
+
+    @property
+    def tells_moment_alone(self) -> bool:
+        """Whether the motions tell mass times centre of mass, but not the mass."""
+        return any(map(is_told, self.moment, self.moment_std)) and not is_told(self.mass, self.std[0])
 
 
 def payload_session(urdf: str, configuration: Configuration, source: str) -> Session:
@@ -115,11 +124,11 @@ def weigh(
     rows = identifier.snapshot()
     solve = partial(estimate, carrying, settings=settings, prior=prior, spreads=spreads, known=known)
     found = solve(rows)
-    shifts = [
-        _quantities(solve(more, warm=WarmStart(found.parameters, spreads=found.spreads))) - _quantities(found)
+    shifted = [
+        solve(more, warm=WarmStart(found.parameters, spreads=found.spreads))
         for more in _with_more(rows, found, gain, slice(first, first + 10))
     ]
-    return _payload(link, found, gain, np.reshape(shifts, (-1, 10)), session)
+    return _payload(link, found, gain, shifted, session)
 
 
 def _with_more(rows: RowSummary, found: Estimate, gain: float, columns: slice) -> Iterator[RowSummary]:
@@ -148,20 +157,20 @@ def _in_columns(posterior: Posterior, columns: IntArray, dimension: int) -> Weig
     return WeighedRows(rows, targets)
 
 
-def _quantities(found: Estimate) -> FloatArray:
-    """Those of the payload ``(10,)``."""
-    return pseudo_inertia.quantities_of(found.links[-1].parameters)
-
-
-def _payload(link: str, found: Estimate, gain: float, shifts: FloatArray, session: Session) -> WeighedPayload:
-    """``shifts (channels, 10)``: of the quantities, by the uncertain gain of each channel."""
-    body = found.links[-1]
+def _payload(link: str, found: Estimate, gain: float, shifted: Sequence[Estimate], session: Session) -> WeighedPayload:
+    """``shifted``: the estimates with the uncertain gain of each channel."""
+    body, posterior = found.links[-1], found.posterior
     std = np.concatenate([[body.std_mass], body.std_com, pseudo_inertia.inertia_entries(body.std_inertia)])
-    apart, together = np.sqrt(np.sum(shifts**2, axis=0)), np.abs(np.sum(shifts, axis=0))
+    moments = posterior.manifold.link(len(found.links) - 1).start + np.arange(1, 4)
+    moment_std = np.sqrt(np.diag(posterior.parameter_covariance)[moments])
+    said, bodies = _said(body.parameters), [_said(other.links[-1].parameters) for other in shifted]
+    deviations = _with_shifts(np.append(std, moment_std), np.array(bodies).reshape(-1, len(said)) - said)
     return WeighedPayload(
         link=link,
-        quantities=_quantities(found),
-        std=np.hypot(std, np.maximum(apart, together)),
+        quantities=said[:10],
+        std=deviations[:10],
+        moment=said[10:],
+        moment_std=deviations[10:],
         gain=gain,
         cannot_tell=body.cannot_tell,
         rms=dict(zip(found.channels, found.rms.tolist(), strict=True)),
@@ -170,6 +179,18 @@ def _payload(link: str, found: Estimate, gain: float, shifts: FloatArray, sessio
         findings=session.findings,
         verdict=recording_verdict(session.findings, "" if found.converged else found.reason),
     )
+
+
+def _said(parameters: FloatArray) -> FloatArray:
+    """Quantities and first moment ``(13,)`` of a body with parameters ``(10,)``."""
+    return np.append(pseudo_inertia.quantities_of(parameters), parameters[1:4])
+
+
+def _with_shifts(std: FloatArray, shifts: FloatArray) -> FloatArray:
+    """Standard deviations ``(n,)`` with the ``shifts (channels, n)`` by the channels' gains, each apart or all alike:
+    the larger."""
+    apart, together = np.sqrt(np.sum(shifts**2, axis=0)), np.abs(np.sum(shifts, axis=0))
+    return np.asarray(np.hypot(std, np.maximum(apart, together)))
 
 
 def _usual(links: FloatArray, carrier: int) -> FloatArray:

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 import pytest
-from estimation.arms import ALL_EFFECTS, efforts, motion, samples, shipped, truth
+from estimation.arms import ALL_EFFECTS, Motion, efforts, motion, samples, shipped, truth
 
 from geomid_ros.errors import InputError
+from geomid_ros.exports.weighed_payload import weigh_at
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.model.robot import Robot
 from geomid_ros.model.samples import Samples
@@ -33,6 +36,19 @@ def recording(seed: int, payload: bool, gain: float = 1.0) -> Samples:
     moving = motion(rng, len(robot.joints), 20.0)
     clean = gain * efforts(robot, true, moving)
     return samples(moving, clean + NOISE * rng.normal(size=clean.shape))
+
+
+def recording_of_the_last_joint(seed: int) -> Samples:
+    """With the payload, whose joint alone moves and is measured."""
+    robot = Robot(shipped("arm3"))
+    true = truth(np.random.default_rng(5), robot)
+    true.links[-1] += pseudo_inertia.assemble(np.array(MASS), COM, INERTIA)
+    rng = np.random.default_rng(seed)
+    moving = motion(rng, len(robot.joints), 20.0)
+    last = np.arange(len(robot.joints)) == len(robot.joints) - 1
+    held = Motion(np.where(last, moving.position, 0.7), moving.velocity * last, moving.acceleration * last)
+    clean = efforts(robot, true, held) + NOISE * rng.normal(size=moving.position.shape)
+    return samples(held, np.where(last, clean, np.nan))
 
 
 def weighed(seed: int, gain: float = 0.0, true_gain: float = 1.0) -> WeighedPayload:
@@ -102,6 +118,32 @@ def test_a_payload_that_is_hardly_told_can_exist() -> None:
     little = weigh(session(), bare.identifier.solve().posterior, [short], bare.model.body_names[-1], 0.0)
     assert pseudo_inertia.is_body(pseudo_inertia.parameters_of(little.quantities))
     assert little.std[0] > found.std[0]
+
+
+def test_of_a_payload_whose_mass_is_not_told_the_first_moment_is() -> None:
+    """One joint that turns against gravity tells it, but for the part along its axis."""
+    bare = session()
+    bare.identifier.add(recording(0, False))
+    known, link = bare.identifier.solve().posterior, bare.model.body_names[-1]
+    found = [weigh(session(), known, [recording_of_the_last_joint(seed)], link, 0.0) for seed in range(6)]
+    off = np.array([(one.moment - MASS * COM) / one.moment_std for one in found])
+    assert np.max(np.abs(off)) < 3.5
+    assert all(one.tells_moment_alone for one in found)
+    assert not weighed(0).tells_moment_alone
+    (sure,) = [weigh(session(), known, [recording_of_the_last_joint(0)], link, 0.1)]
+    assert np.all(sure.moment_std[[0, 2]] > found[0].moment_std[[0, 2]])
+
+
+def test_what_is_not_told_is_not_said_first() -> None:
+    bare = session()
+    bare.identifier.add(recording(0, False))
+    known = bare.identifier.solve().posterior
+    untold = weigh_at(session(), known, [recording_of_the_last_joint(0)], "tool", 0.0)
+    assert re.match(
+        r"m x 0\.026\S* ± 0\.00\S*, m y .*, m z 0\.10\S* ± .* kg m \(95 %\) in 'link3'; the mass", untold.sentence
+    )
+    assert untold.document["moment"]["value"] == untold.weighed.moment.tolist()
+    assert re.match(r"1\.[23]\d* kg, from", weigh_at(session(), known, [recording(0, True)], "tool", 0.0).sentence)
 
 
 def test_gains_of_single_joints_are_in_the_deviations() -> None:

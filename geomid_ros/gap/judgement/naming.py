@@ -6,6 +6,7 @@ from collections.abc import Collection, Mapping
 
 import numpy as np
 
+from geomid_ros.estimation.estimate import SURE
 from geomid_ros.estimation.uncertainty import physical_sensitivity
 from geomid_ros.gap.candidates import Candidate
 from geomid_ros.gap.fitting.fit import JointFit
@@ -120,7 +121,7 @@ def sentence(
 
 def _said(quantity: Quantity) -> str:
     unit = "" if quantity.unit == "-" else f" {quantity.unit}"
-    return f"{quantity.value:.4g} ± {1.96 * quantity.std:.2g}{unit}"
+    return f"{quantity.value:.4g} ± {SURE * quantity.std:.2g}{unit}"
 
 
 def settled_by(effect: Effect, joint: str, rivals: Collection[tuple[Effect, str]]) -> str:

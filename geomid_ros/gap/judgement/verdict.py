@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from geomid_ros.estimation.estimate import is_told
 from geomid_ros.gap.candidates import Candidate
 from geomid_ros.gap.fitting.fit import JointFit
 from geomid_ros.gap.judgement import naming
@@ -18,8 +19,6 @@ from geomid_ros.gap.search.analysis import Analysis
 from geomid_ros.gap.search.score_test import score_test
 from geomid_ros.model.effects import EFFECTS, Quantity, joint_of
 from geomid_ros.model.measurement import MeasurementModel
-
-_TOLD = 3.0  # standard deviations
 
 
 def findings(model: MeasurementModel, analysis: Analysis, unseen: HeldOut) -> tuple[Finding, ...]:
@@ -67,8 +66,7 @@ def _finding(
 
 
 def _is_told(quantity: Quantity) -> bool:
-    """Whether it is known to a third of itself."""
-    return abs(quantity.value) > _TOLD * quantity.std
+    return is_told(quantity.value, quantity.std)
 
 
 def _scanned_std(analysis: Analysis, candidate: Candidate) -> float:
