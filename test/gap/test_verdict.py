@@ -53,12 +53,15 @@ def test_a_joint_that_hardly_ever_moves_to_the_other_side_moves_one_way(forward:
     assert moves_one_way(SimpleNamespace(problem=moving(forward)), 0)  # type: ignore[arg-type]
 
 
-def rivals(name: Candidate, others: dict[AnyCandidate, float], forward: float = 0.5) -> list[tuple[str, str, float]]:
-    """Of a name beside another one, with the scores of others in its place."""
+def rivals(
+    name: Candidate, others: dict[AnyCandidate, float], forward: float = 0.5, both: float = 0.0, possible: bool = True
+) -> list[tuple[str, str, float]]:
+    """Of a name beside another one, with the scores of others in its place, and that with ``both``."""
     beside = named("viscous_friction", 0)
     judged = Judged(name=name, others=[beside])
     fits = [Fit(score, np.ones(3), (beside, other)) for other, score in others.items()]
-    analysis = analysis_with(judged, rivals=lambda _, __: fits)
+    more = {"fit": lambda chosen, _: Fit(both, np.ones(3), tuple(chosen)), "possible": lambda _: possible}
+    analysis = analysis_with(judged, rivals=lambda _, __: fits, **more)
     analysis.problem = moving(forward)
     return [(r.effect, r.joint, r.loss) for r in verdict._rivals(MODEL, analysis, name, analysis.whole)]
 
@@ -68,6 +71,24 @@ def test_rivals_are_listed_by_how_much_worse_they_are() -> None:
         ("effort_gain", JOINTS[0], 4.0),
         ("spring", JOINTS[2], 9.0),
     ]
+
+
+@pytest.mark.parametrize(
+    ("other", "both", "possible", "loss"),
+    [
+        ("effort_gain", -150.0, True, 50.0),
+        ("effort_gain", -11.0, True, -100.0),
+        ("effort_gain", -150.0, False, -100.0),
+        ("stribeck_friction", -150.0, True, -100.0),
+    ],
+)
+def test_what_a_rival_explains_beside_a_name_is_no_doubt_of_it(
+    other: str, both: float, possible: bool, loss: float
+) -> None:
+    """Unless it would not be taken beside it, cannot be, or makes no sense there."""
+    where = 1 if other == "stribeck_friction" else 0
+    ((_, _, found),) = rivals(COULOMB, {named(other, where): -100.0}, both=both, possible=possible)
+    assert found == loss
 
 
 def test_friction_at_a_joint_that_moves_one_way_is_an_offset_as_well() -> None:
@@ -147,7 +168,8 @@ def test_findings_come_with_the_one_that_matters_most_first(monkeypatch: pytest.
     rivals = {named("spring", 2): 500.0, named("spring", 0): 1500.0, named("effort_gain", 0): 8.0}
     fits = [Fit(score, np.ones(3), (beside, other)) for other, score in rivals.items()]
     of_beside = [Fit(9e3, np.ones(3), (judged.name, named("spring", 0)))]
-    analysis = analysis_with(judged, rivals=lambda _, c: fits if c is judged.name else of_beside)
+    alone = {"fit": lambda *_: judged.analysis.whole, "possible": lambda _: True}
+    analysis = analysis_with(judged, rivals=lambda _, c: fits if c is judged.name else of_beside, **alone)
     first, second = verdict.findings(MODEL, analysis, judged.unseen)
     assert (first.joint, first.loss, first.rivals, first.settled_by) == (JOINTS[0], 2000.0, (), first.settled_by)
     assert (second.effect, second.joint, second.link, second.loss) == ("viscous_friction", JOINTS[1], "", 1000.0)

@@ -16,6 +16,7 @@ from geomid_ros.gap.judgement.locate import strongest
 from geomid_ros.gap.judgement.unsure import as_unsure
 from geomid_ros.gap.result import Finding, Ranked, Rival, Unexplained, Verdict
 from geomid_ros.gap.search.analysis import Analysis
+from geomid_ros.gap.search.beam_search import LEAST_GAIN, Search
 from geomid_ros.gap.search.score_test import score_test
 from geomid_ros.model.effects import EFFECTS, Quantity, joint_of
 from geomid_ros.model.measurement import MeasurementModel
@@ -88,16 +89,27 @@ def _scanned_std(analysis: Analysis, candidate: Candidate) -> float:
 
 
 def _rivals(model: MeasurementModel, analysis: Analysis, candidate: Candidate, whole: JointFit) -> list[Rival]:
-    found = []
-    for rival in analysis.search.unchanged(candidate).rivals(whole, candidate):
+    found, search = [], analysis.search.unchanged(candidate)
+    for rival in search.rivals(whole, candidate):
         (other,) = (c for c in rival.chosen if isinstance(c, Candidate) and c not in whole.chosen)
-        found.append(Rival(other.name, model.places.name(other.place), rival.score - whole.score))
+        beside = _score_beside(search, whole, other)
+        found.append(Rival(other.name, model.places.name(other.place), rival.score - beside))
     alike = candidate.effect.alike_one_way
     if alike and moves_one_way(analysis, joint_of(candidate.place)):
         joint = model.places.name(candidate.place)
         found = [rival for rival in found if (rival.effect, rival.joint) != (alike, joint)]
         found.append(Rival(alike, joint, 0.0))
     return sorted(found, key=lambda rival: rival.loss)
+
+
+def _score_beside(search: Search, whole: JointFit, other: Candidate) -> float:
+    """The score beside which another name is a rival: where that would be taken beside all names, as one that unseen
+    data have refused, it is the score with all of them. What it explains besides is no doubt of a name."""
+    if any(other.excludes(chosen) for chosen in whole.chosen):
+        return whole.score
+    both = search.fit([*whole.chosen, other], whole)
+    taken = search.possible(both) and whole.score - both.score > LEAST_GAIN
+    return both.score if taken else whole.score
 
 
 def unexplained(model: MeasurementModel, analysis: Analysis, unseen: HeldOut) -> tuple[Unexplained, ...]:
