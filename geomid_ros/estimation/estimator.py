@@ -14,7 +14,7 @@ from geomid_ros.errors import InputError, unknown_name
 from geomid_ros.estimation import estimate_parts, starting_point, uncertainty
 from geomid_ros.estimation.choice import choose
 from geomid_ros.estimation.estimate import Estimate
-from geomid_ros.estimation.fit import INDEPENDENT, Fit, Problem, driven_rows, fit, subproblem
+from geomid_ros.estimation.fit import INDEPENDENT, Fit, Problem, driven_rows, fit, settle, subproblem
 from geomid_ros.estimation.objective import GeodesicObjective, ResidualObjective
 from geomid_ros.estimation.population import Population
 from geomid_ros.estimation.population_prior import PopulationPrior, fit_with_population, unlike_population
@@ -29,6 +29,7 @@ from geomid_ros.types import FloatArray, IntArray, frozen
 _FAR = 2.0  # times the usual distance
 _SAME_MASS = 0.2  # logarithm of the ratio of masses
 _ROUNDING = 1e-9
+_ROUGHLY = 1e-3  # relative change of noise and spreads in a round
 _OF_WHITE_NOISE = 1.79  # independent rows per period of the filter's cutoff: twice its noise bandwidth in cutoffs
 
 
@@ -169,14 +170,16 @@ def least_inflation(summary: RowSummary, cutoff: float) -> float:
     return max(1.0 / (_OF_WHITE_NOISE * cutoff * summary.period), 1.0)
 
 
-def _fit(problem: Problem, **options: Any) -> Fit:
+def _fit(problem: Problem, start: Point | None, spreads: FloatArray | None, **options: Any) -> Fit:
     """A fit, in which no joint is driven by its dry friction; its problem has the rows that see to that."""
-    found = fit(problem, **options)
+    if start is not None:
+        # Which joints these are a rough solution tells.
+        start, _, spreads = settle(problem, start, spreads, within=_ROUGHLY, **options)
+        if len(rows := driven_rows(problem.model, start.parameters)):
+            return fit(problem.beside(rows), start, spreads, **options)
+    found = fit(problem, start, spreads, **options)
     rows = driven_rows(problem.model, found.point.parameters)
-    if not len(rows):
-        return found
-    near = {} if options["start"] is None else {"start": found.point, "spreads": found.spreads}
-    return fit(problem.beside(rows), **{**options, **near})
+    return fit(problem.beside(rows), start, spreads, **options) if len(rows) else found
 
 
 def _estimate(

@@ -213,11 +213,37 @@ def fit(
         tolerance: largest geodesic distance of the result from the minimum.
         max_steps: of the solver, for each noise and spreads.
     """
+    within = _SETTLED if start is None else _SETTLED_WARM
+    point, sigmas, spreads = settle(problem, start, spreads, tolerance=tolerance, max_steps=max_steps, within=within)
+    rows = problem.rows(sigmas)
+    objective = _objective(problem, rows, spreads)
+    solution = trust_region(objective, point, _gradient(objective, tolerance), max_steps)
+    gamma = problem.gamma or objective.prior_weight / _measured_weight(problem, rows)
+    return Fit(
+        problem=problem, rows=rows, objective=objective, solution=solution, sigmas=sigmas, spreads=spreads, gamma=gamma
+    )
+
+
+def settle(
+    problem: Problem,
+    start: Point | None,
+    spreads: FloatArray | None,
+    *,
+    tolerance: float,
+    max_steps: int,
+    within: float,
+) -> tuple[Point, FloatArray, FloatArray]:
+    """The parameters, the noise of each group ``(groups,)`` and the spread of each link ``(links,)`` that go together.
+
+    Args:
+        problem, start, spreads, tolerance, max_steps: as of :func:`fit`.
+        within: relative change of noise and spreads in a round with which the search for them ends.
+    """
     point = start or problem.prior_point
     spreads = problem.usual if spreads is None or problem.gamma is not None else spreads
     sigmas = problem.noise(point.parameters) if start is not None else problem.first_noise
     # Near its fixed point the iteration is linear: it can be extrapolated, and one step for each noise is enough.
-    extrapolation, most, settled = (None, max_steps, _SETTLED) if start is None else (Extrapolation(), 1, _SETTLED_WARM)
+    extrapolation, most = (None, max_steps) if start is None else (Extrapolation(), 1)
     for _ in range(_ROUNDS):
         rough = _rough(problem, sigmas, spreads)
         solution = trust_region(rough, point, _gradient(rough, tolerance), most)
@@ -227,17 +253,11 @@ def fit(
         if problem.gamma is None:
             spreads = _spreads(problem, rough, solution)
         ended = np.log(np.concatenate([sigmas, spreads]))
-        if np.all(np.abs(ended - begun) < settled):
+        if np.all(np.abs(ended - begun) < within):
             break
         if extrapolation is not None:
             sigmas, spreads = np.split(np.exp(extrapolation.next(begun, ended)), [len(sigmas)])
-    rows = problem.rows(sigmas)
-    objective = _objective(problem, rows, spreads)
-    solution = trust_region(objective, point, _gradient(objective, tolerance), max_steps)
-    gamma = problem.gamma or objective.prior_weight / _measured_weight(problem, rows)
-    return Fit(
-        problem=problem, rows=rows, objective=objective, solution=solution, sigmas=sigmas, spreads=spreads, gamma=gamma
-    )
+    return point, sigmas, spreads
 
 
 def _rough(problem: Problem, sigmas: FloatArray, spreads: FloatArray) -> ProductsObjective:
