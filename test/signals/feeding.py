@@ -100,11 +100,17 @@ def blocks(messages: Sequence[Message]) -> list[Block]:
     ]
 
 
-def completed(pipeline: SignalPipeline, messages: Iterable[Message]) -> Iterator[Samples]:
-    """The samples that messages complete, pushed many at once: test_blocks holds that this makes no difference."""
+def push(pipeline: SignalPipeline, messages: Iterable[Message]) -> Iterator[None]:
+    """Push messages, many at once: test_blocks holds that this makes no difference. Yields after each time."""
     waiting = list(messages)
     for begin in range(0, len(waiting), AT_ONCE):
         pipeline.push(blocks(waiting[begin : begin + AT_ONCE]))
+        yield
+
+
+def completed(pipeline: SignalPipeline, messages: Iterable[Message]) -> Iterator[Samples]:
+    """The samples that messages complete."""
+    for _ in push(pipeline, messages):
         samples = pipeline.collect()
         if samples is not None:
             yield samples
@@ -112,8 +118,8 @@ def completed(pipeline: SignalPipeline, messages: Iterable[Message]) -> Iterator
 
 def feed(pipeline: SignalPipeline, messages: Iterable[Message]) -> Samples:
     """Push all messages, and collect when no more will come."""
-    for message in messages:
-        pipeline.push(message)
+    for _ in push(pipeline, messages):
+        pass
     pipeline.release()
     samples = pipeline.collect()
     assert samples is not None

@@ -23,10 +23,12 @@ from .feeding import (
     Motion,
     assert_same,
     balanced,
+    completed,
     feed,
     in_time,
     jittered,
     joint_messages,
+    push,
     regular,
     wrench_messages,
     wrenches,
@@ -149,10 +151,8 @@ def test_who_waits_for_ever_for_joints_does_not_fill_the_memory() -> None:
     """A wrench topic alone: the oldest messages are given up and counted."""
     alone = pipeline(0.0)
     messages = wrench_messages(regular(0.001, 11.0))
-    for message in messages:
-        alone.push(message)
-    assert alone.collect() is None
-    assert len(alone._sampler._waiting) == 10_000
+    assert list(completed(alone, messages)) == []
+    assert sum(map(len, alone._sampler._waiting)) == 10_000
     assert alone.ledger.topics["/wrench"].rejected == {"no joint states to go with": 1000}
     assert balanced(alone, messages)
 
@@ -186,8 +186,7 @@ def test_a_topic_that_falls_silent_does_not_fill_the_memory() -> None:
     joints, wrench = joint_messages(stamps), wrench_messages(stamps)
     silent = [*wrench[:100], *wrench[1900:]]
     waiting, longest = pipeline(0.05, cutoff=2.0), 0
-    for message in in_time(joints, silent):
-        waiting.push(message)
+    for _ in push(waiting, in_time(joints, silent)):
         longest = max(longest, len(waiting._sampler._streams["joint_states"].segment._on_grid.values))
     assert 60.0 / 0.05 < longest < 65.0 / 0.05
     assert len(waiting._sampler._streams["joint_states"].segment._on_grid.values) < 100
@@ -219,8 +218,8 @@ def test_a_straggler_of_the_time_before_does_not_fill_the_memory() -> None:
     waiting = pipeline(0.05, cutoff=2.0)
     feed(waiting, in_time(joints, wrench[:-1]))
     back = joint_messages(regular(0.05, 100.0) - 1000_000_000_000)
-    for message in [*back[:12], wrench[-1], *back[12:]]:
-        waiting.push(message)
+    for _ in push(waiting, [*back[:12], wrench[-1], *back[12:]]):
+        pass
     assert "clock set back: a new segment begins" in waiting.ledger.topics["joint_states"].noted
     assert len(waiting._sampler._streams["joint_states"].segment._on_grid.values) < 65.0 / 0.05
 

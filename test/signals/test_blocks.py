@@ -48,7 +48,7 @@ FAULTS: tuple[Callable[[Any], Any], ...] = (
 def spoiled(seed: int, share: float) -> list[Message]:
     """Messages of two topics with faults of all kinds, frozen ones and a clock that is set back."""
     rng = np.random.default_rng(seed)
-    clean = in_time(joint_messages(jittered(0.01, 6.0, seed), velocity=True), wrench_messages(regular(0.004, 6.0)))
+    clean = in_time(joint_messages(jittered(0.01, 4.0, seed), velocity=True), wrench_messages(regular(0.004, 4.0)))
     result: list[Message] = []
     for index, message in enumerate([*clean, *clean[:900]] if seed % 2 else clean):
         result.append(message)

@@ -12,6 +12,8 @@ from geomid_ros.signals.pipeline import SignalPipeline
 from geomid_ros.signals.settings import SignalSettings
 from geomid_ros.types import FloatArray
 
+from .feeding import feed
+
 SMOOTH = 2e-3  # of a signal of size 1 after the filter
 STAMPS = 1000.0 + 0.01 * np.arange(800)
 
@@ -19,13 +21,12 @@ STAMPS = 1000.0 + 0.01 * np.arange(800)
 def samples(effort_delay: float, stamps: FloatArray, late: float) -> Samples:
     """One joint at ``sin(3 t)`` whose efforts ``cos(3 t)`` are recorded ``late`` [s]."""
     pipeline = SignalPipeline(["a"], settings=SignalSettings(effort_delay=effort_delay))
+    messages = []
     for stamp in stamps:
         position, velocity = [np.sin(3.0 * stamp)], [3.0 * np.cos(3.0 * stamp)]
         effort = [np.cos(3.0 * (stamp - late))]
-        pipeline.push(JointMessage(round(1e9 * stamp), ("a",), position, velocity, effort))
-    found = pipeline.collect()
-    assert found is not None
-    return found
+        messages.append(JointMessage(round(1e9 * stamp), ("a",), position, velocity, effort))
+    return feed(pipeline, messages)
 
 
 @pytest.mark.parametrize("delay", [0.004, 0.03, -0.02])

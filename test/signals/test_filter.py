@@ -25,7 +25,7 @@ RATES = pytest.mark.parametrize("rate", [50, 125, 500])
 def filtered(stamps: IntArray, values: FloatArray, rate: float) -> dict[str, FloatArray]:
     """Joints with positions ``(N, joints)`` through the pipeline: time [s] ``(M,)``; value, first and second
     derivative ``(M, joints)``. Efforts are the positions' negatives, and come out so."""
-    names = [f"joint{place}" for place in range(values.shape[1])]
+    names = tuple(f"joint{place}" for place in range(values.shape[1]))
     pipeline = SignalPipeline(names, settings=SignalSettings(cutoff=CUTOFF, period=1.0 / rate))
     messages = [JointMessage(int(t), names, row, [], -row) for t, row in zip(stamps, values, strict=True)]
     samples = feed(pipeline, messages)

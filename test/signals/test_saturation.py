@@ -29,18 +29,27 @@ def rounded(values: FloatArray, bits: int) -> FloatArray:
 def refused(efforts: FloatArray, rate: float, speed: float = 1.0) -> BoolArray:
     """Which messages are not taken with the effort of a joint at this ``speed``, beside one that moves and is well."""
     reader = JointReader(("one", "other"), np.ones(2), np.zeros(2, dtype=np.bool_), MAX_GAP, lambda _: None)
+    times = np.arange(len(efforts)) / rate
+    stamps = START + np.round(times * 1e9).astype(np.int64)
+    ones = np.ones(len(times))
+    pairs = ((speed * times, times), (speed * ones, ones), (LARGEST * efforts, 1.0 + times))
+    numbers = np.stack([np.column_stack(pair) for pair in pairs], axis=1)
     result = np.zeros(len(efforts), dtype=np.bool_)
-    for index, effort in enumerate(efforts.tolist()):
-        time = index / rate
-        position, velocity, effort_pair = (speed * time, time), (speed, 1.0), (LARGEST * effort, 1.0 + time)
+    begin, count = 0, 1
+    while begin < len(efforts):
+        part = slice(begin, begin + count)
         try:
-            numbers = read(
-                reader, JointMessage(START + round(time * 1e9), ("one", "other"), position, velocity, effort_pair)
-            )
+            values, taken = reader.read(stamps[part], numbers[part], among=count)
         except RejectedError as error:
-            result[index] = "effort of 'one' saturated" in str(error)
+            if count > 1:  # none was read
+                count //= 2
+                continue
+            result[begin] = "effort of 'one' saturated" in str(error)
         else:
-            result[index] = np.isnan(numbers[4])  # it lasts: the equation is left out
+            assert taken.all()
+            result[part] = np.isnan(values[:, 4])  # it lasts: the equation is left out
+            count *= 2
+        begin = part.stop
     return result
 
 
