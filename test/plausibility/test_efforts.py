@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import cache
 
@@ -18,8 +18,16 @@ from geomid_ros.plausibility.hypotheses import Cause, Finding
 from geomid_ros.types import FloatArray
 
 ROBOTS = [("arm3", 1), ("arm3", 2), ("arm7", 1), ("arm7", 2)]
+ONE_OF_SEVEN = pytest.mark.parametrize("robot", ROBOTS[:3], ids=str, indirect=True)
+OTHER_OF_SEVEN = pytest.mark.parametrize("robot", [*ROBOTS[:2], ROBOTS[3]], ids=str, indirect=True)
 DEGREES = 180.0 / np.pi
 ALL = "all"
+
+
+def shared(name: str, values: Sequence[object]) -> pytest.MarkDecorator:
+    """Each value with one robot of either kind, in turn."""
+    each = [(robot, value) for k, value in enumerate(values) for robot in ROBOTS[k % 2 :: 2]]
+    return pytest.mark.parametrize(("robot", name), each, indirect=["robot"])
 
 
 @cache
@@ -73,12 +81,14 @@ def test_a_sound_recording_is_not_doubted(name: str, seed: int) -> None:
     assert check.remarks == ()
 
 
+@ONE_OF_SEVEN
 def test_all_efforts_are_reversed(robot: Case) -> None:
     cause = named(robot.model, changed(robot, np.negative))
     assert cause.kind == "sign"
     assert cause.settings == {"effort_gain": -1.0}
 
 
+@OTHER_OF_SEVEN
 def test_what_is_to_be_written_depends_on_the_gains_that_were_configured(robot: Case) -> None:
     joints = robot.model.robot.joint_names
     gains = np.arange(2.0, 2.0 + len(joints))
@@ -148,7 +158,7 @@ def test_left_and_right_are_exchanged() -> None:
     assert set(cause.places) == set(names)
 
 
-@pytest.mark.parametrize("factor", [1000.0, 0.07, 0.01])
+@shared("factor", [1000.0, 0.07, 0.01])
 def test_all_efforts_are_in_another_unit(robot: Case, factor: float) -> None:
     """The factor is told as far as the masses are known."""
     cause = named(robot.model, changed(robot, lambda effort: factor * effort))
@@ -157,6 +167,7 @@ def test_all_efforts_are_in_another_unit(robot: Case, factor: float) -> None:
     assert ("mN m" in cause.sentence) == (factor == 1000.0)
 
 
+@ONE_OF_SEVEN
 def test_the_effort_of_one_joint_is_in_another_unit(robot: Case) -> None:
     """The second joint of both arms carries weight."""
     scales = np.ones(robot.samples.effort.shape[1])
@@ -165,13 +176,14 @@ def test_the_effort_of_one_joint_is_in_another_unit(robot: Case) -> None:
     assert (cause.kind, cause.places) == ("gain", (robot.model.robot.joint_names[1],))
 
 
+@OTHER_OF_SEVEN
 def test_positions_are_in_degrees(robot: Case) -> None:
     own = robot.samples
     scaled = {name: DEGREES * getattr(own, name) for name in ("position", "velocity", "acceleration")}
     assert named(robot.model, replace(own, **scaled)).kind == "degrees"
 
 
-@pytest.mark.parametrize("gravity", [(9.81, 0.0, 0.0), (0.0, -9.81, 0.0), (0.0, 6.94, -6.94)])
+@shared("gravity", [(9.81, 0.0, 0.0), (0.0, -9.81, 0.0), (0.0, 6.94, -6.94)])
 def test_gravity_acts_in_another_direction(robot: Case, gravity: tuple[float, float, float]) -> None:
     own = robot.model.robot
     moving = motion(np.random.default_rng(7), len(own.joints), 20.0)
@@ -184,7 +196,7 @@ def test_gravity_acts_in_another_direction(robot: Case, gravity: tuple[float, fl
     assert written @ np.array(gravity) > np.cos(np.radians(30.0)) * 9.81**2
 
 
-@pytest.mark.parametrize("across", [(0.35, -0.2), (-0.3, -0.3)])
+@shared("across", [(0.35, -0.2), (-0.3, -0.3)])
 def test_a_base_that_is_not_level_is_remarked_and_hides_no_fault(robot: Case, across: tuple[float, float]) -> None:
     """Doubtful enough to be measured, not to be an error: by 2.4 degrees, by ten where few joints tell less."""
     own = robot.model.robot
@@ -202,6 +214,7 @@ def test_a_base_that_is_not_level_is_remarked_and_hides_no_fault(robot: Case, ac
     assert (cause.kind, cause.places) == ("sign", (own.joint_names[1],))
 
 
+@ONE_OF_SEVEN
 def test_gravity_is_not_in_the_efforts(robot: Case) -> None:
     own = robot.model.robot
     moving = motion(np.random.default_rng(7), len(own.joints), 20.0)
@@ -213,11 +226,13 @@ def test_gravity_is_not_in_the_efforts(robot: Case) -> None:
     assert finding.sure or len(own.joints) == 3, "few joints tell less"
 
 
+@OTHER_OF_SEVEN
 def test_efforts_of_nothing_are_told(robot: Case) -> None:
     noise = np.random.default_rng(3).normal(size=robot.samples.effort.shape)
     assert named(robot.model, replace(robot.samples, effort=noise)).kind == "unrelated"
 
 
+@ONE_OF_SEVEN
 def test_an_effort_that_never_changes_is_told_and_the_others_are_judged(robot: Case) -> None:
     def one_dead(effort: FloatArray) -> FloatArray:
         effort[:, 0] = 0.0
@@ -228,6 +243,7 @@ def test_an_effort_that_never_changes_is_told_and_the_others_are_judged(robot: C
     assert second.cause.kind == "sign"
 
 
+@OTHER_OF_SEVEN
 def test_a_joint_without_efforts_is_not_judged(robot: Case) -> None:
     def one_missing(effort: FloatArray) -> FloatArray:
         effort[:, -1] = np.nan
@@ -247,6 +263,7 @@ def test_a_payload_is_no_fault(mass: float) -> None:
     assert findings(MeasurementModel(own, ()), samples(moving, efforts(own, true, moving))) == ()
 
 
+@ONE_OF_SEVEN
 def test_of_a_gain_within_reason_nothing_is_said(robot: Case) -> None:
     """It cannot be told from masses."""
     assert findings(robot.model, changed(robot, lambda effort: 2.0 * effort)) == ()
@@ -266,12 +283,14 @@ def test_of_three_seconds_nothing_is_said(robot: Case) -> None:
     assert findings(robot.model, changed(robot, np.negative).select(slice(250))) == ()
 
 
+@OTHER_OF_SEVEN
 def test_efforts_without_a_sign_are_named(robot: Case) -> None:
     """Of the first joint, which has no weight to carry and goes to and fro."""
     cause = named(robot.model, changed(robot, lambda effort: np.column_stack([np.abs(effort[:, :1]), effort[:, 1:]])))
     assert (cause.kind, cause.places) == ("magnitude", (robot.model.robot.joint_names[0],))
 
 
+@ONE_OF_SEVEN
 def test_friction_that_is_compensated_too_much_is_not_a_sign(robot: Case) -> None:
     """Weights and inertias decide on the sign, whatever friction does."""
     own = robot.samples
