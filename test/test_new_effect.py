@@ -12,7 +12,7 @@ import re
 import shutil
 import subprocess
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -32,15 +32,15 @@ OTHERS = Path(__file__).parent / "new_effects"
 URDF = BAGS / "arm3.urdf"
 AXES = ("fx", "fy", "fz", "tx", "ty", "tz")
 WRENCH = f"/wrench:{WRIST_FRAME}:mounted"
-# Runs commands, whose arguments are lists in JSON, and prints what each printed.
+# Runs commands, whose arguments are a list in JSON in each line, and prints what each printed.
 DRIVER = """
 import json, sys
 from click.testing import CliRunner
 from geomid_ros.commands.root import root
-for arguments in json.loads(sys.argv[1]):
-    result = CliRunner().invoke(root, arguments, catch_exceptions=False)
+for line in sys.stdin:
+    result = CliRunner().invoke(root, json.loads(line), catch_exceptions=False)
     assert result.exit_code == 0, result.output
-    print(json.dumps(result.stdout))
+    print(json.dumps(result.stdout), flush=True)
 """
 Planted = Callable[[FloatArray, FloatArray], FloatArray]
 """What is added to the efforts ``(J,)`` or to the wrench ``(6,)``, from position and velocity ``(J,)``."""
@@ -142,6 +142,41 @@ def package(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@dataclass(frozen=True)
+class Driver:
+    """A process of the copied package, which runs one command after the other."""
+
+    process: subprocess.Popen[str]
+    errors: Path
+
+    def printed(self, arguments: list[str]) -> str:
+        """What a command prints."""
+        assert self.process.stdin is not None
+        assert self.process.stdout is not None
+        print(json.dumps(arguments), file=self.process.stdin, flush=True)
+        answer = self.process.stdout.readline()
+        assert answer, self.errors.read_text()
+        return str(json.loads(answer))
+
+
+@pytest.fixture(scope="module")
+def driver(package: Path) -> Iterator[Driver]:
+    path, errors = os.pathsep.join([str(package), os.environ.get("PYTHONPATH", "")]).rstrip(os.pathsep), package / "log"
+    with (
+        errors.open("w") as log,
+        subprocess.Popen(
+            [sys.executable, "-c", DRIVER],
+            env=os.environ | {"PYTHONPATH": path},
+            cwd=package,
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=log,
+            text=True,
+        ) as process,
+    ):
+        yield Driver(process, errors)
+
+
 @pytest.fixture(scope="module")
 def dry(tmp_path_factory: pytest.TempPathFactory) -> list[Recorded]:
     """The messages of a robot without any effects."""
@@ -159,12 +194,12 @@ class Round:
     """What the commands of the copied package made of a recording with an effect in it."""
 
     kind: Kind
-    package: Path
+    driver: Driver
     folder: Path
 
     @cached_property
     def printed(self) -> dict[str, str]:
-        """What each command printed; all of them run one after the other, in one process."""
+        """What each command printed."""
         known = ("--model", self.folder / "gap/estimate.json")
         commands = {
             "gap": self._command("gap", "gap"),
@@ -172,18 +207,7 @@ class Round:
             "again": self._command("gap", "again", *known),
             "later": self._command("identify", "later", *known, "--effects", "effort_offset"),
         }
-        path = os.pathsep.join([str(self.package), os.environ.get("PYTHONPATH", "")]).rstrip(os.pathsep)
-        run = subprocess.run(
-            [sys.executable, "-c", DRIVER, json.dumps(list(commands.values()))],
-            env=os.environ | {"PYTHONPATH": path},
-            cwd=self.package,
-            capture_output=True,
-            text=True,
-            check=False,
-            timeout=300,
-        )
-        assert run.returncode == 0, run.stderr
-        return dict(zip(commands, map(json.loads, run.stdout.splitlines()), strict=True))
+        return {name: self.driver.printed(arguments) for name, arguments in commands.items()}
 
     def _command(self, command: str, out: str, *arguments: str | Path) -> list[str]:
         wrench = ("--wrench", WRENCH) if self.kind.sensor else ()
@@ -216,7 +240,7 @@ class Round:
 
 @pytest.fixture(scope="module", params=KINDS)
 def found(
-    request: pytest.FixtureRequest, package: Path, dry: list[Recorded], tmp_path_factory: pytest.TempPathFactory
+    request: pytest.FixtureRequest, driver: Driver, dry: list[Recorded], tmp_path_factory: pytest.TempPathFactory
 ) -> Round:
     kind, folder = KINDS[request.param], tmp_path_factory.mktemp("new")
     states = {item.time: item.message for item in dry if item.topic == "/joint_states"}
@@ -234,7 +258,7 @@ def found(
         return item.changed(effort=effort)
 
     write_bag(folder / "bag", map(changed, dry))
-    return Round(kind, package, folder)
+    return Round(kind, driver, folder)
 
 
 def with_wrench(wrench: Any, added: FloatArray) -> Any:
