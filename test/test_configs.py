@@ -99,11 +99,15 @@ def test_a_frame_may_have_another_name_in_messages() -> None:
     assert Configuration().with_sensors([sensor]).sensors == [sensor]
 
 
-def in_amperes(item: Recorded) -> Recorded:
-    """A joint message of the UR10 as its driver sends it."""
+def in_amperes(bag: Path, folder: Path) -> Path:
+    """A recording of the UR10 as its driver sends it."""
     gains = Configuration.read(ROOT / "config/ur.yaml").signals([]).effort_gain
     assert isinstance(gains, dict)
-    return item.changed(effort=item.message.effort / np.array([gains[joint] for joint in item.message.name]))
+
+    def divided(item: Recorded) -> Recorded:
+        return item.changed(effort=item.message.effort / np.array([gains[joint] for joint in item.message.name]))
+
+    return altered(bag, folder, divided)
 
 
 def identified(bag: Path, urdf: Path, config: str, out: Path, *more: str) -> dict[str, float]:
@@ -117,7 +121,7 @@ def identified(bag: Path, urdf: Path, config: str, out: Path, *more: str) -> dic
 def test_a_measured_universal_robot(tmp_path: Path) -> None:
     """Its efforts were written as N m; the driver gives A."""
     folder = MEASURED / "ur10_unisa_rosbag2"
-    bag = altered(folder / "ur10_exciting_trajectory", tmp_path / "bag", in_amperes)
+    bag = in_amperes(folder / "ur10_exciting_trajectory", tmp_path / "bag")
     found = identified(bag, folder / "ur10.urdf", "ur.yaml", tmp_path / "out")
     assert found["held_out"] < 0.2 * found["nominal"]
 
