@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
+from files.recordings import QUICK
 
 from geomid_ros.errors import InputError
 from geomid_ros.simulation import EFFECTS, WRIST_FRAME, Hidden, SimulationOptions, parse_hidden, simulate
@@ -21,7 +22,7 @@ from geomid_ros.types import FloatArray
 
 from .reading import recorded
 
-OPTIONS = SimulationOptions(robot="arm7", wrench_frame=WRIST_FRAME)
+OPTIONS = SimulationOptions(robot="arm7", wrench_frame=WRIST_FRAME, longest_step=QUICK)
 
 
 def quiet(options: SimulationOptions) -> SimulationOptions:

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 import pytest
+from files.recordings import QUICK
 from scipy.interpolate import CubicSpline
 
 from geomid_ros.simulation import EFFECTS, WRIST_FRAME, Hidden, SimulationOptions
@@ -24,7 +25,7 @@ pytest.importorskip("mujoco")
 
 EXACT = 1e-9  # N, N m: rounding
 MOVING = 0.06  # rad/s; below, MuJoCo's dry friction is not yet constant
-OPTIONS = SimulationOptions(robot="arm3", seed=3, duration=4.0, wrench_frame=WRIST_FRAME)
+OPTIONS = SimulationOptions(robot="arm3", seed=3, duration=4.0, wrench_frame=WRIST_FRAME, longest_step=QUICK)
 
 
 @dataclass(frozen=True)
