@@ -7,7 +7,7 @@ same with all of them and longer ones.
 from __future__ import annotations
 
 import pytest
-from commands.running import done
+from commands.running import done, undrawn
 
 from benchmarks.round_trip import PLANTED, URDF, Planted, RoundTrip
 from geomid_ros.files.bags.bag import Bag
@@ -40,8 +40,9 @@ def test_what_was_found_is_known_from_then_on(trip: RoundTrip) -> None:
     assert not list(trip.complaints())
 
 
-def test_identification_shows_what_it_keeps(trip: RoundTrip) -> None:
+def test_identification_shows_what_it_keeps(trip: RoundTrip, monkeypatch: pytest.MonkeyPatch) -> None:
     """An effect is at one place only; the configured ones are at all."""
+    undrawn(monkeypatch)
     wrench = [option for sensor in trip.planted.wrench for option in ("--wrench", sensor)]
     out = trip.folder / "shown"
     text = done("identify", trip.bag(2), "--urdf", URDF, "--model", trip.model("first"), "--out", out, *wrench)

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from commands.running import done
+from commands.running import done, undrawn
 from files.recordings import QUICK
 
 from geomid_ros.simulation import WRIST_FRAME, Hidden, SimulationOptions, simulate
@@ -36,6 +36,12 @@ CASES = {
 }
 WRIST = ("--wrench", f"/wrench:{WRIST_FRAME}:mounted")
 PAYLOAD = Hiding(replace(ARM7, seed=14), (Hidden("payload", "tool", 1.5),))
+
+
+@pytest.fixture(autouse=True)
+def without_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Numbers are judged here."""
+    undrawn(monkeypatch)
 
 
 def recorded(hiding: Hiding, folder: Path, *more: str) -> Path:

@@ -6,8 +6,10 @@ import json
 from pathlib import Path
 from typing import Any
 
+import pytest
 from click.testing import CliRunner, Result
 from files.recordings import BAGS
+from matplotlib.figure import Figure
 
 from geomid_ros.commands.root import root
 
@@ -38,6 +40,12 @@ def refused(*arguments: str | Path) -> str:
     message = result.stderr.partition("Error: ")[2]
     assert 0 < len(message.splitlines()) <= 2, message
     return str(message)
+
+
+def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let results be written without pictures, where nobody looks at them: to draw takes longer than all the rest."""
+    monkeypatch.setattr("geomid_ros.api.identify.draw_identification", lambda *_: Figure())
+    monkeypatch.setattr("geomid_ros.api.gap.write_gap_page", lambda *_: None)
 
 
 def identify(robot: str, *arguments: str | Path) -> tuple[str | Path, ...]:

@@ -158,10 +158,10 @@ def test_what_the_model_knows_is_no_gap(found: tuple[Path, str], rubbing: Path, 
     assert "already in the model" in (tmp_path / "report.html").read_text()
 
 
-def test_the_model_of_a_doubtful_recording_is_marked_so(rubbing: Path, tmp_path: Path) -> None:
+def test_the_model_of_a_doubtful_recording_is_marked_so(tmp_path: Path) -> None:
     parameters = tmp_path / "reversed.yaml"
     parameters.write_text("/**: {ros__parameters: {effort_gain: -1.0}}")
-    result = geomid("gap", rubbing, "--urdf", URDF, "--config", parameters, "--out", tmp_path / "out")
+    result = geomid("gap", BAGS / "arm3", "--urdf", URDF, "--config", parameters, "--out", tmp_path / "out")
     assert result.exit_code == 4, result.output
     verdict = read_estimate(tmp_path / "out/estimate.json")["verdict"]
     assert (verdict["result"], verdict["causes"]) == ("doubtful", read(tmp_path / "out")["causes"])

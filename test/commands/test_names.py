@@ -6,6 +6,7 @@ from __future__ import annotations
 import json
 import re
 import time
+from collections.abc import Sequence
 from pathlib import Path
 from xml.sax.saxutils import quoteattr
 
@@ -17,62 +18,67 @@ from geomid_ros.api import identify as front_door
 
 from .running import WRIST, done, read, refused
 
+HTML = "<script>alert(1)</script>"
 NAMES = {
-    "closing tag": "[/x]",
-    "a link": "[link=file:///etc/passwd]link1[/link]",
-    "a colour": "[red]x[/red]",
-    "an emoji": ":skull:",
-    "mathematics": "$\\frac{$",
-    "HTML": "<script>alert(1)</script>",
+    "tags, a link, a colour": ("[/x]", "[link=file:///etc/passwd]link1[/link]", "[red]x[/red]"),
+    "an emoji, mathematics, HTML": (":skull:", "$\\frac{$", HTML),
 }
-UNPRINTABLE = {"newline": "a\nTotal 0 kg", "C1": "a\x9b31mb", "right to left": "a\u202eb"}
+UNPRINTABLE = ("a\nTotal 0 kg", "a\x9b31mb", "a\u202eb")  # a newline, a C1 control, from right to left
 
 
-def renamed(name: str, folder: Path) -> tuple[Path, Path]:
-    """The small arm with another name of a link and of a joint: its URDF and its recording."""
-    urdf = folder / "renamed.urdf"
-    quoted = quoteattr(name, {"\n": "&#10;"})
-    text = (BAGS / "arm3.urdf").read_text()
-    urdf.write_text(text.replace('"link1"', quoted).replace('"joint1"', quoted), encoding="utf-8")
+def described(names: Sequence[str], folder: Path) -> Path:
+    """The URDF of the small arm with other names of its first links and joints."""
+    urdf, text = folder / "renamed.urdf", (BAGS / "arm3.urdf").read_text()
+    for number, name in enumerate(names, 1):
+        quoted = quoteattr(name, {"\n": "&#10;"})
+        text = text.replace(f'"link{number}"', quoted).replace(f'"joint{number}"', quoted)
+    urdf.write_text(text, encoding="utf-8")
+    return urdf
+
+
+def renamed(names: Sequence[str], folder: Path) -> tuple[Path, Path]:
+    """The same, and its recording."""
+    new = {f"joint{number}": name for number, name in enumerate(names, 1)}
 
     def change(item: Recorded) -> Recorded:
         if item.topic != "/joint_states":
             return item
-        return item.changed(name=[name if old == "joint1" else old for old in item.message.name])
+        return item.changed(name=[new.get(old, old) for old in item.message.name])
 
-    return urdf, altered(BAGS / "arm3", folder / "bag", change)
+    return described(names, folder), altered(BAGS / "arm3", folder / "bag", change)
 
 
 @pytest.mark.parametrize("case", NAMES)
 def test_markup_is_shown_as_it_is(case: str, tmp_path: Path) -> None:
-    name = NAMES[case]
-    urdf, bag = renamed(name, tmp_path)
+    names = NAMES[case]
+    urdf, bag = renamed(names, tmp_path)
     shown = done("identify", bag, "--urdf", urdf, *WRIST, "--out", tmp_path / "out")
-    assert name in re.sub(r"\s+", "", shown) or name in shown
     assert "\x1b]8" not in shown
-    assert read(tmp_path / "out")["links"][0]["name"] == name
-    assert name in " ".join(refused("identify", bag, "--urdf", urdf, "--links", name + "!", "--out", tmp_path).split())
+    for name, link in zip(names, read(tmp_path / "out")["links"], strict=False):
+        assert name in re.sub(r"\s+", "", shown) or name in shown
+        assert link["name"] == name
+        message = refused("identify", bag, "--urdf", urdf, "--links", name + "!", "--out", tmp_path)
+        assert name in " ".join(message.split())
 
 
-@pytest.mark.parametrize("case", UNPRINTABLE)
-def test_what_cannot_be_printed_is_shown_as_codes(case: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    name = UNPRINTABLE[case]
-    urdf, bag = renamed(name, tmp_path)
+def test_what_cannot_be_printed_is_shown_as_codes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    urdf, bag = renamed(UNPRINTABLE, tmp_path)
     shown = done("identify", bag, "--urdf", urdf, "--out", tmp_path / "out")
     assert all(character.isprintable() or character == "\n" for character in shown)
     assert not re.search("^ *Total 0 kg", shown, re.MULTILINE)
     monkeypatch.setattr(front_door, "draw_identification", lambda *_: Figure())  # the same has been drawn
     assert json.loads(done("identify", bag, "--urdf", urdf, "--out", tmp_path / "out", "--json"))["links"]
-    message = refused("identify", BAGS / "arm3", "--urdf", urdf, "--out", tmp_path)
-    assert all(character.isprintable() or character == "\n" for character in message)
+    for name in UNPRINTABLE:
+        message = refused("identify", BAGS / "arm3", "--urdf", described([name], tmp_path), "--out", tmp_path)
+        assert all(character.isprintable() or character == "\n" for character in message)
 
 
 def test_html_is_text_in_a_report(tmp_path: Path) -> None:
-    urdf, bag = renamed(NAMES["HTML"], tmp_path)
+    urdf, bag = renamed([HTML], tmp_path)
     shown = done("gap", bag, "--urdf", urdf, "--hold-out", "0.2", "--out", tmp_path / "out")
-    assert NAMES["HTML"] in re.sub(r"\s+", "", shown)
+    assert HTML in re.sub(r"\s+", "", shown)
     page = (tmp_path / "out/report.html").read_text(encoding="utf-8")
-    assert NAMES["HTML"] not in page
+    assert HTML not in page
     assert "&lt;script&gt;alert(1)" in page
 
 
@@ -82,7 +88,7 @@ def test_a_name_costs_no_more_than_its_length(tmp_path: Path) -> None:
     for length in (2_000, 20_000):
         folder = tmp_path / str(length)
         folder.mkdir()
-        urdf, bag = renamed("n" * length, folder)
+        urdf, bag = renamed(["n" * length], folder)
         begin = time.process_time()
         done("identify", bag, "--urdf", urdf, "--out", folder / "out")
         refused("identify", bag, "--urdf", urdf, "--links", "n" * (length - 1) + "m", "--out", folder)
