@@ -17,7 +17,7 @@ from geomid_ros.types import FloatArray, IntArray, frozen
 
 # The usual spread counts as much as one direction of the tangent space that the data determine.
 _CERTAINTY_OF_USUAL = 1.0
-_ROUNDS = 12  # of the fixed point; a fixed number, so that rounding cannot change how many there are
+_ROUNDS = 10  # of the fixed point; a fixed number, so that rounding cannot change how many there are
 _LARGEST_SPREAD = 100.0  # times the usual
 _ROUNDING = float(np.finfo(float).eps)  # of the largest information: what rounding may make of none
 _STEP = 1e-5
@@ -212,14 +212,15 @@ def prior_spreads(rows: Fold, from_prior: FloatArray, groups: Sequence[Parameter
     member = np.empty(len(from_prior), dtype=np.int64)
     for index, group in enumerate(groups):
         member[group.columns] = index
-    pull = rows.information @ from_prior + rows.gradient
     extrapolation, found, begun = Extrapolation(), usual, np.log(usual)
     for _ in range(_ROUNDS):
         # In units of the spreads, in which the prior's part is the identity.
         spreads = np.exp(begun)[member]
         scaled = np.outer(spreads, spreads) * rows.information
-        left = np.linalg.inv(scaled + _own_part(scaled) * np.eye(len(spreads)))
-        moved = spreads * (left @ (spreads * pull))
+        own = _own_part(scaled)
+        left = np.linalg.inv(scaled + own * np.eye(len(spreads)))
+        # Not as information times distance, of which rounding would leave little.
+        moved = from_prior - spreads * (left @ (own * from_prior / spreads - spreads * rows.gradient))
         determined = np.clip(1.0 - np.diag(left), 0.0, 1.0)
         squares = np.bincount(member, moved**2, len(groups)) + _CERTAINTY_OF_USUAL * usual**2
         counts = np.bincount(member, determined, len(groups)) + _CERTAINTY_OF_USUAL

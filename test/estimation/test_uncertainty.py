@@ -222,6 +222,31 @@ def test_the_spread_is_found_of_what_the_data_show_in_part(spread: float) -> Non
     assert np.sqrt(np.mean(np.square(found))) == pytest.approx(spread, rel=0.15)
 
 
+@pytest.mark.parametrize("precision", [1e2, 1e5, 1e8])
+@pytest.mark.parametrize("seed", range(4))
+def test_precise_rows_leave_the_spread_of_what_they_hardly_show(precision: float, seed: int) -> None:
+    """By QR of the rows themselves, which lose nothing: their products lose the half of the digits."""
+    rng, size, usual = np.random.default_rng(seed), 20, 0.3
+    turn = np.linalg.qr(rng.normal(size=(size, size)))[0]
+    rows = np.geomspace(precision, 1.0, size // 2)[:, None] * turn[: size // 2]
+    targets = rows @ rng.normal(size=size, scale=0.5) + rng.normal(size=size // 2)
+    estimate = posterior_by_qr(rows, targets, usual)[0]
+    found = prior_spreads(Fold(-estimate / usual**2, rows.T @ rows), -estimate, one_group(size, usual))
+    expected = usual
+    for _ in range(300):
+        mean, determined = posterior_by_qr(rows, targets, expected)
+        expected = float(np.sqrt((mean @ mean + usual**2) / (determined + 1.0)))
+    assert found[0] == pytest.approx(expected, rel=0.15 if precision > 1e7 else 1e-3)
+
+
+def posterior_by_qr(rows: FloatArray, targets: FloatArray, spread: float) -> tuple[FloatArray, float]:
+    """Mean, with a prior at zero, and the number of directions that the rows determine."""
+    size = rows.shape[1]
+    basis, factor = np.linalg.qr(np.vstack([spread * rows, np.eye(size)]))
+    mean = np.linalg.solve(factor, basis.T @ np.append(targets, np.zeros(size)))
+    return spread * mean, size - float(np.sum(np.linalg.inv(factor) ** 2))
+
+
 @pytest.mark.parametrize("manifold", [ALL, LINKS], ids=["all", "links"])
 def test_sensitivities_are_the_derivatives_of_mass_centre_and_central_inertia(manifold: object) -> None:
     """By finite differences of another kind: of a cloud's own sums, moved by congruence."""
