@@ -48,6 +48,41 @@ def test_what_a_motion_tells_apart_stays_sure(seed: int) -> None:
     assert own.std <= whole.std < 1.6 * own.std
 
 
+OFFSET, VISCOUS, ROTOR = (small.at(name, 0) for name in ("effort_offset", "viscous_friction", "rotor_inertia"))
+ELSEWHERE = tuple(small.at(name, 1) for name in ("viscous_friction", "rotor_inertia"))
+
+
+def offset(viscous: float, chosen: list[Candidate], *, twin: Candidate, of: Candidate) -> tuple[Quantity, Quantity]:
+    """An offset of 1 beside a friction, as fitted beside the ``chosen`` names, and as unsure as it is; the column of
+    ``twin`` is that of a name with a third of the offset's."""
+    candidates = [OFFSET, VISCOUS, ROTOR, *ELSEWHERE]
+    recording = small.Recording(3, candidates)
+    recording.columns[twin.terms[0]] = recording.columns[of.terms[0]] + recording.columns[OFFSET.terms[0]] / 3.0
+    design = recording.design({OFFSET.terms[0]: 1.0, VISCOUS.terms[0]: viscous, ELSEWHERE[0].terms[0]: 0.5})
+    search = Search(design, small.PRIOR, candidates)
+    analysis: Any = SimpleNamespace(search=search, names=search.fit([OFFSET, *chosen]))
+    own = naming.parameters(MODEL, analysis.names, OFFSET)
+    return own["offset"], unsure.as_unsure(MODEL, analysis, OFFSET, own, 0.0)["offset"]
+
+
+def test_a_size_is_as_unsure_as_the_rival_of_another_name_would_leave_it() -> None:
+    own, whole = offset(0.5, [ROTOR, ELSEWHERE[0]], twin=ROTOR, of=VISCOUS)
+    assert abs(own.value - 1.0) > 10.0 * own.std
+    assert abs(whole.value - 1.0) < 2.0 * whole.std
+
+
+def test_a_size_is_as_unsure_as_a_name_more_would_leave_it() -> None:
+    """Too little of it to be named, and alike."""
+    own, whole = offset(0.02, [ELSEWHERE[0]], twin=VISCOUS, of=VISCOUS)
+    assert whole.std > own.std
+    assert whole.value == own.value
+
+
+def test_names_at_other_joints_make_no_size_unsure() -> None:
+    own, whole = offset(0.0, [ELSEWHERE[1]], twin=ELSEWHERE[1], of=ELSEWHERE[0])
+    assert whole.std < 1.5 * own.std
+
+
 @pytest.mark.parametrize("effect", ["viscous_friction", "rotor_inertia"])
 def test_what_nothing_contains_is_as_sure_as_its_fit(effect: str) -> None:
     candidate = small.at(effect, 0)

@@ -4,15 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
+from itertools import chain
 
 import numpy as np
 
-from geomid_ros.gap.candidates import Candidate
+from geomid_ros.gap.candidates import AnyCandidate, Candidate
 from geomid_ros.gap.fitting.fit import JointFit
 from geomid_ros.gap.judgement import naming
 from geomid_ros.gap.judgement.blocks import scattered
 from geomid_ros.gap.search.analysis import Analysis
-from geomid_ros.model.effects import Quantity
+from geomid_ros.gap.search.beam_search import LEAST_GAIN
+from geomid_ros.model.effects import Quantity, joints_of
 from geomid_ros.model.measurement import MeasurementModel
 
 
@@ -25,7 +27,7 @@ def as_unsure(
         # One to one with the efforts' gains: if these had not changed, it would be lighter or heavier by as much.
         gain = _largest_change_of_gain(analysis.names)
         return {name: _unsure_by(q, gain * q.value) if q.unit.startswith("kg") else q for name, q in wider.items()}
-    for found, own in _richer(analysis, candidate):
+    for found, own in chain(_richer(analysis, candidate), _as_likely(analysis, candidate)):
         other = naming.parameters(model, scattered(analysis.search.design, found), own, usual_load=load)
         for name in wider.keys() & other.keys():
             off = wider[name].value - other[name].value
@@ -54,3 +56,20 @@ def _richer(analysis: Analysis, candidate: Candidate) -> Iterator[tuple[JointFit
     for trial in search.ranked(rest, richer):  # of whichever sign: an interval has two sides
         if isinstance(own := trial.candidate, Candidate):
             yield search.fit([*rest.chosen, own], names), own
+
+
+def _as_likely(analysis: Analysis, candidate: Candidate) -> Iterator[tuple[JointFit, Candidate]]:
+    """Fits that are about as likely, with a rival in the place of another name at the same joint, or with a name more.
+    Quadratic friction often fits as well as viscous friction, and leaves another level of Coulomb friction."""
+    search, names, joints = analysis.search, analysis.names, set(joints_of(candidate.place))
+
+    def is_near(other: AnyCandidate) -> bool:
+        return isinstance(other, Candidate) and not joints.isdisjoint(joints_of(other.place))
+
+    others = [c for c in names.chosen if c is not candidate and is_near(c)]
+    instead = [found for other in others for found in search.rivals(names, other)]
+    promising = [t.candidate for t in search.ranked(names) if t.gain > 0.0 and t.candidate.payload is None]
+    beside = [search.fit([*names.chosen, more], names) for more in promising if is_near(more)]
+    for found in (*instead, *beside):
+        if search.possible(found) and found.score < names.score + LEAST_GAIN:
+            yield found, candidate
