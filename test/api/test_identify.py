@@ -8,12 +8,10 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from commands.running import WRIST, done, identify
+from commands.running import WRIST, done, identify, undrawn
 from files.recordings import BAGS, altered
-from matplotlib.figure import Figure
 
 import geomid_ros
-from geomid_ros.api import identify as module
 from geomid_ros.session.configuration import Configuration
 
 BAG, URDF = BAGS / "arm3", BAGS / "arm3.urdf"
@@ -31,7 +29,7 @@ def plain() -> dict[str, Any]:
 
 
 def test_it_says_the_same_as_the_command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(module, "draw_identification", lambda *_: Figure())
+    undrawn(monkeypatch)
     options = ("--hold-out", "0.2", "--effects", "effort_offset", "--links", "link3,wrist_ft", "--known", "link3=1:0.1")
     printed = json.loads(done(*identify("arm3", *WRIST, *options, "--json", "--out", tmp_path)))
     own = document(

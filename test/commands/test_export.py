@@ -13,12 +13,10 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from files.recordings import BAGS
-from matplotlib.figure import Figure
 
-from geomid_ros.api import identify as front_door
 from geomid_ros.exports.formats import DESCRIBED_FOR
 
-from .running import WRIST, done, geomid, identify, refused
+from .running import WRIST, done, geomid, identify, refused, undrawn
 
 FLANGED = '<robot name="r"><link name="base"/><link name="{0}tool0">{1}</link>{2}</robot>'
 BODY = '<inertial><mass value="2"/><inertia ixx="1" ixy="0" ixz="0" iyy="1" iyz="0" izz="1"/></inertial>'
@@ -30,7 +28,7 @@ def estimates(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     """The small arm, with and without the sensor at its wrist."""
     found = {}
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(front_door, "draw_identification", lambda *_: Figure())
+        undrawn(patch)
         for name, sensor in {"wrist": WRIST, "torques": ()}.items():
             folder = tmp_path_factory.mktemp(name)
             done(*identify("arm3", *sensor, "--out", folder))
@@ -131,7 +129,7 @@ def test_a_file_of_ones_own_is_printed_with_what_was_identified(estimates: dict[
 def test_what_was_picked_up_is_found_by_the_torques(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The arm alone, then the last link alone from there on: their difference is what was hidden at the flange."""
     pytest.importorskip("mujoco")
-    monkeypatch.setattr(front_door, "draw_identification", lambda *_: Figure())
+    undrawn(monkeypatch)
     recording = ("--robot", "arm7", "--duration", "15", "--seed", "5")
     done("simulate", tmp_path / "bare", *recording, "--hide", "nothing")
     done("simulate", tmp_path / "held", *recording, "--hide", "payload:flange")

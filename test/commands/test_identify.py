@@ -10,9 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 from files.recordings import BAGS, QUICK
-from matplotlib.figure import Figure
 
-from geomid_ros.api import identify as front_door
 from geomid_ros.estimation.estimator import EstimatorSettings
 from geomid_ros.files.models.urdf import read_urdf
 from geomid_ros.model.effects import DEFAULT_CANDIDATES, DEFAULT_EFFECTS
@@ -20,7 +18,7 @@ from geomid_ros.model.robot import Robot
 from geomid_ros.simulation import SimulationOptions, simulate
 from geomid_ros.simulation.hidden import Hidden
 
-from .running import WRIST, done, geomid, identify, link, read, refused
+from .running import WRIST, done, geomid, identify, link, read, refused, undrawn
 
 FILES = {"estimate.json", "identified.urdf", "posterior.npz", "identification.png", "report.html"}
 TOOL_MASS = 0.01  # relative error of the tool's mass, measured by the wrist's sensor
@@ -93,7 +91,7 @@ def test_the_urdf_holds_the_estimate(run: tuple[str, Path, str]) -> None:
 @pytest.fixture(autouse=True)
 def without_picture(monkeypatch: pytest.MonkeyPatch) -> None:
     """Drawing takes longer than all the rest; the fixtures of the module draw nevertheless."""
-    monkeypatch.setattr(front_door, "draw_identification", lambda *_: Figure())
+    undrawn(monkeypatch)
 
 
 @pytest.fixture(scope="module")

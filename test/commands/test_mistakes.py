@@ -12,12 +12,9 @@ from typing import Any
 import numpy as np
 import pytest
 from files.recordings import BAGS, TYPES, Recorded, altered, recorded, write_bag
-from matplotlib.figure import Figure
 from rosbags.rosbag2 import StoragePlugin, Writer
 
-from geomid_ros.api import identify as front_door
-
-from .running import done, geomid, refused
+from .running import done, geomid, refused, undrawn
 
 BAG, URDF = BAGS / "arm3", BAGS / "arm3.urdf"
 ARM3 = URDF.read_text()
@@ -30,7 +27,7 @@ Arguments = Sequence[str | Path]
 @pytest.fixture(autouse=True)
 def without_picture(monkeypatch: pytest.MonkeyPatch) -> None:
     """Drawing takes longer than all the rest."""
-    monkeypatch.setattr(front_door, "draw_identification", lambda *_: Figure())
+    undrawn(monkeypatch)
 
 
 def typed(*arguments: str | Path) -> Callable[[Path], Arguments]:

@@ -12,11 +12,8 @@ from xml.sax.saxutils import quoteattr
 
 import pytest
 from files.recordings import BAGS, Recorded, altered
-from matplotlib.figure import Figure
 
-from geomid_ros.api import identify as front_door
-
-from .running import WRIST, done, read, refused
+from .running import WRIST, done, read, refused, undrawn
 
 HTML = "<script>alert(1)</script>"
 NAMES = {
@@ -66,7 +63,7 @@ def test_what_cannot_be_printed_is_shown_as_codes(tmp_path: Path, monkeypatch: p
     shown = done("identify", bag, "--urdf", urdf, "--out", tmp_path / "out")
     assert all(character.isprintable() or character == "\n" for character in shown)
     assert not re.search("^ *Total 0 kg", shown, re.MULTILINE)
-    monkeypatch.setattr(front_door, "draw_identification", lambda *_: Figure())  # the same has been drawn
+    undrawn(monkeypatch)  # the same has been drawn
     assert json.loads(done("identify", bag, "--urdf", urdf, "--out", tmp_path / "out", "--json"))["links"]
     for name in UNPRINTABLE:
         message = refused("identify", BAGS / "arm3", "--urdf", described([name], tmp_path), "--out", tmp_path)

@@ -12,14 +12,12 @@ from typing import Any
 import numpy as np
 import pytest
 from files.recordings import BAGS, QUICK, Recorded, altered, recorded, write_bag
-from matplotlib.figure import Figure
 
 import geomid_ros
-from geomid_ros.api import identify as front_door
 from geomid_ros.files.models import xacro
 from geomid_ros.simulation import SimulationOptions, simulate
 
-from .running import done, geomid, read, refused
+from .running import done, geomid, read, refused, undrawn
 
 BAG, URDF = BAGS / "arm3", BAGS / "arm3.urdf"
 ARM3 = URDF.read_text()
@@ -32,7 +30,7 @@ FINGER = """<link name="finger{n}"><inertial><mass value="{mass}"/><inertia ixx=
 @pytest.fixture(autouse=True)
 def without_picture(monkeypatch: pytest.MonkeyPatch) -> None:
     """Drawing takes longer than all the rest."""
-    monkeypatch.setattr(front_door, "draw_identification", lambda *_: Figure())
+    undrawn(monkeypatch)
 
 
 def with_gripper(mass: float = 0.05, parent: str = "tool") -> str:

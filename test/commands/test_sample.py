@@ -11,11 +11,8 @@ import numpy as np
 import pinocchio as pin
 import pytest
 import yaml
-from matplotlib.figure import Figure
 
-from geomid_ros.api import identify as front_door
-
-from .running import WRIST, done, geomid, identify, refused
+from .running import WRIST, done, geomid, identify, refused, undrawn
 
 TETRAHEDRON = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 4 3\nf 1 2 4\nf 2 3 4\n"
 FEW = ("-n", "12")
@@ -26,7 +23,7 @@ def estimate(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The small arm with the sensor at its wrist."""
     folder = tmp_path_factory.mktemp("wrist")
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(front_door, "draw_identification", lambda *_: Figure())
+        undrawn(patch)
         done(*identify("arm3", *WRIST, "--out", folder))
     return folder / "estimate.json"
 

@@ -8,12 +8,10 @@ from typing import Any
 
 import pytest
 from files.recordings import BAGS
-from matplotlib.figure import Figure
 
 import geomid_ros
-from geomid_ros.api import identify as front_door
 
-from .running import WRIST, done, geomid, identify, read, refused
+from .running import WRIST, done, geomid, identify, read, refused, undrawn
 
 BAG, URDF = BAGS / "arm3", BAGS / "arm3.urdf"
 CHANNEL = "joint2"
@@ -23,7 +21,7 @@ CHANNEL = "joint2"
 def model(tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("model")
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(front_door, "draw_identification", lambda *_: Figure())
+        undrawn(patch)
         done(*identify("arm3", *WRIST, "--hold-out", "0", "--out", out))
     return out / "estimate.json"
 
