@@ -62,7 +62,8 @@ def offset(viscous: float, chosen: list[Candidate], *, twin: Candidate, of: Cand
     search = Search(design, small.PRIOR, candidates)
     analysis: Any = SimpleNamespace(search=search, names=search.fit([OFFSET, *chosen]))
     own = naming.parameters(MODEL, analysis.names, OFFSET)
-    return own["offset"], unsure.as_unsure(MODEL, analysis, OFFSET, own, 0.0)["offset"]
+    assert unsure.as_unsure(MODEL, analysis, OFFSET, own, 0.0) == own
+    return own["offset"], unsure.as_unsure_beside_others(MODEL, analysis, OFFSET, own, 0.0)["offset"]
 
 
 def test_a_size_is_as_unsure_as_the_rival_of_another_name_would_leave_it() -> None:

@@ -163,6 +163,11 @@ def test_findings_come_with_the_one_that_matters_most_first(monkeypatch: pytest.
     monkeypatch.setattr(verdict.naming, "parameters", lambda *_: {"coefficient": Quantity(0.5, 0.01, "N m s/rad")})
     monkeypatch.setattr(verdict, "scattered", lambda _, found: found)
     monkeypatch.setattr(verdict, "as_unsure", lambda *asked: asked[3])
+    seen = []
+    judge = verdict.Evidence.confidence
+    monkeypatch.setattr(verdict.Evidence, "confidence", lambda own, sizes: (seen.append(sizes), judge(own, sizes))[1])
+    wide = {"coefficient": Quantity(0.5, 9.0, "N m s/rad")}
+    monkeypatch.setattr(verdict, "as_unsure_beside_others", lambda *_: wide)
     beside = named("viscous_friction", 0)
     judged = Judged(others=[beside, curve(2)], losses={beside: 2000.0})
     rivals = {named("spring", 2): 500.0, named("spring", 0): 1500.0, named("effort_gain", 0): 8.0}
@@ -175,6 +180,8 @@ def test_findings_come_with_the_one_that_matters_most_first(monkeypatch: pytest.
     assert (second.effect, second.joint, second.link, second.loss) == ("viscous_friction", JOINTS[1], "", 1000.0)
     assert [rival.loss for rival in second.rivals] == [8.0, 500.0], "one that is worse than nothing is no rival"
     assert (second.confidence, second.separability, second.share) == ("ambiguous", 1.0, 1.0)
+    assert second.parameters == wide
+    assert [sizes["coefficient"].std for sizes in seen] == [0.01, 0.01], "another size is no doubt that it is there"
     assert second.settled_by == judged.name.effect.settled_by
     assert second.sentence.startswith("One of several: ")
 

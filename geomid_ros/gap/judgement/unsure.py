@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
-from itertools import chain
 
 import numpy as np
 
@@ -21,13 +20,34 @@ from geomid_ros.model.measurement import MeasurementModel
 def as_unsure(
     model: MeasurementModel, analysis: Analysis, candidate: Candidate, parameters: dict[str, Quantity], load: float
 ) -> dict[str, Quantity]:
-    """Parameters that are as unsure as what else may be true leaves them."""
-    wider = dict(parameters)
+    """Parameters that are as unsure as what else may be true of the same thing leaves them."""
     if candidate.payload is not None:
         # One to one with the efforts' gains: if these had not changed, it would be lighter or heavier by as much.
         gain = _largest_change_of_gain(analysis.names)
-        return {name: _unsure_by(q, gain * q.value) if q.unit.startswith("kg") else q for name, q in wider.items()}
-    for found, own in chain(_richer(analysis, candidate), _as_likely(analysis, candidate)):
+        return {name: _unsure_by(q, gain * q.value) if q.unit.startswith("kg") else q for name, q in parameters.items()}
+    return _over(model, analysis, _richer(analysis, candidate), parameters, load)
+
+
+def as_unsure_beside_others(
+    model: MeasurementModel, analysis: Analysis, candidate: Candidate, parameters: dict[str, Quantity], load: float
+) -> dict[str, Quantity]:
+    """Parameters that are as unsure as what else may be true of other names at its joint leaves them, too. These leave
+    another size of it: that is no doubt that there is something."""
+    if candidate.payload is not None:
+        return parameters
+    return _over(model, analysis, _as_likely(analysis, candidate), parameters, load)
+
+
+def _over(
+    model: MeasurementModel,
+    analysis: Analysis,
+    alternatives: Iterable[tuple[JointFit, Candidate]],
+    parameters: dict[str, Quantity],
+    load: float,
+) -> dict[str, Quantity]:
+    """Parameters whose deviations reach those of other fits."""
+    wider = dict(parameters)
+    for found, own in alternatives:
         other = naming.parameters(model, scattered(analysis.search.design, found), own, usual_load=load)
         for name in wider.keys() & other.keys():
             off = wider[name].value - other[name].value
