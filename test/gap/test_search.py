@@ -182,6 +182,19 @@ def test_one_exchange_mends_all_names() -> None:
     assert names(one.exchange(one.fit([ROTOR, OTHERS[2]]))) == {VISCOUS, OTHERS[0]}
 
 
+def test_what_an_exchange_has_taken_away_is_not_exchanged(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As the gains of single joints, when those of all take the place of a payload."""
+    one, asked = search({OFFSET: [STRONG]}, among=CANDIDATES[:6]), []
+
+    def exchanged(_: JointFit, candidate: AnyCandidate) -> list[JointFit]:
+        asked.append(candidate)
+        return [one.fit([OFFSET])]
+
+    monkeypatch.setattr(one, "_exchanged", exchanged)
+    assert names(one.exchange(one.fit([VISCOUS, ROTOR]))) == {OFFSET}
+    assert asked == [VISCOUS]
+
+
 def test_names_bring_what_the_score_test_promises() -> None:
     """Within the factor by which the search relies on it."""
     rng = np.random.default_rng(1)

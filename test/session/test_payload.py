@@ -13,6 +13,7 @@ from geomid_ros.exports.weighed_payload import weigh_at
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.model.robot import Robot
 from geomid_ros.model.samples import Samples
+from geomid_ros.session import payload
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.payload import WeighedPayload, weigh
 from geomid_ros.session.session import Session
@@ -153,3 +154,10 @@ def test_gains_of_single_joints_are_in_the_deviations() -> None:
     assert np.any(unsure.std[1:4] > 1.5 * sure.std[1:4])
     assert np.hypot(sure.std[0], 0.05 * sure.mass) <= 1.01 * unsure.std[0]
     assert sure.quantities.tolist() == unsure.quantities.tolist()
+
+
+@pytest.mark.parametrize(("shifts", "more"), [([1.0, 1.0], 2.0), ([1.0, -1.0], np.sqrt(2.0)), ([], 0.0)])
+def test_gains_are_wrong_each_by_itself_or_all_alike(shifts: list[float], more: float) -> None:
+    """Whichever matters more."""
+    found = payload._with_shifts(np.array([0.5]), np.reshape(shifts, (-1, 1)))
+    assert found[0] == pytest.approx(np.hypot(0.5, more))
