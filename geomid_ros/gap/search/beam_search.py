@@ -244,8 +244,8 @@ class Search:
         score."""
         for candidate in current.chosen:
             if candidate in current.chosen:
-                better = [f for f in self._exchanged(current, candidate) if self.possible(f)]
-                best = min(better, key=lambda f: f.score, default=current)
+                others = [f for f in self._exchanged(current, candidate) if self.possible(f)]
+                best = min(others, key=lambda f: f.score, default=current)
                 current = best if best.score < current.score - 1e-3 else current
         return current
 
