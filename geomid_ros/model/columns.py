@@ -76,34 +76,13 @@ class Columns:
 
     def values(self, motion: Motion) -> FloatArray:
         """``(N, J, K)`` for a motion, each ``(N, J)``."""
-        values = np.zeros((*motion.position.shape, len(self.columns)))
-        for index, column in self._alone:
-            values[..., index] = column.values(motion)
-        for effect, (places, first, second) in self._pairs.items():
-            at_first, at_second = effect.columns(motion.of(first), motion.of(second))
-            values[..., first, places], values[..., second, places] = at_first, at_second
-        return values
+        entries = Entries(self, motion.position.shape[1])
+        return entries.spread(entries.values(motion))
 
     @cached_property
     def place(self) -> Mapping[Column, int]:
         """Where each column stands."""
         return {column: index for index, column in enumerate(self.columns)}
-
-    @cached_property
-    def _pairs(self) -> dict[PairEffect, tuple[IntArray, IntArray, IntArray]]:
-        """Of each effect of two joints: the places of its columns, and the two joints of each."""
-        found: dict[PairEffect, list[tuple[int, ...]]] = {}
-        for index, column in enumerate(self.columns):
-            if isinstance(column, PlacedColumn) and isinstance(column.effect, PairEffect):
-                found.setdefault(column.effect, []).append((index, *joints_of(column.place)))
-        arrays = {effect: np.array(own).T for effect, own in found.items()}
-        return {effect: (places, first, second) for effect, (places, first, second) in arrays.items()}
-
-    @cached_property
-    def _alone(self) -> list[tuple[int, Column]]:
-        """The other columns, with their places."""
-        paired = {int(place) for places, _, _ in self._pairs.values() for place in places}
-        return [(index, column) for index, column in enumerate(self.columns) if index not in paired]
 
 
 NO_COLUMNS = Columns()
@@ -112,3 +91,47 @@ NO_COLUMNS = Columns()
 def reached_joints(place: Place, joints: int) -> tuple[int, ...]:
     """The joints at whose efforts an effect at a place is felt: all for one of the whole robot."""
     return tuple(range(joints)) if isinstance(place, OnRobot) else joints_of(place)
+
+
+class Entries:
+    """Which entries of columns ``(J, K)`` can be other than zero, the joints that a column reaches, one column after
+    the other: half of them where there are effects of two joints."""
+
+    def __init__(self, columns: Columns, joints: int) -> None:
+        self._shape = joints, len(columns)
+        reached = [_reached(column, joints) for column in columns.columns]
+        starts = np.cumsum([0, *map(len, reached)]).tolist()
+        self._places = np.array(
+            [joint * len(columns) + place for place, own in enumerate(reached) for joint in own], dtype=np.int64
+        )
+        pairs: dict[PairEffect, list[tuple[int, ...]]] = {}
+        self._alone: list[tuple[slice, IntArray, Column]] = []
+        for start, own, column in zip(starts, reached, columns.columns, strict=False):
+            if isinstance(column, PlacedColumn) and isinstance(column.effect, PairEffect):
+                pairs.setdefault(column.effect, []).append((start, *own))
+            else:
+                self._alone.append((slice(start, start + len(own)), np.array(own), column))
+        # Of each effect of two joints, the first of the two entries of each column, and the joints: all pairs at once.
+        self._pairs = {effect: np.array(own).T for effect, own in pairs.items()}
+
+    def __len__(self) -> int:
+        return len(self._places)
+
+    def values(self, motion: Motion) -> FloatArray:
+        """``(N, entries)`` for a motion, each ``(N, J)``."""
+        values = np.empty((len(motion.position), len(self)))
+        for entries, joints, column in self._alone:
+            values[:, entries] = column.values(motion)[:, joints]
+        for effect, (start, first, second) in self._pairs.items():
+            values[:, start], values[:, start + 1] = effect.columns(motion.of(first), motion.of(second))
+        return values
+
+    def spread(self, values: FloatArray) -> FloatArray:
+        """The columns ``(N, J, K)`` with these entries ``(N, entries)``."""
+        columns = np.zeros((len(values), self._shape[0] * self._shape[1]))
+        columns[:, self._places] = values
+        return columns.reshape(len(values), *self._shape)
+
+
+def _reached(column: Column, joints: int) -> tuple[int, ...]:
+    return reached_joints(column.place, joints) if isinstance(column, PlacedColumn) else tuple(range(joints))

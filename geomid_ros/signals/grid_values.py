@@ -6,8 +6,6 @@ import numpy as np
 
 from geomid_ros.types import FloatArray
 
-_MANY = 200  # windows, for which a loop over the taps is faster
-
 
 class GridValues:
     """Vectors at consecutive grid instants, the oldest at ``first``."""
@@ -49,11 +47,16 @@ class GridValues:
         """
         half = kernels.shape[1] // 2
         values = self.values[instants.start - half - self.first : instants[-1] + half + 1 - self.first, :columns]
-        if instants.step == 1 and len(instants) > _MANY:
-            return _correlated(values, kernels)
-        windows = np.lib.stride_tricks.sliding_window_view(values, 2 * half + 1, axis=0)[:: instants.step]
-        # Without BLAS: its rounding depends on how many instants are asked for at once.
-        return np.asarray(np.einsum("kl,ncl->knc", kernels, windows))
+        result = np.empty((len(kernels), len(instants), values.shape[1]))
+        # One sum of a fixed length after the other: their rounding does not depend on how many are asked for at once.
+        if instants.step == 1:
+            for column, signal in enumerate(np.ascontiguousarray(values.T)):
+                for kernel, filtered in zip(kernels, result, strict=True):
+                    filtered[:, column] = np.correlate(signal, kernel, "valid")
+        else:
+            for index, start in enumerate(range(0, len(instants) * instants.step, instants.step)):
+                result[:, index] = kernels @ values[start : start + kernels.shape[1]]
+        return result
 
     def inside(self, half: int) -> range:
         """Instants with ``half`` neighbours on both sides."""
@@ -65,15 +68,3 @@ class GridValues:
         if surplus > 0:
             self.values = self.values[surplus:]
             self.first += surplus
-
-
-def _correlated(values: FloatArray, kernels: FloatArray) -> FloatArray:
-    """Every window of ``values (N, C)`` times each kernel, tap by tap: the same sums in the same order as einsum's, to
-    the last digit, several times as fast for many windows. Returns ``(kernels, N - taps + 1, C)``."""
-    flat, (count, columns), taps = values.ravel(), values.shape, kernels.shape[1]
-    result = np.zeros((len(kernels), (count - taps + 1) * columns))
-    product = np.empty_like(result)
-    for tap in range(taps):
-        window = flat[tap * columns : tap * columns + result.shape[1]]
-        result += np.multiply(kernels[:, tap, None], window, out=product)
-    return result.reshape(len(kernels), -1, columns)

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from geomid_ros.errors import InputError
-from geomid_ros.model.columns import Columns
+from geomid_ros.model.columns import Columns, Entries
 from geomid_ros.model.samples import Samples
 from geomid_ros.signals.joint_messages import DRIVER_ERROR, FROZEN
 from geomid_ros.signals.ledger import Account, Ledger
@@ -188,7 +188,8 @@ class Sampler:
         )
 
     def _open_streams(self, grid: Grid) -> None:
-        joint_segment = partial(JointSegment, grid, len(self._continuous), self._effect_columns)
+        entries = Entries(self._effect_columns, len(self._continuous))
+        joint_segment = partial(JointSegment, grid, len(self._continuous), entries)
         self._joint_stream = Stream(self._max_gap, joint_segment)
         self._streams = {JOINT_STATES: self._joint_stream}
         self._streams |= {topic: Stream(self._max_gap, partial(VectorSegment, grid)) for topic in self._wrenches}

@@ -15,7 +15,7 @@ from typing import Generic, TypeVar
 import numpy as np
 
 from geomid_ros.model import se3
-from geomid_ros.model.columns import Columns
+from geomid_ros.model.columns import Entries
 from geomid_ros.model.effects import Motion
 from geomid_ros.signals.grid_values import GridValues
 from geomid_ros.signals.kernels import cubic_weights, derivative_kernels
@@ -172,34 +172,33 @@ class JointSegment(VectorSegment):
     less filtered motion at every instant of the grid, and then filtered as the efforts are.
     """
 
-    def __init__(self, grid: Grid, joints: int, columns: Columns) -> None:
+    def __init__(self, grid: Grid, joints: int, entries: Entries) -> None:
         super().__init__(grid)
         self._joints = joints
-        self._columns = columns
+        self._entries = entries
         self._sharp_half = grid.sharp_kernels.shape[1] // 2
-        self._columns_on_grid = GridValues()
+        self._entries_on_grid = GridValues()
 
     def ready(self) -> range:
         motion, margin = super().ready(), self._sharp_half
-        columns = self._columns_on_grid
-        start = columns.first + self._grid.half if len(columns.values) else motion.start + margin
+        entries = self._entries_on_grid
+        start = entries.first + self._grid.half if len(entries.values) else motion.start + margin
         return range(max(motion.start, start), motion.stop - margin)
 
     def effects(self, instants: range) -> FloatArray:
         """Filtered columns ``(N, joints, effects)`` at ``instants`` (all ready)."""
         self._interpolate()
-        half, known = self._grid.half, self._columns_on_grid
+        half, known = self._grid.half, self._entries_on_grid
         start = known.end if len(known.values) else self._on_grid.first + self._sharp_half
         missing = range(start, instants[-1] + half + 1)
         if missing:
             motion = self._on_grid.correlated(missing, self._grid.sharp_kernels, self._joints)
-            known.extend(start, self._columns.values(Motion(*motion)).reshape(len(missing), -1))
-        columns = known.correlated(instants, self._grid.kernels[:1])
-        return columns.reshape(len(instants), self._joints, -1)
+            known.extend(start, self._entries.values(Motion(*motion)))
+        return self._entries.spread(known.correlated(instants, self._grid.kernels[:1])[0])
 
     def drop_before(self, instant: int) -> None:
         self._interpolate()
-        known, before = self._columns_on_grid, instant - self._grid.half
+        known, before = self._entries_on_grid, instant - self._grid.half
         known.drop_before(before)
         end = known.end if len(known.values) else before
         self._on_grid.drop_before(min(before, end - self._sharp_half))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from geomid_ros.model.columns import NO_COLUMNS
+from geomid_ros.model.columns import NO_COLUMNS, Entries
 from geomid_ros.signals.grid_values import GridValues
 from geomid_ros.signals.streams import Grid, JointSegment, PoseSegment, Segment, Stream, VectorSegment
 from geomid_ros.types import FloatArray
@@ -129,7 +129,7 @@ def test_vectors_before_an_instant_are_forgotten_but_for_its_window() -> None:
 
 
 def test_joints_wait_for_the_columns_of_effects() -> None:
-    joints = JointSegment(GRID, 1, NO_COLUMNS)
+    joints = JointSegment(GRID, 1, Entries(NO_COLUMNS, 1))
     plain = VectorSegment(GRID)
     for stamp in stamps(200):
         push(joints, stamp, np.array([1.0, 0.0, 0.0]))
