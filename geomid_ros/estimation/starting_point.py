@@ -11,7 +11,7 @@ from geomid_ros.estimation.summary import RowSummary, triangular
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.geometry.manifold import ParameterManifold
 from geomid_ros.model.measurement import MeasurementModel
-from geomid_ros.types import FloatArray, IntArray
+from geomid_ros.types import BoolArray, FloatArray, IntArray
 
 # A positive coefficient without evidence starts where its effect is this share of the channel's size.
 _LEAST_SHARE = 1e-2
@@ -183,7 +183,7 @@ def _fitted_effects(
 
 def _non_negative(regressor: FloatArray, targets: FloatArray) -> FloatArray:
     """The ``x >= 0`` with the least ``|regressor x - targets|`` (Lawson & Hanson 1974), of independent columns."""
-    x, free = np.zeros(regressor.shape[1]), np.zeros(regressor.shape[1], dtype=bool)
+    x, free = _first_guess(regressor, targets)
     least = _ROUNDING_SLOPE * np.linalg.norm(regressor, axis=0) * np.linalg.norm(targets)
     for _ in range(3 * len(x)):
         slopes = np.where(free, -np.inf, regressor.T @ (targets - regressor @ x) - least)
@@ -191,8 +191,7 @@ def _non_negative(regressor: FloatArray, targets: FloatArray) -> FloatArray:
             break
         free[np.argmax(slopes)] = True
         while np.any(free):
-            best = np.zeros(len(x))
-            best[free] = np.linalg.lstsq(regressor[:, free], targets, rcond=None)[0]
+            best = _solved(regressor, targets, free)
             blocked = free & (best <= 0.0)
             if not np.any(blocked):
                 x = best
@@ -202,4 +201,23 @@ def _non_negative(regressor: FloatArray, targets: FloatArray) -> FloatArray:
             shares = np.where(blocked, x / ways, np.inf)
             free &= shares > np.min(shares)
             x = np.where(free, x + np.min(shares) * (best - x), 0.0)
+    return x
+
+
+def _first_guess(regressor: FloatArray, targets: FloatArray) -> tuple[FloatArray, BoolArray]:
+    """A solution of some columns, which are left when those below zero have gone, all at once and again: most often
+    the ones sought, while to take in one after the other is one solution for each."""
+    free = np.ones(regressor.shape[1], dtype=bool)
+    while np.any(free):
+        x = _solved(regressor, targets, free)
+        if np.all(x[free] > 0.0):
+            return x, free
+        free &= x > 0.0
+    return np.zeros(len(free)), free
+
+
+def _solved(regressor: FloatArray, targets: FloatArray, free: BoolArray) -> FloatArray:
+    """The least-squares solution of the ``free (k,)`` columns; the other coefficients are zero."""
+    x = np.zeros(len(free))
+    x[free] = np.linalg.lstsq(regressor[:, free], targets, rcond=None)[0]
     return x

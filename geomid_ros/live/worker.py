@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import queue
 import threading
 import time
 from collections import Counter, deque
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
 from typing import TypeAlias
 
 import numpy as np
@@ -15,6 +13,7 @@ import numpy as np
 from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.live.activity import Activity
 from geomid_ros.live.daemon import start_daemon
+from geomid_ros.live.inbox import Inbox, Received, Request, Reset
 from geomid_ros.live.solver import SOLVING, Done, Solver
 from geomid_ros.live.status import Status
 from geomid_ros.model.measurement import Rows
@@ -25,36 +24,13 @@ from geomid_ros.signals.decoding import Decoder
 from geomid_ros.signals.ledger import count_reason
 from geomid_ros.signals.messages import JOINT_STATES, Accepted, message_type
 
-# A burst is taken whole; what nobody takes out of the inbox, or would be later than is of use, is dropped and counted.
-_LONGEST_STANDSTILL = 3.0  # [s] of the intake, while messages wait
-_MOST_WAITING = 10_000  # messages
-_MOST_BYTES = 50_000_000  # of them
 _PATIENCE = 0.6  # [s] for both threads to end
 _TRANSITION = 2_000_000_000  # [ns] from the beginning of a gap until all rows show it
 _LATENCIES = 10_000  # last instants of which the latency is known
-_MOST_AT_ONCE = 1000  # messages
 _LONG = 1.0  # [s] nothing that a thread does takes longer, except solving if ``solve_period`` is longer
 
 OnSamples: TypeAlias = Callable[[Session, Samples, Estimate], None]
 OnEstimate: TypeAlias = Callable[[Session, Estimate], None]
-
-
-@dataclass(frozen=True)
-class _Received:
-    """A message that waits: its topic, its bytes, and when [s] it came."""
-
-    topic: str
-    data: bytes
-    time: float
-
-
-@dataclass(frozen=True)
-class _Reset:
-    """All rows are to be forgotten."""
-
-
-_Task: TypeAlias = _Received | _Reset | Done
-"""``Done`` waits for an estimate from all messages so far."""
 
 
 class Worker:
@@ -74,7 +50,6 @@ class Worker:
         self.solver = Solver(session, solve_period, on_estimate)
         self.activity = Activity()  # of the intake
         self._decoder = Decoder()
-        self._in_hand = 0  # messages that the intake has taken out of the inbox, and is not done with
         self._on_samples = on_samples
         self._longest_solve = max(_LONG, solve_period)
         self._lock = threading.Lock()  # held, briefly, for the three that follow
@@ -82,54 +57,34 @@ class Worker:
         self._rows_lost: Counter[str] = Counter()  # replaced as a whole
         self._receipt_to_row: deque[float] = deque(maxlen=_LATENCIES)
         self._wrenches = WrenchGuard(session)
-        self._got_on = time.perf_counter()  # when the intake was done with something last, or nothing waited
-        self._bytes_put = self._bytes_got = 0  # into the inbox, and out of it
-        self._inbox: queue.SimpleQueue[_Task | None] = queue.SimpleQueue()
+        self._inbox = Inbox()
         self._intake = start_daemon("intake", self._take_messages)
 
     def close(self, patience: float | None = None) -> None:
         """Stop both threads. Waiting messages and a solve are finished first, unless that takes longer than
         ``patience`` [s]; messages that are left then are dropped."""
         end = time.monotonic() + (_PATIENCE if patience is None else patience)
-        self._inbox.put(None)
+        self._inbox.end()
         self._intake.join(max(0.0, end - time.monotonic()))
         self.solver.close(max(0.0, end - time.monotonic()))
         self.session.pipeline.release()
-        self._drop_waiting()
+        self._drop(self._inbox.clear(), "the node ends, or begins anew")
 
-    def _drop_waiting(self) -> None:
-        while True:
-            try:
-                task = self._inbox.get_nowait()
-            except queue.Empty:
-                break
-            if isinstance(task, _Received):
-                self.ledger.drop(task.topic, "the node ends, or begins anew")
-        self._inbox.put(None)
+    def _drop(self, messages: Sequence[Received], reason: str) -> None:
+        for message in messages:
+            self.ledger.drop(message.topic, reason)
 
-    def take(self, topic: str, data: bytes) -> None:
-        """Put a message, serialised, into the queue, or drop it while too many wait there or nobody takes them."""
-        now = time.perf_counter()
-        waiting = self._inbox.qsize()
-        if not waiting:
-            self._got_on = now
-        elif (
-            waiting >= _MOST_WAITING
-            or self._bytes_put - self._bytes_got > _MOST_BYTES
-            or now - self._got_on > _LONGEST_STANDSTILL
-        ):
-            self.ledger.drop(topic, "queue full")
-            return
-        self._bytes_put += len(data)
-        self._inbox.put(_Received(topic, data, now))
+    def take(self, messages: Sequence[Received]) -> None:
+        """Let messages wait for the intake, or drop them while too many do or nobody takes them."""
+        self._drop(self._inbox.put_messages(messages), "queue full")
 
     def reset(self) -> None:
         """Forget all rows and the estimate, after the messages that wait."""
-        self._put(_Reset())
+        self._inbox.ask(Reset())
 
     def final_estimate(self, done: Done) -> None:
         """Solve from scratch for all messages so far. ``done`` is called with the result, in the solver's thread."""
-        self._put(done)
+        self._inbox.ask(done)
 
     def recent_messages(self) -> list[Accepted]:
         """The messages that the session remembers; after a gap has opened, only those since then.
@@ -171,7 +126,7 @@ class Worker:
             rows_made=rows.made + lost.total(),
             rows_rejected=rows.rejected + lost,
             lag=pipeline.lag,
-            queue=self._inbox.qsize() + self._in_hand + pipeline.held,
+            queue=self._inbox.unfinished + pipeline.held,
             receipt_to_row=receipt_to_row,
             solves=self.solver.solves,
             accounts=self.ledger.topics,
@@ -208,44 +163,15 @@ class Worker:
         limit = self._longest_solve if what == SOLVING else _LONG
         return f"{what} takes {seconds:.0f} s so far, more than {limit:g} s" if seconds > limit else ""
 
-    def _put(self, task: _Reset | Done) -> None:
-        if self._inbox.empty():
-            self._got_on = time.perf_counter()
-        self._inbox.put(task)
-
     def _take_messages(self) -> None:
-        for task in self._tasks():
+        for task in self._inbox.tasks():
             try:
                 self._do(task)
             except Exception as error:  # noqa: BLE001 the thread must outlive it; the diagnostics report it
                 self._fail("the intake failed", error)
-            self._in_hand = 0
-            self._got_on = time.perf_counter()
 
-    def _tasks(self) -> Iterator[list[_Received] | _Reset | Done]:
-        """What there is to do, until the end; messages that wait come together."""
-        messages: list[_Received] = []
-        while True:
-            try:
-                task = self._inbox.get(block=not messages)
-            except queue.Empty:
-                yield messages
-                messages = []
-                continue
-            if messages and not (isinstance(task, _Received) and len(messages) < _MOST_AT_ONCE):
-                yield messages
-                messages = []
-            if task is None:
-                return
-            if isinstance(task, _Received):
-                messages.append(task)
-                self._bytes_got += len(task.data)
-                self._in_hand = len(messages)
-            else:
-                yield task
-
-    def _do(self, task: list[_Received] | _Reset | Done) -> None:
-        if isinstance(task, _Reset):
+    def _do(self, task: list[Received] | Request) -> None:
+        if isinstance(task, Reset):
             self._forget()
         elif isinstance(task, list):
             with self.activity.doing(task[0].topic):
@@ -253,7 +179,7 @@ class Worker:
         else:
             self.solver.ask(task)
 
-    def _take(self, messages: list[_Received]) -> None:
+    def _take(self, messages: list[Received]) -> None:
         """Push messages into the pipeline, and the rows that they complete into the identifier."""
 
         def refuse(place: int, _: str) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
@@ -23,6 +24,7 @@ from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.subscription import Subscription
 
 from geomid_ros.errors import InputError
+from geomid_ros.live.inbox import Received
 from geomid_ros.signals.ledger import Ledger
 
 _MOST_AT_ONCE = 1000  # messages of a topic, before others have their turn
@@ -46,83 +48,74 @@ class _Polled(CallbackGroup):
 
 @dataclass(frozen=True)
 class _Input:
-    """A subscribed topic; ``several``: it may have more than one publisher."""
+    """A subscribed topic; ``several``: it may have more than one publisher; ``kind`` of its messages, if they wait
+    until they are looked for."""
 
     name: str
     subscription: Subscription
     several: bool
-    take_waiting: Callable[[], None]
+    kind: type | None = None
 
 
 class Inputs:
     """Subscribes, counts messages that are not taken, and reports publishers that do not fit."""
 
-    def __init__(self, node: Node, ledger: Ledger, on_failure: Callable[[str, Exception], None]) -> None:
+    def __init__(self, node: Node, ledger: Ledger) -> None:
         """
         Args:
             node: subscribes.
             ledger: is told of messages that are not taken.
-            on_failure: ``on_failure(what, error)`` is told of exceptions.
         """
         self._node = node
         self._ledger = ledger
-        self._on_failure = on_failure
         self._inputs: list[_Input] = []
         self._numbers: dict[str, int] = {}  # of the last messages, as the publishers count them
         self._policies: dict[str, str] = {}  # in which publishers were last incompatible
 
-    def listen(self, kind: type, name: str, take: Callable[[str, bytes], str], several: bool = False) -> None:
-        """Subscribe to data, of which only the bytes are taken: they are decoded many at once.
-
-        While there is more than one publisher, nobody knows which one to believe: nothing is taken.
+    def listen(self, kind: type, name: str, several: bool = False) -> None:
+        """Subscribe to data, which wait until :meth:`waiting` looks for them.
 
         Args:
             kind: class of the messages.
             name: of the topic.
-            take: takes topic and bytes of a message, and gives the reason if it does not, else nothing.
-            several: the topic may have more than one publisher.
+            several: the topic may have more than one publisher. While another has, nobody knows which one to believe:
+                nothing is taken.
 
         Raises:
             InputError: the name is none that a topic can have.
         """
-
-        def take_or_drop(data: bytes, info: dict[str, Any]) -> None:
-            # Not the node's count, which would copy the graph for every message.
-            ambiguous = not entry.several and entry.subscription.get_publisher_count() > 1
-            self._count_missing(entry, None if ambiguous else info["publication_sequence_number"])
-            if ambiguous:
-                self._ledger.drop(name, "several publishers")
-                return
-            try:
-                reason = take(name, data)
-            except Exception as error:  # noqa: BLE001 the message must be counted, whatever happens
-                reason = f"{type(error).__name__} in a callback"
-                self._on_failure(f"a message on {name} could not be taken", error)
-            if reason:
-                self._ledger.drop(name, reason)
-
-        def take_waiting() -> None:
-            for _ in range(_MOST_AT_ONCE):
-                with entry.subscription.handle:
-                    taken = entry.subscription.handle.take_message(kind, True)
-                if taken is None:
-                    break
-                take_or_drop(*taken)
-
         # Best effort matches publishers of either kind; the depth carries a 1 kHz stream over pauses of Python.
         qos = QoSProfile(depth=1000, history=HistoryPolicy.KEEP_LAST, reliability=ReliabilityPolicy.BEST_EFFORT)
-        entry = _Input(name, self._subscribe(kind, name, take_or_drop, qos, _Polled()), several, take_waiting)
-        self._inputs.append(entry)
+        subscription = self._subscribe(kind, name, lambda _: None, qos, _Polled())
+        self._inputs.append(_Input(name, subscription, several, kind))
 
     def hear(self, kind: type, name: str, callback: Callable[[Any], None], qos: QoSProfile) -> None:
         """Subscribe to anything but data."""
         subscription = self._subscribe(kind, name, callback, qos)
-        self._inputs.append(_Input(name, subscription, several=True, take_waiting=lambda: None))
+        self._inputs.append(_Input(name, subscription, several=True))
 
-    def take_waiting(self) -> None:
-        """Take the data that wait on all topics."""
-        for entry in self._inputs:
-            entry.take_waiting()
+    def waiting(self) -> list[Received]:
+        """The data that wait on all topics, serialised: they are decoded many at once. Those of a topic with more
+        publishers than it may have are dropped."""
+        return [message for entry in self._inputs if entry.kind for message in self._waiting(entry)]
+
+    def _waiting(self, entry: _Input) -> list[Received]:
+        messages: list[Received] = []
+        # Not the node's count, which would copy the graph.
+        ambiguous = not entry.several and entry.subscription.get_publisher_count() > 1
+        now, wall_clock = time.perf_counter(), time.time()
+        handle = entry.subscription.handle
+        with handle:
+            while len(messages) < _MOST_AT_ONCE and (taken := handle.take_message(entry.kind, True)):
+                data, info = taken
+                self._count_missing(entry, None if ambiguous else info["publication_sequence_number"])
+                waited = wall_clock - 1e-9 * info["received_timestamp"] if info["received_timestamp"] else 0.0
+                messages.append(Received(entry.name, data, now - max(0.0, waited)))
+        if ambiguous:
+            for message in messages:
+                self._ledger.drop(message.topic, "several publishers")
+            return []
+        return messages
 
     def _subscribe(
         self, kind: type, name: str, callback: Callable[..., None], qos: QoSProfile, polled: _Polled | None = None

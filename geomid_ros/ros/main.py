@@ -22,9 +22,9 @@ if TYPE_CHECKING:
 
 _SWITCH_INTERVAL = 5e-4  # [s]
 _LEAST_MEMORY = 500_000_000  # bytes of addresses: with less, libraries crash or hang while they are loaded
-# Everything is looked for: messages cost less when many come at once, and the filter holds rows back for twenty times
-# as long as this. To let the executor wait for anything else would wake it for every message.
-_PAUSE = 0.02  # [s]
+# Everything is looked for: messages cost less when many come at once, and the filter holds rows back for five times as
+# long as this. To let the executor wait for anything else would wake it for every message.
+_PAUSE = 0.1  # [s]
 
 
 def main() -> None:

@@ -25,6 +25,7 @@ from geomid_ros.errors import GeomidError, InputError
 from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.live.background_search import BackgroundSearch
 from geomid_ros.live.gap_search import look_for_gap
+from geomid_ros.live.inbox import Received
 from geomid_ros.live.payload_search import NO_DATA, PayloadSearch
 from geomid_ros.live.saving import Saving
 from geomid_ros.live.solving_process import SolvingProcess
@@ -93,7 +94,7 @@ class GeomidNode(Node):
             on_estimate=self._outputs.estimate,
             solving=solving,
         )
-        self._inputs = Inputs(self, self._ledger, self.fail)
+        self._inputs = Inputs(self, self._ledger)
         self._diagnostics = Diagnostics(self.get_fully_qualified_name().lstrip("/"))
         self._diagnostic_arrays = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
         self._serve("start", partial(self._set_active, active=True))
@@ -104,11 +105,11 @@ class GeomidNode(Node):
         self._serve("payload/loaded", partial(self._look, self._payload.take_loaded))
         # In a group of its own: other callbacks of its group, of messages too, would wait for the disk.
         self.create_service(Trigger, "~/save", self._save, callback_group=MutuallyExclusiveCallbackGroup())
-        self._inputs.listen(JointState, JOINT_STATES, self._take, several=self._configuration["merge_joint_states"])
+        self._inputs.listen(JointState, JOINT_STATES, several=self._configuration["merge_joint_states"])
         if self._configuration["floating_base"]:
-            self._inputs.listen(Odometry, ODOM, self._take)
+            self._inputs.listen(Odometry, ODOM)
         for sensor in self._configuration.sensors:
-            self._inputs.listen(WrenchStamped, sensor.topic, self._take)
+            self._inputs.listen(WrenchStamped, sensor.topic)
         # On the steady clock: when simulated time stands still the diagnostics must say why.
         self.create_timer(1.0, self._publish_diagnostics, clock=Clock(clock_type=ClockType.STEADY_TIME))
         if self._configuration["dashboard"]:
@@ -126,16 +127,23 @@ class GeomidNode(Node):
         return self._supervisor.worker
 
     def take_waiting(self) -> None:
-        """Take the data that wait."""
-        self._inputs.take_waiting()
+        """Take the data that wait. They are counted, whatever happens."""
+        messages = self._inputs.waiting()
+        try:
+            reason = self._take(messages)
+        except Exception as error:  # noqa: BLE001 the node lives on
+            reason = f"{type(error).__name__} in a callback"
+            self.fail(f"a message on {' or '.join({message.topic for message in messages})} could not be taken", error)
+        for message in messages if reason else ():
+            self._ledger.drop(message.topic, reason)
 
-    def _take(self, topic: str, data: bytes) -> str:
-        """Take a message, or say why not."""
+    def _take(self, messages: list[Received]) -> str:
+        """Take messages, or say why not."""
         if self._worker is None:
             return NO_DESCRIPTION
         if not self._active:
             return STOPPED
-        self._worker.take(topic, data)
+        self._worker.take(messages)
         return ""
 
     def _serve(self, name: str, act: Callable[[], tuple[bool, str]]) -> None:

@@ -9,6 +9,7 @@ from files.recordings import BAGS, recorded
 from geomid_ros.errors import GeomidError
 from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.files.models.urdf import read_urdf
+from geomid_ros.live.inbox import Received
 from geomid_ros.live.worker import Worker
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.recordings import Bags, read_bags
@@ -25,7 +26,7 @@ def fed(worker: Worker) -> None:
     """Let a worker take a recording."""
     for item in recorded(BAGS / "arm3"):
         if item.topic == "/joint_states":
-            worker.take(*item.raw)
+            worker.take([Received(*item.raw)])
 
 
 def solved(worker: Worker) -> Estimate | GeomidError:

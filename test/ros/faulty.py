@@ -18,7 +18,7 @@ from unittest.mock import patch
 import numpy as np
 
 from geomid_ros.estimation.identifier import Identifier
-from geomid_ros.live import supervisor, worker
+from geomid_ros.live import inbox, supervisor
 from geomid_ros.live.worker import Worker
 from geomid_ros.ros import main
 from geomid_ros.session.session import Session
@@ -100,7 +100,7 @@ def slowly(healthy: Any, *arguments: Any) -> Any:
 
 
 def a_little_slowly(healthy: Any, owner: Any, messages: list[Any]) -> Any:
-    with patch.object(worker, "_LONGEST_STANDSTILL", STANDSTILL):
+    with patch.object(inbox, "_LONGEST_STANDSTILL", STANDSTILL):
         time.sleep(SLOW * sum(message.topic == "/wrench" for message in messages))
     return healthy(owner, messages)
 
@@ -129,6 +129,16 @@ def of_wrenches(act: Callable[..., Any]) -> Callable[..., Any]:
     return choose
 
 
+def with_wrenches(act: Callable[..., Any]) -> Callable[..., Any]:
+    """The fault for messages with wrenches among them; others are taken."""
+
+    def choose(healthy: Any, owner: Any, messages: list[Any]) -> Any:
+        chosen = act if any("/wrench" in message.topic for message in messages) else _healthily
+        return chosen(healthy, owner, messages)
+
+    return choose
+
+
 def run() -> None:
     """Plant, and run the node."""
     plant(Identifier, "solve", {
@@ -143,11 +153,11 @@ def run() -> None:
     plant(Identifier, "add", {"rows fail": fail, "intake hangs": hang})
     plant(SignalPipeline, "_use", {"messages fail": of_wrenches(fail)})
     plant(Worker, "_take", {"messages slow": a_little_slowly, "machine slow": as_a_slow_machine})
-    plant(Worker, "take", {"callback fails": of_wrenches(fail), "callback shuts down": of_wrenches(shut_down)})
+    plant(Worker, "take", {"callback fails": with_wrenches(fail), "callback shuts down": with_wrenches(shut_down)})
     plant(Worker, "recent_messages", {"service fails": fail})
     plant(os, "fsync", {"disk full": full, "disk read-only": read_only, "disk slow": slowly, "everything hangs": hang})
     plant(Session, "save", {"saving fails": fail})
-    worker._MOST_AT_ONCE = AT_ONCE
+    inbox._MOST_AT_ONCE = AT_ONCE
     watch = Watch()
     supervisor.Supervisor.restart_what_hangs = lambda self: watch(self)  # noqa: PLW0108 an object is no method
     main.main()

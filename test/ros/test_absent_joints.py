@@ -12,6 +12,7 @@ import pytest
 from commands.test_robot_options import with_gripper
 
 from geomid_ros.live import supervisor as module
+from geomid_ros.live.inbox import Received
 from geomid_ros.live.supervisor import Supervisor
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.signals.ledger import Ledger
@@ -66,7 +67,7 @@ def feed(supervisor: Supervisor, finger: bool = False) -> int:
         message = item.message
         fields = {key: np.append(getattr(message, key), 0.01) for key in ("position", "velocity", "effort")}
         taken = item.changed(name=[*message.name, FINGER], **fields) if finger else item
-        worker.take(*taken.raw)
+        worker.take([Received(*taken.raw)])
     all_taken = Event()
     worker.final_estimate(lambda _: all_taken.set())
     assert all_taken.wait(PATIENCE)

@@ -19,7 +19,9 @@ from files.recordings import BAGS
 from geomid_ros.errors import GeomidError
 from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.files.models.urdf import read_urdf
+from geomid_ros.live import inbox
 from geomid_ros.live import worker as module
+from geomid_ros.live.inbox import Received
 from geomid_ros.live.status import Status
 from geomid_ros.live.worker import Worker
 from geomid_ros.ros.diagnostics import Diagnostics
@@ -38,7 +40,7 @@ SOON, NEVER = 0.01, 3600.0  # [s] periods of the solver
 def patience(monkeypatch: pytest.MonkeyPatch) -> None:
     """The machine may be busy."""
     monkeypatch.setattr(module, "_PATIENCE", PATIENCE)
-    monkeypatch.setattr(module, "_LONGEST_STANDSTILL", PATIENCE)
+    monkeypatch.setattr(inbox, "_LONGEST_STANDSTILL", PATIENCE)
 
 
 class Watched:
@@ -61,7 +63,7 @@ class Watched:
 
     def feed(self, begin: int = 0, end: int = len(JOINTS)) -> None:
         for message in JOINTS[begin:end]:
-            self.worker.take(*message)
+            self.worker.take([Received(*message)])
 
     def final(self) -> Estimate | GeomidError:
         """The answer to a request for a final estimate."""
@@ -143,9 +145,9 @@ def test_a_doubtful_model_is_warned_of_first(quiet: Watched, tmp_path: Path) -> 
 
 def test_an_error_in_a_message_costs_the_message(quiet: Watched) -> None:
     quiet.feed(0, 100)
-    quiet.worker.take("joint_states", b"nonsense")
+    quiet.worker.take([Received("joint_states", b"nonsense")])
     quiet.final()
-    quiet.worker.take("/undeclared", next(item.raw[1] for item in messages() if item.topic == "/wrench"))
+    quiet.worker.take([Received("/undeclared", next(item.raw[1] for item in messages() if item.topic == "/wrench"))])
     quiet.final()
     quiet.feed(100)
     assert isinstance(quiet.final(), Estimate)
@@ -320,8 +322,8 @@ def standing_still(watched: Watched) -> Iterator[None]:
 def now(monkeypatch: pytest.MonkeyPatch) -> list[float]:
     """The time of the intake; after a second's standstill messages are dropped."""
     time_of_day = [0.0]
-    monkeypatch.setattr(module, "_LONGEST_STANDSTILL", 1.0)
-    monkeypatch.setattr(module, "time", SimpleNamespace(perf_counter=lambda: time_of_day[0], monotonic=time.monotonic))
+    monkeypatch.setattr(inbox, "_LONGEST_STANDSTILL", 1.0)
+    monkeypatch.setattr(inbox, "time", SimpleNamespace(perf_counter=lambda: time_of_day[0]))
     return time_of_day
 
 
@@ -341,12 +343,12 @@ def test_what_comes_while_nobody_takes_any_is_dropped(quiet: Watched, now: list[
 
 def test_what_waits_is_bounded_by_number_and_bytes(quiet: Watched, monkeypatch: pytest.MonkeyPatch) -> None:
     """What was taken out has room again."""
-    monkeypatch.setattr(module, "_MOST_WAITING", 30)
+    monkeypatch.setattr(inbox, "_MOST_WAITING", 30)
     for _ in range(2):
         with standing_still(quiet):
             quiet.feed(0, 40)
         quiet.final()
-    monkeypatch.setattr(module, "_MOST_BYTES", 19 * len(JOINTS[0][1]))
+    monkeypatch.setattr(inbox, "_MOST_BYTES", 19 * len(JOINTS[0][1]))
     for _ in range(2):
         with standing_still(quiet):
             quiet.feed(0, 40)
@@ -365,9 +367,9 @@ def test_a_burst_is_taken_however_long_it_waits(
         nonlocal taken
         taken, now[0] = taken + 1, now[0] + 0.9
         if taken <= 20:
-            quiet.worker.take(*JOINTS[10 + taken])
+            quiet.worker.take([Received(*JOINTS[10 + taken])])
 
-    monkeypatch.setattr(module, "_MOST_AT_ONCE", 1)
+    monkeypatch.setattr(inbox, "_MOST_AT_ONCE", 1)
     monkeypatch.setattr(quiet.worker, "_take", take_some_time)
     with standing_still(quiet):
         quiet.feed(0, 10)
@@ -433,8 +435,8 @@ def test_the_status_can_be_asked_for_all_the_time(busy: Watched) -> None:
 
 def feed_much(watched: Watched) -> None:
     for index, message in enumerate(JOINTS):
-        watched.worker.take(*message)
-        watched.worker.take(*STATES[index].changed(name=[f"joint {index}"] * 3).raw)
+        watched.worker.take([Received(*message)])
+        watched.worker.take([Received(*STATES[index].changed(name=[f"joint {index}"] * 3).raw)])
         time.sleep(2e-4)
 
 

@@ -19,6 +19,7 @@ from geomid_ros.errors import GeomidError
 from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.files.models.urdf import read_urdf
 from geomid_ros.live import worker as module
+from geomid_ros.live.inbox import Received
 from geomid_ros.live.status import Status
 from geomid_ros.live.worker import Worker
 from geomid_ros.model.samples import Samples
@@ -112,9 +113,9 @@ class Working:
         """Take messages. At any time, all rows are accounted for."""
         for begin in range(0, len(items), AT_ONCE):
             for item in items[begin : begin + AT_ONCE]:
-                self.worker.take(*item.raw)
+                self.worker.take([Received(*item.raw)])
             self.status()
-            while not self.worker._inbox.empty():  # on a busy machine what waits for long is dropped
+            while not self.worker._inbox.empty:  # on a busy machine what waits for long is dropped
                 time.sleep(2e-3)
                 self.status()
 

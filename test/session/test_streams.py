@@ -20,6 +20,7 @@ from geomid_ros.errors import GeomidError
 from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.files.models.urdf import read_urdf
 from geomid_ros.live import worker as live
+from geomid_ros.live.inbox import Received
 from geomid_ros.live.worker import Worker
 from geomid_ros.model.sensors import WrenchSensor
 from geomid_ros.session.configuration import Configuration
@@ -101,7 +102,7 @@ def from_node(joints: Joints) -> tuple[Session, Estimate, Any]:
     found, answers = session(), queue.Queue[Estimate | GeomidError]()
     with closing(Worker(found, 3600.0, lambda *_: None, lambda *_: None)) as worker:
         for item in joints.recorded():
-            worker.take(*item.raw)
+            worker.take([Received(*item.raw)])
         worker.final_estimate(answers.put)
         estimate = answers.get(timeout=PATIENCE)
         assert isinstance(estimate, Estimate), estimate

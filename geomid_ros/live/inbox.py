@@ -1,0 +1,122 @@
+"""What waits for the intake: messages, many at once, and requests."""
+
+from __future__ import annotations
+
+import queue
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from typing import TypeAlias
+
+from geomid_ros.live.solver import Done
+
+# A burst is taken whole; what nobody takes out of the inbox, or would be later than is of use, has no room in it.
+_LONGEST_STANDSTILL = 3.0  # [s] of the intake, while messages wait
+_MOST_WAITING = 10_000  # messages
+_MOST_BYTES = 50_000_000  # of them
+_MOST_AT_ONCE = 1000  # messages
+
+
+@dataclass(frozen=True)
+class Received:
+    """A message: its topic, its bytes, and when [s] it came, on the clock of ``time.perf_counter``."""
+
+    topic: str
+    data: bytes
+    time: float = field(default_factory=time.perf_counter)
+
+
+@dataclass(frozen=True)
+class Reset:
+    """All rows are to be forgotten."""
+
+
+Request: TypeAlias = Reset | Done
+"""``Done`` waits for an estimate from all messages so far."""
+
+
+class Inbox:
+    """One thread puts messages in, another takes them out and does what is asked."""
+
+    def __init__(self) -> None:
+        self._queue: queue.SimpleQueue[list[Received] | Request | None] = queue.SimpleQueue()
+        self._put = self._put_bytes = 0  # of messages
+        self._got = self._got_bytes = 0
+        self._done = 0  # messages
+        self._got_on = time.perf_counter()  # when the intake was done with something last, or nothing waited
+
+    @property
+    def empty(self) -> bool:
+        """Whether nothing waits to be taken out."""
+        return self._queue.empty()
+
+    @property
+    def unfinished(self) -> int:
+        """Messages that wait, and those that were taken out last, until the next are asked for."""
+        return self._put - self._done
+
+    def put_messages(self, messages: Sequence[Received]) -> Sequence[Received]:
+        """Put messages in. Returns those, the last ones, that have no room, as too many wait there or nobody takes
+        them."""
+        now, waiting = time.perf_counter(), self._put - self._got
+        if self.empty:
+            self._got_on = now
+        room = 0 if now - self._got_on > _LONGEST_STANDSTILL else _MOST_WAITING - waiting
+        taken: list[Received] = []
+        for message in messages[: max(room, 0)]:
+            if self._put_bytes - self._got_bytes > _MOST_BYTES:
+                break
+            self._put_bytes += len(message.data)
+            taken.append(message)
+        self._put += len(taken)
+        if taken:
+            self._queue.put(taken)
+        return messages[len(taken) :]
+
+    def ask(self, request: Request) -> None:
+        """Put a request behind the messages that wait."""
+        if self.empty:
+            self._got_on = time.perf_counter()
+        self._queue.put(request)
+
+    def end(self) -> None:
+        """Let nothing be taken out that is put in later."""
+        self._queue.put(None)
+
+    def clear(self) -> list[Received]:
+        """Take out everything at once, and end. Returns the messages."""
+        messages: list[Received] = []
+        while True:
+            try:
+                task = self._queue.get_nowait()
+            except queue.Empty:
+                break
+            messages += task if isinstance(task, list) else []
+        self.end()
+        return messages
+
+    def tasks(self) -> Iterator[list[Received] | Request]:
+        """What there is to do, until the end; messages that wait come together, and who asks for the next task is done
+        with the last."""
+        messages: list[Received] = []
+        while True:
+            try:
+                task = self._queue.get(block=not messages)
+            except queue.Empty:
+                task = []
+            if isinstance(task, list):
+                messages += task
+                self._got += len(task)
+                self._got_bytes += sum(len(message.data) for message in task)
+                if task and len(messages) < _MOST_AT_ONCE:
+                    continue
+            if messages:
+                yield messages
+                self._done += len(messages)
+                self._got_on = time.perf_counter()
+                messages = []
+            if task is None:
+                return
+            if not isinstance(task, list):
+                yield task
+                self._got_on = time.perf_counter()
