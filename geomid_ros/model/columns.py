@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import accumulate
 from typing import Protocol, TypeAlias
 
 import numpy as np
@@ -74,11 +75,6 @@ class Columns:
     def __len__(self) -> int:
         return len(self.columns)
 
-    def values(self, motion: Motion) -> FloatArray:
-        """``(N, J, K)`` for a motion, each ``(N, J)``."""
-        entries = Entries(self, motion.position.shape[1])
-        return entries.spread(entries.values(motion))
-
     @cached_property
     def place(self) -> Mapping[Column, int]:
         """Where each column stands."""
@@ -93,45 +89,67 @@ def reached_joints(place: Place, joints: int) -> tuple[int, ...]:
     return tuple(range(joints)) if isinstance(place, OnRobot) else joints_of(place)
 
 
+@dataclass(frozen=True)
 class Entries:
-    """Which entries of columns ``(J, K)`` can be other than zero, the joints that a column reaches, one column after
-    the other: half of them where there are effects of two joints."""
+    """The entries of columns ``(joints, K)`` that can be other than zero: those of the joints that a column reaches,
+    one column after the other. Of columns with effects of two joints they are half."""
 
-    def __init__(self, columns: Columns, joints: int) -> None:
-        self._shape = joints, len(columns)
-        reached = [_reached(column, joints) for column in columns.columns]
-        starts = np.cumsum([0, *map(len, reached)]).tolist()
-        self._places = np.array(
-            [joint * len(columns) + place for place, own in enumerate(reached) for joint in own], dtype=np.int64
-        )
-        pairs: dict[PairEffect, list[tuple[int, ...]]] = {}
-        self._alone: list[tuple[slice, IntArray, Column]] = []
-        for start, own, column in zip(starts, reached, columns.columns, strict=False):
-            if isinstance(column, PlacedColumn) and isinstance(column.effect, PairEffect):
-                pairs.setdefault(column.effect, []).append((start, *own))
-            else:
-                self._alone.append((slice(start, start + len(own)), np.array(own), column))
-        # Of each effect of two joints, the first of the two entries of each column, and the joints: all pairs at once.
-        self._pairs = {effect: np.array(own).T for effect, own in pairs.items()}
+    columns: Columns
+    joints: int
 
     def __len__(self) -> int:
-        return len(self._places)
+        return int(self._starts[-1])
+
+    def of(self, column: Column) -> tuple[slice, tuple[int, ...]]:
+        """Where the entries of one of the columns are, and at which joints."""
+        place = self.columns.place[column]
+        return slice(self._starts[place], self._starts[place + 1]), self._reached[place]
+
+    def at(self, column: Column, joint: int) -> int:
+        """The entry of one of the columns at a joint that it reaches."""
+        place = self.columns.place[column]
+        return self._starts[place] + self._reached[place].index(joint)
 
     def values(self, motion: Motion) -> FloatArray:
-        """``(N, entries)`` for a motion, each ``(N, J)``."""
+        """``(N, entries)`` for a motion, each ``(N, joints)``."""
         values = np.empty((len(motion.position), len(self)))
-        for entries, joints, column in self._alone:
+        for column in self._alone:
+            entries, joints = self.of(column)
             values[:, entries] = column.values(motion)[:, joints]
         for effect, (start, first, second) in self._pairs.items():
             values[:, start], values[:, start + 1] = effect.columns(motion.of(first), motion.of(second))
         return values
 
-    def spread(self, values: FloatArray) -> FloatArray:
-        """The columns ``(N, J, K)`` with these entries ``(N, entries)``."""
-        columns = np.zeros((len(values), self._shape[0] * self._shape[1]))
-        columns[:, self._places] = values
-        return columns.reshape(len(values), *self._shape)
+    @property
+    def of_own_motion(self) -> Entries:
+        """Those of the columns that are functions of each joint's own motion."""
+        return Entries(Columns(tuple(c for c in self.columns.columns if isinstance(c, JointColumn))), self.joints)
+
+    @cached_property
+    def _reached(self) -> list[tuple[int, ...]]:
+        return [
+            reached_joints(column.place, self.joints) if isinstance(column, PlacedColumn) else tuple(range(self.joints))
+            for column in self.columns.columns
+        ]
+
+    @cached_property
+    def _starts(self) -> list[int]:
+        return list(accumulate(map(len, self._reached), initial=0))
+
+    @cached_property
+    def _pairs(self) -> dict[PairEffect, IntArray]:
+        """Of each effect of two joints ``(3, columns)``: the first of the two entries of each column, and the two
+        joints; all are computed at once."""
+        found: dict[PairEffect, list[tuple[int, ...]]] = {}
+        for start, reached, column in zip(self._starts, self._reached, self.columns.columns, strict=False):
+            if isinstance(column, PlacedColumn) and isinstance(column.effect, PairEffect):
+                found.setdefault(column.effect, []).append((start, *reached))
+        return {effect: np.array(own).T for effect, own in found.items()}
+
+    @cached_property
+    def _alone(self) -> list[Column]:
+        """The other columns."""
+        return [c for c in self.columns.columns if not (isinstance(c, PlacedColumn) and c.effect in self._pairs)]
 
 
-def _reached(column: Column, joints: int) -> tuple[int, ...]:
-    return reached_joints(column.place, joints) if isinstance(column, PlacedColumn) else tuple(range(joints))
+NO_ENTRIES = Entries(NO_COLUMNS, 0)

@@ -20,7 +20,7 @@ import numpy as np
 from geomid_ros.errors import InputError, unknown_name
 from geomid_ros.geometry.manifold import ParameterManifold
 from geomid_ros.model.channels import Channel, ChannelLayout, wrench_channel
-from geomid_ros.model.columns import Columns, column_of, reached_joints
+from geomid_ros.model.columns import Columns, Entries, column_of, reached_joints
 from geomid_ros.model.effect_places import EffectPlaces
 from geomid_ros.model.effects import (
     AtSensor,
@@ -80,8 +80,8 @@ class Rows:
 
 @dataclass(frozen=True, eq=False)
 class _Carried:
-    """The entries of rows that samples with these ``columns`` carry: the row's channel and parameter, and the column's
-    place."""
+    """The numbers in rows that samples with these ``columns`` carry: the row's channel and parameter, and the place
+    among the columns' entries."""
 
     columns: Columns
     channels: IntArray
@@ -386,9 +386,9 @@ class MeasurementModel:
         coefficients = np.concatenate([inertial, np.zeros((count, len(self.channels), len(self.coefficients)))], axis=2)
         nominal = np.array([body.parameters for body in self.robot.bodies])
         loads = np.einsum("njbk,bk->nj", bodies[:, self.layout.efforts], nominal)
-        carried = self._carried if samples.columns == self._carried.columns else None
+        carried = self._carried if samples.entries.columns == self._carried.columns else None
         if carried is not None:
-            coefficients[:, carried.channels, carried.parameters] = samples.effects[:, carried.channels, carried.places]
+            coefficients[:, carried.channels, carried.parameters] = samples.effects[:, carried.places]
         for column, coefficient in enumerate(self.coefficients, inertial.shape[2]):
             if carried is not None and isinstance(coefficient.effect, MotionEffect):
                 continue
@@ -405,15 +405,15 @@ class MeasurementModel:
     @cached_property
     def _carried(self) -> _Carried:
         """Where samples with this model's columns carry those of its effects of motion."""
-        columns = self.columns
-        entries = [
-            (joint, parameter, columns.place[column_of(c.effect, c.place)])
+        carried = Entries(self.columns, len(self.layout.efforts))
+        found = [
+            (joint, parameter, carried.at(column_of(c.effect, c.place), joint))
             for parameter, c in enumerate(self.coefficients, 10 * len(self.identified))
             if isinstance(c.effect, MotionEffect)
             for joint in self._reached(c.place)
         ]
-        channels, parameters, places = np.array(entries, dtype=np.int64).reshape(-1, 3).T
-        return _Carried(columns, channels, parameters, places)
+        channels, parameters, places = np.array(found, dtype=np.int64).reshape(-1, 3).T
+        return _Carried(carried.columns, channels, parameters, places)
 
     def columns_of(
         self, samples: Samples, effect: MotionEffect | SensorEffect, place: Place, index: int

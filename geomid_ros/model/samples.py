@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from geomid_ros.model.columns import NO_COLUMNS, Column, Columns
+from geomid_ros.model.columns import NO_ENTRIES, Column, Entries
 from geomid_ros.model.effects import Motion
 from geomid_ros.types import AnyArray, FloatArray, IntArray
 
@@ -23,8 +23,9 @@ class Samples:
     effort is not measured; ``base_pose (N, 7)`` position and quaternion xyzw of the base in the world,
     ``base_velocity, base_acceleration (N, 6)`` its spatial velocity and that velocity's derivative in the base frame
     (linear, angular), all with 0 columns for a fixed base; ``wrenches (N, sensors, 6)`` force and torque.
-    ``effects (N, joints, K)`` are the effects' ``columns``, computed before the filter and filtered as the efforts
-    were; a column that is not among them is computed from the motion given here, which is right when that is exact.
+    ``effects (N, entries)`` are the ``entries`` of effects' columns, computed before the filter and filtered as the
+    efforts were; a column that is not among them is computed from the motion given here, which is right when that is
+    exact.
     """
 
     stamps: IntArray
@@ -37,13 +38,13 @@ class Samples:
     base_acceleration: FloatArray
     wrenches: FloatArray
     effects: FloatArray = None  # type: ignore[assignment]  # replaced by an array without columns
-    columns: Columns = NO_COLUMNS
+    entries: Entries = NO_ENTRIES
 
     def __post_init__(self) -> None:
         if self.effects is None:
-            object.__setattr__(self, "effects", np.zeros((*self.position.shape, 0)))
-        if self.effects.shape[2] != len(self.columns):
-            raise ValueError(f"{self.effects.shape[2]} effect columns for {len(self.columns)} descriptions")
+            object.__setattr__(self, "effects", np.zeros((len(self.position), 0)))
+        if self.effects.shape[1] != len(self.entries):
+            raise ValueError(f"{self.effects.shape[1]} entries of effects' columns, expected {len(self.entries)}")
         for name, values in self.arrays.items():
             array = np.asarray(values)
             array.setflags(write=False)
@@ -55,7 +56,7 @@ class Samples:
     @property
     def arrays(self) -> dict[str, AnyArray]:
         """All arrays by name."""
-        return {name: values for name, values in vars(self).items() if name != "columns"}
+        return {name: values for name, values in vars(self).items() if name != "entries"}
 
     @property
     def seconds(self) -> FloatArray:
@@ -69,8 +70,12 @@ class Samples:
 
     def column(self, column: Column) -> FloatArray:
         """One of the effects' columns ``(N, joints)``."""
-        place = self.columns.place.get(column)
-        return column.values(self.motion) if place is None else self.effects[:, :, place]
+        if column not in self.entries.columns.place:
+            return column.values(self.motion)
+        places, joints = self.entries.of(column)
+        values = np.zeros(self.position.shape)
+        values[:, joints] = self.effects[:, places]
+        return values
 
     def select(self, index: AnyArray | slice) -> Samples:
         """The samples chosen by a mask, index array or slice."""
@@ -78,10 +83,14 @@ class Samples:
         return replace(self, **arrays)
 
     def with_joints(self, order: IntArray) -> Samples:
-        """The samples in which joint j does what joint ``order[j]`` did; ``order (joints,)``."""
-        of_joints = ("position", "velocity", "acceleration", "effort", "effects")
-        arrays: dict[str, Any] = {name: self.arrays[name][:, order] for name in of_joints}
-        return replace(self, **arrays)
+        """The samples in which joint j does what joint ``order[j]`` did; ``order (joints,)``. Columns of effects that
+        act on several joints at once are not among theirs."""
+        own = self.entries.of_own_motion
+        effects = [self.effects[:, self.entries.of(column)[0]][:, order] for column in own.columns.columns]
+        arrays: dict[str, Any] = {
+            name: self.arrays[name][:, order] for name in ("position", "velocity", "acceleration", "effort")
+        }
+        return replace(self, **arrays, effects=np.concatenate([self.effects[:, :0], *effects], axis=1), entries=own)
 
     def stretches(self) -> list[Samples]:
         """The parts without a pause between them: a step longer than 1.5 times the median one."""

@@ -54,14 +54,15 @@ class Encoder:
         for values in moved.values():
             values[:, self.joint] *= self.sign
         moved["position"][:, self.joint] += self.zero
-        columns, effects = samples.columns.place, samples.effects.copy()
+        effects = samples.effects.copy()
         if self.other is not None:
             for name in ("position", "velocity", "acceleration"):
                 moved[name][:, self.joint] -= self.share * getattr(samples, name)[:, self.other]
-        if SIGN in columns:
-            effects[:, self.joint, columns[SIGN]] *= self.sign
+        if SIGN in samples.entries.columns.place:
+            sign = samples.entries.at(SIGN, self.joint)
+            effects[:, sign] *= self.sign
             if self.other is not None:
-                effects[:, self.joint, columns[SIGN]] = np.sign(moved["velocity"][:, self.joint])
+                effects[:, sign] = np.sign(moved["velocity"][:, self.joint])
         return replace(samples, **moved, effects=effects)
 
     def shifted(self, zero: float) -> Encoder:

@@ -95,9 +95,10 @@ class Inputs:
         self._inputs.append(_Input(name, subscription, several=True))
 
     def waiting(self) -> list[Received]:
-        """The data that wait on all topics, serialised: they are decoded many at once. Those of a topic with more
-        publishers than it may have are dropped."""
-        return [message for entry in self._inputs if entry.kind for message in self._waiting(entry)]
+        """The data that wait on all topics, serialised, as they are decoded many at once, in the order in which they
+        came. Those of a topic with more publishers than it may have are dropped."""
+        messages = [message for entry in self._inputs if entry.kind for message in self._waiting(entry)]
+        return sorted(messages, key=lambda message: message.time)
 
     def _waiting(self, entry: _Input) -> list[Received]:
         messages: list[Received] = []

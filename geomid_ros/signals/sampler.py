@@ -64,7 +64,7 @@ class Sampler:
         self._floating_base = ODOM in topics
         self._max_gap = settings.max_gap_ns
         self._effort_delay = settings.effort_delay_ns
-        self._effect_columns = effect_columns
+        self._entries = Entries(effect_columns, len(continuous))
         self._ledger = ledger
         self._velocity = VelocityChoice(len(continuous))
         self._noted_scale = False
@@ -188,8 +188,7 @@ class Sampler:
         )
 
     def _open_streams(self, grid: Grid) -> None:
-        entries = Entries(self._effect_columns, len(self._continuous))
-        joint_segment = partial(JointSegment, grid, len(self._continuous), entries)
+        joint_segment = partial(JointSegment, grid, self._entries)
         self._joint_stream = Stream(self._max_gap, joint_segment)
         self._streams = {JOINT_STATES: self._joint_stream}
         self._streams |= {topic: Stream(self._max_gap, partial(VectorSegment, grid)) for topic in self._wrenches}
@@ -253,7 +252,7 @@ class Sampler:
             base_acceleration=base_acceleration,
             wrenches=wrenches,
             effects=self._joint_stream.segment.effects(instants),
-            columns=self._effect_columns,
+            entries=self._entries,
         )
 
 

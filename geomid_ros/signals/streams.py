@@ -172,9 +172,8 @@ class JointSegment(VectorSegment):
     less filtered motion at every instant of the grid, and then filtered as the efforts are.
     """
 
-    def __init__(self, grid: Grid, joints: int, entries: Entries) -> None:
+    def __init__(self, grid: Grid, entries: Entries) -> None:
         super().__init__(grid)
-        self._joints = joints
         self._entries = entries
         self._sharp_half = grid.sharp_kernels.shape[1] // 2
         self._entries_on_grid = GridValues()
@@ -186,15 +185,16 @@ class JointSegment(VectorSegment):
         return range(max(motion.start, start), motion.stop - margin)
 
     def effects(self, instants: range) -> FloatArray:
-        """Filtered columns ``(N, joints, effects)`` at ``instants`` (all ready)."""
+        """The filtered entries of columns ``(N, entries)`` at ``instants`` (all ready)."""
         self._interpolate()
         half, known = self._grid.half, self._entries_on_grid
         start = known.end if len(known.values) else self._on_grid.first + self._sharp_half
         missing = range(start, instants[-1] + half + 1)
         if missing:
-            motion = self._on_grid.correlated(missing, self._grid.sharp_kernels, self._joints)
+            motion = self._on_grid.correlated(missing, self._grid.sharp_kernels, self._entries.joints)
             known.extend(start, self._entries.values(Motion(*motion)))
-        return self._entries.spread(known.correlated(instants, self._grid.kernels[:1])[0])
+        (filtered,) = known.correlated(instants, self._grid.kernels[:1])
+        return np.asarray(filtered)
 
     def drop_before(self, instant: int) -> None:
         self._interpolate()

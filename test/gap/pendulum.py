@@ -12,6 +12,7 @@ import numpy as np
 from geomid_ros.gap import candidates as library
 from geomid_ros.gap.result import GapResult
 from geomid_ros.gap.workflow import find_gap
+from geomid_ros.model.columns import Entries
 from geomid_ros.model.effects import Motion
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.robot import Robot
@@ -35,7 +36,7 @@ _URDF = """
 </robot>
 """
 MODEL = MeasurementModel(Robot(_URDF), ())
-_COLUMNS = library.library_columns(MODEL)
+_ENTRIES = Entries(library.library_columns(MODEL), 1)
 _RATE = 64.0
 _INERTIA, _FIRST_MOMENT = 0.16, (0.42, 0.08)  # not those of the URDF
 NOISE = 0.02  # [N m]
@@ -67,8 +68,8 @@ def recording(extra: Effort, seed: int, seconds: float) -> Samples:
         base_velocity=nothing,
         base_acceleration=nothing,
         wrenches=np.zeros((len(times), 0, 6)),
-        effects=_COLUMNS.values(motion),
-        columns=_COLUMNS,
+        effects=_ENTRIES.values(motion),
+        entries=_ENTRIES,
     )
 
 

@@ -15,6 +15,7 @@ import pinocchio as pin
 from geomid_ros.gap.candidates import library_columns
 from geomid_ros.gap.fitting.prior import Prior
 from geomid_ros.geometry import pseudo_inertia, spd
+from geomid_ros.model.columns import Entries
 from geomid_ros.model.effects import Motion
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.robot import Robot
@@ -84,6 +85,7 @@ def recording(efforts: Efforts, seed: int, seconds: float = 40.0, noise: float =
     measured = efforts(position, velocity, acceleration)
     measured = measured + noise * np.random.default_rng([seed, 2]).standard_normal(measured.shape)
     nothing = np.zeros((len(times), 0))
+    entries = Entries(library_columns(model()), position.shape[1])
     return Samples(
         stamps=(1e9 + 1e9 * times).astype(np.int64),
         position=position,
@@ -94,6 +96,6 @@ def recording(efforts: Efforts, seed: int, seconds: float = 40.0, noise: float =
         base_velocity=nothing,
         base_acceleration=nothing,
         wrenches=np.zeros((len(times), 0, 6)),
-        effects=library_columns(model()).values(Motion(position, velocity, acceleration)),
-        columns=library_columns(model()),
+        effects=entries.values(Motion(position, velocity, acceleration)),
+        entries=entries,
     )

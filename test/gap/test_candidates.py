@@ -121,7 +121,7 @@ def test_samples_carry_all_columns_that_names_are_made_of_once() -> None:
             if isinstance(term.effect, MotionEffect):
                 assert library.column_of(term.effect, term.place) in columns
     assert {SIGN, SMOOTH_SIGN, REST} <= set(columns)
-    assert motion.columns.columns == columns
+    assert motion.entries.columns.columns == columns
 
 
 def test_a_joint_stands_still_below_a_hundredth_of_a_radian_per_second() -> None:

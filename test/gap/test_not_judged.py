@@ -78,7 +78,10 @@ def test_what_a_force_plate_measures_counts_while_joints_stand_still() -> None:
     plate = WrenchSensor("/plate", "world", "external")
     model = MeasurementModel(Robot(urdf, floating_base=True), (), (plate,))
     effects = TRAIN.effects.copy()
-    effects[:, JOINT] = [column == REST for column in TRAIN.columns.columns]  # at rest all the time
+    entries = TRAIN.entries
+    for column in entries.columns.columns:  # at rest all the time
+        if JOINT in entries.of(column)[1]:
+            effects[:, entries.at(column, JOINT)] = column == REST
     records = Records.make([replace(TRAIN, effects=effects)], planted.CUTOFF)
     targets = np.random.default_rng(1).normal(size=(len(records.samples), 6))
     assert not model.layout.efforts

@@ -9,7 +9,7 @@ import pinocchio as pin
 import pytest
 
 from geomid_ros.gap.evidence.record import Records, TotalModel
-from geomid_ros.model.columns import Columns, JointColumn
+from geomid_ros.model.columns import Columns, Entries, JointColumn
 from geomid_ros.model.effects import AtJoint, AtJoints, Effect, OnRobot
 from geomid_ros.model.effects.coulomb_friction import CoulombFriction
 from geomid_ros.model.effects.effect import JointMotion, PairEffect
@@ -49,8 +49,8 @@ def samples(count: int, rate: float = 100.0, velocity: FloatArray | None = None)
 
 def with_columns(sign: FloatArray, rest: FloatArray, smooth: FloatArray | None = None, rate: float = 100.0) -> Samples:
     """The same with these columns ``(N, 3)``."""
-    values = np.stack([sign, rest, sign if smooth is None else smooth], axis=2)
-    return replace(samples(len(sign), rate), effects=values, columns=Columns((SIGN, REST, SMOOTH_SIGN)))
+    values = np.concatenate([sign, rest, sign if smooth is None else smooth], axis=1)
+    return replace(samples(len(sign), rate), effects=values, entries=Entries(Columns((SIGN, REST, SMOOTH_SIGN)), 3))
 
 
 @pytest.mark.parametrize(("rate", "step"), [(100.0, 7), (200.0, 15), (20.0, 1), (10.0, 1)])
@@ -151,7 +151,7 @@ def test_efforts_of_a_model_are_those_of_all_its_effects_of_motion() -> None:
     plain = samples(50, velocity=velocity)
     carried = np.random.default_rng(3).normal(size=(50, 3))
     coulomb = CoulombFriction(0.003)
-    part = replace(plain, effects=carried[:, :, None], columns=Columns((JointColumn(coulomb),)))
+    part = replace(plain, effects=carried, entries=Entries(Columns((JointColumn(coulomb),)), 3))
     own = total(
         (coulomb, AtJoint(1), [0.3]),
         (coulomb, AtJoint(2), [0.1]),

@@ -253,13 +253,12 @@ class TestRefusals:
 
     def test_something_has_to_move(self) -> None:
         effects = TRAIN.effects.copy()
-        place = TRAIN.columns.columns.index(workflow.REST)
-        effects[:, :, place] = 1.0
+        effects[:, TRAIN.entries.of(workflow.REST)[0]] = 1.0
         resting = Records.make([replace(TRAIN, effects=effects)], planted.CUTOFF)
         with pytest.raises(InputError, match="no joint moves"):
             workflow._check(BARE, resting)
         with pytest.raises(InputError, match="nothing to judge on"):
             workflow._check_held_out(BARE, resting)
         one = effects.copy()
-        one[:, 1, place] = 0.0
+        one[:, TRAIN.entries.at(workflow.REST, 1)] = 0.0
         workflow._check(BARE, Records.make([replace(TRAIN, effects=one)], planted.CUTOFF))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 
+from geometry_msgs.msg import WrenchStamped
 from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import JointState
 
@@ -38,3 +39,21 @@ def test_the_executor_leaves_data_alone() -> None:
         assert all(begin < message.time < all_here + 0.1 for message in taken), (
             "when they came, not when they were taken"
         )
+
+
+def test_data_of_several_topics_are_in_the_order_in_which_they_came() -> None:
+    """A clock that is set back is then set back for all of them at once."""
+    with free_domain() as domain, Observer(domain, lambda: 0.0) as observer:
+        inputs = Inputs(observer.node, Ledger())
+        inputs.listen(JointState, TOPIC)
+        inputs.listen(WrenchStamped, "wrench")
+        states = observer.node.create_publisher(JointState, TOPIC, plenty())
+        wrenches = observer.node.create_publisher(WrenchStamped, "wrench", plenty())
+        publishers = [(states, JointState()), (wrenches, WrenchStamped())]
+        observer.wait_for(lambda: all(p.get_subscription_count() == 1 for p, _ in publishers), "both subscriptions")
+        for publisher, message in publishers * COUNT:
+            publisher.publish(message)
+            time.sleep(0.02)
+        taken: list[Received] = []
+        observer.wait_for(lambda: taken.extend(inputs.waiting()) or len(taken) == 2 * COUNT, "what waits")
+        assert [message.topic for message in taken] == [TOPIC, "wrench"] * COUNT

@@ -152,7 +152,7 @@ def assert_same(actual: Samples, expected: Samples, tolerance: float = 1e-9) -> 
     """All arrays of two batches agree, relative to the size of each column."""
     np.testing.assert_array_equal(actual.stamps, expected.stamps)
     assert len(actual) > 0
-    assert actual.columns == expected.columns
+    assert actual.entries == expected.entries
     for kind in expected.arrays.keys() - {"stamps"}:
         first, second = actual.arrays[kind], expected.arrays[kind]
         assert first.shape == second.shape

@@ -129,14 +129,14 @@ def test_vectors_before_an_instant_are_forgotten_but_for_its_window() -> None:
 
 
 def test_joints_wait_for_the_columns_of_effects() -> None:
-    joints = JointSegment(GRID, 1, Entries(NO_COLUMNS, 1))
+    joints = JointSegment(GRID, Entries(NO_COLUMNS, 1))
     plain = VectorSegment(GRID)
     for stamp in stamps(200):
         push(joints, stamp, np.array([1.0, 0.0, 0.0]))
         push(plain, stamp, np.array([1.0, 0.0, 0.0]))
     sharp = GRID.lag - GRID.half
     assert joints.ready() == range(plain.ready().start + sharp, plain.ready().stop - sharp)
-    assert joints.effects(joints.ready()).shape == (len(joints.ready()), 1, 0)
+    assert joints.effects(joints.ready()).shape == (len(joints.ready()), 0)
 
 
 class TestStream:

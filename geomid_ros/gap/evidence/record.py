@@ -171,17 +171,17 @@ class TotalModel:
 
     def efforts(self, samples: Samples) -> FloatArray:
         """What the effects of motion add to the joints' efforts ``(N, J)``."""
-        strengths = np.zeros((samples.position.shape[1], len(samples.columns)))
+        entries = samples.entries
+        strengths = np.zeros((len(entries), samples.position.shape[1]))
         others = np.zeros(samples.position.shape)
         for effect, place, (coefficient, *_) in self.effects:
             if isinstance(effect, MotionEffect):
                 column, joints = column_of(effect, place), reached_joints(place, samples.position.shape[1])
-                if column in samples.columns.columns:
-                    strengths[list(joints), samples.columns.columns.index(column)] += coefficient
+                if column in entries.columns.place:
+                    strengths[[entries.at(column, joint) for joint in joints], joints] += coefficient
                 else:
                     others[:, joints] += coefficient * samples.column(column)[:, joints]
-        efforts: FloatArray = np.einsum("njl,jl->nj", samples.effects, strengths)
-        return efforts + others
+        return np.asarray(samples.effects @ strengths + others)
 
 
 def _load_terms(
