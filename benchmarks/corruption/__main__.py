@@ -70,7 +70,7 @@ def judged(recording: Recording, bag: Path) -> Session:
     if source.wrench:
         configuration = configuration.with_sensors([WrenchSensor.parse(source.wrench)])
     session = Session(read_urdf(source.urdf), configuration, str(source.urdf))
-    read_bags(session, Bags(fitted=[bag], hold_out=0.0))
+    read_bags(session, Bags(fitted=[bag], hold_out=0.0), lambda _: None)
     return session
 
 

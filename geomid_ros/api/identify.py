@@ -21,7 +21,7 @@ from geomid_ros.report.identification_page import IdentificationPage, write_iden
 from geomid_ros.report.series import Series
 from geomid_ros.report.sheet import write_picture
 from geomid_ros.session.locking import read_with_locked
-from geomid_ros.session.recordings import Bags, Progress, Topics, read_bags, silent, take
+from geomid_ros.session.recordings import Bags, Fitting, Progress, Topics, read_bags, silent
 from geomid_ros.session.session import Session
 from geomid_ros.types import FloatArray
 
@@ -37,15 +37,15 @@ class Identification:
         session: the robot, its model and its configuration.
         bags: what was read.
         estimate: all that the solver found.
-        train: the samples that were fitted, in batches.
-        held_out: the samples that were not; empty if nothing was held out.
+        held_out: the samples to judge on, in batches, which were not fitted; empty if nothing was held out.
+        train: the samples that were fitted, if nothing was held out.
     """
 
     session: Session
     bags: Bags
     estimate: Estimate
-    train: Sequence[Samples]
     held_out: Sequence[Samples]
+    train: Sequence[Samples]
 
     @property
     def links(self) -> tuple[LinkEstimate, ...]:
@@ -251,13 +251,26 @@ def identify(
     topics = Topics(joint_topic, odom_topic)
     recorded = Bags(fitted=bag_paths(bags), validate=bag_paths(validate), hold_out=hold_out, topics=topics)
     robot = description(urdf, recorded.fitted, model=model, xacro_args=xacro_args)
-    session, (train, held_out) = read_with_locked(
+    session, (held_out, train) = read_with_locked(
         lambda chosen: Session(robot.text, chosen, robot.source),
         parameters,
-        lambda session: read_bags(session, recorded, progress),
+        lambda session: _read(session, recorded, progress),
     )
     session.settled.extend(robot.notes)
     progress("solving", 0.0)
-    take(session, train)
     estimate = session.identifier.solve()
-    return Identification(session=session, bags=recorded, estimate=estimate, train=train, held_out=held_out)
+    return Identification(session=session, bags=recorded, estimate=estimate, held_out=held_out, train=train)
+
+
+def _read(session: Session, bags: Bags, progress: Progress) -> tuple[list[Samples], list[Samples]]:
+    """The samples to judge on, and those that were fitted, if they are judged on."""
+    fitting, train = Fitting(session), list[Samples]()
+
+    def fit(samples: Samples) -> None:
+        fitting.add(samples)
+        if not bags.holds_out:
+            train.append(samples)
+
+    held_out = read_bags(session, bags, fit, progress)
+    fitting.end()
+    return held_out, train

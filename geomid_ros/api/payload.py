@@ -86,5 +86,6 @@ def _all(session: Session, bags: Sequence[Path], topics: Topics, progress: Progr
     if not bags:
         return ()
     session.judge_apart()
-    train, _ = read_bags(session, Bags(fitted=bags, hold_out=0.0, topics=topics), progress)
-    return train
+    samples: list[Samples] = []
+    read_bags(session, Bags(fitted=bags, hold_out=0.0, topics=topics), samples.append, progress)
+    return samples

@@ -91,10 +91,10 @@ def verify(
             f"requirement '{relative.text}' compares with the URDF before, and {robot.source} is the identified one; "
             "name the former with --urdf"
         )
-    session, (samples, _) = read_with_locked(
+    session, samples = read_with_locked(
         lambda chosen: gap_session(robot.text, chosen, robot.source),
         parameters,
-        lambda session: read_bags(session, recorded, progress),
+        lambda session: _read(session, recorded, progress),
     )
     session.settled.extend(robot.notes)
     values = _values(session, samples, read_estimate(Path(model)))
@@ -105,6 +105,13 @@ def verify(
         doubts=[*filter(None, [session.loaded.doubt]), *doubts],
         outcomes=[outcome for requirement in required for outcome in requirement.checked(values)],
     )
+
+
+def _read(session: Session, bags: Bags, progress: Progress) -> list[Samples]:
+    """All samples."""
+    samples: list[Samples] = []
+    read_bags(session, bags, samples.append, progress)
+    return samples
 
 
 def _values(session: Session, samples: Sequence[Samples], document: Mapping[str, Any]) -> dict[str, Values]:

@@ -27,7 +27,7 @@ from geomid_ros.plausibility.hypotheses import Cause, Finding
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.locking import read_with_locked
 from geomid_ros.session.recorded import Recorded
-from geomid_ros.session.recordings import Bags, read_bags, take
+from geomid_ros.session.recordings import Bags, Fitting, read_bags
 from geomid_ros.session.session import Session
 
 _LONGEST_PAUSE = 1.0  # [s] as between any two instants
@@ -115,20 +115,32 @@ def summarise(text: str, source: str, configuration: Configuration, bags: Bags) 
     Raises:
         InputError: they cannot be used.
     """
-    session, (train, held_out) = read_with_locked(
-        lambda chosen: Session(text, chosen, source), configuration, lambda session: read_bags(session, bags)
+    session, (held_out, begin, end) = read_with_locked(
+        lambda chosen: Session(text, chosen, source), configuration, lambda session: _read(session, bags)
     )
-    take(session, train)
     locked = set(session.configuration["locked_joints"]) - set(configuration["locked_joints"])
     summary = BagSummary(
         fitted=session.identifier.memory(),
         held_out=_rows(session.model, held_out),
         recorded=session.recorded,
         locked=tuple(sorted(locked)),
-        begin=int(train[0].stamps[0]),
-        end=int(train[-1].stamps[-1]),
+        begin=begin,
+        end=end,
     )
     return session, summary
+
+
+def _read(session: Session, bags: Bags) -> tuple[list[Samples], int, int]:
+    """The samples to judge on, and the first and the last stamp of those that were fitted."""
+    fitting, stamps = Fitting(session), list[int]()
+
+    def fit(samples: Samples) -> None:
+        fitting.add(samples)
+        stamps[:] = [*stamps[:1], int(samples.stamps[0]), int(samples.stamps[-1])]
+
+    held_out = read_bags(session, bags, fit)
+    fitting.end()
+    return held_out, stamps[0], stamps[-1]
 
 
 def total(summaries: Sequence[BagSummary]) -> BagSummary:

@@ -59,7 +59,7 @@ class Instants:
                 index += int(np.searchsorted(stamps[index:], self._last + self._apart))
                 if index == len(stamps):
                     return
-            self._keep(samples.select(slice(index, index + 1)))
+            self._keep(samples.select(np.array([index])))  # a copy: a view would keep all of the samples
             index += 1
 
     def _keep(self, instant: Samples) -> None:

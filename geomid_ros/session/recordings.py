@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections import Counter, deque
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TypeAlias
@@ -20,7 +20,6 @@ from geomid_ros.signals.arrived import OTHER_FRAME
 from geomid_ros.signals.decoding import Decoder
 from geomid_ros.signals.messages import JOINT_STATES, ODOM, message_type
 from geomid_ros.signals.pipeline import SignalPipeline
-from geomid_ros.types import BoolArray
 
 HELD_OUT = 0.3
 """Share of a recording's time, at the end, that is judged on unless the user says otherwise."""
@@ -31,6 +30,9 @@ _WRENCH_OPTION = "--wrench, or wrench.*.topic in a parameter file,"
 
 Progress: TypeAlias = Callable[[str, float], None]
 """Called with what is being done and the share of it, 0 to 1, that is done."""
+
+Fit: TypeAlias = Callable[[Samples], object]
+"""Called with samples to fit."""
 
 
 class NoSamplesError(InputError):
@@ -93,6 +95,11 @@ class Bags:
         return self.hold_out if self.hold_out is not None else (0.0 if self.validate else HELD_OUT)
 
     @property
+    def holds_out(self) -> bool:
+        """Whether some data are not fitted, but judged on."""
+        return bool(self.validate) or self.share > 0.0
+
+    @property
     def shares(self) -> list[tuple[Path, float]]:
         """Every bag with the share of it that is held out."""
         return [*((path, self.share) for path in self.fitted), *((path, 1.0) for path in self.validate)]
@@ -133,56 +140,86 @@ def divided(batches: Sequence[Samples], share: float) -> list[tuple[Samples, Sam
     Returns:
         Of each piece the samples before and after the boundary; either may be empty.
     """
-    end = int(batches[-1].stamps[-1]) + 1
-    boundary = end - round(share * (end - int(batches[0].stamps[0])))
-    return [_divided(samples, samples.stamps < boundary) for samples in batches]
+    boundary = _boundary(batches[0], batches[-1], share)
+    return [_divided(samples, boundary) for samples in batches]
 
 
-def _divided(samples: Samples, early: BoolArray) -> tuple[Samples, Samples]:
+def _boundary(first: Samples, last: Samples, share: float) -> int:
+    """The stamp [ns] before which samples of a recording are fitted. As it goes on this moves on."""
+    end = int(last.stamps[-1]) + 1
+    return end - round(share * (end - int(first.stamps[0])))
+
+
+def _divided(samples: Samples, boundary: int) -> tuple[Samples, Samples]:
     """A piece, or no instant of it, where it is on one side: most are, and need no copy."""
+    early = samples.stamps < boundary
     pair = [samples if np.all(chosen) else samples.select(chosen) for chosen in (early, ~early)]
     return pair[0], pair[1]
 
 
-def read_bags(session: Session, bags: Bags, progress: Progress = silent) -> tuple[list[Samples], list[Samples]]:
+def read_bags(session: Session, bags: Bags, fit: Fit, progress: Progress = silent) -> list[Samples]:
     """Read all bags with the session's settings.
 
+    Args:
+        session: takes note of what was read.
+        bags: which, and how.
+        fit: called with the samples to fit, in batches and in the order of time, as soon as that is sure: an hour of
+            them does not have to be remembered.
+        progress: told of it.
+
     Returns:
-        The samples to fit and those to judge on, in batches as they became ready.
+        The samples to judge on, in batches as they became ready.
 
     Raises:
         InputError: a bag cannot be used, or nothing is left to fit.
     """
-    train: list[Samples] = []
+    fitted = _Fitted(session, fit)
     held_out: list[Samples] = []
     for path, share in bags.shares:
         pipeline = session.new_pipeline()
+        kept: deque[Samples] = deque()
+        boundary, first = 0, None
         with Bag(path) as bag:
-            batches = list(read_samples(bag, session, pipeline, bags.topics, progress))
+            for samples in read_samples(bag, session, pipeline, bags.topics, progress):
+                session.check.add(samples)
+                first = first or samples.select(slice(1))
+                boundary = max(boundary, _boundary(first, samples, share))
+                kept.append(samples)
+                while kept and kept[0].stamps[-1] < boundary:
+                    fitted.add(kept.popleft())
         session.pipeline.ledger.add(pipeline.ledger.topics)
-        for samples in batches:
-            session.check.add(samples)
-        for early, late in divided(batches, share):
-            train += [early] if len(early) else []
+        for samples in kept:
+            early, late = _divided(samples, boundary)
+            fitted.add(early)
             held_out += [late] if len(late) else []
-    check_measured(session, train, bags.fitted)
+    fitted.check(bags.fitted)
+    if not held_out and bags.holds_out:
+        raise InputError(f"{', '.join(map(str, bags.fitted))}: too short, nothing is left to judge on")
     session.judge()
-    session.findings += _standing(train, session)
-    return train, held_out
+    session.findings += fitted.standing()
+    return held_out
 
 
-def take(session: Session, batches: Sequence[Samples]) -> None:
-    """Give samples to the session's identifier, without the rows of wrench sensors that are not as declared."""
-    guard = WrenchGuard(session)
-    for samples in batches:
-        _, rows, _ = session.identifier.add(samples)
-        guard.take(rows)
-    named = {place for finding in session.findings for place in finding.cause.places}
-    session.findings += tuple(
-        Finding(cause=Cause(kind="wrench", sentence=sentence, places=(topic,)))
-        for topic, sentence in guard.sentences.items()
-        if topic not in named
-    )
+class Fitting:
+    """Gives samples to a session's identifier, without the rows of wrench sensors that are not as declared."""
+
+    def __init__(self, session: Session) -> None:
+        self._session = session
+        self._guard = WrenchGuard(session)
+
+    def add(self, samples: Samples) -> None:
+        """Give it samples."""
+        _, rows, _ = self._session.identifier.add(samples)
+        self._guard.take(rows)
+
+    def end(self) -> None:
+        """Let the session's findings name the sensors that are not as declared."""
+        named = {place for finding in self._session.findings for place in finding.cause.places}
+        self._session.findings += tuple(
+            Finding(cause=Cause(kind="wrench", sentence=sentence, places=(topic,)))
+            for topic, sentence in self._guard.sentences.items()
+            if topic not in named
+        )
 
 
 def read_samples(
@@ -245,28 +282,55 @@ def _why_no_samples(bag: Bag, session: Session, pipeline: SignalPipeline) -> str
     return f"{why}{end} Or is it a recording of another robot? {joints}" if missing else why
 
 
-def _standing(train: Sequence[Samples], session: Session) -> tuple[Finding, ...]:
-    """That the robot does not move in what is fitted, if so."""
-    positions = np.concatenate([samples.position for samples in train])
-    most = float(np.max(np.ptp(positions, axis=0), initial=0.0))
-    if session.robot.floating_base or most >= session.configuration["still_distance"]:
-        return ()
-    sentence = f"the robot stands still: no joint moves by more than {most:.2g} (rad, m), which tells next to nothing"
-    return (Finding(cause=Cause(kind="still", sentence=f"{sentence}; record a motion of all joints")),)
-
-
-def check_measured(session: Session, train: Sequence[Samples], bags: Sequence[Path]) -> None:
+def check_measured(session: Session, train: Iterable[Samples], bags: Sequence[Path]) -> None:
     """Refuse data that are none, or in which nothing that the model predicts was measured.
 
     Raises:
         InputError: it names the ``bags`` that the data are from.
     """
-    if not any(map(len, train)):
-        raise InputError(f"{', '.join(map(str, bags))}: too short, nothing is left to identify from")
-    if all(np.all(np.isnan(session.model.rows(samples).targets)) for samples in train):
-        channels = ", ".join(channel.name for channel in session.model.channels)
-        raise InputError(
-            f"{', '.join(map(str, bags))}: no effort is measured (empty, NaN or zero throughout), and no wrench is "
-            f"declared with --wrench. At least one of these channels is needed: {channels}. Let the driver publish "
-            "efforts, or record a wrench sensor"
+    fitted = _Fitted(session)
+    for samples in train:
+        fitted.add(samples)
+    fitted.check(bags)
+
+
+class _Fitted:
+    """Passes on what is fitted, and sees whether it can be."""
+
+    def __init__(self, session: Session, fit: Fit = lambda _: None) -> None:
+        self._session = session
+        self._fit = fit
+        self._any = self._measured = False
+        self._low, self._high = np.inf, -np.inf  # positions, of each joint
+
+    def add(self, samples: Samples) -> None:
+        if not len(samples):
+            return
+        self._any = True
+        self._measured = self._measured or not np.all(np.isnan(self._session.model.rows(samples).targets))
+        self._low = np.minimum(self._low, np.min(samples.position, axis=0))
+        self._high = np.maximum(self._high, np.max(samples.position, axis=0))
+        self._fit(samples)
+
+    def check(self, bags: Sequence[Path]) -> None:
+        """As :func:`check_measured`."""
+        named = ", ".join(map(str, bags))
+        if not self._any:
+            raise InputError(f"{named}: too short, nothing is left to identify from")
+        if not self._measured:
+            channels = ", ".join(channel.name for channel in self._session.model.channels)
+            raise InputError(
+                f"{named}: no effort is measured (empty, NaN or zero throughout), and no wrench is declared with "
+                f"--wrench. At least one of these channels is needed: {channels}. Let the driver publish efforts, or "
+                "record a wrench sensor"
+            )
+
+    def standing(self) -> tuple[Finding, ...]:
+        """That the robot does not move in what is fitted, if so."""
+        most = float(np.max(self._high - self._low, initial=0.0))
+        if self._session.robot.floating_base or most >= self._session.configuration["still_distance"]:
+            return ()
+        sentence = (
+            f"the robot stands still: no joint moves by more than {most:.2g} (rad, m), which tells next to nothing"
         )
+        return (Finding(cause=Cause(kind="still", sentence=f"{sentence}; record a motion of all joints")),)

@@ -202,3 +202,22 @@ def test_what_the_model_has_keeps_its_constants() -> None:
     found = [c for c in analysis._tried(model(), prior) if c.name == has.name]
     assert {c.effect for c in found if c.joint == 0} == {has}
     assert len({c.effect for c in found if c.joint == 1}) > 1
+
+
+def test_the_first_noise_is_that_of_what_was_measured_however_many_columns_there_are() -> None:
+    """Columns of as many directions as there are rows leave nothing, and what rounding says of the noise."""
+    rng, rows, channels = np.random.default_rng(8), 80, 30
+    shocks = rng.standard_normal((rows, channels))
+    noise = np.zeros((rows, channels))
+    for row in range(rows):
+        noise[row] = 0.8 * noise[row - 1] + shocks[row]
+    problem: Any = SimpleNamespace(
+        residual=lambda *_: noise, records=SimpleNamespace(segment=np.zeros(rows, dtype=np.int64))
+    )
+    everywhere: Any = {
+        term: dict.fromkeys(range(channels), column) for term, column in enumerate(rng.standard_normal((100, rows)))
+    }
+    bare: Any = None
+    found = analysis._flexible_noise(problem, everywhere, bare, np.ones(noise.shape, dtype=bool))
+    assert 0.45 < np.mean([process.predictors[1][0] for process in found if process.order]) < 0.9
+    assert 0.5 < np.mean([process.variances[-1] for process in found]) < 1.0

@@ -38,7 +38,7 @@ def solved(worker: Worker) -> Estimate | GeomidError:
 
 def test_it_is_an_error_in_the_same_words_until_a_reset() -> None:
     of_bag = session(effort_gain=-1.0)
-    read_bags(of_bag, Bags(fitted=[BAGS / "arm3"]))
+    read_bags(of_bag, Bags(fitted=[BAGS / "arm3"]), lambda _: None)
     worker = Worker(session(effort_gain=-1.0), 3600.0, lambda *_: None, lambda *_: None)
     try:
         fed(worker)
@@ -56,7 +56,7 @@ def test_it_is_an_error_in_the_same_words_until_a_reset() -> None:
 def test_a_remark_is_a_warning_in_the_same_words_until_a_reset() -> None:
     tilted = [1.5, -0.8, -9.66]
     of_bag = session(gravity=tilted)
-    read_bags(of_bag, Bags(fitted=[BAGS / "arm3"]))
+    read_bags(of_bag, Bags(fitted=[BAGS / "arm3"]), lambda _: None)
     (remark,) = of_bag.recorded.remarks
     worker = Worker(session(gravity=tilted), 3600.0, lambda *_: None, lambda *_: None)
     try:

@@ -44,7 +44,7 @@ SOUND = {
 def found(urdf: str, bag: str, settings: tuple[tuple[str, Any], ...]) -> tuple[Finding, ...]:
     configuration = Configuration({key: list(v) if isinstance(v, tuple) else v for key, v in settings})
     session = Session(read_urdf(DATA / urdf), configuration, urdf)
-    read_bags(session, Bags(fitted=[DATA / bag]))
+    read_bags(session, Bags(fitted=[DATA / bag]), lambda _: None)
     return session.findings
 
 

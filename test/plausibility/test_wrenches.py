@@ -28,7 +28,8 @@ SENSOR = WrenchSensor("/wrench", "wrist_ft", "mounted")
 def recorded() -> tuple[Session, Samples]:
     """The shipped arm with a sensor at its wrist."""
     session = Session(read_urdf(BAGS / "arm7.urdf"), Configuration().with_sensors([SENSOR]), "arm7.urdf")
-    train, _ = read_bags(session, Bags(fitted=[BAGS / "arm7"], hold_out=0.0))
+    train: list[Samples] = []
+    read_bags(session, Bags(fitted=[BAGS / "arm7"], hold_out=0.0), train.append)
     assert session.findings == ()
     return session, Samples.concatenate(train)
 

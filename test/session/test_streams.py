@@ -25,7 +25,7 @@ from geomid_ros.live.inbox import Received
 from geomid_ros.live.worker import Worker
 from geomid_ros.model.sensors import WrenchSensor
 from geomid_ros.session.configuration import Configuration
-from geomid_ros.session.recordings import Bags, read_bags, take
+from geomid_ros.session.recordings import Bags, Fitting, read_bags
 from geomid_ros.session.session import Session
 from geomid_ros.signals.gates import CLOCK_SET, EARLY, SPIKE_OR_CONTACT
 from geomid_ros.signals.joint_messages import UNWRAPPED
@@ -93,8 +93,9 @@ def from_bag(joints: Joints, folder: Path) -> tuple[Session, Estimate]:
     """As ``geomid identify`` reads it."""
     found = session()
     bag = write_bag(folder, joints.recorded())
-    train, _ = read_bags(found, Bags(fitted=[bag], hold_out=0.0))
-    take(found, train)
+    fitting = Fitting(found)
+    read_bags(found, Bags(fitted=[bag], hold_out=0.0), fitting.add)
+    fitting.end()
     return found, found.identifier.solve()
 
 

@@ -23,6 +23,7 @@ from geomid_ros.types import BoolArray, FloatArray
 _ROUNDS = 6
 _SETTLED = 0.5  # standard deviations
 _MOST_CURVES = 4
+_TOLD_BY_ROWS = 0.25  # directions for each row, which leaves most of the noise as it is
 _MEDIAN_OF_GAUSSIAN = 0.6745
 _VISIBLE = 1.07  # times larger, to be worth a word
 
@@ -144,7 +145,11 @@ def _same(before: JointFit | None, found: JointFit) -> bool:
 def _flexible_noise(
     problem: LinearisedProblem, columns: Columns, bare: JointFit, valid: BoolArray
 ) -> tuple[Autoregression, ...]:
-    """First noise: what the motions of each channel's own joint and the whole robot's effects leave of the residual."""
+    """First noise: what the motions of each channel's own joint and the whole robot's effects leave of the residual.
+
+    Of all their directions only so many are taken as rows can tell: of rows that are as few nothing but rounding errors
+    would be left, and what they say of the noise.
+    """
     residual = problem.residual(columns, bare)
     left = np.full(residual.shape, np.nan)
     for channel in range(residual.shape[1]):
@@ -152,8 +157,11 @@ def _flexible_noise(
         own = [by[channel] for term, by in columns.items() if channel in by and not isinstance(term, CurveTerm)]
         matrix = np.column_stack(own)[chosen] if own else np.zeros((np.count_nonzero(chosen), 0))
         matrix = matrix / np.maximum(np.linalg.norm(matrix, axis=0), 1e-12)
-        solution = np.linalg.lstsq(matrix, residual[chosen, channel], rcond=1e-6)[0]
-        left[chosen, channel] = residual[chosen, channel] - matrix @ solution
+        directions, sizes, _ = np.linalg.svd(matrix, full_matrices=False)
+        most = int(_TOLD_BY_ROWS * len(matrix))
+        directions = directions[:, :most][:, sizes[:most] > 1e-6 * np.max(sizes, initial=0.0)]
+        rest = residual[chosen, channel]
+        left[chosen, channel] = rest - directions @ (directions.T @ rest)
     return _noise(left, valid, problem.records)
 
 
