@@ -20,8 +20,9 @@ from geomid_ros.report.drawing import draw_identification, series_of
 from geomid_ros.report.identification_page import IdentificationPage, write_identification_page
 from geomid_ros.report.series import Series
 from geomid_ros.report.sheet import write_picture
+from geomid_ros.session.fitting import Fitting
 from geomid_ros.session.locking import read_with_locked
-from geomid_ros.session.recordings import Bags, Fitting, Progress, Topics, read_bags, silent
+from geomid_ros.session.recordings import Bags, Progress, Topics, read_bags, silent
 from geomid_ros.session.session import Session
 from geomid_ros.types import FloatArray
 

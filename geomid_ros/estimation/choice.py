@@ -15,8 +15,9 @@ from functools import cached_property
 
 import numpy as np
 
-from geomid_ros.estimation.fit import CERTAINTY, Problem, driven_rows
+from geomid_ros.estimation.fit import CERTAINTY, driven_rows
 from geomid_ros.estimation.objective import Evaluation
+from geomid_ros.estimation.problem import Problem
 from geomid_ros.estimation.profile_objective import Profile, ProfileObjective, StraightManifold
 from geomid_ros.estimation.solvers import trust_region
 from geomid_ros.geometry.manifold import Point

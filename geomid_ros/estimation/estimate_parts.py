@@ -11,8 +11,8 @@ import numpy as np
 
 from geomid_ros.estimation import uncertainty
 from geomid_ros.estimation.estimate import IDENTIFIABLE, QUANTITIES, EffectEstimate, LinkEstimate, WeighedEstimate
-from geomid_ros.estimation.fit import Problem
 from geomid_ros.estimation.posterior import EffectCoordinate, Posterior
+from geomid_ros.estimation.problem import Problem
 from geomid_ros.geometry import pseudo_inertia, spd
 from geomid_ros.geometry.manifold import ParameterManifold, Point
 from geomid_ros.model.measurement import MeasurementModel

@@ -14,10 +14,11 @@ from geomid_ros.errors import InputError, unknown_name
 from geomid_ros.estimation import estimate_parts, starting_point, uncertainty
 from geomid_ros.estimation.choice import choose
 from geomid_ros.estimation.estimate import Estimate
-from geomid_ros.estimation.fit import INDEPENDENT, Fit, Problem, driven_rows, fit, settle, subproblem
+from geomid_ros.estimation.fit import INDEPENDENT, Fit, driven_rows, fit, settle
 from geomid_ros.estimation.objective import GeodesicObjective, ResidualObjective
 from geomid_ros.estimation.population import Population
 from geomid_ros.estimation.population_prior import PopulationPrior, fit_with_population, unlike_population
+from geomid_ros.estimation.problem import Problem, subproblem
 from geomid_ros.estimation.rows import OBJECTIVES
 from geomid_ros.estimation.solvers import SOLVERS
 from geomid_ros.estimation.summary import RowSummary

@@ -15,9 +15,10 @@ from functools import cached_property
 import numpy as np
 
 from geomid_ros.errors import InputError
-from geomid_ros.estimation.fit import Fit, Problem
+from geomid_ros.estimation.fit import Fit
 from geomid_ros.estimation.population import SHARED, Population
 from geomid_ros.estimation.posterior import beyond_prior
+from geomid_ros.estimation.problem import Problem
 from geomid_ros.estimation.starting_point import usual_spreads
 from geomid_ros.geometry.manifold import Point
 from geomid_ros.model.weighed_masses import WeighedRows

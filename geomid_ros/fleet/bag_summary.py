@@ -25,9 +25,10 @@ from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.samples import Samples
 from geomid_ros.plausibility.hypotheses import Cause, Finding
 from geomid_ros.session.configuration import Configuration
+from geomid_ros.session.fitting import Fitting
 from geomid_ros.session.locking import read_with_locked
 from geomid_ros.session.recorded import Recorded
-from geomid_ros.session.recordings import Bags, Fitting, read_bags
+from geomid_ros.session.recordings import Bags, read_bags
 from geomid_ros.session.session import Session
 
 _LONGEST_PAUSE = 1.0  # [s] as between any two instants

@@ -10,8 +10,8 @@ import pytest
 from geomid_ros.estimation import choice, fit
 from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.estimation.estimator import EstimatorSettings, WarmStart
-from geomid_ros.estimation.fit import Problem
 from geomid_ros.estimation.identifier import Identifier
+from geomid_ros.estimation.problem import Problem
 from geomid_ros.model.dry_friction import held_from_driving
 from geomid_ros.model.effects import AtJoint
 from geomid_ros.model.effects.coulomb_friction import CoulombFriction

@@ -25,7 +25,8 @@ from geomid_ros.live.inbox import Received
 from geomid_ros.live.worker import Worker
 from geomid_ros.model.sensors import WrenchSensor
 from geomid_ros.session.configuration import Configuration
-from geomid_ros.session.recordings import Bags, Fitting, read_bags
+from geomid_ros.session.fitting import Fitting
+from geomid_ros.session.recordings import Bags, read_bags
 from geomid_ros.session.session import Session
 from geomid_ros.signals.gates import CLOCK_SET, EARLY, SPIKE_OR_CONTACT
 from geomid_ros.signals.joint_messages import UNWRAPPED

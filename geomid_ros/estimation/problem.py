@@ -1,0 +1,157 @@
+"""What is to be fitted: the summarised rows, what is known beside them, and what follows from both at once."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from geomid_ros.estimation.objective import dual_square
+from geomid_ros.estimation.starting_point import (
+    USUAL_SPREAD_OF_LINKS,
+    first_sigmas,
+    prior_parameters,
+    scales_of_reals,
+)
+from geomid_ros.estimation.summary import RowSummary
+from geomid_ros.geometry.manifold import ParameterManifold, Point
+from geomid_ros.model.measurement import MeasurementModel
+from geomid_ros.model.weighed_masses import WeighedRows
+from geomid_ros.types import FloatArray, IntArray
+
+# Of a problem: what does not depend on what is known beside the rows.
+_OF_ROWS = ("usual", "manifold", "prior", "prior_point", "products", "row_weights", "counts", "least_sigmas")
+
+
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """What is to be fitted.
+
+    Attributes:
+        model: what the rows mean.
+        summary: the rows.
+        given: parameters ``(D,)`` of the prior where they are known, else NaN; None if none is.
+        known: rows of weighed masses.
+        sigmas: standard deviations by channel where they are given ``(channels,)``, else NaN.
+        gamma: the prior's weight as a share of the rows', if it is given.
+        independent: share of the rows that counts: filtered rows are not independent.
+        given_spreads: usual spreads of the links' priors ``(links,)``, if they are not those of CAD files.
+    """
+
+    model: MeasurementModel
+    summary: RowSummary
+    given: FloatArray | None
+    known: WeighedRows
+    sigmas: FloatArray
+    gamma: float | None
+    independent: float
+    given_spreads: FloatArray | None = None
+
+    def beside(self, rows: FloatArray) -> Problem:
+        """The problem with rows ``(r, D)`` more that are known to be zero, with standard deviation 1."""
+        other = replace(self, known=self.known.plus(WeighedRows(rows, np.zeros(len(rows)))))
+        vars(other).update({name: vars(self)[name] for name in _OF_ROWS if name in vars(self)})
+        return other
+
+    @cached_property
+    def usual(self) -> FloatArray:
+        """The usual spreads of the links' priors ``(links,)``."""
+        if self.given_spreads is not None:
+            return self.given_spreads
+        return np.full(self.manifold.links, USUAL_SPREAD_OF_LINKS)
+
+    @cached_property
+    def manifold(self) -> ParameterManifold:
+        """Where the parameters live."""
+        return self.model.manifold(scales_of_reals(self.model, self.summary))
+
+    @cached_property
+    def prior(self) -> FloatArray:
+        """The parameters ``(D,)`` that distances are measured from."""
+        return prior_parameters(self.model, self.summary, self.given)
+
+    @cached_property
+    def prior_point(self) -> Point:
+        """The prior."""
+        return self.manifold.point(self.prior)
+
+    @cached_property
+    def products(self) -> FloatArray:
+        """The columns ``[A b]`` of each group by each other, ``(groups, D + 1, D + 1)``."""
+        size = self.manifold.dimension + 1
+        products = np.zeros((len(self.summary.groups), size, size))
+        for group, factor, own in zip(self.summary.groups, self.summary.factors(), products, strict=True):
+            columns = np.append(group.columns, size - 1)
+            own[columns[:, None], columns] = factor.T @ factor
+        return products
+
+    @cached_property
+    def known_products(self) -> FloatArray:
+        """The same of the weighed masses, with the weight that they have among rows of which only a share counts."""
+        return np.asarray(max(1.0, 1.0 / self.independent) * self.known.products)
+
+    @cached_property
+    def row_weights(self) -> FloatArray:
+        """Of each group: the sum of the weights (Remark 2) of its rows, if their standard deviation is 1."""
+        return np.array([dual_square(self.manifold, self.prior_point, own) for own in self.products])
+
+    @cached_property
+    def known_weight(self) -> float:
+        """The same of the weighed masses."""
+        return dual_square(self.manifold, self.prior_point, self.known_products)
+
+    @cached_property
+    def counts(self) -> FloatArray:
+        """Rows of each group."""
+        return self.summary.counts()
+
+    @cached_property
+    def least_sigmas(self) -> FloatArray:
+        """Of each group: what no parameters can explain."""
+        return first_sigmas(self.summary, self.model.dimension)
+
+    def rows(self, sigmas: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """All measured rows, in units of their standard deviations ``(groups,)``."""
+        return self.summary.compressed(sigmas, self.manifold.dimension)
+
+    def squares(self, parameters: FloatArray) -> FloatArray:
+        """Sums of squares of each group's residuals."""
+        vector = np.append(parameters, -1.0)
+        return np.asarray(np.maximum((self.products @ vector) @ vector, 0.0))
+
+    def noise(self, parameters: FloatArray) -> FloatArray:
+        """The standard deviation of each group that is most likely at ``parameters (D,)``.
+
+        What is known at rest, where dry friction may have any value, is no surer than in motion. Groups that have
+        hardly more rows than unknowns say nothing of their noise.
+        """
+        columns = np.array([len(group.columns) for group in self.summary.groups])
+        found = np.sqrt(self.squares(parameters) / np.maximum(self.counts, 1.0))
+        telling = self.counts > columns
+        sigmas = np.where(telling, np.maximum(found, self.least_sigmas), self.least_sigmas)
+        settled, unsettled = np.split(sigmas, 2)
+        least = np.where(telling[: len(settled)], settled, 0.0)
+        return self._with_given(np.concatenate([settled, np.maximum(least, unsettled)]))
+
+    def _with_given(self, sigmas: FloatArray) -> FloatArray:
+        given = np.resize(self.sigmas, len(sigmas))
+        return np.where(np.isfinite(given), given, sigmas)
+
+    @property
+    def first_noise(self) -> FloatArray:
+        """Where the search for the noise begins."""
+        return self._with_given(self.least_sigmas)
+
+
+def subproblem(whole: Problem, columns: IntArray) -> Problem:
+    """The problem of these parameters alone, in which all other coefficients are zero."""
+    first = whole.model.dimension - len(whole.model.coefficients)
+    model = whole.model.with_coefficients([int(column) - first for column in columns if column >= first])
+    return replace(
+        whole,
+        model=model,
+        summary=whole.summary.with_columns(model.channels, columns),
+        given=None if whole.given is None else whole.given[columns],
+        known=replace(whole.known, rows=whole.known.rows[:, columns]),
+    )

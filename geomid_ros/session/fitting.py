@@ -1,0 +1,101 @@
+"""What is fitted: passed on to the identifier, and checked to be something."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from pathlib import Path
+from typing import TypeAlias
+
+import numpy as np
+
+from geomid_ros.errors import InputError
+from geomid_ros.model.samples import Samples
+from geomid_ros.plausibility.hypotheses import Cause, Finding
+from geomid_ros.session.session import Session
+from geomid_ros.session.wrench_guard import WrenchGuard
+
+Fit: TypeAlias = Callable[[Samples], object]
+"""Called with samples to fit."""
+
+
+class Fitting:
+    """Gives samples to a session's identifier, without the rows of wrench sensors that are not as declared."""
+
+    def __init__(self, session: Session) -> None:
+        """Begin with the session's next samples."""
+        self._session = session
+        self._guard = WrenchGuard(session)
+
+    def add(self, samples: Samples) -> None:
+        """Give it samples."""
+        _, rows, _ = self._session.identifier.add(samples)
+        self._guard.take(rows)
+
+    def end(self) -> None:
+        """Let the session's findings name the sensors that are not as declared."""
+        named = {place for finding in self._session.findings for place in finding.cause.places}
+        self._session.findings += tuple(
+            Finding(cause=Cause(kind="wrench", sentence=sentence, places=(topic,)))
+            for topic, sentence in self._guard.sentences.items()
+            if topic not in named
+        )
+
+
+def check_measured(session: Session, train: Iterable[Samples], bags: Sequence[Path]) -> None:
+    """Refuse data that are none, or in which nothing that the model predicts was measured.
+
+    Raises:
+        InputError: it names the ``bags`` that the data are from.
+    """
+    fitted = Fitted(session)
+    for samples in train:
+        fitted.add(samples)
+    fitted.check(bags)
+
+
+class Fitted:
+    """Passes on what is fitted, and sees whether it can be."""
+
+    def __init__(self, session: Session, fit: Fit = lambda _: None) -> None:
+        """
+        Args:
+            session: in which it is fitted.
+            fit: called with it.
+        """
+        self._session = session
+        self._fit = fit
+        self._any = self._measured = False
+        self._low, self._high = np.inf, -np.inf  # positions, of each joint
+
+    def add(self, samples: Samples) -> None:
+        """Pass on samples, if there are any."""
+        if not len(samples):
+            return
+        self._any = True
+        self._measured = self._measured or not np.all(np.isnan(self._session.model.rows(samples).targets))
+        self._low = np.minimum(self._low, np.min(samples.position, axis=0))
+        self._high = np.maximum(self._high, np.max(samples.position, axis=0))
+        self._fit(samples)
+
+    def check(self, bags: Sequence[Path]) -> None:
+        """As :func:`check_measured`."""
+        named = ", ".join(map(str, bags))
+        if not self._any:
+            raise InputError(f"{named}: too short, nothing is left to identify from")
+        if not self._measured:
+            channels = ", ".join(channel.name for channel in self._session.model.channels)
+            raise InputError(
+                f"{named}: no effort is measured (empty, NaN or zero throughout), and no wrench is declared with "
+                f"--wrench. At least one of these channels is needed: {channels}. Let the driver publish efforts, or "
+                "record a wrench sensor"
+            )
+
+    def standing(self) -> tuple[Finding, ...]:
+        """That the robot does not move in what is fitted, if so."""
+        most = float(np.max(self._high - self._low, initial=0.0))
+        if self._session.robot.floating_base or most >= self._session.configuration["still_distance"]:
+            return ()
+        sentence = (
+            f"the robot stands still: no joint moves by more than {most:.2g} (rad, m), which tells next to nothing"
+        )
+        return (Finding(cause=Cause(kind="still", sentence=f"{sentence}; record a motion of all joints")),)
