@@ -15,7 +15,6 @@ from benchmarks.report import Report
 from geomid_ros.estimation.rows import best_weight, choose_gamma, held_out_losses
 from geomid_ros.geometry.manifold import ParameterManifold
 from geomid_ros.model.samples import Samples
-from geomid_ros.session.recordings import read_bags
 from geomid_ros.types import FloatArray
 
 _ROUNDS = 3
@@ -55,9 +54,7 @@ def _cases() -> Iterator[tuple[str, FloatArray, FloatArray, FloatArray]]:
         bags, options = [folder / bag for bag in case.train], case.options | {"effects": []}
         found = geomid_ros.identify(bags, folder / case.urdf, **options)
         model = found.session.model
-        train: list[Samples] = []
-        read_bags(found.session, found.bags, train.append)
-        made = model.rows(Samples.concatenate(train))
+        made = model.rows(Samples.concatenate(list(found.train)))
         coefficients, targets = made.coefficients.reshape(-1, model.dimension), made.targets.ravel()
         sigmas = np.tile(found.estimate.sigmas, len(made.targets))
         usable = np.isfinite(targets) & np.all(np.isfinite(coefficients), axis=1)

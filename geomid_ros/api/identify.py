@@ -39,14 +39,14 @@ class Identification:
         bags: what was read.
         estimate: all that the solver found.
         held_out: the samples to judge on, in batches, which were not fitted; empty if nothing was held out.
-        train: the samples that were fitted, if nothing was held out.
+        judged: the samples that it is judged on: those, or all that were fitted.
     """
 
     session: Session
     bags: Bags
     estimate: Estimate
     held_out: Sequence[Samples]
-    train: Sequence[Samples]
+    judged: Sequence[Samples]
 
     @property
     def links(self) -> tuple[LinkEstimate, ...]:
@@ -72,7 +72,17 @@ class Identification:
     @cached_property
     def verdict(self) -> Verdict:
         """Whether the result can be used: ``usable``, ``doubtful`` or ``not converged``, and why not."""
-        return self.session.verdict(self.estimate, self._judged, self.held_out_rms)
+        return self.session.verdict(self.estimate, self.judged, self.held_out_rms)
+
+    @cached_property
+    def train(self) -> Sequence[Samples]:
+        """The samples that were fitted, in batches; where others are held out they are read once more, as they are not
+        remembered."""
+        if not self.held_out:
+            return self.judged
+        samples: list[Samples] = []
+        read_bags(Session(self.session.urdf, self.session.configuration, ""), self.bags, samples.append)
+        return samples
 
     @cached_property
     def rms_nominal(self) -> dict[str, float]:
@@ -106,12 +116,7 @@ class Identification:
 
     def plot(self) -> Figure:
         """Draw the bodies, before and after, and the channels, measured and predicted."""
-        return draw_identification(self.session, self.estimate, self._judged, self._series, self._of_what)
-
-    @property
-    def _judged(self) -> Sequence[Samples]:
-        """The samples that the result is judged on."""
-        return self.held_out or self.train
+        return draw_identification(self.session, self.estimate, self.judged, self._series, self._of_what)
 
     @property
     def _of_what(self) -> str:
@@ -120,7 +125,7 @@ class Identification:
     @cached_property
     def _series(self) -> Sequence[Series]:
         """The channels, measured and predicted."""
-        return series_of(self.session, self.estimate, self._judged)
+        return series_of(self.session, self.estimate, self.judged)
 
     def report(self, path: PathLike, *, command: str = "geomid_ros.identify") -> Path:
         """Write everything with pictures on one HTML page that needs no network: whether the result can be used and for
@@ -252,7 +257,7 @@ def identify(
     topics = Topics(joint_topic, odom_topic)
     recorded = Bags(fitted=bag_paths(bags), validate=bag_paths(validate), hold_out=hold_out, topics=topics)
     robot = description(urdf, recorded.fitted, model=model, xacro_args=xacro_args)
-    session, (held_out, train) = read_with_locked(
+    session, (held_out, judged) = read_with_locked(
         lambda chosen: Session(robot.text, chosen, robot.source),
         parameters,
         lambda session: _read(session, recorded, progress),
@@ -260,11 +265,11 @@ def identify(
     session.settled.extend(robot.notes)
     progress("solving", 0.0)
     estimate = session.identifier.solve()
-    return Identification(session=session, bags=recorded, estimate=estimate, held_out=held_out, train=train)
+    return Identification(session=session, bags=recorded, estimate=estimate, held_out=held_out, judged=judged)
 
 
 def _read(session: Session, bags: Bags, progress: Progress) -> tuple[list[Samples], list[Samples]]:
-    """The samples to judge on, and those that were fitted, if they are judged on."""
+    """The samples that are held out, and those to judge on: the same, or all that were fitted."""
     fitting, train = Fitting(session), list[Samples]()
 
     def fit(samples: Samples) -> None:
@@ -274,4 +279,4 @@ def _read(session: Session, bags: Bags, progress: Progress) -> tuple[list[Sample
 
     held_out = read_bags(session, bags, fit, progress)
     fitting.end()
-    return held_out, train
+    return held_out, held_out or train
