@@ -150,19 +150,21 @@ class Identifier:
         rows.coefficients[:, :, without] = 0.0
         moving = np.zeros(len(samples), dtype=bool)
         unsettled = self._unsettled(samples)
+        measured = usable(rows.coefficients, rows.targets)
+        counts, targets = np.count_nonzero(measured, axis=1), np.where(measured, rows.targets, np.nan)
+        speeds = np.max(np.abs(np.concatenate([samples.velocity, samples.base_velocity], axis=1)), axis=1)
+        poses = np.concatenate([samples.position, samples.base_pose], axis=1)
         with self._lock:
+            self._made += measured.size
+            self._rejected[NOT_MEASURED] += measured.size - int(np.sum(counts))
             for index in range(len(samples)):
                 elapsed = self._elapsed(int(samples.stamps[index]))
-                measured = usable(rows.coefficients[index], rows.targets[index])
-                self._made += len(measured)
-                self._rejected[NOT_MEASURED] += int(np.count_nonzero(~measured))
-                if self._is_still(samples, index):
-                    self._rejected[STANDING_STILL] += int(np.count_nonzero(measured))
+                if self._is_still(float(speeds[index]), poses[index]):
+                    self._rejected[STANDING_STILL] += int(counts[index])
                 else:
                     moving[index] = True
-                    targets = np.where(measured, rows.targets[index], np.nan)
                     self._recent.append(
-                        Instant(self.instants, rows.coefficients[index], targets, elapsed, unsettled[index])
+                        Instant(self.instants, rows.coefficients[index], targets[index], elapsed, unsettled[index])
                     )
                     self.instants += 1
                     self._settle_before(self.instants - self._held)
@@ -217,9 +219,7 @@ class Identifier:
         before, self._last_stamp = self._last_stamp, stamp
         return 0.0 if before is None else min(max(0.0, 1e-9 * (stamp - before)), _LONGEST_STEP)
 
-    def _is_still(self, samples: Samples, index: int) -> bool:
-        speed = np.max(np.abs(np.append(samples.velocity[index], samples.base_velocity[index])))
-        pose = np.append(samples.position[index], samples.base_pose[index])
+    def _is_still(self, speed: float, pose: FloatArray) -> bool:
         still = (
             self._last_pose is not None
             and speed < self._buffer.still_speed

@@ -313,8 +313,8 @@ class RowSummary:
 
 
 def usable(coefficients: FloatArray, targets: FloatArray) -> BoolArray:
-    """Which rows ``(N, D)`` have a target ``(N,)`` and coefficients that are numbers: a single NaN would spoil all."""
-    return np.asarray(np.isfinite(targets) & np.all(np.isfinite(coefficients), axis=1))
+    """Which rows ``(..., D)`` have a target ``(...)`` and coefficients that are numbers: one NaN would spoil all."""
+    return np.asarray(np.isfinite(targets) & np.all(np.isfinite(coefficients), axis=-1))
 
 
 def _checked(factor: FloatArray, channel: Channel) -> FloatArray:
