@@ -22,7 +22,7 @@ from geomid_ros.report.series import Series
 from geomid_ros.report.sheet import write_picture
 from geomid_ros.session.fitting import Fitting
 from geomid_ros.session.locking import read_with_locked
-from geomid_ros.session.recordings import Bags, Progress, Topics, read_bags, silent
+from geomid_ros.session.recordings import Bags, Progress, Topics, read_bags, read_fitted, silent
 from geomid_ros.session.session import Session
 from geomid_ros.types import FloatArray
 
@@ -80,9 +80,7 @@ class Identification:
         remembered."""
         if not self.held_out:
             return self.judged
-        samples: list[Samples] = []
-        read_bags(Session(self.session.urdf, self.session.configuration, ""), self.bags, samples.append)
-        return samples
+        return read_fitted(Session(self.session.urdf, self.session.configuration, ""), self.bags)
 
     @cached_property
     def rms_nominal(self) -> dict[str, float]:

@@ -12,7 +12,7 @@ from geomid_ros.files.models.posterior import beside, read_posterior
 from geomid_ros.model.samples import Samples
 from geomid_ros.session.locking import read_with_locked
 from geomid_ros.session.payload import payload_session
-from geomid_ros.session.recordings import Bags, Progress, Topics, read_bags, silent
+from geomid_ros.session.recordings import Bags, Progress, Topics, read_fitted, silent
 from geomid_ros.session.session import Session
 
 
@@ -86,6 +86,4 @@ def _all(session: Session, bags: Sequence[Path], topics: Topics, progress: Progr
     if not bags:
         return ()
     session.judge_apart()
-    samples: list[Samples] = []
-    read_bags(session, Bags(fitted=bags, hold_out=0.0, topics=topics), samples.append, progress)
-    return samples
+    return read_fitted(session, Bags(fitted=bags, hold_out=0.0, topics=topics), progress)

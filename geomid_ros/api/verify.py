@@ -18,7 +18,7 @@ from geomid_ros.plausibility.requirements import TOTAL, Outcome, Requirement, Va
 from geomid_ros.plausibility.verdict import recording_verdict
 from geomid_ros.session.gap import gap_session
 from geomid_ros.session.locking import read_with_locked
-from geomid_ros.session.recordings import Bags, Progress, Topics, read_bags, silent
+from geomid_ros.session.recordings import Bags, Progress, Topics, read_fitted, silent
 from geomid_ros.session.session import Session
 from geomid_ros.types import FloatArray
 
@@ -94,7 +94,7 @@ def verify(
     session, samples = read_with_locked(
         lambda chosen: gap_session(robot.text, chosen, robot.source),
         parameters,
-        lambda session: _read(session, recorded, progress),
+        lambda session: read_fitted(session, recorded, progress),
     )
     session.settled.extend(robot.notes)
     values = _values(session, samples, read_estimate(Path(model)))
@@ -105,13 +105,6 @@ def verify(
         doubts=[*filter(None, [session.loaded.doubt]), *doubts],
         outcomes=[outcome for requirement in required for outcome in requirement.checked(values)],
     )
-
-
-def _read(session: Session, bags: Bags, progress: Progress) -> list[Samples]:
-    """All samples."""
-    samples: list[Samples] = []
-    read_bags(session, bags, samples.append, progress)
-    return samples
 
 
 def _values(session: Session, samples: Sequence[Samples], document: Mapping[str, Any]) -> dict[str, Values]:

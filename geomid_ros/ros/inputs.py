@@ -104,14 +104,15 @@ class Inputs:
         messages: list[Received] = []
         # Not the node's count, which would copy the graph.
         ambiguous = not entry.several and entry.subscription.get_publisher_count() > 1
-        now, wall_clock = time.perf_counter(), time.time()
+        now, wall_clock, came = time.perf_counter(), time.time(), 0.0
         handle = entry.subscription.handle
         with handle:
             while len(messages) < _MOST_AT_ONCE and (taken := handle.take_message(entry.kind, True)):
                 data, info = taken
                 self._count_missing(entry, None if ambiguous else info["publication_sequence_number"])
                 waited = wall_clock - 1e-9 * info["received_timestamp"] if info["received_timestamp"] else 0.0
-                messages.append(Received(entry.name, data, now - max(0.0, waited)))
+                came = max(came, now - max(0.0, waited))  # in the order of the topic, though the wall clock is set
+                messages.append(Received(entry.name, data, came))
         if ambiguous:
             for message in messages:
                 self._ledger.drop(message.topic, "several publishers")

@@ -196,6 +196,13 @@ def read_bags(session: Session, bags: Bags, fit: Fit, progress: Progress = silen
     return held_out
 
 
+def read_fitted(session: Session, bags: Bags, progress: Progress = silent) -> list[Samples]:
+    """As :func:`read_bags`, but the samples to fit, in batches; those to judge on are passed over."""
+    samples: list[Samples] = []
+    read_bags(session, bags, samples.append, progress)
+    return samples
+
+
 def read_samples(
     bag: Bag, session: Session, pipeline: SignalPipeline, topics: Topics, progress: Progress = silent
 ) -> Iterator[Samples]:

@@ -1,6 +1,7 @@
 """Columns of effects: all of them at once are each by itself."""
 
 import numpy as np
+from new_effects.coaxial_friction import CoaxialFriction
 from new_effects.supply_sag import SupplySag
 
 from geomid_ros.model.columns import NO_ENTRIES, Column, Columns, Entries, JointColumn, PlacedColumn
@@ -37,6 +38,7 @@ COLUMNS: tuple[Column, ...] = (
     JointColumn(CoulombFriction()),
     PlacedColumn(SupplySag(), OnRobot()),
     PlacedColumn(CoupledViscousFriction(), AtJoints(0, 2)),
+    PlacedColumn(CoaxialFriction(), AtJoints(1, 2)),
     PlacedColumn(CoupledRotorInertia(), AtJoints(1, 2)),
     PlacedColumn(Spring(), AtJoint(3)),
 )
@@ -51,7 +53,7 @@ def test_each_column_is_what_it_is_by_itself() -> None:
 
 def test_only_what_a_column_reaches_is_kept() -> None:
     entries = Entries(Columns(COLUMNS), 4)
-    assert len(entries) == 2 + 4 + 4 + 2 + 2 + 1
+    assert len(entries) == 2 + 4 + 4 + 2 + 2 + 2 + 1
     assert np.all(entries.values(MOTION))
 
 

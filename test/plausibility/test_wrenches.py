@@ -17,7 +17,7 @@ from geomid_ros.model.sensors import WrenchSensor
 from geomid_ros.plausibility.check import JudgementTask, RecordingCheck
 from geomid_ros.plausibility.hypotheses import Cause
 from geomid_ros.session.configuration import Configuration
-from geomid_ros.session.recordings import Bags, read_bags
+from geomid_ros.session.recordings import Bags, read_fitted
 from geomid_ros.session.session import Session
 from geomid_ros.types import FloatArray
 
@@ -28,8 +28,7 @@ SENSOR = WrenchSensor("/wrench", "wrist_ft", "mounted")
 def recorded() -> tuple[Session, Samples]:
     """The shipped arm with a sensor at its wrist."""
     session = Session(read_urdf(BAGS / "arm7.urdf"), Configuration().with_sensors([SENSOR]), "arm7.urdf")
-    train: list[Samples] = []
-    read_bags(session, Bags(fitted=[BAGS / "arm7"], hold_out=0.0), train.append)
+    train = read_fitted(session, Bags(fitted=[BAGS / "arm7"], hold_out=0.0))
     assert session.findings == ()
     return session, Samples.concatenate(train)
 

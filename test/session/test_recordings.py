@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from itertools import pairwise
 from pathlib import Path
+from unittest.mock import MagicMock
 
 import numpy as np
 import pytest
@@ -12,6 +14,7 @@ from hypothesis import strategies as st
 
 from geomid_ros.errors import InputError
 from geomid_ros.model.samples import Samples
+from geomid_ros.session import recordings
 from geomid_ros.session.recordings import Bags, divided
 
 PERIOD = 10_000_000  # [ns]
@@ -49,6 +52,35 @@ def test_the_end_is_held_out_whatever_the_batches(count: int, share: float, cuts
     duration = whole.stamps[-1] - whole.stamps[0]
     assert all(whole.stamps[-1] - stamp <= share * duration + 1 for stamp in late)
     assert all(whole.stamps[-1] - stamp >= share * duration - 1 for stamp in early)
+
+
+@pytest.mark.parametrize("share", [0.0, 0.3, 0.9, (19 * PERIOD + 1) / (44 * PERIOD + 1)])  # the last at an instant
+@pytest.mark.parametrize("size", [1, 4, 7, 40])
+def test_what_is_surely_fitted_is_passed_on_while_the_bag_is_read(
+    share: float, size: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """And in the end it is what a division of the whole says."""
+    whole = recording(40)
+    batches = [whole.select(slice(begin, begin + size)) for begin in range(0, 40, size)]
+    fitted: list[int] = []
+    kept_most = 0
+
+    def read(*_: object) -> Iterator[Samples]:
+        nonlocal kept_most
+        for done, batch in enumerate(batches):
+            kept_most = max(kept_most, done * size - len(fitted))
+            yield batch
+
+    monkeypatch.setattr(recordings, "Bag", MagicMock())
+    monkeypatch.setattr(recordings, "read_samples", read)
+    session = MagicMock(findings=(), configuration={"still_distance": 0.1})
+    session.robot.floating_base = True
+    session.model.rows.return_value.targets = np.zeros(1)
+    held_out = recordings.read_bags(session, Bags(fitted=[BAG], hold_out=share), lambda s: fitted.extend(s.stamps))
+    ((early, late),) = divided([whole], share)
+    assert fitted == early.stamps.tolist()
+    assert [stamp for batch in held_out for stamp in batch.stamps] == late.stamps.tolist()
+    assert kept_most <= share * 45 + size, "no more is remembered than may be held out, and what came last"
 
 
 def test_all_or_nothing() -> None:
