@@ -45,6 +45,7 @@ class Search:
         self._payload_trials: dict[frozenset[AnyCandidate], list[Trial]] = {}
         self._unchanged: dict[AnyCandidate, Search] = {}
         self._excluded: dict[AnyCandidate, frozenset[AnyCandidate]] = {}
+        self._contested_at: dict[AnyCandidate, float] = {}  # the score at which another may stand in its place
 
     def unchanged(self, candidate: AnyCandidate) -> Search:
         """The search in which what the model has of a candidate is as it was, and so is all that the model has at its
@@ -207,16 +208,25 @@ class Search:
             curves += [trial.candidate for trial in trials[:1] if trial.gain >= 0.0]
         return self.fit([*rest.chosen, *curves], rest) if curves else None
 
+    def grown(self, current: JointFit, to_the_end: bool = False) -> JointFit:
+        """Grow and prune until nothing is worth it, or, unless ``to_the_end``, until a name is found that changes all
+        columns."""
+        known = _turns(current)
+        while (larger := self.grow(current)) is not None:
+            current = self.prune(larger)
+            if _turns(current) - known and not to_the_end:
+                break
+        return current
+
     def settle(self, current: JointFit, to_the_end: bool = False) -> JointFit:
         """Grow, exchange and prune until nothing changes, or, unless ``to_the_end``, until a name is found that changes
         all columns."""
         known = _turns(current)
         for _ in range(_EXCHANGES):
             before = current.score
-            while (larger := self.grow(current)) is not None:
-                current = self.prune(larger)
-                if _turns(current) - known and not to_the_end:
-                    return current
+            current = self.grown(current, to_the_end)
+            if _turns(current) - known and not to_the_end:
+                break
             current = self.exchange(current)
             if current.score >= before - 1e-6:
                 break
@@ -241,13 +251,23 @@ class Search:
 
     def exchange(self, current: JointFit) -> JointFit:
         """Replace candidates one after the other, also by the same name with other constants, where that improves the
-        score."""
+        score. One that led all others is tried again once the search has gained as much as it led by."""
         for candidate in current.chosen:
-            if candidate in current.chosen:
-                others = [f for f in self._exchanged(current, candidate) if self.possible(f)]
-                best = min(others, key=lambda f: f.score, default=current)
-                current = best if best.score < current.score - 1e-3 else current
+            if candidate not in current.chosen or current.score > self._contested_at.get(candidate, np.inf):
+                continue
+            others = [f for f in self._exchanged(current, candidate) if candidate not in f.chosen and self.possible(f)]
+            best = min((f.score for f in others), default=np.inf)
+            if best < current.score - 1e-3:
+                current = min(others, key=lambda f: f.score)
+            else:
+                self._contested_at[candidate] = current.score - self._lead(current, candidate, best)
         return current
+
+    def _lead(self, current: JointFit, candidate: AnyCandidate, best: float) -> float:
+        """By how much a candidate leads the ``best`` score of others in its place, and those that were not plausible,
+        none of which promised to make up for so much of its loss."""
+        loss = self.without(current, candidate).score - current.score
+        return min(best - current.score, (1.0 - _PLAUSIBLE) * loss)
 
     def _exchanged(self, current: JointFit, candidate: AnyCandidate) -> list[JointFit]:
         """The fits with others in the place of one candidate."""
