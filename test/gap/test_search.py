@@ -195,6 +195,37 @@ def test_what_an_exchange_has_taken_away_is_not_exchanged(monkeypatch: pytest.Mo
     assert asked == [VISCOUS]
 
 
+@pytest.mark.parametrize(("sizes", "leads_by"), [((0.75,), "the second"), ((0.45, 0.45), "half its loss")])
+def test_a_name_that_led_all_others_is_tried_again_once_the_search_has_gained_as_much(
+    sizes: tuple[float, ...], leads_by: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    weak, strong = OTHERS[0], OTHERS[1 : 1 + len(sizes)]
+    truth = {VISCOUS: [STRONG], weak: [0.2 * STRONG], **{c: [s * STRONG] for c, s in zip(strong, sizes, strict=True)}}
+    one, asked = search(truth, among=list(truth)), set[AnyCandidate]()
+    exchanged = one._exchanged
+
+    def spied(current: JointFit, candidate: AnyCandidate) -> list[JointFit]:
+        asked.add(candidate)
+        return exchanged(current, candidate)
+
+    monkeypatch.setattr(one, "_exchanged", spied)
+
+    def asked_of(*chosen: AnyCandidate) -> set[AnyCandidate]:
+        asked.clear()
+        one.exchange(one.fit(chosen))
+        return set(asked)
+
+    alone, little, much = (one.fit([VISCOUS, *more]).score for more in ([], [weak], strong))
+    leads = {"the second": one.fit(strong[:1]).score - alone, "half its loss": 0.5 * (one.fit([]).score - alone)}
+    assert leads_by == min(leads, key=lambda by: leads[by])
+    assert alone - little < leads[leads_by] < alone - much
+    assert asked_of(VISCOUS) == {VISCOUS}
+    assert one._contested_at[VISCOUS] == pytest.approx(alone - leads[leads_by])
+    assert asked_of(VISCOUS) == set()
+    assert asked_of(VISCOUS, weak) == {weak}
+    assert asked_of(VISCOUS, *strong) == {VISCOUS, *strong}
+
+
 def test_names_bring_what_the_score_test_promises() -> None:
     """Within the factor by which the search relies on it."""
     rng = np.random.default_rng(1)

@@ -122,6 +122,13 @@ def test_what_was_chosen_is_known_again_with_its_constants(effect: JointEffect) 
     assert {part: again[part] for part in effect.parts} == dict.fromkeys(effect.parts, (0.5,))
 
 
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("effect", OF_JOINTS.values(), ids=OF_JOINTS)
+def test_what_is_not_there_has_parameters_without_a_warning(effect: type[JointEffect]) -> None:
+    size = len(effect().parts)
+    assert effect().quantities(np.zeros(size), np.zeros((size, size)))
+
+
 def test_two_effects_of_one_name_are_refused() -> None:
     """As after copying a file and forgetting to give the new one its name."""
     copied = type("CopiedEffect", (ViscousFriction,), {})

@@ -174,9 +174,13 @@ class Effect(ABC):
             sliding: whether its joint is prismatic.
             unsure: standard deviation of the logarithm of the scanned constant.
             usual_load: standard deviation of what the joint's gear transmits [N m or N].
+
+        Where a coefficient is zero, its parameter may be infinite or not a number: a spring of no stiffness rests
+        nowhere.
         """
-        values, jacobian = self.transformed(coefficients)
-        stds = np.sqrt(np.maximum(np.einsum("ij,jk,ik->i", jacobian, covariance, jacobian), 0.0))
+        with np.errstate(divide="ignore", invalid="ignore"):
+            values, jacobian = self.transformed(coefficients)
+            stds = np.sqrt(np.maximum(np.einsum("ij,jk,ik->i", jacobian, covariance, jacobian), 0.0))
         found = [(float(value), float(std)) for value, std in zip(values, stds, strict=True)]
         return quantities(self.parameters, [*found, *self.constants(found, unsure, usual_load)], sliding=sliding)
 
