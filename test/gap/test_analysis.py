@@ -18,7 +18,6 @@ from geomid_ros.model.effects.gravity_tilt import GravityTilt
 from geomid_ros.model.effects.viscous_friction import ViscousFriction
 from geomid_ros.types import FloatArray
 
-from . import pendulum
 from .planted import model
 from .small import PRIOR, Recording, at, curve
 
@@ -222,13 +221,3 @@ def test_the_first_noise_is_that_of_what_was_measured_however_many_columns_there
     found = analysis._flexible_noise(problem, everywhere, bare, np.ones(noise.shape, dtype=bool))
     assert 0.45 < np.mean([process.predictors[1][0] for process in found if process.order]) < 0.9
     assert 0.5 < np.mean([process.variances[-1] for process in found]) < 2.0
-
-
-def test_names_are_exchanged_once_what_they_leave_tells_the_noise(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Not beside the first guess of it, with which the search only grows."""
-    grown, exchanged = list[Search](), list[Search]()
-    grow, exchange = Search.grow, Search.exchange
-    monkeypatch.setattr(Search, "grow", lambda self, current: [grown.append(self), grow(self, current)][1])
-    monkeypatch.setattr(Search, "exchange", lambda self, current: [exchanged.append(self), exchange(self, current)][1])
-    pendulum.gap(lambda _, velocity: 0.3 * np.sign(velocity), 1)
-    assert set(exchanged) == set(grown) - {grown[0]} != set()

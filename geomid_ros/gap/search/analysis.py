@@ -67,9 +67,7 @@ def analyse(
         found = search.without_absurd(search.fit(before.chosen if before else ()))
         final = attempt == _ROUNDS - 1
         if final or _near(total_model(model, found), total):
-            # The first noise is a guess: names are exchanged once what they leave tells it.
-            settled = search.grown if attempt == 0 else search.settle
-            found = search.without_absurd(settled(search.prune(found), to_the_end=final))
+            found = search.without_absurd(search.settle(search.prune(found), to_the_end=final))
         total = total_model(model, found)
         if final or _same(before, found):
             break

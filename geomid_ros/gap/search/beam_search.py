@@ -208,25 +208,16 @@ class Search:
             curves += [trial.candidate for trial in trials[:1] if trial.gain >= 0.0]
         return self.fit([*rest.chosen, *curves], rest) if curves else None
 
-    def grown(self, current: JointFit, to_the_end: bool = False) -> JointFit:
-        """Grow and prune until nothing is worth it, or, unless ``to_the_end``, until a name is found that changes all
-        columns."""
-        known = _turns(current)
-        while (larger := self.grow(current)) is not None:
-            current = self.prune(larger)
-            if _turns(current) - known and not to_the_end:
-                break
-        return current
-
     def settle(self, current: JointFit, to_the_end: bool = False) -> JointFit:
         """Grow, exchange and prune until nothing changes, or, unless ``to_the_end``, until a name is found that changes
         all columns."""
         known = _turns(current)
         for _ in range(_EXCHANGES):
             before = current.score
-            current = self.grown(current, to_the_end)
-            if _turns(current) - known and not to_the_end:
-                break
+            while (larger := self.grow(current)) is not None:
+                current = self.prune(larger)
+                if _turns(current) - known and not to_the_end:
+                    return current
             current = self.exchange(current)
             if current.score >= before - 1e-6:
                 break
