@@ -29,6 +29,7 @@ _LEAST_SHARE = 1e-10  # of the target's sum of squares: no residual is smaller
 _LEAST_DECREASE = 1e-3  # of half the score
 _ROUNDS = 8
 _STEPS = 40
+_RADIUS = 16.0  # of the first step: as a name comes or goes, others move as far as it reached
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -188,7 +189,7 @@ def _free_fit(
         point = priors.centred_payloads(objective(spreads, inflation), point, len(bodies))
     for _ in range(_ROUNDS):
         trusted = objective(spreads, inflation)
-        solution = trust_region(trusted, point, max_steps=_STEPS, least_decrease=_LEAST_DECREASE)
+        solution = trust_region(trusted, point, max_steps=_STEPS, radius=_RADIUS, least_decrease=_LEAST_DECREASE)
         point = solution.point
         if fixed:
             break
