@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from geomid_ros.model.sensors import WrenchSensor
+from geomid_ros.model.sensors import AXES, WrenchSensor
 from geomid_ros.types import IntArray
 
 
@@ -43,6 +43,12 @@ class ChannelLayout:
 def wrench_channel(topic: str, axis: str) -> str:
     """The name of a channel of a wrench sensor; a joint's is that of the joint."""
     return f"{topic.strip('/')}/{axis}"
+
+
+def is_wrench_channel(channel: str) -> bool:
+    """Whether the channel of that name is one of a wrench sensor."""
+    topic, _, axis = channel.rpartition("/")
+    return bool(topic) and axis in AXES
 
 
 def is_of(channel: str, place: str) -> bool:

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
+from geomid_ros.errors import InputError, unknown_name
 from geomid_ros.excitation.feasibility import Feasibility
 from geomid_ros.excitation.knowledge import prior_knowledge
 from geomid_ros.excitation.response import Responses, coefficients_of
@@ -14,6 +16,7 @@ from geomid_ros.excitation.rivals import Dispute, Judge, Name
 from geomid_ros.files.models.effect_forms import payload_parameters
 from geomid_ros.files.models.gap_rivals import OpenFinding, read_open_findings
 from geomid_ros.gap.candidates import Candidate
+from geomid_ros.model.channels import is_wrench_channel
 from geomid_ros.model.effects import KnownEffect, OnLink, Place, effect_class, values_of
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.types import FloatArray, frozen
@@ -27,6 +30,7 @@ def open_questions(feasibility: Feasibility, path: Path) -> tuple[Judge, list[tu
     findings, floor = read_open_findings(path)
     before = feasibility.knowledge
     model = before.model.without_effects()
+    _refuse_others(model, floor, path)
     knowledge = prior_knowledge(model, feasibility.limits)
     names = [channel.name for channel in model.channels]
     sigmas = [floor.get(name) or own for name, own in zip(names, knowledge.sigmas.tolist(), strict=True)]
@@ -35,6 +39,14 @@ def open_questions(feasibility: Feasibility, path: Path) -> tuple[Judge, list[tu
     inertias = np.array([body.parameters for body in model.robot.bodies])
     labels = [(dispute.found.label, [rival.label for rival in dispute.rivals]) for dispute in disputes]
     return Judge(knowledge, Responses(model, inertias), disputes), labels
+
+
+def _refuse_others(model: MeasurementModel, floor: Mapping[str, float], path: Path) -> None:
+    """Raise InputError where a gap report says something of joints that the robot does not have."""
+    joints = [joint.name for joint in model.robot.tree.joints]
+    for name in floor:
+        if name not in joints and not is_wrench_channel(name):
+            raise InputError(f"{path}: was written for another robot: {unknown_name('joint', name, joints)}")
 
 
 def _dispute(model: MeasurementModel, entry: OpenFinding) -> Dispute:
