@@ -43,7 +43,7 @@ def open_questions(feasibility: Feasibility, path: Path) -> tuple[Judge, list[tu
 
 def _refuse_others(model: MeasurementModel, floor: Mapping[str, float], path: Path) -> None:
     """Raise InputError where a gap report says something of joints that the robot does not have."""
-    joints = [joint.name for joint in model.robot.tree.joints]
+    joints = [joint.name for joint in model.robot.tree.joints if joint.type != "fixed"]
     for name in floor:
         if name not in joints and not is_wrench_channel(name):
             raise InputError(f"{path}: was written for another robot: {unknown_name('joint', name, joints)}")

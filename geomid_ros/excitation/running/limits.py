@@ -30,11 +30,12 @@ class RobotLimits:
     efforts: FloatArray
 
     @staticmethod
-    def of(robot: Robot, joints: tuple[str, ...]) -> RobotLimits:
-        """Those of a robot's URDF. Raises InputError if it has no joint of a name."""
+    def of(robot: Robot, joints: tuple[str, ...], source: str) -> RobotLimits:
+        """Those of a robot's URDF. Raises InputError naming the ``source`` of the joints if it has none of a name."""
         for name in joints:
             if name not in robot.joint_names:
-                raise unknown_name(f"joint of {robot.source}", name, robot.joint_names)
+                unknown = unknown_name(f"joint of {robot.source}", name, robot.joint_names)
+                raise InputError(f"{source}: was made for another robot: {unknown}")
         places = [robot.joint_names.index(name) for name in joints]
         lower, upper = robot.position_limits[places].T
         return RobotLimits(joints, lower, upper, robot.speed_limits[places], robot.effort_limits[places])

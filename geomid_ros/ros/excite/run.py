@@ -106,7 +106,7 @@ class MotionRun:
         self._robot = HeardRobot(node, order.motion.joints, order.joint_topic, interrupted)
         self._urdf, source = order.urdf or self._description()
         robot = Robot(self._urdf, source=source)
-        self._limits = RobotLimits.of(robot, order.motion.joints)
+        self._limits = RobotLimits.of(robot, order.motion.joints, order.source)
         check_motion(order.slowed, self._limits, order.source)
         self.plan = self._planned(robot, self._heard())
         self._stopping = stopping_accelerations(order.motion, self._limits.speeds)

@@ -16,7 +16,7 @@ from geomid_ros.files.trajectories.reading import read_trajectory
 from geomid_ros.model.robot import Robot
 
 ROBOT = Robot((BAGS / "arm3.urdf").read_text(), source="arm3.urdf")
-LIMITS = RobotLimits.of(ROBOT, ("joint3", "joint1"))
+LIMITS = RobotLimits.of(ROBOT, ("joint3", "joint1"), "motion.yaml")
 
 
 def points(motion: Motion, folder: Path) -> Trajectory:
@@ -30,8 +30,8 @@ def test_limits_are_the_urdfs_in_the_order_of_the_motion() -> None:
         values = dict(item.replace('"', "").split("=") for item in limit.split())
         found = LIMITS.lower[place], LIMITS.upper[place], LIMITS.speeds[place], LIMITS.efforts[place]
         assert found == tuple(float(values[key]) for key in ("lower", "upper", "velocity", "effort"))
-    with pytest.raises(InputError, match=r"unknown joint of arm3.urdf 'joint9'"):
-        RobotLimits.of(ROBOT, ("joint9",))
+    with pytest.raises(InputError, match=r"motion.yaml: .* another robot: unknown joint of arm3.urdf 'joint9'"):
+        RobotLimits.of(ROBOT, ("joint9",), "motion.yaml")
 
 
 def test_a_motion_within_all_limits_is_taken(tmp_path: Path) -> None:
