@@ -22,6 +22,8 @@ REACHED = 1.15
 """A channel whose remainder is below this times the floor has reached it."""
 LEAST_PREDICTED = 0.5
 """Share of the gap of unseen data that a sure name closes where something is left."""
+_ALONG = 0.5
+"""Share of what is left without a name, as a root mean square, that may lie along a name's columns."""
 _CONTAINED = 0.1
 """Of what nothing else imitates of a name: a curve beside which less is left contains it."""
 
@@ -99,6 +101,14 @@ class Closing:
     def closed(self) -> float:
         """What it closes, in squares of the floor."""
         return float(np.nansum(self._squares_without - self.unseen.gap.after[self.reached] ** 2))
+
+    @cached_property
+    def doubt(self) -> float:
+        """Which share of its size, as a standard deviation, may be a part of what has no name; none where nothing is
+        left anywhere."""
+        if self.is_all:
+            return 0.0
+        return min(1.0, _ALONG * float(np.sqrt(self._left / self.closed))) if self.closed > 0.0 else 1.0
 
     @property
     def _is_judged(self) -> bool:

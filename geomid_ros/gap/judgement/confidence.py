@@ -95,11 +95,9 @@ class Evidence:
             return not parameters["mass"].value > _SURE_OF_SIZE * parameters["mass"].std
         if set(self.candidate.terms) <= set(self.analysis.search.prior.terms):
             return False
-        nothing = 1.0 if self.candidate.effect.scales_measurement else 0.0
         effect = self.candidate.effect
-        constants = {form.name for form in effect.parameters[sum(part.count for part in effect.parts) :]}
-        sizes = [size for name, size in parameters.items() if name not in constants]
-        return all(abs(size.value - nothing) <= _SURE_OF_SIZE * size.std for size in sizes)
+        sizes = effect.sizes(parameters).values()
+        return all(abs(size.value - effect.nothing) <= _SURE_OF_SIZE * size.std for size in sizes)
 
     @property
     def _is_ambiguous(self) -> bool:

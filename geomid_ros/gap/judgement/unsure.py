@@ -13,7 +13,7 @@ from geomid_ros.gap.judgement import naming
 from geomid_ros.gap.judgement.blocks import scattered
 from geomid_ros.gap.search.analysis import Analysis
 from geomid_ros.gap.search.beam_search import LEAST_GAIN
-from geomid_ros.model.effects import Quantity, joints_of
+from geomid_ros.model.effects import Quantity, Values, joints_of
 from geomid_ros.model.measurement import MeasurementModel
 
 
@@ -36,6 +36,21 @@ def as_unsure_beside_others(
     if candidate.payload is not None:
         return parameters
     return _over(model, analysis, _as_likely(analysis, candidate), parameters, load)
+
+
+def as_unsure_beside_remainder(
+    candidate: Candidate, parameters: dict[str, Quantity], was: Values, doubt: float
+) -> dict[str, Quantity]:
+    """Parameters that are as unsure as what has no name leaves them: the ``doubt`` is a share of what they change,
+    the largest of each unit, from what they were or from nothing."""
+    sizes = candidate.effect.sizes(parameters)
+    changes = {name: abs(size.value - was.get(name, candidate.effect.nothing)) for name, size in sizes.items()}
+
+    def wider(name: str) -> Quantity:
+        largest = max(change for other, change in changes.items() if sizes[other].unit == sizes[name].unit)
+        return _unsure_by(sizes[name], doubt * largest)
+
+    return parameters | {name: wider(name) for name in sizes}
 
 
 def _over(

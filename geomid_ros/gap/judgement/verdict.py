@@ -13,7 +13,7 @@ from geomid_ros.gap.judgement.closing import Closing, is_open, open_curves
 from geomid_ros.gap.judgement.confidence import CONFIDENT_RIVAL, Evidence, moves_one_way
 from geomid_ros.gap.judgement.held_out import HeldOut
 from geomid_ros.gap.judgement.locate import strongest
-from geomid_ros.gap.judgement.unsure import as_unsure, as_unsure_beside_others
+from geomid_ros.gap.judgement.unsure import as_unsure, as_unsure_beside_others, as_unsure_beside_remainder
 from geomid_ros.gap.result import Finding, Ranked, Rival, Unexplained, Verdict
 from geomid_ros.gap.search.analysis import Analysis
 from geomid_ros.gap.search.beam_search import LEAST_GAIN, Search
@@ -50,6 +50,7 @@ def _finding(
     evidence = Evidence(model=model, analysis=analysis, unseen=unseen, candidate=candidate, rivals=rivals, loss=loss)
     confidence = evidence.confidence(parameters)
     parameters = as_unsure_beside_others(model, analysis, candidate, parameters, load)
+    parameters = as_unsure_beside_remainder(candidate, parameters, was, evidence.closing.doubt)
     return Finding(
         effect=candidate.name,
         joint=joint,

@@ -7,7 +7,7 @@ file knows its name. Everything has a default, so that an effect says only what 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import ClassVar, Self, TypeAlias
 
@@ -138,6 +138,17 @@ class Effect(ABC):
         """The parameters that its own coefficients are; those of its other parts are said by these."""
         first = self.parts.index(self)
         return self.parameters[first : first + self.count]
+
+    @property
+    def nothing(self) -> float:
+        """The value of its sizes that says that there is none."""
+        return 1.0 if self.scales_measurement else 0.0
+
+    def sizes(self, parameters: Mapping[str, Quantity]) -> dict[str, Quantity]:
+        """Those of its ``parameters`` that say how large it is: no constants; all of a body."""
+        count = sum(part.count for part in self.parts)
+        constants = {form.name for form in self.parameters[count:]} if count else set[str]()
+        return {name: quantity for name, quantity in parameters.items() if name not in constants}
 
     def is_absurd(self, coefficients: FloatArray) -> bool:
         """Whether no robot that works has it with these ``coefficients (k,)``, signs apart."""
