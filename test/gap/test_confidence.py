@@ -478,3 +478,27 @@ def test_a_name_that_shares_a_part_with_what_the_model_has_is_new() -> None:
     analysis.search.prior.spreads = np.array([0.1])
     analysis.names.value = lambda _: 0.5
     assert replace(spring.evidence, analysis=analysis).confidence(SIZE) == "confident"
+
+
+@pytest.mark.parametrize(
+    ("judged", "expected"),
+    [
+        (SURE, 0.0),
+        (LEFT, 0.5 * np.sqrt((1.15**2 - 1.0) / 8.0)),
+        (replace(SURE, after=OPEN), 0.5 * np.sqrt(3.0 / 5.0)),
+        (replace(SURE, after=(2.0, 2.0, 1.0), unnamed=(2.0, 3.0, 1.0), reached=(0, 1)), 0.5 * np.sqrt(6.0 / 5.0)),
+        (replace(LEFT, unnamed=(1.0, 1.01, 2.0)), 1.0),
+        (replace(LEFT, unnamed=(1.0, 0.9, 2.0)), 1.0),
+    ],
+    ids=[
+        "nothing left",
+        "left elsewhere",
+        "left here",
+        "left at two joints",
+        "hardly anything closed",
+        "worse with it",
+    ],
+)
+def test_half_of_what_is_left_may_lie_along_a_name(judged: Judged, expected: float) -> None:
+    """Of what it closes; where it acts nothing is taken to be left only if all of the robot is explained."""
+    assert judged.evidence.closing.doubt == pytest.approx(expected)

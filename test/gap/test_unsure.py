@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from geomid_ros.gap import candidates as library
 from geomid_ros.gap.candidates import Candidate, EffectTerm
 from geomid_ros.gap.judgement import naming, unsure
 from geomid_ros.gap.search.beam_search import Search
@@ -105,3 +106,36 @@ def test_a_payload_is_as_unsure_as_gains_beside_it_have_changed(gain: float, exp
     assert wider["mass"].value == 2.0
     assert wider["mass"].std == pytest.approx(expected)
     assert wider["com_x"] == sizes["com_x"]
+
+
+@pytest.mark.parametrize(
+    ("effect", "was", "sizes", "expected"),
+    [
+        ("viscous_friction", {}, {"coefficient": (-2.0, 0.3, "N m s/rad")}, {"coefficient": 0.5}),
+        ("viscous_friction", {"coefficient": 1.5}, {"coefficient": (2.0, 0.0, "N m s/rad")}, {"coefficient": 0.1}),
+        ("effort_gain", {}, {"gain": (0.7, 0.08, "")}, {"gain": 0.1}),
+        ("coulomb_friction", {}, {"level": (2.0, 0.3, "N m"), "smoothing": (5.0, 0.1, "rad/s")}, {"level": 0.5}),
+        (
+            "spring",
+            {},
+            {"stiffness": (20.0, 3.0, "N m/rad"), "equilibrium": (0.5, 0.0, "rad")},
+            {"stiffness": 5.0, "equilibrium": 0.1},
+        ),
+        (
+            "gravity_tilt",
+            {},
+            {"tilt_x": (0.0, 0.3, "rad"), "tilt_y": (-2.0, 0.0, "rad")},
+            {"tilt_x": 0.5, "tilt_y": 0.4},
+        ),
+    ],
+    ids=["alone", "changed", "a gain", "with a constant", "of two units", "of two axes"],
+)
+def test_a_size_is_as_unsure_as_what_has_no_name_leaves_it(
+    effect: str, was: dict[str, float], sizes: dict[str, tuple[float, float, str]], expected: dict[str, float]
+) -> None:
+    """A fifth of what it changes, in the direction of its largest part."""
+    candidate = next(c for c in library.candidates(MODEL) if c.name == effect)
+    own = {name: Quantity(*size) for name, size in sizes.items()}
+    wider = unsure.as_unsure_beside_remainder(candidate, own, was, 0.2)
+    assert {name: quantity.value for name, quantity in wider.items()} == {n: q.value for n, q in own.items()}
+    assert {name: quantity.std for name, quantity in wider.items() if quantity != own[name]} == pytest.approx(expected)
