@@ -18,8 +18,7 @@ import numpy as np
 from geomid_ros.estimation.fit import CERTAINTY, driven_rows
 from geomid_ros.estimation.objective import Evaluation
 from geomid_ros.estimation.problem import Problem
-from geomid_ros.estimation.profile_objective import Profile, ProfileObjective, StraightManifold
-from geomid_ros.estimation.solvers import trust_region
+from geomid_ros.estimation.profile_objective import Profile, ProfileObjective, StraightManifold, minimum
 from geomid_ros.geometry.manifold import Point
 from geomid_ros.model.effects import Place
 from geomid_ros.types import FloatArray, IntArray
@@ -32,7 +31,7 @@ _PROMISING = 0.5 * LEAST_GAIN
 _PARALLEL = 1e-6  # a column that is so nearly a combination of others says nothing
 _LOOSE = 1.5  # times the usual spread: a link beyond it has left its prior
 _FREE = 1e-6  # weight of a coefficient's prior
-_ROUNDS, _STEPS, _TOLERANCE, _SETTLED = 8, 40, 3e-5, 0.03
+_ROUNDS, _SETTLED = 8, 0.03
 _LEAST_SHARE = 1e-10  # of the target's sum of squares: no residual is smaller
 
 
@@ -164,7 +163,7 @@ class _Rows:
 
         for _ in range(_ROUNDS):
             trusted = objective(spreads)
-            solution = trust_region(trusted, point, _TOLERANCE, _STEPS)
+            solution = minimum(trusted, point)
             point = solution.point
             if firm:
                 break

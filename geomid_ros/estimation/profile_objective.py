@@ -8,8 +8,13 @@ from weakref import WeakKeyDictionary
 import numpy as np
 
 from geomid_ros.estimation.objective import Evaluation, straight_hessian
+from geomid_ros.estimation.solvers import Solution, trust_region
 from geomid_ros.geometry.manifold import ParameterManifold, Point
 from geomid_ros.types import FloatArray
+
+_STEPS = 40
+_RADIUS = 16.0  # of the first step: as an effect comes or goes, others move as far as it reached
+_LEAST_DECREASE = 1e-3  # of half the score
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,3 +112,8 @@ class ProfileObjective:
         bends = self.weights[links].reshape(-1, terms.bends.shape[-1], 1) * terms.bends
         hessian = straight_hessian(self.manifold, information, self.weights, bends, pull)
         return Evaluation(value, slope - pull, information, hessian)
+
+
+def minimum(objective: ProfileObjective, start: Point) -> Solution:
+    """The minimum that is reached from ``start``, to a twentieth of the parameters' standard deviations."""
+    return trust_region(objective, start, max_steps=_STEPS, radius=_RADIUS, least_decrease=_LEAST_DECREASE)

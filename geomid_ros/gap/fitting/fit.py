@@ -14,8 +14,7 @@ from functools import cached_property
 
 import numpy as np
 
-from geomid_ros.estimation.profile_objective import Profile, ProfileObjective, StraightManifold
-from geomid_ros.estimation.solvers import trust_region
+from geomid_ros.estimation.profile_objective import Profile, ProfileObjective, StraightManifold, minimum
 from geomid_ros.gap.candidates import AnyCandidate, EffectTerm, Term
 from geomid_ros.gap.evidence.design import Design
 from geomid_ros.gap.fitting import prior as priors
@@ -26,10 +25,7 @@ from geomid_ros.model.dry_friction import held_from_driving
 from geomid_ros.types import FloatArray
 
 _LEAST_SHARE = 1e-10  # of the target's sum of squares: no residual is smaller
-_LEAST_DECREASE = 1e-3  # of half the score
 _ROUNDS = 8
-_STEPS = 40
-_RADIUS = 16.0  # of the first step: as a name comes or goes, others move as far as it reached
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -189,7 +185,7 @@ def _free_fit(
         point = priors.centred_payloads(objective(spreads, inflation), point, len(bodies))
     for _ in range(_ROUNDS):
         trusted = objective(spreads, inflation)
-        solution = trust_region(trusted, point, max_steps=_STEPS, radius=_RADIUS, least_decrease=_LEAST_DECREASE)
+        solution = minimum(trusted, point)
         point = solution.point
         if fixed:
             break
