@@ -6,6 +6,7 @@ import ast
 from collections import Counter
 from dataclasses import replace
 from pathlib import Path
+from subprocess import CompletedProcess
 from typing import Any
 
 import numpy as np
@@ -13,6 +14,7 @@ import pinocchio as pin
 import pytest
 from scipy.signal import butter, sosfiltfilt
 
+from benchmarks.blind import running
 from benchmarks.blind.realistic.case import CHANGES, RealisticCase, draw, scaled
 from benchmarks.blind.realistic.figures import figures
 from benchmarks.blind.realistic.judging import judge
@@ -216,3 +218,14 @@ def test_the_table_counts() -> None:
     assert table["with --model: wrong confident names"] == (2.0, 3)
     assert table["with --model: simulated again after, largest"] == (3.0, 3)
     assert table["all confident sizes: error, median"] == (pytest.approx(0.0, abs=1e-9), 4)
+
+
+@pytest.mark.parametrize(
+    ("status", "said", "why"),
+    [(0, "", ""), (4, "a remark", ""), (2, "Error: no URDF", "Error: no URDF"), (1, "", "it failed without a word")],
+)
+def test_a_doubtful_answer_is_an_answer(status: int, said: str, why: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A long delay makes the recording doubtful, too."""
+    done = CompletedProcess((), status, stdout="{}", stderr=said)
+    monkeypatch.setattr(running.subprocess, "run", lambda *_, **__: done)
+    assert running.command(["gap"]) == ("{}", why)
