@@ -220,25 +220,30 @@ def _with_beside(
     if not beside:
         return prior, []
     situation = LinearisedProblem(model, records, total_model(model, unfitted(prior))).situation
-    own, values = [], list(prior.values)
+    own, values, spreads = [], list(prior.values), list(prior.spreads)
     for known in beside:
         cls, numbers = effect_class(known.effect), values_of(known)
         place = model.places.named(cls(), known.joint)
         load = situation.usual_load(place)
         candidate, coefficients = Candidate.of(cls.from_values(numbers, load), place), cls.coefficients(numbers, load)
         own.append((candidate, known))
-        values += [coefficients[term.effect][term.index] for term in candidate.terms]
-    spreads = _SPREAD_OF_EFFECTS * np.abs(values[len(prior.values) :])
+        found = [coefficients[term.effect][term.index] for term in candidate.terms]
+        values += found
+        spreads += [max(_SPREAD_OF_EFFECTS, _unsure_share(candidate, known)) * abs(value) for value in found]
     terms = chain.from_iterable(candidate.terms for candidate, _ in own)
-    extended = replace(
-        prior, terms=(*prior.terms, *terms), values=np.array(values), spreads=np.append(prior.spreads, spreads)
-    )
+    extended = replace(prior, terms=(*prior.terms, *terms), values=np.array(values), spreads=np.array(spreads))
     return extended, own
 
 
+def _unsure_share(candidate: Candidate, known: KnownEffect) -> float:
+    """Standard deviation that a file says of an effect, relative."""
+    sizes = candidate.effect.sizes(known.parameters).values()
+    return max((size.std / abs(size.value) for size in sizes if size.value and np.isfinite(size.std)), default=0.0)
+
+
 def _with_least_spreads(model: MeasurementModel, records: Records, prior: Prior) -> Prior:
-    """The prior with coefficients that may change by what is a small share of the measurement, however small they
-    are: beside a spring an offset near zero is no better known than the spring's rest."""
+    """The prior with coefficients that may change by a small share of the measurement, if they are no larger: beside a
+    spring an offset near zero is no better known than the spring's rest. The change of a larger one is to be named."""
     problem = LinearisedProblem(model, records, total_model(model, unfitted(prior)))
     columns = problem.columns((), prior.terms)
     measured = _root_mean_square(problem.rows.targets)
@@ -246,7 +251,9 @@ def _with_least_spreads(model: MeasurementModel, records: Records, prior: Prior)
     for term in prior.terms:
         ratios = [measured[channel] / _root_mean_square(column[:, None]) for channel, column in columns[term].items()]
         sizes.append(float(np.min(ratios, initial=np.inf)) if ratios else 0.0)
-    return replace(prior, spreads=np.maximum(prior.spreads, _LEAST_SHARE * np.array(sizes)))
+    least = _LEAST_SHARE * np.array(sizes)
+    small = np.abs(prior.values) < least
+    return replace(prior, spreads=np.where(small, np.maximum(prior.spreads, least), prior.spreads))
 
 
 def _root_mean_square(values: FloatArray) -> FloatArray:

@@ -208,6 +208,23 @@ class TestPrior:
         unsure[len(MODEL.nominal_inertias)] = 0.4
         np.testing.assert_allclose(self.prior(values, unsure).spreads, [0.4, 1e-3])
 
+    def test_only_what_is_small_may_change_by_a_small_share_of_what_is_measured(self) -> None:
+        """Of a larger coefficient the change is to be named, whatever else the joint carries."""
+        records = Records.make([TRAIN], planted.CUTOFF)
+        measured, velocity = (np.sqrt(np.mean(part[:, :2] ** 2, axis=0)) for part in (TRAIN.effort, TRAIN.velocity))
+        share = 0.01 * measured / velocity
+        prior = self.prior(nominal(**{JOINTS[0]: 0.8 * share[0], JOINTS[1]: 1.2 * share[1]}))
+        found = workflow._with_least_spreads(BARE, records, prior)
+        np.testing.assert_allclose(found.spreads, [share[0], prior.spreads[1]], rtol=0.05)
+
+    @pytest.mark.parametrize(("std", "expected"), [(0.0, 0.02), (0.001, 0.02), (0.02, 0.25), (np.nan, 0.02)])
+    def test_an_effect_beside_the_coefficients_is_as_unsure_as_its_file_says(self, std: float, expected: float) -> None:
+        beside = KnownEffect("load_friction", JOINTS[2], "", {"coefficient": Quantity(LOAD, std, "-")})
+        records = Records.make([TRAIN], planted.CUTOFF)
+        prior, _ = workflow._with_beside(BARE, records, self.prior(), [beside])
+        np.testing.assert_allclose(prior.values, [LOAD])
+        np.testing.assert_allclose(prior.spreads, [expected * LOAD])
+
 
 def test_what_a_simulator_shows_stands_in_the_place_of_the_model(monkeypatch: pytest.MonkeyPatch) -> None:
     """Its payloads on their links, its effects nearly certain, and nothing of other recordings."""
