@@ -136,6 +136,7 @@ def test_columns_of_effects_that_depend_on_the_load() -> None:
         ({"findings": [finding("spring", "j2", [("ghost", "")], stiffness=1.0)]}, "'ghost'"),
         ({"findings": [ROTOR], "floor": {"j1": 0.1, "joint4": 0.1}}, "written for another robot.*'joint4'"),
         ({"findings": [ROTOR], "floor": {"j1": 0.1, "arm/tx": 0.1, "tool/j9": 0.1}}, "another robot.*'tool/j9'"),
+        ({"findings": [ROTOR], "floor": {"j1": 0.1, "tx": 0.1}}, "another robot.*'tx'"),
         ({"findings": [finding("spring", "elbow", [("effort_offset", "j2")], stiffness=1.0)]}, "'elbow'"),
     ],
 )

@@ -247,18 +247,18 @@ class Search:
             if candidate not in current.chosen or current.score > self._contested_at.get(candidate, np.inf):
                 continue
             others = [f for f in self._exchanged(current, candidate) if candidate not in f.chosen and self.possible(f)]
-            best = min((f.score for f in others), default=np.inf)
-            if best < current.score - 1e-3:
-                current = min(others, key=lambda f: f.score)
+            best = min([current, *others], key=lambda f: f.score)
+            if best.score < current.score - 1e-3:
+                current = best
             else:
-                self._contested_at[candidate] = current.score - self._lead(current, candidate, best)
+                self._contested_at[candidate] = current.score - self._lead(current, candidate, others)
         return current
 
-    def _lead(self, current: JointFit, candidate: AnyCandidate, best: float) -> float:
-        """By how much a candidate leads the ``best`` score of others in its place, and those that were not plausible,
-        none of which promised to make up for so much of its loss."""
+    def _lead(self, current: JointFit, candidate: AnyCandidate, others: Sequence[JointFit]) -> float:
+        """By how much a candidate leads the fits with ``others`` in its place, and those that were not plausible, none
+        of which promised to make up for so much of its loss."""
         loss = self.without(current, candidate).score - current.score
-        return min(best - current.score, (1.0 - _PLAUSIBLE) * loss)
+        return min([(1.0 - _PLAUSIBLE) * loss, *(other.score - current.score for other in others)])
 
     def _exchanged(self, current: JointFit, candidate: AnyCandidate) -> list[JointFit]:
         """The fits with others in the place of one candidate."""
