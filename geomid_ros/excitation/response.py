@@ -60,6 +60,7 @@ class Responses:
             load=value[..., 0],
             load_rate=rate[..., 0],
             load_acceleration=acceleration[..., 0],
+            transmitted=load,
             gravity=self.model.robot.gravity,
             coefficients={},
             of_load=of_load,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TypeAlias
@@ -77,6 +77,7 @@ class Candidate:
         terms: its coefficients, none for a payload, which is a body.
         penalty: how many parameters it counts for.
         scout: whether it stands for those of its group until one is chosen.
+        known: whether the model has it, and it may have changed.
     """
 
     effect: Effect
@@ -84,13 +85,14 @@ class Candidate:
     terms: tuple[EffectTerm, ...]
     penalty: float
     scout: bool = True
+    known: bool = False
 
     @staticmethod
-    def of(effect: Effect, place: Place, *, scout: bool = True) -> Candidate:
+    def of(effect: Effect, place: Place, *, scout: bool = True, known: bool = False) -> Candidate:
         """The candidate of an effect at a place."""
         terms = tuple(_terms(effect, place))
         penalty = len(terms) + (effect.scanned != 0.0) if terms else _PAYLOAD_PENALTY
-        return Candidate(effect, place, terms, penalty, scout)
+        return Candidate(effect, place, terms, penalty, scout, known)
 
     def excludes(self, other: Candidate | CurveCandidate) -> bool:
         """Whether both at once make no sense: one name and place, one a special case of the other, two payloads."""
@@ -119,8 +121,9 @@ class Candidate:
 
     @property
     def positives(self) -> int:
-        """How many of its coefficients, the first ones, cannot be negative."""
-        return self.effect.positives
+        """How many of its coefficients, the first ones, cannot be negative: what is identified along with the inertias
+        may have other signs."""
+        return sum(part.own_positives for part in self.effect.parts) if self.known else self.effect.positives
 
     @property
     def group(self) -> tuple[str, Place]:
@@ -156,13 +159,17 @@ class CurveCandidate:
 AnyCandidate: TypeAlias = Candidate | CurveCandidate
 
 
-def candidates(model: MeasurementModel) -> list[Candidate]:
-    """All names for a robot with its sensors."""
-    found = [
+def candidates(model: MeasurementModel, known: Collection[EffectTerm] = ()) -> list[Candidate]:
+    """All names for a robot with its sensors, and changes of what is ``known`` of it: it keeps its constants."""
+    has = {(term.effect.name, term.place) for term in known}
+    changes = [Candidate.of(*own, known=True) for own in dict.fromkeys((term.effect, term.place) for term in known)]
+    found = [c for c in changes if set(c.terms) <= set(known)]
+    found += [
         Candidate.of(effect, place, scout=not effect.scanned or index % _SCOUTS == 0)
         for cls in EFFECTS.values()
         for index, effect in enumerate(cls.variants())
         for place in model.places.of(effect)
+        if (effect.name, place) not in has
     ]
     return sorted(found, key=_order)
 

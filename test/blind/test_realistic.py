@@ -166,9 +166,10 @@ def test_a_rival_counts_for_being_listed() -> None:
         ("effort_gain", "j2", "model", True),
         ("load_friction", "j1", "urdf", True),
         ("payload", "j1", "urdf", True),
-        ("link_inertia", "j1", "urdf", False),
-        ("link_inertia", "j2", "urdf", True),
-        ("link_inertia", "j1", "model", True),
+        ("link_heavier", "j1", "urdf", False),
+        ("link_lighter", "j1", "urdf", True),
+        ("link_heavier", "j2", "urdf", True),
+        ("link_heavier", "j1", "model", True),
     ],
 )
 def test_a_name_is_wrong_where_the_robot_has_no_such_thing(
@@ -203,7 +204,23 @@ def test_a_lighter_link_is_no_payload() -> None:
     named = finding("payload", "j1", mass=1.0)
     assert judge(document(named, change=heavier), "model").first
     assert judge(document(named, change=lighter), "model").wrong == (("payload", "j1"),)
-    assert judge(document(finding("link_inertia", "j1", mass=-1.0), change=lighter), "model").first
+
+
+@pytest.mark.parametrize(("mass", "told"), [(1.0, False), (-1.0, True)])
+def test_a_lighter_link_is_told_as_one(mass: float, told: bool) -> None:
+    told_of = {**finding("", "j1"), "link": "l1", "mass": {"value": mass, "unit": "kg", "std": 0.1}}
+    lighter = {"effect": "link_mass", "joint": "j1", "link": "l1", "parameters": {"factor": 0.8}}
+    case = document(change=lighter)
+    case["model"]["gap"]["links"] = [told_of]
+    judged = judge(case, "model")
+    assert (judged.first, judged.wrong) == (told, () if told else (("link_heavier", "j1"),))
+
+
+def test_what_a_link_carries_makes_it_heavier() -> None:
+    carried = {"effect": "payload", "joint": "j1", "link": "l1", "parameters": {"mass": 1.0}}
+    case = document(change=carried)
+    case["urdf"]["gap"]["links"] = [{**finding("", "j1"), "mass": {"value": 1.0, "unit": "kg", "std": 0.1}}]
+    assert judge(case, "urdf").right
 
 
 def test_the_table_counts() -> None:

@@ -59,7 +59,7 @@ class Judged:
     those of the whole being 1. ``after``, ``expected``, ``unnamed``: remainders of ``counts`` unseen instants with all
     names, as they should be, and without the name; ``with_curves``: with free curves, too, those of ``after`` unless
     given. ``reached``: the channels that it can change. ``outdoing``: remainders of unseen data with each of some names
-    in its place.
+    in its place, with which the score is worse by ``outdoing_loss``.
     """
 
     name: Candidate = field(default_factory=lambda: named("viscous_friction"))
@@ -78,6 +78,7 @@ class Judged:
     reached: Sequence[int] = (1,)
     certainty: float = GUESSED
     outdoing: Mapping[Candidate, Sequence[float]] = field(default_factory=dict)
+    outdoing_loss: float = 0.0
 
     @property
     def analysis(self) -> Any:
@@ -98,7 +99,9 @@ class Judged:
             prior=SimpleNamespace(certainty=self.certainty, terms=(), spread=0.2),
             without=without,
             instead=instead,
-            rivals=lambda *_: [Fit(0.0, np.ones(3), (other,), unseen) for other, unseen in self.outdoing.items()],
+            rivals=lambda *_: [
+                Fit(self.outdoing_loss, np.ones(3), (other,), unseen) for other, unseen in self.outdoing.items()
+            ],
         )
         search.unchanged = lambda _: search
         bare = Fit(0.0, np.array(self.bare))

@@ -1,6 +1,6 @@
 """Rounds of search and linearisation: when they end, and what is noise in them."""
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from types import SimpleNamespace
 from typing import Any
 
@@ -8,17 +8,15 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from geomid_ros.gap.candidates import EffectTerm, Term
+from geomid_ros.gap.candidates import Term
 from geomid_ros.gap.evidence.record import TotalModel
 from geomid_ros.gap.search import analysis
 from geomid_ros.gap.search.beam_search import Search
 from geomid_ros.model.effects import AtJoint, OnRobot
-from geomid_ros.model.effects.coulomb_friction import CoulombFriction
 from geomid_ros.model.effects.gravity_tilt import GravityTilt
 from geomid_ros.model.effects.viscous_friction import ViscousFriction
 from geomid_ros.types import FloatArray
 
-from .planted import model
 from .small import PRIOR, Recording, at, curve
 
 VISCOUS, OFFSET = at("viscous_friction", 0), at("effort_offset", 0)
@@ -193,15 +191,6 @@ def test_two_curves_in_the_place_of_one_that_is_like_their_sum() -> None:
     """The better one of two alike is taken in the end."""
     search = searched({WAVE.terms[0]: 0.3}, alike={DRIFT.terms[0]: WAVE.terms[0]})
     assert set(analysis.with_curves(search, search.fit([])).chosen) == {WAVE}
-
-
-def test_what_the_model_has_keeps_its_constants() -> None:
-    """A second Coulomb friction with another smoothing would be added to the first one."""
-    has = CoulombFriction()
-    prior = replace(PRIOR, terms=(EffectTerm(has, AtJoint(0)),), values=np.ones(1), spreads=np.ones(1))
-    found = [c for c in analysis._tried(model(), prior) if c.name == has.name]
-    assert {c.effect for c in found if c.joint == 0} == {has}
-    assert len({c.effect for c in found if c.joint == 1}) > 1
 
 
 def test_the_first_noise_is_that_of_what_was_measured_however_many_columns_there_are() -> None:

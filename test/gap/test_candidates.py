@@ -68,6 +68,28 @@ def test_a_sensor_has_a_coefficient_for_each_axis_that_it_measures() -> None:
     assert offset.penalty == 2
 
 
+def test_what_the_model_has_may_have_changed_with_the_constants_and_signs_that_it_has() -> None:
+    """Dry friction that sets in gradually has an excess below zero, at a speed that is none of those to choose from."""
+    at = AtJoint(1)
+    stribeck = EFFECTS["stribeck_friction"](0.0333)
+    level, excess = (EffectTerm(part, at) for part in stribeck.parts)
+    known = library.candidates(MODEL, [level, excess])
+    dry = [c for c in known if c.joint == 1 and c.name in ("coulomb_friction", "stribeck_friction")]
+    assert {(c.effect, c.terms, c.positives, c.scout) for c in dry} == {
+        (level.effect, (level,), 1, True),
+        (stribeck, (level, excess), 1, True),
+    }
+    assert {c.positives for c in named("stribeck_friction", 1)} == {2}
+    assert [c.group for c in known if c not in dry] == [c.group for c in ALL if c.group not in {d.group for d in dry}]
+
+
+def test_half_of_a_name_is_no_name() -> None:
+    """A model that has the excess of a Stribeck friction alone has none that could have changed."""
+    level, excess = named("stribeck_friction", 1)[0].terms
+    assert [c.name for c in library.candidates(MODEL, [excess]) if c.known] == []
+    assert [c.name for c in library.candidates(MODEL, [level]) if c.known] == ["coulomb_friction"]
+
+
 def test_the_order_is_joint_by_joint_then_the_robot_then_links() -> None:
     kinds = [candidate.effect.place for candidate in ALL]
     assert kinds == sorted(kinds, key=["joint", "joints", "robot", "link", "sensor"].index)

@@ -22,6 +22,7 @@ from geomid_ros.model.effects.effort_delay import EffortDelay
 from geomid_ros.model.effects.effort_gain import EffortGain
 from geomid_ros.model.effects.effort_offset import EffortOffset
 from geomid_ros.model.effects.gravity_tilt import GravityTilt
+from geomid_ros.model.effects.load_friction import LoadFriction
 from geomid_ros.model.effects.viscous_friction import ViscousFriction
 from geomid_ros.model.samples import Samples
 
@@ -209,6 +210,17 @@ def test_friction_of_several_effects_at_a_joint_adds_up() -> None:
     total = replace(total_model(MODEL, said({VISCOUS: 0.4})), effects=tuple(rough))
     problem = LinearisedProblem(MODEL, records, total)
     np.testing.assert_allclose(problem._dry_friction, np.tile([0.5, 0.0, 0.1], (len(records.samples), 1)))
+
+
+def test_friction_by_load_is_of_all_that_the_gear_transmits() -> None:
+    """Viscous friction, too."""
+    records = Records.make([exact()], planted.CUTOFF)
+    total = total_model(MODEL, said({VISCOUS: 0.5, EffectTerm(LoadFriction(), AtJoint(1)): 0.2}))
+    problem = LinearisedProblem(MODEL, records, total)
+    (chosen,) = records.chosen
+    _, q, v, a = planted.motion(3, SECONDS)
+    expected = 0.2 * np.abs(RIGID(q, v, a) + [0.0, 0.5, 0.0] * v)[chosen, 1]
+    np.testing.assert_allclose(problem._dry_friction[:, 1], expected, atol=1e-9)
 
 
 def test_without_a_floor_no_friction_makes_an_instant_unsure() -> None:

@@ -17,6 +17,7 @@ from geomid_ros.model.effects.effort_delay import EffortDelay
 from geomid_ros.model.effects.effort_gain import EffortGain
 from geomid_ros.model.effects.gravity_tilt import GravityTilt
 from geomid_ros.model.effects.places import Place
+from geomid_ros.model.effects.rotor_inertia import RotorInertia
 from geomid_ros.model.effects.viscous_friction import ViscousFriction
 from geomid_ros.model.moving import REST, SIGN, SMOOTH_SIGN
 from geomid_ros.model.samples import Samples
@@ -167,6 +168,15 @@ def test_efforts_of_a_model_are_those_of_all_its_effects_of_motion() -> None:
     np.testing.assert_allclose(own.efforts(part), expected, atol=1e-12)
 
 
+def test_what_acts_before_the_gears_they_do_not_transmit() -> None:
+    velocity = np.random.default_rng(4).normal(size=(50, 3))
+    part = replace(samples(50, velocity=velocity), acceleration=velocity[::-1])
+    own = total((ViscousFriction(), AtJoint(1), [2.0]), (RotorInertia(), AtJoint(1), [0.4]))
+    friction, rotor = 2.0 * velocity[:, 1], 0.4 * velocity[::-1, 1]
+    np.testing.assert_allclose(own.efforts(part)[:, 1], friction + rotor, atol=1e-12)
+    np.testing.assert_allclose(own.efforts(part, behind_gears=True)[:, 1], friction, atol=1e-12)
+
+
 def test_what_is_built_into_a_model_is_its_gravity_its_lag_and_its_scales() -> None:
     tilt = np.array([0.2, -0.1])
     own = total(
@@ -191,27 +201,30 @@ def test_what_is_built_into_a_model_is_its_gravity_its_lag_and_its_scales() -> N
 
 
 def test_the_situation_is_that_of_the_total_model() -> None:
-    """Efforts of rigid bodies load the gears; friction does not, but is predicted."""
+    """The gears transmit efforts of rigid bodies and friction; a motor's own inertia is predicted beside these."""
     inertias = planted.true_inertias(4, 0.2)
     rigid = planted.rigid(inertias)
     recorded = planted.recording(rigid, 4, 12.0, noise=0.0)
     records = Records.make([recorded], planted.CUTOFF)
     friction: Any = (ViscousFriction(), AtJoint(1), np.array([0.7]))
-    model = TotalModel(inertias, (friction,), MODEL.robot.gravity)
+    rotor: Any = (RotorInertia(), AtJoint(2), np.array([0.3]))
+    model = TotalModel(inertias, (friction, rotor), MODEL.robot.gravity)
     situation = records.situation(MODEL, model)
     (chosen,) = records.chosen
     _, q, v, a = planted.motion(4, 12.0)
     load = rigid(q, v, a)[chosen]
     # The load is smoothed at half the filter's cutoff, which these motions are below.
     np.testing.assert_allclose(situation.load[5:-5], load[5:-5], atol=0.02 * np.std(load))
-    np.testing.assert_allclose(situation.predicted - [0.0, 0.7, 0.0] * v[chosen], load, atol=1e-9)
+    np.testing.assert_allclose(situation.transmitted, load + [0.0, 0.7, 0.0] * v[chosen], atol=1e-9)
+    of_motors = situation.predicted - situation.transmitted
+    np.testing.assert_allclose(of_motors, [0.0, 0.0, 0.3] * a[chosen], atol=1e-9)
     times = np.arange(len(q)) / planted.RATE
     slope = np.gradient(rigid(q, v, a), times, axis=0)[chosen]
     np.testing.assert_allclose(situation.load_rate[5:-5], slope[5:-5], atol=0.05 * np.std(slope))
     bend = np.gradient(np.gradient(rigid(q, v, a), times, axis=0), times, axis=0)[chosen]
     np.testing.assert_allclose(situation.load_acceleration[5:-5], bend[5:-5], atol=0.15 * np.std(bend))
     np.testing.assert_array_equal(situation.sign, records.samples.column(SIGN))
-    assert situation.coefficients == {("viscous_friction", AtJoint(1)): friction[2]}
+    assert situation.coefficients == {("viscous_friction", AtJoint(1)): 0.7, ("rotor_inertia", AtJoint(2)): 0.3}
     np.testing.assert_array_equal(situation.gravity, MODEL.robot.gravity)
     assert situation.usual_load(AtJoint(1)) == pytest.approx(np.std(situation.load[:, 1]))
 

@@ -20,6 +20,8 @@ _DELAY = ("effort_delay", "")
 _MOST_LATE = 2e-3  # s, an error of a delay that is no wrong name
 _LEAST_GAIN = 0.01  # a gain as far from one is true of a joint
 _LEAST_LINK = 0.05  # and a link's mass as far from the URDF's
+_HEAVIER, _LIGHTER = "link_heavier", "link_lighter"
+_SIDES = {_HEAVIER: 1.0, _LIGHTER: -1.0}
 
 
 @dataclass(frozen=True)
@@ -80,9 +82,9 @@ def judge(document: Mapping[str, Any], situation: str) -> RealisticJudgement:
         counted=shown >= LEAST,
         verdict=gap["verdict"],
         named=tuple((*_place(finding), finding["confidence"]) for finding in findings),
-        first=bool(sure) and findings[0] is sure[0] and _is_one_of(_place(sure[0]), names),
-        right=any(_is_one_of(_place(finding), names) for finding in sure),
-        listed=any(_is_one_of(place, names) for place in [*map(_place, findings), *rivals]),
+        first=bool(sure) and findings[0] is sure[0] and _place(sure[0]) in names,
+        right=any(_place(finding) in names for finding in sure),
+        listed=any(place in names for place in [*map(_place, findings), *rivals]),
         wrong=tuple(_place(finding) for finding in sure if not _is_true(_place(finding), names, truth, situation)),
         false_delay=any(abs(delay - _true_delay(truth)) > _MOST_LATE for delay in delays),
         sizes=tuple(size for finding in sure for size in _sizes(finding, truth)),
@@ -94,41 +96,34 @@ def judge(document: Mapping[str, Any], situation: str) -> RealisticJudgement:
 
 def _of_link(change: Mapping[str, Any]) -> dict[str, Any]:
     """A link that weighs something else, as a finding."""
-    return {**change, "effect": "link", "parameters": {"mass": change["mass"]}, "rivals": []}
+    effect = _HEAVIER if change["mass"]["value"] > 0.0 else _LIGHTER
+    return {**change, "effect": effect, "parameters": {"mass": change["mass"]}, "rivals": []}
 
 
 def _names(change: Mapping[str, Any]) -> tuple[Place, ...]:
-    """The names that say the change: more dry friction may be told with what it was, which has Stribeck's shape; a
-    heavier link has a payload. A trailing star stands for any ending."""
+    """The names that say the change: more dry friction may be told with what it was, which has Stribeck's shape; what
+    a link carries makes it heavier, and what makes it heavier is a payload."""
     effect, joint = change["effect"], change["joint"]
     if effect == "coulomb_friction":
         return ((effect, joint), ("stribeck_friction", joint))
     if effect == LINK_MASS:
-        heavier = change["parameters"]["factor"] > 1.0
-        return (("link*", joint), *([("payload", joint)] if heavier else []))
-    return ((effect, joint),)
-
-
-def _is_one_of(place: Place, names: Iterable[Place]) -> bool:
-    return any(
-        place[1] == joint and (place[0].startswith(effect[:-1]) if effect.endswith("*") else place[0] == effect)
-        for effect, joint in names
-    )
+        effect = "payload" if change["parameters"]["factor"] > 1.0 else _LIGHTER
+    return ((effect, joint), (_HEAVIER, joint)) if effect == "payload" else ((effect, joint),)
 
 
 def _is_true(place: Place, names: Sequence[Place], truth: Mapping[str, Any], situation: str) -> bool:
     """Whether the robot has this; a delay is judged by its size, elsewhere."""
     effect, joint = place
-    if _is_one_of(place, names) or effect in _STANDING or place == _DELAY:
+    if place in names or effect in _STANDING or place == _DELAY:
         return True
     if effect == "effort_gain":
         return abs(_standing(truth, effect, joint, "gain", 1.0) - 1.0) >= _LEAST_GAIN
-    return effect.startswith("link") and situation == "urdf" and _is_off(truth, joint)
+    return effect in _SIDES and situation == "urdf" and _is_off(truth, joint, _SIDES[effect])
 
 
-def _is_off(truth: Mapping[str, Any], joint: str) -> bool:
-    """Whether a link that the joint moves differs much from the URDF."""
-    return any(link["joint"] == joint and abs(link["mass_error"]) >= _LEAST_LINK for link in truth["links"])
+def _is_off(truth: Mapping[str, Any], joint: str, side: float) -> bool:
+    """Whether a link that the joint moves differs much from the URDF, to this ``side``."""
+    return any(link["joint"] == joint and side * link["mass_error"] >= _LEAST_LINK for link in truth["links"])
 
 
 def _true_delay(truth: Mapping[str, Any]) -> float:

@@ -169,13 +169,13 @@ class TotalModel:
                 scales[list(joints_of(place))] *= effect.effort_scale(effect.values(coefficients))
         return scales
 
-    def efforts(self, samples: Samples) -> FloatArray:
-        """What the effects of motion add to the joints' efforts ``(N, J)``."""
+    def efforts(self, samples: Samples, *, behind_gears: bool = False) -> FloatArray:
+        """What the effects of motion add to the joints' efforts ``(N, J)``, or those of them that act behind gears."""
         entries = samples.entries
         strengths = np.zeros((len(entries), samples.position.shape[1]))
         others = np.zeros(samples.position.shape)
         for effect, place, (coefficient, *_) in self.effects:
-            if isinstance(effect, MotionEffect):
+            if isinstance(effect, MotionEffect) and not (behind_gears and effect.before_gear):
                 column, joints = column_of(effect, place), reached_joints(place, samples.position.shape[1])
                 if column in entries.columns.place:
                     strengths[[entries.at(column, joint) for joint in joints], joints] += coefficient
@@ -191,6 +191,7 @@ def _load_terms(
     smooth = filtered(load, _SMOOTHER * cutoff, period)
     terms = {
         "predicted": load + total.efforts(part),
+        "transmitted": load + total.efforts(part, behind_gears=True),
         **dict(zip(("load", "load_rate", "load_acceleration"), smooth, strict=True)),
     }
     return {name: values[index] for name, values in terms.items()}

@@ -86,7 +86,7 @@ class LinearisedProblem:
         sizes = np.zeros((len(self.records.samples), len(self.model.robot.joints)))
         for effect, place, (coefficient, *_) in self.total.effects:
             for joint in joints_of(place):
-                sizes[:, joint] += effect.dry_friction(coefficient, self.situation.load[:, joint])
+                sizes[:, joint] += effect.dry_friction(coefficient, self.situation.transmitted[:, joint])
         return sizes
 
     def columns(

@@ -20,6 +20,8 @@ DOMINATING = 8.0
 """A name that closes so many times what is left of unseen data, where it acts, is no shadow of what is left."""
 REACHED = 1.15
 """A channel whose remainder is below this times the floor has reached it."""
+CONFIDENT_RIVAL = 12.0
+"""By how much the score is worse with another name in the place of one that is sure."""
 LEAST_PREDICTED = 0.5
 """Share of the gap of unseen data that a sure name closes where something is left."""
 _ALONG = 0.5
@@ -84,18 +86,24 @@ class Closing:
 
     @property
     def is_outdone(self) -> bool:
-        """Whether another name in its place leaves less of unseen data. One that contains it is another matter; and so
-        is a payload, whose place fitted inertias would take beside another name."""
+        """Whether another name in its place is about as likely by all data, the fitted and the unseen. One that
+        contains it is another matter; and so is a payload, whose place fitted inertias would take beside another name.
+        """
         if self.candidate.payload is not None:
             return False
-        names, squares = self.analysis.names, np.nansum(self.unseen.gap.after[self.reached] ** 2)
-        for found in self.analysis.search.unchanged(self.candidate).rivals(names, self.candidate):
+        names, search = self.analysis.names, self.analysis.search.unchanged(self.candidate)
+        for found in search.rivals(names, self.candidate):
             (rival,) = (c for c in found.chosen if isinstance(c, Candidate) and c not in names.chosen)
             if rival.effect.contains == self.candidate.name:
                 continue
-            if np.nansum(self.unseen.times_floor(found)[self.reached] ** 2) < squares:
+            if found.score - names.score + self._worse_unseen(found) < CONFIDENT_RIVAL:
                 return True
         return False
+
+    def _worse_unseen(self, found: JointFit) -> float:
+        """By how much the score of unseen data is worse with another fit."""
+        counts, after = self.unseen.counts[self.reached], self.unseen.gap.after[self.reached]
+        return float(np.nansum(counts * np.log(self.unseen.times_floor(found)[self.reached] ** 2 / after**2)))
 
     @cached_property
     def closed(self) -> float:

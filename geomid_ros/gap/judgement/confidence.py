@@ -11,7 +11,7 @@ import numpy as np
 from geomid_ros.gap.candidates import Candidate
 from geomid_ros.gap.fitting.fit import JointFit
 from geomid_ros.gap.judgement.blocks import generalises
-from geomid_ros.gap.judgement.closing import Closing, contains, is_identified, is_open, open_curves
+from geomid_ros.gap.judgement.closing import CONFIDENT_RIVAL, Closing, contains, is_identified, is_open, open_curves
 from geomid_ros.gap.judgement.held_out import HeldOut
 from geomid_ros.gap.result import Confidence, Rival
 from geomid_ros.gap.search.analysis import Analysis
@@ -26,7 +26,6 @@ CONFIDENT_BESIDE_UNEXPLAINED = 200.0
 """Where something is left that has no name, small names may be its shadow."""
 CONFIDENT_IN_THE_SHADE = 100.0
 """Of a name whose share of the gap is small because another one's is so large."""
-CONFIDENT_RIVAL = 12.0
 CONFIDENT_SHARE = 0.03
 BESIDE_A_GEAR = 0.25
 """Of the loss of an effect that is known to first order only: smaller names may be what that leaves of it."""

@@ -9,8 +9,8 @@ from geomid_ros.gap.candidates import Candidate
 from geomid_ros.gap.fitting.fit import JointFit
 from geomid_ros.gap.judgement import naming
 from geomid_ros.gap.judgement.blocks import scattered
-from geomid_ros.gap.judgement.closing import Closing, is_open, open_curves
-from geomid_ros.gap.judgement.confidence import CONFIDENT_RIVAL, Evidence, moves_one_way
+from geomid_ros.gap.judgement.closing import CONFIDENT_RIVAL, Closing, is_open, open_curves
+from geomid_ros.gap.judgement.confidence import Evidence, moves_one_way
 from geomid_ros.gap.judgement.held_out import HeldOut
 from geomid_ros.gap.judgement.locate import strongest
 from geomid_ros.gap.judgement.unsure import as_unsure, as_unsure_beside_others, as_unsure_beside_remainder

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from geomid_ros.gap import candidates as library
-from geomid_ros.gap.candidates import Candidate, CurveCandidate, CurveTerm, EffectTerm, Term
+from geomid_ros.gap.candidates import CurveCandidate, CurveTerm, EffectTerm, Term
 from geomid_ros.gap.evidence.curves import Curves
 from geomid_ros.gap.evidence.noise import Autoregression, noise_by_repeats, runs_of
 from geomid_ros.gap.evidence.record import Records, TotalModel
@@ -52,7 +52,7 @@ def analyse(
     total = total_model(model, unfitted(prior))
     problem = LinearisedProblem(model, records, total)
     curves = Curves(model, records, problem.situation)
-    tried = _tried(model, prior)
+    tried = library.candidates(model, [term for term in prior.terms if isinstance(term, EffectTerm)])
     columns = problem.columns(tried, prior.terms, curves)
     noise = (Autoregression.white(),) * len(model.channels)
     bare = Search(problem.design(columns, noise), prior, tried).fit([])
@@ -91,14 +91,6 @@ def analyse(
         floor=repeats.floor(_root_mean_square(residual, problem.valid) / np.sqrt(freedom)),
         curves=curves,
     )
-
-
-def _tried(model: MeasurementModel, prior: Prior) -> list[Candidate]:
-    """All names for a robot. What the model has may have changed; it keeps its constants."""
-    has = {(term.effect.name, term.place) for term in prior.terms if isinstance(term, EffectTerm)}
-    known = set(prior.terms)
-    found = [c for c in library.candidates(model) if c.group not in has or known.issuperset(c.terms)]
-    return [replace(c, scout=True) if known.issuperset(c.terms) else c for c in found]
 
 
 def _with_and_without_curves(search: Search, found: JointFit) -> tuple[JointFit, JointFit]:

@@ -395,7 +395,8 @@ class SituationEffect(Effect):
 class LoadEffect(SituationEffect):
     """A function of the motion of one joint and of the effort that its gear transmits, with one coefficient per joint.
 
-    It can be identified along with the inertias: its column is then that of the load by the URDF's inertias.
+    It can be identified along with the inertias: its column is then that of the URDF's rigid bodies alone, as no other
+    friction is known yet.
     """
 
     @abstractmethod
@@ -406,7 +407,7 @@ class LoadEffect(SituationEffect):
     def columns(self, situation: Situation, place: Place) -> FloatArray:
         """Those of the one joint."""
         joint = joint_of(place)
-        return situation.column_of(joint, self.column(situation.load[:, joint], situation.sign[:, joint]))
+        return situation.column_of(joint, self.column(situation.transmitted[:, joint], situation.sign[:, joint]))
 
 
 IdentifiedEffect: TypeAlias = MotionEffect | SensorEffect | LoadEffect

@@ -63,8 +63,8 @@ class Situation(Sensitivity):
     Attributes:
         sign: direction of motion ``(N, J)``.
         predicted: the channels' values, effects included ``(N, C)``.
-        load, load_rate, load_acceleration: efforts that the gears transmit to the links (rigid bodies alone) and their
-            derivatives by time ``(N, J)``.
+        load, load_rate, load_acceleration: efforts that move the rigid bodies and their derivatives by time ``(N, J)``.
+        transmitted: all that the gears transmit ``(N, J)``: the same efforts, friction and springs behind the gears.
         gravity: gravity in the frame of a base that stands straight ``(3,)`` [m/s^2].
         coefficients: those of the effects that the model has, by the effect's name and place.
         of_load: what a function makes of the load's history, at the N instants.
@@ -75,6 +75,7 @@ class Situation(Sensitivity):
     load: FloatArray
     load_rate: FloatArray
     load_acceleration: FloatArray
+    transmitted: FloatArray
     gravity: FloatArray
     coefficients: Mapping[tuple[str, Place], FloatArray]
     of_load: Callable[[OfLoad], Derivatives]
