@@ -19,6 +19,7 @@ import json
 import sys
 import time
 import warnings
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -114,14 +115,15 @@ def compare(case: Case, paper: bool = False) -> Comparison:
         "least squares": _least_squares(session, found.train),
         "geomid": np.asarray(found.estimate.parameters),
     }
-    errors = {method: session.rms([test], parameters) for method, parameters in solutions.items()}
+    left = _left(session, test, solutions)
+    errors = {method: _rms(each) for method, each in left.items()}
     if paper:
         solutions[PAPER], errors[PAPER] = _paper(case, bags, validate)
     optional = {(c.effect.name, c.place_name) for c in session.model.coefficients if c.optional}
     return Comparison(
         found.estimate.channels,
         errors,
-        _moving(session, test, solutions["geomid"]),
+        _moving(session, test, left["geomid"]),
         {method: _possible(session, parameters) for method, parameters in solutions.items()},
         found.estimate,
         tuple(f"{e.name} {e.joint} {e.value:.4g}" for e in found.effects if (e.name, e.joint) in optional),
@@ -164,17 +166,27 @@ def _least_squares(session: Session, train: tuple[Samples, ...] | Any) -> FloatA
     return parameters
 
 
-def _moving(session: Session, test: Samples, parameters: FloatArray) -> FloatArray:
+def _left(session: Session, test: Samples, solutions: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
+    """What parameters leave of samples ``(N, channels)``, by method."""
+    measured, predicted = session.model.predict(test, np.column_stack(list(solutions.values())))
+    return dict(zip(solutions, np.moveaxis(measured[:, :, None] - predicted, 2, 0), strict=True))
+
+
+def _rms(left: FloatArray) -> FloatArray:
+    """Of each channel ``(channels,)``."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)  # a joint that never moves has no sample
+        return np.sqrt(np.nanmean(left**2, axis=0))
+
+
+def _moving(session: Session, test: Samples, left: FloatArray) -> FloatArray:
     """RMS of the samples at which the channel's own joint moves ``(channels,)``; of wrenches all."""
-    measured, predicted = session.model.predict(test, parameters)
-    errors = predicted - measured
+    errors = left.copy()
     speed = np.abs(test.velocity)
     slow = speed <= _MOVING * np.max(speed, axis=0)
     if efforts := session.model.layout.efforts:
         errors[:, efforts] = np.where(slow, np.nan, errors[:, efforts])
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", RuntimeWarning)  # a joint that never moves has no sample
-        return np.sqrt(np.nanmean(errors**2, axis=0))
+    return _rms(errors)
 
 
 def _possible(session: Session, parameters: FloatArray) -> int:

@@ -32,13 +32,19 @@ OTHERS = Path(__file__).parent / "new_effects"
 URDF = BAGS / "arm3.urdf"
 AXES = ("fx", "fy", "fz", "tx", "ty", "tz")
 WRENCH = f"/wrench:{WRIST_FRAME}:mounted"
-# Runs commands, whose arguments are a list in JSON in each line, and prints what each printed.
+# Runs commands, of which each line has the arguments in JSON, and whether to draw; prints what each printed.
 DRIVER = """
 import json, sys
+import pytest
 from click.testing import CliRunner
+from commands.running import undrawn
 from geomid_ros.commands.root import root
 for line in sys.stdin:
-    result = CliRunner().invoke(root, json.loads(line), catch_exceptions=False)
+    arguments, drawn = json.loads(line)
+    with pytest.MonkeyPatch.context() as patch:
+        if not drawn:
+            undrawn(patch)
+        result = CliRunner().invoke(root, arguments, catch_exceptions=False)
     assert result.exit_code == 0, result.output
     print(json.dumps(result.stdout), flush=True)
 """
@@ -149,11 +155,11 @@ class Driver:
     process: subprocess.Popen[str]
     errors: Path
 
-    def printed(self, arguments: list[str]) -> str:
+    def printed(self, arguments: list[str], drawn: bool) -> str:
         """What a command prints."""
         assert self.process.stdin is not None
         assert self.process.stdout is not None
-        print(json.dumps(arguments), file=self.process.stdin, flush=True)
+        print(json.dumps([arguments, drawn]), file=self.process.stdin, flush=True)
         answer = self.process.stdout.readline()
         assert answer, self.errors.read_text()
         return str(json.loads(answer))
@@ -161,7 +167,8 @@ class Driver:
 
 @pytest.fixture(scope="module")
 def driver(package: Path) -> Iterator[Driver]:
-    path, errors = os.pathsep.join([str(package), os.environ.get("PYTHONPATH", "")]).rstrip(os.pathsep), package / "log"
+    folders = filter(None, (str(package), str(ROOT / "test"), os.environ.get("PYTHONPATH")))
+    path, errors = os.pathsep.join(folders), package / "log"
     with (
         errors.open("w") as log,
         subprocess.Popen(
@@ -207,7 +214,8 @@ class Round:
             "again": self._command("gap", "again", *known),
             "later": self._command("identify", "later", *known, "--effects", "effort_offset"),
         }
-        return {name: self.driver.printed(arguments) for name, arguments in commands.items()}
+        drawn = {"gap", "identify"}  # the others would draw the same again
+        return {name: self.driver.printed(arguments, name in drawn) for name, arguments in commands.items()}
 
     def _command(self, command: str, out: str, *arguments: str | Path) -> list[str]:
         wrench = ("--wrench", WRENCH) if self.kind.sensor else ()

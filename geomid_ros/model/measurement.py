@@ -330,15 +330,14 @@ class MeasurementModel:
         bodies = np.zeros((len(samples), len(self.channels), len(self.robot.bodies), 10))
         targets = np.empty((len(samples), len(self.channels)))
         wrenches = self._measured_wrenches(samples)
-        for index, (q, v, a) in enumerate(zip(*self.robot.configuration(samples), strict=True)):
-            joints = len(self.layout.efforts)
-            if joints:
-                bodies[index, :joints] = self.robot.joint_effort_rows(q, v, a)
-                targets[index, :joints] = samples.effort[index]
-            if self.sensors:
-                self.robot.update_motion(q, v, a)
-                targets[index, :joints] += self._external_efforts(q, wrenches[index], joints)
-                bodies[index, joints:], targets[index, joints:] = self._wrench_rows(wrenches[index])
+        motion, joints = self.robot.configuration(samples), len(self.layout.efforts)
+        if joints:
+            bodies[:, :joints] = self.robot.joint_effort_rows(*motion)
+            targets[:, :joints] = samples.effort
+        for index, (q, v, a) in enumerate(zip(*motion, strict=True)) if self.sensors else ():
+            self.robot.update_motion(q, v, a)
+            targets[index, :joints] += self._external_efforts(q, wrenches[index], joints)
+            bodies[index, joints:], targets[index, joints:] = self._wrench_rows(wrenches[index])
         return self._assemble(samples, bodies, targets)
 
     def _measured_wrenches(self, samples: Samples) -> FloatArray:

@@ -9,6 +9,7 @@ channel by a fixed point.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -36,6 +37,12 @@ class Products:
     unknowns: FloatArray
     crossed: FloatArray
     squares: FloatArray
+
+    @cached_property
+    def of_links(self) -> FloatArray:
+        """Those of the links' columns ``(C, r r)``."""
+        rank = self.crossed.shape[1] - 4
+        return self.unknowns[:, :rank, :rank].reshape(len(self.counts), -1)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -94,23 +101,11 @@ def _solved(
     products: Products, sigmas: FloatArray, precision: FloatArray, bounded: BoolArray, held: BoolArray
 ) -> tuple[FloatArray, FloatArray, BoolArray]:
     """The most probable unknowns ``(r + 4 C,)``, the precision of those that are free, and which are held at zero."""
-    channels, size = products.crossed.shape
-    rank = size - 4
-    weights = sigmas**-2.0
-    matrix, right = np.diag(precision), np.zeros(len(precision))
-    matrix[:rank, :rank] += np.tensordot(weights, products.unknowns[:, :rank, :rank], 1)
-    right[:rank] = weights @ products.crossed[:, :rank]
-    for channel in range(channels):
-        own = slice(rank + 4 * channel, rank + 4 * channel + 4)
-        coupling = weights[channel] * products.unknowns[channel, rank:, :rank]
-        matrix[own, :rank] = coupling
-        matrix[:rank, own] = coupling.T
-        matrix[own, own] += weights[channel] * products.unknowns[channel, rank:, rank:]
-        right[own] = weights[channel] * products.crossed[channel, rank:]
+    matrix, right = _normal_equations(products, sigmas**-2.0, precision)
     for _ in range(4):
         before = held
         free = np.flatnonzero(~held)
-        among = matrix[np.ix_(free, free)]
+        among = matrix[free[:, None], free]
         mean = np.zeros(len(precision))
         mean[free] = np.linalg.solve(among, right[free])
         pull = right - matrix @ mean  # of what is held: positive if it would become so
@@ -121,12 +116,28 @@ def _solved(
     return np.where(bounded, np.maximum(mean, 0.0), mean), among, before
 
 
+def _normal_equations(products: Products, weights: FloatArray, precision: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Their matrix ``(r + 4 C, r + 4 C)`` and right side ``(r + 4 C,)``, for weights of the channels ``(C,)``."""
+    channels, size = products.crossed.shape
+    rank = size - 4
+    matrix, right = np.diag(precision), np.empty(len(precision))
+    matrix[:rank, :rank] += (weights @ products.of_links).reshape(rank, rank)
+    coupling = (weights[:, None, None] * products.unknowns[:, rank:, :rank]).reshape(-1, rank)
+    matrix[rank:, :rank], matrix[:rank, rank:] = coupling, coupling.T
+    own = matrix[rank:, rank:].reshape(channels, 4, channels, 4)
+    each = np.arange(channels)
+    own[each, :, each] += weights[:, None, None] * products.unknowns[:, rank:, rank:]
+    right[:rank] = weights @ products.crossed[:, :rank]
+    right[rank:] = (weights[:, None] * products.crossed[:, rank:]).ravel()
+    return matrix, right
+
+
 def _squares(products: Products, mean: FloatArray) -> FloatArray:
     """The sum of squares that is left at each channel ``(C,)``."""
     channels, size = products.crossed.shape
     rank = size - 4
-    own = mean[rank:].reshape(channels, 4)
-    unknowns = np.concatenate([np.tile(mean[:rank], (channels, 1)), own], axis=1)
-    quadratic = np.einsum("ci,cij,cj->c", unknowns, products.unknowns, unknowns)
-    left = products.squares - 2.0 * np.einsum("ci,ci->c", unknowns, products.crossed) + quadratic
+    unknowns = np.empty((channels, size))
+    unknowns[:, :rank], unknowns[:, rank:] = mean[:rank], mean[rank:].reshape(channels, 4)
+    half = (products.unknowns @ unknowns[:, :, None])[:, :, 0] - 2.0 * products.crossed
+    left = products.squares + np.sum(unknowns * half, axis=1)
     return np.asarray(np.maximum(left, 0.0))

@@ -7,6 +7,7 @@ import hashlib
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -40,6 +41,12 @@ def rendered_page(template: str, content: Mapping[str, Any]) -> str:
         template: name of its template in this folder.
         content: what the template shows.
     """
+    return _templates().get_template(template).render(colors=_COLORS, **content)
+
+
+@cache
+def _templates() -> Environment:
+    """Those of this folder. They are kept: to compile one takes longer than to fill it in."""
     environment = Environment(
         loader=FileSystemLoader(_FOLDER),
         autoescape=True,
@@ -48,7 +55,7 @@ def rendered_page(template: str, content: Mapping[str, Any]) -> str:
         lstrip_blocks=True,
     )
     environment.filters |= {name: getattr(gap_words, name) for name in _FILTERS} | {"breakable": _breakable}
-    return environment.get_template(template).render(colors=_COLORS, **content)
+    return environment
 
 
 def _breakable(name: str) -> Markup:

@@ -42,7 +42,10 @@ class Plant(Simulator):
         effects = tuple(effects)
         self._mujoco = load_mujoco()
         self._model = compiled(self._mujoco, description, bodies, effects, wrench_frame)
-        self._data = self._mujoco.MjData(self._model)
+        self._data = data = self._mujoco.MjData(self._model)
+        # Looked up once: a run asks for a hundred thousand accelerations.
+        self._state, self._accelerations = (data.qpos, data.qvel, data.ctrl), data.qacc
+        self._forward_skip, self._from_the_start = self._mujoco.mj_forwardSkip, int(self._mujoco.mjtStage.mjSTAGE_NONE)
         names = [self._model.joint(index).name for index in range(self._model.njnt)]
         super().__init__(names, (joint.name for joint in description.joints), effects)
         for effect, places in self._places:
@@ -68,12 +71,12 @@ class Plant(Simulator):
         return self._forward(position, velocity, effort)
 
     def _forward(self, position: FloatArray, velocity: FloatArray, effort: FloatArray) -> FloatArray:
-        data = self._data
-        data.qpos[:] = position
-        data.qvel[:] = velocity
-        data.ctrl[:] = effort
-        self._mujoco.mj_forwardSkip(self._model, data, self._mujoco.mjtStage.mjSTAGE_NONE, 1)
-        return np.array(data.qacc)
+        positions, velocities, efforts = self._state
+        positions[:] = position
+        velocities[:] = velocity
+        efforts[:] = effort
+        self._forward_skip(self._model, self._data, self._from_the_start, 1)
+        return np.array(self._accelerations)
 
     def effort(self) -> FloatArray:
         return np.asarray(self._data.qfrc_actuator[self.driven])

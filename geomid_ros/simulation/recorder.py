@@ -93,17 +93,14 @@ class ClosedLoop:
         self, index: int, position: FloatArray, velocity: FloatArray, acceleration: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
         """State one step after the instant ``index`` steps after the start, at which it has this ``acceleration``."""
-        speeds, accelerations = [velocity], [acceleration]
+        state = np.array([position, velocity])
+        rates = [np.array([velocity, acceleration])]
         for share, half_step in ((0.5, 2 * index + 1), (0.5, 2 * index + 1), (1.0, 2 * index + 2)):
-            reached = position + share * self.step * speeds[-1]
-            speeds.append(velocity + share * self.step * accelerations[-1])
-            accelerations.append(self.acceleration(half_step, reached, speeds[-1]))
-        return position + self.step * _weighted(speeds), velocity + self.step * _weighted(accelerations)
-
-
-def _weighted(stages: list[FloatArray]) -> FloatArray:
-    first, second, third, fourth = stages
-    return (first + 2.0 * (second + third) + fourth) / 6.0
+            reached, speed = state + share * self.step * rates[-1]
+            rates.append(np.array([speed, self.acceleration(half_step, reached, speed)]))
+        first, second, third, fourth = rates
+        reached, speed = state + self.step * ((first + 2.0 * (second + third) + fourth) / 6.0)
+        return reached, speed
 
 
 @dataclass(frozen=True)

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from files.recordings import BAGS, Recorded, altered
+from commands.running import undrawn
+from files.recordings import BAGS, QUICK, Recorded, altered
 
 import geomid_ros
 from geomid_ros.simulation import SimulationOptions, simulate
@@ -61,9 +62,9 @@ def recordings(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     """Two motions of one robot, whose URDF has wrong inertias and no effects."""
     pytest.importorskip("mujoco")
     folder = tmp_path_factory.mktemp("robot")
+    options = SimulationOptions(robot="arm3", seed=5, duration=12.0, longest_step=QUICK, hide=())
     for motion in (1, 2):
-        options = SimulationOptions(robot="arm3", seed=5, motion_seed=motion, duration=12.0, longest_step=1e-3, hide=())
-        simulate(folder / str(motion), options)
+        simulate(folder / str(motion), replace(options, motion_seed=motion))
     return folder / "1", folder / "2"
 
 
@@ -82,8 +83,9 @@ def changed(by: Change) -> Callable[[Recorded], Recorded]:
 
 @pytest.mark.parametrize("case", CASES, ids=lambda case: case.change.__name__ + " " + case.unseen.__name__)
 def test_the_written_model_leaves_what_the_table_says(
-    case: Case, recordings: tuple[Path, Path], tmp_path: Path
+    case: Case, recordings: tuple[Path, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    undrawn(monkeypatch)
     bag = altered(recordings[0], tmp_path / "fitted", changed(case.change))
     unseen = altered(recordings[1], tmp_path / "unseen", changed(case.unseen))
     urdf = BAGS / "arm3.urdf"

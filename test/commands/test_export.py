@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 import json
 import re
+from dataclasses import replace
 from importlib.metadata import files
 from pathlib import Path
 from xml.etree import ElementTree
@@ -12,9 +13,10 @@ from xml.etree import ElementTree
 import numpy as np
 import pinocchio as pin
 import pytest
-from files.recordings import BAGS
+from files.recordings import BAGS, QUICK
 
 from geomid_ros.exports.formats import DESCRIBED_FOR
+from geomid_ros.simulation import Hidden, SimulationOptions, simulate
 
 from .running import WRIST, done, geomid, identify, refused, undrawn
 
@@ -130,9 +132,9 @@ def test_what_was_picked_up_is_found_by_the_torques(tmp_path: Path, monkeypatch:
     """The arm alone, then the last link alone from there on: their difference is what was hidden at the flange."""
     pytest.importorskip("mujoco")
     undrawn(monkeypatch)
-    recording = ("--robot", "arm7", "--duration", "15", "--seed", "5")
-    done("simulate", tmp_path / "bare", *recording, "--hide", "nothing")
-    done("simulate", tmp_path / "held", *recording, "--hide", "payload:flange")
+    recording = SimulationOptions(robot="arm7", duration=15.0, seed=5, longest_step=QUICK, hide=())
+    simulate(tmp_path / "bare", recording)
+    simulate(tmp_path / "held", replace(recording, hide=(Hidden("payload", "flange"),)))
     arm, held = tmp_path / "arm", tmp_path / "arm_held"
     done("identify", tmp_path / "bare", "--urdf", BAGS / "arm7.urdf", "--effects", "none", "--out", arm)
     start = ("--urdf", arm / "identified.urdf", "--model", arm / "estimate.json", "--links", "link7")

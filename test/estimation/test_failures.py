@@ -139,8 +139,9 @@ def test_extreme_weights_of_the_prior(gamma: float) -> None:
 
 @pytest.mark.parametrize("sigma", [1.0, 1e-9, 1e9])
 def test_configured_sigmas(sigma: float) -> None:
-    found = solved(arm("arm3", 0, seconds=4), sigma={"joint2": sigma})
+    found = solved(arm("arm3", 0, seconds=4), sigma={"joint2": sigma}, max_steps=30)
     assert_sound(found)
+    assert found.converged == (sigma > 1e-9), "it would not in ten times as many steps"
     assert found.sigmas[1] == sigma
 
 

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from geomid_ros.errors import InputError
 from geomid_ros.model import effects
 from geomid_ros.model.effects import (
     DEFAULT_CANDIDATES,
@@ -23,6 +24,7 @@ from geomid_ros.model.effects import (
     Quantity,
     SensorEffect,
     identifiable,
+    identified_effect,
     register,
     values_of,
 )
@@ -42,6 +44,15 @@ def test_every_file_is_known() -> None:
     contracts = {"__init__", "effect", "parameters", "places", "situation"}
     files = {path.stem for path in Path(effects.__file__).parent.glob("*.py")} - contracts
     assert {cls.__module__.rpartition(".")[2] for cls in EFFECTS.values()} == files
+
+
+@pytest.mark.parametrize("name", EFFECTS)
+def test_what_cannot_be_identified_is_not_found_among_what_can(name: str) -> None:
+    if name in identifiable():
+        assert type(identified_effect(name)) is EFFECTS[name]
+    else:
+        with pytest.raises(InputError, match=f"unknown effect '{name}'"):
+            identified_effect(name)
 
 
 @pytest.mark.parametrize("effect", EFFECTS.values(), ids=EFFECTS)

@@ -32,7 +32,7 @@ def shared(name: str, values: Sequence[object]) -> pytest.MarkDecorator:
 
 @cache
 def case(name: str, seed: int) -> Case:
-    return arm(name, seed)
+    return arm(name, seed, seconds=10.0)
 
 
 def checked(model: MeasurementModel, recorded: Samples, gains: FloatArray | None = None) -> RecordingCheck:
@@ -147,7 +147,7 @@ def two_arms() -> tuple[Robot, list[str]]:
 def test_left_and_right_are_exchanged() -> None:
     own, names = two_arms()
     model = MeasurementModel(own, ())
-    moving = motion(np.random.default_rng(6), len(names), 20.0)
+    moving = motion(np.random.default_rng(6), len(names), 10.0)
     feels = efforts(own, truth(np.random.default_rng(5), own), moving)
     sound = samples(moving, feels + 0.05 * np.random.default_rng(8).normal(size=feels.shape))
     assert findings(model, sound) == ()
@@ -186,7 +186,7 @@ def test_positions_are_in_degrees(robot: Case) -> None:
 @shared("gravity", [(9.81, 0.0, 0.0), (0.0, -9.81, 0.0), (0.0, 6.94, -6.94)])
 def test_gravity_acts_in_another_direction(robot: Case, gravity: tuple[float, float, float]) -> None:
     own = robot.model.robot
-    moving = motion(np.random.default_rng(7), len(own.joints), 20.0)
+    moving = motion(np.random.default_rng(7), len(own.joints), 10.0)
     feels = efforts(own, robot.true, moving, gravity)
     cause = named(robot.model, samples(moving, feels + 0.05 * np.random.default_rng(8).normal(size=feels.shape)))
     assert cause.kind == "gravity"
@@ -202,7 +202,7 @@ def test_a_base_that_is_not_level_is_remarked_and_hides_no_fault(robot: Case, ac
     own = robot.model.robot
     x, y = np.array(across) * (4.0 if len(own.joints) == 3 else 1.0)
     gravity = (x, y, -np.sqrt(9.81**2 - x**2 - y**2))
-    moving = motion(np.random.default_rng(7), len(own.joints), 20.0)
+    moving = motion(np.random.default_rng(7), len(own.joints), 10.0)
     feels = efforts(own, robot.true, moving, gravity)
     feels = feels + 0.05 * np.random.default_rng(8).normal(size=feels.shape)
     check = checked(robot.model, samples(moving, feels))
@@ -217,7 +217,7 @@ def test_a_base_that_is_not_level_is_remarked_and_hides_no_fault(robot: Case, ac
 @ONE_OF_SEVEN
 def test_gravity_is_not_in_the_efforts(robot: Case) -> None:
     own = robot.model.robot
-    moving = motion(np.random.default_rng(7), len(own.joints), 20.0)
+    moving = motion(np.random.default_rng(7), len(own.joints), 10.0)
     feels = efforts(own, robot.true, moving, (0.0, 0.0, 0.0))
     noise = 0.05 * np.random.default_rng(8).normal(size=feels.shape)
     (finding,) = findings(robot.model, samples(moving, feels + noise))
@@ -259,7 +259,7 @@ def test_a_payload_is_no_fault(mass: float) -> None:
     own = Robot(shipped("arm7"))
     true = truth(np.random.default_rng(5), own)
     true.links[-1] += np.array([mass, 0.0, 0.0, 0.1 * mass, *(0.01 * mass * np.array([2.0, 0.0, 2.0, 0.0, 0.0, 1.0]))])
-    moving = motion(np.random.default_rng(6), len(own.joints), 20.0)
+    moving = motion(np.random.default_rng(6), len(own.joints), 10.0)
     assert findings(MeasurementModel(own, ()), samples(moving, efforts(own, true, moving))) == ()
 
 

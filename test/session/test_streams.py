@@ -90,21 +90,21 @@ def session() -> Session:
     return Session(read_urdf(BAGS / "arm7.urdf"), configuration, "arm7.urdf")
 
 
-def from_bag(joints: Joints, folder: Path) -> tuple[Session, Estimate]:
+def from_bag(messages: list[Recorded], folder: Path) -> tuple[Session, Estimate]:
     """As ``geomid identify`` reads it."""
     found = session()
-    bag = write_bag(folder, joints.recorded())
+    bag = write_bag(folder, messages)
     fitting = Fitting(found)
     read_bags(found, Bags(fitted=[bag], hold_out=0.0), fitting.add)
     fitting.end()
     return found, found.identifier.solve()
 
 
-def from_node(joints: Joints) -> tuple[Session, Estimate, Any]:
+def from_node(messages: list[Recorded]) -> tuple[Session, Estimate, Any]:
     """As the node's threads take it, message by message; with the status that its diagnostics are made of."""
     found, answers = session(), queue.Queue[Estimate | GeomidError]()
     with closing(Worker(found, 3600.0, lambda *_: None, lambda *_: None)) as worker:
-        for item in joints.recorded():
+        for item in messages:
             worker.take([Received(*item.raw)])
         worker.final_estimate(answers.put)
         estimate = answers.get(timeout=PATIENCE)
@@ -285,8 +285,9 @@ def patience(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_a_fault_gets_the_same_answer_in_a_bag_and_in_a_node(name: str, tmp_path: Path) -> None:
     case, joints = CASES[name], Joints.clean()
     refused = case.spoil(joints)
-    found, estimate = from_bag(joints, tmp_path / "bag")
-    theirs, their_estimate, status = from_node(joints)
+    messages = joints.recorded()
+    found, estimate = from_bag(messages, tmp_path / "bag")
+    theirs, their_estimate, status = from_node(messages)
 
     np.testing.assert_allclose(numbers(their_estimate)[0], numbers(estimate)[0], rtol=1e-9, atol=1e-12)
     account, their_account = (each.pipeline.ledger.topics["joint_states"] for each in (found, theirs))

@@ -106,17 +106,29 @@ def test_blocks_of_any_size_make_the_same_samples(size: int, share: float, seed:
         np.testing.assert_array_equal(*values)
 
 
-@pytest.mark.parametrize("size", [3, 50, 10_000])
-def test_parts_of_a_robot_are_joined_in_blocks_as_one_by_one(size: int) -> None:
-    """Two publishers, the second one a little later each time; both stop for a while and begin anew."""
+@cache
+def parts_one_by_one() -> tuple[list[Message], SignalPipeline, Samples]:
+    """Messages of two publishers, the second one a little later each time; both stop for a while and begin anew. The
+    pipeline that took them, and its samples."""
     part, other = (
         [without(without(m, names[0]), names[1]) if len(names) > 1 else without(m, names[0]) for m in joint_messages(s)]
         for names, s in (((JOINTS[0],), regular(0.01, 4.0)), (JOINTS[1:], regular(0.01, 4.0, offset=0.003)))
     )
     messages = [message for pair in zip(part, other, strict=True) for message in pair]
     messages = [*messages, *messages[:300]]
-    alone, together = (SignalPipeline(JOINTS, settings=SignalSettings(period=0.01, merge=True)) for _ in range(2))
-    assert_same_to_the_last_digit(in_blocks(together, messages, size), in_blocks(alone, messages, 1))
+    alone = merging()
+    return messages, alone, in_blocks(alone, messages, 1)
+
+
+def merging() -> SignalPipeline:
+    return SignalPipeline(JOINTS, settings=SignalSettings(period=0.01, merge=True))
+
+
+@pytest.mark.parametrize("size", [3, 50, 10_000])
+def test_parts_of_a_robot_are_joined_in_blocks_as_one_by_one(size: int) -> None:
+    messages, alone, expected = parts_one_by_one()
+    together = merging()
+    assert_same_to_the_last_digit(in_blocks(together, messages, size), expected)
     assert together.ledger.topics == alone.ledger.topics
 
 

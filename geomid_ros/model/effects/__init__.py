@@ -112,7 +112,7 @@ def identifiable() -> dict[str, IdentifiedEffect]:
 
 def identified_effect(name: str) -> IdentifiedEffect:
     """The effect of that name that can be identified. Raises InputError with the valid names for an unknown one."""
-    known = identifiable()
-    if name not in known:
-        raise unknown_name("effect", name, known)
-    return known[name]
+    found = EFFECTS.get(name)
+    if found is None or not issubclass(found, IdentifiedEffect):
+        raise unknown_name("effect", name, identifiable())
+    return found()
