@@ -170,7 +170,8 @@ class _Rows:
                 break
             earlier = spreads
             hessian = solution.evaluation.information + np.diag(trusted.weights)
-            unsure = np.diag(np.linalg.inv(hessian))[manifold.inertial]
+            links = manifold.inertial
+            unsure = np.diag(np.linalg.solve(hessian, np.eye(len(hessian))[:, links])[links])
             errors = np.sum((manifold.log(prior, point)[manifold.inertial] ** 2 + unsure).reshape(-1, 10), axis=1)
             spreads = np.sqrt((errors + CERTAINTY * self.problem.usual**2) / (10.0 + CERTAINTY))
             if np.all(np.abs(np.log(spreads / earlier)) < _SETTLED):
