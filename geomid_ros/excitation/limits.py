@@ -118,12 +118,14 @@ def _by_effort(robot: Robot, position: FloatArray, effort: FloatArray, inertias:
 def _gravity_and_inertia(robot: Robot, positions: FloatArray, inertias: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Efforts ``(N, J)`` that hold a robot in pinocchio's ``positions (N, nq)``, and the inertia about each joint."""
 
-    def efforts(q: FloatArray, a: FloatArray) -> FloatArray:
-        return np.asarray(np.einsum("jbk,bk->j", robot.joint_effort_rows(q, np.zeros_like(a), a), inertias))
+    still = np.zeros((len(positions), len(robot.coupling)))
 
-    still, units = np.zeros(robot.coupling.shape[0]), robot.coupling.T
-    gravity = np.array([efforts(q, still) for q in positions])
-    moved = np.array([[efforts(q, unit)[joint] for joint, unit in enumerate(units)] for q in positions])
+    def efforts(acceleration: FloatArray) -> FloatArray:
+        rows = robot.joint_effort_rows(positions, still, still + acceleration)
+        return np.asarray(np.einsum("njbk,bk->nj", rows, inertias))
+
+    gravity = efforts(still)
+    moved = np.stack([efforts(unit)[:, joint] for joint, unit in enumerate(robot.coupling.T)], axis=1)
     return gravity, moved - gravity
 
 

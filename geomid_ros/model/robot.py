@@ -314,12 +314,22 @@ class Robot:
             yield follower.joint, position + follower.offset, velocity, acceleration
 
     def joint_effort_rows(self, q: FloatArray, v: FloatArray, a: FloatArray) -> FloatArray:
-        """Regressor of the joints' efforts at one instant, ``(joints, bodies, 10)``, in the bodies' link frames."""
-        # Of a robot with one joint pinocchio returns arrays that have lost a dimension.
-        full = pin.computeJointTorqueRegressor(self._model, self._data, q, v, a).reshape(self._model.nv, -1)
-        by_joint = self._of_joints(full).reshape(len(self.joints), -1, 10)[:, self._moved_by]
-        rows = np.zeros((len(self.joints), len(self.bodies), 10))
-        rows[:, self._moved] = (by_joint.transpose(1, 0, 2) @ self._to_joints).transpose(1, 0, 2)
+        """Regressor of the joints' efforts at N instants, ``(N, joints, bodies, 10)``, in the bodies' link frames.
+
+        Args:
+            q: pinocchio's positions ``(N, nq)``.
+            v, a: its velocities and accelerations ``(N, nv)``.
+        """
+        count, moving = len(q), self._model.njoints - 1
+        full = np.empty((self._model.nv, count, 10 * moving))
+        for index in range(count):
+            # Of a robot with one joint pinocchio returns arrays that have lost a dimension.
+            regressor = pin.computeJointTorqueRegressor(self._model, self._data, q[index], v[index], a[index])
+            full[:, index] = regressor.reshape(self._model.nv, -1)
+        by_joint = self._of_joints(full).reshape(-1, moving, 10)[:, self._moved_by]
+        rows = np.zeros((count, len(self.joints), len(self.bodies), 10))
+        in_links = (by_joint.transpose(1, 0, 2) @ self._to_joints).reshape(-1, len(self.joints), count, 10)
+        rows[:, :, self._moved] = in_links.transpose(2, 1, 0, 3)
         return rows
 
     @cached_property

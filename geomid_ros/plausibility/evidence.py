@@ -100,13 +100,12 @@ def _solved(
     matrix, right = np.diag(precision), np.zeros(len(precision))
     matrix[:rank, :rank] += np.tensordot(weights, products.unknowns[:, :rank, :rank], 1)
     right[:rank] = weights @ products.crossed[:, :rank]
-    for channel in range(channels):
-        own = slice(rank + 4 * channel, rank + 4 * channel + 4)
-        coupling = weights[channel] * products.unknowns[channel, rank:, :rank]
-        matrix[own, :rank] = coupling
-        matrix[:rank, own] = coupling.T
-        matrix[own, own] += weights[channel] * products.unknowns[channel, rank:, rank:]
-        right[own] = weights[channel] * products.crossed[channel, rank:]
+    of_friction = weights[:, None, None] * products.unknowns[:, rank:]
+    coupling = of_friction[:, :, :rank].reshape(-1, rank)
+    matrix[rank:, :rank], matrix[:rank, rank:] = coupling, coupling.T
+    own = np.arange(rank, len(precision)).reshape(channels, 4)
+    matrix[own[:, :, None], own[:, None, :]] += of_friction[:, :, rank:]
+    right[rank:] = (weights[:, None] * products.crossed[:, rank:]).ravel()
     for _ in range(4):
         before = held
         free = np.flatnonzero(~held)

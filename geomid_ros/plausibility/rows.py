@@ -35,8 +35,7 @@ def gravity_rows(robot: Robot, samples: Samples) -> tuple[FloatArray, FloatArray
 def effort_rows(robot: Robot, samples: Samples, gravity: FloatArray) -> FloatArray:
     """The rows ``(N, joints, D)`` of efforts over all links' parameters."""
     robot = robot.with_gravity(gravity)
-    rows = [robot.joint_effort_rows(q, v, a) for q, v, a in zip(*robot.configuration(samples), strict=True)]
-    return np.array(rows).reshape(len(samples), len(robot.joints), -1)
+    return robot.joint_effort_rows(*robot.configuration(samples)).reshape(len(samples), len(robot.joints), -1)
 
 
 def friction_columns(samples: Samples) -> FloatArray:

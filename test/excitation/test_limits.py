@@ -42,7 +42,8 @@ def test_an_effort_suffices_for_the_acceleration_that_follows_from_it() -> None:
     for q in robot.pinocchio_positions(np.random.default_rng(5).uniform(-2.5, 2.5, (50, 3))):
         for joint, hard in enumerate(found.acceleration):
             acceleration = hard * np.eye(3)[joint]
-            effort = np.einsum("jbk,bk->j", robot.joint_effort_rows(q, np.zeros(3), acceleration), inertias)
+            rows = robot.joint_effort_rows(q[None], np.zeros((1, 3)), acceleration[None])
+            effort = np.einsum("jbk,bk->j", rows[0], inertias)
             assert abs(effort[joint]) <= found.effort[joint] * 1.05
     assert np.any(found.acceleration < 10.0 * 2.0)
 

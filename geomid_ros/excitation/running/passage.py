@@ -81,8 +81,10 @@ class Passage:
 
     def _too_heavy(self, positions: FloatArray) -> str:
         """Which joint cannot hold itself, with the URDF's inertias, at some positions ``(N, joints)``."""
-        robot, still = self._robot, np.zeros(self._robot.coupling.shape[0])
-        rows = [robot.joint_effort_rows(q, still, still) for q in robot.pinocchio_positions(self.whole(positions))]
+        robot = self._robot
+        postures = robot.pinocchio_positions(self.whole(positions))
+        still = np.zeros((len(postures), len(robot.coupling)))
+        rows = robot.joint_effort_rows(postures, still, still)
         shares = np.max(np.abs(np.einsum("njbk,bk->nj", rows, self._inertias)), axis=0) / robot.effort_limits
         worst = int(np.argmax(shares))
         name = robot.joint_names[worst]
