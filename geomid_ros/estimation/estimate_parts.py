@@ -27,7 +27,7 @@ def links(
     parameters = pseudo_inertia.to_parameters(point.pseudo_inertias)
     values = pseudo_inertia.quantities_of(parameters)
     central = pseudo_inertia.central_inertia(parameters)
-    sensitivity = uncertainty.physical_sensitivity(manifold, point)
+    sensitivity = uncertainty.physical_sensitivity(point)
     distances = spd.distance(prior.pseudo_inertias, point.pseudo_inertias)
     ratios = spd.relative_eigenvalues(prior.pseudo_inertias, point.pseudo_inertias)[:, 0]
     told = []
