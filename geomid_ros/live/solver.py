@@ -88,6 +88,7 @@ class Solver:
         self._thread.join(patience)
         with self._lock:
             self._epoch += 1
+            self._closing = False  # nobody waits any more
 
     def ask(self, done: Done) -> None:
         """Solve from scratch, unless that was done for the same rows. ``done`` is called with the result, in the

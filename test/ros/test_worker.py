@@ -294,6 +294,31 @@ def test_closing_makes_the_estimate_up_to_date() -> None:
     assert watched.worker.estimate.rows_accepted == last
 
 
+def test_once_it_is_closed_no_estimate_is_begun(quiet: Watched, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A solve that took longer than closing would wait is the last one."""
+    quiet.feed(0, 500)
+    quiet.final()
+    monkeypatch.setattr(module, "_PATIENCE", 0.05)
+    solve, solving, may_end = quiet.session.identifier.solve, threading.Event(), threading.Event()
+    begun = []
+
+    def slowly(warm: Any) -> Estimate:
+        begun.append(warm)
+        solving.set()
+        may_end.wait(PATIENCE)
+        return solve(warm)
+
+    monkeypatch.setattr(quiet.session.identifier, "solve", slowly)
+    quiet.feed(500)
+    quiet.worker.final_estimate(lambda _: None)
+    assert solving.wait(PATIENCE)
+    quiet.close()
+    may_end.set()
+    quiet.worker.solver._thread.join(PATIENCE)
+    assert not quiet.worker.solver._thread.is_alive()
+    assert begun == [None]
+
+
 def test_closing_begins_no_estimate_from_scratch() -> None:
     watched = Watched(NEVER)
     watched.feed()
