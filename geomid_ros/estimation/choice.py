@@ -97,21 +97,22 @@ class _Rows:
         return coefficient.effect.name, coefficient.place
 
     @cached_property
-    def products(self) -> FloatArray:
-        """Of each fold and channel: all columns and the target by each other, ``(folds, channels, D + 1, D + 1)``; only
-        the share of them that is independent counts."""
-        summary, channels = self.problem.summary, self.problem.model.channels
-        products = np.zeros((summary.folds, len(channels), self.size + 1, self.size + 1))
-        for index, (channel, parts) in enumerate(zip(channels, summary.parts(), strict=False)):
-            places = np.array([*channel.columns, self.size])
-            for fold, part in enumerate(parts):
-                products[fold, index, places[:, None], places] = part.factor.T @ part.factor
-        return self.problem.independent * products
+    def products(self) -> list[tuple[IntArray, FloatArray]]:
+        """Of each channel: which columns it has, the last of which is the target, and of each fold these by each other,
+        ``(folds, n, n)``; only the share of them that is independent counts."""
+        channels, independent = self.problem.model.channels, self.problem.independent
+        return [
+            (np.append(channel.columns, self.size), independent * np.array([p.factor.T @ p.factor for p in parts]))
+            for channel, parts in zip(channels, self.problem.summary.parts(), strict=False)
+        ]
 
     @cached_property
     def all_products(self) -> FloatArray:
-        """The same of all folds, ``(channels, D + 1, D + 1)``."""
-        return np.asarray(np.sum(self.products, axis=0))
+        """Of each channel: all columns and the target by each other, of all folds, ``(channels, D + 1, D + 1)``."""
+        whole = np.zeros((len(self.products), self.size + 1, self.size + 1))
+        for own, (places, products) in zip(whole, self.products, strict=True):
+            own[places[:, None], places] = np.sum(products, axis=0)
+        return whole
 
     @cached_property
     def counts(self) -> FloatArray:
@@ -169,7 +170,8 @@ class _Rows:
                 break
             earlier = spreads
             hessian = solution.evaluation.information + np.diag(trusted.weights)
-            unsure = np.diag(np.linalg.inv(hessian))[manifold.inertial]
+            links = manifold.inertial
+            unsure = np.diag(np.linalg.solve(hessian, np.eye(len(hessian))[:, links])[links])
             errors = np.sum((manifold.log(prior, point)[manifold.inertial] ** 2 + unsure).reshape(-1, 10), axis=1)
             spreads = np.sqrt((errors + CERTAINTY * self.problem.usual**2) / (10.0 + CERTAINTY))
             if np.all(np.abs(np.log(spreads / earlier)) < _SETTLED):
@@ -247,18 +249,24 @@ class _Fit:
     def held_out(self) -> FloatArray:
         """Sums of squares of each fold's channels at the fit to the other folds ``(folds, channels)``, by one Newton
         step from the fit to all."""
-        own = np.append(self.columns, self.rows.size)
-        products = self.rows.products[:, :, own[:, None], own]
+        rows, manifold, folds = self.rows, self.objective.manifold, self.rows.problem.summary.folds
+        totals = np.zeros((folds, rows.size + 1, rows.size + 1))
+        for weight, (places, products) in zip(self.weights, rows.products, strict=True):
+            totals[:, places[:, None], places] += weight * products
+        own = np.append(self.columns, rows.size)
         parameters = np.append(self.point.parameters, -1.0)
-        whitener = self.objective.manifold.whiten(self.point, np.eye(len(own) - 1))
-        squares = np.zeros(products.shape[:2])
-        for fold, total in enumerate(np.einsum("c,fcij->fij", self.weights, products, optimize=True)):
+        whitener = manifold.whiten(self.point, np.eye(len(self.columns)))
+        moved = np.zeros((folds, rows.size + 1))
+        for fold, total in enumerate(totals[:, own[:, None], own]):
             slope = whitener.T @ (total[:-1] @ parameters)
-            information = whitener.T @ total[:-1, :-1] @ whitener
+            information = manifold.whiten(self.point, manifold.whiten(self.point, total[:-1, :-1]).T)
             step = whitener @ np.linalg.solve(self.hessian - information, slope)
-            moved = parameters + np.append(step, 0.0)
-            squares[fold] = (products[fold] @ moved) @ moved
-        return squares
+            moved[fold, own] = parameters + np.append(step, 0.0)
+        squares = [
+            np.einsum("fi,fij,fj->f", moved[:, places], products, moved[:, places], optimize=True)
+            for places, products in rows.products
+        ]
+        return np.stack(squares, axis=1)
 
 
 def _best(chosen: _Fit, left: IntArray) -> tuple[_Fit | None, int]:

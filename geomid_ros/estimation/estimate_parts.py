@@ -27,7 +27,7 @@ def links(
     parameters = pseudo_inertia.to_parameters(point.pseudo_inertias)
     values = pseudo_inertia.quantities_of(parameters)
     central = pseudo_inertia.central_inertia(parameters)
-    sensitivity = uncertainty.physical_sensitivity(manifold, point)
+    sensitivity = uncertainty.physical_sensitivity(point)
     distances = spd.distance(prior.pseudo_inertias, point.pseudo_inertias)
     ratios = spd.relative_eigenvalues(prior.pseudo_inertias, point.pseudo_inertias)[:, 0]
     told = []
@@ -66,7 +66,7 @@ def effects(
     first = manifold.inertial.stop
     _, diagonal = manifold.jacobian(point)
     std = diagonal * np.sqrt(np.diag(found.covariance)[first:])
-    shares = [found.from_data(slice(column, column + 1)) for column in range(first, manifold.dimension)]
+    shares = found.each_from_data[first:].tolist()
     return tuple(
         EffectEstimate(
             name=c.effect.name, joint=c.place_name, parameters=c.parameters(float(value), float(s)), from_data=share

@@ -187,7 +187,8 @@ def _spreads(problem: Problem, objective: ProductsObjective, solution: Solution)
     manifold = problem.manifold
     links = manifold.inertial
     information = solution.evaluation.information + np.diag(objective.prior_weights)
-    unsure = np.diag(np.linalg.inv(problem.independent * information))[links]
+    own = np.eye(len(information))[:, links]
+    unsure = np.diag(np.linalg.solve(problem.independent * information, own)[links])
     errors = manifold.log(problem.prior_point, solution.point)[links] ** 2 + unsure
     squares = np.sum(errors.reshape(-1, 10), axis=1) + CERTAINTY * problem.usual**2
     spreads: FloatArray = np.sqrt(squares / (10.0 + CERTAINTY))

@@ -24,7 +24,6 @@ from geomid_ros.types import BoolArray, FloatArray, IntArray
 NOT_MEASURED = "not measured"
 STANDING_STILL = "standing still"
 _LONGEST_STEP = 1.0  # [s]
-_RENEWED = 1.0 / 3.0
 
 
 @dataclass(frozen=True)
@@ -250,10 +249,10 @@ class Identifier:
         """Rows that were not taken, by reason."""
         return self.counts.rejected
 
-    def outgrown(self, rows: int) -> bool:
-        """Whether a choice made at ``rows`` rows should be made again: a third of what is remembered came later."""
+    def outgrown(self, rows: int, share: float) -> bool:
+        """Whether more than this ``share`` of what is remembered came after so many ``rows``."""
         with self._lock:
-            return self._taken - rows > _RENEWED * (self._summary.weight + self._recent.rows)
+            return self._taken - rows > share * (self._summary.weight + self._recent.rows)
 
     def snapshot(self) -> RowSummary:
         """A copy of all that was added so far and is not left out."""

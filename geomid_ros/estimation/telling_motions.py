@@ -62,7 +62,7 @@ class _Problem:
         self._manifold = ParameterManifold(len(estimate.links), 0, np.zeros(0))
         self._point: Point = self._manifold.point(estimate.parameters[self._manifold.inertial])
         self._spreads = np.repeat(estimate.spreads, 10)
-        self._sensitivity = physical_sensitivity(self._manifold, self._point)
+        self._sensitivity = physical_sensitivity(self._point)
         self._rows = self._manifold.whiten(self._point, estimate.information.rows) * self._spreads
 
     def told_with(self, rows: FloatArray) -> list[set[str]]:

@@ -61,6 +61,11 @@ class Uncertainty:
         """Standard deviations ``(D,)`` of the prior's error."""
         return np.asarray(np.sqrt(np.diag(self.prior)))
 
+    @property
+    def each_from_data(self) -> FloatArray:
+        """:meth:`from_data` of each coordinate by itself ``(D,)``."""
+        return np.asarray(np.clip(1.0 - np.diag(self.covariance) / np.diag(self.prior), 0.0, 1.0))
+
     def from_data(self, columns: slice) -> float:
         """The share of the prior's variance in these coordinates that the data removed, 0 to 1.
 
@@ -230,17 +235,13 @@ def prior_spreads(rows: Fold, from_prior: FloatArray, groups: Sequence[Parameter
     return np.asarray(found[member])
 
 
-def physical_sensitivity(manifold: ParameterManifold, point: Point, step: float = _STEP) -> FloatArray:
+def physical_sensitivity(point: Point) -> FloatArray:
     """Derivative ``(links, 10, 10)`` of each link's quantities (:func:`pseudo_inertia.quantities_of`) by its ten
-    tangent coordinates, by central differences of this ``step`` along geodesics."""
-    derivative = np.empty((manifold.links, 10, 10))
-    for k in range(10):
-        tangent = np.zeros(manifold.dimension)
-        tangent[k : manifold.inertial.stop : 10] = step
-        ends = np.array([manifold.exp(point, sign * tangent).pseudo_inertias for sign in (1.0, -1.0)])
-        ahead, behind = pseudo_inertia.quantities_of(pseudo_inertia.to_parameters(ends))
-        derivative[:, :, k] = (ahead - behind) / (2.0 * step)
-    return derivative
+    tangent coordinates, by central differences along straight lines of the parameters, which begin as geodesics do."""
+    parameters = pseudo_inertia.to_parameters(point.pseudo_inertias)[:, None]
+    steps = _STEP * np.swapaxes(point.links_jacobian, -1, -2)  # one of each coordinate
+    ahead, behind = pseudo_inertia.quantities_of(np.stack([parameters + steps, parameters - steps]))
+    return np.asarray(np.swapaxes(ahead - behind, -1, -2) / (2.0 * _STEP))
 
 
 def links_information(

@@ -109,7 +109,7 @@ class Knowledge:
         effects' coefficients ``(effects,)``."""
         manifold, point = self.posterior.manifold, self.posterior.point
         covariance = self.posterior.covariance
-        sensitivity = physical_sensitivity(manifold, point)
+        sensitivity = physical_sensitivity(point)
         links = [
             np.sqrt(np.einsum("ij,jk,ik->i", own, covariance[block, block], own))
             for own, block in zip(sensitivity, map(manifold.link, range(manifold.links)), strict=True)

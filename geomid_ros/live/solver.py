@@ -16,19 +16,22 @@ from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.estimation.estimator import WarmStart
 from geomid_ros.live.activity import Activity
 from geomid_ros.live.daemon import start_daemon
+from geomid_ros.live.pace import NEW_SHARE, Pace
 from geomid_ros.monitoring.change_detection import ChangeDetector
 from geomid_ros.monitoring.wrench_sensors import changed_sensors, robot_may_have_changed, sensor_channels
 from geomid_ros.session.session import Session
 from geomid_ros.signals.ledger import count_reason
 
 SOLVING = "solving"
-_EARLIER = 64  # estimates, so many as are made until a gap is known: most of a minute
+_EARLIER = 64  # estimates, so many as are made until a gap is known: most of a minute, or more
+_CHOSEN_ANEW = 0.5  # share of what is remembered that is new when effects and the prior's weight are chosen anew
 
 Done: TypeAlias = Callable[[Estimate | GeomidError], None]
 
 
 class Solver:
-    """Solves periodically and when asked, in a thread.
+    """Solves in a thread, as new data make it worth (:class:`Pace`), and when asked. Who wants old data forgotten wants
+    changes followed: then it solves in every period.
 
     An estimate that is worse than none is not kept. The rows of a mounted wrench sensor are left out while it is not
     what it was, unless old rows are forgotten anyway.
@@ -38,7 +41,7 @@ class Solver:
         """
         Args:
             session: has the rows.
-            period: [s] between solves; nothing is solved while no rows come.
+            period: [s] between solves, at least; nothing is solved while no rows come.
             on_estimate: ``on_estimate(session, estimate)`` is called in the thread for each new estimate.
         """
         self._session = session
@@ -54,6 +57,8 @@ class Solver:
         self._epoch = 0  # a result of an earlier one is thrown away
         self.solves = 0  # estimates made so far
         self._solved_rows = 0
+        self._pace = Pace()
+        self._closing = False
         self._from_scratch: tuple[tuple[int, int], Estimate] | None = None  # the last, and of which epoch and rows
         self.changed_sensors: tuple[str, ...] = ()  # topics of those whose rows are left out
         self._asking: list[Done] = []
@@ -76,11 +81,14 @@ class Solver:
             done(GeomidError("the solver did not end in time and was restarted"))
 
     def close(self, patience: float) -> None:
-        """End. A solve is finished first, unless it takes longer than ``patience`` [s]."""
+        """End. A solve is finished first, and the estimate made up to date, unless that takes longer than ``patience``
+        [s]."""
+        self._closing = True
         self._requests.put(None)
         self._thread.join(patience)
         with self._lock:
             self._epoch += 1
+            self._closing = False  # nobody waits any more
 
     def ask(self, done: Done) -> None:
         """Solve from scratch, unless that was done for the same rows. ``done`` is called with the result, in the
@@ -139,6 +147,8 @@ class Solver:
                 self._solve_for_new_rows(activity)
                 continue
             if done is None:
+                if self._closing:
+                    self._solve_for_the_last_rows(activity)
                 return
             with activity.doing(SOLVING):
                 self._detect_changes()
@@ -153,9 +163,20 @@ class Solver:
     def _solve_for_new_rows(self, activity: Activity) -> None:
         with activity.doing(SOLVING):
             self._detect_changes()
-            if self._session.identifier.rows != self._solved_rows:
+            rows, identifier = self._session.identifier.rows, self._session.identifier
+            if rows == self._solved_rows:
+                return
+            much_is_new = self._forgets or bool(self.problem) or identifier.outgrown(self._solved_rows, NEW_SHARE)
+            if self._pace.worth(rows, much_is_new):
                 self._solve_once(self._warm_start())
-                self._judge()
+            self._judge()
+
+    def _solve_for_the_last_rows(self, activity: Activity) -> None:
+        """Make the estimate up to date where that is a step from the last one: nobody waits for more in the end."""
+        warm = self._warm_start()
+        if warm is not None and self._session.identifier.rows != self._solved_rows:
+            with activity.doing(SOLVING):
+                self._solve_once(warm)
 
     def _judge(self) -> None:
         """Judge the data as a whole when there are many new ones."""
@@ -198,7 +219,7 @@ class Solver:
         """Where to start; None, which chooses the prior's weight anew, when that was chosen for other data."""
         with self._lock:
             warm = self._session.warm
-            if warm is None or self.problem or self._session.identifier.outgrown(warm.rows):
+            if warm is None or self.problem or self._session.identifier.outgrown(warm.rows, _CHOSEN_ANEW):
                 return None
             return warm
 

@@ -81,12 +81,13 @@ class Rows:
 @dataclass(frozen=True, eq=False)
 class _Carried:
     """The numbers in rows that samples with these ``columns`` carry: the row's channel and parameter, and the place
-    among the columns' entries."""
+    among the columns' entries; and the parameters of ``others``, whose numbers they do not carry."""
 
     columns: Columns
     channels: IntArray
     parameters: IntArray
     places: IntArray
+    others: tuple[int, ...]
 
 
 class MeasurementModel:
@@ -334,7 +335,7 @@ class MeasurementModel:
         if joints:
             bodies[:, :joints] = self.robot.joint_effort_rows(*motion)
             targets[:, :joints] = samples.effort
-        for index, (q, v, a) in enumerate(zip(*motion, strict=True)) if self.sensors else ():
+        for index, (q, v, a) in enumerate(zip(*motion, strict=True) if self.sensors else ()):
             self.robot.update_motion(q, v, a)
             targets[index, :joints] += self._external_efforts(q, wrenches[index], joints)
             bodies[index, joints:], targets[index, joints:] = self._wrench_rows(wrenches[index])
@@ -388,31 +389,38 @@ class MeasurementModel:
         carried = self._carried if samples.entries.columns == self._carried.columns else None
         if carried is not None:
             coefficients[:, carried.channels, carried.parameters] = samples.effects[:, carried.places]
-        for column, coefficient in enumerate(self.coefficients, inertial.shape[2]):
-            if carried is not None and isinstance(coefficient.effect, MotionEffect):
-                continue
+        first = inertial.shape[2]
+        sensed: dict[tuple[SensorEffect, Place], FloatArray] = {}
+        for column in range(first, self.dimension) if carried is None else carried.others:
+            coefficient = self.coefficients[column - first]
             effect, place = coefficient.effect, coefficient.place
             if isinstance(effect, LoadEffect):
                 joint = joint_of(place)
                 values = effect.column(loads[:, joint], samples.column(SIGN)[:, joint])
                 coefficients[:, joint, column] = values
-                continue
-            for channel, values in self.columns_of(samples, effect, place, coefficient.index).items():
-                coefficients[:, channel, column] = values
+            elif isinstance(effect, SensorEffect):
+                if (effect, place) not in sensed:
+                    sensed[effect, place] = self._sensed(samples, effect, place)
+                coefficients[:, self._reached(place), column] = sensed[effect, place][:, :, coefficient.index]
+            else:
+                for channel, values in self.columns_of(samples, effect, place, coefficient.index).items():
+                    coefficients[:, channel, column] = values
         return Rows(coefficients, targets)
 
     @cached_property
     def _carried(self) -> _Carried:
         """Where samples with this model's columns carry those of its effects of motion."""
         carried = Entries(self.columns, len(self.layout.efforts))
+        every = list(enumerate(self.coefficients, 10 * len(self.identified)))
         found = [
             (joint, parameter, carried.at(column_of(c.effect, c.place), joint))
-            for parameter, c in enumerate(self.coefficients, 10 * len(self.identified))
+            for parameter, c in every
             if isinstance(c.effect, MotionEffect)
             for joint in self._reached(c.place)
         ]
         channels, parameters, places = np.array(found, dtype=np.int64).reshape(-1, 3).T
-        return _Carried(carried.columns, channels, parameters, places)
+        others = tuple(parameter for parameter, c in every if not isinstance(c.effect, MotionEffect))
+        return _Carried(carried.columns, channels, parameters, places, others)
 
     def columns_of(
         self, samples: Samples, effect: MotionEffect | SensorEffect, place: Place, index: int
@@ -422,8 +430,12 @@ class MeasurementModel:
         if isinstance(effect, MotionEffect):
             own = samples.column(column_of(effect, place))
             return {joint: own[:, joint] for joint in channels}
-        columns = effect.columns(samples.motion, [self.channels[channel].axis for channel in channels])[:, :, index]
+        columns = self._sensed(samples, effect, place)[:, :, index]
         return {channel: column for channel, column in zip(channels, columns.T, strict=True) if np.any(column)}
+
+    def _sensed(self, samples: Samples, effect: SensorEffect, place: Place) -> FloatArray:
+        """What a unit of each of an effect's coefficients adds to each axis of a sensor ``(N, axes, coefficients)``."""
+        return effect.columns(samples.motion, [self.channels[channel].axis for channel in self._reached(place)])
 
     @property
     def columns(self) -> Columns:

@@ -184,19 +184,20 @@ class _Cusum:
             self._suspect.clear()
         elif self._evidence == 0.0 or self._moves_otherwise:
             self._evidence = 0.0
-            self._learn()
+            self._learn(joined)
             if self._moves_otherwise and not moved_otherwise:
                 self._energies.clear()
         if self._open and np.isfinite(self._forgetting_time):
             self._factor = joined
 
-    def _learn(self) -> None:
-        """Take what was suspect as normal."""
+    def _learn(self, with_last: FloatArray) -> None:
+        """Take what was suspect as normal; ``with_last`` is the factor that the last block alone would lead to."""
+        alone = len(self._suspect) == 1
         while self._suspect:
             energy, rows = self._suspect.popleft()
             if self._rows >= _ROWS_PER_PARAMETER * len(self._channel.columns):
                 self._energies.append(energy)
-            self._factor = triangular(np.concatenate([self._factor, rows]))
+            self._factor = with_last if alone else triangular(np.concatenate([self._factor, rows]))
             self._rows += len(rows)
 
     def _leverage(self, coefficients: FloatArray) -> float:

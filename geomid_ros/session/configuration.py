@@ -87,7 +87,7 @@ PARAMETERS = (
     Parameter("forgetting_time", 0.0, "motion [s] after which data count 1/e; 0: nothing is forgotten", 0.0, 1e6),
     Parameter("still_speed", 1e-3, "slower than this everywhere counts as standing still [rad/s, m/s]", 0.0, 10.0),
     Parameter("still_distance", 1e-2, "at a standstill, a pose nearer to the last one is not new [rad, m]", 0.0, 10.0),
-    Parameter("solve_period", 1.0, "seconds between estimates while data come in [s]", 0.001, 3600.0),
+    Parameter("solve_period", 1.0, "least seconds between estimates while data come in [s]", 0.001, 3600.0),
     Parameter("gap.memory", 120.0, "seconds of messages for ~/find_gap and ~/payload; 0: none [s]", 0.0, 3600.0),
     Parameter("payload.frame", "", "flange whose payload is weighed; empty: the last link that moves"),
     Parameter("payload.gain", GAIN, "standard deviation of the efforts' common gain; 0: calibrated sensors", 0.0, 0.99),

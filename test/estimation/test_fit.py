@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from geomid_ros.estimation.estimator import EstimatorSettings
-from geomid_ros.estimation.fit import Fit, fit
+from geomid_ros.estimation.fit import CERTAINTY, Fit, fit
 from geomid_ros.estimation.identifier import Identifier
 from geomid_ros.estimation.problem import Problem
 from geomid_ros.estimation.starting_point import USUAL_SPREAD_OF_LINKS
@@ -124,6 +124,19 @@ def test_noise_and_spreads_are_a_fixed_point() -> None:
     np.testing.assert_allclose(warm.sigmas, cold.sigmas, rtol=1e-6)
     np.testing.assert_allclose(warm.spreads, cold.spreads, rtol=1e-5)
     np.testing.assert_allclose(warm.point.parameters, cold.point.parameters, rtol=1e-4, atol=1e-6)
+
+
+def test_a_links_spread_is_its_distance_from_the_prior_and_what_is_unsure_of_it() -> None:
+    """MacKay's fixed point, with the posterior's covariance by its principal directions."""
+    found = fit(problem(arm("arm3", 1)), tolerance=1e-10, max_steps=300)
+    manifold, prior = found.problem.manifold, found.problem.prior_point
+    information = found.objective.evaluate(found.point).information + np.diag(found.objective.prior_weights)
+    values, vectors = np.linalg.eigh(information)
+    links = manifold.inertial
+    squares = manifold.log(prior, found.point)[links] ** 2 + np.sum(vectors**2 / values, axis=1)[links]
+    of_links = np.sum(squares.reshape(-1, 10), axis=1)
+    expected = np.sqrt((of_links + CERTAINTY * USUAL_SPREAD_OF_LINKS**2) / (10.0 + CERTAINTY))
+    np.testing.assert_allclose(found.spreads, expected, rtol=1e-5)
 
 
 def test_a_given_weight_holds_for_all_links() -> None:

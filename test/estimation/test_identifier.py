@@ -171,25 +171,25 @@ def test_adding_while_another_thread_solves_loses_nothing(forgetting_time: float
     assert identifier.rows == quiet.rows == 3000
 
 
-def test_without_forgetting_a_choice_is_outgrown_by_half_as_many_rows_again() -> None:
+def test_without_forgetting_rows_are_outgrown_by_a_third_once_half_as_many_came_again() -> None:
     case = arm("arm3", 0, seconds=6)
     identifier = fed(replace(case, samples=case.samples.select(slice(400))))
     chosen = identifier.rows
     identifier.add(case.samples.select(slice(400, 600)))
-    assert not identifier.outgrown(chosen)
+    assert not identifier.outgrown(chosen, 1.0 / 3.0)
     identifier.add(case.samples.select(slice(599, 600)))
-    assert identifier.outgrown(chosen)
+    assert identifier.outgrown(chosen, 1.0 / 3.0)
 
 
-def test_with_forgetting_a_choice_is_outgrown_in_a_third_of_the_forgetting_time() -> None:
+def test_with_forgetting_rows_are_outgrown_by_a_third_in_a_third_of_the_forgetting_time() -> None:
     """Long after the start the rows of a time t weigh ``t / forgetting_time`` of all when they are new."""
     case = arm("arm3", 0, seconds=25)
     identifier = fed(replace(case, samples=case.samples.select(slice(2000))), forgetting_time=3.0)
     chosen = identifier.rows
     identifier.add(case.samples.select(slice(2000, 2099)))
-    assert not identifier.outgrown(chosen)
+    assert not identifier.outgrown(chosen, 1.0 / 3.0)
     identifier.add(case.samples.select(slice(2099, 2103)))
-    assert identifier.outgrown(chosen)
+    assert identifier.outgrown(chosen, 1.0 / 3.0)
 
 
 def test_forgetting_follows_a_payload_that_changes() -> None:

@@ -252,7 +252,7 @@ def test_sensitivities_are_the_derivatives_of_mass_centre_and_central_inertia(ma
     """By finite differences of another kind: of a cloud's own sums, moved by congruence."""
     rng = np.random.default_rng(3)
     point = bodies.point(rng, manifold)
-    found = physical_sensitivity(manifold, point)
+    found = physical_sensitivity(point)
     for _ in range(5):
         tangent, step = rng.normal(size=manifold.dimension), 1e-6
         ends = [manifold.exp(point, sign * step * tangent).pseudo_inertias for sign in (1.0, -1.0)]

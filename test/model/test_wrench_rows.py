@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pinocchio as pin
 import pytest
 
 from geomid_ros.errors import InputError
+from geomid_ros.model.columns import Entries
 from geomid_ros.model.effects import identified_effect
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.robot import Robot
@@ -257,3 +260,17 @@ def test_an_effect_of_a_sensor_is_felt_at_the_axis_that_its_parameter_names() ->
     _, predicted = model.predict(samples, np.array(shown))
     added = (predicted - model.predict(samples, np.array(without))[1])[:, -3:]
     np.testing.assert_allclose(added, np.tile([0.5, 3.0, -2.0], (len(samples), 1)), atol=1e-9)
+
+
+def test_rows_are_the_same_whether_samples_carry_the_effects_of_motion_or_not() -> None:
+    robot = Robot(urdf("panda.urdf"), cuts=["panda_hand"])
+    names = ("viscous_friction", "coulomb_friction", "load_friction", "wrench_offset")
+    sensor = WrenchSensor("/wrist", "panda_hand", "mounted", ("tz", "fx", "fy"))
+    model = MeasurementModel(robot, [identified_effect(name) for name in names], [sensor])
+    samples = random_samples(robot, seed=12, sensors=1)
+    entries = Entries(model.columns, len(robot.joints))
+    carrying = replace(samples, effects=entries.values(samples.motion), entries=entries)
+    expected, found = model.rows(samples), model.rows(carrying)
+    np.testing.assert_array_equal(found.coefficients, expected.coefficients)
+    np.testing.assert_array_equal(found.targets, expected.targets)
+    assert np.all(np.any(found.coefficients[:, :, -len(model.coefficients) :], axis=(0, 1)))

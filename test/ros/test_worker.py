@@ -21,6 +21,7 @@ from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.files.models.urdf import read_urdf
 from geomid_ros.live import inbox
 from geomid_ros.live import worker as module
+from geomid_ros.live.activity import Activity
 from geomid_ros.live.inbox import Received
 from geomid_ros.live.status import Status
 from geomid_ros.live.worker import Worker
@@ -217,6 +218,113 @@ def test_what_is_forgotten_while_it_is_solved_for_stays_forgotten(
     assert isinstance(answers.get(timeout=PATIENCE), Estimate), "who asked before has the answer"
     assert quiet.worker.estimate is None
     assert quiet.estimates.empty()
+
+
+def solved_for(watched: Watched) -> list[int]:
+    """The rows of each estimate that was made since the last time."""
+    return [watched.estimates.get_nowait().rows_accepted for _ in range(watched.estimates.qsize())]
+
+
+def end_of_period(watched: Watched) -> int:
+    """Let the solver look whether there is anything to do; returns the rows there are."""
+    wait_until(lambda: watched.worker.status(active=True).queue == watched.session.pipeline.held)
+    watched.worker.solver._solve_for_new_rows(Activity())
+    return watched.session.identifier.rows
+
+
+def test_estimates_are_made_as_data_grow_by_a_tenth_or_cease(quiet: Watched) -> None:
+    quiet.feed(0, 500)
+    many = end_of_period(quiet)
+    assert solved_for(quiet) == [many]
+    quiet.feed(500, 520)
+    assert many < end_of_period(quiet) < 1.1 * many
+    assert solved_for(quiet) == []
+    quiet.feed(520, 580)
+    more = end_of_period(quiet)
+    assert more > 1.1 * many
+    assert solved_for(quiet) == [more]
+    quiet.feed(580, 600)
+    few = end_of_period(quiet)
+    assert solved_for(quiet) == []
+    assert end_of_period(quiet) == few
+    assert solved_for(quiet) == [few]
+    end_of_period(quiet)
+    assert solved_for(quiet) == []
+
+
+def test_one_that_forgets_estimates_in_every_period() -> None:
+    with closing(Watched(NEVER, forgetting_time=1e6)) as watched:
+        for end in (500, 520, 540):
+            watched.feed(0 if end == 500 else end - 20, end)
+            end_of_period(watched)
+            assert len(solved_for(watched)) == 1
+
+
+def test_effects_are_chosen_anew_once_half_of_what_is_remembered_is_new(
+    quiet: Watched, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    solve, afresh = quiet.session.identifier.solve, []
+
+    def noted(warm: Any = None) -> Estimate:
+        afresh.append(warm is None)
+        return solve(warm)
+
+    monkeypatch.setattr(quiet.session.identifier, "solve", noted)
+    quiet.feed(0, 400)
+    first = end_of_period(quiet)
+    last = 400
+    while len(afresh) < 2 or not afresh[-1]:
+        last += 20
+        quiet.feed(last - 20, last)
+        rows = end_of_period(quiet)
+        assert len(afresh) < 2 or afresh[-1] == (rows > 2 * first)
+    assert afresh.count(True) == 2
+    assert afresh.count(False) >= 5
+
+
+def test_closing_makes_the_estimate_up_to_date() -> None:
+    watched = Watched(NEVER)
+    watched.feed(0, 500)
+    watched.final()
+    watched.feed(500, 520)
+    watched.worker.close()
+    first, last = solved_for(watched)
+    assert first < last == watched.session.identifier.rows
+    assert watched.worker.estimate is not None
+    assert watched.worker.estimate.rows_accepted == last
+
+
+def test_once_it_is_closed_no_estimate_is_begun(quiet: Watched, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A solve that took longer than closing would wait is the last one."""
+    quiet.feed(0, 500)
+    quiet.final()
+    monkeypatch.setattr(module, "_PATIENCE", 0.05)
+    solve, solving, may_end = quiet.session.identifier.solve, threading.Event(), threading.Event()
+    begun = []
+
+    def slowly(warm: Any) -> Estimate:
+        begun.append(warm)
+        solving.set()
+        may_end.wait(PATIENCE)
+        return solve(warm)
+
+    monkeypatch.setattr(quiet.session.identifier, "solve", slowly)
+    quiet.feed(500)
+    quiet.worker.final_estimate(lambda _: None)
+    assert solving.wait(PATIENCE)
+    quiet.close()
+    may_end.set()
+    quiet.worker.solver._thread.join(PATIENCE)
+    assert not quiet.worker.solver._thread.is_alive()
+    assert begun == [None]
+
+
+def test_closing_begins_no_estimate_from_scratch() -> None:
+    watched = Watched(NEVER)
+    watched.feed()
+    watched.worker.close()
+    assert watched.session.identifier.rows > 0
+    assert solved_for(watched) == []
 
 
 def test_resets_at_any_time_leave_both_threads_alive(busy: Watched) -> None:

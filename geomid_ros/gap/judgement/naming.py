@@ -18,7 +18,6 @@ from geomid_ros.model.effects.parameters import quantities
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.types import FloatArray
 
-_STEP = 1e-4
 _NOTHING: Mapping[str, Quantity] = {}
 _BEFORE = {"confident": "", "tentative": "Perhaps ", "ambiguous": "One of several: "}
 
@@ -62,7 +61,7 @@ def _payload(found: JointFit, link: int) -> tuple[FloatArray, FloatArray]:
     place = found.manifold.links - len(found.bodies) + found.bodies.index(link)
     rows = found.manifold.link(place)
     values = pseudo_inertia.quantities_of(pseudo_inertia.to_parameters(found.point.pseudo_inertias[place]))
-    derivative = physical_sensitivity(found.manifold, found.point, _STEP)[place]
+    derivative = physical_sensitivity(found.point)[place]
     return values, derivative @ found.inverse[rows, rows] @ derivative.T
 
 
