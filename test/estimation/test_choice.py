@@ -208,7 +208,11 @@ def test_errors_of_one_step_are_those_of_fits_without_a_fold(name: str) -> None:
     case = planted(name, 1, "")
     fitted = choice._Rows(problem(case)).fit(columns(case))
     own = np.append(fitted.columns, fitted.rows.size)
-    products = fitted.rows.products[:, :, own[:, None], own]
+    size, of_channels = fitted.rows.size + 1, fitted.rows.products
+    every = np.zeros((fitted.rows.problem.summary.folds, len(of_channels), size, size))
+    for channel, (places, of_channel) in enumerate(of_channels):
+        every[:, channel, places[:, None], places] = of_channel
+    products = every[:, :, own[:, None], own]
     inside = np.array([squares(fold, fitted.point.parameters) for fold in products])
     exact = np.array(
         [squares(fold, refitted(fitted, np.delete(products, k, axis=0))) for k, fold in enumerate(products)]
