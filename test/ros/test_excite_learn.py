@@ -17,6 +17,7 @@ from .test_excite_run import PATIENT, URDF, controller, states, status
 
 NOMINAL = 1.5  # [kg] of the last link with its tool in the URDF
 HEAVIER, VISCOUS, COULOMB = 1.2, 0.3, 0.4  # what is true of the simulated robot
+MOVING = 0.1  # [rad/s]
 QUICK = ("--duration", "5", "--repeats", "1")
 
 
@@ -80,12 +81,14 @@ def test_from_a_urdf_to_an_identified_robot_until_nothing_worth_it_is_left(stage
 
 
 def test_a_round_that_is_stopped_ends_it_and_the_way_to_go_on_is_said(stage: Stage) -> None:
+    heard = stage.observer.collect(JointState, "/joint_states")
     controller(stage)
     process = learn(stage, "--execute", "--yes", *PATIENT)
 
     def in_round_2() -> bool:
         assert process.running, process.output
-        return "the motion:" in process.output.partition("Round 2:")[2]
+        announced = "the motion:" in process.output.partition("Round 2:")[2]
+        return announced and bool(np.max(np.abs(heard[-1].velocity)) > MOVING)
 
     stage.observer.wait_for(in_round_2, "the motion of round 2")
     process.send(signal.SIGINT)
