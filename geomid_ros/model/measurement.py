@@ -130,6 +130,8 @@ class MeasurementModel:
         self._local = local_effects
         self._candidates = tuple(candidates)
         self._behind_gear = frozenset(behind_gear)
+        self._loading = np.array([body.parameters for body in robot.bodies])
+        self._resisting: tuple[tuple[MotionEffect, Place, float], ...] = ()
         self._check_sensors()
         self.layout = ChannelLayout.of(len(robot.joints) if self._efforts_usable else 0, self._row_sensors)
         topics = [sensor.topic for sensor in self._row_sensors]
@@ -237,9 +239,8 @@ class MeasurementModel:
 
     def with_gravity(self, gravity: FloatArray) -> MeasurementModel:
         """The same model under another ``gravity (3,)`` in the base frame [m/s^2]."""
-        robot = self.robot.with_gravity(gravity)
-        return MeasurementModel(
-            robot,
+        model = MeasurementModel(
+            self.robot.with_gravity(gravity),
             self._common,
             self.sensors,
             self._links,
@@ -247,6 +248,24 @@ class MeasurementModel:
             candidates=self._candidates,
             behind_gear=self._behind_gear,
         )
+        model._loading, model._resisting = self._loading, self._resisting
+        return model
+
+    def with_known_loads(self, known: FloatArray | None) -> MeasurementModel:
+        """The same model, whose gears transmit what ``known (D,)`` parameters say, NaN where nothing is known: efforts
+        of the links, by the URDF unless they are known, and what else acts behind the gears."""
+        if known is None:
+            return self
+        model, first = copy(self), 10 * len(self.identified)
+        inertias = np.where(np.isfinite(known[:first]), known[:first], self.nominal_inertias)
+        model._loading = self._loading.copy()  # noqa: SLF001 its own, as below
+        model._loading[list(self.identified)] = inertias.reshape(-1, 10)  # noqa: SLF001
+        model._resisting = tuple(  # noqa: SLF001
+            (c.effect, c.place, float(value))
+            for c, value in zip(self.coefficients, known[first:], strict=True)
+            if isinstance(c.effect, MotionEffect) and not c.effect.before_gear and np.isfinite(value)
+        )
+        return model
 
     def with_carried(self, link: str) -> MeasurementModel:
         """The same model with one body more, the last, which moves with the identified ``link`` and has its frame."""
@@ -384,8 +403,7 @@ class MeasurementModel:
         for index in known:
             targets -= bodies[:, :, index] @ self.robot.bodies[index].parameters
         coefficients = np.concatenate([inertial, np.zeros((count, len(self.channels), len(self.coefficients)))], axis=2)
-        nominal = np.array([body.parameters for body in self.robot.bodies])
-        loads = np.einsum("njbk,bk->nj", bodies[:, self.layout.efforts], nominal)
+        loads = self._loads(samples, bodies)
         carried = self._carried if samples.entries.columns == self._carried.columns else None
         if carried is not None:
             coefficients[:, carried.channels, carried.parameters] = samples.effects[:, carried.places]
@@ -406,6 +424,14 @@ class MeasurementModel:
                 for channel, values in self.columns_of(samples, effect, place, coefficient.index).items():
                     coefficients[:, channel, column] = values
         return Rows(coefficients, targets)
+
+    def _loads(self, samples: Samples, bodies: FloatArray) -> FloatArray:
+        """What the gears transmit ``(N, J)``, by what is known."""
+        loads = np.einsum("njbk,bk->nj", bodies[:, self.layout.efforts], self._loading)
+        for effect, place, value in self._resisting:
+            joints = list(self._reached(place))
+            loads[:, joints] += value * samples.column(column_of(effect, place))[:, joints]
+        return np.asarray(loads)
 
     @cached_property
     def _carried(self) -> _Carried:

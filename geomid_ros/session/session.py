@@ -78,7 +78,7 @@ class Session:
         )
         effects = configuration.effects
         local = self.loaded.local_effects(effects)
-        self.model = MeasurementModel(
+        model = MeasurementModel(
             self.robot,
             effects,
             sensors,
@@ -87,6 +87,7 @@ class Session:
             candidates=configuration.candidates,
             behind_gear=configuration.behind_gear(self.robot.joint_names),
         )
+        self.model = model.with_known_loads(self.loaded.parameters(model))
         self._settings = self._estimator_settings()
         self.identifier = Identifier(self.model, self._settings, configuration.buffer, self.prior)
         joints = self.robot.joint_names

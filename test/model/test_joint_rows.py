@@ -11,7 +11,7 @@ from geomid_ros.model.robot import Robot
 from geomid_ros.model.sensors import WrenchSensor
 from geomid_ros.types import FloatArray
 
-from .robots import Reference, random_parameters, random_samples, urdf, with_values
+from .robots import GRAVITY, Reference, random_parameters, random_samples, urdf, with_values
 
 EXACT = 1e-9  # relative to the largest number of a channel
 
@@ -88,6 +88,31 @@ def test_effects_add_their_terms() -> None:
     efforts = Reference(urdf("ur5_robot.urdf")).inverse_dynamics(samples, robot.joint_names)[1]
     friction = viscous * samples.velocity + coulomb * np.tanh(samples.velocity / 0.02)
     assert_equal(predicted, efforts + rotor * samples.acceleration + friction + offset)
+
+
+def test_the_gears_transmit_what_is_known_of_links_and_friction() -> None:
+    """A model has another last link and viscous friction; a motor's own inertia is before its gear."""
+    robot = Robot(urdf("ur5_robot.urdf"))
+    model = MeasurementModel(
+        robot, [identified_effect(n) for n in ("viscous_friction", "rotor_inertia", "load_friction")]
+    )
+    samples = random_samples(robot, seed=4)
+    links = np.full((len(robot.bodies), 10), np.nan)
+    links[-1] = random_parameters(robot, seed=5)[-1]
+    bodies = np.append(model.nominal_inertias[:-10], links[-1]).reshape(-1, 10)
+    sizes = {"viscous_friction": 3.0, "rotor_inertia": 7.0, "load_friction": 0.1}
+    known = np.append(links, [sizes[c.effect.name] for c in model.coefficients])
+    by_load = [k for k, c in enumerate(model.coefficients, links.size) if c.effect.name == "load_friction"]
+    moving = np.abs(samples.velocity) > 0.1
+    for gravity in (GRAVITY, (3.0, -2.0, -9.0)):
+        reference = Reference(urdf("ur5_robot.urdf"), gravity=gravity)
+        reference.set_inertias(dict(zip(robot.body_names, bodies, strict=True)))
+        rigid = reference.inverse_dynamics(samples, robot.joint_names)[1]
+        expected = np.abs(rigid + 3.0 * samples.velocity) * np.sign(samples.velocity)
+        own = model.with_known_loads(known).with_gravity(np.array(gravity))
+        found = np.einsum("njj->nj", own.rows(samples).coefficients[:, :, by_load])
+        assert_equal(np.where(moving, found, 0.0), np.where(moving, expected, 0.0))
+    assert model.with_known_loads(None) is model
 
 
 def test_a_row_says_which_parameters_it_can_depend_on() -> None:

@@ -49,8 +49,9 @@ def _changes(model: MeasurementModel, analysis: Analysis, unseen: HeldOut) -> It
         loss = held - free
         if loss > CONFIDENT_LOSS:
             body = model.robot.bodies[model.identified[link]]
-            # That the link has changed says nothing of its mass: its centre may have. Its own loss, to second order:
-            of_mass = (change / float(std)) ** 2
+            # That the link has changed says nothing of its mass: its centre may have. Of realistic robots masses were
+            # off by five and six of their deviations, which therefore count by half.
+            of_mass = 0.5 * (change / float(std)) ** 2
             sure = of_mass > CONFIDENT_LOSS and (loss > CONFIDENT_BESIDE_UNEXPLAINED or not left)
             yield LinkChange(
                 link=body.name,

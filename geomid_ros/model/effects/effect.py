@@ -395,8 +395,8 @@ class SituationEffect(Effect):
 class LoadEffect(SituationEffect):
     """A function of the motion of one joint and of the effort that its gear transmits, with one coefficient per joint.
 
-    It can be identified along with the inertias: its column is then that of the URDF's rigid bodies alone, as no other
-    friction is known yet.
+    It can be identified along with the inertias: its column is then that of what is known before, which is the URDF's
+    rigid bodies alone unless there is a model.
     """
 
     @abstractmethod
