@@ -12,6 +12,7 @@ import pytest
 from geomid_ros.estimation import choice
 from geomid_ros.estimation.estimate import EffectEstimate, Estimate
 from geomid_ros.estimation.estimator import EstimatorSettings, WarmStart
+from geomid_ros.estimation.fit import CERTAINTY
 from geomid_ros.estimation.identifier import Identifier
 from geomid_ros.estimation.objective import ResidualObjective, row_weights
 from geomid_ros.estimation.problem import Problem
@@ -202,13 +203,30 @@ def test_the_marginal_likelihood_rises_with_a_planted_effect_and_falls_with_othe
         assert beside > true.score - choice.LEAST_GAIN
 
 
+def test_spreads_of_links_are_their_distances_from_the_prior_and_what_is_unsure_of_them() -> None:
+    """As in the fit that follows, roughly; the covariance by its principal directions."""
+    case = planted("arm3", 1, "")
+    fitted = choice._Rows(problem(case)).fit(columns(case))
+    manifold, prior = fitted.objective.manifold, fitted.objective.profile.prior
+    values, vectors = np.linalg.eigh(fitted.hessian)
+    links = manifold.inertial
+    squares = manifold.log(prior, fitted.point)[links] ** 2 + np.sum(vectors**2 / values, axis=1)[links]
+    usual = fitted.rows.problem.usual
+    expected = np.sqrt((np.sum(squares.reshape(-1, 10), axis=1) + CERTAINTY * usual**2) / (10.0 + CERTAINTY))
+    np.testing.assert_allclose(fitted.spreads, expected, rtol=0.02)
+
+
 @pytest.mark.parametrize("name", ["arm3", "arm7"])
 def test_errors_of_one_step_are_those_of_fits_without_a_fold(name: str) -> None:
     """To first order: what holding a fold out adds to its errors."""
     case = planted(name, 1, "")
     fitted = choice._Rows(problem(case)).fit(columns(case))
     own = np.append(fitted.columns, fitted.rows.size)
-    products = fitted.rows.products[:, :, own[:, None], own]
+    size, of_channels = fitted.rows.size + 1, fitted.rows.products
+    every = np.zeros((fitted.rows.problem.summary.folds, len(of_channels), size, size))
+    for channel, (places, of_channel) in enumerate(of_channels):
+        every[:, channel, places[:, None], places] = of_channel
+    products = every[:, :, own[:, None], own]
     inside = np.array([squares(fold, fitted.point.parameters) for fold in products])
     exact = np.array(
         [squares(fold, refitted(fitted, np.delete(products, k, axis=0))) for k, fold in enumerate(products)]
