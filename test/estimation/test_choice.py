@@ -12,6 +12,7 @@ import pytest
 from geomid_ros.estimation import choice
 from geomid_ros.estimation.estimate import EffectEstimate, Estimate
 from geomid_ros.estimation.estimator import EstimatorSettings, WarmStart
+from geomid_ros.estimation.fit import CERTAINTY
 from geomid_ros.estimation.identifier import Identifier
 from geomid_ros.estimation.objective import ResidualObjective, row_weights
 from geomid_ros.estimation.problem import Problem
@@ -200,6 +201,19 @@ def test_the_marginal_likelihood_rises_with_a_planted_effect_and_falls_with_othe
     for name in {"load_friction", "quadratic_friction", "spring"} - {effect}:
         beside = rows.fit(columns(case, (effect, 1), (name, 2)), true).score
         assert beside > true.score - choice.LEAST_GAIN
+
+
+def test_spreads_of_links_are_their_distances_from_the_prior_and_what_is_unsure_of_them() -> None:
+    """As in the fit that follows, roughly; the covariance by its principal directions."""
+    case = planted("arm3", 1, "")
+    fitted = choice._Rows(problem(case)).fit(columns(case))
+    manifold, prior = fitted.objective.manifold, fitted.objective.profile.prior
+    values, vectors = np.linalg.eigh(fitted.hessian)
+    links = manifold.inertial
+    squares = manifold.log(prior, fitted.point)[links] ** 2 + np.sum(vectors**2 / values, axis=1)[links]
+    usual = fitted.rows.problem.usual
+    expected = np.sqrt((np.sum(squares.reshape(-1, 10), axis=1) + CERTAINTY * usual**2) / (10.0 + CERTAINTY))
+    np.testing.assert_allclose(fitted.spreads, expected, rtol=0.02)
 
 
 @pytest.mark.parametrize("name", ["arm3", "arm7"])
