@@ -428,9 +428,8 @@ class MeasurementModel:
     def _loads(self, samples: Samples, bodies: FloatArray) -> FloatArray:
         """What the gears transmit ``(N, J)``, by what is known."""
         loads = np.einsum("njbk,bk->nj", bodies[:, self.layout.efforts], self._loading)
-        for effect, place, value in self._resisting:
-            joints = list(self._reached(place))
-            loads[:, joints] += value * samples.column(column_of(effect, place))[:, joints]
+        if self._resisting and self.layout.efforts:
+            loads += samples.efforts_of(self._resisting)
         return np.asarray(loads)
 
     @cached_property

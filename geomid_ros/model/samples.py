@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any
 
 import numpy as np
 
-from geomid_ros.model.columns import NO_ENTRIES, Column, Entries
-from geomid_ros.model.effects import Motion
+from geomid_ros.model.columns import NO_ENTRIES, Column, Entries, column_of, reached_joints
+from geomid_ros.model.effects import Motion, MotionEffect, Place
 from geomid_ros.types import AnyArray, FloatArray, IntArray
 
 _PAUSE = 1.5  # sampling periods
@@ -67,6 +68,18 @@ class Samples:
     def motion(self) -> Motion:
         """The joints' motion."""
         return Motion(self.position, self.velocity, self.acceleration)
+
+    def efforts_of(self, effects: Iterable[tuple[MotionEffect, Place, float]]) -> FloatArray:
+        """What effects of motion, each at a place with its coefficient, add to the joints' efforts ``(N, J)``."""
+        strengths = np.zeros((len(self.entries), self.position.shape[1]))
+        others = np.zeros(self.position.shape)
+        for effect, place, coefficient in effects:
+            column, joints = column_of(effect, place), reached_joints(place, self.position.shape[1])
+            if column in self.entries.columns.place:
+                strengths[[self.entries.at(column, joint) for joint in joints], joints] += coefficient
+            else:
+                others[:, joints] += coefficient * self.column(column)[:, joints]
+        return np.asarray(self.effects @ strengths + others)
 
     def column(self, column: Column) -> FloatArray:
         """One of the effects' columns ``(N, joints)``."""

@@ -11,7 +11,6 @@ from scipy.interpolate import CubicSpline
 from scipy.ndimage import maximum_filter1d
 
 from geomid_ros.estimation.fit import INDEPENDENT
-from geomid_ros.model.columns import column_of, reached_joints
 from geomid_ros.model.dynamics import Dynamics
 from geomid_ros.model.effects import Effect, MotionEffect, Place, Situation, SituationEffect, joints_of
 from geomid_ros.model.effects.situation import Derivatives, OfLoad
@@ -171,17 +170,11 @@ class TotalModel:
 
     def efforts(self, samples: Samples, *, behind_gears: bool = False) -> FloatArray:
         """What the effects of motion add to the joints' efforts ``(N, J)``, or those of them that act behind gears."""
-        entries = samples.entries
-        strengths = np.zeros((len(entries), samples.position.shape[1]))
-        others = np.zeros(samples.position.shape)
-        for effect, place, (coefficient, *_) in self.effects:
-            if isinstance(effect, MotionEffect) and not (behind_gears and effect.before_gear):
-                column, joints = column_of(effect, place), reached_joints(place, samples.position.shape[1])
-                if column in entries.columns.place:
-                    strengths[[entries.at(column, joint) for joint in joints], joints] += coefficient
-                else:
-                    others[:, joints] += coefficient * samples.column(column)[:, joints]
-        return np.asarray(samples.effects @ strengths + others)
+        return samples.efforts_of(
+            (effect, place, float(coefficient))
+            for effect, place, (coefficient, *_) in self.effects
+            if isinstance(effect, MotionEffect) and not (behind_gears and effect.before_gear)
+        )
 
 
 def _load_terms(
