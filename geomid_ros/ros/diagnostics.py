@@ -60,7 +60,8 @@ class Diagnostics:
         """
         new = status.since(self._before)
         errors = [*dict.fromkeys(_errors(status, new))]
-        warnings = [*dict.fromkeys([*_warnings(status, new), *self._without_rows(status, new)])]
+        told = dict.fromkeys([*_warnings(status, new), *self._without_rows(status, new)])
+        warnings = [text for text in told if text not in errors]
         self.complaints = (*(Complaint(text, True) for text in errors), *(Complaint(text, False) for text in warnings))
         self._before = status
         level, message = _judgement(status, errors, warnings)
@@ -212,10 +213,10 @@ def _checkpoints(name: str, checkpoints: CheckpointStatus) -> DiagnosticStatus:
 
 
 def _judgement(status: Status, errors: Sequence[str], warnings: Sequence[str]) -> tuple[bytes, str]:
-    """Level and message: all that is wrong of the highest level."""
-    for level, sentences in ((DiagnosticStatus.ERROR, errors), (DiagnosticStatus.WARN, warnings)):
-        if sentences:
-            return level, "; ".join(sentences)
+    """The highest level, and all that is wrong, errors first: an error of one topic hides nothing of another."""
+    if errors or warnings:
+        level = DiagnosticStatus.ERROR if errors else DiagnosticStatus.WARN
+        return level, "; ".join([*errors, *warnings])
     if not status.active:
         return DiagnosticStatus.OK, STOPPED
     return DiagnosticStatus.OK, "collecting rows" if status.estimate is None else f"{status.rows} rows"

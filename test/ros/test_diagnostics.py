@@ -67,6 +67,14 @@ def test_many_messages_of_which_none_is_taken_are_an_error(received: int, level:
     assert found == (level, f"/wrench rejected: late ({received} messages)")
 
 
+def test_an_error_of_one_topic_hides_no_warning_of_another() -> None:
+    """Of one nothing is taken, of the other only some."""
+    some = Account(accepted=1, rejected=Counter({"late": 30}))
+    level, message = said(status({"joint_states": some, "/wrench": Account(rejected=Counter({"late": 30}))}))
+    assert level == ERROR
+    assert message == "/wrench rejected: late (30 messages); joint_states rejected: late (30 messages)"
+
+
 def test_an_exception_is_told_once() -> None:
     before = status(failures=Counter({"a callback failed": 1}))
     assert said(before) == (ERROR, "a callback failed")
