@@ -8,10 +8,10 @@ from dataclasses import replace
 import numpy as np
 
 from geomid_ros.estimation.estimate import LinksInformation
-from geomid_ros.gap.fitting.fit import fit
+from geomid_ros.gap.fitting.fit import JointFit, fit
 from geomid_ros.gap.fitting.prior import Prior
 from geomid_ros.gap.judgement.blocks import scattered
-from geomid_ros.gap.judgement.closing import is_open, open_curves
+from geomid_ros.gap.judgement.closing import is_open, open_curves, part_of_remainder
 from geomid_ros.gap.judgement.confidence import CONFIDENT_BESIDE_UNEXPLAINED, CONFIDENT_LOSS
 from geomid_ros.gap.judgement.held_out import HeldOut
 from geomid_ros.gap.result import LinkChange
@@ -22,6 +22,7 @@ from geomid_ros.model.measurement import MeasurementModel
 
 _SURE = 3.0  # standard deviations
 _LEAST = 0.05  # of the mass
+_SAME_MASS = 1e-3  # of the mass: so little may it change to be as it was
 _HELD = 0.1  # of the usual spread: so little a link may change to be as it was
 
 
@@ -49,18 +50,36 @@ def _changes(model: MeasurementModel, analysis: Analysis, unseen: HeldOut) -> It
         loss = held - free
         if loss > CONFIDENT_LOSS:
             body = model.robot.bodies[model.identified[link]]
+            as_it_was = _with_mass_as_it_was(analysis, prior, link)
             # That the link has changed says nothing of its mass: its centre may have. Of realistic robots masses were
             # off by five and six of their deviations, which therefore count by half.
-            of_mass = 0.5 * (change / float(std)) ** 2
+            of_mass = 0.5 * min((change / float(std)) ** 2, as_it_was.score - free)
             sure = of_mass > CONFIDENT_LOSS and (loss > CONFIDENT_BESIDE_UNEXPLAINED or not left)
+            doubt = _doubt(unseen, as_it_was) if left else 0.0
+            mass = Quantity(change, float(np.hypot(std, doubt * change)), "kg")
             yield LinkChange(
                 link=body.name,
                 joint=model.places.name(AtJoint(body.joint - 1)) if body.joint > 0 else "",
-                mass=Quantity(change, float(std), "kg"),
+                mass=mass,
                 was=float(was),
                 loss=loss,
-                confidence="confident" if sure else "tentative",
+                confidence="confident" if sure and abs(change) > _SURE * mass.std else "tentative",
             )
+
+
+def _doubt(unseen: HeldOut, as_it_was: JointFit) -> float:
+    """Which share of a change of mass may be a part of what has no name."""
+    return part_of_remainder(unseen, range(len(unseen.counts)), unseen.times_floor(as_it_was) ** 2)
+
+
+def _with_mass_as_it_was(analysis: Analysis, prior: Prior, link: int) -> JointFit:
+    """The fit of the names in which a link's mass is the model's, while its centre and inertia may change."""
+    row = np.zeros(len(prior.inertias))
+    row[10 * link] = 1.0 / (_SAME_MASS * prior.inertias[10 * link])
+    known = prior.known or LinksInformation(np.zeros((0, len(row))), np.zeros(0))
+    held = replace(prior, known=LinksInformation(np.vstack([known.rows, row]), np.append(known.residuals, 0.0)))
+    names = analysis.names
+    return fit(analysis.search.design, held, names.chosen, names, names.spreads)
 
 
 def _with_given_spreads(prior: Prior, inflation: float) -> Prior:

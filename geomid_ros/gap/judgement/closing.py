@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -108,15 +109,13 @@ class Closing:
     @cached_property
     def closed(self) -> float:
         """What it closes, in squares of the floor."""
-        return float(np.nansum(self._squares_without - self.unseen.gap.after[self.reached] ** 2))
+        return _closed(self.unseen, self.reached, self._squares_without)
 
     @cached_property
     def doubt(self) -> float:
         """Which share of its size, as a standard deviation, may be a part of what has no name; none where nothing is
         left anywhere."""
-        if self.is_all:
-            return 0.0
-        return min(1.0, _ALONG * float(np.sqrt(self._left / self.closed))) if self.closed > 0.0 else 1.0
+        return 0.0 if self.is_all else part_of_remainder(self.unseen, self.reached, self._squares_without)
 
     @property
     def _is_judged(self) -> bool:
@@ -124,10 +123,7 @@ class Closing:
 
     @property
     def _left(self) -> float:
-        """What may be left beyond noise and the uncertainty of all that was fitted: no less than a channel may have
-        that counts as closed."""
-        after, expected = self.unseen.gap.after[self.reached], self.unseen.gap.expected[self.reached]
-        return float(np.nansum(np.maximum(after, REACHED * expected) ** 2 - expected**2))
+        return _left(self.unseen, self.reached)
 
     @cached_property
     def _squares_without(self) -> FloatArray:
@@ -162,6 +158,24 @@ def open_curves(analysis: Analysis, unseen: HeldOut) -> list[CurveCandidate]:
     """The free curves for which unseen data leave room."""
     room = is_above(unseen, unseen.gap.after, 1.0)
     return [c for c in analysis.whole.chosen if isinstance(c, CurveCandidate) and room[c.joint]]
+
+
+def part_of_remainder(unseen: HeldOut, channels: Sequence[int], without: FloatArray) -> float:
+    """Which share of a size, as a standard deviation, may be a part of what has no name, if the channels' squares are
+    so large ``without`` it, in squares of the floor."""
+    closed = _closed(unseen, channels, without)
+    return min(1.0, _ALONG * float(np.sqrt(_left(unseen, channels) / closed))) if closed > 0.0 else 1.0
+
+
+def _closed(unseen: HeldOut, channels: Sequence[int], without: FloatArray) -> float:
+    return float(np.nansum(without - unseen.gap.after[channels] ** 2))
+
+
+def _left(unseen: HeldOut, channels: Sequence[int]) -> float:
+    """What may be left beyond noise and the uncertainty of all that was fitted: no less than a channel may have that
+    counts as closed."""
+    after, expected = unseen.gap.after[channels], unseen.gap.expected[channels]
+    return float(np.nansum(np.maximum(after, REACHED * expected) ** 2 - expected**2))
 
 
 def is_open(unseen: HeldOut) -> BoolArray:
