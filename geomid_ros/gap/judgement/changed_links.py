@@ -11,7 +11,7 @@ from geomid_ros.estimation.estimate import LinksInformation
 from geomid_ros.gap.fitting.fit import JointFit, fit
 from geomid_ros.gap.fitting.prior import Prior
 from geomid_ros.gap.judgement.blocks import scattered
-from geomid_ros.gap.judgement.closing import is_open, open_curves, part_of_remainder
+from geomid_ros.gap.judgement.closing import is_identified, is_open, open_curves, part_of_remainder
 from geomid_ros.gap.judgement.confidence import CONFIDENT_BESIDE_UNEXPLAINED, CONFIDENT_LOSS
 from geomid_ros.gap.judgement.held_out import HeldOut
 from geomid_ros.gap.result import LinkChange
@@ -50,12 +50,13 @@ def _changes(model: MeasurementModel, analysis: Analysis, unseen: HeldOut) -> It
         loss = held - free
         if loss > CONFIDENT_LOSS:
             body = model.robot.bodies[model.identified[link]]
-            as_it_was = _with_mass_as_it_was(analysis, prior, link)
             # That the link has changed says nothing of its mass: its centre may have. Of realistic robots masses were
             # off by five and six of their deviations, which therefore count by half.
-            of_mass = 0.5 * min((change / float(std)) ** 2, as_it_was.score - free)
+            of_mass = 0.5 * (change / float(std)) ** 2
             sure = of_mass > CONFIDENT_LOSS and (loss > CONFIDENT_BESIDE_UNEXPLAINED or not left)
-            doubt = _doubt(unseen, as_it_was) if left else 0.0
+            # Where the model is a guess the link's centre and inertia may be wrong instead.
+            guessed = left and not is_identified(analysis)
+            doubt = _doubt(unseen, _with_mass_as_it_was(analysis, prior, link)) if guessed else 0.0
             mass = Quantity(change, float(np.hypot(std, doubt * change)), "kg")
             yield LinkChange(
                 link=body.name,
@@ -73,12 +74,11 @@ def _doubt(unseen: HeldOut, as_it_was: JointFit) -> float:
 
 
 def _with_mass_as_it_was(analysis: Analysis, prior: Prior, link: int) -> JointFit:
-    """The fit of the names in which a link's mass is the model's, while its centre and inertia may change."""
+    """The fit of the names in which a link's mass is that of the model, a guess, while its centre and inertia may
+    change."""
     row = np.zeros(len(prior.inertias))
     row[10 * link] = 1.0 / (_SAME_MASS * prior.inertias[10 * link])
-    known = prior.known or LinksInformation(np.zeros((0, len(row))), np.zeros(0))
-    held = replace(prior, known=LinksInformation(np.vstack([known.rows, row]), np.append(known.residuals, 0.0)))
-    names = analysis.names
+    names, held = analysis.names, replace(prior, known=LinksInformation(row[None], np.zeros(1)))
     return fit(analysis.search.design, held, names.chosen, names, names.spreads)
 
 
