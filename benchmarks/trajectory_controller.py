@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import math
 import time
 from pathlib import Path
 
@@ -59,15 +60,18 @@ def between(time: float, span: float, begin: Array, end: Array) -> Array:
     """Position, velocity and acceleration ``(3, joints)`` on the polynomial from one state to the next, ``time`` after
     the first, that lie ``span`` apart; states have two or three rows."""
     order = len(begin) + len(end)
-    powers = np.arange(order)
+    conditions = np.concatenate([_powers(0.0)[: len(begin), :order], _powers(span)[: len(end), :order]])
+    coefficients = np.linalg.solve(conditions, np.concatenate([begin, end]))
+    return np.asarray(_powers(time)[:, :order] @ coefficients)
 
-    def row(at: float, derivative: int) -> Array:
-        factors = [np.prod(power - np.arange(derivative), initial=1.0) for power in powers]
-        return np.array(factors) * float(at) ** np.maximum(powers - derivative, 0)
 
-    conditions = [row(0.0, k) for k in range(len(begin))] + [row(span, k) for k in range(len(end))]
-    coefficients = np.linalg.solve(np.array(conditions), np.vstack([begin, end]))
-    return np.array([row(time, derivative) @ coefficients for derivative in range(3)])
+_DERIVED = np.array([[math.perm(power, derivative) for power in range(6)] for derivative in range(3)])
+_EXPONENTS = np.maximum(np.arange(6) - np.arange(3)[:, None], 0)
+
+
+def _powers(at: float) -> Array:
+    """Of a time the powers from 0 to 5, and their first and second derivatives ``(3, 6)``."""
+    return np.asarray(_DERIVED * float(at) ** _EXPONENTS)
 
 
 class Follower:

@@ -148,6 +148,7 @@ class Identifier:
         rows = self.model.rows(samples)
         rows.coefficients[:, :, without] = 0.0
         moving = np.zeros(len(samples), dtype=bool)
+        elapsed = np.zeros(len(samples))
         unsettled = self._unsettled(samples)
         measured = usable(rows.coefficients, rows.targets)
         counts, targets = np.count_nonzero(measured, axis=1), np.where(measured, rows.targets, np.nan)
@@ -157,17 +158,25 @@ class Identifier:
             self._made += measured.size
             self._rejected[NOT_MEASURED] += measured.size - int(np.sum(counts))
             for index in range(len(samples)):
-                elapsed = self._elapsed(int(samples.stamps[index]))
+                elapsed[index] = self._elapsed(int(samples.stamps[index]))
                 if self._is_still(float(speeds[index]), poses[index]):
                     self._rejected[STANDING_STILL] += int(counts[index])
                 else:
                     moving[index] = True
-                    self._recent.append(
-                        Instant(self.instants, rows.coefficients[index], targets[index], elapsed, unsettled[index])
-                    )
-                    self.instants += 1
-                    self._settle_before(self.instants - self._held)
-        return samples.stamps[moving], Rows(rows.coefficients[moving], rows.targets[moving]), unsettled[moving]
+            taken = Rows(rows.coefficients[moving], rows.targets[moving])
+            self._take(taken.coefficients, targets[moving], elapsed[moving], unsettled[moving])
+        return samples.stamps[moving], taken, unsettled[moving]
+
+    def _take(self, coefficients: FloatArray, targets: FloatArray, elapsed: FloatArray, unsettled: BoolArray) -> None:
+        """Take the rows of instants at which something moved."""
+        if self._held == 0 and self._recent.idle:  # otherwise they would only pass through
+            self._summary.add_all(coefficients, targets, elapsed, unsettled)
+            self.instants += len(elapsed)
+            return
+        for instant in zip(coefficients, targets, elapsed.tolist(), unsettled, strict=True):
+            self._recent.append(Instant(self.instants, *instant))
+            self.instants += 1
+            self._settle_before(self.instants - self._held)
 
     def _unsettled(self, samples: Samples) -> BoolArray:
         """Which channels are unsettled at N instants ``(N, channels)``."""

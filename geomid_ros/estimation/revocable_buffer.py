@@ -60,6 +60,11 @@ class RevocableBuffer:
         """All instants, with the targets that are used now."""
         return [self._judged(instant)[0] for instant in self._instants]
 
+    @property
+    def idle(self) -> bool:
+        """Whether there is no instant, and nothing of those to come will be left out."""
+        return not self._instants and not self._left_out
+
     def append(self, instant: Instant) -> None:
         """Add the next instant."""
         self._instants.append(instant)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 import pinocchio as pin
@@ -44,22 +44,31 @@ class Dynamics:
         """Derivatives of all channels at N instants."""
         joints, layout = len(self._robot.joints), self._model.layout
         found = [np.zeros((len(samples), len(self._model.channels), width)) for width in (joints, joints, joints, 3)]
-        for index, motion in enumerate(zip(*self._robot.configuration(samples), strict=True)):
-            if layout.efforts:
-                for target, term in zip(found, self._effort_terms(*motion), strict=True):
-                    target[index, :joints] = term
+        motion = list(zip(*self._robot.configuration(samples), strict=True))
+        if layout.efforts:
+            for target, term in zip(found, self._effort_terms(motion), strict=True):
+                target[:, :joints] = term
+        for index, state in enumerate(motion):
             for sensor, carried, data in self._carried:
-                for target, term in zip(found, self._wrench_terms(carried, data, sensor.frame, *motion), strict=True):
+                for target, term in zip(found, self._wrench_terms(carried, data, sensor.frame, *state), strict=True):
                     target[index, layout.wrenches[sensor.topic]] = term[sensor.axis_indices]
         return Sensitivity(*found)
 
-    def _effort_terms(self, q: FloatArray, v: FloatArray, a: FloatArray) -> Iterator[FloatArray]:
-        """Derivatives ``(joints, joints)`` of the efforts by q, v and a, and ``(joints, 3)`` by gravity."""
-        by_position, by_velocity, mass = pin.computeRNEADerivatives(self._whole, self._data, q, v, a)
-        for term in (by_position, by_velocity, np.triu(mass) + np.triu(mass, 1).T):
+    def _effort_terms(self, motion: Sequence[tuple[FloatArray, FloatArray, FloatArray]]) -> Iterator[FloatArray]:
+        """Derivatives ``(N, joints, joints)`` of the efforts by q, v and a, and ``(N, joints, 3)`` by gravity."""
+        # Instant by instant only what pinocchio does.
+        size = self._whole.nv
+        terms = np.empty((3, len(motion), size, size))
+        for index, state in enumerate(motion):
+            terms[:, index] = pin.computeRNEADerivatives(self._whole, self._data, *state)
+        terms[2] = np.triu(terms[2]) + np.triu(terms[2], 1).transpose(0, 2, 1)
+        for term in terms:
             yield self._coupling.T @ term @ self._coupling
-        still = [pin.computeGeneralizedGravity(self._whole, self._data, q) for _ in _unit_gravities(self._whole)]
-        yield self._coupling.T @ np.array(still).T
+        still = np.empty((3, len(motion), size))
+        for gravity, _ in enumerate(_unit_gravities(self._whole)):
+            for index, (q, _, _) in enumerate(motion):
+                still[gravity, index] = pin.computeGeneralizedGravity(self._whole, self._data, q)
+        yield self._coupling.T @ still.transpose(1, 2, 0)
 
     def _wrench_terms(
         self, model: pin.Model, data: pin.Data, frame: str, q: FloatArray, v: FloatArray, a: FloatArray

@@ -19,6 +19,8 @@ from .running import WRIST, done, geomid, identify, link, refused
 
 QUICK = ("--duration", "6", "--repeats", "2")
 
+pytestmark = pytest.mark.usefixtures("without_pictures")
+
 
 @pytest.fixture(scope="module")
 def arm(tmp_path_factory: pytest.TempPathFactory) -> Path:

@@ -80,6 +80,7 @@ def test_every_robot_has_its_estimate_and_bad_bags_are_told(first: tuple[Path, s
     assert read_population(out / "population.json").robots == 3
 
 
+@pytest.mark.usefixtures("without_pictures")
 def test_a_robot_of_one_bag_is_as_identify_finds_it(first: tuple[Path, str], bags: Path, tmp_path: Path) -> None:
     geomid("identify", bags / "bob" / "good", "--urdf", URDF, "--out", tmp_path)
     expected, found = read(tmp_path), read(first[0] / "bob")
@@ -136,6 +137,7 @@ def test_bags_and_what_is_kept_in_object_stores(
     assert len(memory.ls("/kept", detail=False)) == 7  # the plan, two files for each bag, one for each robot
 
 
+@pytest.mark.usefixtures("without_pictures")
 def test_bags_of_the_fleet_serve_as_a_prior(first: tuple[Path, str], bags: Path, tmp_path: Path) -> None:
     prior = ("--prior", first[0] / "population.json")
     result = geomid("identify", bags / "cyd" / "good", "--urdf", URDF, *prior, "--out", tmp_path)

@@ -158,6 +158,7 @@ def test_what_the_model_knows_is_no_gap(found: tuple[Path, str], rubbing: Path, 
     assert "already in the model" in (tmp_path / "report.html").read_text()
 
 
+@pytest.mark.usefixtures("without_pictures")
 def test_the_model_of_a_doubtful_recording_is_marked_so(tmp_path: Path) -> None:
     parameters = tmp_path / "reversed.yaml"
     parameters.write_text("/**: {ros__parameters: {effort_gain: -1.0}}")
@@ -195,6 +196,7 @@ def without_efforts(folder: Path) -> Arguments:
     return altered(BAGS / "arm3", folder / "silent", joints(effort=np.array([]))), "--urdf", URDF
 
 
+@pytest.mark.usefixtures("without_pictures")
 def test_what_the_users_simulator_knows_is_no_gap(folder: Path, rubbing: Path) -> None:
     """The robot has the friction and a spring; its simulator moves the same way, with the friction alone."""
     both = (Hidden("coulomb_friction", "joint2", LEVEL), Hidden("spring", "joint3", 0.5))

@@ -110,7 +110,9 @@ def second(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def small(tmp_path: Path, *arguments: str | Path) -> dict[str, Any]:
     """The printed estimate of the small arm, checked to be the written one."""
-    document: dict[str, Any] = json.loads(done(*identify("arm3", "--out", tmp_path, "--json", *arguments)))
+    with pytest.MonkeyPatch.context() as patch:
+        undrawn(patch)
+        document: dict[str, Any] = json.loads(done(*identify("arm3", "--out", tmp_path, "--json", *arguments)))
     assert document == read(tmp_path)
     return document
 

@@ -62,6 +62,7 @@ def test_an_empty_mass_is_refused() -> None:
     assert "known: an empty text" in refused("identify", BAG, "--urdf", URDF, *OUT, "--known", "")
 
 
+@pytest.mark.usefixtures("without_pictures")
 def test_no_candidates(tmp_path: Path) -> None:
     """The word wins over the file, whose candidate these data ask for."""
     (tmp_path / "robot.yaml").write_text(

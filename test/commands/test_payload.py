@@ -5,7 +5,11 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+import pytest
+
 from commands.running import BAGS, done, geomid, identify, refused
+
+pytestmark = pytest.mark.usefixtures("without_pictures")
 
 
 def test_an_estimate_stands_for_the_empty_recording(tmp_path: Path) -> None:

@@ -47,10 +47,13 @@ def beside(source: Path, text: str, folder: Path) -> tuple[Path, str]:
     return path, f"example-robot-data={package}"
 
 
-def prior(urdf: Path, mass: float, folder: Path, *arguments: str | Path) -> tuple[str, str, str]:
+def prior(urdf: Path, mass: float, folder: Path, *arguments: str | Path, drawn: bool = False) -> tuple[str, str, str]:
     """The URDF that is written, the output and the warnings."""
     out = folder / "out" / "prior.urdf"
-    result = geomid("prior", urdf, "--mass", str(mass), "--out", out, *arguments)
+    with pytest.MonkeyPatch.context() as patch:
+        if not drawn:
+            patch.setattr("geomid_ros.report.prior_picture.prior_picture", lambda *_: None)
+        result = geomid("prior", urdf, "--mass", str(mass), "--out", out, *arguments)
     assert result.exit_code == 0, result.output
     return out.read_text(), result.stdout, result.stderr
 
@@ -70,7 +73,7 @@ def test_a_robot_without_inertials_becomes_possible(name: str, tmp_path: Path) -
     stripped = INERTIAL.sub("", source.read_text())
     assert "inertial" not in stripped
     urdf, package = beside(source, stripped, tmp_path)
-    text, shown, warnings = prior(urdf, 21.5, tmp_path, "--package-path", package)
+    text, shown, warnings = prior(urdf, 21.5, tmp_path, "--package-path", package, drawn=True)
     assert re.sub(r"\n    <inertial>.*?</inertial>", "", text, flags=re.DOTALL) == stripped
     assert total_mass(text) == pytest.approx(21.5, rel=1e-8)
     found = parameters(text)

@@ -34,6 +34,7 @@ def test_it_records_what_was_asked_for(out: Path, tmp_path: Path) -> None:
     assert truth["motion_seed"] == 5
 
 
+@pytest.mark.usefixtures("without_pictures")
 def test_what_it_records_can_be_identified(out: Path, tmp_path: Path) -> None:
     done("simulate", out, *QUICK, "--wrench")
     options = ("--urdf", ROBOT, *WRIST, "--json", "--hold-out", "0", "--out", tmp_path / "results")

@@ -108,6 +108,30 @@ def test_looking_in_between_changes_nothing(seed: int, forgetting_time: float) -
 
 
 @SEEDS
+@pytest.mark.parametrize("forgetting_time", [np.inf, 100.0])
+def test_many_instants_at_once_are_as_one_by_one(seed: int, forgetting_time: float) -> None:
+    """In pieces of any length; of one fold, so that many rows of one group come."""
+    coefficients, targets = rows(seed, 900)
+    coefficients[::50, 1] = np.inf
+    rng = np.random.default_rng(seed)
+    unsettled, elapsed = rng.random(targets.shape) < 0.3, rng.random(len(targets))
+    for folds, block in ((3, 20), (1, 100)):
+        alone, together = (RowSummary(CHANNELS, folds, block, forgetting_time) for _ in range(2))
+        for row, target, seconds, group in zip(coefficients, targets, elapsed, unsettled, strict=True):
+            alone.add(row, target, float(seconds), group)
+        ends = [0, *np.sort(rng.integers(0, 900, 8)).tolist(), 900]
+        for piece in map(slice, ends, ends[1:]):
+            together.add_all(coefficients[piece], targets[piece], elapsed[piece], unsettled[piece])
+        expected, found = alone.state(), together.state()
+        assert (found.instants, found.rows) == (expected.instants, expected.rows)
+        np.testing.assert_allclose([found.time, found.weight], [expected.time, expected.weight], rtol=1e-13)
+        np.testing.assert_allclose(found.counts, expected.counts, rtol=1e-13)
+        for ours, theirs in zip(found.factors, expected.factors, strict=True):
+            for one, other in zip(ours, theirs, strict=True):
+                np.testing.assert_array_equal(one, other)
+
+
+@SEEDS
 def test_unsettled_rows_are_kept_apart(seed: int) -> None:
     """Of each channel by itself; what is weighted alike is as if they were not."""
     coefficients, targets = rows(seed, 300)

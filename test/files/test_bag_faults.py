@@ -17,7 +17,7 @@ from pathlib import Path
 import lz4.frame
 import pytest
 import yaml
-from commands.running import done, refused
+from commands.running import done, refused, undrawn
 from commands.running import read as document_of
 from rosbags.rosbag1 import Writer as Ros1Writer
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, Reader, StoragePlugin, Writer
@@ -233,8 +233,9 @@ class TestTruncated:
                 in (opened.warnings[0])
             )
 
-    def test_the_command_reads_what_is_whole_and_says_so(self, tmp_path: Path) -> None:
+    def test_the_command_reads_what_is_whole_and_says_so(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         """With status 0, and as from a bag that ends there."""
+        undrawn(monkeypatch)
         data = file_of(Form(), 600)
         cut, short, outs = tmp_path / "cut.mcap", tmp_path / "short.mcap", [tmp_path / "a", tmp_path / "b"]
         cut.write_bytes(data[: chunk_ends(data)[49] + 50])
@@ -517,6 +518,11 @@ class TestCrafted:
 
 class TestAsFound:
     """Cases 98 to 100, and 106: recordings as people have them."""
+
+    @pytest.fixture(autouse=True)
+    def without_pictures(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        """Nobody looks at them."""
+        undrawn(monkeypatch)
 
     @pytest.mark.parametrize("checksums", [True, False])
     def test_it_is_said_that_nothing_is_checked(self, checksums: bool, tmp_path: Path) -> None:

@@ -95,9 +95,9 @@ class Process:
         """How long [s] each thread could have run, had the machine had a processor to spare."""
         waits = {}
         with suppress(OSError):  # the process has just ended
-            for path in Path(f"/proc/{self.pid}/task").glob("*/schedstat"):
+            for thread in Path(f"/proc/{self.pid}/task").iterdir():
                 with suppress(OSError):  # the thread has just ended
-                    waits[path.parent.name] = 1e-9 * int(path.read_text().split()[1])
+                    waits[thread.name] = 1e-9 * int((thread / "schedstat").read_bytes().split()[1])
         return waits
 
     def end(self, number: signal.Signals = signal.SIGINT) -> int:

@@ -238,7 +238,8 @@ def rigged(folder: Path, module: str = "geomid_ros.ros.main", fresh: bool = Fals
     """A node of the small arm with its wrist sensor, and its twin."""
     with staged(folder) as stage:
         out = folder / "out"
-        values = {**WRIST, "robot_description": description("arm3"), "solve_period": 0.2, "output_folder": str(out)}
+        # Solving takes most of a node's time: more often than once a case or two it need not.
+        values = {**WRIST, "robot_description": description("arm3"), "solve_period": 0.8, "output_folder": str(out)}
         node = stage.node({**values, **parameters}, module=module, fresh=fresh)
         yield Rig(stage, out, node)
 

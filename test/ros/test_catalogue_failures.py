@@ -44,7 +44,7 @@ def planted(folder: Path, **parameters: Any) -> Iterator[Faulty]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv(VARIABLE, str(folder / "fault"))
         patch.setenv("PYTHONPATH", os.pathsep.join([str(Path(__file__).parents[1]), os.environ.get("PYTHONPATH", "")]))
-        with rigged(folder, "ros.faulty", fresh=True, **parameters) as rig:
+        with rigged(folder, "ros.faulty", **parameters) as rig:
             yield Faulty(rig, folder / "fault")
 
 

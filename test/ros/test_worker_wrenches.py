@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 from files.recordings import BAGS, Recorded
-from signals.feeding import AT_ONCE, completed
+from signals.feeding import completed
 
 from geomid_ros.errors import GeomidError
 from geomid_ros.estimation.estimate import Estimate
@@ -35,6 +35,7 @@ SECONDS, RATE = 42.0, 50.0
 TARED, BACK = 26.0, 33.0  # [s]
 BLOCK = 40  # instants that are judged together
 LATE = 2 * BLOCK
+AT_ONCE = 60  # messages
 URDF = BAGS / "arm3.urdf"
 AXES, CHANNELS = 6, 15
 SENSORS = ("/elbow", "/wrist")

@@ -16,7 +16,7 @@ from geomid_ros.types import FloatArray, IntArray
 
 START = 1_700_000_000_000_000_000  # [ns] an ordinary day's clock
 JOINTS = ("shoulder", "elbow", "wrist")
-AT_ONCE = 60  # messages
+AT_ONCE = 240  # messages
 Formula: TypeAlias = Callable[[FloatArray], FloatArray]
 
 
@@ -84,20 +84,27 @@ def in_time(*topics: Iterable[Message]) -> list[Message]:
 
 def blocks(messages: Sequence[Message]) -> list[Block]:
     """Those of one layout in one block, as a decoder gives them."""
-    groups: dict[Any, list[Block]] = {}
+    groups: dict[Any, list[tuple[int, Message, tuple[FloatArray, ...]]]] = {}
     for place, message in enumerate(messages):
-        one = Block.of(message, place)
-        groups.setdefault((one.topic, one.names, tuple(a.shape[1] for a in one.arrays)), []).append(one)
+        arrays = message.arrays
+        layout = (message.topic, _names(message), *(array.shape[0] for array in arrays))
+        groups.setdefault(layout, []).append((place, message, arrays))
     return [
         Block(
-            several[0].topic,
-            np.concatenate([each.order for each in several]),
-            np.concatenate([each.stamps for each in several]),
-            several[0].names,
-            tuple(np.concatenate(parts) for parts in zip(*(each.arrays for each in several), strict=True)),
+            topic,
+            np.array([place for place, _, _ in several]),
+            np.array([message.stamp for _, message, _ in several]),
+            names,
+            tuple(map(np.array, zip(*(arrays for _, _, arrays in several), strict=True))),
         )
-        for several in groups.values()
+        for (topic, names, *_), several in groups.items()
     ]
+
+
+def _names(message: Message) -> tuple[str, ...]:
+    if isinstance(message, WrenchMessage):
+        return (message.frame,)
+    return message.names if isinstance(message, JointMessage) else ()
 
 
 def push(pipeline: SignalPipeline, messages: Iterable[Message]) -> Iterator[None]:

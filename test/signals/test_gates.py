@@ -152,7 +152,7 @@ def test_a_fault_is_refused_and_leaves_no_trace(fault: str, recording: Recording
 @pytest.mark.parametrize("fault", FAULTS)
 def test_what_is_refused_does_not_depend_on_how_many_come_at_once(fault: str) -> None:
     recording = Recording("simulated")
-    recording.shorten(600)
+    recording.shorten(420)
     FAULTS[fault][0](recording, np.concatenate([recording.chosen(6), recording.chosen(6) + 1]))
     expected = recording.read(1)
     for size in (2, 7, 130, 1000):
@@ -207,7 +207,7 @@ def test_what_slow_messages_cannot_tell_is_said(period: float, recording: Record
     refused, noted = recording.read()[1:]
     assert refused == {}
     assert not any(note.endswith(KEPT) for note in noted)
-    recording.shorten(600)
+    recording.shorten(400)
     places = recording.chosen(4)
     without = recording.read(without=places)[0]
     spikes(recording, places)
