@@ -65,8 +65,7 @@ def test_a_changed_description_waits_for_a_reset(stage: Stage) -> None:
 
     talker.publish(String(data=changed))
     array = observer.diagnostics(error, "an error")
-    changed_and_silent = "the robot description has changed; it is used after ~/reset; no messages on joint_states"
-    assert array.status[0].message == changed_and_silent
+    assert array.status[0].message.startswith("the robot description has changed; it is used after ~/reset")
     observer.publish(MESSAGES[:800], joints)
     observer.wait_for(lambda: links() == {"link1", "link2", "link3"}, "the old robot's links")
     talker.publish(String(data=ARM3))
