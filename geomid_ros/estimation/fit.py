@@ -18,6 +18,7 @@ from geomid_ros.estimation.objective import ProductsObjective, ResidualObjective
 from geomid_ros.estimation.problem import Problem
 from geomid_ros.estimation.solvers import Solution, trust_region
 from geomid_ros.estimation.starting_point import USUAL_SPREAD_OF_LINKS, usual_spreads
+from geomid_ros.geometry import definite
 from geomid_ros.geometry.manifold import Point
 from geomid_ros.model.dry_friction import held_from_driving
 from geomid_ros.model.measurement import MeasurementModel
@@ -187,8 +188,7 @@ def _spreads(problem: Problem, objective: ProductsObjective, solution: Solution)
     manifold = problem.manifold
     links = manifold.inertial
     information = solution.evaluation.information + np.diag(objective.prior_weights)
-    own = np.eye(len(information))[:, links]
-    unsure = np.diag(np.linalg.solve(problem.independent * information, own)[links])
+    unsure = np.diag(definite.inverse(problem.independent * information))[links]
     errors = manifold.log(problem.prior_point, solution.point)[links] ** 2 + unsure
     squares = np.sum(errors.reshape(-1, 10), axis=1) + CERTAINTY * problem.usual**2
     spreads: FloatArray = np.sqrt(squares / (10.0 + CERTAINTY))
