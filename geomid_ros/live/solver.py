@@ -7,6 +7,7 @@ import threading
 import time
 from collections import Counter, deque
 from collections.abc import Callable
+from dataclasses import replace
 from typing import TypeAlias
 
 import numpy as np
@@ -198,7 +199,8 @@ class Solver:
     def _solve_for_the_last_rows(self, activity: Activity) -> None:
         """Make the estimate up to date where that is a step from the last one: nobody waits for more in the end."""
         warm = self._warm_start()
-        if warm is not None and self._session.identifier.rows != self._solved_rows:
+        step = warm is not None and not warm.effects_alone
+        if step and self._session.identifier.rows != self._solved_rows:
             with activity.doing(SOLVING):
                 self._solve_once(warm)
 
@@ -240,12 +242,13 @@ class Solver:
         self._session.identifier.settle(detector.normal(doubted))
 
     def _warm_start(self) -> WarmStart | None:
-        """Where to start; None, which chooses the prior's weight anew, when that was chosen for other data."""
+        """Where to start; None, or at the effects alone, which choose the prior's weight anew, when that was chosen for
+        other data, or for much fewer."""
         with self._lock:
             warm = self._session.warm
-            if warm is None or self.problem or self._session.identifier.outgrown(warm.rows, _CHOSEN_ANEW):
+            if warm is None or self.problem:
                 return None
-            return warm
+            return replace(warm, effects_alone=self._session.identifier.outgrown(warm.rows, _CHOSEN_ANEW))
 
     def _solve_from_scratch(self) -> Estimate | GeomidError:
         """What is asked for twice is solved once: who has asked again was told that it takes long."""
@@ -291,7 +294,7 @@ class Solver:
                 return False
             self.problem = ""
             self.estimate = estimate
-            chosen = rows if warm is None else warm.rows
+            chosen = rows if warm is None or warm.effects_alone else warm.rows
             self._session.warm = WarmStart(estimate.parameters, chosen, estimate.spreads)
             return True
 

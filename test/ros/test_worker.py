@@ -276,7 +276,7 @@ def test_effects_are_chosen_anew_once_half_of_what_is_remembered_is_new(
     solve, afresh = quiet.session.identifier.solve, []
 
     def noted(warm: Any = None) -> Estimate:
-        afresh.append(warm is None)
+        afresh.append(warm is None or warm.effects_alone)
         return solve(warm)
 
     monkeypatch.setattr(quiet.session.identifier, "solve", noted)
@@ -603,7 +603,8 @@ def test_the_priors_weight_is_kept_between_solves_and_chosen_anew_for_other_data
             quiet.worker.solver._solve_once(quiet.worker.solver._warm_start())
     estimate = quiet.worker.estimate
     assert estimate is not None
-    assert [start is None for start in warm] == [True, False, True]
+    assert [start is not None for start in warm] == [False, True, True]
+    assert [start.effects_alone for start in warm[1:]] == [False, True]
 
 
 def wait_until(look: Any) -> None:
