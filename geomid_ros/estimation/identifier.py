@@ -24,7 +24,6 @@ from geomid_ros.types import BoolArray, FloatArray, IntArray
 NOT_MEASURED = "not measured"
 STANDING_STILL = "standing still"
 _LONGEST_STEP = 1.0  # [s]
-_AT_ONCE = 100  # instants
 
 
 @dataclass(frozen=True)
@@ -167,7 +166,7 @@ class Identifier:
                         Instant(self.instants, rows.coefficients[index], targets[index], elapsed, unsettled[index])
                     )
                     self.instants += 1
-            self._settle_before(self.instants - self._held)
+                    self._settle_before(self.instants - self._held)
         return samples.stamps[moving], Rows(rows.coefficients[moving], rows.targets[moving]), unsettled[moving]
 
     def _unsettled(self, samples: Samples) -> BoolArray:
@@ -179,16 +178,12 @@ class Identifier:
 
     def _settle_before(self, number: int) -> None:
         while self._recent.first < number:
-            self._settle_some(number)
+            self._settle_first()
 
-    def _settle_some(self, before: int) -> None:
-        """Settle the first instants before a number, not many at once."""
-        settled: list[Instant] = []
-        while self._recent.first < before and len(settled) < _AT_ONCE:
-            instant, rejected = self._recent.pop()
-            self._rejected += rejected
-            settled.append(instant)
-        _add(self._summary, settled)
+    def _settle_first(self) -> None:
+        instant, rejected = self._recent.pop()
+        self._rejected += rejected
+        self._summary.add(instant.coefficients, instant.targets, instant.elapsed, instant.unsettled)
 
     def hold(self, instants: int) -> None:
         """Hold so many last instants (none at first), whose rows can still be left out; settle earlier ones."""
@@ -202,7 +197,7 @@ class Identifier:
             with self._lock:
                 if self._recent.first >= before:
                     break
-                self._settle_some(before)
+                self._settle_first()
 
     def leave_out(self, reason: str, channels: Sequence[int], begin: int) -> bool:
         """Leave out the rows of ``channels`` from the instant of number ``begin`` on, as far as they are not settled.
@@ -310,16 +305,6 @@ class Identifier:
 
 def _with(summary: RowSummary, instants: Sequence[Instant]) -> RowSummary:
     """The summary, once it has these instants, too."""
-    for begin in range(0, len(instants), _AT_ONCE):
-        _add(summary, instants[begin : begin + _AT_ONCE])
+    for instant in instants:
+        summary.add(instant.coefficients, instant.targets, instant.elapsed, instant.unsettled)
     return summary
-
-
-def _add(summary: RowSummary, instants: Sequence[Instant]) -> None:
-    """Add instants to a summary."""
-    summary.add_several(
-        np.array([instant.coefficients for instant in instants]),
-        np.array([instant.targets for instant in instants]),
-        np.array([instant.elapsed for instant in instants]),
-        np.array([instant.unsettled for instant in instants]),
-    )

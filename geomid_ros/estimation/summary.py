@@ -120,7 +120,7 @@ class RowSummary:
         self._complete = True  # nothing waits, and all weights are those of now
         self._factors: tuple[FloatArray, ...] | None = None  # of all rows of each group, while none are added
         # Rows, their targets, and their times.
-        self._waiting: list[list[list[tuple[FloatArray, FloatArray, FloatArray]]]] = [
+        self._waiting: list[list[list[tuple[FloatArray, float, float]]]] = [
             [[] for _ in self.groups] for _ in range(folds)
         ]
 
@@ -145,40 +145,22 @@ class RowSummary:
 
         By ``elapsed`` [s] all earlier rows grow older. ``unsettled (channels,)`` says which rows are.
         """
-        of_channels = np.broadcast_to(unsettled, targets.shape)
-        self.add_several(coefficients[None], targets[None], np.array([elapsed]), of_channels[None])
-
-    def add_several(
-        self, coefficients: FloatArray, targets: FloatArray, elapsed: FloatArray, unsettled: BoolArray
-    ) -> None:
-        """Add the rows of N instants: ``coefficients (N, channels, D)``, ``targets (N, channels)``, ``elapsed (N,)``
-        since the instant before each and ``unsettled (N, channels)`` as of :meth:`add`."""
-        begin = 0
-        while begin < len(targets):
-            fold, done = divmod(self._instants, self._block)
-            part = slice(begin, begin + self._block - done)
-            self._add_to(fold % self.folds, coefficients[part], targets[part], elapsed[part], unsettled[part])
-            begin = part.stop
-
-    def _add_to(
-        self, fold: int, coefficients: FloatArray, targets: FloatArray, elapsed: FloatArray, unsettled: BoolArray
-    ) -> None:
-        """Add instants to a fold."""
         self._complete = False
-        times = self._time + np.cumsum(elapsed)
-        faded = float(np.exp(-np.sum(elapsed) / self._forgetting_time))
-        self._instants, self._time = self._instants + len(times), float(times[-1])
-        measured = usable(coefficients, targets)
-        self.rows += int(np.count_nonzero(measured))
-        self.weight = faded * self.weight + float(np.sum(measured, axis=1) @ self._remaining(times))
-        which = np.concatenate([measured & ~unsettled, measured & unsettled], axis=1)
-        for index in np.flatnonzero(np.any(which, axis=0)).tolist():
-            channel, own, waiting = index % len(self.channels), which[:, index], self._waiting[fold][index]
-            rows = coefficients[own, channel][:, self.channels[channel].columns]
-            waiting.append((rows, targets[own, channel], times[own]))
+        self._time += elapsed
+        self.weight *= float(np.exp(-elapsed / self._forgetting_time))
+        fold = self._instants // self._block % self.folds
+        self._instants += 1
+        groups = np.arange(len(self.channels)) + len(self.channels) * np.asarray(unsettled)
+        for channel in np.flatnonzero(usable(coefficients, targets)):
+            self.rows += 1
+            self.weight += 1.0
+            index = groups[channel]
+            waiting = self._waiting[fold][index]
+            row = coefficients[channel, self.channels[channel].columns]
+            waiting.append((row, float(targets[channel]), self._time))
             # Channels that have as many rows wait differently long: few instants cost more than one QR.
-            if sum(len(some) for some, _, _ in waiting) >= self._CHUNK + index:
-                self._absorb(fold, index)
+            if len(waiting) >= self._CHUNK + index:
+                self._absorb(fold, int(index))
 
     def absorb_one(self) -> bool:
         """Absorb what waits of one channel; False if there was nothing."""
@@ -196,7 +178,7 @@ class RowSummary:
             part.fade(remaining)
         if waiting:
             rows, targets, times = zip(*waiting, strict=True)
-            part.add(np.concatenate(rows), np.concatenate(targets), self._remaining(np.concatenate(times)))
+            part.add(np.array(rows), np.array(targets), self._remaining(np.array(times)))
             waiting.clear()
         part.time = self._time
         self._factors = None

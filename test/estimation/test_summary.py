@@ -129,27 +129,6 @@ def test_unsettled_rows_are_kept_apart(seed: int) -> None:
 
 
 @SEEDS
-@pytest.mark.parametrize("sizes", [[400], [7, 193, 1, 199]])
-def test_several_at_once_are_as_one_after_the_other(seed: int, sizes: list[int]) -> None:
-    """In the same folds, of the same age, and settled or not."""
-    coefficients, targets = rows(seed, 400)
-    rng = np.random.default_rng(seed)
-    elapsed, unsettled = rng.uniform(0.0, 2.0, 400), rng.random(targets.shape) < 0.3
-    settings = {"folds": 3, "block": 20, "forgetting_time": 100.0}
-    one, several = RowSummary(CHANNELS, **settings), RowSummary(CHANNELS, **settings)
-    for instant in zip(coefficients, targets, elapsed, unsettled, strict=True):
-        one.add(*instant)
-    for part in np.split(np.arange(400), np.cumsum(sizes)[:-1]):
-        several.add_several(coefficients[part], targets[part], elapsed[part], unsettled[part])
-    assert (several.rows, several.period) == (one.rows, pytest.approx(one.period, rel=CONTENT))
-    assert several.weight == pytest.approx(one.weight, rel=CONTENT)
-    x = rng.normal(size=DIMENSION)
-    for fold in range(3):
-        np.testing.assert_allclose(several.counts([fold]), one.counts([fold]), rtol=CONTENT)
-        np.testing.assert_allclose(content(several, x, [fold]), content(one, x, [fold]), rtol=CONTENT)
-
-
-@SEEDS
 def test_columns_that_are_left_out_count_as_parameters_that_are_zero(seed: int) -> None:
     coefficients, targets = rows(seed, 300)
     found, chosen = summary(coefficients, targets, folds=2), np.array([0, 3, 4, 9, 11])
