@@ -19,6 +19,7 @@ from geomid_ros.estimation.fit import CERTAINTY, driven_rows
 from geomid_ros.estimation.objective import Evaluation
 from geomid_ros.estimation.problem import Problem
 from geomid_ros.estimation.profile_objective import Profile, ProfileObjective, StraightManifold, minimum
+from geomid_ros.geometry import definite
 from geomid_ros.geometry.manifold import Point
 from geomid_ros.model.effects import Place
 from geomid_ros.types import FloatArray, IntArray
@@ -35,16 +36,24 @@ _ROUNDS, _SETTLED = 8, 0.03
 _LEAST_SHARE = 1e-10  # of the target's sum of squares: no residual is smaller
 
 
-def choose(problem: Problem) -> IntArray:
-    """The parameters without optional coefficients but for those that the rows ask for, by their columns."""
+def choose(problem: Problem, earlier: IntArray | None = None) -> IntArray:
+    """The parameters without optional coefficients but for those that the rows ask for, by their columns.
+
+    Args:
+        problem: with all coefficients.
+        earlier: what was chosen for fewer of the same rows: where they ask for all of it still, more is looked for
+            beside it, which takes a fraction of the time.
+    """
     rows = _Rows(problem)
     every = range(problem.model.dimension)
     optional = [column for column in every if column >= rows.first and rows.optional(column)]
     base = np.setdiff1d(every, optional)
     if not optional or not rows.enough:
         return base
-    chosen = rows.fit(base)
-    settled: set[tuple[str, Place]] = set()  # what was taken or refused
+    chosen = rows.fit(base if earlier is None else earlier)
+    if not chosen.asked_for:
+        chosen = rows.fit(base)
+    settled = set(map(rows.mechanism, np.setdiff1d(chosen.columns, base)))  # what was taken or refused
     while left := [column for column in optional if rows.mechanism(column) not in settled]:
         larger, column = _best(chosen, np.array(left))
         if larger is None:
@@ -149,7 +158,8 @@ class _Rows:
             before[start.columns] = start.point.parameters
             point, spreads = manifold.point(before[columns]), start.spreads
         own = np.append(columns, self.size)
-        products = self.all_products[:, own[:, None], own]
+        # In the order of its axes, in which such an index leaves nothing: else it is multiplied five times as slowly.
+        products = np.ascontiguousarray(self.all_products[:, own[:, None], own])
         least = _LEAST_SHARE * products[:, -1, -1] + np.finfo(float).tiny
         weighed = self.problem.known
         known = np.concatenate([weighed.rows[:, columns], held])
@@ -170,8 +180,7 @@ class _Rows:
                 break
             earlier = spreads
             hessian = solution.evaluation.information + np.diag(trusted.weights)
-            links = manifold.inertial
-            unsure = np.diag(np.linalg.solve(hessian, np.eye(len(hessian))[:, links])[links])
+            unsure = np.diag(definite.inverse(hessian))[manifold.inertial]
             errors = np.sum((manifold.log(prior, point)[manifold.inertial] ** 2 + unsure).reshape(-1, 10), axis=1)
             spreads = np.sqrt((errors + CERTAINTY * self.problem.usual**2) / (10.0 + CERTAINTY))
             if np.all(np.abs(np.log(spreads / earlier)) < _SETTLED):
@@ -213,8 +222,12 @@ class _Fit:
         relative = self.spreads / self.rows.problem.usual
         width = 20.0 * float(np.sum(np.log(self.spreads)))
         width += CERTAINTY * float(np.sum(relative**-2 + 2.0 * np.log(relative)))
-        penalty = len(self.columns) * float(np.log(max(np.max(self.rows.counts), 1.0)))
-        return 2.0 * self.evaluation.value + float(volume) + width + penalty
+        return 2.0 * self.evaluation.value + float(volume) + width + len(self.columns) * self._penalty
+
+    @property
+    def _penalty(self) -> float:
+        """Of each coefficient."""
+        return float(np.log(max(np.max(self.rows.counts), 1.0)))
 
     @cached_property
     def weights(self) -> FloatArray:
@@ -224,12 +237,21 @@ class _Fit:
     @property
     def possible(self) -> bool:
         """Whether all optional coefficients are in their ranges."""
+        return all(self.rows.allows(self.columns[place], self.point.parameters[place]) for place in self._optional)
+
+    @property
+    def _optional(self) -> list[int]:
+        """The places of the optional coefficients among the parameters."""
         rows = self.rows
-        return all(
-            rows.allows(column, value)
-            for column, value in zip(self.columns, self.point.parameters, strict=True)
-            if column >= rows.first and rows.optional(column)
-        )
+        return [place for place, column in enumerate(self.columns) if column >= rows.first and rows.optional(column)]
+
+    @property
+    def asked_for(self) -> bool:
+        """Whether each optional coefficient improves the score by as much as one that is taken, by Wald's test."""
+        places = self._optional
+        values = self.objective.manifold.log(self.objective.profile.prior, self.point)[places]
+        gains = values**2 / np.diag(definite.inverse(self.hessian))[places] - self._penalty
+        return bool(np.all(gains >= LEAST_GAIN)) and self.possible
 
     def gains(self, columns: IntArray) -> FloatArray:
         """By how much each of other ``columns`` would improve the likelihood, by the score test; 0 for a coefficient
@@ -240,7 +262,7 @@ class _Fit:
         )
         shared = self.objective.manifold.whiten(self.point, products[np.ix_(columns, self.columns)])
         squares = np.diag(products)[columns]
-        left = squares - np.sum((shared @ np.linalg.inv(self.hessian)) * shared, axis=1)
+        left = squares - np.sum((shared @ definite.inverse(self.hessian)) * shared, axis=1)
         positive = np.array([self.rows.positive(column) for column in columns])
         telling = (left > _PARALLEL * squares) & ~(positive & (slopes > 0.0))
         return np.where(telling, slopes**2 / np.where(telling, left, 1.0), 0.0)

@@ -78,11 +78,15 @@ class EstimatorSettings:
 class WarmStart:
     """Where the last solve ended: the next one begins at these ``parameters (D,)``, in which the coefficients are zero
     that were left out, and leaves out the same. They were chosen for so many ``rows``. ``spreads (links,)``: those of
-    the priors that it found; the usual ones unless given."""
+    the priors that it found; the usual ones unless given.
+
+    ``effects_alone``: the next one begins with nothing but the same effects, and chooses anew: it looks for more beside
+    them, if all of them are asked for still."""
 
     parameters: FloatArray
     rows: int = 0
     spreads: FloatArray | None = None
+    effects_alone: bool = False
 
 
 def estimate(
@@ -124,7 +128,12 @@ def estimate(
         independent=_independent(summary, settings.cutoff),
         given_spreads=spreads,
     )
-    columns = choose(_beside(settings.population, whole)) if warm is None else _kept(model, warm)
+    if warm is None:
+        columns = choose(_beside(settings.population, whole))
+    elif warm.effects_alone:
+        columns, warm = choose(_beside(settings.population, whole), _kept(model, warm)), None
+    else:
+        columns = _kept(model, warm)
     problem = subproblem(whole, columns)
     start = None if warm is None else problem.manifold.point(warm.parameters[columns])
     solve = partial(

@@ -18,6 +18,7 @@ from geomid_ros.estimation.objective import ProductsObjective, ResidualObjective
 from geomid_ros.estimation.problem import Problem
 from geomid_ros.estimation.solvers import Solution, trust_region
 from geomid_ros.estimation.starting_point import USUAL_SPREAD_OF_LINKS, usual_spreads
+from geomid_ros.geometry import definite
 from geomid_ros.geometry.manifold import Point
 from geomid_ros.model.dry_friction import held_from_driving
 from geomid_ros.model.measurement import MeasurementModel
@@ -28,8 +29,10 @@ CERTAINTY = 20.0
 INDEPENDENT = 2.67
 """Independent rows per period of the filter's cutoff, which leaves nothing above 1.5 times this frequency."""
 _ROUNDS = 60
-_SETTLED = 1e-7  # relative change of standard deviations and spreads, which falls to about a third in a round
-_SETTLED_WARM = 1e-8  # the same where rounds are extrapolated, so that few more are needed
+_SETTLED = 1e-7  # relative change of standard deviations and spreads in a round
+_SETTLED_WARM = 1e-8  # the same from where an earlier search has ended
+_NEAR = 0.3  # the same, below which rounds are nearly linear
+_STEPS = 4  # of the solver in a round: what more would gain is lost in the next
 _LEAST_GRADIENT = 1e-14  # relative to the sum of the weights; rounding allows no less
 
 
@@ -112,8 +115,10 @@ def settle(
     point = start or problem.prior_point
     spreads = problem.usual if spreads is None or problem.gamma is not None else spreads
     sigmas = problem.noise(point.parameters) if start is not None else problem.first_noise
-    # Near its fixed point the iteration is linear: it can be extrapolated, and one step for each noise is enough.
-    extrapolation, most = (None, max_steps) if start is None else (Extrapolation(), 1)
+    # Near its fixed point the iteration is linear: it can be extrapolated. A warm start is as near that one step for
+    # each noise is enough.
+    extrapolation, near = Extrapolation(), start is not None
+    most = min(_STEPS, max_steps) if start is None else 1
     for _ in range(_ROUNDS):
         rough = _rough(problem, sigmas, spreads)
         solution = trust_region(rough, point, _gradient(rough, tolerance), most)
@@ -123,10 +128,13 @@ def settle(
         if problem.gamma is None:
             spreads = _spreads(problem, rough, solution)
         ended = np.log(np.concatenate([sigmas, spreads]))
-        if np.all(np.abs(ended - begun) < within):
+        change = np.max(np.abs(ended - begun))
+        if change < within:
             break
-        if extrapolation is not None:
+        near = near or bool(change < _NEAR)
+        if near:
             sigmas, spreads = np.split(np.exp(extrapolation.next(begun, ended)), [len(sigmas)])
+            sigmas = problem.with_given(sigmas)
     return point, sigmas, spreads
 
 
@@ -187,8 +195,7 @@ def _spreads(problem: Problem, objective: ProductsObjective, solution: Solution)
     manifold = problem.manifold
     links = manifold.inertial
     information = solution.evaluation.information + np.diag(objective.prior_weights)
-    own = np.eye(len(information))[:, links]
-    unsure = np.diag(np.linalg.solve(problem.independent * information, own)[links])
+    unsure = np.diag(definite.inverse(problem.independent * information))[links]
     errors = manifold.log(problem.prior_point, solution.point)[links] ** 2 + unsure
     squares = np.sum(errors.reshape(-1, 10), axis=1) + CERTAINTY * problem.usual**2
     spreads: FloatArray = np.sqrt(squares / (10.0 + CERTAINTY))

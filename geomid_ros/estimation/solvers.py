@@ -10,6 +10,7 @@ import numpy as np
 from numpy.linalg import LinAlgError
 
 from geomid_ros.estimation.objective import Evaluation, Objective
+from geomid_ros.geometry import definite
 from geomid_ros.geometry.manifold import Point
 from geomid_ros.types import FloatArray
 
@@ -145,10 +146,9 @@ class _QuadraticModel:
     def _newton_step(self) -> FloatArray | None:
         """The step without damping, or None where the Hessian is not positive definite."""
         try:
-            np.linalg.cholesky(self._hessian)
+            return -definite.solved(self._hessian, self._gradient)
         except LinAlgError:
             return None
-        return np.asarray(-np.linalg.solve(self._hessian, self._gradient))
 
     @cached_property
     def _eigen(self) -> tuple[FloatArray, FloatArray]:

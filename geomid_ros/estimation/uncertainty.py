@@ -10,7 +10,7 @@ import numpy as np
 from geomid_ros.estimation.estimate import FINEST, LinksInformation
 from geomid_ros.estimation.fixed_point import Extrapolation
 from geomid_ros.estimation.summary import triangular
-from geomid_ros.geometry import pseudo_inertia
+from geomid_ros.geometry import definite, pseudo_inertia
 from geomid_ros.geometry.manifold import ParameterManifold, Point
 from geomid_ros.model.weighed_masses import WeighedRows
 from geomid_ros.types import FloatArray, IntArray, frozen
@@ -223,7 +223,7 @@ def prior_spreads(rows: Fold, from_prior: FloatArray, groups: Sequence[Parameter
         spreads = np.exp(begun)[member]
         scaled = np.outer(spreads, spreads) * rows.information
         own = _own_part(scaled)
-        left = np.linalg.inv(scaled + own * np.eye(len(spreads)))
+        left = definite.inverse(scaled + own * np.eye(len(spreads)))
         # Not as information times distance, of which rounding would leave little.
         moved = from_prior - spreads * (left @ (own * from_prior / spreads - spreads * rows.gradient))
         determined = np.clip(1.0 - np.diag(left), 0.0, 1.0)

@@ -7,6 +7,7 @@ import threading
 import time
 from collections import Counter, deque
 from collections.abc import Callable
+from dataclasses import replace
 from typing import TypeAlias
 
 import numpy as np
@@ -22,11 +23,19 @@ from geomid_ros.monitoring.wrench_sensors import changed_sensors, robot_may_have
 from geomid_ros.session.session import Session
 from geomid_ros.signals.ledger import count_reason
 
-SOLVING = "solving"
+SOLVING, WATCHING = "solving", "looking for changes"
 _EARLIER = 64  # estimates, so many as are made until a gap is known: most of a minute, or more
 _CHOSEN_ANEW = 0.5  # share of what is remembered that is new when effects and the prior's weight are chosen anew
 
 Done: TypeAlias = Callable[[Estimate | GeomidError], None]
+
+
+class _Watch:
+    """Changes are to be looked for."""
+
+
+_Request: TypeAlias = Done | _Watch | None
+"""``Done`` waits for an estimate from scratch; None: the thread is to end."""
 
 
 class Solver:
@@ -67,7 +76,7 @@ class Solver:
 
     def _start(self) -> None:
         self.activity = Activity()
-        self._requests: queue.SimpleQueue[Done | None] = queue.SimpleQueue()
+        self._requests: queue.SimpleQueue[_Request] = queue.SimpleQueue()
         self._thread = start_daemon("solver", self._solve_repeatedly, self.activity, self._requests)
 
     def restart(self) -> None:
@@ -96,6 +105,12 @@ class Solver:
         with self._lock:
             self._asking.append(done)
         self._requests.put(done)
+
+    def watch(self) -> None:
+        """Look for changes, as there are rows enough to judge; with whatever is asked for already they are looked for,
+        too."""
+        if self._requests.empty():
+            self._requests.put(_Watch())
 
     def reset(self) -> None:
         """Forget all rows, and what was learned from them."""
@@ -137,28 +152,38 @@ class Solver:
     def _new_detector(self) -> ChangeDetector:
         return ChangeDetector(self._session.model.channels, self._session.configuration.buffer.forgetting_time)
 
-    def _solve_repeatedly(self, activity: Activity, requests: queue.SimpleQueue[Done | None]) -> None:
+    def _solve_repeatedly(self, activity: Activity, requests: queue.SimpleQueue[_Request]) -> None:
         next_solve = time.monotonic()
         while True:
             try:
-                done = requests.get(timeout=max(0.0, next_solve - time.monotonic()))
+                request = requests.get(timeout=max(0.0, next_solve - time.monotonic()))
             except queue.Empty:
                 next_solve = time.monotonic() + self._period
                 self._solve_for_new_rows(activity)
                 continue
-            if done is None:
+            if request is None:
                 if self._closing:
                     self._solve_for_the_last_rows(activity)
                 return
-            with activity.doing(SOLVING):
-                self._detect_changes()
-                result = self._solve_from_scratch()
-                self._judge()
-            with self._lock:
-                if done not in self._asking:  # it was told that it took too long
-                    return
-                self._asking.remove(done)
-            done(result)
+            if isinstance(request, _Watch):
+                with activity.doing(WATCHING):
+                    self._detect_changes()
+            elif not self._answered(request, activity):
+                return
+
+    def _answered(self, done: Done, activity: Activity) -> bool:
+        """Solve from scratch and answer; False if who asked was told that it took too long, and another thread goes
+        on."""
+        with activity.doing(SOLVING):
+            self._detect_changes()
+            result = self._solve_from_scratch()
+            self._judge()
+        with self._lock:
+            if done not in self._asking:
+                return False
+            self._asking.remove(done)
+        done(result)
+        return True
 
     def _solve_for_new_rows(self, activity: Activity) -> None:
         with activity.doing(SOLVING):
@@ -174,7 +199,8 @@ class Solver:
     def _solve_for_the_last_rows(self, activity: Activity) -> None:
         """Make the estimate up to date where that is a step from the last one: nobody waits for more in the end."""
         warm = self._warm_start()
-        if warm is not None and self._session.identifier.rows != self._solved_rows:
+        step = warm is not None and not warm.effects_alone
+        if step and self._session.identifier.rows != self._solved_rows:
             with activity.doing(SOLVING):
                 self._solve_once(warm)
 
@@ -216,12 +242,13 @@ class Solver:
         self._session.identifier.settle(detector.normal(doubted))
 
     def _warm_start(self) -> WarmStart | None:
-        """Where to start; None, which chooses the prior's weight anew, when that was chosen for other data."""
+        """Where to start; None, or at the effects alone, which choose the prior's weight anew, when that was chosen for
+        other data, or for much fewer."""
         with self._lock:
             warm = self._session.warm
-            if warm is None or self.problem or self._session.identifier.outgrown(warm.rows, _CHOSEN_ANEW):
+            if warm is None or self.problem:
                 return None
-            return warm
+            return replace(warm, effects_alone=self._session.identifier.outgrown(warm.rows, _CHOSEN_ANEW))
 
     def _solve_from_scratch(self) -> Estimate | GeomidError:
         """What is asked for twice is solved once: who has asked again was told that it takes long."""
@@ -267,7 +294,7 @@ class Solver:
                 return False
             self.problem = ""
             self.estimate = estimate
-            chosen = rows if warm is None else warm.rows
+            chosen = rows if warm is None or warm.effects_alone else warm.rows
             self._session.warm = WarmStart(estimate.parameters, chosen, estimate.spreads)
             return True
 

@@ -211,7 +211,9 @@ class Worker:
         if self._wrenches.take(new):
             self.solver.begin_anew()
         settled = Rows(new.coefficients, np.where(unsettled, np.nan, new.targets))
-        self.solver.detector.add(identifier.instants - len(stamps), stamps, self._wrenches.without_doubtful(settled))
+        rows = self._wrenches.without_doubtful(settled)
+        if self.solver.detector.add(identifier.instants - len(stamps), stamps, rows):
+            self.solver.watch()
         if estimate is not None:
             self._report_prediction(samples, estimate)
 

@@ -20,6 +20,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from geomid_ros.estimation.summary import triangular, usable
+from geomid_ros.geometry import definite
 from geomid_ros.model.channels import Channel
 from geomid_ros.model.measurement import Rows
 from geomid_ros.types import FloatArray, IntArray
@@ -84,8 +85,9 @@ class ChangeDetector:
         self.judged = 0
         """The number of the first instant that is not judged yet."""
 
-    def add(self, first: int, stamps: IntArray, rows: Rows) -> None:
-        """Take the rows of a moving robot, in the order of time. Of those that nobody judges the last are kept.
+    def add(self, first: int, stamps: IntArray, rows: Rows) -> bool:
+        """Take the rows of a moving robot, in the order of time. Of those that nobody judges the last are kept. Returns
+        whether a whole block waits.
 
         Args:
             first: the number of the first instant; instants are counted.
@@ -95,6 +97,7 @@ class ChangeDetector:
         """
         numbers = range(first, first + len(stamps))
         self._waiting.extend(zip(numbers, stamps.tolist(), rows.coefficients, rows.targets, strict=True))
+        return len(self._waiting) >= BLOCK
 
     def judge(self) -> bool:
         """Judge the next whole block of rows. Returns whether there was one."""
@@ -203,10 +206,11 @@ class _Cusum:
     def _leverage(self, coefficients: FloatArray) -> float:
         """The mean leverage of new rows ``(N, d)``, over that of the rows before."""
         known = self._factor[:, :-1]
-        squares = np.sum(known**2, axis=0)
+        information = known.T @ known
+        squares = np.diag(information)
         floor = _UNRESOLVED * squares + np.finfo(float).eps * np.max(squares, initial=np.finfo(float).tiny)
-        root = np.linalg.cholesky(known.T @ known + np.diag(floor))
-        new, old = (np.sum(np.linalg.solve(root, rows.T) ** 2) for rows in (coefficients, known))
+        covariance = definite.inverse(information + np.diag(floor))
+        new, old = np.sum((coefficients @ covariance) * coefficients), np.sum(information * covariance)
         return float(new / len(coefficients) / (old / self._rows))
 
     def _remaining(self, stamps: IntArray) -> float:

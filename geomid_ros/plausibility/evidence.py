@@ -13,6 +13,7 @@ from functools import cached_property
 
 import numpy as np
 
+from geomid_ros.geometry import definite
 from geomid_ros.types import BoolArray, FloatArray
 
 LEAST_SIGMA = 0.1
@@ -92,7 +93,7 @@ def evidence(products: Products, tolerated: FloatArray, *, either_sign: bool = F
         log=-0.5 * (weighted + noise + log_determinant),
         sigmas=sigmas,
         links=mean[:rank],
-        deviations=np.sqrt(np.diag(np.linalg.inv(posterior))[:rank]),
+        deviations=np.sqrt(np.diag(definite.inverse(posterior))[:rank]),
         friction=mean[rank:].reshape(channels, 4),
     )
 
@@ -107,7 +108,7 @@ def _solved(
         free = np.flatnonzero(~held)
         among = matrix[free[:, None], free]
         mean = np.zeros(len(precision))
-        mean[free] = np.linalg.solve(among, right[free])
+        mean[free] = definite.solved(among, right[free])
         pull = right - matrix @ mean  # of what is held: positive if it would become so
         changed = np.where(held, pull <= 0.0, mean < 0.0) & bounded
         if np.array_equal(changed, held):

@@ -165,6 +165,40 @@ def test_a_warm_start_keeps_what_is_not_optional_though_it_is_zero() -> None:
     np.testing.assert_allclose(warm.parameters, cold.parameters, rtol=1e-5, atol=1e-6)
 
 
+def beside(case: Case, parameters: FloatArray) -> Estimate:
+    """What is chosen where these effects were chosen before."""
+    return identifier(case).solve(WarmStart(parameters, effects_alone=True))
+
+
+def test_what_was_chosen_before_is_not_searched_for_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    case, searches = planted("arm3", 1, "spring"), []
+    search = choice._best
+    monkeypatch.setattr(choice, "_best", lambda *of: searches.append(len(of[1])) or search(*of))
+    found = identifier(case).solve()
+    before = searches.copy()
+    searches.clear()
+    again = beside(case, found.parameters)
+    assert searches == before[1:]
+    np.testing.assert_array_equal(again.parameters, found.parameters)
+
+
+def test_more_is_looked_for_beside_what_was_chosen_before() -> None:
+    case = planted("arm3", 1, "spring")
+    nothing = identifier(planted("arm3", 1, "")).solve()
+    assert chosen(nothing) == []
+    np.testing.assert_array_equal(beside(case, nothing.parameters).parameters, identifier(case).solve().parameters)
+
+
+def test_what_was_chosen_before_goes_if_nothing_asks_for_it_any_more() -> None:
+    """One coefficient that stands for nothing, beside one that is right: the choice begins from nothing."""
+    case = planted("arm3", 1, "spring")
+    parameters = identifier(case).solve().parameters.copy()
+    parameters[np.setdiff1d(columns(case, ("quadratic_friction", 2)), columns(case))] = 1.0
+    again = beside(case, parameters)
+    assert [(one.name, one.joint) for one in chosen(again)] == [("spring", case.model.robot.joints[1].name)]
+    np.testing.assert_array_equal(again.parameters, identifier(case).solve().parameters)
+
+
 # --- what the choice goes by ----------------------------------------------------------------------------------------
 
 

@@ -25,6 +25,7 @@ from geomid_ros.live.activity import Activity
 from geomid_ros.live.inbox import Received
 from geomid_ros.live.status import Status
 from geomid_ros.live.worker import Worker
+from geomid_ros.monitoring.change_detection import BLOCK
 from geomid_ros.ros.diagnostics import Diagnostics
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.session import Session
@@ -121,6 +122,15 @@ def test_efforts_of_resting_joints_say_nothing_of_changes(quiet: Watched, monkey
     assert np.sum(slow) > 3
     assert np.all(np.isnan(targets[slow]))
     assert np.mean(np.isfinite(targets[fast])) > 0.9
+
+
+def test_changes_are_looked_for_as_soon_as_there_are_rows_enough(quiet: Watched) -> None:
+    """Not at the end of a period: this one never ends."""
+    quiet.feed()
+    wait_until(lambda: quiet.worker.status(active=True).queue == quiet.session.pipeline.held)
+    instants = quiet.session.identifier.instants
+    assert instants > 5 * BLOCK
+    wait_until(lambda: instants - quiet.worker.solver.detector.judged < BLOCK)
 
 
 def test_without_rows_the_answer_is_an_error(quiet: Watched) -> None:
@@ -266,7 +276,7 @@ def test_effects_are_chosen_anew_once_half_of_what_is_remembered_is_new(
     solve, afresh = quiet.session.identifier.solve, []
 
     def noted(warm: Any = None) -> Estimate:
-        afresh.append(warm is None)
+        afresh.append(warm is None or warm.effects_alone)
         return solve(warm)
 
     monkeypatch.setattr(quiet.session.identifier, "solve", noted)
@@ -593,7 +603,8 @@ def test_the_priors_weight_is_kept_between_solves_and_chosen_anew_for_other_data
             quiet.worker.solver._solve_once(quiet.worker.solver._warm_start())
     estimate = quiet.worker.estimate
     assert estimate is not None
-    assert [start is None for start in warm] == [True, False, True]
+    assert [start is not None for start in warm] == [False, True, True]
+    assert [start.effects_alone for start in warm[1:]] == [False, True]
 
 
 def wait_until(look: Any) -> None:

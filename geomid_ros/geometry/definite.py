@@ -1,0 +1,37 @@
+"""Symmetric positive definite matrices: by Cholesky's decomposition, in half of the time of general methods."""
+
+from __future__ import annotations
+
+from functools import cache
+from types import ModuleType
+
+import numpy as np
+from numpy.linalg import LinAlgError
+
+from geomid_ros.types import FloatArray
+
+
+@cache
+def _lapack() -> ModuleType:
+    from scipy.linalg import lapack  # noqa: PLC0415 what solves nothing need not load it
+
+    return lapack  # type: ignore[no-any-return]
+
+
+def solved(matrix: FloatArray, right: FloatArray) -> FloatArray:
+    """The x with ``matrix (n, n) x = right (n,)``. Raises LinAlgError for a matrix that is not positive definite."""
+    _, x, failed = _lapack().dposv(matrix, right, lower=1)
+    if failed:
+        raise LinAlgError("not positive definite")
+    return np.asarray(x)
+
+
+def inverse(matrix: FloatArray) -> FloatArray:
+    """The inverse of ``matrix (n, n)``; by a general method where rounding leaves it not quite positive definite."""
+    factor, failed = _lapack().dpotrf(matrix, lower=1, clean=1)
+    if failed:
+        return np.asarray(np.linalg.inv(matrix))
+    half, _ = _lapack().dpotri(factor, lower=1)
+    whole = half + half.T
+    np.fill_diagonal(whole, np.diag(half))
+    return np.asarray(whole)

@@ -1,0 +1,37 @@
+"""Symmetric positive definite matrices: as numpy has them, and what is done where rounding leaves them indefinite."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from geomid_ros.geometry import definite
+from geomid_ros.types import FloatArray
+
+
+def of_size(size: int, seed: int = 0) -> FloatArray:
+    """A matrix of well-conditioned rows' products."""
+    rows = np.random.default_rng(seed).normal(size=(3 * size + 1, size))
+    return np.asarray(rows.T @ rows)
+
+
+@pytest.mark.parametrize("size", [1, 2, 7, 60])
+def test_they_are_solved_and_inverted_as_by_general_methods(size: int) -> None:
+    matrix, right = of_size(size), np.arange(1.0, size + 1.0)
+    given = matrix.copy()
+    assert definite.solved(matrix, right) == pytest.approx(np.linalg.solve(matrix, right), rel=1e-12)
+    assert definite.inverse(matrix) == pytest.approx(np.linalg.inv(matrix), rel=1e-12, abs=1e-15)
+    assert np.array_equal(matrix, given)
+    assert np.array_equal(right, np.arange(1.0, size + 1.0))
+
+
+def test_an_inverse_is_symmetric() -> None:
+    inverse = definite.inverse(of_size(20, seed=1))
+    assert np.array_equal(inverse, inverse.T)
+
+
+def test_of_an_indefinite_one_nothing_is_solved_but_there_is_an_inverse() -> None:
+    matrix = np.diag([1.0, -2.0, 4.0])
+    with pytest.raises(np.linalg.LinAlgError):
+        definite.solved(matrix, np.ones(3))
+    assert definite.inverse(matrix) == pytest.approx(np.diag([1.0, -0.5, 0.25]))
