@@ -17,7 +17,7 @@ from geomid_ros.plausibility.instants import FEWEST, Instants, Stretch
 from geomid_ros.plausibility.wrenches import WrenchSensorCheck, can_be_judged
 from geomid_ros.types import FloatArray
 
-_RENEWED = 3.0
+_RENEWED = 2.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,7 +104,7 @@ class RecordingCheck:
 
     @property
     def due(self) -> bool:
-        """Whether two thirds of what is known came after it was judged last: seldom, as time goes on."""
+        """Whether half of what is known came after it was judged last: seldom, as time goes on."""
         return len(self._instants) >= FEWEST and self._instants.taken > _RENEWED * self._judged_at
 
     def findings(self) -> tuple[Finding, ...]:

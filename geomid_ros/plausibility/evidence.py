@@ -108,7 +108,7 @@ def _solved(
         free = np.flatnonzero(~held)
         among = matrix[free[:, None], free]
         mean = np.zeros(len(precision))
-        mean[free] = definite.solved(among, right[free])
+        mean[free] = np.linalg.solve(among, right[free])
         pull = right - matrix @ mean  # of what is held: positive if it would become so
         changed = np.where(held, pull <= 0.0, mean < 0.0) & bounded
         if np.array_equal(changed, held):

@@ -43,19 +43,19 @@ def checked(model: MeasurementModel, recorded: Samples, gains: FloatArray | None
     return check
 
 
-def test_a_recording_is_due_again_once_it_is_three_times_as_long() -> None:
+def test_a_recording_is_due_again_once_it_is_twice_as_long() -> None:
     of = case("arm3", 1)
     apart = -(-110_000_000 // int(of.samples.stamps[1] - of.samples.stamps[0]))
     recorded = of.samples.select(slice(None, None, apart))  # all of them are kept
-    assert len(recorded) >= 91
+    assert len(recorded) >= 90
     check = RecordingCheck(JudgementTask(of.model, np.ones(len(of.model.robot.joints)), {}))
     due = []
-    for index in range(91):
+    for index in range(90):
         check.add(recorded.select(slice(index, index + 1)))
         if check.due:
             due.append(index + 1)
             check.findings()
-    assert due == [30, 91]
+    assert due == [30, 61]
 
 
 def findings(model: MeasurementModel, recorded: Samples, gains: FloatArray | None = None) -> tuple[Finding, ...]:
