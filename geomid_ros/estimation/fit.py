@@ -29,10 +29,8 @@ CERTAINTY = 20.0
 INDEPENDENT = 2.67
 """Independent rows per period of the filter's cutoff, which leaves nothing above 1.5 times this frequency."""
 _ROUNDS = 60
-_SETTLED = 1e-7  # relative change of standard deviations and spreads in a round
-_SETTLED_WARM = 1e-8  # the same from where an earlier search has ended
-_NEAR = 0.3  # the same, below which rounds are nearly linear
-_STEPS = 4  # of the solver in a round: what more would gain is lost in the next
+_SETTLED = 1e-7  # relative change of standard deviations and spreads, which falls to about a third in a round
+_SETTLED_WARM = 1e-8  # the same where rounds are extrapolated, so that few more are needed
 _LEAST_GRADIENT = 1e-14  # relative to the sum of the weights; rounding allows no less
 
 
@@ -115,10 +113,8 @@ def settle(
     point = start or problem.prior_point
     spreads = problem.usual if spreads is None or problem.gamma is not None else spreads
     sigmas = problem.noise(point.parameters) if start is not None else problem.first_noise
-    # Near its fixed point the iteration is linear: it can be extrapolated. A warm start is as near that one step for
-    # each noise is enough.
-    extrapolation, near = Extrapolation(), start is not None
-    most = min(_STEPS, max_steps) if start is None else 1
+    # Near its fixed point the iteration is linear: it can be extrapolated, and one step for each noise is enough.
+    extrapolation, most = (None, max_steps) if start is None else (Extrapolation(), 1)
     for _ in range(_ROUNDS):
         rough = _rough(problem, sigmas, spreads)
         solution = trust_region(rough, point, _gradient(rough, tolerance), most)
@@ -128,13 +124,10 @@ def settle(
         if problem.gamma is None:
             spreads = _spreads(problem, rough, solution)
         ended = np.log(np.concatenate([sigmas, spreads]))
-        change = np.max(np.abs(ended - begun))
-        if change < within:
+        if np.all(np.abs(ended - begun) < within):
             break
-        near = near or bool(change < _NEAR)
-        if near:
+        if extrapolation is not None:
             sigmas, spreads = np.split(np.exp(extrapolation.next(begun, ended)), [len(sigmas)])
-            sigmas = problem.with_given(sigmas)
     return point, sigmas, spreads
 
 

@@ -132,17 +132,16 @@ class Problem:
         sigmas = np.where(telling, np.maximum(found, self.least_sigmas), self.least_sigmas)
         settled, unsettled = np.split(sigmas, 2)
         least = np.where(telling[: len(settled)], settled, 0.0)
-        return self.with_given(np.concatenate([settled, np.maximum(least, unsettled)]))
+        return self._with_given(np.concatenate([settled, np.maximum(least, unsettled)]))
 
-    def with_given(self, sigmas: FloatArray) -> FloatArray:
-        """Standard deviations of the groups, with the given ones in the place of those that were found."""
+    def _with_given(self, sigmas: FloatArray) -> FloatArray:
         given = np.resize(self.sigmas, len(sigmas))
         return np.where(np.isfinite(given), given, sigmas)
 
     @property
     def first_noise(self) -> FloatArray:
         """Where the search for the noise begins."""
-        return self.with_given(self.least_sigmas)
+        return self._with_given(self.least_sigmas)
 
 
 def subproblem(whole: Problem, columns: IntArray) -> Problem:
