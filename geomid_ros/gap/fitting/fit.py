@@ -19,7 +19,7 @@ from geomid_ros.gap.candidates import AnyCandidate, EffectTerm, Term
 from geomid_ros.gap.evidence.design import Design
 from geomid_ros.gap.fitting import prior as priors
 from geomid_ros.gap.fitting.prior import Prior
-from geomid_ros.geometry import pseudo_inertia
+from geomid_ros.geometry import definite, pseudo_inertia
 from geomid_ros.geometry.manifold import ParameterManifold, Point
 from geomid_ros.model.dry_friction import held_from_driving
 from geomid_ros.types import FloatArray
@@ -74,7 +74,7 @@ class JointFit:
     @cached_property
     def inverse(self) -> FloatArray:
         """Inverse of the information ``(D, D)``."""
-        return np.asarray(np.linalg.inv(self.information))
+        return definite.inverse(self.information)
 
     @cached_property
     def jacobian(self) -> FloatArray:
@@ -279,7 +279,7 @@ def _spreads(
     manifold: ParameterManifold, point: Point, known: Point, hessian: FloatArray, first: int, prior: Prior
 ) -> FloatArray:
     """MacKay's re-estimate: mean square of each link's errors, those that the data do not determine included."""
-    unsure = np.diag(np.linalg.inv(hessian))[:first]
+    unsure = np.diag(definite.inverse(hessian))[:first]
     errors = np.sum((manifold.log(known, point)[:first] ** 2 + unsure).reshape(-1, 10), axis=1)
     return np.asarray(np.sqrt((errors + prior.certainty * prior.spread**2) / (10.0 + prior.certainty)))
 

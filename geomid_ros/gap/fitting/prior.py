@@ -12,7 +12,7 @@ import numpy as np
 from geomid_ros.estimation.estimate import LinksInformation
 from geomid_ros.estimation.profile_objective import ProfileObjective
 from geomid_ros.gap.candidates import Term
-from geomid_ros.geometry import pseudo_inertia
+from geomid_ros.geometry import definite, pseudo_inertia
 from geomid_ros.geometry.manifold import ParameterManifold, Point
 from geomid_ros.types import FloatArray
 
@@ -108,7 +108,7 @@ def inflation_of(
         return 1.0
     off = rows @ np.append(point.parameters - prior.parameters, 1.0)
     normals = manifold.whiten(point, rows[:, :-1])
-    unsure = float(np.sum((normals @ np.linalg.inv(hessian)) * normals))
+    unsure = float(np.sum((normals @ definite.inverse(hessian)) * normals))
     return max(1.0, (float(off @ off) + unsure + _CERTAINTY) / (_telling(rows) + _CERTAINTY))
 
 
