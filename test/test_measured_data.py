@@ -1,11 +1,13 @@
 """Real recordings, where they are at hand: what was promised of the held-out errors."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from benchmarks.measured_data import CASES, DATA, Comparison, compare
+import geomid_ros
+from benchmarks.measured_data import CASES, DATA, Comparison, compare, gap
 
 pytestmark = pytest.mark.skipif(not DATA.is_dir(), reason=f"the measured recordings are not at {DATA}")
 
@@ -58,3 +60,14 @@ def test_held_out_errors(named: tuple[str, Comparison]) -> None:
         fx, fy, fz, tx, ty, tz = found.errors["geomid"]
         assert fx + fy + fz + tx + ty + tz <= 77.3
         assert np.all(np.array([fy, tx, tz]) <= [5.5, 8.5, 14.0])
+
+
+def test_simulated_again_is_how_many_times_the_noise(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of the worst channel, after; not what was simulated."""
+    simulation = SimpleNamespace(errors={"before": {"a": 9.0}, "after": {"a": 1.5, "b": 2.5}}, after=np.array([40.0]))
+    result = SimpleNamespace(verdict="named", gap=SimpleNamespace(after=np.array([1.1, np.nan])))
+    found = SimpleNamespace(result=result, findings=[], simulated=[simulation])
+    monkeypatch.setattr(geomid_ros, "find_gap", lambda *_, **__: found)
+    assert gap(CASES["ur10"])["simulated again"] == 2.5
+    found.simulated = []
+    assert gap(CASES["ur10"])["simulated again"] is None
