@@ -10,7 +10,7 @@ import threading
 import time
 from contextlib import closing
 from functools import partial
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING
 
 from geomid_ros.errors import TOO_LITTLE_MEMORY, GeomidError, is_lack_of_memory, load_hashes, missing_library
 
@@ -20,14 +20,11 @@ if TYPE_CHECKING:
     from geomid_ros.live.solving_process import SolvingProcess
     from geomid_ros.ros.node import GeomidNode
 
-T = TypeVar("T")
 _SWITCH_INTERVAL = 5e-4  # [s]
 _LEAST_MEMORY = 500_000_000  # bytes of addresses: with less, libraries crash or hang while they are loaded
-# Everything is looked for: messages cost less when many come at once, and the filter holds rows back for longer than
-# this. To let the executor wait for anything else would wake it for every message.
+# Everything is looked for: messages cost less when many come at once, and the filter holds rows back for five times as
+# long as this. To let the executor wait for anything else would wake it for every message.
 _PAUSE = 0.1  # [s]
-_LONG_PAUSE = 0.2  # [s] while messages are few: with each look, however few they are, go hundreds of small computations
-_FEW = 60  # messages at once
 
 
 def main() -> None:
@@ -91,9 +88,9 @@ def _run_node(solving: SolvingProcess) -> None:
         executor.add_node(node)
         try:
             while ok() and not stopping.is_set():
-                count = _guarded(node, node.take_waiting) or 0
+                _guarded(node, node.take_waiting)
                 _guarded(node, partial(executor.spin_once, timeout_sec=0.0))
-                time.sleep(_LONG_PAUSE if 0 < count < _FEW else _PAUSE)
+                time.sleep(_PAUSE)
             _guarded(node, node.take_waiting)
         finally:
             node.close()
@@ -103,13 +100,12 @@ def _run_node(solving: SolvingProcess) -> None:
         try_shutdown()
 
 
-def _guarded(node: GeomidNode, run: Callable[[], T]) -> T | None:
+def _guarded(node: GeomidNode, run: Callable[[], object]) -> None:
     """Run something. An error in it is reported, and the node lives on."""
     try:
-        return run()
+        run()
     except Exception as error:  # noqa: BLE001 the other callbacks go on
         node.fail("a callback failed", error)
-        return None
 
 
 if __name__ == "__main__":

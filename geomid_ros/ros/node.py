@@ -126,8 +126,8 @@ class GeomidNode(Node):
     def _worker(self) -> Worker | None:
         return self._supervisor.worker
 
-    def take_waiting(self) -> int:
-        """Take the data that wait; returns how many messages. They are counted, whatever happens."""
+    def take_waiting(self) -> None:
+        """Take the data that wait. They are counted, whatever happens."""
         messages = self._inputs.waiting()
         try:
             reason = self._take(messages)
@@ -136,7 +136,6 @@ class GeomidNode(Node):
             self.fail(f"a message on {' or '.join({message.topic for message in messages})} could not be taken", error)
         for message in messages if reason else ():
             self._ledger.drop(message.topic, reason)
-        return len(messages)
 
     def _take(self, messages: list[Received]) -> str:
         """Take messages, or say why not."""
