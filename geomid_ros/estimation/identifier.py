@@ -11,10 +11,11 @@ from typing import TypeAlias
 import numpy as np
 
 from geomid_ros.errors import InputError
+from geomid_ros.estimation.channel_summary import usable
 from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.estimation.estimator import EstimatorSettings, WarmStart, estimate
 from geomid_ros.estimation.revocable_buffer import Instant, RevocableBuffer
-from geomid_ros.estimation.summary import RowSummary, SummaryState, usable
+from geomid_ros.estimation.summary import RowSummary, SummaryState
 from geomid_ros.model.measurement import MeasurementModel, Rows
 from geomid_ros.model.moving import moves_one_way
 from geomid_ros.model.samples import Samples

@@ -17,10 +17,10 @@ from functools import cached_property
 import numpy as np
 
 from geomid_ros.errors import InputError
+from geomid_ros.estimation.channel_summary import triangular
 from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.estimation.posterior import EffectCoordinate, manifold_of
 from geomid_ros.estimation.starting_point import usual_spreads
-from geomid_ros.estimation.summary import triangular
 from geomid_ros.geometry.manifold import ParameterManifold, Point
 from geomid_ros.types import FloatArray, IntArray, frozen
 

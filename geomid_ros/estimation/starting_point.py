@@ -7,7 +7,8 @@ from itertools import chain
 import numpy as np
 
 from geomid_ros.errors import InputError
-from geomid_ros.estimation.summary import RowSummary, triangular
+from geomid_ros.estimation.channel_summary import triangular
+from geomid_ros.estimation.summary import RowSummary
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.geometry.manifold import ParameterManifold
 from geomid_ros.model.measurement import MeasurementModel

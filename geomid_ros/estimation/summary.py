@@ -1,55 +1,23 @@
 """A bounded memory of any number of rows: their least-squares content, kept by QR.
 
-For the rows ``[A b]`` of one channel the triangular factor R of a QR decomposition has ``|R (x, -1)| = |A x - b|`` for
-every x, in at most as many rows as A has columns, plus one. Factors of different channels are kept apart, because
-their standard deviations are only known later, and so are those of different *folds* of time, so that what was not
-used for a fit can judge it. For the same reason a channel's rows make two *groups*: those of instants at which its
-joint moves one way, and the *unsettled* ones, at rest and near reversals, where dry friction is not what it is in
-motion. Of C channels the group c is settled, the group C + c is not.
+Factors of different channels are kept apart, because their standard deviations are only known later, and so are those
+of different *folds* of time, so that what was not used for a fit can judge it. For the same reason a channel's rows
+make two *groups*: those of instants at which its joint moves one way, and the *unsettled* ones, at rest and near
+reversals, where dry friction is not what it is in motion. Of C channels the group c is settled, the group C + c is not.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal, cast
+from typing import Literal
 
 import numpy as np
 
 from geomid_ros.errors import InputError
+from geomid_ros.estimation.channel_summary import ChannelSummary, joined, triangular, usable
 from geomid_ros.model.channels import Channel
 from geomid_ros.types import BoolArray, FloatArray, IntArray
-
-
-@dataclass
-class ChannelSummary:
-    """Rows of one channel: the factor ``(<= columns + 1, columns + 1)`` of ``[A b]``, and the sum of their weights.
-
-    ``time``: when the weights were last brought up to date [s].
-    """
-
-    factor: FloatArray
-    count: float = 0.0
-    time: float = 0.0
-
-    def copy(self) -> ChannelSummary:
-        """A copy that later changes of this one do not change; no array is ever changed in place."""
-        return ChannelSummary(self.factor, self.count, self.time)
-
-    def fade(self, share: float) -> None:
-        """Multiply the weights of all rows by ``share``."""
-        self.factor = np.sqrt(share) * self.factor
-        self.count *= share
-
-    def add(self, rows: FloatArray, targets: FloatArray, weights: FloatArray) -> None:
-        """Add rows ``(N, columns)`` with ``weights (N,)``."""
-        augmented = np.sqrt(weights)[:, None] * np.column_stack([rows, targets])
-        self.factor = triangular(np.concatenate([self.factor, augmented]))
-        self.count += float(np.sum(weights))
-
-    def squared_error(self, parameters: FloatArray) -> float:
-        """``|A x - b|^2`` at parameters ``(columns,)``."""
-        return float(np.sum((self.factor @ np.append(parameters, -1.0)) ** 2))
 
 
 @dataclass(frozen=True, eq=False)
@@ -231,9 +199,9 @@ class RowSummary:
         """Per group one factor of all rows of the chosen folds (all unless given), everything added so far included."""
         parts = self.parts(folds)
         if folds is not None:
-            return tuple(map(_joined, parts))
+            return tuple(map(joined, parts))
         if self._factors is None:
-            self._factors = tuple(map(_joined, parts))
+            self._factors = tuple(map(joined, parts))
         return self._factors
 
     def counts(self, folds: Sequence[int] | None = None) -> FloatArray:
@@ -342,11 +310,6 @@ class RowSummary:
         return whole[:, :-1], whole[:, -1]
 
 
-def usable(coefficients: FloatArray, targets: FloatArray) -> BoolArray:
-    """Which rows ``(..., D)`` have a target ``(...)`` and coefficients that are numbers: one NaN would spoil all."""
-    return np.asarray(np.isfinite(targets) & np.all(np.isfinite(coefficients), axis=-1))
-
-
 def _checked(factor: FloatArray, channel: Channel) -> FloatArray:
     """A factor that can be of this channel. Raises InputError otherwise."""
     width = len(channel.columns) + 1
@@ -355,13 +318,3 @@ def _checked(factor: FloatArray, channel: Channel) -> FloatArray:
     if not np.all(np.isfinite(factor)):
         raise InputError(f"rows of channel '{channel.name}' are not finite")
     return factor
-
-
-def _joined(parts: Sequence[ChannelSummary]) -> FloatArray:
-    """One factor for all ``parts`` (at least one) of a channel."""
-    return triangular(np.concatenate([part.factor for part in parts]))
-
-
-def triangular(matrix: FloatArray) -> FloatArray:
-    """The factor R of a QR decomposition: ``|R x| = |matrix x|`` for every x."""
-    return cast(FloatArray, np.linalg.qr(matrix, mode="r"))

@@ -10,8 +10,8 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from geomid_ros.estimation.channel_summary import triangular
 from geomid_ros.estimation.estimate import IDENTIFIABLE, QUANTITIES, Estimate
-from geomid_ros.estimation.summary import triangular
 from geomid_ros.estimation.uncertainty import physical_sensitivity
 from geomid_ros.geometry.manifold import ParameterManifold, Point
 from geomid_ros.model.measurement import MeasurementModel

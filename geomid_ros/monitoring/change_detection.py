@@ -19,7 +19,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from geomid_ros.estimation.summary import triangular, usable
+from geomid_ros.estimation.channel_summary import triangular, usable
 from geomid_ros.geometry import definite
 from geomid_ros.model.channels import Channel
 from geomid_ros.model.measurement import Rows
