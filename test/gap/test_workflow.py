@@ -256,6 +256,17 @@ def test_the_mass_of_a_link_is_not_sure_beside_what_has_no_name(identified: bool
     assert abs(change.mass.value - inertias[-1, 0] + change.was) < 5.0 * change.mass.std
 
 
+@pytest.mark.parametrize(("times", "expected"), [(2.0, "confident"), (6.0, "tentative")])
+def test_a_link_that_outweighs_the_robot_is_not_sure(times: float, expected: str) -> None:
+    """Something else passes for it, however well it explains the data."""
+    inertias = planted.true_inertias(75, 0.05)
+    inertias[-1] *= times
+    robot, model = planted.rigid(inertias), planted.model()
+    (change,) = find_gap(model, [planted.recording(robot, 75)], [planted.recording(robot, 1075, 15.0)]).links
+    assert (change.link, change.confidence) == ("link3", expected)
+    assert (change.was + change.mass.value > np.sum(model.nominal_inertias[::10])) == (expected == "tentative")
+
+
 def test_links_that_have_not_changed_are_not_told_however_small_a_change_would_count(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

@@ -54,6 +54,8 @@ def _changes(model: MeasurementModel, analysis: Analysis, unseen: HeldOut) -> It
             # off by five and six of their deviations, which therefore count by half.
             of_mass = 0.5 * (change / float(std)) ** 2
             sure = of_mass > CONFIDENT_LOSS and (loss > CONFIDENT_BESIDE_UNEXPLAINED or not left)
+            # As no payload outweighs the robot, no link does: a spring, say, can pass for one that does not move.
+            sure = sure and was + change < np.sum(nominal)
             # Where the model is a guess the link's centre and inertia may be wrong instead.
             guessed = left and not is_identified(analysis)
             doubt = _doubt(unseen, _with_mass_as_it_was(analysis, prior, link)) if guessed else 0.0
