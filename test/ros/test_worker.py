@@ -605,6 +605,9 @@ def test_the_priors_weight_is_kept_between_solves_and_chosen_anew_for_other_data
     assert estimate is not None
     assert [start is not None for start in warm] == [False, True, True]
     assert [start.effects_alone for start in warm[1:]] == [False, True]
+    following = quiet.worker.solver._warm_start()
+    assert following is not None
+    assert not following.effects_alone, "chosen for the rows of now"
 
 
 def wait_until(look: Any) -> None:
