@@ -79,9 +79,20 @@ def rigid(inertias: FloatArray, gravity: FloatArray | None = None) -> Efforts:
     return lambda q, v, a: np.array([pin.rnea(built, data, *row) for row in zip(q, v, a, strict=True)])
 
 
-def recording(efforts: Efforts, seed: int, seconds: float = 40.0, noise: float = NOISE, pace: float = 1.0) -> Samples:
-    """What is measured of a robot that takes these efforts."""
-    times, position, velocity, acceleration = motion(seed, seconds, pace)
+def recording(
+    efforts: Efforts,
+    seed: int,
+    seconds: float = 40.0,
+    noise: float = NOISE,
+    pace: float = 1.0,
+    size: float = 1.0,
+    posture: FloatArray | float = 0.0,
+) -> Samples:
+    """What is measured of a robot that takes these efforts, in a motion that is so many times as large, about a
+    ``posture (joints,)``."""
+    times, *moving = motion(seed, seconds, pace)
+    position, velocity, acceleration = (size * each for each in moving)
+    position += posture
     measured = efforts(position, velocity, acceleration)
     measured = measured + noise * np.random.default_rng([seed, 2]).standard_normal(measured.shape)
     nothing = np.zeros((len(times), 0))

@@ -53,6 +53,55 @@ def test_inertial_errors_alone_are_no_finding(seed: int) -> None:
     np.testing.assert_allclose(result.floor, planted.NOISE, rtol=0.15)
 
 
+LOWERED = np.array([0.0, 0.5 * np.pi, 0.0])
+"""The upper arm hangs down: near there its weight pulls it back as a spring does."""
+
+
+def found_in_a_corner(efforts: Efforts, seed: int, size: float, noise: float) -> GapResult:
+    """Of motions that stay near a posture."""
+    recordings = [
+        [planted.recording(efforts, seed + later, seconds, noise=noise, size=size, posture=LOWERED)]
+        for later, seconds in ((0, 20.0), (1000, 10.0))
+    ]
+    return find_gap(planted.model(), *recordings)
+
+
+@pytest.mark.parametrize(("size", "noise", "seed"), [(0.15, 2.0, 21), (0.15, 2.0, 23), (0.2, 2.0, 21), (0.08, 0.5, 23)])
+def test_a_spring_is_named_in_which_a_link_would_be_let_go(size: float, noise: float, seed: int) -> None:
+    """A link of a hundred times its mass would do as well."""
+    result = found_in_a_corner(beside(seed, lambda q, _v, _a: 40.0 * (q - 1.07), 1), seed, size, noise)
+    (finding,) = result.findings
+    assert (finding.effect, finding.joint) == ("spring", JOINTS[1])
+    stiffness = finding.parameters["stiffness"]
+    assert abs(stiffness.value - 40.0) < 3.0 * stiffness.std
+    assert not result.links
+    np.testing.assert_allclose(result.inertias[:, 0], planted.model().nominal_inertias[::10], rtol=0.3)
+
+
+@pytest.mark.parametrize(("noise", "seed"), [(0.1, 21), (0.1, 22), (0.5, 21)])
+def test_no_name_is_sure_beside_which_a_link_must_be_let_go_all_the_same(noise: float, seed: int) -> None:
+    """The link is twenty times as heavy as the URDF says."""
+    inertias = planted.true_inertias(seed, 0.1)
+    inertias[1] *= 20.0
+    result = found_in_a_corner(planted.rigid(inertias), seed, 1.0, noise)
+    assert not [finding for finding in result.findings if finding.confidence == "confident"]
+    assert result.links[0].link == planted.model().body_names[1]
+    assert result.links[0].mass.value > 10.0
+
+
+@pytest.mark.parametrize("times", [1.0, 20.0])
+def test_what_unseen_data_do_not_confirm_is_left_out_whether_or_not_a_link_is_let_go(times: float) -> None:
+    inertias = planted.true_inertias(21, 0.1)
+    inertias[1] *= times
+    robot = planted.rigid(inertias)
+    train, held_out = (
+        planted.recording(lambda q, v, a, drag=drag: robot(q, v, a) + drag * v * [0.0, 0.0, 1.0], seed)
+        for drag, seed in ((0.02, 21), (-0.02, 1021))
+    )
+    result = find_gap(planted.model(), [train], [held_out])
+    assert not result.findings
+
+
 PLANTED = {
     "viscous_friction": lambda _q, v, _a: 0.4 * v,
     "coulomb_friction": lambda _q, v, _a: 0.3 * np.sign(v),

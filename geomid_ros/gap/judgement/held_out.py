@@ -9,7 +9,6 @@ import numpy as np
 from geomid_ros.gap.evidence.record import Records
 from geomid_ros.gap.fitting.fit import JointFit, unfitted
 from geomid_ros.gap.fitting.linearised_problem import LinearisedProblem, total_model
-from geomid_ros.gap.fitting.prior import Prior
 from geomid_ros.gap.judgement.locate import located
 from geomid_ros.gap.result import Gap, Located, Trace
 from geomid_ros.gap.search.analysis import Analysis
@@ -21,13 +20,13 @@ class HeldOut:
     """What the fits of an ``analysis`` leave of held-out ``records``, at the instants at which the last one may be
     blamed."""
 
-    def __init__(self, model: MeasurementModel, records: Records, prior: Prior, analysis: Analysis) -> None:
+    def __init__(self, model: MeasurementModel, records: Records, analysis: Analysis) -> None:
         self._model = model
         self._records = records
-        self._prior = prior
+        self._prior = analysis.search.prior
         self._analysis = analysis
         self._last = self._problem(analysis.names)
-        self._untouched = unfitted(prior)
+        self._untouched = unfitted(analysis.search.prior)
         self._residuals: dict[JointFit, FloatArray] = {}
 
     @cached_property

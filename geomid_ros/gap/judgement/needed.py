@@ -13,7 +13,6 @@ import numpy as np
 from geomid_ros.gap.candidates import AnyCandidate, Candidate
 from geomid_ros.gap.evidence.record import Records
 from geomid_ros.gap.fitting.fit import JointFit
-from geomid_ros.gap.fitting.prior import Prior
 from geomid_ros.gap.judgement.closing import without
 from geomid_ros.gap.judgement.held_out import HeldOut
 from geomid_ros.gap.search.analysis import Analysis, with_curves
@@ -25,11 +24,12 @@ _SEEN = 0.02
 """A smaller name must lower the logarithm of a channel's mean square by so much."""
 
 
-def confirmed(model: MeasurementModel, held: Records, prior: Prior, analysis: Analysis) -> Analysis:
+def confirmed(model: MeasurementModel, held: Records, analysis: Analysis) -> Analysis:
     """An analysis without the names that bring nothing on unseen data, the least of them first; the rest is fitted
-    anew. A name that changes all columns can pass for what has no name, and then what it touches is wrong, too."""
+    anew. A name that changes all columns can pass for what has no name, and then what it touches is wrong, too. One
+    without which a link would be let go, which would take its place, stays."""
     search, names = analysis.search, analysis.names
-    unseen = HeldOut(model, held, prior, analysis)
+    unseen = HeldOut(model, held, analysis)
     refused: set[AnyCandidate] = set()
     while doubtful := [c for c in names.chosen if isinstance(c, Candidate) and c not in refused]:
         absent = {c: without(analysis, names, c) for c in doubtful}
@@ -37,7 +37,8 @@ def confirmed(model: MeasurementModel, held: Records, prior: Prior, analysis: An
         least = min(doubtful, key=losses.__getitem__)
         smaller = search.without(names, least)
         change = _worse(unseen, names, absent[least])
-        if search.possible(smaller) and change < (0.0 if losses[least] > _STRONG else _SEEN):
+        dispensable = search.possible(smaller) and not search.let_go(smaller) - search.let_go(names)
+        if dispensable and change < (0.0 if losses[least] > _STRONG else _SEEN):
             names = smaller
         else:
             refused.add(least)

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from geomid_ros.gap import candidates as library
-from geomid_ros.gap.candidates import CurveCandidate, CurveTerm, EffectTerm, Term
+from geomid_ros.gap.candidates import Candidate, CurveCandidate, CurveTerm, EffectTerm, Term
 from geomid_ros.gap.evidence.curves import Curves
 from geomid_ros.gap.evidence.noise import Autoregression, noise_by_repeats, runs_of
 from geomid_ros.gap.evidence.record import Records, TotalModel
@@ -25,6 +25,7 @@ _SETTLED = 0.5  # standard deviations
 _MOST_CURVES = 4
 _TOLD_BY_ROWS = 0.25  # directions for each row, which leaves most of the noise as it is
 _MEDIAN_OF_GAUSSIAN = 0.6745
+_CERTAINTY_OF_HELD = 100.0  # of links that may hardly be more wrong than usual
 _VISIBLE = 1.07  # times larger, to be worth a word
 
 Columns = dict[Term, dict[int, FloatArray]]
@@ -45,14 +46,45 @@ class Analysis:
     curves: Curves
 
 
+@dataclass(frozen=True, eq=False)
+class _Task:
+    """What is searched: the ``model`` in the ``records``, with candidates that are ``tried`` and ``curves`` for what
+    these leave; ``progress`` is told of it."""
+
+    model: MeasurementModel
+    records: Records
+    tried: Sequence[Candidate]
+    curves: Curves
+    progress: Callable[[str, float], None]
+
+
 def analyse(
     model: MeasurementModel, records: Records, prior: Prior, progress: Callable[[str, float], None]
 ) -> Analysis:
-    """Find the set of names that explains the records best."""
+    """Find the set of names that explains the records best.
+
+    A link that is let go can take the place of a name, beside which the name brings nothing more. Then the search is
+    repeated with links that are held; what it finds is taken if it is the better, and the link need not be let go
+    beside it.
+    """
+    situation = LinearisedProblem(model, records, total_model(model, unfitted(prior))).situation
+    tried = library.candidates(model, [term for term in prior.terms if isinstance(term, EffectTerm)])
+    task = _Task(model, records, tried, Curves(model, records, situation), progress)
+    analysis = _searched(task, prior)
+    search, names = analysis.search, analysis.names
+    if not search.let_go(names):
+        return analysis
+    held = _searched(task, replace(prior, certainty=_CERTAINTY_OF_HELD))
+    instead = search.fit(held.names.chosen, held.names)
+    better = instead.score < names.score and search.let_go(instead) < search.let_go(names)
+    return held if better else analysis
+
+
+def _searched(task: _Task, prior: Prior) -> Analysis:
+    """Search and linearisation in turn, until the total model settles."""
+    model, records, tried, curves = task.model, task.records, task.tried, task.curves
     total = total_model(model, unfitted(prior))
     problem = LinearisedProblem(model, records, total)
-    curves = Curves(model, records, problem.situation)
-    tried = library.candidates(model, [term for term in prior.terms if isinstance(term, EffectTerm)])
     columns = problem.columns(tried, prior.terms, curves)
     noise = (Autoregression.white(),) * len(model.channels)
     bare = Search(problem.design(columns, noise), prior, tried).fit([])
@@ -60,7 +92,7 @@ def analyse(
     floor: FloatArray | None = None
     before: JointFit | None = None
     for attempt in range(_ROUNDS):
-        progress("searching", attempt / _ROUNDS)
+        task.progress("searching", attempt / _ROUNDS)
         problem = LinearisedProblem(model, records, total_model(model, bare) if attempt == 0 else total, floor)
         columns = problem.columns(tried, prior.terms, curves)
         search = Search(problem.design(columns, noise), prior, tried, curves.candidates)
@@ -76,7 +108,7 @@ def analyse(
         floor = _typical_size(residual, problem.valid)
         noise = _noise(residual, problem.valid, records)
     names, whole = _with_and_without_curves(search, found)
-    progress("searching", 1.0)
+    task.progress("searching", 1.0)
     residual = problem.residual(columns, whole)
     repeats = noise_by_repeats(model, records)
     counts = search.design.counts

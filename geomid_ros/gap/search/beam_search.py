@@ -27,6 +27,7 @@ _EXCHANGES = 4
 _MOST_EFFECTS = 40
 _UNCHANGED = 1e-3  # of its uncertainty: how much a coefficient may move that is as it was
 _PLAUSIBLE = 0.5  # of a name's loss: what the score test must promise of a rival that is tried in its place
+_LET_GO = 0.4  # geodesic distance: twice the usual error of a drawing
 _NEEDED = 5.0 * LEAST_GAIN  # a name whose loss is larger, by a quadratic estimate, need not be tried to be left out
 
 
@@ -114,6 +115,10 @@ class Search:
             return bool(found.point.pseudo_inertias[place, 3, 3] > np.sum(self.prior.inertias[::10]))
         values = np.array([found.value(term) for term in candidate.terms])
         return bool(np.any(values[: candidate.positives] <= 0.0)) or candidate.effect.is_absurd(values)
+
+    def let_go(self, found: JointFit) -> set[int]:
+        """The links of which a fit says that they are wrong by much more than drawings are."""
+        return set(np.flatnonzero(found.spreads > _LET_GO).tolist())
 
     def _promising(self, current: JointFit, least: float, instead_of: AnyCandidate | None = None) -> list[Trial]:
         """The candidates that are worth an exact fit: those that the score test prefers, and payloads; none of which it
