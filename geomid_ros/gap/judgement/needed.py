@@ -27,7 +27,8 @@ _SEEN = 0.02
 def confirmed(model: MeasurementModel, held: Records, analysis: Analysis) -> Analysis:
     """An analysis without the names that bring nothing on unseen data, the least of them first; the rest is fitted
     anew. A name that changes all columns can pass for what has no name, and then what it touches is wrong, too. One
-    without which a link would be let go, which would take its place, stays."""
+    without which a link would be let go, which would take its place, stays; but for a payload, which the link would
+    only be told to carry."""
     search, names = analysis.search, analysis.names
     unseen = HeldOut(model, held, analysis)
     refused: set[AnyCandidate] = set()
@@ -37,8 +38,8 @@ def confirmed(model: MeasurementModel, held: Records, analysis: Analysis) -> Ana
         least = min(doubtful, key=losses.__getitem__)
         smaller = search.without(names, least)
         change = _worse(unseen, names, absent[least])
-        dispensable = search.possible(smaller) and not search.let_go(smaller) - search.let_go(names)
-        if dispensable and change < (0.0 if losses[least] > _STRONG else _SEEN):
+        replaced = least.payload is None and search.let_go(smaller) - search.let_go(names)
+        if search.possible(smaller) and not replaced and change < (0.0 if losses[least] > _STRONG else _SEEN):
             names = smaller
         else:
             refused.add(least)
