@@ -14,7 +14,6 @@ from geomid_ros.files.models.judgements import causes_entry
 from geomid_ros.gap.result import GapResult
 from geomid_ros.plausibility.hypotheses import Finding
 from geomid_ros.report.gap_words import verdict_sentence
-from geomid_ros.session.gap import find_in_messages, gap_session
 from geomid_ros.session.recordings import Progress
 from geomid_ros.session.session import Session
 from geomid_ros.signals.messages import Accepted
@@ -62,6 +61,8 @@ def look_for_gap(
     Raises:
         InputError: too little was measured.
     """
+    from geomid_ros.session.gap import find_in_messages  # noqa: PLC0415 a third of a node's start, which few ever need
+
     own = _session(session, before)
     result = find_in_messages(own, messages, progress)
     compared = "" if before is None else f"{COMPARED}, of {before.rows_accepted} rows"
@@ -69,6 +70,8 @@ def look_for_gap(
 
 
 def _session(session: Session, before: Estimate | None) -> Session:
+    from geomid_ros.session.gap import gap_session  # noqa: PLC0415 as above
+
     configuration, source = session.configuration, "robot_description"
     if before is None:
         return gap_session(session.urdf, configuration, source)

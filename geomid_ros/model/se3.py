@@ -35,3 +35,8 @@ def _second_coefficient(angle: FloatArray) -> FloatArray:
 def compose_exp(reference: FloatArray, twist: FloatArray) -> FloatArray:
     """The pose ``reference exp(twist)`` ``(7,)``, for a twist ``(6,)``."""
     return np.array(pin.SE3ToXYZQUAT(pin.XYZQUATToSE3(reference) * pin.exp6(twist)))
+
+
+def quaternion(axes: FloatArray) -> FloatArray:
+    """The quaternion xyzw ``(4,)`` of a rotation, of which ``axes (3, 3)`` has the axes as columns."""
+    return np.array(pin.Quaternion(axes).coeffs())

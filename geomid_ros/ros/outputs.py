@@ -10,7 +10,6 @@ from geometry_msgs.msg import InertiaStamped
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
-from scipy.spatial.transform import Rotation
 from sensor_msgs.msg import JointState
 from std_msgs.msg import ColorRGBA, String
 from visualization_msgs.msg import Marker, MarkerArray
@@ -24,6 +23,7 @@ from geomid_ros.live.background_search import SearchStatus
 from geomid_ros.live.gap_search import FoundGap
 from geomid_ros.model.robot import Robot
 from geomid_ros.model.samples import Samples
+from geomid_ros.model.se3 import quaternion
 from geomid_ros.session.session import Session
 from geomid_ros.types import FloatArray
 
@@ -121,8 +121,7 @@ def _marker(index: int, link: LinkEstimate, stamp: int) -> Marker:
     marker.header.stamp = _time(stamp)
     pose = marker.pose
     pose.position.x, pose.position.y, pose.position.z = map(float, link.com)
-    quaternion = Rotation.from_matrix(axes).as_quat()
-    pose.orientation.x, pose.orientation.y, pose.orientation.z, pose.orientation.w = map(float, quaternion)
+    pose.orientation.x, pose.orientation.y, pose.orientation.z, pose.orientation.w = map(float, quaternion(axes))
     size = np.minimum(2.0 * semi_axes, _LARGEST_MARKER)
     marker.scale.x, marker.scale.y, marker.scale.z = map(float, size)
     share = link.from_data
