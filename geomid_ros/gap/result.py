@@ -53,7 +53,7 @@ class Finding(KnownEffect):
 
 @dataclass(frozen=True)
 class LinkChange:
-    """A link that weighs something else than the model says.
+    """A link that is another than the model says.
 
     Attributes:
         link: its name.
@@ -62,6 +62,8 @@ class LinkChange:
         was: the mass that the model says [kg].
         loss: how much worse the score is if it has the model's inertia.
         confidence: how sure that is.
+        moment: of a link whose mass may be as it was, by how much its first moment is larger [kg m], about its frame's
+            origin, by axis; empty of all others.
     """
 
     link: str
@@ -70,10 +72,15 @@ class LinkChange:
     was: float
     loss: float
     confidence: Confidence
+    moment: Mapping[str, Quantity] = field(default_factory=dict)
 
     @property
     def sentence(self) -> str:
         """In words, with the 95 % interval."""
+        if self.moment:
+            changes = (f"{axis} by {q.value:.3g} ± {SURE * q.std:.2g} {q.unit}" for axis, q in self.moment.items())
+            by_mass = f"{self.mass.value:.2g} ± {SURE * self.mass.std:.2g} kg"
+            return f"link '{self.link}' has changed: first moment {', '.join(changes)} (mass by {by_mass})"
         less = "less" if self.mass.value < 0.0 else "more"
         size = f"{abs(self.mass.value):.3g} ± {SURE * self.mass.std:.2g} kg"
         return f"link '{self.link}' weighs {size} {less} than the {self.was:.3g} kg of the model"

@@ -96,7 +96,7 @@ class Judged:
 
         search = SimpleNamespace(
             design=SimpleNamespace(reached=lambda _: list(self.reached)),
-            prior=SimpleNamespace(certainty=self.certainty, terms=(), spread=0.2),
+            prior=SimpleNamespace(certainty=self.certainty, terms=(), link_spreads=np.array([0.2])),
             without=without,
             instead=instead,
             rivals=lambda *_: [

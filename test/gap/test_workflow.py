@@ -215,6 +215,28 @@ def test_of_a_payload_whose_mass_is_not_told_the_first_moment_is_said() -> None:
     assert any("m x 0.01" in sentence for sentence in in_short(result))
 
 
+@pytest.mark.parametrize("link", [1, 2])
+@pytest.mark.parametrize("seed", [61, 62])
+def test_a_link_that_has_become_lighter_is_told_as_that(link: int, seed: int) -> None:
+    """A body that is added behind the joint would explain it nearly as well."""
+    inertias = planted.true_inertias(seed, 0.2)
+    identifier = Identifier(planted.model())
+    identifier.add(planted.recording(planted.rigid(inertias), seed))
+    before = identifier.solve()
+    lighter = inertias.copy()
+    lighter[link] *= 0.7
+    robot = planted.rigid(lighter)
+    recordings = [planted.recording(robot, seed + 500)], [planted.recording(robot, seed + 1000, 15.0)]
+    result = find_gap(planted.model(), *recordings, nominal=before.parameters, known=before.information)
+    assert not result.findings
+    (change,) = result.links
+    assert (change.link, change.confidence) == (planted.model().body_names[link], "confident")
+    sizes = {"mass": change.mass} if not change.moment else change.moment
+    true = dict(zip(("mass", "m x", "m y", "m z"), lighter[link, :4] - inertias[link, :4], strict=True))
+    for name, size in sizes.items():
+        assert abs(size.value - true[name]) < 3.0 * size.std
+
+
 def test_a_gain_of_all_joints_is_no_payload() -> None:
     """Where it is known what the links weigh."""
     inertias = planted.true_inertias(51, 0.2)

@@ -80,6 +80,7 @@ def _link(change: LinkChange) -> dict[str, Any]:
         "joint": change.joint,
         "mass": quantity_entry(change.mass),
         "was": finite(change.was),
+        "moment": {name: quantity_entry(quantity) for name, quantity in change.moment.items()},
         "loss": finite(change.loss),
         "confidence": change.confidence,
         "sentence": change.sentence,

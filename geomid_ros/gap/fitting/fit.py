@@ -171,7 +171,7 @@ def _free_fit(
     afresh = start is None or set(bodies) != set(start.bodies)
     fixed = spread is not None
     inflation = 1.0 if fixed or start is None else start.inflation
-    spreads = np.full(first // 10, prior.spread if spread is None else spread)
+    spreads = np.full(first // 10, prior.link_spreads if spread is None else spread)
     if start is not None and not (fixed or afresh):
         spreads = start.spreads
     profile = Profile(manifold, products, counts, least, known)
@@ -199,7 +199,7 @@ def _free_fit(
     found = trusted.evaluate(point)
     hessian = found.information + np.diag(trusted.weights)
     score = 2.0 * found.value + _cost_of_spreads(hessian[:first, :first], spreads, prior)
-    score += priors.cost_of_inflation(rows, inflation)
+    score += priors.cost_of_inflation(rows, inflation) + prior.cost
     score += sum(c.penalty for c in chosen) * float(np.log(np.max(counts, initial=1.0)))
     return JointFit(
         chosen=tuple(chosen),
@@ -233,7 +233,7 @@ def unfitted(prior: Prior) -> JointFit:
         score=np.inf,
         squares=np.zeros(0),
         information=np.eye(size),
-        spreads=np.full(manifold.links, prior.spread),
+        spreads=prior.link_spreads,
         inflation=1.0,
     )
 
@@ -281,12 +281,12 @@ def _spreads(
     """MacKay's re-estimate: mean square of each link's errors, those that the data do not determine included."""
     unsure = np.diag(definite.inverse(hessian))[:first]
     errors = np.sum((manifold.log(known, point)[:first] ** 2 + unsure).reshape(-1, 10), axis=1)
-    return np.asarray(np.sqrt((errors + prior.certainty * prior.spread**2) / (10.0 + prior.certainty)))
+    return np.asarray(np.sqrt((errors + prior.certainty * prior.link_spreads**2) / (10.0 + prior.certainty)))
 
 
 def _cost_of_spreads(hessian: FloatArray, spreads: FloatArray, prior: Prior) -> float:
     """Of a ``hessian`` of the links: their volume, by Laplace's approximation, and the prior of the spreads."""
     _, volume = np.linalg.slogdet(hessian)
-    relative = spreads / prior.spread
+    relative = spreads / prior.link_spreads
     width = 20.0 * float(np.sum(np.log(spreads)))
     return float(volume) + width + prior.certainty * float(np.sum(relative**-2.0 + 2.0 * np.log(relative)))

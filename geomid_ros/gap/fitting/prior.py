@@ -5,12 +5,12 @@ Other recordings are those from which a model was identified before, beside the 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from geomid_ros.estimation.estimate import LinksInformation
-from geomid_ros.estimation.profile_objective import ProfileObjective
+from geomid_ros.estimation.profile_objective import ProfileObjective, StraightManifold
 from geomid_ros.gap.candidates import Term
 from geomid_ros.geometry import definite, pseudo_inertia
 from geomid_ros.geometry.manifold import ParameterManifold, Point
@@ -21,6 +21,7 @@ SPREAD_OF_PAYLOADS = 3.0
 _PAYLOAD_MASS = 0.2  # of the mean link's mass
 _PAYLOAD_SIZE = 0.1  # [m]
 _CENTRINGS = 5
+_SPREAD_OF_CHANGED = 0.5  # of a link that has been changed, a geodesic distance
 _CERTAINTY = 4.0
 """That they are as exact as they say counts as much as so many of their rows."""
 
@@ -35,6 +36,8 @@ class Prior:
         terms, values, spreads: the coefficients ``(k,)`` of the effects that the model already has.
         certainty: how many directions of a link's error the usual spread counts as much as.
         known: what other recordings say of the links.
+        changed_link: one that is another now than in the other recordings.
+        cost: minus twice the logarithm of what this makes of the other recordings' probability.
     """
 
     inertias: FloatArray
@@ -44,6 +47,29 @@ class Prior:
     spreads: FloatArray
     certainty: float
     known: LinksInformation | None = None
+    changed_link: int | None = None
+    cost: float = 0.0
+
+    @property
+    def link_spreads(self) -> FloatArray:
+        """The usual size of each link's error ``(links,)``."""
+        spreads = np.full(len(self.inertias) // 10, self.spread)
+        if self.changed_link is not None:
+            spreads[self.changed_link] = _SPREAD_OF_CHANGED
+        return spreads
+
+    def with_changed(self, link: int) -> Prior:
+        """The same of a robot of which a link has been changed since the other recordings: these say of the other links
+        what they say whatever that one was, whose error has the usual spread."""
+        if self.known is None:
+            return self
+        manifold, places = StraightManifold(len(self.inertias) // 10, 0, np.ones(0)), slice(10 * link, 10 * link + 10)
+        own = self.spread * manifold.whiten(manifold.point(self.inertias), self.known.rows)[:, places]
+        factor = np.linalg.cholesky(np.eye(len(own)) + own @ own.T)
+        rows, residuals = (np.linalg.solve(factor, each) for each in (self.known.rows, self.known.residuals))
+        rows[:, places] = 0.0
+        cost = 2.0 * float(np.sum(np.log(np.diag(factor))))
+        return replace(self, known=LinksInformation(rows, residuals), changed_link=link, cost=cost)
 
     def value(self, term: Term) -> float:
         """A coefficient as the model has it, 0 if it has none."""

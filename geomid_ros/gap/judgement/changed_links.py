@@ -27,7 +27,8 @@ _HELD = 0.1  # of the usual spread: so little a link may change to be as it was
 
 
 def changed_links(model: MeasurementModel, analysis: Analysis, unseen: HeldOut) -> tuple[LinkChange, ...]:
-    """The links whose mass has changed for sure, without payloads, the one that matters most first.
+    """The links whose mass has changed for sure, without payloads, the one that matters most first; and the one that
+    explains best what contradicts other recordings, if its first moment has.
 
     A change that another link can take over, as that of a link which hardly moves alone, is none.
     """
@@ -37,13 +38,17 @@ def changed_links(model: MeasurementModel, analysis: Analysis, unseen: HeldOut) 
 def _changes(model: MeasurementModel, analysis: Analysis, unseen: HeldOut) -> Iterator[LinkChange]:
     names, search = analysis.names, analysis.search
     covariance = scattered(search.design, names).covariance
-    nominal, stds = search.prior.inertias[::10], np.sqrt(np.diag(covariance))[: len(search.prior.inertias) : 10]
+    nominal, stds = search.prior.inertias.reshape(-1, 10), np.sqrt(np.diag(covariance))
     prior = _with_given_spreads(search.prior, names.inflation)
     left = bool(open_curves(analysis, unseen) or np.any(is_open(unseen)))
-    for link, (was, std) in enumerate(zip(nominal, stds, strict=True)):
-        change = float(names.inertias[link, 0] - was)
-        if abs(change) < max(_SURE * std, _LEAST * was):
-            continue
+    for link, was in enumerate(nominal):
+        change, std = names.inertias[link] - was, stds[10 * link : 10 * link + 10]
+        moment = {}
+        if abs(change[0]) < max(_SURE * std[0], _LEAST * was[0]):
+            if link != search.prior.changed_link or np.all(np.abs(change[1:4]) < _SURE * std[1:4]):
+                continue
+            sizes = zip("xyz", change[1:4].tolist(), std[1:4].tolist(), strict=True)
+            moment = {f"m {axis}": Quantity(size, unsure, "kg m") for axis, size, unsure in sizes}
         spreads = names.spreads.copy()
         spreads[link] = _HELD * search.prior.spread
         held, free = (fit(search.design, prior, names.chosen, names, each).score for each in (spreads, names.spreads))
@@ -52,21 +57,23 @@ def _changes(model: MeasurementModel, analysis: Analysis, unseen: HeldOut) -> It
             body = model.robot.bodies[model.identified[link]]
             # That the link has changed says nothing of its mass: its centre may have. Of realistic robots masses were
             # off by five and six of their deviations, which therefore count by half.
-            of_mass = 0.5 * (change / float(std)) ** 2
-            sure = of_mass > CONFIDENT_LOSS and (loss > CONFIDENT_BESIDE_UNEXPLAINED or not left)
+            told = range(1, 4) if moment else range(1)
+            of_size = 0.5 * max((change[k] / std[k]) ** 2 for k in told)
+            sure = of_size > CONFIDENT_LOSS and (loss > CONFIDENT_BESIDE_UNEXPLAINED or not left)
             # As no payload outweighs the robot, no link does: a spring, say, can pass for one that does not move.
-            sure = sure and was + change < np.sum(nominal)
+            sure = sure and was[0] + change[0] < np.sum(nominal[:, 0])
             # Where the model is a guess the link's centre and inertia may be wrong instead.
             guessed = left and not is_identified(analysis)
             doubt = _doubt(unseen, _with_mass_as_it_was(analysis, prior, link)) if guessed else 0.0
-            mass = Quantity(change, float(np.hypot(std, doubt * change)), "kg")
+            mass = Quantity(float(change[0]), float(np.hypot(std[0], doubt * change[0])), "kg")
             yield LinkChange(
                 link=body.name,
                 joint=model.places.name(AtJoint(body.joint - 1)) if body.joint > 0 else "",
                 mass=mass,
-                was=float(was),
+                was=float(was[0]),
                 loss=loss,
-                confidence="confident" if sure and abs(change) > _SURE * mass.std else "tentative",
+                confidence="confident" if sure and (moment or abs(mass.value) > _SURE * mass.std) else "tentative",
+                moment=moment,
             )
 
 

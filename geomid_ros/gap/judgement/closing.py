@@ -137,7 +137,7 @@ def without(analysis: Analysis, found: JointFit, candidate: Candidate) -> JointF
     search = analysis.search
     if candidate.payload is not None and is_identified(analysis):
         rest = [c for c in found.chosen if c is not candidate]
-        return fit(search.design, search.prior, rest, found, search.prior.spread)
+        return fit(search.design, search.prior, rest, found, search.prior.link_spreads)
     return search.unchanged(candidate).without(found, candidate)
 
 

@@ -13,10 +13,10 @@ from geomid_ros.gap.candidates import Candidate, CurveCandidate, CurveTerm, Effe
 from geomid_ros.gap.evidence.curves import Curves
 from geomid_ros.gap.evidence.noise import Autoregression, noise_by_repeats, runs_of
 from geomid_ros.gap.evidence.record import Records, TotalModel
-from geomid_ros.gap.fitting.fit import JointFit, unfitted
+from geomid_ros.gap.fitting.fit import JointFit, fit, unfitted
 from geomid_ros.gap.fitting.linearised_problem import LinearisedProblem, total_model
 from geomid_ros.gap.fitting.prior import Prior
-from geomid_ros.gap.search.beam_search import Search
+from geomid_ros.gap.search.beam_search import LEAST_GAIN, Search
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.types import BoolArray, FloatArray
 
@@ -61,26 +61,45 @@ class _Task:
 def analyse(
     model: MeasurementModel, records: Records, prior: Prior, progress: Callable[[str, float], None]
 ) -> Analysis:
-    """Find the set of names that explains the records best.
-
-    A link that is let go can take the place of a name, beside which the name brings nothing more. Then the search is
-    repeated with links that are held; what it finds is taken if it is the better, and the link need not be let go
-    beside it.
-    """
+    """Find the set of names that explains the records best, and what is to be thought of the links beside it."""
     situation = LinearisedProblem(model, records, total_model(model, unfitted(prior))).situation
     tried = library.candidates(model, [term for term in prior.terms if isinstance(term, EffectTerm)])
     task = _Task(model, records, tried, Curves(model, records, situation), progress)
-    analysis = _searched(task, prior)
+    return _with_changed_link(task, _with_held_links(task, _searched(task, prior, "searching")))
+
+
+def _with_held_links(task: _Task, analysis: Analysis) -> Analysis:
+    """An analysis, with names in whose places links were let go. Beside a link that is let go such a name brings
+    nothing more. So the search is repeated with links that are held; what it finds is fitted without holding them, and
+    taken if that is the better, and fewer links are let go beside it."""
     search, names = analysis.search, analysis.names
-    if not search.let_go(names):
+    if search.prior.certainty >= _CERTAINTY_OF_HELD or not search.let_go(names):
         return analysis
-    held = _searched(task, replace(prior, certainty=_CERTAINTY_OF_HELD))
-    instead = search.fit(held.names.chosen, held.names)
-    better = instead.score < names.score and search.let_go(instead) < search.let_go(names)
-    return held if better else analysis
+    held = _searched(task, replace(search.prior, certainty=_CERTAINTY_OF_HELD), "searching with links held").names
+    instead = search.fit(held.chosen, held)
+    if instead.score > names.score - LEAST_GAIN or not search.let_go(instead) < search.let_go(names):
+        return analysis
+    return replace(analysis, names=instead, whole=with_curves(search, instead))
 
 
-def _searched(task: _Task, prior: Prior) -> Analysis:
+def _with_changed_link(task: _Task, analysis: Analysis) -> Analysis:
+    """An analysis, or one of a robot of which a link has been changed since it was identified, if that is the better.
+    What contradicts other recordings loosens all links at once, or is told as a payload, which cannot be negative."""
+    search, names = analysis.search, analysis.names
+    if search.prior.known is None:
+        return analysis
+    rest = search.fit([c for c in names.chosen if not isinstance(c, Candidate) or c.payload is None], names)
+    priors = [search.prior.with_changed(link) for link in range(len(names.inertias))]
+    fits = [fit(search.design, prior, rest.chosen, rest) for prior in priors]
+    best = int(np.argmin([found.score for found in fits]))
+    if fits[best].score > rest.score - LEAST_GAIN:
+        return analysis
+    changed = _searched(task, priors[best], "searching with a link changed")
+    instead = fit(search.design, priors[best], changed.names.chosen, changed.names)
+    return changed if instead.score < names.score - LEAST_GAIN else analysis
+
+
+def _searched(task: _Task, prior: Prior, stage: str) -> Analysis:
     """Search and linearisation in turn, until the total model settles."""
     model, records, tried, curves = task.model, task.records, task.tried, task.curves
     total = total_model(model, unfitted(prior))
@@ -92,7 +111,7 @@ def _searched(task: _Task, prior: Prior) -> Analysis:
     floor: FloatArray | None = None
     before: JointFit | None = None
     for attempt in range(_ROUNDS):
-        task.progress("searching", attempt / _ROUNDS)
+        task.progress(stage, attempt / _ROUNDS)
         problem = LinearisedProblem(model, records, total_model(model, bare) if attempt == 0 else total, floor)
         columns = problem.columns(tried, prior.terms, curves)
         search = Search(problem.design(columns, noise), prior, tried, curves.candidates)
@@ -108,7 +127,7 @@ def _searched(task: _Task, prior: Prior) -> Analysis:
         floor = _typical_size(residual, problem.valid)
         noise = _noise(residual, problem.valid, records)
     names, whole = _with_and_without_curves(search, found)
-    task.progress("searching", 1.0)
+    task.progress(stage, 1.0)
     residual = problem.residual(columns, whole)
     repeats = noise_by_repeats(model, records)
     counts = search.design.counts

@@ -8,6 +8,7 @@ from typing import TypeAlias
 
 import numpy as np
 
+from geomid_ros.estimation.starting_point import USUAL_SPREAD_OF_LINKS
 from geomid_ros.gap.candidates import AnyCandidate, Candidate, CurveCandidate
 from geomid_ros.gap.evidence.design import Design
 from geomid_ros.gap.fitting.fit import JointFit, fit
@@ -27,7 +28,7 @@ _EXCHANGES = 4
 _MOST_EFFECTS = 40
 _UNCHANGED = 1e-3  # of its uncertainty: how much a coefficient may move that is as it was
 _PLAUSIBLE = 0.5  # of a name's loss: what the score test must promise of a rival that is tried in its place
-_LET_GO = 0.4  # geodesic distance: twice the usual error of a drawing
+_LET_GO = 2.0  # times the usual error of a link
 _NEEDED = 5.0 * LEAST_GAIN  # a name whose loss is larger, by a quadratic estimate, need not be tried to be left out
 
 
@@ -117,8 +118,9 @@ class Search:
         return bool(np.any(values[: candidate.positives] <= 0.0)) or candidate.effect.is_absurd(values)
 
     def let_go(self, found: JointFit) -> set[int]:
-        """The links of which a fit says that they are wrong by much more than drawings are."""
-        return set(np.flatnonzero(found.spreads > _LET_GO).tolist())
+        """The links of which a fit says that they are wrong by much more than usual, and than drawings are."""
+        usual = max(self.prior.spread, USUAL_SPREAD_OF_LINKS)
+        return set(np.flatnonzero(found.spreads > _LET_GO * usual).tolist())
 
     def _promising(self, current: JointFit, least: float, instead_of: AnyCandidate | None = None) -> list[Trial]:
         """The candidates that are worth an exact fit: those that the score test prefers, and payloads; none of which it
@@ -136,7 +138,7 @@ class Search:
         because the payload made all of them wrong, imitate it. So it is asked with the usual spread of the inertias."""
         key = frozenset(current.chosen)
         if key not in self._payload_trials:
-            firm = fit(self.design, self.prior, current.chosen, current, self.prior.spread)
+            firm = fit(self.design, self.prior, current.chosen, current, self.prior.link_spreads)
             trials = self.ranked(firm, [c for c in self.candidates if c.payload is not None])
             self._payload_trials[key] = [trial for trial in trials if trial.gain > 0.0][:_PAYLOADS]
         return self._payload_trials[key]

@@ -1,0 +1,52 @@
+"""What is known before, of a robot of which a link has been changed: against the marginal of a Gaussian."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.stats import multivariate_normal
+
+from geomid_ros.estimation.estimate import LinksInformation
+from geomid_ros.estimation.profile_objective import StraightManifold
+from geomid_ros.gap.fitting.prior import Prior
+
+from . import planted
+
+RANDOM = np.random.default_rng(11)
+KNOWN = LinksInformation(RANDOM.normal(scale=30.0, size=(12, 30)), RANDOM.normal(size=12))
+IDENTIFIED = replace(planted.prior(spread=0.05), certainty=100.0, known=KNOWN)
+
+
+def squares(prior: Prior, off: np.ndarray) -> float:
+    """Minus twice the logarithm of what other recordings say of links that are ``off`` the model, and of their cost."""
+    assert prior.known is not None
+    return float(np.sum((prior.known.residuals + prior.known.rows @ off) ** 2)) + prior.cost
+
+
+@pytest.mark.parametrize("link", range(3))
+def test_what_a_changed_link_was_is_marginalised(link: int) -> None:
+    """The residuals are those of unit variance and of the old link's error, of the usual spread, together."""
+    changed, places = IDENTIFIED.with_changed(link), slice(10 * link, 10 * link + 10)
+    manifold = StraightManifold(3, 0, np.ones(0))
+    jacobian = manifold.whiten(manifold.point(IDENTIFIED.inertias), np.eye(30))[places, places]
+    old = 0.05 * KNOWN.rows[:, places] @ jacobian
+    both = multivariate_normal(np.zeros(12), np.eye(12) + old @ old.T)
+    others = np.ones(30)
+    others[places] = 0.0
+    for scale in (0.0, 0.01, 0.1):
+        off = scale * RANDOM.normal(size=30)
+        logarithm = both.logpdf(KNOWN.residuals + KNOWN.rows @ (others * off))
+        expected = -2.0 * logarithm - 12.0 * np.log(2.0 * np.pi)
+        assert squares(changed, off) == pytest.approx(expected)
+
+
+def test_a_changed_link_may_be_any() -> None:
+    changed = IDENTIFIED.with_changed(1)
+    np.testing.assert_array_equal(IDENTIFIED.link_spreads, [0.05, 0.05, 0.05])
+    np.testing.assert_array_equal(changed.link_spreads, [0.05, 0.5, 0.05])
+    assert squares(changed, np.zeros(30)) == squares(changed, np.repeat([0.0, 1.0, 0.0], 10))
+
+
+def test_beside_no_other_recordings_no_link_has_been_changed_since() -> None:
+    alone = replace(IDENTIFIED, known=None)
+    assert alone.with_changed(1) is alone
