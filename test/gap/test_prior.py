@@ -8,9 +8,11 @@ from scipy.stats import multivariate_normal
 
 from geomid_ros.estimation.estimate import LinksInformation
 from geomid_ros.estimation.profile_objective import StraightManifold
+from geomid_ros.gap.fitting.fit import fit
 from geomid_ros.gap.fitting.prior import Prior
 
 from . import planted
+from .small import PRIOR, Recording, at
 
 RANDOM = np.random.default_rng(11)
 KNOWN = LinksInformation(RANDOM.normal(scale=30.0, size=(12, 30)), RANDOM.normal(size=12))
@@ -45,6 +47,12 @@ def test_a_changed_link_may_be_any() -> None:
     np.testing.assert_array_equal(IDENTIFIED.link_spreads, [0.05, 0.05, 0.05])
     np.testing.assert_array_equal(changed.link_spreads, [0.05, 0.5, 0.05])
     assert squares(changed, np.zeros(30)) == squares(changed, np.repeat([0.0, 1.0, 0.0], 10))
+
+
+def test_what_a_changed_link_costs_counts_in_the_score() -> None:
+    design = Recording(3, [at("viscous_friction", 0)]).design({})
+    free, costly = (fit(design, replace(PRIOR, cost=cost), []).score for cost in (0.0, 7.0))
+    assert costly - free == pytest.approx(7.0)
 
 
 def test_beside_no_other_recordings_no_link_has_been_changed_since() -> None:

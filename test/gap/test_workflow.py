@@ -49,6 +49,7 @@ def test_inertial_errors_alone_are_no_finding(seed: int) -> None:
     assert result.verdict == "no gap"
     assert not result.findings
     assert not result.unexplained
+    assert not [change for change in result.links if change.moment], "nothing says that one link has been changed"
     assert np.max(result.gap.before) > 1.5
     np.testing.assert_allclose(result.floor, planted.NOISE, rtol=0.15)
 
