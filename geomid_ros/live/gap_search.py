@@ -14,6 +14,7 @@ from geomid_ros.files.models.judgements import causes_entry
 from geomid_ros.gap.result import GapResult
 from geomid_ros.plausibility.hypotheses import Finding
 from geomid_ros.report.gap_words import verdict_sentence
+from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.recordings import Progress
 from geomid_ros.session.session import Session
 from geomid_ros.signals.messages import Accepted
@@ -61,20 +62,19 @@ def look_for_gap(
     Raises:
         InputError: too little was measured.
     """
-    from geomid_ros.session.gap import find_in_messages  # noqa: PLC0415 a third of a node's start, which few ever need
+    # A third of a node's start, which few ever need.
+    from geomid_ros.session.gap import find_in_messages, gap_session  # noqa: PLC0415
 
-    own = _session(session, before)
+    with TemporaryDirectory(prefix="geomid_") as folder:
+        own = gap_session(session.urdf, _configuration(session, before, Path(folder)), "robot_description")
     result = find_in_messages(own, messages, progress)
     compared = "" if before is None else f"{COMPARED}, of {before.rows_accepted} rows"
     return FoundGap(result, own.findings, own.warnings(), session.notes, compared)
 
 
-def _session(session: Session, before: Estimate | None) -> Session:
-    from geomid_ros.session.gap import gap_session  # noqa: PLC0415 as above
-
-    configuration, source = session.configuration, "robot_description"
+def _configuration(session: Session, before: Estimate | None, folder: Path) -> Configuration:
+    """That of the node, with what it had identified ``before`` as the model, which is saved in a ``folder``."""
     if before is None:
-        return gap_session(session.urdf, configuration, source)
-    with TemporaryDirectory(prefix="geomid_") as folder:
-        model, *_ = session.save(Path(folder), before)
-        return gap_session(session.urdf, configuration.with_values({"model": str(model)}), source)
+        return session.configuration
+    model, *_ = session.save(folder, before)
+    return session.configuration.with_values({"model": str(model)})

@@ -19,6 +19,7 @@ from geomid_ros.gap.search.analysis import Analysis
 from geomid_ros.model.effects import Quantity
 from geomid_ros.model.effects.places import AtJoint
 from geomid_ros.model.measurement import MeasurementModel
+from geomid_ros.types import FloatArray
 
 _SURE = 3.0  # standard deviations
 _LEAST = 0.05  # of the mass
@@ -43,12 +44,11 @@ def _changes(model: MeasurementModel, analysis: Analysis, unseen: HeldOut) -> It
     left = bool(open_curves(analysis, unseen) or np.any(is_open(unseen)))
     for link, was in enumerate(nominal):
         change, std = names.inertias[link] - was, stds[10 * link : 10 * link + 10]
-        moment = {}
+        moment: dict[str, Quantity] = {}
         if abs(change[0]) < max(_SURE * std[0], _LEAST * was[0]):
             if link != search.prior.changed_link or np.all(np.abs(change[1:4]) < _SURE * std[1:4]):
                 continue
-            sizes = zip("xyz", change[1:4].tolist(), std[1:4].tolist(), strict=True)
-            moment = {f"m {axis}": Quantity(size, unsure, "kg m") for axis, size, unsure in sizes}
+            moment = _first_moment(change, std)
         spreads = names.spreads.copy()
         spreads[link] = _HELD * search.prior.spread
         held, free = (fit(search.design, prior, names.chosen, names, each).score for each in (spreads, names.spreads))
@@ -75,6 +75,12 @@ def _changes(model: MeasurementModel, analysis: Analysis, unseen: HeldOut) -> It
                 confidence="confident" if sure and (moment or abs(mass.value) > _SURE * mass.std) else "tentative",
                 moment=moment,
             )
+
+
+def _first_moment(change: FloatArray, std: FloatArray) -> dict[str, Quantity]:
+    """That of a change of parameters ``(10,)``, by axis."""
+    sizes = zip("xyz", change[1:4].tolist(), std[1:4].tolist(), strict=True)
+    return {f"m {axis}": Quantity(size, unsure, "kg m") for axis, size, unsure in sizes}
 
 
 def _doubt(unseen: HeldOut, as_it_was: JointFit) -> float:
