@@ -63,9 +63,13 @@ def nothing(position: FloatArray, *_: FloatArray) -> FloatArray:
     return np.zeros_like(position)
 
 
-def recording(added: Added = nothing, *, noise: float = 1.0, duration: float = 20.0, seed: int = 1) -> Samples:
-    """Samples of the arm; ``noise`` in units of ``FLOOR``."""
+def recording(
+    added: Added = nothing, *, noise: float = 1.0, duration: float = 20.0, seed: int = 1, moves: bool = True
+) -> Samples:
+    """Samples of the arm; ``noise`` in units of ``FLOOR``. One that does not move stands where a motion begins."""
     position, velocity, acceleration = motion(duration, seed)
+    if not moves:
+        position, velocity, acceleration = np.tile(position[:1], (len(position), 1)), 0.0 * velocity, 0.0 * acceleration
     count = len(position)
     empty = np.zeros((count, 0))
     stamps = 10**12 + round(1e9 * PERIOD) * np.arange(count)

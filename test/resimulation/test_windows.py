@@ -103,6 +103,17 @@ def test_effects_of_a_joint_close_the_gap(tmp_path: Path, name: str) -> None:
     assert max(found.after.values()) < 1.0 + SCATTER
 
 
+def test_friction_that_samples_show_less_of_at_rest_holds_a_joint(tmp_path: Path) -> None:
+    """At rest it may have either sign, so that samples tell of less than there is: an excess below zero."""
+    only_second = np.array([0.0, 1.0, 0.0])
+    moving = recording(lambda q, v, a: only_second * coulomb(q, v, a))
+    resting = recording(lambda q, *_: only_second * np.full_like(q, 0.3), moves=False)
+    known = effect("stribeck_friction", "joint2", level=0.5, excess=-0.5, speed=0.03)
+    found = simulated(files(tmp_path, "before"), files(tmp_path, "after", [known]), moving, resting)
+    assert found.before["joint2"] > 3.0
+    assert max(found.after.values()) < 1.0 + SCATTER
+
+
 def test_friction_by_load_closes_the_gap(tmp_path: Path) -> None:
     """The friction is c times what the gear passes on, which is the rest of the effort."""
     smooth = recording(noise=0.0)

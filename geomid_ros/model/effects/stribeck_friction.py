@@ -100,10 +100,14 @@ class StribeckFriction(JointEffect):
 
     @classmethod
     def holding_friction(cls, values: Values) -> float:
-        """All of the excess holds a joint at rest."""
-        return values["excess"]
+        """All of an excess holds a joint at rest.
+
+        One below zero takes off nothing: it says that friction at rest, which may have either sign, is smaller on
+        average. A simulated joint at rest is held by what is needed, too.
+        """
+        return max(values["excess"], 0.0)
 
     def unsaid_efforts(self, values: Values, motion: Motion, place: Place) -> FloatArray:
-        """What the motion takes off the excess, which :meth:`holding_friction` counts as friction."""
-        full = values["excess"] * CoulombFriction(self.smoothing).efforts(motion, place)
+        """What the motion takes off :meth:`holding_friction`."""
+        full = self.holding_friction(values) * CoulombFriction(self.smoothing).efforts(motion, place)
         return full * np.expm1(-((motion.velocity / self.speed) ** 2))
