@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from geomid_ros.estimation.estimate import SURE
 from geomid_ros.gap.candidates import AnyCandidate, Candidate
 from geomid_ros.gap.fitting.fit import JointFit
 from geomid_ros.gap.judgement import naming
@@ -25,7 +26,7 @@ def as_unsure(
         # One to one with the efforts' gains: if these had not changed, it would be lighter or heavier by as much.
         gain = _largest_change_of_gain(analysis.names)
         return {name: _unsure_by(q, gain * q.value) if q.unit.startswith("kg") else q for name, q in parameters.items()}
-    return _over(model, analysis, _richer(analysis, candidate), parameters, load)
+    return _over(parameters, _of_richer(model, analysis, candidate, load))
 
 
 def as_unsure_beside_others(
@@ -35,7 +36,8 @@ def as_unsure_beside_others(
     another size of it: that is no doubt that there is something."""
     if candidate.payload is not None:
         return parameters
-    return _over(model, analysis, _as_likely(analysis, candidate), parameters, load)
+    fits = (scattered(analysis.search.design, found) for found in _as_likely(analysis, candidate))
+    return _over(parameters, (naming.parameters(model, found, candidate, usual_load=load) for found in fits))
 
 
 def as_unsure_beside_remainder(
@@ -53,17 +55,16 @@ def as_unsure_beside_remainder(
     return parameters | {name: wider(name) for name in sizes}
 
 
-def _over(
-    model: MeasurementModel,
-    analysis: Analysis,
-    alternatives: Iterable[tuple[JointFit, Candidate]],
-    parameters: dict[str, Quantity],
-    load: float,
-) -> dict[str, Quantity]:
+def may_be_as_before(candidate: Candidate, parameters: dict[str, Quantity], was: Values) -> bool:
+    """Whether the 95 % intervals of all sizes hold what these were, or nothing: no sure name says so."""
+    sizes, nothing = candidate.effect.sizes(parameters), candidate.effect.nothing
+    return all(abs(size.value - was.get(name, nothing)) <= SURE * size.std for name, size in sizes.items())
+
+
+def _over(parameters: dict[str, Quantity], others: Iterable[dict[str, Quantity]]) -> dict[str, Quantity]:
     """Parameters whose deviations reach those of other fits."""
     wider = dict(parameters)
-    for found, own in alternatives:
-        other = naming.parameters(model, scattered(analysis.search.design, found), own, usual_load=load)
+    for other in others:
         for name in wider.keys() & other.keys():
             off = wider[name].value - other[name].value
             wider[name] = replace(wider[name], std=max(wider[name].std, float(np.hypot(off, other[name].std))))
@@ -82,18 +83,26 @@ def _largest_change_of_gain(names: JointFit) -> float:
     return max((abs(float(gain) - 1.0) for gain in gains), default=0.0)
 
 
-def _richer(analysis: Analysis, candidate: Candidate) -> Iterator[tuple[JointFit, Candidate]]:
-    """Fits with a name that contains this one in its place. That it was not needed does not make it false: of Coulomb
-    friction the level depends on how much more there is near standstill."""
+def _of_richer(
+    model: MeasurementModel, analysis: Analysis, candidate: Candidate, load: float
+) -> Iterator[dict[str, Quantity]]:
+    """The parameters in fits with a name that contains this one in its place. That it was not needed does not make it
+    false: of Coulomb friction the level depends on how much more there is near standstill."""
     search, names = analysis.search, analysis.names
     rest = search.without(names, candidate)
     richer = [c for c in search.candidates if c.effect.contains == candidate.name and c.place == candidate.place]
+    is_known = set(candidate.terms) <= set(search.prior.terms)
     for trial in search.ranked(rest, richer):  # of whichever sign: an interval has two sides
         if isinstance(own := trial.candidate, Candidate):
-            yield search.fit([*rest.chosen, own], names), own
+            found = scattered(search.design, search.fit([*rest.chosen, own], names))
+            other = naming.parameters(model, found, own, usual_load=load)
+            if is_known and not set(candidate.terms) <= set(own.terms):  # it comes on top of what the model has
+                had = naming.parameters(model, found, candidate, usual_load=load)
+                other = {name: other[name].plus(had[name]) for name in had.keys() & other.keys()}
+            yield other
 
 
-def _as_likely(analysis: Analysis, candidate: Candidate) -> Iterator[tuple[JointFit, Candidate]]:
+def _as_likely(analysis: Analysis, candidate: Candidate) -> Iterator[JointFit]:
     """Fits that are about as likely, with a rival in the place of another name at the same joint, or with a name more.
     Quadratic friction often fits as well as viscous friction, and leaves another level of Coulomb friction."""
     search, names, joints = analysis.search, analysis.names, set(joints_of(candidate.place))
@@ -107,4 +116,4 @@ def _as_likely(analysis: Analysis, candidate: Candidate) -> Iterator[tuple[Joint
     beside = [search.fit([*names.chosen, more], names) for more in promising if is_near(more)]
     for found in (*instead, *beside):
         if search.possible(found) and found.score < names.score + LEAST_GAIN:
-            yield found, candidate
+            yield found

@@ -13,7 +13,12 @@ from geomid_ros.gap.judgement.closing import CONFIDENT_RIVAL, Closing, is_open, 
 from geomid_ros.gap.judgement.confidence import Evidence, moves_one_way
 from geomid_ros.gap.judgement.held_out import HeldOut
 from geomid_ros.gap.judgement.locate import strongest
-from geomid_ros.gap.judgement.unsure import as_unsure, as_unsure_beside_others, as_unsure_beside_remainder
+from geomid_ros.gap.judgement.unsure import (
+    as_unsure,
+    as_unsure_beside_others,
+    as_unsure_beside_remainder,
+    may_be_as_before,
+)
 from geomid_ros.gap.result import Finding, Ranked, Rival, Unexplained, Verdict
 from geomid_ros.gap.search.analysis import Analysis
 from geomid_ros.gap.search.beam_search import LEAST_GAIN, Search
@@ -51,6 +56,8 @@ def _finding(
     confidence = evidence.confidence(parameters)
     parameters = as_unsure_beside_others(model, analysis, candidate, parameters, load)
     parameters = as_unsure_beside_remainder(candidate, parameters, was, evidence.closing.doubt)
+    if confidence == "confident" and may_be_as_before(candidate, parameters, was):
+        confidence = "tentative"
     return Finding(
         effect=candidate.name,
         joint=joint,
