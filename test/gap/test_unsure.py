@@ -1,5 +1,6 @@
 """Sizes are as unsure as what else may be true leaves them."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -11,6 +12,7 @@ from geomid_ros.gap.candidates import Candidate, EffectTerm
 from geomid_ros.gap.judgement import naming, unsure
 from geomid_ros.gap.search.beam_search import Search
 from geomid_ros.model.effects import EFFECTS, AtJoint, Quantity
+from geomid_ros.model.effects.coulomb_friction import CoulombFriction
 
 from . import planted, small
 
@@ -47,6 +49,23 @@ def test_a_level_is_as_unsure_as_the_excess_near_standstill_that_was_not_told(se
 def test_what_a_motion_tells_apart_stays_sure(seed: int) -> None:
     own, whole = level(seed, 0.02, alike=False)
     assert own.std <= whole.std < 1.6 * own.std
+
+
+@pytest.mark.parametrize("had", [CoulombFriction(0.05), LEVEL], ids=["on top", "in its place"])
+@pytest.mark.parametrize("seed", range(3))
+def test_another_name_counts_with_what_the_model_has_beside_it(seed: int, had: CoulombFriction) -> None:
+    """Friction of 3 N m has become 4, which may be larger near standstill: as a whole, or what is on top of the 3."""
+    term = EffectTerm(had, PLACE)
+    more = Candidate(had, PLACE, (term,), 1.0)
+    recording = small.Recording(seed, [more, RICHER])
+    recording.columns[term] = recording.columns[RICHER.terms[0]]
+    prior = replace(small.PRIOR, terms=(term,), values=np.array([3.0]), spreads=np.array([0.01]))
+    search = Search(recording.design({term: 4.0}), prior, [more, RICHER])
+    analysis: Any = SimpleNamespace(search=search, names=search.fit([more]))
+    own = naming.parameters(MODEL, analysis.names, more)
+    whole = unsure.as_unsure(MODEL, analysis, more, own, 0.0)["level"]
+    assert abs(whole.value - 4.0) < 3.0 * whole.std
+    assert own["level"].std <= whole.std < 0.05
 
 
 OFFSET, VISCOUS, ROTOR = (small.at(name, 0) for name in ("effort_offset", "viscous_friction", "rotor_inertia"))
@@ -139,3 +158,25 @@ def test_a_size_is_as_unsure_as_what_has_no_name_leaves_it(
     wider = unsure.as_unsure_beside_remainder(candidate, own, was, 0.2)
     assert {name: quantity.value for name, quantity in wider.items()} == {n: q.value for n, q in own.items()}
     assert {name: quantity.std for name, quantity in wider.items() if quantity != own[name]} == pytest.approx(expected)
+
+
+@pytest.mark.parametrize(
+    ("effect", "was", "sizes", "expected"),
+    [
+        ("viscous_friction", {}, {"coefficient": (0.5, 0.24, "N m s/rad")}, False),
+        ("viscous_friction", {}, {"coefficient": (0.5, 0.26, "N m s/rad")}, True),
+        ("viscous_friction", {"coefficient": 1.0}, {"coefficient": (0.5, 0.24, "N m s/rad")}, False),
+        ("viscous_friction", {"coefficient": 1.0}, {"coefficient": (0.5, 0.26, "N m s/rad")}, True),
+        ("effort_gain", {}, {"gain": (1.04, 0.03, "-")}, True),
+        ("effort_gain", {}, {"gain": (1.04, 0.01, "-")}, False),
+        ("coulomb_friction", {}, {"level": (0.5, 0.3, "N m"), "smoothing": (0.02, 0.001, "rad/s")}, True),
+        ("gravity_tilt", {}, {"tilt_x": (0.1, 0.3, "rad"), "tilt_y": (0.3, 0.1, "rad")}, False),
+    ],
+)
+def test_an_interval_may_hold_what_was_before(
+    effect: str, was: dict[str, float], sizes: dict[str, tuple[float, float, str]], expected: bool
+) -> None:
+    """That of every size has to, constants apart."""
+    candidate = next(c for c in library.candidates(MODEL) if c.name == effect)
+    own = {name: Quantity(*size) for name, size in sizes.items()}
+    assert unsure.may_be_as_before(candidate, own, was) is expected

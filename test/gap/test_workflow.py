@@ -1,6 +1,7 @@
 """The whole workflow on planted robots, and what it refuses."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -10,9 +11,10 @@ from scipy.signal import lfilter
 
 from geomid_ros.errors import InputError
 from geomid_ros.estimation.identifier import Identifier
-from geomid_ros.gap.judgement import changed_links
+from geomid_ros.gap.judgement import changed_links, verdict
 from geomid_ros.gap.result import GapResult
 from geomid_ros.gap.workflow import find_gap
+from geomid_ros.model.effects import Quantity
 from geomid_ros.model.effects.stribeck_friction import StribeckFriction
 from geomid_ros.model.effects.viscous_friction import ViscousFriction
 from geomid_ros.model.measurement import MeasurementModel
@@ -122,6 +124,21 @@ def test_a_planted_effect_is_named(effect: str, joint: int) -> None:
     assert result.verdict == "named"
     assert np.max(result.gap.inertias_only) > 2.0
     assert np.max(result.gap.after) < 1.2
+
+
+@pytest.mark.parametrize(("std", "expected"), [(0.19, "confident"), (0.22, "tentative")])
+def test_no_name_is_sure_whose_interval_holds_nothing(
+    monkeypatch: pytest.MonkeyPatch, std: float, expected: str
+) -> None:
+    """However it comes to be so wide."""
+
+    def wider(_: object, parameters: dict[str, Quantity], *__: object) -> dict[str, Quantity]:
+        return {name: replace(quantity, std=std) for name, quantity in parameters.items()}
+
+    monkeypatch.setattr(verdict, "as_unsure_beside_remainder", wider)
+    (finding,) = run(beside(20, PLANTED["viscous_friction"], 0), 20).findings
+    assert finding.confidence == expected
+    assert finding.sentence.startswith("Perhaps") is (expected == "tentative")
 
 
 def test_what_the_library_does_not_know_is_not_named() -> None:
