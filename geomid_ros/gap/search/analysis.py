@@ -21,6 +21,7 @@ from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.types import BoolArray, FloatArray
 
 _ROUNDS = 6
+_REFITS = 3  # more, without a search: what the last one has left out was linearised along
 _SETTLED = 0.5  # standard deviations
 _MOST_CURVES = 4
 _TOLD_BY_ROWS = 0.25  # directions for each row, which leaves most of the noise as it is
@@ -110,17 +111,17 @@ def _searched(task: _Task, prior: Prior, stage: str) -> Analysis:
     noise = _flexible_noise(problem, columns, bare, problem.valid)
     floor: FloatArray | None = None
     before: JointFit | None = None
-    for attempt in range(_ROUNDS):
-        task.progress(stage, attempt / _ROUNDS)
+    for attempt in range(_ROUNDS + _REFITS):
+        task.progress(stage, min(1.0, attempt / _ROUNDS))
         problem = LinearisedProblem(model, records, total_model(model, bare) if attempt == 0 else total, floor)
         columns = problem.columns(tried, prior.terms, curves)
         search = Search(problem.design(columns, noise), prior, tried, curves.candidates)
         found = search.without_absurd(search.fit(before.chosen if before else ()))
         final = attempt == _ROUNDS - 1
-        if final or _near(total_model(model, found), total):
+        if final or (attempt < _ROUNDS and _near(total_model(model, found), total)):
             found = search.without_absurd(search.settle(search.prune(found), to_the_end=final))
         total = total_model(model, found)
-        if final or _same(before, found):
+        if _same(before, found):
             break
         before = found
         residual = problem.residual(columns, found)
