@@ -13,6 +13,7 @@ from geomid_ros.errors import InputError
 from geomid_ros.estimation.identifier import Identifier
 from geomid_ros.gap.judgement import changed_links, verdict
 from geomid_ros.gap.result import GapResult
+from geomid_ros.gap.search import analysis
 from geomid_ros.gap.workflow import find_gap
 from geomid_ros.model.effects import Quantity
 from geomid_ros.model.effects.stribeck_friction import StribeckFriction
@@ -447,6 +448,21 @@ def test_friction_that_follows_reversals_late_is_no_delay(delay: float) -> None:
     result = find_gap(planted.model(), [planted.recording(efforts, 81)], [planted.recording(efforts, 1081, 15.0)])
     found = [f.parameters["delay"].value for f in result.findings if f.effect == "effort_delay"]
     assert np.allclose(found, [delay] if delay else [], atol=2e-3), found
+
+
+def test_a_search_that_does_not_settle_ends_along_what_it_found(monkeypatch: pytest.MonkeyPatch) -> None:
+    """One round finds a delay to first order only."""
+    monkeypatch.setattr(analysis, "_ROUNDS", 1)
+    robot = planted.rigid(planted.true_inertias(82, 0.05))
+
+    def efforts(q: FloatArray, v: FloatArray, a: FloatArray) -> FloatArray:
+        times = np.arange(len(q)) / planted.RATE
+        return np.asarray(CubicSpline(times, robot(q, v, a))(times - 0.03))
+
+    result = find_gap(planted.model(), [planted.recording(efforts, 82)], [planted.recording(efforts, 1082, 15.0)])
+    (finding,) = result.findings
+    assert finding.parameters["delay"].value == pytest.approx(0.03, rel=0.01)
+    assert np.max(result.gap.after) < 1.2
 
 
 @pytest.mark.parametrize("seed", [21, 22])

@@ -124,9 +124,10 @@ def _searched(task: _Task, prior: Prior, stage: str) -> Analysis:
         if _same(before, found):
             break
         before = found
-        residual = problem.residual(columns, found)
-        floor = _typical_size(residual, problem.valid)
-        noise = _noise(residual, problem.valid, records)
+        if attempt < _ROUNDS - 1:
+            residual = problem.residual(columns, found)
+            floor = _typical_size(residual, problem.valid)
+            noise = _noise(residual, problem.valid, records)
     names, whole = _with_and_without_curves(search, found)
     task.progress(stage, 1.0)
     residual = problem.residual(columns, whole)
