@@ -210,3 +210,30 @@ def test_the_first_noise_is_that_of_what_was_measured_however_many_columns_there
     found = analysis._flexible_noise(problem, everywhere, bare, np.ones(noise.shape, dtype=bool))
     assert 0.45 < np.mean([process.predictors[1][0] for process in found if process.order]) < 0.9
     assert 0.5 < np.mean([process.variances[-1] for process in found]) < 2.0
+
+
+@pytest.mark.parametrize(("second", "expected"), [((9.0, 5.0), 2), ((5.0, 9.0), 1), ((99.0, 95.0), None)])
+def test_each_link_that_may_have_been_changed_is_searched_with(
+    monkeypatch: pytest.MonkeyPatch, second: tuple[float, float], expected: int | None
+) -> None:
+    """Not that alone which explains best what contradicts other recordings before the names are searched anew."""
+    first = {0: 60.0, 1: 10.0, 2: 20.0, 3: 23.0}
+    ends = dict(zip((1, 2), second, strict=True))
+    rest = SimpleNamespace(score=200.0, chosen=("before",))
+    names = SimpleNamespace(score=100.0, chosen=(), inertias=np.zeros((4, 10)))
+    prior = SimpleNamespace(known="others", with_changed=lambda link: link)
+    found: Any = SimpleNamespace(
+        search=SimpleNamespace(prior=prior, design=None, fit=lambda *_: rest), names=names, link=None
+    )
+
+    def fit(_design: None, link: int, chosen: tuple[str, ...], _start: object) -> SimpleNamespace:
+        return SimpleNamespace(score=(first if chosen == rest.chosen else ends)[link])
+
+    def searched(_task: None, link: int, _stage: str) -> SimpleNamespace:
+        return SimpleNamespace(names=SimpleNamespace(chosen=("after",)), link=link)
+
+    monkeypatch.setattr(analysis, "fit", fit)
+    monkeypatch.setattr(analysis, "_searched", searched)
+    task: Any = None
+    changed: Any = analysis._with_changed_link(task, found)
+    assert changed.link == expected

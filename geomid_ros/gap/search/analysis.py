@@ -91,13 +91,17 @@ def _with_changed_link(task: _Task, analysis: Analysis) -> Analysis:
         return analysis
     rest = search.fit([c for c in names.chosen if not isinstance(c, Candidate) or c.payload is None], names)
     priors = [search.prior.with_changed(link) for link in range(len(names.inertias))]
-    fits = [fit(search.design, prior, rest.chosen, rest) for prior in priors]
-    best = int(np.argmin([found.score for found in fits]))
-    if fits[best].score > rest.score - LEAST_GAIN:
+    scores = [fit(search.design, prior, rest.chosen, rest).score for prior in priors]
+    if min(scores) > rest.score - LEAST_GAIN:
         return analysis
-    changed = _searched(task, priors[best], "searching with a link changed")
-    instead = fit(search.design, priors[best], changed.names.chosen, changed.names)
-    return changed if instead.score < names.score - LEAST_GAIN else analysis
+
+    def with_changed(prior: Prior) -> tuple[float, Analysis]:
+        changed = _searched(task, prior, "searching with a link changed")
+        return fit(search.design, prior, changed.names.chosen, changed.names).score, changed
+
+    likely = [prior for prior, score in zip(priors, scores, strict=True) if score < min(scores) + LEAST_GAIN]
+    score, changed = min(map(with_changed, likely), key=lambda found: found[0])
+    return changed if score < names.score - LEAST_GAIN else analysis
 
 
 def _searched(task: _Task, prior: Prior, stage: str) -> Analysis:
