@@ -277,6 +277,13 @@ def test_a_name_that_dominates_is_not_judged_beside_a_curve_by_which_its_size_va
     assert replace(evidence, loss=5.0 if beside else 1000.0).confidence(SIZE) == expected
 
 
+@pytest.mark.parametrize("name", ["coulomb_friction", "spring"])
+def test_of_other_names_than_dry_friction_no_curve_says_that_their_size_varies(name: str) -> None:
+    evidence = replace(SURE, name=named(name)).evidence
+    assert evidence.closing.dominates
+    assert evidence.closing.is_varied_by(replace(curve(1), dry=True)) is (name == "coulomb_friction")
+
+
 def test_a_name_that_closes_little_does_not_dominate_where_nothing_is_left() -> None:
     """Eight times the share of a channel that still counts as closed, ``1.15^2 - 1``, are 2.58."""
     assert not replace(SURE, unnamed=(1.0, 1.88, 1.0)).evidence.closing.dominates

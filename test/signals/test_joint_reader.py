@@ -120,6 +120,12 @@ def test_without_velocities_positions_tell_whether_the_robot_moves(step: float, 
         read(own, again)
 
 
+def test_without_velocities_a_robot_that_has_never_moved_stands_still() -> None:
+    own = reader()
+    for count in range(3):
+        read(own, message(0, position=(0.3, 0.2), velocity=(), stamp=START + count * STEP))
+
+
 def test_one_number_that_changes_is_enough() -> None:
     own = reader()
     read(own, message(0))
