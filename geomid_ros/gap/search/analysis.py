@@ -21,7 +21,7 @@ from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.types import BoolArray, FloatArray
 
 _ROUNDS = 6
-_REFITS = 3  # more, without a search: what the last one has left out was linearised along
+_REFITS = 3  # more rounds, without a search
 _SETTLED = 0.5  # standard deviations
 _MOST_CURVES = 4
 _TOLD_BY_ROWS = 0.25  # directions for each row, which leaves most of the noise as it is
@@ -85,7 +85,8 @@ def _with_held_links(task: _Task, analysis: Analysis) -> Analysis:
 
 def _with_changed_link(task: _Task, analysis: Analysis) -> Analysis:
     """An analysis, or one of a robot of which a link has been changed since it was identified, if that is the better.
-    What contradicts other recordings loosens all links at once, or is told as a payload, which cannot be negative."""
+    What contradicts other recordings loosens all links at once, or is told as a payload, which cannot be negative. Of
+    links that explain it about as well each is tried."""
     search, names = analysis.search, analysis.names
     if search.prior.known is None:
         return analysis
@@ -105,37 +106,13 @@ def _with_changed_link(task: _Task, analysis: Analysis) -> Analysis:
 
 
 def _searched(task: _Task, prior: Prior, stage: str) -> Analysis:
-    """Search and linearisation in turn, until the total model settles."""
-    model, records, tried, curves = task.model, task.records, task.tried, task.curves
-    total = total_model(model, unfitted(prior))
-    problem = LinearisedProblem(model, records, total)
-    columns = problem.columns(tried, prior.terms, curves)
-    noise = (Autoregression.white(),) * len(model.channels)
-    bare = Search(problem.design(columns, noise), prior, tried).fit([])
-    noise = _flexible_noise(problem, columns, bare, problem.valid)
-    floor: FloatArray | None = None
-    before: JointFit | None = None
-    for attempt in range(_ROUNDS + _REFITS):
-        task.progress(stage, min(1.0, attempt / _ROUNDS))
-        problem = LinearisedProblem(model, records, total_model(model, bare) if attempt == 0 else total, floor)
-        columns = problem.columns(tried, prior.terms, curves)
-        search = Search(problem.design(columns, noise), prior, tried, curves.candidates)
-        found = search.without_absurd(search.fit(before.chosen if before else ()))
-        final = attempt == _ROUNDS - 1
-        if final or (attempt < _ROUNDS and _near(total_model(model, found), total)):
-            found = search.without_absurd(search.settle(search.prune(found), to_the_end=final))
-        total = total_model(model, found)
-        if _same(before, found):
-            break
-        before = found
-        if attempt < _ROUNDS - 1:
-            residual = problem.residual(columns, found)
-            floor = _typical_size(residual, problem.valid)
-            noise = _noise(residual, problem.valid, records)
-    names, whole = _with_and_without_curves(search, found)
+    """The names beside which the total model settles, with curves for what they leave."""
+    last = _last_round(task, prior, stage)
+    problem, search = last.problem, last.search
+    names, whole = _with_and_without_curves(search, last.found)
     task.progress(stage, 1.0)
-    residual = problem.residual(columns, whole)
-    repeats = noise_by_repeats(model, records)
+    residual = problem.residual(last.columns, whole)
+    repeats = noise_by_repeats(task.model, task.records)
     counts = search.design.counts
     rows = np.where(counts > 0.0, counts, np.nan)
     freedom = np.maximum(rows - whole.parameters_by_channel(search.design), 1.0) / rows
@@ -146,8 +123,52 @@ def _searched(task: _Task, prior: Prior, stage: str) -> Analysis:
         names=names,
         whole=whole,
         floor=repeats.floor(_root_mean_square(residual, problem.valid) / np.sqrt(freedom)),
-        curves=curves,
+        curves=task.curves,
     )
+
+
+@dataclass(frozen=True, eq=False)
+class _Round:
+    """A ``problem`` linearised at what the round before had found, with its ``columns``, the ``search`` for its noise,
+    and what it ``found``."""
+
+    problem: LinearisedProblem
+    columns: Columns
+    search: Search
+    found: JointFit
+
+
+def _last_round(task: _Task, prior: Prior, stage: str) -> _Round:
+    """Search and linearisation in turn, until the total model settles. One that does not is fitted along what the last
+    search has found, in the noise of that: it may have dropped names, with whose sizes all was linearised."""
+    model, records, tried, curves = task.model, task.records, task.tried, task.curves
+    total = total_model(model, unfitted(prior))
+    problem = LinearisedProblem(model, records, total)
+    columns = problem.columns(tried, prior.terms, curves)
+    noise = (Autoregression.white(),) * len(model.channels)
+    bare = Search(problem.design(columns, noise), prior, tried).fit([])
+    noise = _flexible_noise(problem, columns, bare, problem.valid)
+    total = total_model(model, bare)
+    floor: FloatArray | None = None
+    before: JointFit | None = None
+    for attempt in range(_ROUNDS + _REFITS):
+        searches, is_last = attempt < _ROUNDS, attempt == _ROUNDS - 1
+        task.progress(stage, min(1.0, attempt / _ROUNDS))
+        problem = LinearisedProblem(model, records, total, floor)
+        columns = problem.columns(tried, prior.terms, curves)
+        search = Search(problem.design(columns, noise), prior, tried, curves.candidates)
+        found = search.without_absurd(search.fit(before.chosen if before else ()))
+        if is_last or (searches and _near(total_model(model, found), total)):
+            found = search.without_absurd(search.settle(search.prune(found), to_the_end=is_last))
+        total = total_model(model, found)
+        if _same(before, found):
+            break
+        before = found
+        if searches and not is_last:
+            residual = problem.residual(columns, found)
+            floor = _typical_size(residual, problem.valid)
+            noise = _noise(residual, problem.valid, records)
+    return _Round(problem, columns, search, found)
 
 
 def _with_and_without_curves(search: Search, found: JointFit) -> tuple[JointFit, JointFit]:
