@@ -212,19 +212,21 @@ def test_the_first_noise_is_that_of_what_was_measured_however_many_columns_there
     assert 0.5 < np.mean([process.variances[-1] for process in found]) < 2.0
 
 
-@pytest.mark.parametrize(("second", "expected"), [((9.0, 5.0), 2), ((5.0, 9.0), 1), ((99.0, 95.0), None)])
+@pytest.mark.parametrize(
+    ("second", "expected"),
+    [((9.0, 5.0), (2, True)), ((5.0, 16.0), (1, True)), ((18.0, 5.0), (2, False)), ((99.0, 95.0), None)],
+)
 def test_each_link_that_may_have_been_changed_is_searched_with(
-    monkeypatch: pytest.MonkeyPatch, second: tuple[float, float], expected: int | None
+    monkeypatch: pytest.MonkeyPatch, second: tuple[float, float], expected: tuple[int, bool] | None
 ) -> None:
-    """Not that alone which explains best what contradicts other recordings before the names are searched anew."""
+    """Not that alone which explains best what contradicts other recordings before the names are searched anew; and it
+    is said whether another one explains the names that are found about as well."""
     first = {0: 60.0, 1: 10.0, 2: 20.0, 3: 23.0}
     ends = dict(zip((1, 2), second, strict=True))
     rest = SimpleNamespace(score=200.0, chosen=("before",))
     names = SimpleNamespace(score=100.0, chosen=(), inertias=np.zeros((4, 10)))
     prior = SimpleNamespace(known="others", with_changed=lambda link: link)
-    found: Any = SimpleNamespace(
-        search=SimpleNamespace(prior=prior, design=None, fit=lambda *_: rest), names=names, link=None
-    )
+    found: Any = SimpleNamespace(search=SimpleNamespace(prior=prior, design=None, fit=lambda *_: rest), names=names)
 
     def fit(_design: None, link: int, chosen: tuple[str, ...], _start: object) -> SimpleNamespace:
         return SimpleNamespace(score=(first if chosen == rest.chosen else ends)[link])
@@ -234,6 +236,6 @@ def test_each_link_that_may_have_been_changed_is_searched_with(
 
     monkeypatch.setattr(analysis, "fit", fit)
     monkeypatch.setattr(analysis, "_searched", searched)
+    monkeypatch.setattr(analysis, "replace", lambda each, contested: (each.link, contested))
     task: Any = None
-    changed: Any = analysis._with_changed_link(task, found)
-    assert changed.link == expected
+    assert analysis._with_changed_link(task, found) == (expected or found)

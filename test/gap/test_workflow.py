@@ -11,6 +11,7 @@ from scipy.signal import lfilter
 
 from geomid_ros.errors import InputError
 from geomid_ros.estimation.identifier import Identifier
+from geomid_ros.gap import workflow
 from geomid_ros.gap.judgement import changed_links, verdict
 from geomid_ros.gap.result import GapResult
 from geomid_ros.gap.search import analysis
@@ -234,19 +235,23 @@ def test_of_a_payload_whose_mass_is_not_told_the_first_moment_is_said() -> None:
     assert any("m x 0.01" in sentence for sentence in in_short(result))
 
 
+def found_lighter(inertias: FloatArray, lighter: FloatArray, seed: int) -> GapResult:
+    """Of a robot that was identified with these inertias, and has others now."""
+    identifier = Identifier(planted.model())
+    identifier.add(planted.recording(planted.rigid(inertias), seed))
+    before, robot = identifier.solve(), planted.rigid(lighter)
+    recordings = [planted.recording(robot, seed + 500)], [planted.recording(robot, seed + 1000, 15.0)]
+    return find_gap(planted.model(), *recordings, nominal=before.parameters, known=before.information)
+
+
 @pytest.mark.parametrize("link", [1, 2])
 @pytest.mark.parametrize("seed", [61, 62])
 def test_a_link_that_has_become_lighter_is_told_as_that(link: int, seed: int) -> None:
     """A body that is added behind the joint would explain it nearly as well."""
     inertias = planted.true_inertias(seed, 0.2)
-    identifier = Identifier(planted.model())
-    identifier.add(planted.recording(planted.rigid(inertias), seed))
-    before = identifier.solve()
     lighter = inertias.copy()
     lighter[link] *= 0.7
-    robot = planted.rigid(lighter)
-    recordings = [planted.recording(robot, seed + 500)], [planted.recording(robot, seed + 1000, 15.0)]
-    result = find_gap(planted.model(), *recordings, nominal=before.parameters, known=before.information)
+    result = found_lighter(inertias, lighter, seed)
     assert not result.findings
     (change,) = result.links
     assert (change.link, change.confidence) == (planted.model().body_names[link], "confident")
@@ -254,6 +259,14 @@ def test_a_link_that_has_become_lighter_is_told_as_that(link: int, seed: int) ->
     true = dict(zip(("mass", "m x", "m y", "m z"), lighter[link, :4] - inertias[link, :4], strict=True))
     for name, size in sizes.items():
         assert abs(size.value - true[name]) < 3.0 * size.std
+
+
+def test_no_link_is_sure_in_whose_place_another_one_may_have_been_changed(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(workflow, "analyse", lambda *given: replace(analysis.analyse(*given), contested=True))
+    inertias = planted.true_inertias(61, 0.2)
+    lighter = inertias * np.array([[1.0], [1.0], [0.7]])
+    (change,) = found_lighter(inertias, lighter, 61).links
+    assert (change.link, change.confidence) == (planted.model().body_names[2], "tentative")
 
 
 def test_a_gain_of_all_joints_is_no_payload() -> None:

@@ -60,6 +60,7 @@ def _changes(model: MeasurementModel, analysis: Analysis, unseen: HeldOut) -> It
             told = range(1, 4) if moment else range(1)
             of_size = 0.5 * max((change[k] / std[k]) ** 2 for k in told)
             sure = of_size > CONFIDENT_LOSS and (loss > CONFIDENT_BESIDE_UNEXPLAINED or not left)
+            sure = sure and not (analysis.contested and link == search.prior.changed_link)
             # As no payload outweighs the robot, no link does: a spring, say, can pass for one that does not move.
             sure = sure and was[0] + change[0] < np.sum(nominal[:, 0])
             # Where the model is a guess the link's centre and inertia may be wrong instead.

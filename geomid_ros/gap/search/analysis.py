@@ -36,7 +36,8 @@ Columns = dict[Term, dict[int, FloatArray]]
 class Analysis:
     """Where the search ended: the last ``problem`` and ``search``; the fit with ``names`` alone, with curves for what
     they leave (``whole``), and without either (``bare``); the standard deviation of each channel's noise, ``floor
-    (C,)``, from repeats of a motion if there are any."""
+    (C,)``, from repeats of a motion if there are any; ``contested``: whether the link that has been changed may as well
+    be another one."""
 
     problem: LinearisedProblem
     search: Search
@@ -45,6 +46,7 @@ class Analysis:
     whole: JointFit
     floor: FloatArray
     curves: Curves
+    contested: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,8 +103,9 @@ def _with_changed_link(task: _Task, analysis: Analysis) -> Analysis:
         return fit(search.design, prior, changed.names.chosen, changed.names).score, changed
 
     likely = [prior for prior, score in zip(priors, scores, strict=True) if score < min(scores) + LEAST_GAIN]
-    score, changed = min(map(with_changed, likely), key=lambda found: found[0])
-    return changed if score < names.score - LEAST_GAIN else analysis
+    (score, changed), *others = sorted(map(with_changed, likely), key=lambda found: found[0])
+    contested = any(other < score + LEAST_GAIN for other, _ in others)
+    return replace(changed, contested=contested) if score < names.score - LEAST_GAIN else analysis
 
 
 def _searched(task: _Task, prior: Prior, stage: str) -> Analysis:
