@@ -1,0 +1,117 @@
+"""The node's gap alarm on realistic simulated robots: how often it is wrong, and how late it is right.
+
+``python -m benchmarks.alarms [quiet|friction|payload ...] [--seeds 2]`` simulates and feeds the node's worker.
+"""
+
+from __future__ import annotations
+
+import os
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as the package's entry points do; small matrices gain nothing
+
+import argparse
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict
+from itertools import groupby
+from pathlib import Path
+
+import numpy as np
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+
+from benchmarks.alarms.cases import AFTER, BEFORE, GROWS, MASS, RAMP, WHATS, Outcome, cases, outcome
+from benchmarks.blind.case import robot_file
+from benchmarks.blind.realistic.case import ROBOTS
+from benchmarks.report import Report, chosen
+from geomid_ros.errors import InputError
+
+_TARGET = 10.0  # [s]
+_ROW = tuple[str, str, str, str, str]
+
+
+def main() -> None:
+    """Run what is chosen, all unless named."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.alarms", description=__doc__)
+    parser.add_argument("whats", nargs="*", metavar="WHAT", help=f"any of {', '.join(WHATS)}")
+    parser.add_argument("--seeds", type=int, default=2, help="of each robot (%(default)s)")
+    parser.add_argument("--first", type=int, default=1, help="seed (%(default)s)")
+    parser.add_argument("--out", type=Path, default=Path("out/bench"), help="folder for results (%(default)s)")
+    arguments = parser.parse_args()
+    seeds = range(arguments.first, arguments.first + arguments.seeds)
+    run(Report(arguments.out), list(chosen(parser, arguments.whats, WHATS)), seeds)
+
+
+def run(report: Report, whats: Sequence[str], seeds: Sequence[int]) -> None:
+    """The table of all robots that are installed."""
+    found = []
+    robots = [robot for robot in ROBOTS if _installed(report, robot)]
+    todo = [case for what in whats for seed in seeds for robot in robots for case in cases(what, robot, seed)]
+    columns = TextColumn("alarms"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), TimeRemainingColumn()
+    with Progress(*columns) as progress:
+        for case in progress.track(todo):
+            found.append(outcome(case))
+            progress.console.print(_line(found[-1]), markup=False, highlight=False, soft_wrap=True)
+            report.result("alarms", [asdict(each) for each in found])
+    caption = (
+        "Alarms: gaps that open while nothing changes; quiet are ten minutes of sines, aperiodic motion, motion from "
+        "point to point, and stop and go; watched: while it was known of all channels what is normal. Seconds from the "
+        f"change, one number for each seed: friction of the joint grows by {100 * GROWS:g} % within {RAMP:g} s, and "
+        f"seconds count from the end of that; a payload of {MASS:g} kg comes at once at the last link. Both after "
+        f"{BEFORE:g} s in mid-motion; none: not within {AFTER:g} s. Gap: of the widest channel after the change, in "
+        "times of the floor, median."
+    )
+    headings = ["", "found", "target", "met", "gap"]
+    report.table("The node's gap alarm", headings, [*_quiet(found), *_delays(found)], caption)
+
+
+def _installed(report: Report, robot: str) -> bool:
+    try:
+        robot_file(robot)
+    except InputError as error:
+        report.say(str(error))
+        return False
+    return True
+
+
+def _line(found: Outcome) -> str:
+    case = found.case
+    alarms = ", ".join(f"{alarm.channel} at {alarm.time:.1f} s" for alarm in found.alarms) or "no alarm"
+    where = " ".join(filter(None, (case.what, case.robot, str(case.seed), case.joint, case.kind)))
+    return f"{where}: {alarms}; {found.floors:.2f} times the floor; speed {found.speed:.2f}"
+
+
+def _quiet(found: Sequence[Outcome]) -> Iterator[_ROW]:
+    """A line for each robot: alarms while nothing changes, in quiet cases and before changes."""
+    for (calm, robot), own in groupby(sorted(found, key=_robot), _robot):
+        outcomes = list(own)
+        alarms = sum(len(each.false) for each in outcomes)
+        minutes = sum(each.case.unchanged for each in outcomes) / 60.0
+        watched = sum(each.watched for each in outcomes) / 60.0
+        name = f"{'before the change' if calm else 'quiet'}: {robot}"
+        yield name, f"{alarms} alarms in {minutes:.1f} min, {watched:.1f} watched", "0", _met([alarms == 0]), ""
+
+
+def _robot(found: Outcome) -> tuple[bool, str]:
+    return found.case.change is not None, found.case.robot
+
+
+def _delays(found: Sequence[Outcome]) -> Iterator[_ROW]:
+    """A line for each change of each robot."""
+    changed = [each for each in found if each.case.change is not None]
+    for (what, robot, joint), own in groupby(sorted(changed, key=_place), _place):
+        outcomes = list(own)
+        seconds = ", ".join(f"{s:.1f} s" if np.isfinite(s := each.seconds) else "none" for each in outcomes)
+        met = _met([each.seconds <= _TARGET for each in outcomes])
+        gap = ", ".join(f"{each.floors:.2f}" for each in outcomes)
+        yield f"{what}: {robot} {joint}", seconds, f"{_TARGET:g} s", met, gap
+
+
+def _place(found: Outcome) -> tuple[str, str, str]:
+    return found.case.what, found.case.robot, found.case.joint
+
+
+def _met(each: Sequence[bool]) -> str:
+    return f"{sum(each)} of {len(each)}"
+
+
+if __name__ == "__main__":
+    main()

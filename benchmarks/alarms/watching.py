@@ -1,0 +1,62 @@
+"""The node's worker, fed as the node feeds it, but as fast as it goes: what counts is the recording's time."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterable, Iterator
+from contextlib import closing
+from dataclasses import dataclass
+
+from geomid_ros.live.inbox import Received
+from geomid_ros.live.worker import Worker
+from geomid_ros.monitoring.change_detection import BLOCK, ChannelGap
+from geomid_ros.session.configuration import Configuration
+from geomid_ros.session.session import Session
+
+TOGETHER = 0.1
+"""[s] between looks at messages and gaps: so often the node looks for messages."""
+_NEVER = 3600.0  # [s] between solves: what is normal is learned from rows, not from estimates
+_PATIENCE = 60.0  # [s]
+_PAUSE = 2e-4  # [s]
+
+
+@dataclass(frozen=True)
+class Watched:
+    """The monitored channels at a ``time`` since the beginning of the recording [s]."""
+
+    time: float
+    gaps: tuple[ChannelGap, ...]
+
+
+def watched(urdf: str, messages: Iterable[tuple[float, Received]], solve_period: float = _NEVER) -> Iterator[Watched]:
+    """What the node's status shows of gaps, ten times a second."""
+    worker = Worker(Session(urdf, Configuration(), "robot.urdf"), solve_period, lambda *_: None, lambda *_: None)
+    with closing(worker):
+        for end, batch in _batches(messages):
+            worker.take(batch)
+            _wait(worker)
+            yield Watched(end, worker.status(active=True).gaps)
+
+
+def _batches(messages: Iterable[tuple[float, Received]]) -> Iterator[tuple[float, list[Received]]]:
+    """What came meanwhile, and when the node looks."""
+    end, batch = TOGETHER, list[Received]()
+    for stamp, message in messages:
+        while stamp > end:
+            if batch:
+                yield end, batch
+            end, batch = end + TOGETHER, []
+        batch.append(message)
+    yield end, batch
+
+
+def _wait(worker: Worker) -> None:
+    """Until all is taken, and all rows are judged."""
+    begin, session = time.monotonic(), worker.session
+    while (
+        worker.status(active=True).queue > session.pipeline.held
+        or session.identifier.instants - worker.solver.detector.judged >= BLOCK
+    ):
+        if time.monotonic() - begin > _PATIENCE:
+            raise RuntimeError(f"not judged within {_PATIENCE:g} s: {worker.status(active=True).failures}")
+        time.sleep(_PAUSE)
