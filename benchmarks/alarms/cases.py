@@ -85,7 +85,7 @@ class Outcome:
 
     @property
     def false(self) -> tuple[Alarm, ...]:
-        """Those before the change."""
+        """Those while nothing changed."""
         return tuple(alarm for alarm in self.alarms if self.case.change is None or alarm.time < self.case.unchanged)
 
     @property
