@@ -139,7 +139,7 @@ class _Cusum:
         self._rows = 0.0  # by what is left of their weight
         self._last_stamp: int | None = None
         self._energies: deque[float] = deque(maxlen=_MOST_BLOCKS)
-        self._suspect: deque[tuple[float, FloatArray]] = deque(maxlen=_MOST_SUSPECT)  # energies and rows
+        self._suspect: deque[tuple[float, FloatArray, bool]] = deque(maxlen=_MOST_SUSPECT)  # whether energies are usual
         self._ratios: deque[float] = deque(maxlen=_FEWEST_BAD)
         self._unlike: deque[bool] = deque(maxlen=_FEWEST_BLOCKS)  # whether blocks were of another motion
         self._evidence = 0.0  # for an opening, or, when it is open, for its end
@@ -182,7 +182,7 @@ class _Cusum:
         energy = max(_unexplained(joined) - _unexplained(self._factor), 0.0) / len(rows)
         if self.ready and not self._unlike[-1] and not self._moves_otherwise:
             self._test(energy, first, int(stamps[0]))
-        self._suspect.append((energy, rows))
+        self._suspect.append((energy, rows, self._moves_otherwise or not self._unlike[-1]))
         if self._open:
             self._suspect.clear()
         elif self._evidence == 0.0 or self._moves_otherwise:
@@ -197,8 +197,8 @@ class _Cusum:
         """Take what was suspect as normal; ``with_last`` is the factor that the last block alone would lead to."""
         alone = len(self._suspect) == 1
         while self._suspect:
-            energy, rows = self._suspect.popleft()
-            if self._rows >= _ROWS_PER_PARAMETER * len(self._channel.columns):
+            energy, rows, is_usual = self._suspect.popleft()
+            if is_usual and self._rows >= _ROWS_PER_PARAMETER * len(self._channel.columns):
                 self._energies.append(energy)
             self._factor = with_last if alone else triangular(np.concatenate([self._factor, rows]))
             self._rows += len(rows)
