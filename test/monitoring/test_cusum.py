@@ -28,8 +28,10 @@ class Source:
         self.parameters = self.rng.normal(size=COLUMNS)
         self.first = 0
 
-    def block(self, own: _Cusum, size: float = 1.0, measured: int = BLOCK, step: int = 20_000_000) -> None:
-        coefficients = self.rng.normal(size=(BLOCK, COLUMNS))
+    def block(
+        self, own: _Cusum, size: float = 1.0, measured: int = BLOCK, step: int = 20_000_000, pace: float = 1.0
+    ) -> None:
+        coefficients = pace * self.rng.normal(size=(BLOCK, COLUMNS))
         targets = coefficients @ self.parameters + size * self.rng.normal(size=BLOCK)
         targets[measured:] = np.nan
         stamps = SECOND + step * np.arange(self.first, self.first + BLOCK)
@@ -102,6 +104,20 @@ def test_three_bad_blocks_are_a_gap_since_the_first() -> None:
         closed.append(own.gap.since is None)
     assert not closed[0]
     assert closed[-1]
+
+
+def test_what_a_block_of_another_motion_leaves_is_not_usual() -> None:
+    """What the model lacks shows there; a change that comes afterwards is seen all the same."""
+    own, source = cusum(), Source()
+    for _ in range(40):
+        source.block(own)
+    source.block(own, 10.0, pace=3.0)
+    for _ in range(3):
+        source.block(own)
+    assert own._level == pytest.approx(1.0, rel=0.2)
+    for _ in range(4):
+        source.block(own, 3.0)
+    assert own.gap.since is not None
 
 
 @pytest.mark.parametrize(("measured", "judged"), [(BLOCK // 2 - 1, False), (BLOCK // 2, True)])
