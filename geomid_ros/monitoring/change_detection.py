@@ -7,8 +7,10 @@ however wrong the estimate was before; a robot that has changed adds more. No pr
 
 No model is perfect, and what it lacks shows most where a motion is unlike those before, along which least squares have
 fitted it away. Such blocks are told by their leverage ``tr(A P A^T)``; they teach what is normal, and are not judged.
-When most are so, the motion is of another kind, and what was normal in the one before is forgotten. Rows of a joint at
-rest or near a reversal, where dry friction may be anything, are not to be given.
+When most are so, the motion is of another kind, and the last blocks of the one before are forgotten. A motion that
+returns is no gap either: of the stretches in which it was learned what is normal, the one that left most counts, for
+some twenty minutes. Rows of a joint at rest or near a reversal, where dry friction may be anything, are not to be
+given.
 """
 
 from __future__ import annotations
@@ -36,6 +38,7 @@ _MOST_WAITING = 50_000_000  # bytes
 _ROWS_PER_PARAMETER = 8  # before which there is no floor: filtered rows are not independent
 _FEWEST_BLOCKS = 12
 _MOST_BLOCKS = 60
+_REMEMBERED = 20  # stretches of so many blocks, a minute or so each
 _CAUTION = 2.0  # standard deviations by which the floor may be higher than the energies' mean
 _MOST_SUSPECT = 20  # blocks
 _RISE = 2.25  # of the variance: a gap of 1.5 times the floor is what the test looks for
@@ -139,6 +142,8 @@ class _Cusum:
         self._rows = 0.0  # by what is left of their weight
         self._last_stamp: int | None = None
         self._energies: deque[float] = deque(maxlen=_MOST_BLOCKS)
+        self._learned = 0  # energies
+        self._earlier: deque[float] = deque(maxlen=_REMEMBERED)  # what they were in earlier stretches, on average
         self._suspect: deque[tuple[float, FloatArray, bool]] = deque(maxlen=_MOST_SUSPECT)  # whether energies are usual
         self._ratios: deque[float] = deque(maxlen=_FEWEST_BAD)
         self._unlike: deque[bool] = deque(maxlen=_FEWEST_BLOCKS)  # whether blocks were of another motion
@@ -178,6 +183,7 @@ class _Cusum:
         moved_otherwise = self._moves_otherwise
         self._unlike.append(self.ready and self._leverage(rows[:, :-1]) > _UNLIKE)
         self._factor, self._rows = np.sqrt(share) * self._factor, share * self._rows
+        self._earlier = deque((share * level for level in self._earlier), maxlen=_REMEMBERED)
         joined = triangular(np.concatenate([self._factor, rows]))
         energy = max(_unexplained(joined) - _unexplained(self._factor), 0.0) / len(rows)
         if self.ready and not self._unlike[-1] and not self._moves_otherwise:
@@ -200,6 +206,9 @@ class _Cusum:
             energy, rows, is_usual = self._suspect.popleft()
             if is_usual and self._rows >= _ROWS_PER_PARAMETER * len(self._channel.columns):
                 self._energies.append(energy)
+                self._learned += 1
+                if self._learned % _MOST_BLOCKS == 0:
+                    self._earlier.append(float(np.mean(self._energies)))
             self._factor = with_last if alone else triangular(np.concatenate([self._factor, rows]))
             self._rows += len(rows)
 
@@ -237,9 +246,9 @@ class _Cusum:
 
     @property
     def _level(self) -> float:
-        """The normal energy per row."""
+        """The normal energy per row: of the last blocks, or of an earlier stretch where the motion left more."""
         smallest = _LEAST_FLOOR**2 * float(np.sum(self._factor[:, -1] ** 2)) / self._rows
-        return max(float(np.mean(self._energies)), smallest)
+        return max(float(np.mean(self._energies)), smallest, *self._earlier)
 
     def _shape(self, level: float) -> float:
         """The Gamma distribution's shape, rather too small, as few energies tell their variance only roughly."""
