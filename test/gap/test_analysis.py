@@ -213,17 +213,24 @@ def test_the_first_noise_is_that_of_what_was_measured_however_many_columns_there
 
 
 @pytest.mark.parametrize(
-    ("second", "expected"),
-    [((9.0, 5.0), (2, True)), ((5.0, 16.0), (1, True)), ((18.0, 5.0), (2, False)), ((99.0, 95.0), None)],
+    ("second", "inflation", "expected"),
+    [
+        ((9.0, 5.0), 100.0, (2, True)),
+        ((5.0, 16.0), 100.0, (1, True)),
+        ((18.0, 5.0), 5.0, (2, False)),
+        ((18.0, 5.0), 3.0, None),
+        ((99.0, 95.0), 100.0, None),
+    ],
 )
 def test_each_link_that_may_have_been_changed_is_searched_with(
-    monkeypatch: pytest.MonkeyPatch, second: tuple[float, float], expected: tuple[int, bool] | None
+    monkeypatch: pytest.MonkeyPatch, second: tuple[float, float], inflation: float, expected: tuple[int, bool] | None
 ) -> None:
     """Not that alone which explains best what contradicts other recordings before the names are searched anew; and it
-    is said whether another one explains the names that are found about as well."""
+    is said whether another one explains the names that are found about as well. Where other recordings are hardly
+    contradicted, no link has been changed."""
     first = {0: 60.0, 1: 10.0, 2: 20.0, 3: 23.0}
     ends = dict(zip((1, 2), second, strict=True))
-    rest = SimpleNamespace(score=200.0, chosen=("before",))
+    rest = SimpleNamespace(score=200.0, chosen=("before",), inflation=inflation)
     names = SimpleNamespace(score=100.0, chosen=(), inertias=np.zeros((4, 10)))
     prior = SimpleNamespace(known="others", with_changed=lambda link: link)
     found: Any = SimpleNamespace(search=SimpleNamespace(prior=prior, design=None, fit=lambda *_: rest), names=names)

@@ -27,6 +27,7 @@ _MOST_CURVES = 4
 _TOLD_BY_ROWS = 0.25  # directions for each row, which leaves most of the noise as it is
 _MEDIAN_OF_GAUSSIAN = 0.6745
 _CERTAINTY_OF_HELD = 100.0  # of links that may hardly be more wrong than usual
+_CONTRADICTED = 4.0  # times the variance that other recordings state of the links
 _VISIBLE = 1.07  # times larger, to be worth a word
 
 Columns = dict[Term, dict[int, FloatArray]]
@@ -93,6 +94,8 @@ def _with_changed_link(task: _Task, analysis: Analysis) -> Analysis:
     if search.prior.known is None:
         return analysis
     rest = search.fit([c for c in names.chosen if not isinstance(c, Candidate) or c.payload is None], names)
+    if rest.inflation < _CONTRADICTED:
+        return analysis
     priors = [search.prior.with_changed(link) for link in range(len(names.inertias))]
     scores = [fit(search.design, prior, rest.chosen, rest).score for prior in priors]
     if min(scores) > rest.score - LEAST_GAIN:
