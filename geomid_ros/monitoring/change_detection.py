@@ -18,6 +18,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -126,6 +127,13 @@ class ChangeDetector:
         return max(begin - LATE, self.judged - _MOST_SUSPECT * BLOCK)
 
 
+class _Normal(NamedTuple):
+    """What is normal: the mean energy per row of a block, and the shape of the energies' Gamma distribution."""
+
+    level: float
+    shape: float
+
+
 class _Cusum:
     """A one-sided cumulative sum test (Page 1954) of one channel: has the energy of its blocks risen by ``_RISE``?
 
@@ -142,8 +150,8 @@ class _Cusum:
         self._rows = 0.0  # by what is left of their weight
         self._last_stamp: int | None = None
         self._energies: deque[float] = deque(maxlen=_MOST_BLOCKS)
-        self._learned = 0  # energies
-        self._earlier: deque[float] = deque(maxlen=_REMEMBERED)  # what they were in earlier stretches, on average
+        self._learned = 0  # energies of the stretch
+        self._earlier: deque[_Normal] = deque(maxlen=_REMEMBERED)  # stretches
         self._suspect: deque[tuple[float, FloatArray, bool]] = deque(maxlen=_MOST_SUSPECT)  # whether energies are usual
         self._ratios: deque[float] = deque(maxlen=_FEWEST_BAD)
         self._unlike: deque[bool] = deque(maxlen=_FEWEST_BLOCKS)  # whether blocks were of another motion
@@ -183,7 +191,8 @@ class _Cusum:
         moved_otherwise = self._moves_otherwise
         self._unlike.append(self.ready and self._leverage(rows[:, :-1]) > _UNLIKE)
         self._factor, self._rows = np.sqrt(share) * self._factor, share * self._rows
-        self._earlier = deque((share * level for level in self._earlier), maxlen=_REMEMBERED)
+        if share < 1.0:
+            self._earlier = deque((_Normal(share * each.level, each.shape) for each in self._earlier), _REMEMBERED)
         joined = triangular(np.concatenate([self._factor, rows]))
         energy = max(_unexplained(joined) - _unexplained(self._factor), 0.0) / len(rows)
         if self.ready and not self._unlike[-1] and not self._moves_otherwise:
@@ -196,6 +205,7 @@ class _Cusum:
             self._learn(joined)
             if self._moves_otherwise and not moved_otherwise:
                 self._energies.clear()
+                self._learned = 0
         if self._open and np.isfinite(self._forgetting_time):
             self._factor = joined
 
@@ -208,7 +218,7 @@ class _Cusum:
                 self._energies.append(energy)
                 self._learned += 1
                 if self._learned % _MOST_BLOCKS == 0:
-                    self._earlier.append(float(np.mean(self._energies)))
+                    self._earlier.append(self._recent)
             self._factor = with_last if alone else triangular(np.concatenate([self._factor, rows]))
             self._rows += len(rows)
 
@@ -231,11 +241,10 @@ class _Cusum:
         return max(float(np.exp(-elapsed / self._forgetting_time)), 1.0 - BLOCK / fewest)
 
     def _test(self, energy: float, first: int, stamp: int) -> None:
-        level = self._level
+        level, shape = self._normal
         if level == 0.0:  # all that was measured is zero
             return
         self._ratios.append(energy / level)
-        shape = self._shape(level)
         highest = level * (1.0 + _CAUTION / np.sqrt(shape * len(self._energies)))
         rise = shape * (energy / highest * (1.0 - 1.0 / _RISE) - np.log(_RISE))
         if not self._open and self._evidence == 0.0:
@@ -245,10 +254,16 @@ class _Cusum:
             self._open, self._evidence = not self._open, 0.0
 
     @property
-    def _level(self) -> float:
-        """The normal energy per row: of the last blocks, or of an earlier stretch where the motion left more."""
+    def _normal(self) -> _Normal:
+        """That of the last blocks, or of an earlier stretch where the motion left more."""
+        return max([self._recent, *self._earlier])
+
+    @property
+    def _recent(self) -> _Normal:
+        """That of the last blocks."""
         smallest = _LEAST_FLOOR**2 * float(np.sum(self._factor[:, -1] ** 2)) / self._rows
-        return max(float(np.mean(self._energies)), smallest, *self._earlier)
+        level = max(float(np.mean(self._energies)), smallest)
+        return _Normal(level, self._shape(level))
 
     def _shape(self, level: float) -> float:
         """The Gamma distribution's shape, rather too small, as few energies tell their variance only roughly."""

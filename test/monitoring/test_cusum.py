@@ -61,7 +61,7 @@ def test_the_normal_energy_is_the_variance_of_the_noise() -> None:
         own, source = cusum(), Source(seed)
         for _ in range(40):
             source.block(own, 0.5)
-        levels.append(own._level)
+        levels.append(own._normal.level)
         assert own.gap.times_floor == pytest.approx(1.0, abs=0.4)
     assert np.mean(levels) == pytest.approx(0.25, rel=0.03)
     for _ in range(8):
@@ -114,10 +114,43 @@ def test_what_a_block_of_another_motion_leaves_is_not_usual() -> None:
     source.block(own, 10.0, pace=3.0)
     for _ in range(3):
         source.block(own)
-    assert own._level == pytest.approx(1.0, rel=0.2)
+    assert own._normal.level == pytest.approx(1.0, rel=0.2)
     for _ in range(4):
         source.block(own, 3.0)
     assert own.gap.since is not None
+
+
+@pytest.mark.parametrize(("before", "remembered"), [(LEARNT + 62, 1), (LEARNT + 57, 0)])
+def test_a_stretch_that_another_motion_cuts_short_is_not_remembered(before: int, remembered: int) -> None:
+    """Few energies say little, and a rough beginning of the other motion would count for long."""
+    own, source = cusum(), Source()
+    for _ in range(before):
+        source.block(own)
+    for count in range(12):
+        source.block(own, 5.0, pace=3.0 ** (count + 1))
+    assert not own._energies or len(own._energies) < 12, "they were forgotten"
+    assert len(own._earlier) == remembered
+    assert all(each.level == pytest.approx(1.0, rel=0.2) for each in own._earlier)
+
+
+def test_what_was_normal_is_that_of_the_stretch_that_left_most() -> None:
+    """And how much its blocks differed: the quiet ones after it say nothing of that."""
+    own, source = cusum(), Source()
+    for count in range(LEARNT + 60):
+        source.block(own, 1.0 + 2.0 * (count % 2))
+    rough = own._recent
+    for _ in range(60):
+        source.block(own, 0.5)
+    assert own._recent.level < 0.2 * rough.level
+    assert own._normal == own._earlier[0] == pytest.approx(rough, rel=0.1)
+
+
+def test_who_forgets_forgets_earlier_stretches_too() -> None:
+    own, source = cusum(20.0), Source()
+    for size, blocks in ((3.0, LEARNT + 60), (0.5, 150)):  # of 0.8 s
+        for _ in range(blocks):
+            source.block(own, size)
+    assert own._normal.level == pytest.approx(0.25, rel=0.2)
 
 
 @pytest.mark.parametrize(("measured", "judged"), [(BLOCK // 2 - 1, False), (BLOCK // 2, True)])
@@ -189,7 +222,7 @@ def test_noise_below_a_ten_thousandth_of_what_is_measured_is_rounding() -> None:
         coefficients = rng.normal(size=(BLOCK, COLUMNS))
         targets = 100.0 * coefficients @ np.ones(COLUMNS) + 1e-6 * rng.normal(size=BLOCK)
         own.judge(block * BLOCK, SECOND + np.arange(block * BLOCK, (block + 1) * BLOCK), coefficients, targets)
-    assert own._level == pytest.approx((1e-4 * 200.0) ** 2, rel=0.1)
+    assert own._normal.level == pytest.approx((1e-4 * 200.0) ** 2, rel=0.1)
 
 
 def test_rows_that_nobody_judges_do_not_fill_the_memory() -> None:
