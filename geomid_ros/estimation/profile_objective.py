@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import cached_property
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -50,6 +51,11 @@ class Profile:
     prior: Point
     _known: WeakKeyDictionary[Point, _Terms] = field(default_factory=WeakKeyDictionary, init=False, repr=False)
 
+    @cached_property
+    def _flat(self) -> FloatArray:
+        """The products ``(C, (D + 1)^2)``."""
+        return self.products.reshape(len(self.products), -1)
+
     def squares(self, point: Point) -> FloatArray:
         """Sums of squares ``(C,)`` of the channels at ``point``, at least ``least (C,)``."""
         vector = np.append(point.parameters, -1.0)
@@ -66,11 +72,12 @@ class Profile:
         moved = self.products @ vector
         squares = np.maximum(moved @ vector, self.least)
         weights = self.counts / squares
-        rows = np.tensordot(weights, self.products, axes=1)[:-1, :-1]
+        rows = (weights @ self._flat).reshape(len(vector), -1)
+        half = self.manifold.whiten(point, rows[:, :-1])
         return _Terms(
             0.5 * float(self.counts @ np.log(squares)),
-            self.manifold.whiten(point, (weights @ moved)[None, :-1])[0],
-            self.manifold.whiten(point, self.manifold.whiten(point, rows).T),
+            vector @ half,
+            self.manifold.whiten(point, half[:-1].T),
             *self.manifold.log_and_hessian(point, self.prior),
         )
 

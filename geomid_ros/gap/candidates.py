@@ -125,7 +125,7 @@ class Candidate:
         may have other signs."""
         return sum(part.own_positives for part in self.effect.parts) if self.known else self.effect.positives
 
-    @property
+    @cached_property
     def group(self) -> tuple[str, Place]:
         """Name and place: candidates of one group are the same effect with other constants."""
         return self.name, self.place

@@ -23,6 +23,8 @@ from geomid_ros.geometry import pseudo_inertia, spd, symmetric
 from geomid_ros.types import FloatArray, IntArray, frozen
 
 _UNITS = symmetric.to_matrix(np.eye(symmetric.SIZE))
+_IDENTITY = np.eye(4)
+_STRAIGHT = 0.5  # a number or an eigenvalue that shrinks by less does so along the straight line
 _SMALLEST_FACTOR = 0.05  # by which one straight step shrinks a positive number or an inertia at most
 
 
@@ -74,8 +76,8 @@ class Point:
 
 def _lengthened(steps: FloatArray) -> FloatArray:
     """``1 + step`` where that is well above zero."""
-    bent = np.maximum(0.5 * np.exp(2.0 * np.minimum(steps + 0.5, 0.0)), _SMALLEST_FACTOR)
-    return np.where(steps > -0.5, 1.0 + steps, bent)
+    bent = np.maximum(0.5 * np.exp(2.0 * np.minimum(steps + _STRAIGHT, 0.0)), _SMALLEST_FACTOR)
+    return np.where(steps > -_STRAIGHT, 1.0 + steps, bent)
 
 
 @dataclass(frozen=True, eq=False)
@@ -152,9 +154,13 @@ class ParameterManifold:
         Precise data confine the parameters to a thin slab of straight hyperplanes, which a geodesic leaves after a
         short way. Where the line would leave the cone, the eigenvalue approaches zero instead.
         """
-        matrices = symmetric.to_matrix(tangent[self.inertial].reshape(self.links, symmetric.SIZE))
-        values, vectors = np.linalg.eigh(matrices)
-        whitened = (vectors * _lengthened(values)[..., None, :]) @ np.swapaxes(vectors, -1, -2)
+        steps = tangent[self.inertial].reshape(self.links, symmetric.SIZE)
+        matrices = symmetric.to_matrix(steps)
+        whitened = _IDENTITY + matrices
+        long = np.flatnonzero(np.sum(steps**2, axis=1) > _STRAIGHT**2)  # of others no eigenvalue can be below
+        if len(long):
+            values, vectors = np.linalg.eigh(matrices[long])
+            whitened[long] = spd.composed(_lengthened(values), vectors)
         return Point(
             spd.congruence(base.root, whitened),
             base.positives * _lengthened(tangent[self.positive]),
