@@ -54,15 +54,20 @@ class Evidence:
         log: the log evidence.
         sigmas: ``(C,)`` of what is left, in standard deviations of the measured channels.
         links: ``(r,)`` the links' errors.
-        deviations: ``(r,)`` their standard deviations.
         friction: ``(C, 4)`` its coefficients, in standard deviations of the measured channels.
+        precision: of the links' errors and those of friction's coefficients that are not held at zero.
     """
 
     log: float
     sigmas: FloatArray
     links: FloatArray
-    deviations: FloatArray
     friction: FloatArray
+    precision: FloatArray
+
+    @property
+    def deviations(self) -> FloatArray:
+        """Standard deviations of the links' errors ``(r,)``."""
+        return np.asarray(np.sqrt(np.diag(definite.inverse(self.precision))[: len(self.links)]))
 
 
 def evidence(products: Products, tolerated: FloatArray, *, either_sign: bool = False) -> Evidence:
@@ -93,8 +98,8 @@ def evidence(products: Products, tolerated: FloatArray, *, either_sign: bool = F
         log=-0.5 * (weighted + noise + log_determinant),
         sigmas=sigmas,
         links=mean[:rank],
-        deviations=np.sqrt(np.diag(definite.inverse(posterior))[:rank]),
         friction=mean[rank:].reshape(channels, 4),
+        precision=posterior,
     )
 
 
@@ -106,9 +111,9 @@ def _solved(
     for _ in range(4):
         before = held
         free = np.flatnonzero(~held)
-        among = matrix[free[:, None], free]
+        among = matrix[free[:, None], free] if np.any(held) else matrix
         mean = np.zeros(len(precision))
-        mean[free] = np.linalg.solve(among, right[free])
+        mean[free] = definite.solved(among, right[free])
         pull = right - matrix @ mean  # of what is held: positive if it would become so
         changed = np.where(held, pull <= 0.0, mean < 0.0) & bounded
         if np.array_equal(changed, held):
