@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any
@@ -14,6 +14,7 @@ from geomid_ros.model.effects import Motion, MotionEffect, Place
 from geomid_ros.types import AnyArray, FloatArray, IntArray
 
 _PAUSE = 1.5  # sampling periods
+_PIECE = 1000  # samples
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,6 +95,11 @@ class Samples:
         """The samples chosen by a mask, index array or slice."""
         arrays: dict[str, Any] = {name: array[index] for name, array in self.arrays.items()}
         return replace(self, **arrays)
+
+    def in_pieces(self) -> Iterator[Samples]:
+        """The same, a few at a time: what is computed for each takes little memory."""
+        for begin in range(0, len(self), _PIECE):
+            yield self.select(slice(begin, begin + _PIECE))
 
     def with_joints(self, order: IntArray) -> Samples:
         """The samples in which joint j does what joint ``order[j]`` did; ``order (joints,)``. Columns of effects that

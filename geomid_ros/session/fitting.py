@@ -72,10 +72,13 @@ class Fitted:
         if not len(samples):
             return
         self._any = True
-        self._measured = self._measured or not np.all(np.isnan(self._session.model.rows(samples).targets))
+        self._measured = self._measured or any(map(self._is_measured, samples.in_pieces()))
         self._low = np.minimum(self._low, np.min(samples.position, axis=0))
         self._high = np.maximum(self._high, np.max(samples.position, axis=0))
         self._fit(samples)
+
+    def _is_measured(self, samples: Samples) -> bool:
+        return not np.all(np.isnan(self._session.model.rows(samples).targets))
 
     def check(self, bags: Sequence[Path]) -> None:
         """As :func:`check_measured`."""

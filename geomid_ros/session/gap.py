@@ -172,7 +172,8 @@ class GapReader:
 
     def _judge(self, recordings: Sequence[Samples]) -> None:
         for samples in recordings:
-            self.session.check.add(samples)
+            for piece in samples.in_pieces():
+                self.session.check.add(piece)
         self.session.judge()
 
     def sharp(self, topic: str = "") -> list[Samples]:

@@ -147,10 +147,12 @@ def _boundary(first: Samples, last: Samples, share: float) -> int:
 
 
 def _divided(samples: Samples, boundary: int) -> tuple[Samples, Samples]:
-    """A piece, or no instant of it, where it is on one side: most are, and need no copy."""
+    """Both parts, without a copy where the clock was not set back meanwhile."""
     early = samples.stamps < boundary
-    pair = [samples if np.all(chosen) else samples.select(chosen) for chosen in (early, ~early)]
-    return pair[0], pair[1]
+    count = int(np.count_nonzero(early))
+    if np.all(early[:count]):
+        return samples.select(slice(count)), samples.select(slice(count, None))
+    return samples.select(early), samples.select(~early)
 
 
 def read_bags(session: Session, bags: Bags, fit: Fit, progress: Progress = silent) -> list[Samples]:

@@ -12,6 +12,7 @@ from typing import TypeVar
 import numpy as np
 
 from geomid_ros.errors import InputError
+from geomid_ros.signals.grid_values import GridValues
 from geomid_ros.types import FloatArray
 
 # Passband ripple and stopband below 1e-3 (Kaiser beta 6); the transition is as wide as the cutoff, centred on it.
@@ -64,9 +65,9 @@ def filtered(values: FloatArray, cutoff: float, period: float) -> tuple[FloatArr
     """
     kernels = derivative_kernels(min(cutoff, 1.0 / (LOWEST_RATE_PER_CUTOFF * period)), period)
     half = kernels.shape[1] // 2
-    padded = np.pad(values, ((half, half), (0, 0)), mode="edge")
-    windows = np.lib.stride_tricks.sliding_window_view(padded, 2 * half + 1, axis=0)
-    value, first, second = np.einsum("kl,njl->knj", kernels, windows, optimize=True)
+    padded = GridValues()
+    padded.extend(-half, np.pad(values, ((half, half), (0, 0)), mode="edge"))
+    value, first, second = padded.correlated(range(len(values)), kernels)
     return value, first, second
 
 

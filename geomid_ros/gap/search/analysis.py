@@ -160,6 +160,7 @@ def _last_round(task: _Task, prior: Prior, stage: str) -> _Round:
     for attempt in range(_ROUNDS + _REFITS):
         searches, is_last = attempt < _ROUNDS, attempt == _ROUNDS - 1
         task.progress(stage, min(1.0, attempt / _ROUNDS))
+        columns.clear()  # they are large, and go before others come
         problem = LinearisedProblem(model, records, total, floor)
         columns = problem.columns(tried, prior.terms, curves)
         search = Search(problem.design(columns, noise), prior, tried, curves.candidates)
