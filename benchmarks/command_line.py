@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import os
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
+from benchmarks.measuring import used_by
 from benchmarks.problem import measured
 from benchmarks.report import Report
 
@@ -60,14 +60,6 @@ def _in_turns(commands: dict[str, Sequence[str]]) -> dict[str, float]:
     seconds = dict.fromkeys(commands, float("inf"))
     for _ in range(_ROUNDS):
         for name, arguments in commands.items():
-            seconds[name] = min(seconds[name], _processor_seconds(arguments))
+            environment = os.environ | (_COMPLETION if arguments is _COMPLETE else {})
+            seconds[name] = min(seconds[name], used_by(arguments, environment).processor)
     return seconds
-
-
-def _processor_seconds(arguments: Sequence[str]) -> float:
-    environment = os.environ | (_COMPLETION if arguments is _COMPLETE else {})
-    actions = [(os.POSIX_SPAWN_OPEN, end, os.devnull, os.O_WRONLY, 0) for end in (1, 2)]
-    command = [sys.executable, *arguments]
-    process = os.posix_spawn(sys.executable, command, environment, file_actions=actions)
-    _, _, used = os.wait4(process, 0)
-    return used.ru_utime + used.ru_stime

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import os
+import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from multiprocessing import get_context
 from pathlib import Path
 from typing import ParamSpec, TypeVar
+
+import numpy as np
 
 from benchmarks.problem import Problem
 from geomid_ros.types import FloatArray
@@ -67,6 +70,32 @@ def _measure(problem: Problem, name: str, weight: float) -> Measurement:
     seconds = first if first > _ENOUGH else min(first, best_of(lambda: fit(problem, weight)))
     peak = resident("VmHWM")
     return Measurement(parameters, seconds, first, peak, peak - before)
+
+
+@dataclass(frozen=True)
+class Used:
+    """Time on the ``processor`` [s] and ``peak`` of memory [MB] of a whole process."""
+
+    processor: float
+    peak: float
+
+
+def used_by(arguments: Sequence[str], environment: Mapping[str, str] = os.environ, *, may_fail: bool = True) -> Used:
+    """What a process of Python with these arguments takes, which says what it likes to nobody.
+
+    Its peak is not below what the calling process holds. One that must not fail may not exit with an error's status.
+    """
+    actions = [(os.POSIX_SPAWN_OPEN, end, os.devnull, os.O_WRONLY, 0) for end in (1, 2)]
+    process = os.posix_spawn(sys.executable, [sys.executable, *arguments], environment, file_actions=actions)
+    _, status, used = os.wait4(process, 0)
+    if status and not may_fail:
+        raise RuntimeError(f"python {' '.join(arguments)}: exit status {os.waitstatus_to_exitcode(status)}")
+    return Used(used.ru_utime + used.ru_stime, used.ru_maxrss / 1024.0)
+
+
+def exponent(sizes: Sequence[float], costs: Sequence[float]) -> float:
+    """Of the least-squares power law of costs over sizes."""
+    return float(np.polyfit(np.log(sizes), np.log(np.maximum(costs, 1e-3)), 1)[0])
 
 
 def processor_seconds(process: int) -> float:

@@ -10,7 +10,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from benchmarks.measuring import best_of, in_fresh_process, resident
+from benchmarks.measuring import best_of, exponent, in_fresh_process, resident
 from benchmarks.peers import method
 from benchmarks.problem import Problem, Rows
 from benchmarks.report import Report
@@ -87,17 +87,13 @@ def _table(report: Report, title: str, costs: list[_Cost], what: str, size: Call
     for name in _METHODS:
         own = [cost for cost in costs if cost.method == name]
         shown = [f"{cost.seconds:.3g}, {cost.growth:.0f}" for cost in own]
-        exponents = [_exponent([size(c) for c in own], [getattr(c, of) for c in own]) for of in ("seconds", "growth")]
+        exponents = [exponent([size(c) for c in own], [getattr(c, of) for c in own]) for of in ("seconds", "growth")]
         lines.append([name, *shown, ", ".join(f"{e:.2f}" for e in exponents)])
     caption = (
         "Memory: what a fit adds to the process that holds the rows. Exponents: of the least-squares power law. "
         "gamma 1e-2. Time of the compressed ones includes the compression."
     )
     report.table(title, headings, lines, caption)
-
-
-def _exponent(sizes: Sequence[float], costs: Sequence[float]) -> float:
-    return float(np.polyfit(np.log(sizes), np.log(np.maximum(costs, 1e-3)), 1)[0])
 
 
 def _draw(by_rows: list[_Cost], by_links: list[_Cost]) -> Figure:
@@ -116,6 +112,6 @@ def _panel(panel: Axes, costs: list[_Cost], what: str, of: str) -> None:
     for name in _METHODS:
         own = [cost for cost in costs if cost.method == name]
         sizes, values = [getattr(c, what) for c in own], [getattr(c, of) for c in own]
-        panel.loglog(sizes, values, "o-", label=f"{name}: exponent {_exponent(sizes, values):.2f}")
+        panel.loglog(sizes, values, "o-", label=f"{name}: exponent {exponent(sizes, values):.2f}")
     panel.grid(which="both", alpha=0.2)
     panel.legend(fontsize=8)

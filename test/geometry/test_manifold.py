@@ -227,3 +227,23 @@ def test_the_derivative_of_the_exponential_is_that_of_finite_differences(
     numeric = (np.array(ends[0]) - np.array(ends[1])).T / 2e-5
     derivative = manifold.exp_derivative(base, tangent)
     np.testing.assert_allclose(derivative, numeric, rtol=1e-4, atol=FINITE_DIFFERENCE * np.max(np.abs(numeric)))
+
+
+@SEEDS
+@pytest.mark.parametrize("share", [0.3, 0.499, 0.501, 0.8, 1.5, 20.0])
+def test_a_straight_line_bends_where_it_would_leave_the_cone(seed: int, share: float) -> None:
+    """Of three links one shrinks by ``share`` in one direction; another takes a short step, the last one grows."""
+    rng = np.random.default_rng(seed)
+    base = bodies.point(rng, ALL)
+    turned, _ = np.linalg.qr(rng.normal(size=(3, 4, 4)))
+    values = np.array([[-share, 0.2, 0.1, 0.4], [-0.2, 0.1, 0.1, -0.1], [3.0, 1.0, 0.5, 0.1]])
+    changes = turned @ (values[:, :, None] * turned.swapaxes(1, 2))
+    tangent = np.concatenate([symmetric.to_vector(changes).ravel(), [-share, 0.3], [-3.0, 0.5]])
+    end = ALL.straight(base, tangent)
+    left = 1.0 - share if share < 0.5 else max(0.5 * np.exp(1.0 - 2.0 * share), 0.05)
+    factors = 1.0 + values
+    factors[0, 0] = left
+    expected = base.root @ (turned @ (factors[:, :, None] * turned.swapaxes(1, 2))) @ base.root
+    np.testing.assert_allclose(end.pseudo_inertias, expected, rtol=0.0, atol=ROUNDING * np.max(np.abs(expected)))
+    np.testing.assert_allclose(end.positives, base.positives * [left, 1.3])
+    np.testing.assert_allclose(end.reals, base.reals + ALL.scales * [-3.0, 0.5])

@@ -34,3 +34,12 @@ def test_stretches_are_the_parts_between_pauses(stamps: list[int], lengths: list
     assert [len(part) for part in parts] == lengths
     np.testing.assert_array_equal(np.concatenate([part.stamps for part in parts]), whole.stamps)
     np.testing.assert_array_equal(np.concatenate([part.effort for part in parts]), whole.effort)
+
+
+@pytest.mark.parametrize("count", [0, 1, 999, 1000, 1001, 2500])
+def test_pieces_are_the_whole_a_thousand_at_a_time(count: int) -> None:
+    whole = samples(list(range(count)))
+    pieces = list(whole.in_pieces())
+    assert all(0 < len(piece) <= 1000 for piece in pieces)
+    assert [stamp for piece in pieces for stamp in piece.stamps] == whole.stamps.tolist()
+    assert all(np.shares_memory(piece.effort, whole.effort) for piece in pieces), "no copies"

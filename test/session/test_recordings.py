@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 from unittest.mock import MagicMock
 
 import numpy as np
@@ -15,6 +16,7 @@ from hypothesis import strategies as st
 from geomid_ros.errors import InputError
 from geomid_ros.model.samples import Samples
 from geomid_ros.session import recordings
+from geomid_ros.session.fitting import check_measured
 from geomid_ros.session.recordings import Bags, divided
 
 PERIOD = 10_000_000  # [ns]
@@ -88,6 +90,39 @@ def test_all_or_nothing() -> None:
     for share, expected in ((0.0, (10, 0)), (1.0, (0, 10))):
         ((early, late),) = divided([whole], share)
         assert (len(early), len(late)) == expected
+
+
+def test_a_division_copies_nothing_unless_the_clock_was_set_back() -> None:
+    whole = recording(40)
+    ((early, late),) = divided([whole], 0.3)
+    assert np.shares_memory(early.stamps, whole.stamps)
+    assert np.shares_memory(late.stamps, whole.stamps)
+    back = Samples.concatenate([whole.select(slice(20, 30)), whole.select(slice(0, 20)), whole.select(slice(30, 40))])
+    ((early, late),) = divided([back], 0.5)
+    boundary = np.min(late.stamps)
+    assert len(early) + len(late) == 40
+    assert np.all(early.stamps < boundary)
+
+
+def test_what_is_measured_late_is_measured(monkeypatch: pytest.MonkeyPatch) -> None:
+    """And where it is measured soon the rest is not looked at."""
+    seen: list[int] = []
+
+    def rows(samples: Samples) -> Any:
+        seen.append(len(samples))
+        return MagicMock(targets=np.where(samples.stamps >= since, 1.0, np.nan))
+
+    session = MagicMock()
+    monkeypatch.setattr(session.model, "rows", rows)
+    whole = recording(2500)
+    for place, pieces in ((2400, 3), (0, 1)):
+        since = whole.stamps[place]
+        seen.clear()
+        check_measured(session, [whole], [BAG])
+        assert len(seen) == pieces
+    since = whole.stamps[-1] + 1
+    with pytest.raises(InputError, match="no effort is measured"):
+        check_measured(session, [whole], [BAG])
 
 
 @pytest.mark.parametrize(
