@@ -12,14 +12,15 @@ from matplotlib.figure import Figure
 
 from benchmarks.measuring import best_of, exponent, in_fresh_process, resident
 from benchmarks.peers import method
-from benchmarks.problem import Problem, Rows
+from benchmarks.problem import Problem
 from benchmarks.report import Report
 from benchmarks.simulated_person import simulated_person
 from geomid_ros.estimation.rows import PAPER
+from geomid_ros.geometry.pseudo_inertia import SIZE
 
 _METHODS = ("trust_region (19)", "trust_region (19), rows compressed", "residual (Remark 3)")
-_INSTANTS = (1_000, 10_000, 100_000)  # three rows each
-_PEOPLE = (1, 2, 4)  # of 16 links each
+_INSTANTS = (334, 3_334, 33_334, 333_334)  # three rows each
+_FEW, _LINKS = 1_000, (7, 16, 32, 64)  # instants at which so many links are compared; a person has 16
 _REPEATS, _ENOUGH = 3, 5.0
 _WARM_UP = 300  # rows that make the compiled code load
 
@@ -37,8 +38,8 @@ class _Cost:
 
 def run(report: Report) -> None:
     """Two tables and a picture: rows at 16 links, links at 3,000 rows."""
-    by_rows = _costs(report, [(instants, 1) for instants in _INSTANTS])
-    by_links = _costs(report, [(_INSTANTS[0], people) for people in _PEOPLE])
+    by_rows = _costs(report, [(instants, 16) for instants in _INSTANTS])
+    by_links = _costs(report, [(_FEW, links) for links in _LINKS])
     _table(report, "Scale: rows, at 16 links", by_rows, "rows", lambda cost: cost.rows)
     _table(report, "Scale: links, at 3,000 rows", by_links, "links", lambda cost: cost.links)
     report.picture("scale", _draw(by_rows, by_links))
@@ -47,14 +48,14 @@ def run(report: Report) -> None:
 
 def _costs(report: Report, sizes: Sequence[tuple[int, int]]) -> list[_Cost]:
     costs = []
-    for instants, people in sizes:
-        report.progress(f"scale: {3 * instants} rows, {people} x 16 links")
-        costs += [in_fresh_process(_measure, name, instants, people) for name in _METHODS]
+    for instants, links in sizes:
+        report.progress(f"scale: {3 * instants} rows, {links} links")
+        costs += [in_fresh_process(_measure, name, instants, links) for name in _METHODS]
     return costs
 
 
-def _measure(name: str, instants: int, people: int) -> _Cost:
-    problem = crowd(simulated_person(instants, held_out=1), people)
+def _measure(name: str, instants: int, links: int) -> _Cost:
+    problem = of_links(simulated_person(instants, held_out=1), links)
     fit = method(name).fit
     fit(problem.with_train(problem.train.select(np.arange(_WARM_UP))), PAPER)
     before = resident("VmRSS")
@@ -65,16 +66,41 @@ def _measure(name: str, instants: int, people: int) -> _Cost:
     return _Cost(name, len(problem.train), problem.manifold.links, seconds, growth)
 
 
-def crowd(person: Problem, people: int) -> Problem:
-    """So many people on one plate, which measures the sum of their loads: each moves as ``person`` does, but later."""
+def of_links(person: Problem, links: int) -> Problem:
+    """The problem with fewer links, or with those of several people.
+
+    Of fewer, the first are unknown, and of the others the plate's loads are known. Several people stand on one plate,
+    which measures the sum of their loads: each moves as ``person`` does, but later. Rows and priors only: no truth.
+
+    Raises:
+        ValueError: More links that are no multiple of a person's.
+    """
+    own = person.manifold.links
+    if links < own:
+        return _in_part(person, links)
+    if links % own:
+        raise ValueError(f"{links} links are no multiple of the {own} of a person")
+    return _crowd(person, links // own)
+
+
+def _in_part(person: Problem, links: int) -> Problem:
+    if person.truth is None:
+        raise ValueError(f"{person.name}: only of a known truth are some links' loads known")
+    rows, columns = person.train, links * SIZE
+    loads = rows.targets - rows.coefficients[:, columns:] @ person.truth[columns:]
+    part = replace(rows, coefficients=np.ascontiguousarray(rows.coefficients[:, :columns]), targets=loads)
+    manifold = replace(person.manifold, links=links)
+    return replace(person, manifold=manifold, prior=person.prior[:columns], train=part, truth=None)
+
+
+def _crowd(person: Problem, people: int) -> Problem:
     rows = person.train
     later = [np.roll(np.arange(len(rows)), len(rows) // people // 3 * 3 * k) for k in range(people)]
-    together = Rows(
-        np.hstack([rows.coefficients[order] for order in later]),
-        np.sum([rows.targets[order] for order in later], axis=0),
-        np.sqrt(people) * rows.sigmas,
-        rows.channel,
-        rows.instant,
+    together = replace(
+        rows,
+        coefficients=np.hstack([rows.coefficients[order] for order in later]),
+        targets=np.sum([rows.targets[order] for order in later], axis=0),
+        sigmas=np.sqrt(people) * rows.sigmas,
     )
     manifold = replace(person.manifold, links=people * person.manifold.links)
     return replace(person, manifold=manifold, prior=np.tile(person.prior, people), train=together, truth=None)
@@ -103,8 +129,8 @@ def _draw(by_rows: list[_Cost], by_links: list[_Cost]) -> Figure:
         for row, (of, unit) in enumerate((("seconds", "time [s]"), ("growth", "memory [MB]"))):
             _panel(panels[row, column], costs, what, of)
             panels[row, column].set(xlabel=what, ylabel=unit)
-    panels[0, 0].set_title("3,000 to 300,000 rows, 16 links")
-    panels[0, 1].set_title("3,000 rows, 16 to 64 links")
+    panels[0, 0].set_title("rows, at 16 links")
+    panels[0, 1].set_title("links, at 3,000 rows")
     return figure
 
 
