@@ -10,6 +10,8 @@ import numpy as np
 from geomid_ros.geometry.manifold import ParameterManifold, Point
 from geomid_ros.types import AnyArray, FloatArray, IntArray
 
+_PIECE = 4096  # rows
+
 DATA = Path(__file__).parents[2] / "shared" / "data"
 
 
@@ -39,8 +41,8 @@ class Rows:
     def __len__(self) -> int:
         return len(self.targets)
 
-    def select(self, chosen: AnyArray) -> Rows:
-        """The rows chosen by a mask or by indices."""
+    def select(self, chosen: AnyArray | slice) -> Rows:
+        """The rows chosen by a mask, indices or a slice."""
         return Rows(*(getattr(self, name)[chosen] for name in self.__dataclass_fields__))
 
     def until(self, share: float) -> tuple[Rows, Rows]:
@@ -61,8 +63,12 @@ class Rows:
 
     def compressed(self) -> Rows:
         """At most D rows with standard deviation 1 and the same least-squares content, by QR."""
-        rows, targets = self.whitened
-        factor = np.linalg.qr(np.column_stack([rows, targets]), mode="r")[: rows.shape[1]]
+        unknowns = self.coefficients.shape[1]
+        factor = np.zeros((0, unknowns + 1))
+        for begin in range(0, len(self), _PIECE):
+            piece = self.select(slice(begin, begin + _PIECE))
+            factor = np.linalg.qr(np.concatenate([factor, np.column_stack(piece.whitened)]), mode="r")
+        factor = factor[:unknowns]
         count = len(factor)
         zeros = np.zeros(count, dtype=np.int64)
         return Rows(factor[:, :-1].copy(), factor[:, -1].copy(), np.ones(count), zeros, zeros)

@@ -23,6 +23,7 @@ _INSTANTS = (334, 3_334, 33_334, 333_334)  # three rows each
 _FEW, _LINKS = 1_000, (7, 16, 32, 64)  # instants at which so many links are compared; a person has 16
 _REPEATS, _ENOUGH = 3, 5.0
 _WARM_UP = 300  # rows that make the compiled code load
+_LEAST = {"seconds": 0.0, "growth": 1.0}  # [s], [MB] that can be told from nothing
 
 
 @dataclass(frozen=True)
@@ -113,13 +114,18 @@ def _table(report: Report, title: str, costs: list[_Cost], what: str, size: Call
     for name in _METHODS:
         own = [cost for cost in costs if cost.method == name]
         shown = [f"{cost.seconds:.3g}, {cost.growth:.0f}" for cost in own]
-        exponents = [exponent([size(c) for c in own], [getattr(c, of) for c in own]) for of in ("seconds", "growth")]
+        exponents = [_exponent(own, [size(cost) for cost in own], of) for of in ("seconds", "growth")]
         lines.append([name, *shown, ", ".join(f"{e:.2f}" for e in exponents)])
     caption = (
-        "Memory: what a fit adds to the process that holds the rows. Exponents: of the least-squares power law. "
+        "Memory: what a fit adds to the process that holds the rows. Exponents: of the least-squares power law, in "
+        "which less than 1 MB counts as that. "
         "gamma 1e-2. Time of the compressed ones includes the compression."
     )
     report.table(title, headings, lines, caption)
+
+
+def _exponent(costs: list[_Cost], sizes: list[int], of: str) -> float:
+    return exponent(sizes, [max(getattr(cost, of), _LEAST[of]) for cost in costs])
 
 
 def _draw(by_rows: list[_Cost], by_links: list[_Cost]) -> Figure:
@@ -138,6 +144,6 @@ def _panel(panel: Axes, costs: list[_Cost], what: str, of: str) -> None:
     for name in _METHODS:
         own = [cost for cost in costs if cost.method == name]
         sizes, values = [getattr(c, what) for c in own], [getattr(c, of) for c in own]
-        panel.loglog(sizes, values, "o-", label=f"{name}: exponent {exponent(sizes, values):.2f}")
+        panel.loglog(sizes, values, "o-", label=f"{name}: exponent {_exponent(own, sizes, of):.2f}")
     panel.grid(which="both", alpha=0.2)
     panel.legend(fontsize=8)

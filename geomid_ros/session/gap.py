@@ -22,6 +22,7 @@ from geomid_ros.session.recordings import HELD_OUT, Bags, Progress, divided, rea
 from geomid_ros.session.session import Session
 from geomid_ros.signals.messages import JOINT_STATES, Accepted, message_type, parse
 from geomid_ros.signals.pipeline import SignalPipeline
+from geomid_ros.signals.settings import SignalSettings
 from geomid_ros.types import FloatArray
 
 _LENGTHS = 0.1  # relative difference of two recordings of one motion
@@ -82,8 +83,11 @@ def gap_cutoff(session: Session, rate: float) -> float:
 
 def gap_pipeline(session: Session, cutoff: float) -> SignalPipeline:
     """A pipeline with a low-pass of ``cutoff`` [Hz] that makes samples for the gap workflow."""
-    settings = replace(session.configuration.signals(session.robot.joint_names), cutoff=cutoff)
-    return session.new_pipeline(settings, library_columns(session.model))
+    return session.new_pipeline(_filtered_at(session, cutoff), library_columns(session.model))
+
+
+def _filtered_at(session: Session, cutoff: float) -> SignalSettings:
+    return replace(session.configuration.signals(session.robot.joint_names), cutoff=cutoff)
 
 
 def find(session: Session, recordings: Recordings, progress: Progress) -> GapResult:
@@ -184,11 +188,17 @@ class GapReader:
         """
         shares = [(path, share) for path, share in self.bags.shares if share > 0.0]
         cutoff = min(SHARP_CUTOFF, CUTOFF_PER_RATE * self._rate([*self.bags.fitted, *self.bags.validate]))
-        parts = [divided([self._whole(path, cutoff, topic)], share) for path, share in shares]
-        return [late for ((_, late),) in parts]
+        return [self._late(path, share, cutoff, topic) for path, share in shares]
 
-    def _whole(self, path: Path, cutoff: float, topic: str = "") -> Samples:
-        pipeline = gap_pipeline(self.session, cutoff)
+    def _late(self, path: Path, share: float, cutoff: float, topic: str) -> Samples:
+        pipeline = self.session.new_pipeline(_filtered_at(self.session, cutoff))
+        ((_, late),) = divided([self._samples(path, pipeline, topic)], share)
+        return Samples.concatenate([late])  # a copy, which does not keep the whole recording
+
+    def _whole(self, path: Path, cutoff: float) -> Samples:
+        return self._samples(path, gap_pipeline(self.session, cutoff))
+
+    def _samples(self, path: Path, pipeline: SignalPipeline, topic: str = "") -> Samples:
         topics = self.bags.topics
         topics = replace(topics, joint_states=topic, joint_option="--command") if topic else topics
         with Bag(path) as bag:

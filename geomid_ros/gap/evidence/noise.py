@@ -62,19 +62,23 @@ class Autoregression:
         """Columns ``(N, K)`` less what the rows before predict, run by run, in units in which white noise of the
         process's innovations keeps its size; rows outside the runs are left out. The first rows of a run use the
         shorter predictors, so that none is lost."""
-        parts = [self._whiten_run(columns[run]) for run in runs]
-        return np.concatenate(parts) if parts else np.zeros((0, columns.shape[1]))
+        white = np.empty((sum(run.stop - run.start for run in runs), columns.shape[1]))
+        begin = 0
+        for run in runs:
+            end = begin + run.stop - run.start
+            self._whiten_run(columns[run], white[begin:end])
+            begin = end
+        return white
 
-    def _whiten_run(self, rows: FloatArray) -> FloatArray:
+    def _whiten_run(self, rows: FloatArray, result: FloatArray) -> None:
         order = self.order
-        result = rows.copy()
+        result[:] = rows
         for lag, weight in enumerate(self.predictors[order] if len(rows) > order else (), start=1):
             result[order:] -= weight * rows[order - lag : len(rows) - lag]
         for index in range(min(order, len(rows))):
             for lag, weight in enumerate(self.predictors[index], start=1):
                 result[index] -= weight * rows[index - lag]
             result[index] *= np.sqrt(self.variances[order] / self.variances[index])
-        return result
 
 
 def _covariance(values: FloatArray, runs: list[slice], lag: int) -> float:

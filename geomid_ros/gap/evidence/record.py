@@ -59,6 +59,8 @@ class Records:
 
     def advanced(self, seconds: float) -> Records:
         """The same records with the efforts of so many seconds later; not a number beyond the ends."""
+        if seconds == 0.0:
+            return self
         return Records(tuple(_advanced(part, seconds) for part in self.dense), self.chosen, self.cutoff)
 
     @cached_property
@@ -197,8 +199,6 @@ def _unsettled(part: Samples) -> FloatArray:
 
 
 def _advanced(part: Samples, seconds: float) -> Samples:
-    if seconds == 0.0:
-        return part
     times = part.seconds
     effort = np.full(part.effort.shape, np.nan)
     for joint, measured in enumerate(np.isfinite(part.effort).T):
