@@ -347,6 +347,16 @@ class MeasurementModel:
 
     def rows(self, samples: Samples) -> Rows:
         """The rows of N samples."""
+        coefficients = np.empty((len(samples), len(self.channels), self.dimension))
+        targets = np.empty((len(samples), len(self.channels)))
+        begin = 0
+        for piece in samples.in_pieces():
+            own = slice(begin, begin + len(piece))
+            coefficients[own], targets[own] = self._rows(piece)
+            begin = own.stop
+        return Rows(coefficients, targets)
+
+    def _rows(self, samples: Samples) -> tuple[FloatArray, FloatArray]:
         bodies = np.zeros((len(samples), len(self.channels), len(self.robot.bodies), 10))
         targets = np.empty((len(samples), len(self.channels)))
         wrenches = self._measured_wrenches(samples)
@@ -396,7 +406,7 @@ class MeasurementModel:
             total += self.robot.frame_jacobian(q, sensor.frame).T @ self._of(sensor, wrenches)
         return total
 
-    def _assemble(self, samples: Samples, bodies: FloatArray, targets: FloatArray) -> Rows:
+    def _assemble(self, samples: Samples, bodies: FloatArray, targets: FloatArray) -> tuple[FloatArray, FloatArray]:
         count = len(samples)
         inertial = bodies[:, :, list(self.identified)].reshape(count, len(self.channels), -1)
         known = [index for index in range(len(self.robot.bodies)) if index not in self.identified]
@@ -423,7 +433,7 @@ class MeasurementModel:
             else:
                 for channel, values in self.columns_of(samples, effect, place, coefficient.index).items():
                     coefficients[:, channel, column] = values
-        return Rows(coefficients, targets)
+        return coefficients, targets
 
     def _loads(self, samples: Samples, bodies: FloatArray) -> FloatArray:
         """What the gears transmit ``(N, J)``, by what is known."""

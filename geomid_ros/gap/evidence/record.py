@@ -117,8 +117,8 @@ class Records:
                 period = _period(part)
                 smooth, _, _ = filtered(load, _SMOOTHER * self.cutoff, period)
                 layers = np.moveaxis(function(smooth, period), 2, 0)
-                derived = np.stack([filtered(layer, self.cutoff, period) for layer in layers], axis=3)
-                parts.append(derived[:, index])
+                derived = [np.array(filtered(layer, self.cutoff, period))[:, index] for layer in layers]
+                parts.append(np.stack(derived, axis=3))
             value, rate, acceleration = np.concatenate(parts, axis=1)
             return value, rate, acceleration
 

@@ -147,34 +147,52 @@ class _Round:
 def _last_round(task: _Task, prior: Prior, stage: str) -> _Round:
     """Search and linearisation in turn, until the total model settles. One that does not is fitted along what the last
     search has found, in the noise of that: it may have dropped names, with whose sizes all was linearised."""
-    model, records, tried, curves = task.model, task.records, task.tried, task.curves
-    total = total_model(model, unfitted(prior))
-    problem = LinearisedProblem(model, records, total)
-    columns = problem.columns(tried, prior.terms, curves)
-    noise = (Autoregression.white(),) * len(model.channels)
-    bare = Search(problem.design(columns, noise), prior, tried).fit([])
-    noise = _flexible_noise(problem, columns, bare, problem.valid)
-    total = total_model(model, bare)
+    noise, total = _beginning(task, prior)
     floor: FloatArray | None = None
     before: JointFit | None = None
+    rounds: list[_Round] = []
     for attempt in range(_ROUNDS + _REFITS):
-        searches, is_last = attempt < _ROUNDS, attempt == _ROUNDS - 1
         task.progress(stage, min(1.0, attempt / _ROUNDS))
-        columns.clear()  # they are large, and go before others come
-        problem = LinearisedProblem(model, records, total, floor)
-        columns = problem.columns(tried, prior.terms, curves)
-        search = Search(problem.design(columns, noise), prior, tried, curves.candidates)
-        found = search.without_absurd(search.fit(before.chosen if before else ()))
-        if is_last or (searches and _near(total_model(model, found), total)):
-            found = search.without_absurd(search.settle(search.prune(found), to_the_end=is_last))
-        total = total_model(model, found)
+        problem = LinearisedProblem(task.model, task.records, total, floor)
+        rounds.clear()  # columns and their products are large, and go before others come
+        rounds.append(_round(task, prior, problem, noise, before, attempt))
+        found = rounds[-1].found
+        total = total_model(task.model, found)
         if _same(before, found):
             break
         before = found
-        if searches and not is_last:
-            residual = problem.residual(columns, found)
+        if attempt < _ROUNDS - 1:
+            residual = problem.residual(rounds[-1].columns, found)
             floor = _typical_size(residual, problem.valid)
-            noise = _noise(residual, problem.valid, records)
+            noise = _noise(residual, problem.valid, task.records)
+    return rounds[-1]
+
+
+def _beginning(task: _Task, prior: Prior) -> tuple[tuple[Autoregression, ...], TotalModel]:
+    """The first noise, and the total model without names."""
+    problem = LinearisedProblem(task.model, task.records, total_model(task.model, unfitted(prior)))
+    columns = problem.columns(task.tried, prior.terms, task.curves)
+    noise = (Autoregression.white(),) * len(task.model.channels)
+    bare = Search(problem.design(columns, noise), prior, task.tried).fit([])
+    return _flexible_noise(problem, columns, bare, problem.valid), total_model(task.model, bare)
+
+
+def _round(
+    task: _Task,
+    prior: Prior,
+    problem: LinearisedProblem,
+    noise: Sequence[Autoregression],
+    before: JointFit | None,
+    attempt: int,
+) -> _Round:
+    """A fit along what was found ``before``, and a search from there if the columns are good for that. The last attempt
+    that searches does so to the end; those after it do not."""
+    is_last = attempt == _ROUNDS - 1
+    columns = problem.columns(task.tried, prior.terms, task.curves)
+    search = Search(problem.design(columns, noise), prior, task.tried, task.curves.candidates)
+    found = search.without_absurd(search.fit(before.chosen if before else ()))
+    if is_last or (attempt < _ROUNDS and _near(total_model(task.model, found), problem.total)):
+        found = search.without_absurd(search.settle(search.prune(found), to_the_end=is_last))
     return _Round(problem, columns, search, found)
 
 
