@@ -1,8 +1,10 @@
 """The whole workflow on planted robots, and what it refuses."""
 
+import weakref
 from collections.abc import Callable
 from dataclasses import replace
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -487,3 +489,21 @@ def test_three_seconds_are_enough_for_what_is_plain(seed: int) -> None:
         found = find_gap(planted.model(), recordings[:1], recordings[1:])
         assert [(finding.effect, finding.joint) for finding in found.findings] == expected
         assert np.all(np.isfinite(found.floor))
+
+
+def test_a_round_has_gone_before_the_next_one_comes(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its columns and their products are what takes the memory."""
+    done: list[weakref.ref[object]] = []
+    alive = []
+    make = analysis._round
+
+    def watched(*given: Any) -> Any:
+        alive.append([one() for one in done if one() is not None])
+        found = make(*given)
+        done.extend([weakref.ref(found), weakref.ref(found.search), weakref.ref(found.search.design)])
+        return found
+
+    monkeypatch.setattr(analysis, "_round", watched)
+    run(beside(13, lambda _q, v, _a: 3.0 * v, 1), 13)
+    assert alive[1:], "there was one round only"
+    assert not any(alive)
