@@ -1,0 +1,45 @@
+"""What the gap workflow reads of a bag: the whole for the search, and sharply what is simulated again."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from files.recordings import BAGS
+
+from geomid_ros.files.bags.bag import Bag
+from geomid_ros.files.models.urdf import read_urdf
+from geomid_ros.model.moving import REST, SIGN
+from geomid_ros.model.samples import Samples
+from geomid_ros.resimulation.resimulate import CUTOFF
+from geomid_ros.session.configuration import Configuration
+from geomid_ros.session.gap import CUTOFF_PER_RATE, GapReader, gap_pipeline, gap_session
+from geomid_ros.session.recordings import Bags, Topics, divided, read_samples
+from geomid_ros.session.session import Session
+
+BAG = BAGS / "arm3"
+SHARE = 0.3
+
+
+@pytest.fixture
+def session() -> Session:
+    return gap_session(read_urdf(BAGS / "arm3.urdf"), Configuration(), "arm3.urdf")
+
+
+def test_what_is_simulated_again_is_the_end_that_is_held_out(session: Session) -> None:
+    """Read with its own low-pass, and without the columns of the effects that are searched for."""
+    (late,) = GapReader(session, Bags(fitted=[BAG], hold_out=SHARE)).sharp()
+    rate = 100.0
+    pipeline = gap_pipeline(session, min(CUTOFF, CUTOFF_PER_RATE * rate))
+    with Bag(BAG) as bag:
+        everything = list(read_samples(bag, session, pipeline, Topics("joint_states", "odom")))
+    ((_, expected),) = divided([Samples.concatenate(everything)], SHARE)
+    np.testing.assert_array_equal(late.stamps, expected.stamps)
+    for name in ("position", "velocity", "acceleration", "effort"):
+        own = expected.arrays[name]
+        np.testing.assert_allclose(late.arrays[name], own, rtol=0.0, atol=1e-9 * np.max(np.abs(own)))
+    assert set(late.entries.columns.columns) == {SIGN, REST}
+
+
+def test_the_end_does_not_keep_the_whole_recording(session: Session) -> None:
+    (late,) = GapReader(session, Bags(fitted=[BAG], hold_out=SHARE)).sharp()
+    assert {name for name, array in late.arrays.items() if array.base is not None} == set()
