@@ -55,14 +55,8 @@ def _changes(model: MeasurementModel, analysis: Analysis, unseen: HeldOut) -> It
         loss = held - free
         if loss > CONFIDENT_LOSS:
             body = model.robot.bodies[model.identified[link]]
-            # That the link has changed says nothing of its mass: its centre may have. Of realistic robots masses were
-            # off by five and six of their deviations, which therefore count by half.
-            told = range(1, 4) if moment else range(1)
-            of_size = 0.5 * max((change[k] / std[k]) ** 2 for k in told)
-            sure = of_size > CONFIDENT_LOSS and (loss > CONFIDENT_BESIDE_UNEXPLAINED or not left)
-            sure = sure and not (analysis.contested and link == search.prior.changed_link)
-            # As no payload outweighs the robot, no link does: a spring, say, can pass for one that does not move.
-            sure = sure and was[0] + change[0] < np.sum(nominal[:, 0])
+            told = slice(1, 4) if moment else slice(1)
+            sure = _is_sure(analysis, link, change[told] / std[told], loss, left)
             # Where the model is a guess the link's centre and inertia may be wrong instead.
             guessed = left and not is_identified(analysis)
             doubt = _doubt(unseen, _with_mass_as_it_was(analysis, prior, link)) if guessed else 0.0
@@ -76,6 +70,21 @@ def _changes(model: MeasurementModel, analysis: Analysis, unseen: HeldOut) -> It
                 confidence="confident" if sure and (moment or abs(mass.value) > _SURE * mass.std) else "tentative",
                 moment=moment,
             )
+
+
+def _is_sure(analysis: Analysis, link: int, times: FloatArray, loss: float, left: bool) -> bool:
+    """Whether a link has changed for sure: its change is so many ``times`` the standard deviations, without it the fit
+    is worse by ``loss``, and something is ``left`` without a name or nothing."""
+    prior = analysis.search.prior
+    # That the link has changed says nothing of its mass: its centre may have. Of realistic robots masses were off by
+    # five and six of their deviations, which therefore count by half.
+    of_size = 0.5 * np.max(times**2)
+    if of_size <= CONFIDENT_LOSS or (left and loss <= CONFIDENT_BESIDE_UNEXPLAINED):
+        return False
+    if analysis.contested and link == prior.changed_link:
+        return False
+    # As no payload outweighs the robot, no link does: a spring, say, can pass for one that does not move.
+    return bool(analysis.names.inertias[link, 0] < np.sum(prior.inertias.reshape(-1, 10)[:, 0]))
 
 
 def _first_moment(change: FloatArray, std: FloatArray) -> dict[str, Quantity]:
