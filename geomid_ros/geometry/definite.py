@@ -26,6 +26,14 @@ def solved(matrix: FloatArray, right: FloatArray) -> FloatArray:
     return np.asarray(x)
 
 
+def solved_anyway(matrix: FloatArray, right: FloatArray) -> FloatArray:
+    """The same; by a general method where rounding leaves it not quite positive definite."""
+    try:
+        return solved(matrix, right)
+    except LinAlgError:
+        return np.asarray(np.linalg.solve(matrix, right))
+
+
 def inverse(matrix: FloatArray) -> FloatArray:
     """The inverse of ``matrix (n, n)``; by a general method where rounding leaves it not quite positive definite."""
     factor, failed = _lapack().dpotrf(matrix, lower=1, clean=1)

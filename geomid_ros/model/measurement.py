@@ -36,7 +36,7 @@ from geomid_ros.model.effects import (
 from geomid_ros.model.effects.parameters import quantities
 from geomid_ros.model.moving import REST, SIGN
 from geomid_ros.model.robot import Robot
-from geomid_ros.model.samples import Samples
+from geomid_ros.model.samples import PIECE, Samples
 from geomid_ros.model.sensors import WORLD_FRAMES, WrenchSensor
 from geomid_ros.types import FloatArray, IntArray
 
@@ -347,6 +347,8 @@ class MeasurementModel:
 
     def rows(self, samples: Samples) -> Rows:
         """The rows of N samples."""
+        if len(samples) <= PIECE:
+            return Rows(*self._rows(samples))
         coefficients = np.empty((len(samples), len(self.channels), self.dimension))
         targets = np.empty((len(samples), len(self.channels)))
         begin = 0

@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any
 
 import numpy as np
 
-from geomid_ros.model.columns import NO_ENTRIES, Column, Entries, column_of, reached_joints
+from geomid_ros.model.columns import NO_ENTRIES, Column, Columns, Entries, column_of, reached_joints
 from geomid_ros.model.effects import Motion, MotionEffect, Place
 from geomid_ros.types import AnyArray, FloatArray, IntArray
 
 _PAUSE = 1.5  # sampling periods
-_PIECE = 1000  # samples
+PIECE = 1000
+"""Samples: of so many the rows, and what else is computed of them, take little memory."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,8 +105,15 @@ class Samples:
 
     def in_pieces(self) -> Iterator[Samples]:
         """The same, a few at a time: what is computed for each takes little memory."""
-        for begin in range(0, len(self), _PIECE):
-            yield self.select(slice(begin, begin + _PIECE))
+        for begin in range(0, len(self), PIECE):
+            yield self.select(slice(begin, begin + PIECE))
+
+    def with_columns(self, chosen: Collection[Column]) -> Samples:
+        """The same with none of the effects' columns but those that are ``chosen``."""
+        columns = [column for column in self.entries.columns.columns if column in chosen]
+        effects = [self.effects[:, self.entries.of(column)[0]] for column in columns]
+        entries = Entries(Columns(tuple(columns)), self.entries.joints)
+        return replace(self, effects=np.concatenate([self.effects[:, :0], *effects], axis=1), entries=entries)
 
     def with_joints(self, order: IntArray) -> Samples:
         """The samples in which joint j does what joint ``order[j]`` did; ``order (joints,)``. Columns of effects that

@@ -9,6 +9,7 @@ from typing import TypeAlias
 import numpy as np
 
 from geomid_ros.model.measurement import MeasurementModel
+from geomid_ros.model.moving import SIGN
 from geomid_ros.model.samples import Samples
 from geomid_ros.model.sensors import WrenchSensor
 from geomid_ros.plausibility.efforts import MEASURED, EffortCheck
@@ -99,8 +100,9 @@ class RecordingCheck:
 
     def add(self, samples: Samples) -> None:
         """Take samples, in the order of time of each recording."""
-        self._instants.add(samples)
-        self._stretch.add(samples)
+        needed = samples.with_columns([SIGN])
+        self._instants.add(needed)
+        self._stretch.add(needed)
 
     @property
     def due(self) -> bool:

@@ -128,7 +128,8 @@ def _hypothesis(subject: Subject, start: Encoder, choices: int) -> Hypothesis:
         world = subject.world(encoder.read(subject.samples)).with_unknown(_rate(subject, encoder, links), centre)
         found = world.judge(reading)
         encoder = encoder.shifted(start.zero + _SPREAD * float(found.links[-1]))
-    cause = _cause(subject.robot.joint_names, encoder, _SPREAD * float(found.deviations[-1]))
+    deviation = _SPREAD * float(world.deviations_of_links(reading)[-1])
+    cause = _cause(subject.robot.joint_names, encoder, deviation)
     return subject.hypothesis(cause, found, choices)
 
 

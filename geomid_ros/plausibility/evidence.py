@@ -55,19 +55,12 @@ class Evidence:
         sigmas: ``(C,)`` of what is left, in standard deviations of the measured channels.
         links: ``(r,)`` the links' errors.
         friction: ``(C, 4)`` its coefficients, in standard deviations of the measured channels.
-        precision: of the links' errors and those of friction's coefficients that are not held at zero.
     """
 
     log: float
     sigmas: FloatArray
     links: FloatArray
     friction: FloatArray
-    precision: FloatArray
-
-    @property
-    def deviations(self) -> FloatArray:
-        """Standard deviations of the links' errors ``(r,)``."""
-        return np.asarray(np.sqrt(np.diag(definite.inverse(self.precision))[: len(self.links)]))
 
 
 def evidence(products: Products, tolerated: FloatArray, *, either_sign: bool = False) -> Evidence:
@@ -78,6 +71,19 @@ def evidence(products: Products, tolerated: FloatArray, *, either_sign: bool = F
         tolerated: ``(C, 4)`` standard deviations of friction's coefficients: about what explains all of a channel.
         either_sign: whether viscous and dry friction may be below zero.
     """
+    return _judged(products, tolerated, either_sign)[0]
+
+
+def deviations_of_links(products: Products, tolerated: FloatArray) -> FloatArray:
+    """Standard deviations ``(r,)`` of the links' errors that :func:`evidence` finds."""
+    found, precision = _judged(products, tolerated, either_sign=False)
+    variances = np.diag(definite.inverse(precision))[: len(found.links)]
+    return np.asarray(np.sqrt(np.maximum(variances, 0.0)))  # rounding may leave next to nothing, of either sign
+
+
+def _judged(products: Products, tolerated: FloatArray, either_sign: bool) -> tuple[Evidence, FloatArray]:
+    """The evidence, and the precision of the links' errors and of friction's coefficients that are not held at
+    zero."""
     channels, size = products.crossed.shape
     rank = size - 4
     precision = np.concatenate([np.ones(rank), (1.0 / tolerated**2).ravel()])
@@ -94,13 +100,13 @@ def evidence(products: Products, tolerated: FloatArray, *, either_sign: bool = F
     weighted = float(np.sum(squares / sigmas**2) + precision @ mean**2)
     noise = float(products.counts @ np.log(2.0 * np.pi * sigmas**2))
     log_determinant = float(np.linalg.slogdet(posterior)[1] - np.sum(np.log(precision[~held])))
-    return Evidence(
+    found = Evidence(
         log=-0.5 * (weighted + noise + log_determinant),
         sigmas=sigmas,
         links=mean[:rank],
         friction=mean[rank:].reshape(channels, 4),
-        precision=posterior,
     )
+    return found, posterior
 
 
 def _solved(
@@ -113,7 +119,7 @@ def _solved(
         free = np.flatnonzero(~held)
         among = matrix[free[:, None], free] if np.any(held) else matrix
         mean = np.zeros(len(precision))
-        mean[free] = definite.solved(among, right[free])
+        mean[free] = definite.solved_anyway(among, right[free])
         pull = right - matrix @ mean  # of what is held: positive if it would become so
         changed = np.where(held, pull <= 0.0, mean < 0.0) & bounded
         if np.array_equal(changed, held):

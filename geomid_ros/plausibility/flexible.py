@@ -123,8 +123,9 @@ class FlexibleFit:
         friction = by_channel(self._friction[:, :, 1:] * (self._tolerated[:, 1:] * self.spread[:, None]))
         known = np.concatenate([self._columns, offsets, friction], axis=2)
         known = (known * self._weights[:, :, None]).reshape(-1, known.shape[2])
-        factor = np.linalg.cholesky(np.eye(known.shape[1]) + known.T @ known)
-        self._known = np.linalg.solve(factor, known.T).T
+        # By QR, not from products of the columns, which rounding may leave indefinite: efforts may be next to nothing.
+        factor = np.linalg.qr(np.concatenate([np.eye(known.shape[1]), known]), mode="r")
+        self._known = np.linalg.solve(factor.T, known.T).T
         target = ((self.measured - self._predicted) * self._weights).ravel()
         self._left = target - self._known @ (self._known.T @ target)
 

@@ -8,7 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
-from geomid_ros.plausibility.evidence import Evidence, Products, evidence
+from geomid_ros.plausibility.evidence import Evidence, Products, deviations_of_links, evidence
 from geomid_ros.types import BoolArray, FloatArray, IntArray
 
 _ROUNDING = 1e-10
@@ -145,6 +145,10 @@ class World:
     def judge(self, reading: Reading, *, either_sign: bool = False) -> Evidence:
         """The evidence of a reading; with friction of either sign if wanted."""
         return evidence(self._products(reading), self._tolerated, either_sign=either_sign)
+
+    def deviations_of_links(self, reading: Reading) -> FloatArray:
+        """Standard deviations of the links' errors ``(r,)``, of what a reading finds."""
+        return deviations_of_links(self._products(reading), self._tolerated)
 
     def friction(self, found: Evidence) -> FloatArray:
         """What viscous and dry friction take, as they were found, in standard deviations ``(N, C)``."""

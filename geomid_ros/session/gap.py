@@ -176,8 +176,7 @@ class GapReader:
 
     def _judge(self, recordings: Sequence[Samples]) -> None:
         for samples in recordings:
-            for piece in samples.in_pieces():
-                self.session.check.add(piece)
+            self.session.check.add(samples)
         self.session.judge()
 
     def sharp(self, topic: str = "") -> list[Samples]:

@@ -246,3 +246,61 @@ def test_each_link_that_may_have_been_changed_is_searched_with(
     monkeypatch.setattr(analysis, "replace", lambda each, contested: (each.link, contested))
     task: Any = None
     assert analysis._with_changed_link(task, found) == (expected or found)
+
+
+class Rounds:
+    """Searches that do not settle: of each attempt what it was given, and the noise of what it left."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.noises: list[Any] = []
+        self.made = 0
+        monkeypatch.setattr(analysis, "_beginning", lambda *_: ("first", None))
+        monkeypatch.setattr(analysis, "_round", self.round)
+        monkeypatch.setattr(analysis, "_same", lambda *_: False)
+        monkeypatch.setattr(analysis, "_noise", self.noise)
+        monkeypatch.setattr(analysis, "_typical_size", lambda *_: None)
+        monkeypatch.setattr(analysis, "total_model", lambda *_: None)
+        problem = SimpleNamespace(residual=lambda *_: None, valid=None)
+        monkeypatch.setattr(analysis, "LinearisedProblem", lambda *_: problem)
+
+    def round(self, *given: Any) -> Any:
+        _, _, _, noise, before, attempt = given
+        assert attempt == len(self.noises)
+        assert before is (attempt - 1 if attempt else None)
+        self.noises.append(noise)
+        return SimpleNamespace(columns=None, found=attempt)
+
+    def noise(self, *_: Any) -> int:
+        self.made += 1
+        return self.made
+
+
+def test_what_does_not_settle_is_fitted_in_the_noise_of_the_last_search(monkeypatch: pytest.MonkeyPatch) -> None:
+    rounds = Rounds(monkeypatch)
+    task: Any = SimpleNamespace(model=None, records=None, progress=lambda *_: None)
+    analysis._last_round(task, None, "")  # type: ignore[arg-type]
+    searches = ["first", 1, 2, 3, 4, 5]
+    assert rounds.noises == [*searches, 5, 5, 5]
+
+
+@pytest.mark.parametrize(
+    ("attempt", "near", "settled"),
+    [(0, True, [False]), (0, False, []), (5, False, [True]), (5, True, [True]), (6, True, []), (8, False, [])],
+)
+def test_fits_after_the_last_search_do_not_search(
+    attempt: int, near: bool, settled: list[bool], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    said: list[bool] = []
+    search = SimpleNamespace(
+        without_absurd=lambda found: found,
+        fit=lambda _: "fitted",
+        prune=lambda found: found,
+        settle=lambda found, *, to_the_end: said.append(to_the_end) or found,
+    )
+    monkeypatch.setattr(analysis, "Search", lambda *_: search)
+    monkeypatch.setattr(analysis, "_near", lambda *_: near)
+    monkeypatch.setattr(analysis, "total_model", lambda *_: None)
+    problem: Any = SimpleNamespace(columns=lambda *_: None, design=lambda *_: None, total=None)
+    task: Any = SimpleNamespace(model=None, tried=(), curves=SimpleNamespace(candidates=()))
+    analysis._round(task, SimpleNamespace(terms=()), problem, (), None, attempt)  # type: ignore[arg-type]
+    assert said == settled

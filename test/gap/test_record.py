@@ -223,6 +223,11 @@ def test_the_situation_is_that_of_the_total_model() -> None:
     np.testing.assert_allclose(situation.load_rate[5:-5], slope[5:-5], atol=0.05 * np.std(slope))
     bend = np.gradient(np.gradient(rigid(q, v, a), times, axis=0), times, axis=0)[chosen]
     np.testing.assert_allclose(situation.load_acceleration[5:-5], bend[5:-5], atol=0.15 * np.std(bend))
+    # So are functions of the load, each layer by itself.
+    layers = situation.of_load(lambda load, _: np.stack([load, -2.0 * load], axis=2))
+    for each, expected in zip(layers, (load, slope, bend), strict=True):
+        np.testing.assert_allclose(each[5:-5, :, 0], expected[5:-5], atol=0.15 * np.std(expected))
+        np.testing.assert_array_equal(each[:, :, 1], -2.0 * each[:, :, 0])
     np.testing.assert_array_equal(situation.sign, records.samples.column(SIGN))
     assert situation.coefficients == {("viscous_friction", AtJoint(1)): 0.7, ("rotor_inertia", AtJoint(2)): 0.3}
     np.testing.assert_array_equal(situation.gravity, MODEL.robot.gravity)

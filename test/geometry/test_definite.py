@@ -35,3 +35,4 @@ def test_of_an_indefinite_one_nothing_is_solved_but_there_is_an_inverse() -> Non
     with pytest.raises(np.linalg.LinAlgError):
         definite.solved(matrix, np.ones(3))
     assert definite.inverse(matrix) == pytest.approx(np.diag([1.0, -0.5, 0.25]))
+    assert definite.solved_anyway(matrix, np.ones(3)) == pytest.approx([1.0, -0.5, 0.25])

@@ -5,6 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from geomid_ros.model.columns import Columns, Entries, JointColumn, PlacedColumn
+from geomid_ros.model.effects import AtJoints
+from geomid_ros.model.effects.coulomb_friction import CoulombFriction
+from geomid_ros.model.effects.coupled_motor import CoupledViscousFriction
+from geomid_ros.model.effects.viscous_friction import ViscousFriction
 from geomid_ros.model.samples import Samples
 
 PERIOD = 10_000_000  # [ns]
@@ -43,3 +48,36 @@ def test_pieces_are_the_whole_a_thousand_at_a_time(count: int) -> None:
     assert all(0 < len(piece) <= 1000 for piece in pieces)
     assert [stamp for piece in pieces for stamp in piece.stamps] == whole.stamps.tolist()
     assert all(np.shares_memory(piece.effort, whole.effort) for piece in pieces), "no copies"
+
+
+class TestColumns:
+    """Of effects: one of each joint's own motion, and one of two joints' motors."""
+
+    OWN, PAIR = JointColumn(ViscousFriction()), PlacedColumn(CoupledViscousFriction(), AtJoints(0, 2))
+    ENTRIES = Entries(Columns((OWN, PAIR)), 3)
+
+    @pytest.fixture
+    def carried(self) -> Samples:
+        rng = np.random.default_rng(3)
+        motion = rng.normal(size=(4, 50, 3))
+        nothing = np.zeros((50, 0))
+        effects = rng.normal(size=(50, len(self.ENTRIES)))
+        stamps = PERIOD * np.arange(50)
+        return Samples(stamps, *motion, nothing, nothing, nothing, nothing[:, None], effects, self.ENTRIES)
+
+    @pytest.mark.parametrize("joints", [(0, 2), (2, 0), (2,)])
+    def test_joints_are_those_of_the_whole_column(self, carried: Samples, joints: tuple[int, ...]) -> None:
+        without = carried.with_columns([])
+        for samples in (carried, without):
+            for column in (self.OWN, self.PAIR):
+                expected = samples.column(column)[:, joints]
+                np.testing.assert_array_equal(samples.at_joints(column, joints), expected)
+                assert np.all(expected != 0.0)
+
+    def test_columns_that_are_not_chosen_go(self, carried: Samples) -> None:
+        for chosen in ([self.PAIR], [self.OWN], [self.PAIR, self.OWN], []):
+            kept = carried.with_columns([*chosen, JointColumn(CoulombFriction())])
+            assert set(kept.entries.columns.columns) == set(chosen)
+            for column in chosen:
+                np.testing.assert_array_equal(kept.column(column), carried.column(column))
+            np.testing.assert_array_equal(kept.effort, carried.effort)

@@ -312,3 +312,13 @@ def test_friction_that_is_compensated_too_much_is_not_a_sign(robot: Case) -> Non
     size = 1.5 * np.std(own.effort, axis=0)
     cause = named(robot.model, replace(own, effort=own.effort - size * np.tanh(own.velocity / 0.05)))
     assert cause.kind == "friction"
+
+
+@pytest.mark.parametrize("size", [1e-12, 1e-9, 1e-6, 1e9])
+def test_efforts_of_any_size_are_judged(robot: Case, size: float) -> None:
+    """Rounding leaves matrices of columns that are so much larger indefinite; then it decides what is said."""
+    (finding,) = checked(robot.model, replace(robot.samples, effort=size * robot.samples.effort)).findings()
+    assert finding.sure
+    assert finding.cause.kind == "gain" or size < 1e-6
+    nothing = size * np.random.default_rng(0).normal(size=robot.samples.effort.shape)
+    assert checked(robot.model, replace(robot.samples, effort=nothing)).findings(), "noise is no effort"

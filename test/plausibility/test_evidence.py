@@ -7,7 +7,7 @@ import pytest
 from scipy.optimize import minimize
 from scipy.stats import multivariate_normal
 
-from geomid_ros.plausibility.evidence import Evidence, Products, evidence
+from geomid_ros.plausibility.evidence import Evidence, Products, deviations_of_links, evidence
 from geomid_ros.types import FloatArray
 
 INSTANTS, CHANNELS, LINKS = 40, 2, 3
@@ -22,14 +22,17 @@ def drawn(seed: int, friction: FloatArray) -> tuple[FloatArray, FloatArray]:
     return columns, columns @ unknowns + 0.3 * rng.normal(size=(CHANNELS, INSTANTS))
 
 
-def found(columns: FloatArray, targets: FloatArray, tolerated: FloatArray) -> Evidence:
-    products = Products(
+def products(columns: FloatArray, targets: FloatArray) -> Products:
+    return Products(
         counts=np.full(CHANNELS, float(INSTANTS)),
         unknowns=columns.transpose(0, 2, 1) @ columns,
         crossed=np.einsum("cni,cn->ci", columns, targets),
         squares=np.sum(targets**2, axis=1),
     )
-    return evidence(products, tolerated)
+
+
+def found(columns: FloatArray, targets: FloatArray, tolerated: FloatArray) -> Evidence:
+    return evidence(products(columns, targets), tolerated)
 
 
 def test_it_is_the_density_of_all_targets_together() -> None:
@@ -45,6 +48,19 @@ def test_it_is_the_density_of_all_targets_together() -> None:
     covariance = (every * spread**2) @ every.T + np.diag(np.repeat(result.sigmas**2, INSTANTS))
     expected = multivariate_normal(np.zeros(len(every)), covariance).logpdf(targets.ravel())
     assert result.log == pytest.approx(expected, abs=ROUNDING * abs(expected))
+
+
+def test_the_links_are_as_unsure_as_the_normal_equations_say() -> None:
+    """Nothing is held: the friction is surely positive."""
+    tolerated = np.full((CHANNELS, 4), 2.0)
+    columns, targets = drawn(0, np.array([-1.0, 2.0, 1.5, 1.0]))
+    sigmas = found(columns, targets, tolerated).sigmas
+    precision = np.diag(np.append(np.ones(LINKS), np.full(4 * CHANNELS, 0.25)))
+    for channel, own in enumerate(columns / sigmas[:, None, None]):
+        places = [*range(LINKS), *range(LINKS + 4 * channel, LINKS + 4 * channel + 4)]
+        precision[np.ix_(places, places)] += own.T @ own
+    expected = np.sqrt(np.diag(np.linalg.inv(precision))[:LINKS])
+    assert deviations_of_links(products(columns, targets), tolerated) == pytest.approx(expected, rel=2e-3)
 
 
 @pytest.mark.parametrize("seed", range(5))

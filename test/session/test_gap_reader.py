@@ -43,3 +43,11 @@ def test_what_is_simulated_again_is_the_end_that_is_held_out(session: Session) -
 def test_the_end_does_not_keep_the_whole_recording(session: Session) -> None:
     (late,) = GapReader(session, Bags(fitted=[BAG], hold_out=SHARE)).sharp()
     assert {name for name, array in late.arrays.items() if array.base is not None} == set()
+
+
+def test_recordings_are_judged_as_a_whole(session: Session, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What is kept of a long one to find a delay depends on how much comes at once."""
+    judged: list[int] = []
+    monkeypatch.setattr(session.check, "add", lambda samples: judged.append(len(samples)))
+    found = GapReader(session, Bags(fitted=[BAG], hold_out=SHARE)).read(())
+    assert judged == [sum(map(len, (*found.train, *found.held_out)))]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -97,11 +98,17 @@ def test_a_division_copies_nothing_unless_the_clock_was_set_back() -> None:
     ((early, late),) = divided([whole], 0.3)
     assert np.shares_memory(early.stamps, whole.stamps)
     assert np.shares_memory(late.stamps, whole.stamps)
-    back = Samples.concatenate([whole.select(slice(20, 30)), whole.select(slice(0, 20)), whole.select(slice(30, 40))])
+
+
+@pytest.mark.parametrize("order", [[(20, 40), (0, 20)], [(20, 30), (0, 20), (30, 40)], [(30, 40), (0, 30)]])
+def test_where_the_clock_was_set_back_the_stamps_decide(order: list[tuple[int, int]]) -> None:
+    whole = recording(40)
+    back = Samples.concatenate([whole.select(slice(begin, end)) for begin, end in order])
     ((early, late),) = divided([back], 0.5)
-    boundary = np.min(late.stamps)
-    assert len(early) + len(late) == 40
-    assert np.all(early.stamps < boundary)
+    end = back.stamps[-1] + 1
+    boundary = end - round(0.5 * (end - back.stamps[0]))
+    assert early.stamps.tolist() == [stamp for stamp in back.stamps if stamp < boundary]
+    assert late.stamps.tolist() == [stamp for stamp in back.stamps if stamp >= boundary]
 
 
 def test_what_is_measured_late_is_measured(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -120,6 +127,9 @@ def test_what_is_measured_late_is_measured(monkeypatch: pytest.MonkeyPatch) -> N
         seen.clear()
         check_measured(session, [whole], [BAG])
         assert len(seen) == pieces
+    since = whole.stamps[0]
+    later = replace(whole, stamps=whole.stamps - 10**12)
+    check_measured(session, [whole, later], [BAG])
     since = whole.stamps[-1] + 1
     with pytest.raises(InputError, match="no effort is measured"):
         check_measured(session, [whole], [BAG])
