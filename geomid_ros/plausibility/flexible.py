@@ -124,8 +124,8 @@ class FlexibleFit:
         known = np.concatenate([self._columns, offsets, friction], axis=2)
         known = (known * self._weights[:, :, None]).reshape(-1, known.shape[2])
         # By QR, not from products of the columns, which rounding may leave indefinite: efforts may be next to nothing.
-        factor = np.linalg.qr(np.concatenate([np.eye(known.shape[1]), known]), mode="r")
-        self._known = np.linalg.solve(factor.T, known.T).T
+        basis, _ = np.linalg.qr(np.concatenate([np.eye(known.shape[1]), known]))
+        self._known = basis[known.shape[1] :]
         target = ((self.measured - self._predicted) * self._weights).ravel()
         self._left = target - self._known @ (self._known.T @ target)
 
