@@ -114,7 +114,7 @@ def _table(report: Report, title: str, costs: list[_Cost], what: str, size: Call
     for name in _METHODS:
         own = [cost for cost in costs if cost.method == name]
         shown = [f"{cost.seconds:.3g}, {cost.growth:.0f}" for cost in own]
-        exponents = [_exponent(own, [size(cost) for cost in own], of) for of in ("seconds", "growth")]
+        exponents = [exponent([size(cost) for cost in own], _told(own, of)) for of in ("seconds", "growth")]
         lines.append([name, *shown, ", ".join(f"{e:.2f}" for e in exponents)])
     caption = (
         "Memory: what a fit adds to the process that holds the rows. Exponents: of the least-squares power law, in "
@@ -124,8 +124,9 @@ def _table(report: Report, title: str, costs: list[_Cost], what: str, size: Call
     report.table(title, headings, lines, caption)
 
 
-def _exponent(costs: list[_Cost], sizes: list[int], of: str) -> float:
-    return exponent(sizes, [max(getattr(cost, of), _LEAST[of]) for cost in costs])
+def _told(costs: list[_Cost], of: str) -> list[float]:
+    """Times or growths of memory, as far as they can be told from nothing."""
+    return [max(getattr(cost, of), _LEAST[of]) for cost in costs]
 
 
 def _draw(by_rows: list[_Cost], by_links: list[_Cost]) -> Figure:
@@ -143,7 +144,7 @@ def _draw(by_rows: list[_Cost], by_links: list[_Cost]) -> Figure:
 def _panel(panel: Axes, costs: list[_Cost], what: str, of: str) -> None:
     for name in _METHODS:
         own = [cost for cost in costs if cost.method == name]
-        sizes, values = [getattr(c, what) for c in own], [getattr(c, of) for c in own]
-        panel.loglog(sizes, values, "o-", label=f"{name}: exponent {_exponent(own, sizes, of):.2f}")
+        sizes, values = [getattr(c, what) for c in own], _told(own, of)
+        panel.loglog(sizes, values, "o-", label=f"{name}: exponent {exponent(sizes, values):.2f}")
     panel.grid(which="both", alpha=0.2)
     panel.legend(fontsize=8)
