@@ -10,6 +10,7 @@ from geomid_ros.files.bags.bag import Bag
 from geomid_ros.files.models.urdf import read_urdf
 from geomid_ros.model.moving import REST, SIGN
 from geomid_ros.model.samples import Samples
+from geomid_ros.plausibility.check import Excerpt, Judgement, JudgementTask, RecordingCheck
 from geomid_ros.resimulation.resimulate import CUTOFF
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.gap import CUTOFF_PER_RATE, GapReader, gap_pipeline, gap_session
@@ -47,7 +48,26 @@ def test_the_end_does_not_keep_the_whole_recording(session: Session) -> None:
 
 def test_recordings_are_judged_as_a_whole(session: Session, monkeypatch: pytest.MonkeyPatch) -> None:
     """What is kept of a long one to find a delay depends on how much comes at once."""
+    monkeypatch.setattr("geomid_ros.model.samples.PIECE", 100)
     judged: list[int] = []
     monkeypatch.setattr(session.check, "add", lambda samples: judged.append(len(samples)))
     found = GapReader(session, Bags(fitted=[BAG], hold_out=SHARE)).read(())
     assert judged == [sum(map(len, (*found.train, *found.held_out)))]
+
+
+def test_of_effects_columns_only_what_is_read_is_kept_to_be_judged(session: Session) -> None:
+    kept: list[Excerpt] = []
+    check = RecordingCheck(
+        JudgementTask(session.model, np.ones(len(session.robot.joints)), {}),
+        lambda _, excerpt: kept.append(excerpt) or Judgement(),
+    )
+    with Bag(BAG) as bag:
+        pipeline = gap_pipeline(session, CUTOFF)
+        for samples in read_samples(bag, session, pipeline, Topics("joint_states", "odom")):
+            assert len(samples.entries.columns) > 2
+            check.add(samples)
+    assert not check.findings()
+    (excerpt,) = kept
+    for samples in (excerpt.samples, excerpt.stretch):
+        assert samples is not None
+        assert samples.entries.columns.columns == (SIGN,)
