@@ -27,7 +27,8 @@ def solved(matrix: FloatArray, right: FloatArray) -> FloatArray:
 
 
 def solved_anyway(matrix: FloatArray, right: FloatArray) -> FloatArray:
-    """The same; by a general method where rounding leaves it not quite positive definite."""
+    """The x with ``matrix (n, n) x = right (n,)``; by a general method where rounding leaves the matrix not quite
+    positive definite."""
     try:
         return solved(matrix, right)
     except LinAlgError:

@@ -40,8 +40,6 @@ from geomid_ros.model.samples import PIECE, Samples
 from geomid_ros.model.sensors import WORLD_FRAMES, WrenchSensor
 from geomid_ros.types import FloatArray, IntArray
 
-_AT_ONCE = 1000  # instants
-
 
 @dataclass(frozen=True, kw_only=True)
 class Coefficient:
@@ -485,8 +483,8 @@ class MeasurementModel:
         ``(D, K)``: ``(N, channels, K)``."""
         # Rows are many times as large as the samples that they are made of: not all at once.
         measured, predicted = [], []
-        for begin in range(0, max(len(samples), 1), _AT_ONCE):
-            rows = self.rows(samples.select(slice(begin, begin + _AT_ONCE)))
+        for piece in samples.in_pieces():
+            rows = self.rows(piece)
             measured.append(rows.targets)
             predicted.append(rows.coefficients @ parameters)
         return np.concatenate(measured), np.concatenate(predicted)

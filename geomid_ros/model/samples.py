@@ -104,8 +104,8 @@ class Samples:
         return replace(self, **arrays)
 
     def in_pieces(self) -> Iterator[Samples]:
-        """The same, a few at a time: what is computed for each takes little memory."""
-        for begin in range(0, len(self), PIECE):
+        """The same, a few at a time: what is computed for each takes little memory. At least one piece, be it empty."""
+        for begin in range(0, max(len(self), 1), PIECE):
             yield self.select(slice(begin, begin + PIECE))
 
     def with_columns(self, chosen: Collection[Column]) -> Samples:
