@@ -27,12 +27,12 @@ def solved(matrix: FloatArray, right: FloatArray) -> FloatArray:
 
 
 def solved_anyway(matrix: FloatArray, right: FloatArray) -> FloatArray:
-    """The x with ``matrix (n, n) x = right (n,)``; by a general method where rounding leaves the matrix not quite
-    positive definite."""
+    """The x with ``matrix (n, n) x = right (n,)``; the shortest of those that come nearest where rounding leaves the
+    matrix not quite positive definite."""
     try:
         return solved(matrix, right)
     except LinAlgError:
-        return np.asarray(np.linalg.solve(matrix, right))
+        return np.asarray(np.linalg.lstsq(matrix, right, rcond=None)[0])
 
 
 def inverse(matrix: FloatArray) -> FloatArray:

@@ -86,10 +86,11 @@ class FlexibleFit:
         """
         rows = (columns * self._weights[:, :, None]).reshape(-1, columns.shape[2])
         coupling = self._known.T @ rows
-        matrix = np.eye(columns.shape[2]) + rows.T @ rows - coupling.T @ coupling
+        sizes, axes = np.linalg.eigh(rows.T @ rows - coupling.T @ coupling)
+        precisions = 1.0 + np.maximum(sizes, 0.0)  # of efforts next to nothing rounding leaves sizes below zero
         pull = rows.T @ self._left
-        quadratic = float(pull @ np.linalg.solve(matrix, pull))
-        return 0.5 * (quadratic - float(np.linalg.slogdet(matrix)[1])) / self.instants
+        quadratic = float(np.sum((axes.T @ pull) ** 2 / precisions))
+        return 0.5 * (quadratic - float(np.sum(np.log(precisions)))) / self.instants
 
     def gain(self, columns: FloatArray) -> Gain:
         """What columns explain, as :meth:`promise` takes them."""
