@@ -13,6 +13,7 @@ from geomid_ros.api.origin import origin
 from geomid_ros.estimation.estimate import EffectEstimate, Estimate, LinkEstimate
 from geomid_ros.estimation.telling_motions import telling_motions
 from geomid_ros.files.models.effect_forms import unsaid
+from geomid_ros.files.models.handover import ELEMENTS, READERS, URDF
 from geomid_ros.files.models.results import model_effects
 from geomid_ros.model.samples import Samples
 from geomid_ros.plausibility.verdict import Verdict
@@ -109,8 +110,8 @@ class Identification:
     @property
     def not_in_urdf(self) -> str:
         """What :meth:`urdf` cannot say, or is too unsure to say, in a sentence; empty for nothing."""
-        names = unsaid(model_effects(self.estimate, self.session.loaded.effects), ("urdf",))
-        return f"identified.urdf does not say: {'; '.join(names)}" if names else ""
+        names = unsaid(model_effects(self.estimate, self.session.loaded.effects), ELEMENTS[URDF])
+        return f"Not representable in URDF: {'; '.join(names)}" if names else ""
 
     def plot(self) -> Figure:
         """Draw the bodies, before and after, and the channels, measured and predicted."""
@@ -256,7 +257,7 @@ def identify(
     recorded = Bags(fitted=bag_paths(bags), validate=bag_paths(validate), hold_out=hold_out, topics=topics)
     robot = description(urdf, recorded.fitted, model=model, xacro_args=xacro_args)
     session, (held_out, judged) = read_with_locked(
-        lambda chosen: Session(robot.text, chosen, robot.source),
+        lambda chosen: Session(robot.text, chosen, robot.source, readers=READERS),
         parameters,
         lambda session: _read(session, recorded, progress),
     )

@@ -20,7 +20,8 @@ from typing import NamedTuple
 from geomid_ros.exports import formats
 from geomid_ros.exports.inertial import Export
 from geomid_ros.exports.model import Model
-from geomid_ros.files.models.effect_forms import is_sure, joint_attributes, unsaid
+from geomid_ros.files.models.effect_forms import joint_attributes, unsaid
+from geomid_ros.files.models.handover import ELEMENTS
 from geomid_ros.files.models.mjcf import mjcf
 from geomid_ros.files.models.mjcf_shapes import mjcf_shapes
 from geomid_ros.files.models.urdf import with_effects
@@ -86,7 +87,7 @@ def _urdf(model: Model, _: Mapping[str, Path]) -> Whole:
 
 
 def _isaac(model: Model, _: Mapping[str, Path]) -> Whole:
-    said = joint_attributes(filter(is_sure, model.effects), "joint")
+    said = joint_attributes(model.effects, "joint")
     armature = {joint: float(f"{own['armature']:.6g}") for joint, own in said.items() if "armature" in own}
     return Whole(
         with_effects(model.urdf, model.effects), [f"For Isaac Lab's actuators: armature={armature}"] if armature else []
@@ -103,10 +104,9 @@ def _drake(model: Model, _: Mapping[str, Path]) -> Whole:
 
 def _mujoco(model: Model, packages: Mapping[str, Path]) -> Whole:
     shapes = mjcf_shapes(model.urdf, str(model.urdf_path), MeshFinder(model.urdf_path, packages).find)
-    effects = [effect for effect in model.effects if is_sure(effect)]
     missing = list(dict.fromkeys(shapes.missing))
     more = [f"{len(missing) - _MOST_MISSING} more shapes are missing"] if len(missing) > _MOST_MISSING else []
-    return Whole(mjcf(described_robot(model), {}, effects, shapes=shapes), [*missing[:_MOST_MISSING], *more])
+    return Whole(mjcf(described_robot(model), {}, model.effects, shapes=shapes), [*missing[:_MOST_MISSING], *more])
 
 
 def described_robot(model: Model) -> Robot:
@@ -130,12 +130,12 @@ DESCRIPTIONS = dict(
     zip(
         formats.DESCRIBED_FOR,
         (
-            Description(("urdf",), (), formats.urdf_inertial, _urdf),
-            Description(("urdf",), _MOVEIT_NOTE, formats.urdf_inertial, _urdf),
-            Description(("urdf",), _ISAAC_NOTE, formats.urdf_inertial, _isaac),
-            Description(("urdf", "gazebo"), _GAZEBO_NOTE, formats.sdf_inertial, _gazebo),
-            Description(("urdf/link", "drake"), _DRAKE_NOTE, formats.urdf_inertial, _drake),
-            Description(("mjcf",), _MUJOCO_NOTE, formats.mjcf_inertial, _mujoco),
+            Description(ELEMENTS["urdf"], (), formats.urdf_inertial, _urdf),
+            Description(ELEMENTS["moveit"], _MOVEIT_NOTE, formats.urdf_inertial, _urdf),
+            Description(ELEMENTS["isaac"], _ISAAC_NOTE, formats.urdf_inertial, _isaac),
+            Description(ELEMENTS["gazebo"], _GAZEBO_NOTE, formats.sdf_inertial, _gazebo),
+            Description(ELEMENTS["drake"], _DRAKE_NOTE, formats.urdf_inertial, _drake),
+            Description(ELEMENTS["mujoco"], _MUJOCO_NOTE, formats.mjcf_inertial, _mujoco),
         ),
         strict=True,
     )

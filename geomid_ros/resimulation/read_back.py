@@ -1,0 +1,52 @@
+"""A written MJCF as MuJoCo takes it."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from geomid_ros.errors import InputError
+from geomid_ros.files.models.read_back import Attributes, ReadBack
+from geomid_ros.geometry import pseudo_inertia
+from geomid_ros.model.robot import Robot
+from geomid_ros.resimulation.written_robot import load_mujoco
+from geomid_ros.types import FloatArray
+
+_PAYLOAD = "/payload"
+
+
+def read_mjcf_back(text: str, robot: Robot) -> ReadBack:
+    """The bodies and joints of an MJCF of ``robot``, as MuJoCo has compiled them.
+
+    Raises:
+        InputError: MuJoCo is not installed, or does not take it.
+    """
+    try:
+        model = load_mujoco().MjModel.from_xml_string(text)
+    except ValueError as error:
+        raise InputError(f"the written MJCF: MuJoCo does not take it ({error})") from error
+    inertias: dict[str, FloatArray] = {}
+    for index in range(1, model.nbody):
+        name = model.body(index).name.removesuffix(_PAYLOAD)
+        inertias[name] = inertias.get(name, np.zeros(10)) + _parameters(model, index)
+    attributes: Attributes = {}
+    for name in robot.joint_names:
+        joint = model.joint(name)
+        (dof,), (place,) = joint.dofadr, joint.qposadr
+        attributes[name, "joint/damping"] = float(model.dof_damping[dof])
+        attributes[name, "joint/frictionloss"] = float(model.dof_frictionloss[dof])
+        attributes[name, "joint/armature"] = float(model.dof_armature[dof])
+        attributes[name, "joint/stiffness"] = float(joint.stiffness[0])
+        attributes[name, "joint/springref"] = float(model.qpos_spring[place])
+    own = {"world_link": "world"}
+    return ReadBack("mujoco", {own.get(name, name): value for name, value in inertias.items()}, attributes)
+
+
+def _parameters(model: object, index: int) -> FloatArray:
+    """Parameters ``(10,)`` of a body about its frame's origin."""
+    import mujoco  # noqa: PLC0415 it is there: the model is its
+
+    rotation = np.zeros(9)
+    mujoco.mju_quat2Mat(rotation, model.body_iquat[index])
+    turn = rotation.reshape(3, 3)
+    inertia = turn @ np.diag(model.body_inertia[index]) @ turn.T
+    return pseudo_inertia.assemble(model.body_mass[index], model.body_ipos[index], inertia)
