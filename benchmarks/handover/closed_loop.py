@@ -9,7 +9,7 @@ import numpy as np
 from geomid_ros.types import FloatArray
 
 _STEP = 1e-3  # [s]
-_DELAYS = np.arange(0.0, 0.0325, 0.0025)  # [s] tried between a command and its effect
+_DELAYS = np.arange(0.0, 0.021, 0.001)  # [s] tried between a command and its effect
 
 
 @dataclass(frozen=True, eq=False)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any
@@ -153,7 +153,7 @@ def estimate(
 
 def _with_population(
     population: Population | None, problem: Problem, solve: Callable[[Problem], Fit]
-) -> tuple[Fit, Sequence[str]]:
+) -> tuple[Fit, Iterable[str]]:
     """A fit, beside a population if there is one, and warnings in sentences."""
     if population is None:
         return solve(problem), ()

@@ -27,7 +27,9 @@ from geomid_ros.files.models.mjcf_shapes import mjcf_shapes
 from geomid_ros.files.models.urdf import with_effects
 from geomid_ros.files.models.urdf_extensions import for_drake, for_gazebo
 from geomid_ros.files.shapes.meshes import MeshFinder
+from geomid_ros.model.effects import KnownEffect
 from geomid_ros.model.robot import Robot
+from geomid_ros.types import FloatArray
 
 _MOVEIT_NOTE = (
     "What reads it: MoveIt plans by limits alone; its DynamicsSolver, and ros2_control's controllers that compute",
@@ -55,6 +57,17 @@ class Whole(NamedTuple):
     lacks: list[str]
 
 
+class DescribedRobot(NamedTuple):
+    """A robot to describe: its ``urdf`` with the inertias, the ``path`` that its meshes are found from, the ``effects``
+    beside, ``gravity (3,)`` where its base stands straight, and what ``read``s it."""
+
+    urdf: str
+    path: Path
+    effects: Sequence[KnownEffect]
+    gravity: FloatArray
+    read: Callable[[], Robot]
+
+
 class Description(NamedTuple):
     """Who reads what: the ``files`` that it understands (see :meth:`ParameterForm.said_by`), a ``note`` for its user,
     the form of one ``inertial``, and the ``whole`` robot, its meshes in the packages' folders."""
@@ -62,7 +75,7 @@ class Description(NamedTuple):
     files: tuple[str, ...]
     note: tuple[str, ...]
     inertial: Callable[[Export], str]
-    whole: Callable[[Model, Mapping[str, Path]], Whole]
+    whole: Callable[[DescribedRobot, Mapping[str, Path]], Whole]
 
     def payload(self, export: Export) -> str:
         """One inertia."""
@@ -70,7 +83,7 @@ class Description(NamedTuple):
 
     def robot(self, model: Model, links: Sequence[Export], packages: Mapping[str, Path]) -> Whole:
         """The whole robot, and behind it a comment on its ``links`` and on what it lacks."""
-        text, lacks = self.whole(model, packages)
+        text, lacks = self.whole(as_described(model), packages)
         lacks = [*not_said(model, self.files), *lacks]
         lines = [*self.note, *lacks, *(line for export in links for line in formats.comments(export))]
         return Whole(text.rstrip() + "\n" + formats.xml_comment(lines), lacks)
@@ -79,34 +92,40 @@ class Description(NamedTuple):
 def not_said(model: Model, files: tuple[str, ...]) -> list[str]:
     """What these files cannot say of a model's effects, in a sentence, if there is anything."""
     names = unsaid(model.effects, files)
-    return [f"Not said here: {'; '.join(names)}"] if names else []
+    refit = [] if model.fitted else ["written by an earlier version: identify again, and the rest is fitted to make up"]
+    return [f"Not representable here: {'; '.join([*names, *refit])}"] if names else []
 
 
-def _urdf(model: Model, _: Mapping[str, Path]) -> Whole:
-    return Whole(with_effects(model.urdf, model.effects), [])
+def _urdf(robot: DescribedRobot, _: Mapping[str, Path]) -> Whole:
+    return Whole(with_effects(robot.urdf, robot.effects), [])
 
 
-def _isaac(model: Model, _: Mapping[str, Path]) -> Whole:
-    said = joint_attributes(model.effects, "joint")
+def _isaac(robot: DescribedRobot, _: Mapping[str, Path]) -> Whole:
+    said = joint_attributes(robot.effects, "joint")
     armature = {joint: float(f"{own['armature']:.6g}") for joint, own in said.items() if "armature" in own}
-    return Whole(
-        with_effects(model.urdf, model.effects), [f"For Isaac Lab's actuators: armature={armature}"] if armature else []
-    )
+    lacks = [f"For Isaac Lab's actuators: armature={armature}"] if armature else []
+    return Whole(with_effects(robot.urdf, robot.effects), lacks)
 
 
-def _gazebo(model: Model, _: Mapping[str, Path]) -> Whole:
-    return Whole(for_gazebo(with_effects(model.urdf, model.effects), model.effects), [])
+def _gazebo(robot: DescribedRobot, _: Mapping[str, Path]) -> Whole:
+    return Whole(for_gazebo(with_effects(robot.urdf, robot.effects), robot.effects), [])
 
 
-def _drake(model: Model, _: Mapping[str, Path]) -> Whole:
-    return Whole(for_drake(with_effects(model.urdf, model.effects), model.effects, str(model.urdf_path)), [])
+def _drake(robot: DescribedRobot, _: Mapping[str, Path]) -> Whole:
+    return Whole(for_drake(with_effects(robot.urdf, robot.effects), robot.effects, str(robot.path)), [])
 
 
-def _mujoco(model: Model, packages: Mapping[str, Path]) -> Whole:
-    shapes = mjcf_shapes(model.urdf, str(model.urdf_path), MeshFinder(model.urdf_path, packages).find)
+def _mujoco(robot: DescribedRobot, packages: Mapping[str, Path]) -> Whole:
+    shapes = mjcf_shapes(robot.urdf, str(robot.path), MeshFinder(robot.path, packages).find)
     missing = list(dict.fromkeys(shapes.missing))
     more = [f"{len(missing) - _MOST_MISSING} more shapes are missing"] if len(missing) > _MOST_MISSING else []
-    return Whole(mjcf(described_robot(model), {}, model.effects, shapes=shapes), [*missing[:_MOST_MISSING], *more])
+    text = mjcf(robot.read(), {}, robot.effects, gravity=robot.gravity, shapes=shapes)
+    return Whole(text, [*missing[:_MOST_MISSING], *more])
+
+
+def as_described(model: Model) -> DescribedRobot:
+    """A model as descriptions are made of it."""
+    return DescribedRobot(model.urdf, model.urdf_path, model.effects, model.gravity, lambda: described_robot(model))
 
 
 def described_robot(model: Model) -> Robot:

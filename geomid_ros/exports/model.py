@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -18,11 +18,12 @@ from geomid_ros.files.models.handover import URDF, written_for
 from geomid_ros.files.models.joint_frames import joint_frames
 from geomid_ros.files.models.judgements import doubt
 from geomid_ros.files.models.loaded_model import LoadedModel
-from geomid_ros.files.models.results import known_inertias, read_estimate
+from geomid_ros.files.models.results import gravity_of, known_inertias, read_estimate
 from geomid_ros.files.models.urdf import inertia_of, read_urdf, with_inertials
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.model.effects import KnownEffect, Quantity, effect_class
 from geomid_ros.model.effects.parameters import COM_ENTRIES
+from geomid_ros.model.robot import GRAVITY
 from geomid_ros.model.urdf_tree import UrdfTree, parse, read_numbers, read_xml
 from geomid_ros.types import FloatArray
 
@@ -62,6 +63,7 @@ class Model:
         doubt: Why it should not be used, in a sentence; empty if nothing speaks against it.
         urdf: The description with the inertias, and the file that it is from.
         effects: What was found beside these, without the payloads that are links of the URDF.
+        gravity: ``(3,)`` [m/s^2] where the base stands straight.
         fitted: Whether bodies and effects were fitted for who is to read them.
     """
 
@@ -74,6 +76,7 @@ class Model:
     urdf: str
     urdf_path: Path
     effects: tuple[KnownEffect, ...]
+    gravity: FloatArray = field(default_factory=GRAVITY.copy)
     fitted: bool = True
 
     def placement(self, link: str, frame: str) -> FloatArray:
@@ -125,6 +128,7 @@ def read_model(path: Path, reader: str = "") -> Model:
         urdf=text,
         urdf_path=urdf,
         effects=(*found, *friction),
+        gravity=gravity_of(document, source),
         fitted=written is not None or not reader,
     )
 

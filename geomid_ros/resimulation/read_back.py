@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from geomid_ros.errors import InputError
@@ -20,14 +22,15 @@ def read_mjcf_back(text: str, robot: Robot) -> ReadBack:
     Raises:
         InputError: MuJoCo is not installed, or does not take it.
     """
+    mujoco = load_mujoco()
     try:
-        model = load_mujoco().MjModel.from_xml_string(text)
+        model = mujoco.MjModel.from_xml_string(text)
     except ValueError as error:
         raise InputError(f"the written MJCF: MuJoCo does not take it ({error})") from error
     inertias: dict[str, FloatArray] = {}
     for index in range(1, model.nbody):
         name = model.body(index).name.removesuffix(_PAYLOAD)
-        inertias[name] = inertias.get(name, np.zeros(10)) + _parameters(model, index)
+        inertias[name] = inertias.get(name, np.zeros(10)) + _parameters(mujoco, model, index)
     attributes: Attributes = {}
     for name in robot.joint_names:
         joint = model.joint(name)
@@ -41,12 +44,10 @@ def read_mjcf_back(text: str, robot: Robot) -> ReadBack:
     return ReadBack("mujoco", {own.get(name, name): value for name, value in inertias.items()}, attributes)
 
 
-def _parameters(model: object, index: int) -> FloatArray:
+def _parameters(mujoco: Any, model: Any, index: int) -> FloatArray:
     """Parameters ``(10,)`` of a body about its frame's origin."""
-    import mujoco  # noqa: PLC0415 it is there: the model is its
-
     rotation = np.zeros(9)
     mujoco.mju_quat2Mat(rotation, model.body_iquat[index])
-    turn = rotation.reshape(3, 3)
-    inertia = turn @ np.diag(model.body_inertia[index]) @ turn.T
+    axes = rotation.reshape(3, 3)
+    inertia = axes @ np.diag(model.body_inertia[index]) @ axes.T
     return pseudo_inertia.assemble(model.body_mass[index], model.body_ipos[index], inertia)

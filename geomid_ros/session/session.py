@@ -361,6 +361,7 @@ class Session:
             "warnings": self.warnings(estimate, judged),
             "notes": self.notes,
             "messages": {topic: account_entry(account) for topic, account in self.pipeline.ledger.topics.items()},
+            "gravity": self.configuration.gravity.tolist(),
             "handover": {
                 reader: handover_entry(self.written_model(estimate, reader), merged) for reader in estimate.within
             },

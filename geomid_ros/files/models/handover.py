@@ -74,7 +74,7 @@ def written_model(
     first = len(model.nominal_inertias)
     inertias = dict(zip(model.body_names, parameters[:first].reshape(-1, 10), strict=True))
     pairs = zip(model.coefficients, parameters[first:].tolist(), strict=True)
-    there = {(c.place, c.effect, c.index): (c, value) for c, value in pairs if value}
+    there: _There = {(c.place, c.effect, c.index): (c, value) for c, value in pairs if value}
     wholes = [whole for key in list(there) if (whole := _whole(there, key, ELEMENTS[reader])) is not None]
     stds = {(effect.name, effect.joint, effect.parameter): effect.std for effect in estimate.effects}
     found = [
