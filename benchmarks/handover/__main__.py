@@ -139,7 +139,7 @@ def _loops(case: Case, found: Identification, folder: Path) -> dict[str, float]:
     recording = _commanded(DATA / case.train[0], joints)
     model = read_model(folder / "estimate.json", "mujoco")
     text = DESCRIPTIONS["mujoco"].robot(model, each_link(model), {}).text
-    delay = closed_loop.best_delay(text, joints, recording.part(0.0, 0.2))
+    delay = closed_loop.best_delay(text, joints, recording.part(0.0, _FITTED))
     error = closed_loop.error(text, joints, recording.part(_FITTED, 1.0), delay)
     return {"file": 1e3 * error, "delay [ms]": 1e3 * delay}
 

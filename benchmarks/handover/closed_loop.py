@@ -53,7 +53,9 @@ def simulated(mjcf: str, joints: list[str], recording: Commanded, delay: float) 
     first = recording.times[:5] - recording.times[0]
     data.qvel[vs] = np.polyfit(first, recording.positions[:5], 1)[0]
     instants = np.arange(recording.times[0], recording.times[-1], _STEP)
-    wanted = _at(recording.times, recording.commands, instants - delay)
+    # A command holds until the next one comes.
+    held = np.searchsorted(recording.times, instants - delay, side="right") - 1
+    wanted = recording.commands[np.maximum(held, 0)]
     reached = np.empty((len(instants), len(joints)))
     for index, command in enumerate(wanted):
         reached[index] = data.qpos[qs]

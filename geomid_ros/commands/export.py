@@ -10,6 +10,7 @@ import click
 from geomid_ros.commands.options import Names, package_option
 from geomid_ros.errors import InputError, one_line
 from geomid_ros.exports.formats import CONTROLLERS, DESCRIBED_FOR
+from geomid_ros.files.models.handover import INTO
 
 if TYPE_CHECKING:
     from geomid_ros.exports.descriptions import Whole
@@ -62,7 +63,7 @@ def export(
     """
     if into and tool != "mujoco":
         raise click.UsageError("--into is a file of MuJoCo's: --for mujoco.")
-    read = _read(model)
+    read = _read(model, tool if into is None else INTO)
     if tool in CONTROLLERS:
         controller = CONTROLLERS[tool]
         payload = _payload(read, frame or _flange(read, controller.flange), links, without)
@@ -100,11 +101,11 @@ def _payload(model: Model, frame: str, links: list[str] | None, without: Path | 
     return attached(model, frame)
 
 
-def _read(path: Path) -> Model:
-    """Read a model, and warn of one that should not be used."""
+def _read(path: Path, reader: str = "") -> Model:
+    """Read a model as it is written for a reader, and warn of one that should not be used."""
     from geomid_ros.exports.model import read_model
 
-    model = read_model(path)
+    model = read_model(path, reader)
     if model.doubt:
         click.echo(f"Warning: {one_line(model.doubt)}", err=True)
     return model

@@ -65,9 +65,9 @@ def _least_residual(factor: FloatArray) -> tuple[float, int]:
     return float(np.linalg.norm(factor[:, -1] - regressor @ solution)), int(rank)
 
 
-def scales_of_reals(model: MeasurementModel, summary: RowSummary) -> FloatArray:
+def scales_of_reals(model: MeasurementModel, summary: RowSummary, given: FloatArray | None = None) -> FloatArray:
     """The scale of each real coefficient: that with which it is as large as the channel that it adds to, of several the
-    largest."""
+    largest; less for one that is expected to be small, if no prior ``given (D,)`` says of it what it is."""
     first = len(model.nominal_inertias) + model.positives
     scales = np.zeros(model.dimension)
     sizes, factors = channel_sizes(summary, model.dimension), summary.factors()
@@ -78,16 +78,18 @@ def scales_of_reals(model: MeasurementModel, summary: RowSummary) -> FloatArray:
         large = columns > _ROUNDING_COLUMN
         own = sizes[index] / np.where(large, columns, np.inf)
         scales[channel.columns] = np.maximum(scales[channel.columns], own)
-    shares = np.concatenate([np.ones(first), _expected_shares(model)[model.positives :] / _USUAL_SPREAD_OF_REALS])
-    return np.where(scales > 0.0, np.where(np.isnan(shares), 1.0, shares) * scales, 1.0)[first:]
+    shares = _expected_shares(model, given)[model.positives :] / _USUAL_SPREAD_OF_REALS
+    return np.where(scales > 0.0, scales, 1.0)[first:] * np.where(np.isnan(shares), 1.0, shares)
 
 
-def _expected_shares(model: MeasurementModel) -> FloatArray:
+def _expected_shares(model: MeasurementModel, given: FloatArray | None) -> FloatArray:
     """How large each coefficient is expected to be about zero ``(coefficients,)``, as a share of what its channel
-    measures; NaN where a first fit says more, as where it is part of another effect."""
+    measures; NaN where more is known: a ``given`` prior ``(D,)``, or a first fit, as where it is part of another
+    effect."""
     parts = {(c.place, part) for c in model.coefficients for part in c.effect.parts if part != c.effect}
     shares = [None if (c.place, c.effect) in parts else c.effect.expected_share for c in model.coefficients]
-    return np.array(shares, dtype=np.float64)
+    unknown = True if given is None else ~np.isfinite(given[len(model.nominal_inertias) :])
+    return np.where(unknown, np.array(shares, dtype=np.float64), np.nan)
 
 
 def usual_spreads(manifold: ParameterManifold) -> FloatArray:
@@ -126,7 +128,7 @@ def prior_parameters(model: MeasurementModel, summary: RowSummary, given: FloatA
         count = float(np.sum(counts[group]))
         size = float(np.mean(sizes[group]))
         parameters[chosen] = _fitted_effects(model, factor, count, columns, parameters, size)
-    parameters[first:][np.isfinite(_expected_shares(model))] = 0.0
+    parameters[first:][np.isfinite(_expected_shares(model, given))] = 0.0
     if given is not None:
         parameters = np.where(np.isfinite(given), given, parameters)
     return parameters

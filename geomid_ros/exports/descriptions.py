@@ -5,7 +5,8 @@ mujoco   reads MJCF: damping, frictionloss, armature and springs of joints, elas
 gazebo   turns a URDF into SDF: <dynamics> of joints, and springs as <gazebo> elements (SDFormat, sdf_extensions.md)
 drake    reads damping of <dynamics>, not friction; rotor inertia at the actuators of transmissions
          (multibody/parsing/detail_urdf_parser.cc)
-isaac    reads <dynamics> (isaacsim.asset.importer.urdf, UrdfDynamics), no armature
+isaac    reads <dynamics> up to Isaac Sim 6.0 (isaacsim.asset.importer.urdf), no armature; actuators of Isaac Lab take
+         armature and friction of joints (isaaclab.actuators, ActuatorBaseCfg)
 urdf     whatever reads a URDF
 moveit   reads a URDF, of whose inertials and <dynamics> its planners take nothing
 =======  ===============================================================================================================
@@ -13,8 +14,10 @@ moveit   reads a URDF, of whose inertials and <dynamics> its planners take nothi
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
+from types import MappingProxyType
 from typing import NamedTuple
 
 from geomid_ros.exports import formats
@@ -37,9 +40,19 @@ _MOVEIT_NOTE = (
     "<dynamics> nothing. The same elements stand in a xacro file.",
 )
 _ISAAC_NOTE = (
-    "What reads it: Isaac Sim's URDF importer takes inertials (import_inertia_tensor) and <dynamics>. A joint's drive",
-    "and the actuators of Isaac Lab set stiffness, damping, friction and armature anew: give them these numbers.",
+    "What reads it: Isaac Sim's URDF importer takes inertials (import_inertia_tensor); <dynamics> up to 6.0, 6.1 drops",
+    "them without a word (IsaacSim issue 841). So give the actuators of Isaac Lab the numbers of isaac_joints.json:",
+    "armature, friction (static), dynamic_friction and viscous_friction, efforts in N m since Isaac Sim 5.0 (PhysX's",
+    "PxJointFrictionParams). Not tried here: there is no Isaac Sim on the machines that test this.",
 )
+_ISAAC_FILE = "isaac_joints.json"
+# The actuators' names of joint attributes, by MJCF's.
+_ISAAC_JOINT = {
+    "armature": "armature",
+    "friction": "frictionloss",
+    "dynamic_friction": "frictionloss",
+    "viscous_friction": "damping",
+}
 _GAZEBO_NOTE = ("What reads it: gz sdf -p shows what Gazebo makes of it: it lumps fixed links together.",)
 _DRAKE_NOTE = ("What reads it: Drake takes inertials and damping, and rotor inertia of joints with an effort limit.",)
 _MUJOCO_NOTE = (
@@ -51,10 +64,12 @@ _MOST_MISSING = 3  # of which each has its sentence
 
 
 class Whole(NamedTuple):
-    """The text of a whole robot, and sentences on what it lacks."""
+    """The text of a whole robot, sentences on what it lacks, and texts of files ``beside`` it that hold more, by
+    name."""
 
     text: str
     lacks: list[str]
+    beside: Mapping[str, str] = MappingProxyType({})
 
 
 class DescribedRobot(NamedTuple):
@@ -83,10 +98,10 @@ class Description(NamedTuple):
 
     def robot(self, model: Model, links: Sequence[Export], packages: Mapping[str, Path]) -> Whole:
         """The whole robot, and behind it a comment on its ``links`` and on what it lacks."""
-        text, lacks = self.whole(as_described(model), packages)
-        lacks = [*not_said(model, self.files), *lacks]
+        text, own, beside = self.whole(as_described(model), packages)
+        lacks = [*not_said(model, self.files), *own]
         lines = [*self.note, *lacks, *(line for export in links for line in formats.comments(export))]
-        return Whole(text.rstrip() + "\n" + formats.xml_comment(lines), lacks)
+        return Whole(text.rstrip() + "\n" + formats.xml_comment(lines), lacks, beside)
 
 
 def not_said(model: Model, files: tuple[str, ...]) -> list[str]:
@@ -102,9 +117,12 @@ def _urdf(robot: DescribedRobot, _: Mapping[str, Path]) -> Whole:
 
 def _isaac(robot: DescribedRobot, _: Mapping[str, Path]) -> Whole:
     said = joint_attributes(robot.effects, "joint")
-    armature = {joint: float(f"{own['armature']:.6g}") for joint, own in said.items() if "armature" in own}
-    lacks = [f"For Isaac Lab's actuators: armature={armature}"] if armature else []
-    return Whole(with_effects(robot.urdf, robot.effects), lacks)
+    joints = {
+        joint: {isaac: float(f"{own[ours]:.6g}") for isaac, ours in _ISAAC_JOINT.items() if ours in own}
+        for joint, own in said.items()
+    }
+    text = with_effects(robot.urdf, robot.effects)
+    return Whole(text, [f"{_ISAAC_FILE}: {json.dumps(joints)}"], {_ISAAC_FILE: json.dumps(joints, indent=2) + "\n"})
 
 
 def _gazebo(robot: DescribedRobot, _: Mapping[str, Path]) -> Whole:

@@ -9,6 +9,7 @@ import numpy as np
 from geomid_ros.errors import InputError
 from geomid_ros.files.models.read_back import Attributes, ReadBack
 from geomid_ros.geometry import pseudo_inertia
+from geomid_ros.model.effects.places import pair_name
 from geomid_ros.model.robot import Robot
 from geomid_ros.resimulation.written_robot import load_mujoco
 from geomid_ros.types import FloatArray
@@ -40,6 +41,13 @@ def read_mjcf_back(text: str, robot: Robot) -> ReadBack:
         attributes[name, "joint/armature"] = float(model.dof_armature[dof])
         attributes[name, "joint/stiffness"] = float(joint.stiffness[0])
         attributes[name, "joint/springref"] = float(model.qpos_spring[place])
+    for index in range(model.ntendon):
+        first, second = model.wrap_objid[model.tendon_adr[index] :][:2]
+        pair = pair_name(model.joint(first).name, model.joint(second).name)
+        attributes[pair, "tendon/coef"] = float(model.wrap_prm[model.tendon_adr[index] + 1])
+        for key in ("damping", "frictionloss", "armature"):
+            place = pair, f"tendon/{key}"
+            attributes[place] = attributes.get(place, 0.0) + float(np.ravel(getattr(model, f"tendon_{key}")[index])[0])
     own = {"world_link": "world"}
     return ReadBack("mujoco", {own.get(name, name): value for name, value in inertias.items()}, attributes)
 

@@ -23,7 +23,7 @@ from geomid_ros.types import FloatArray
 
 _There: TypeAlias = dict[tuple[Place, Effect, int], tuple[Coefficient, float]]
 
-URDF = "urdf"
+URDF, INTO = "urdf", "mjcf_joints"
 ELEMENTS: Mapping[str, tuple[str, ...]] = MappingProxyType(
     {
         URDF: ("urdf",),
@@ -32,10 +32,12 @@ ELEMENTS: Mapping[str, tuple[str, ...]] = MappingProxyType(
         "gazebo": ("urdf", "gazebo"),
         "drake": ("urdf/link", "drake"),
         "mujoco": ("mjcf",),
+        "mjcf_joints": ("mjcf/joint", "mjcf/body"),
     }
 )
 """By the name of who reads a description of the whole robot, the elements that it takes; see
-:meth:`~geomid_ros.model.effects.ParameterForm.said_by`. Isaac's armature stands in a file beside its URDF."""
+:meth:`~geomid_ros.model.effects.ParameterForm.said_by`. Isaac's armature stands in a file beside its URDF; an MJCF of
+the user's own takes what its bodies and joints say (:data:`INTO`)."""
 
 READERS = tuple(reader for reader in ELEMENTS if reader != "moveit")
 """Those whose files differ."""

@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import json
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from types import MappingProxyType
 from typing import TypeAlias
 from xml.etree.ElementTree import Element
 
 import numpy as np
 
 from geomid_ros.files.models.handover import ELEMENTS
-from geomid_ros.model.effects import EFFECTS, AtJoint, Effect, MotionEffect, Place
+from geomid_ros.model.effects import EFFECTS, Effect, MotionEffect, Place
+from geomid_ros.model.effects.places import place_named
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.robot import Robot
 from geomid_ros.model.samples import Samples
@@ -40,16 +43,17 @@ class ReadBack:
         return measured, predicted
 
     def _terms(self, joints: Sequence[str]) -> Iterator[tuple[MotionEffect, Place, float]]:
-        """The effects that the attributes mean, at their joints, with their coefficients."""
+        """The effects that the attributes mean, at their places, with their coefficients."""
         taken = set[str]()
-        for cls in EFFECTS.values():
+        for cls in (each for each in EFFECTS.values() if issubclass(each, MotionEffect)):
             places = {form.name: form.place_in(ELEMENTS[self.reader]) for form in cls.parameters}
-            own = {place for place in places.values() if place}
-            if cls.place == "joint" and not own & taken:
-                taken |= own
-                for index, joint in enumerate(joints):
-                    values = {name: self.attributes.get((joint, place), 0.0) for name, place in places.items()}
-                    yield from _parts(cls, values, AtJoint(index))
+            sizes = {places[form.name] for form in cls.variants()[0].own if places[form.name]}
+            if not taken & sizes:
+                taken |= sizes
+                for name in {name for name, at in self.attributes if at in sizes}:
+                    values = {key: self.attributes.get((name, place), 0.0) for key, place in places.items()}
+                    where = place_named(cls.place, name, joints)
+                    yield from _parts(cls, values, where) if where is not None else ()
 
 
 def _parts(cls: type[Effect], values: Mapping[str, float], place: Place) -> Iterator[tuple[MotionEffect, Place, float]]:
@@ -59,9 +63,12 @@ def _parts(cls: type[Effect], values: Mapping[str, float], place: Place) -> Iter
                 yield part, place, coefficient
 
 
-def read_urdf_back(robot: Robot, reader: str) -> ReadBack:
-    """What a reader takes from the URDF that ``robot`` was read from, by pinocchio."""
+def read_urdf_back(robot: Robot, reader: str, beside: Mapping[str, str] = MappingProxyType({})) -> ReadBack:
+    """What a reader takes from the URDF that ``robot`` was read from, by pinocchio, and from the files ``beside``."""
     attributes = {**robot.described_dynamics, **_of_gazebo(robot), **_of_drake(robot)}
+    for text in beside.values():
+        armatures = {name: own.get("armature", 0.0) for name, own in json.loads(text).items()}
+        attributes |= {(name, "joint/armature"): armature for name, armature in armatures.items()}
     return ReadBack(reader, {body.name: body.parameters for body in robot.bodies}, attributes)
 
 
