@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from geomid_ros.errors import InputError, unknown_name
-from geomid_ros.estimation import estimate_parts, starting_point, uncertainty
+from geomid_ros.estimation import estimate_parts, uncertainty
 from geomid_ros.estimation.choice import choose
 from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.estimation.file_fits import fit_files
@@ -227,7 +227,7 @@ def _estimate(
         1.0 / problem.independent,
         prior_weights,
         manifold.log(solution.point, prior_point),
-        _parameter_groups(model, manifold),
+        _parameter_groups(problem),
         least_inflation=least_inflation(summary, settings.cutoff),
         assumed_spreads=fitted.assumed_spreads,
         expected=_information_at(manifold, solution.point, known.prior_rows),
@@ -320,9 +320,9 @@ def _information_at(manifold: ParameterManifold, point: Point, rows: FloatArray)
     return np.asarray(normals.T @ normals)
 
 
-def _parameter_groups(model: MeasurementModel, manifold: ParameterManifold) -> list[uncertainty.ParameterGroup]:
+def _parameter_groups(problem: Problem) -> list[uncertainty.ParameterGroup]:
     """The links' coordinates, and each effect's at all joints."""
-    first, usual = manifold.inertial.stop, starting_point.usual_spreads(manifold)
-    names = np.array([coefficient.effect.name for coefficient in model.coefficients])
+    first, usual = problem.manifold.inertial.stop, problem.prior_spreads
+    names = np.array([coefficient.effect.name for coefficient in problem.model.coefficients])
     effects = [first + np.flatnonzero(names == name) for name in dict.fromkeys(names)]
     return [uncertainty.ParameterGroup(columns, float(usual[columns[0]])) for columns in (np.arange(first), *effects)]

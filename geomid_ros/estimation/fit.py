@@ -17,7 +17,7 @@ from geomid_ros.estimation.fixed_point import Extrapolation
 from geomid_ros.estimation.objective import ProductsObjective, ResidualObjective, row_weights
 from geomid_ros.estimation.problem import Problem
 from geomid_ros.estimation.solvers import Solution, trust_region
-from geomid_ros.estimation.starting_point import USUAL_SPREAD_OF_LINKS, usual_spreads
+from geomid_ros.estimation.starting_point import USUAL_SPREAD_OF_LINKS
 from geomid_ros.geometry import definite
 from geomid_ros.geometry.manifold import Point
 from geomid_ros.model.dry_friction import held_from_driving
@@ -151,7 +151,7 @@ def _prior_weights(problem: Problem, spreads: FloatArray, measured: float) -> Fl
 
 def _every_spread(problem: Problem, spreads: FloatArray) -> FloatArray:
     """Spreads ``(D,)`` of all priors, for these of the links."""
-    every = usual_spreads(problem.manifold)
+    every = problem.prior_spreads.copy()
     every[problem.manifold.inertial] = np.repeat(spreads, 10)
     return every
 

@@ -19,7 +19,6 @@ from geomid_ros.estimation.fit import Fit
 from geomid_ros.estimation.population import SHARED, Population
 from geomid_ros.estimation.posterior import beyond_prior
 from geomid_ros.estimation.problem import Problem
-from geomid_ros.estimation.starting_point import usual_spreads
 from geomid_ros.geometry.manifold import Point
 from geomid_ros.model.weighed_masses import WeighedRows
 from geomid_ros.types import FloatArray, IntArray
@@ -70,8 +69,7 @@ class PopulationPrior:
     @cached_property
     def _own(self) -> FloatArray:
         """Standard deviations of the problem's own prior, in the population's coordinates."""
-        manifold, own = self.problem.manifold, usual_spreads(self.problem.manifold)
-        own[manifold.inertial] = np.repeat(self.problem.usual, 10)
+        manifold, own = self.problem.manifold, self.problem.prior_spreads.copy()
         own[manifold.real] *= manifold.scales
         found = own[self.columns]
         found[self.population.manifold.real] /= self.population.scales

@@ -12,6 +12,7 @@ from geomid_ros.estimation.starting_point import (
     USUAL_SPREAD_OF_LINKS,
     first_sigmas,
     prior_parameters,
+    prior_spreads,
     scales_of_reals,
 )
 from geomid_ros.estimation.summary import RowSummary
@@ -21,7 +22,10 @@ from geomid_ros.model.weighed_masses import WeighedRows
 from geomid_ros.types import FloatArray, IntArray
 
 # Of a problem: what does not depend on what is known beside the rows.
-_OF_ROWS = ("usual", "manifold", "prior", "prior_point", "products", "row_weights", "counts", "least_sigmas")
+_OF_ROWS = (
+    *("usual", "manifold", "prior_spreads", "prior", "prior_point"),
+    *("products", "row_weights", "counts", "least_sigmas"),
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,7 +68,14 @@ class Problem:
     @cached_property
     def manifold(self) -> ParameterManifold:
         """Where the parameters live."""
-        return self.model.manifold(scales_of_reals(self.model, self.summary, self.given))
+        return self.model.manifold(scales_of_reals(self.model, self.summary))
+
+    @cached_property
+    def prior_spreads(self) -> FloatArray:
+        """Standard deviations ``(D,)`` of the prior's error, tangent coordinates, before the links' are fitted."""
+        spreads = prior_spreads(self.model, self.manifold, self.given)
+        spreads[self.manifold.inertial] = np.repeat(self.usual, 10)
+        return spreads
 
     @cached_property
     def prior(self) -> FloatArray:

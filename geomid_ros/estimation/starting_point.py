@@ -65,9 +65,9 @@ def _least_residual(factor: FloatArray) -> tuple[float, int]:
     return float(np.linalg.norm(factor[:, -1] - regressor @ solution)), int(rank)
 
 
-def scales_of_reals(model: MeasurementModel, summary: RowSummary, given: FloatArray | None = None) -> FloatArray:
+def scales_of_reals(model: MeasurementModel, summary: RowSummary) -> FloatArray:
     """The scale of each real coefficient: that with which it is as large as the channel that it adds to, of several the
-    largest; less for one that is expected to be small, if no prior ``given (D,)`` says of it what it is."""
+    largest."""
     first = len(model.nominal_inertias) + model.positives
     scales = np.zeros(model.dimension)
     sizes, factors = channel_sizes(summary, model.dimension), summary.factors()
@@ -78,8 +78,23 @@ def scales_of_reals(model: MeasurementModel, summary: RowSummary, given: FloatAr
         large = columns > _ROUNDING_COLUMN
         own = sizes[index] / np.where(large, columns, np.inf)
         scales[channel.columns] = np.maximum(scales[channel.columns], own)
-    shares = _expected_shares(model, given)[model.positives :] / _USUAL_SPREAD_OF_REALS
-    return np.where(scales > 0.0, scales, 1.0)[first:] * np.where(np.isnan(shares), 1.0, shares)
+    return np.where(scales > 0.0, scales, 1.0)[first:]
+
+
+def usual_spreads(manifold: ParameterManifold) -> FloatArray:
+    """Usual standard deviations ``(D,)`` of a prior's error, in tangent coordinates."""
+    spreads = np.full(manifold.dimension, USUAL_SPREAD_OF_LINKS)
+    spreads[manifold.positive] = _USUAL_SPREAD_OF_POSITIVES
+    spreads[manifold.real] = _USUAL_SPREAD_OF_REALS
+    return spreads
+
+
+def prior_spreads(model: MeasurementModel, manifold: ParameterManifold, given: FloatArray | None) -> FloatArray:
+    """The usual spreads ``(D,)``, of what is expected to be about zero its own."""
+    spreads = usual_spreads(manifold)
+    shares = _expected_shares(model, given)
+    spreads[manifold.inertial.stop :] = np.where(np.isnan(shares), spreads[manifold.inertial.stop :], shares)
+    return spreads
 
 
 def _expected_shares(model: MeasurementModel, given: FloatArray | None) -> FloatArray:
@@ -90,14 +105,6 @@ def _expected_shares(model: MeasurementModel, given: FloatArray | None) -> Float
     shares = [None if (c.place, c.effect) in parts else c.effect.expected_share for c in model.coefficients]
     unknown = True if given is None else ~np.isfinite(given[len(model.nominal_inertias) :])
     return np.where(unknown, np.array(shares, dtype=np.float64), np.nan)
-
-
-def usual_spreads(manifold: ParameterManifold) -> FloatArray:
-    """Usual standard deviations ``(D,)`` of a prior's error, in tangent coordinates."""
-    spreads = np.full(manifold.dimension, USUAL_SPREAD_OF_LINKS)
-    spreads[manifold.positive] = _USUAL_SPREAD_OF_POSITIVES
-    spreads[manifold.real] = _USUAL_SPREAD_OF_REALS
-    return spreads
 
 
 def prior_parameters(model: MeasurementModel, summary: RowSummary, given: FloatArray | None) -> FloatArray:

@@ -110,8 +110,8 @@ def read_model(path: Path, reader: str = "") -> Model:
         )
     text, source = read_urdf(urdf), str(path)
     tree = parse(text, str(urdf))
-    found = tuple(LoadedModel.read(source).beside_inertias)
     bodies = _estimated_bodies(document, tree, source)
+    found = tuple(LoadedModel.read(source).beside_inertias)
     written = written_for(document, reader, source)
     friction = _dynamics(text, str(urdf), found)
     if written is not None:

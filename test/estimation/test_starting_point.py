@@ -14,10 +14,12 @@ from geomid_ros.estimation.starting_point import (
     channel_sizes,
     first_sigmas,
     prior_parameters,
+    prior_spreads,
     scales_of_reals,
 )
 from geomid_ros.estimation.summary import RowSummary
 from geomid_ros.model.effects import identifiable, joint_of
+from geomid_ros.model.effects.effort_offset import EffortOffset
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.types import BoolArray, FloatArray
 
@@ -67,7 +69,7 @@ def test_effects_start_at_the_non_negative_fit_of_what_the_nominal_inertias_leav
         regressor = rows.coefficients[:, joint, columns]
         remainder = rows.targets[:, joint] - rows.coefficients[:, joint, : len(nominal)] @ nominal
         fitted, _ = nnls(np.column_stack([regressor, -np.ones(len(regressor))]), remainder)
-        expected = np.append(fitted[:3], fitted[3] - fitted[4])
+        expected = np.append(fitted[:3], 0.0)  # an offset, an error of the sensor, is expected to be zero
         kept = (expected > 0.1) | (np.arange(4) == 3)
         np.testing.assert_allclose(found[columns][kept], expected[kept], rtol=DAMPING, atol=DAMPING)
 
@@ -140,6 +142,16 @@ def test_sizes_of_channels_that_say_nothing_are_one() -> None:
     sizes = channel_sizes(found, case.model.dimension)
     np.testing.assert_array_equal(sizes[:2], 1.0)
     np.testing.assert_allclose(scales_of_reals(case.model, found), sizes, rtol=1e-12)
+
+
+def test_a_given_prior_says_how_large_an_offset_is() -> None:
+    case = arm("arm3", 0, seconds=2)
+    given = np.full(case.model.dimension, np.nan)
+    given[-1] = 0.7
+    found = summary(case)
+    spreads = prior_spreads(case.model, case.model.manifold(scales_of_reals(case.model, found)), given)
+    np.testing.assert_array_equal(spreads[-3:], [EffortOffset.expected_share] * 2 + [0.2])
+    assert prior_parameters(case.model, found, given)[-1] == 0.7
 
 
 def test_a_coefficients_scale_is_that_with_which_it_is_as_large_as_its_channel() -> None:

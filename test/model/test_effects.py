@@ -36,7 +36,7 @@ OF_JOINTS = {name: cls for name, cls in EFFECTS.items() if issubclass(cls, Joint
 WRITTEN = {
     "urdf": r"|dynamics/(damping|friction)|link/inertial",
     "mjcf": r"|joint/(damping|frictionloss|armature|stiffness|springref)|option/gravity|body/inertial"
-    r"|(elasticity|backlash)/(stiffness|range|damping)",
+    r"|(elasticity|backlash)/(stiffness|range|damping)|tendon/(coef|damping|frictionloss|armature)",
 }
 
 

@@ -81,13 +81,13 @@ def _of_gazebo(robot: Robot) -> Attributes:
 
 def _of_drake(robot: Robot) -> Attributes:
     """Inertias of rotors, as they are behind their gears, at the actuators of transmissions."""
-    found = {}
+    found: Attributes = {}
     for transmission in read_xml(robot.urdf, robot.source).findall("transmission"):
         joint, actuator = transmission.find("joint"), transmission.find("actuator")
         said = {_local_name(child): _number(child.get("value")) for child in ([] if actuator is None else actuator)}
-        if joint is not None and said.get("rotor_inertia"):
-            ratio = said.get("gear_ratio") or 1.0
-            found[joint.get("name", ""), "actuator/drake:rotor_inertia"] = said["rotor_inertia"] * ratio**2
+        ratio = said.pop("gear_ratio", 0.0) or 1.0
+        if joint is not None:
+            found |= {(joint.get("name", ""), f"actuator/drake:{name}"): own * ratio**2 for name, own in said.items()}
     return found
 
 

@@ -1,0 +1,112 @@
+"""What is fitted within what a file can hold: the minimum there, and no placeholder of the input."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from geomid_ros.estimation.estimate import Estimate
+from geomid_ros.estimation.estimator import EstimatorSettings
+from geomid_ros.estimation.file_fits import held_columns
+from geomid_ros.estimation.identifier import Identifier
+from geomid_ros.files.models.handover import ELEMENTS
+from geomid_ros.model.measurement import MeasurementModel
+from geomid_ros.model.robot import Robot
+from geomid_ros.model.samples import Samples
+from geomid_ros.types import FloatArray
+
+from .arms import Case, arm
+
+URDF, ALL = {"urdf": ELEMENTS["urdf"]}, {"all": ("urdf", "mjcf", "drake", "gazebo")}
+SEEDS = pytest.mark.parametrize("seed", [0, 1, 2])
+
+
+def solved(case: Case, files: dict[str, tuple[str, ...]]) -> Estimate:
+    identifier = Identifier(case.model, EstimatorSettings(files=files))
+    identifier.add(case.samples)
+    return identifier.solve()
+
+
+def error(case: Case, parameters: FloatArray) -> float:
+    """Sum of the channels' RMS, errors of sensors apart."""
+    measured, predicted = case.model.predict(case.samples, parameters)
+    return float(np.sum(np.std(measured - predicted, axis=0)))
+
+
+@SEEDS
+def test_a_file_that_holds_everything_is_the_estimate(seed: int) -> None:
+    found = solved(arm("arm3", seed, noise=0.05), ALL)
+    np.testing.assert_allclose(found.within["all"], found.parameters, rtol=1e-6, atol=1e-9)
+
+
+@SEEDS
+def test_what_a_file_lacks_is_made_up_for_by_the_rest(seed: int) -> None:
+    """Not dropped from a sum that needs it: no other parameters of this file leave less, and the estimate's leave
+    more."""
+    case = arm("arm3", seed, noise=0.05)
+    found = solved(case, URDF)
+    held = held_columns(case.model, np.arange(case.model.dimension), ELEMENTS["urdf"])
+    lacking = np.setdiff1d(np.arange(case.model.dimension), held)
+    assert {case.model.coefficients[k - 30].effect.name for k in lacking} == {"rotor_inertia"}
+    np.testing.assert_array_equal(found.within["urdf"][lacking], 0.0)
+    dropped = found.parameters.copy()
+    dropped[lacking] = 0.0
+    assert error(case, found.within["urdf"]) < error(case, dropped)
+
+
+@pytest.mark.parametrize("placeholder", [10.0, 100.0])
+def test_a_placeholder_that_the_data_refute_is_gone(placeholder: float) -> None:
+    case, claimed = arm("arm3", 0, noise=0.05), with_damping(arm("arm3", 0, noise=0.05), placeholder)
+    true = viscous(case, case.truth)
+    for found in (solved(claimed, URDF).within["urdf"], solved(claimed, URDF).parameters):
+        np.testing.assert_allclose(viscous(case, found), true, rtol=0.3, atol=0.05)
+
+
+def test_what_the_input_says_of_a_joint_that_stands_still_holds() -> None:
+    case = with_damping(arm("arm3", 0, noise=0.05), 3.0)
+    still = {name: getattr(case.samples, name).copy() for name in ("position", "velocity", "acceleration")}
+    for values in still.values():
+        values[:, 2] = 0.0
+    standing = Case(case.model, _with(case, still), case.noiseless, case.truth, case.true)
+    assert viscous(case, solved(standing, URDF).within["urdf"])[2] == pytest.approx(3.0, rel=0.01)
+
+
+@SEEDS
+def test_an_offset_does_not_stand_in_for_a_mass(seed: int) -> None:
+    """A joint that hardly turns feels the weight behind it as a constant; nothing is wrong with its sensor."""
+    case = arm("arm3", seed, noise=0.05)
+    small = {name: 0.05 * getattr(case.samples, name) for name in ("position", "velocity", "acceleration")}
+    narrow = _with(case, small)
+    rows = case.model.rows(narrow)
+    truth = case.truth.copy()
+    truth[_offsets(case)] = 0.0
+    measured = np.einsum("ncd,d->nc", rows.coefficients, truth)
+    noisy = measured + 0.02 * np.random.default_rng(seed).normal(size=measured.shape)
+    found = solved(Case(case.model, _with(case, small, noisy), noisy, truth, case.true), {})
+    weights = np.sqrt(np.mean(measured**2, axis=0))
+    assert np.all(np.abs(found.parameters[_offsets(case)]) < 0.1 * weights)
+
+
+def _with(case: Case, motion: dict[str, FloatArray], effort: FloatArray | None = None) -> Samples:
+    return replace(case.samples, **motion, effort=case.samples.effort if effort is None else effort)
+
+
+def _offsets(case: Case) -> FloatArray:
+    return np.array([30 + k for k, c in enumerate(case.model.coefficients) if c.effect.name == "effort_offset"])
+
+
+def viscous(case: Case, parameters: FloatArray) -> FloatArray:
+    """Of each joint."""
+    return np.array([parameters[30 + k] for k, c in enumerate(case.model.coefficients) if "viscous" in c.effect.name])
+
+
+def with_damping(case: Case, damping: float) -> Case:
+    """The same measurements of a robot whose URDF claims this damping at every joint."""
+    urdf = re.sub(r"<dynamics[^>]*/>", "", case.model.robot.urdf)
+    claimed = re.sub("</joint>", f'<dynamics damping="{damping}"/></joint>', urdf)
+    effects = list(dict.fromkeys(c.effect for c in case.model.coefficients))
+    model = MeasurementModel(Robot(claimed), effects)
+    return Case(model, case.samples, case.noiseless, case.truth, case.true)
