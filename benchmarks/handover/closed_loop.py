@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import mujoco as mj
 import numpy as np
 
 from geomid_ros.types import FloatArray
@@ -41,8 +42,6 @@ def best_delay(mjcf: str, joints: list[str], recording: Commanded) -> float:
 
 def simulated(mjcf: str, joints: list[str], recording: Commanded, delay: float) -> FloatArray:
     """Positions ``(N, joints)`` that MuJoCo reaches under the commands, from the measured state at the beginning."""
-    import mujoco as mj
-
     model = mj.MjModel.from_xml_string(mjcf)
     model.opt.timestep, model.opt.integrator = _STEP, mj.mjtIntegrator.mjINT_IMPLICITFAST
     model.opt.disableflags |= mj.mjtDisableBit.mjDSBL_CONTACT

@@ -1,9 +1,9 @@
 """The programs that read robot descriptions, each as the efforts that it computes from a file alone.
 
 A reader takes the text of a file, the joints' names and gravity, and returns a function from the motion of N instants,
-and the directions in which the joints move, to the efforts ``(N, joints)`` [N m, N]. None of them shares code with the
-package. Dry friction counts as its level times the direction of motion: near standstill every simulator has a law of its
-own.
+and the directions in which the joints move, to the efforts ``(N, joints)`` [N m, N]. None of them shares the package's
+dynamics. Dry friction counts as its level times the direction of motion: near standstill every simulator has a law of
+its own.
 """
 
 from __future__ import annotations
@@ -12,11 +12,14 @@ import re
 from collections.abc import Callable, Mapping, Sequence
 from importlib.util import find_spec
 from typing import TypeAlias
-from xml.etree import ElementTree
+from xml.etree.ElementTree import Element
 
+import mujoco as mj
 import numpy as np
+import pinocchio as pin
 
 from geomid_ros.model.samples import Samples
+from geomid_ros.model.urdf_tree import read_xml
 from geomid_ros.types import FloatArray
 
 Predict: TypeAlias = Callable[[Samples, FloatArray], FloatArray]
@@ -25,8 +28,6 @@ Reader: TypeAlias = Callable[[str, Sequence[str], FloatArray], Predict]
 
 def pinocchio(urdf: str, joints: Sequence[str], gravity: FloatArray) -> Predict:
     """Inverse dynamics by pinocchio, and of ``<dynamics>`` damping times the velocity and friction times its sign."""
-    import pinocchio as pin
-
     model = pin.buildModelFromXML(urdf)
     model.gravity.linear = gravity
     data = model.createData()
@@ -53,7 +54,7 @@ def pinocchio(urdf: str, joints: Sequence[str], gravity: FloatArray) -> Predict:
 def sdformat(urdf: str, joints: Sequence[str], gravity: FloatArray) -> Predict:
     """What SDFormat makes of a URDF for Gazebo: the same, and the springs of its ``<gazebo>`` elements."""
     inner = pinocchio(urdf, joints, gravity)
-    elements = {each.get("reference"): each for each in ElementTree.fromstring(urdf).findall("gazebo")}
+    elements = {each.get("reference"): each for each in read_xml(urdf, "written file").findall("gazebo")}
     stiffness, rest = (
         np.array([_number(elements.get(name), kind) for name in joints])
         for kind in ("springStiffness", "springReference")
@@ -63,8 +64,6 @@ def sdformat(urdf: str, joints: Sequence[str], gravity: FloatArray) -> Predict:
 
 def mujoco(text: str, joints: Sequence[str], gravity: FloatArray) -> Predict:
     """Inverse dynamics by MuJoCo of an MJCF or a URDF, its own damping, dry friction, armature and springs included."""
-    import mujoco as mj
-
     if "<robot" in text:
         text = re.sub(
             r"(<robot\b[^>]*>)",
@@ -97,9 +96,9 @@ def mujoco(text: str, joints: Sequence[str], gravity: FloatArray) -> Predict:
 
 def drake(urdf: str, joints: Sequence[str], gravity: FloatArray) -> Predict:
     """Inverse dynamics by Drake, with the damping and the rotors' inertias that it reads; it reads no friction."""
-    from pydrake.multibody.parsing import Parser
-    from pydrake.multibody.plant import MultibodyPlant
-    from pydrake.multibody.tree import MultibodyForces
+    from pydrake.multibody.parsing import Parser  # noqa: PLC0415 seldom installed
+    from pydrake.multibody.plant import MultibodyPlant  # noqa: PLC0415
+    from pydrake.multibody.tree import MultibodyForces  # noqa: PLC0415
 
     plant = MultibodyPlant(0.0)
     (robot,) = Parser(plant).AddModelsFromString(urdf, "urdf")
@@ -142,7 +141,7 @@ def installed(reader: str) -> bool:
 
 
 def _dynamics(urdf: str, joints: Sequence[str]) -> tuple[FloatArray, FloatArray]:
-    found = {joint.get("name"): joint.find("dynamics") for joint in ElementTree.fromstring(urdf).findall("joint")}
+    found = {joint.get("name"): joint.find("dynamics") for joint in read_xml(urdf, "written file").findall("joint")}
     damping, friction = (
         np.array(
             [float(own.get(name, 0.0)) if (own := found.get(joint)) is not None else 0.0 for joint in joints]
@@ -152,12 +151,12 @@ def _dynamics(urdf: str, joints: Sequence[str]) -> tuple[FloatArray, FloatArray]
     return damping, friction
 
 
-def _number(element: ElementTree.Element | None, name: str) -> float:
+def _number(element: Element | None, name: str) -> float:
     text = None if element is None else element.findtext(name)
     return float(text) if text else 0.0
 
 
 def _root(urdf: str) -> str:
-    robot = ElementTree.fromstring(urdf)
+    robot = read_xml(urdf, "written file")
     children = {joint.find("child").get("link") for joint in robot.findall("joint")}  # type: ignore[union-attr]
     return next(name for link in robot.findall("link") if (name := link.get("name", "")) not in children)

@@ -26,10 +26,13 @@ from geomid_ros.report.drawing import draw_identification, series_of
 from geomid_ros.report.identification_page import IdentificationPage, write_identification_page
 from geomid_ros.report.series import Series
 from geomid_ros.report.sheet import write_picture
+from geomid_ros.resimulation.closed_loop import Tracking
+from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.fitting import Fitting
 from geomid_ros.session.locking import read_with_locked
 from geomid_ros.session.recordings import Bags, Progress, Topics, read_bags, read_fitted, silent
 from geomid_ros.session.session import Session
+from geomid_ros.session.tracking import tracking_of
 from geomid_ros.types import FloatArray
 
 if TYPE_CHECKING:
@@ -47,6 +50,7 @@ class Identification:
         held_out: the samples to judge on, in batches, which were not fitted; empty if nothing was held out.
         judged: the samples that it is judged on: those, or all that were fitted.
         reader: who will read the description that is written.
+        command: topic of the joints' set-points, to simulate them.
     """
 
     session: Session
@@ -55,6 +59,7 @@ class Identification:
     held_out: Sequence[Samples]
     judged: Sequence[Samples]
     reader: str = URDF
+    command: str | None = None
 
     @property
     def links(self) -> tuple[LinkEstimate, ...]:
@@ -104,7 +109,7 @@ class Identification:
         remembered."""
         if not self.held_out:
             return self.judged
-        return read_fitted(Session(self.session.urdf, self.session.configuration, ""), self.bags)
+        return read_fitted(Session(*self._again), self.bags)
 
     @cached_property
     def rms_nominal(self) -> dict[str, float]:
@@ -118,6 +123,23 @@ class Identification:
         """RMS of the residuals on held-out data ``(channels,)``; None if nothing was held out."""
         return self.session.rms(self.held_out, self.estimate.parameters) if self.held_out else None
 
+    @cached_property
+    def tracking(self) -> Tracking | None:
+        """How far the robot of that description is from the measured one under the recorded commands, simulated in
+        MuJoCo on what is held out; None without a :attr:`command`.
+
+        Raises:
+            InputError: MuJoCo is not installed, nothing is held out, or the topic cannot be read.
+        """
+        if self.command is None:
+            return None
+        return tracking_of(Session(*self._again), self.written.model, self.bags, self.command)
+
+    @property
+    def _again(self) -> tuple[str, Configuration, str]:
+        """What another session of the same robot is made of."""
+        return self.session.urdf, self.session.configuration, self.session.robot.source
+
     def _by_channel(self, values: FloatArray) -> dict[str, float]:
         return dict(zip(self.estimate.channels, values.tolist(), strict=True))
 
@@ -126,6 +148,8 @@ class Identification:
         """All numbers, as ``estimate.json`` has them."""
         document = self.session.document(self.estimate, self.held_out_rms, self.verdict)
         document["handover"][self.reader] |= self.handover.entry
+        if self.tracking is not None:
+            document["handover"][self.reader]["tracking"] = dict(self.tracking.rms)
         return document
 
     def urdf(self) -> str:
@@ -248,6 +272,7 @@ def identify(
     hold_out: float | None = None,
     validate: Paths = (),
     reader: str = URDF,
+    command: str | None = None,
     progress: Progress = silent,
 ) -> Identification:
     """Identify link inertias and joint effects from rosbags.
@@ -275,6 +300,7 @@ def identify(
         hold_out: share of each bag's time, at the end, to judge on; None for 0.3, with ``validate`` 0.
         validate: bags to judge on.
         reader: who will read the description that is written: urdf, moveit, isaac, gazebo, drake or mujoco.
+        command: topic of the joints' set-points (JointState), to simulate what is held out under them.
         progress: called with what is being done and the share of it, 0 to 1, that is done.
 
     Raises:
@@ -306,7 +332,13 @@ def identify(
     progress("solving", 0.0)
     estimate = session.identifier.solve()
     return Identification(
-        session=session, bags=recorded, estimate=estimate, held_out=held_out, judged=judged, reader=reader
+        session=session,
+        bags=recorded,
+        estimate=estimate,
+        held_out=held_out,
+        judged=judged,
+        reader=reader,
+        command=command,
     )
 
 

@@ -50,6 +50,7 @@ from geomid_ros.exports.formats import DESCRIBED_FOR
     show_default=True,
     help="Who will read the description: what is written is fitted within what its files hold, and judged as itself.",
 )
+@click.option("--command", help="Topic of the joints' set-points (JointState), to simulate what is held out.")
 @click.option("--out", default=Path("geomid_out"), **OUT)
 @click.option("--json", "as_json", is_flag=True, help="Print estimate.json instead of tables.")
 def identify(bags: tuple[Path, ...], out: Path, as_json: bool, **options: Any) -> None:

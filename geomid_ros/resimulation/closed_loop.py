@@ -20,6 +20,9 @@ from geomid_ros.signals.kernels import filtered
 from geomid_ros.types import BoolArray, FloatArray
 
 _SEPARATIONS = (0.03, 0.05, 0.08)  # [s] at which the noise of filtered samples is another, and the motion the same
+_FLOATING = "the base floats: without its contacts its motion cannot be simulated"
+_APART = "commands and measurements have no time in common"
+_UNRELATED = "the measured efforts do not follow from the commands by gains and feed-forward"
 _EXPLAINED = 0.9  # share of an effort's variance that a controller has to explain
 
 
@@ -49,6 +52,25 @@ class ClosedLoop:
     after: Mapping[str, float]
     traces: tuple[LoopTrace, ...]
     skipped: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class Tracking:
+    """How far a simulated robot is from the measured one under the recorded commands.
+
+    Attributes:
+        rms: Root mean square of the difference of positions, by joint [rad, m]; without the joints whose efforts do not
+            follow from the commands.
+        skipped: Why there is nothing, else empty.
+    """
+
+    rms: Mapping[str, float]
+    skipped: str = ""
+
+    @property
+    def total(self) -> float:
+        """Root mean square over the joints [rad, m]."""
+        return float(np.sqrt(np.mean(np.square([*self.rms.values()]))))
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,17 +119,17 @@ def closed_loop(
         cutoff: Errors are judged below it [Hz]; that of ``noise``.
     """
     if model.robot.floating_base:
-        return ClosedLoop({}, {}, (), "the base floats: without its contacts its motion cannot be simulated")
+        return ClosedLoop({}, {}, (), _FLOATING)
     parts = [part for pair in zip(recordings, commands, strict=True) for part in _commanded(*pair)]
     if not parts:
-        return ClosedLoop({}, {}, (), "commands and measurements have no time in common")
+        return ClosedLoop({}, {}, (), _APART)
     joints = model.robot.joint_names
     robots = [WrittenRobot(files, joints) for files in (before, after)]
     for robot in robots:
         robot.expect_load(robot.true_effort(np.concatenate([part.stretch.samples.effort for part in parts])))
     controller = fitted_controller(parts, robots[1])
     if not np.any(controller.found):
-        return ClosedLoop({}, {}, (), "the measured efforts do not follow from the commands by gains and feed-forward")
+        return ClosedLoop({}, {}, (), _UNRELATED)
     traces = [_simulated(part, controller, *robots) for part in parts]
     floor = np.sqrt(np.mean(noise.only(joints).values ** 2, axis=0))
     known = controller.found & (floor > 0.0)
@@ -119,6 +141,32 @@ def closed_loop(
         return {name: float(value) for name, value, good in zip(joints, ratio, known, strict=True) if good}
 
     return ClosedLoop(ratios("effort_before"), ratios("effort_after"), tuple(traces))
+
+
+def tracking(
+    model: MeasurementModel, files: ModelFiles, recordings: Sequence[Samples], commands: Sequence[Samples]
+) -> Tracking:
+    """Simulate recordings under their commands, with the controller that explains the measured efforts best.
+
+    Args:
+        model: Of the robot.
+        files: Of the written model.
+        recordings, commands: As of :func:`closed_loop`.
+    """
+    if model.robot.floating_base:
+        return Tracking({}, _FLOATING)
+    parts = [part for pair in zip(recordings, commands, strict=True) for part in _commanded(*pair)]
+    if not parts:
+        return Tracking({}, _APART)
+    robot = WrittenRobot(files, model.robot.joint_names)
+    robot.expect_load(robot.true_effort(np.concatenate([part.stretch.samples.effort for part in parts])))
+    controller = fitted_controller(parts, robot)
+    if not np.any(controller.found):
+        return Tracking({}, _UNRELATED)
+    errors = [_simulated_motion(part, controller, robot)[0] - part.stretch.samples.position for part in parts]
+    rms = root_mean_square(errors)
+    pairs = zip(model.robot.joint_names, rms.tolist(), controller.found, strict=True)
+    return Tracking({name: value for name, value, found in pairs if found})
 
 
 def _commanded(recording: Samples, commands: Samples) -> list[_Commanded]:
@@ -187,15 +235,22 @@ def _simulated(part: _Commanded, controller: FittedController, before: WrittenRo
 
 def _simulated_effort(part: _Commanded, controller: FittedController, robot: WrittenRobot) -> FloatArray:
     """Efforts ``(N, J)`` as the sensors would show them."""
-    samples, times = part.stretch.samples, part.stretch.times
+    times = part.stretch.times
+    true = _effort(part, controller, *_simulated_motion(part, controller, robot))
+    return robot.measured_effort(interpolated(times, true, np.maximum(times - robot.delay, 0.0)))
+
+
+def _simulated_motion(
+    part: _Commanded, controller: FittedController, robot: WrittenRobot
+) -> tuple[FloatArray, FloatArray]:
+    """Positions and velocities ``(N, J)`` under the commands, from the measured state at the beginning."""
+    samples = part.stretch.samples
     simulation = WindowSimulation(robot, Windows.whole(part.stretch))
     driving = _driving(part, controller, robot, simulation)
     with robot.in_closed_loop(controller.stiffness, controller.damping, controller.found):
         simulated = simulation.run(driving=driving)
-    position = np.vstack([samples.position[:1], simulated.position[0]])
-    velocity = np.vstack([samples.velocity[:1], simulated.velocity[0]])
-    true = _effort(part, controller, position, velocity)
-    return robot.measured_effort(interpolated(times, true, np.maximum(times - robot.delay, 0.0)))
+    position, velocity = simulated.position[0], simulated.velocity[0]
+    return np.vstack([samples.position[:1], position]), np.vstack([samples.velocity[:1], velocity])
 
 
 def _effort(part: _Commanded, controller: FittedController, position: FloatArray, velocity: FloatArray) -> FloatArray:

@@ -16,6 +16,7 @@ from geomid_ros.files.models.effect_forms import is_coefficient
 from geomid_ros.files.models.results import model_effects
 from geomid_ros.model.effects import EFFECTS, KnownEffect
 from geomid_ros.report import gap_words, identification_words
+from geomid_ros.resimulation.closed_loop import Tracking
 from geomid_ros.signals.ledger import Account
 
 _MOST_REASONS = 5
@@ -52,6 +53,18 @@ def show(found: Identification) -> None:
     if others:
         console.print(_other_effects_table(others))
     console.print(_channels_table(found))
+    if found.tracking is not None:
+        say(console, "Closed loop:", f" {_tracking(found.tracking, found.written.name)}")
+
+
+def _tracking(tracking: Tracking, name: str) -> str:
+    if tracking.skipped:
+        return f"not simulated, as {tracking.skipped}"
+    worst = max(tracking.rms, key=lambda joint: tracking.rms[joint])
+    return (
+        f"under the recorded commands a robot as in {name} is {tracking.total:.4f} rad (m) from the measured one, RMS "
+        f"of {len(tracking.rms)} joints; the most at '{worst}', {tracking.rms[worst]:.4f}"
+    )
 
 
 def _links_table(found: Identification) -> Table:
