@@ -52,6 +52,8 @@ class IdentificationPage:
         effects: all effects of the model.
         series: the measured channels on what is judged on.
         held_out: whether that was held out.
+        file: the description that is written.
+        alone, corrected: RMS of what it leaves by itself, and with the errors of sensors beside it, by channel.
         telling: by link and motion, the quantities that it would tell, see
             :func:`~geomid_ros.estimation.telling_motions.telling_motions`.
         messages: what became of them, by topic.
@@ -68,6 +70,9 @@ class IdentificationPage:
     effects: Sequence[KnownEffect]
     series: Sequence[Series]
     held_out: bool
+    file: str
+    alone: Mapping[str, float]
+    corrected: Mapping[str, float]
     telling: Mapping[str, Mapping[str, Sequence[str]]]
     messages: Mapping[str, Account]
     refused_rows: Mapping[str, int]
@@ -87,7 +92,7 @@ def write_identification_page(path: Path, page: IdentificationPage) -> None:
         "judged_on": "held-out data" if page.held_out else "the same data that were fitted",
         "links": list(_links(page)),
         "end": _heaviest(page),
-        "fit": _fit(page.series),
+        "fit": _fit(page),
         "fit_bars": _bars(page.series),
         "kinds": _KINDS,
         "shares": _shares(page.estimate),
@@ -125,11 +130,12 @@ def _heaviest(page: IdentificationPage) -> float:
     return 1.05 * max(1e-9, min(max(ends, default=0.0), 3.0 * max(masses, default=0.0)), *masses)
 
 
-def _fit(series: Sequence[Series]) -> Iterator[tuple[Series, str, str, float]]:
-    """Of every channel: RMS of the URDF and of the identified model, and the share of the former that is explained."""
-    for channel in series:
-        before, after = channel.rms
-        yield channel, number(before), number(after), 1.0 - channel.ratio
+def _fit(page: IdentificationPage) -> Iterator[tuple[Series, tuple[str, ...], float]]:
+    """RMS per channel of the URDF, of the identified model, of the written file alone and with the errors of sensors
+    beside it; and the share of the URDF's that the identified model explains."""
+    for channel in page.series:
+        written = page.alone[channel.name], page.corrected[channel.name]
+        yield channel, tuple(map(number, (*channel.rms, *written))), 1.0 - channel.ratio
 
 
 def _bars(series: Sequence[Series]) -> Bars:

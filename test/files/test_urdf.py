@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 from geomid_ros.errors import InputError
 from geomid_ros.estimation.estimate import LinkEstimate
 from geomid_ros.files.disk import write_text
-from geomid_ros.files.models.urdf import read_urdf, with_identified_inertias
+from geomid_ros.files.models.urdf import read_urdf, with_inertials
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.model.robot import Robot
 
@@ -54,6 +54,12 @@ TEMPLATE = """<?xml version="1.0"?>
 <!-- the end -->
 """.replace("ARM", ARM)
 MARK = re.compile(r"@(\w+)@")
+
+
+def with_identified_inertias(urdf: str, links: Sequence[LinkEstimate]) -> str:
+    """A URDF with what was identified: the links that are counted in with others have no mass of their own."""
+    merged = [name for link in links for name in link.merged]
+    return with_inertials(urdf, {link.name: (link.mass, link.com, link.inertia) for link in links}, merged)
 
 
 def filled(template: str) -> str:

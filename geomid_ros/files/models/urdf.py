@@ -6,7 +6,6 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TypeAlias
 
-from geomid_ros.estimation.estimate import LinkEstimate
 from geomid_ros.files.disk import read_text
 from geomid_ros.files.models.effect_forms import is_body, joint_attributes, payload_quantities
 from geomid_ros.files.models.xml_edits import Edit, Span, children_of, edited, insertion, with_attributes
@@ -30,19 +29,9 @@ def inertia_of(parameters: FloatArray) -> Inertia:
     return float(parameters[0]), centre, pseudo_inertia.central_inertia(parameters)
 
 
-def with_identified_inertias(urdf: str, links: Sequence[LinkEstimate]) -> str:
-    """``urdf`` with the inertials of the identified bodies; every other character of it is kept.
-
-    A body's inertia goes to its moving link. The inertials of the links that are fixed to it and counted in are
-    removed: their mass is in the moving link's.
-    """
-    merged = [name for link in links for name in link.merged]
-    return with_inertials(urdf, {link.name: (link.mass, link.com, link.inertia) for link in links}, merged)
-
-
 def with_inertials(urdf: str, inertias: Mapping[str, Inertia], removed: Sequence[str] = ()) -> str:
-    """``urdf`` with these inertials, by the link's name, and without those of the links ``removed``; every other
-    character of it is kept."""
+    """``urdf`` with these inertials, by the link's name, and without those of the links ``removed``, which are fixed to
+    others and counted in there; every other character of it is kept."""
     data = urdf.encode()
     links = children_of(data, "robot", "link", "inertial")
     edits = [insertion(data, links[name], _inertial(*inertia)) for name, inertia in inertias.items()]

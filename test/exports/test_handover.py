@@ -1,0 +1,129 @@
+"""A description is judged as its reader loads it: what is in the file counts, not what was meant."""
+
+from __future__ import annotations
+
+import json
+import re
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+from files.recordings import BAGS
+
+import geomid_ros
+from geomid_ros.api.identify import Identification
+from geomid_ros.exports.handover import HandedOver, Judged
+from geomid_ros.exports.model import read_model
+from geomid_ros.files.models.handover import READERS
+from geomid_ros.files.models.read_back import read_urdf_back
+from geomid_ros.files.models.urdf import with_inertials
+from geomid_ros.model.samples import Samples
+from geomid_ros.resimulation.read_back import read_mjcf_back
+from geomid_ros.types import FloatArray
+
+WRITTEN = [reader for reader in READERS if reader != "mjcf_joints"]
+
+
+@cache
+def found() -> Identification:
+    return geomid_ros.identify(BAGS / "arm3", BAGS / "arm3.urdf")
+
+
+def handed(reader: str) -> HandedOver:
+    return HandedOver(found().session, found().estimate, reader, {})
+
+
+def expected(reader: str) -> dict[str, float]:
+    """What the parameters that were fitted for a reader leave, errors of sensors apart, by the model's own rows."""
+    session, parameters = found().session, found().estimate.within[reader].copy()
+    first = len(session.model.nominal_inertias)
+    for index, coefficient in enumerate(session.model.coefficients):
+        if coefficient.effect.of_sensor:
+            parameters[first + index] = 0.0
+    rms = session.rms(found().judged, parameters)
+    return dict(zip((channel.name for channel in session.model.channels), rms.tolist(), strict=True))
+
+
+@pytest.mark.parametrize("reader", WRITTEN)
+def test_what_is_loaded_is_what_was_fitted(reader: str) -> None:
+    if reader == "mujoco":
+        pytest.importorskip("mujoco")
+    judged = handed(reader).judged(found().judged)
+    for name, alone in expected(reader).items():
+        assert judged.alone[name] == pytest.approx(alone, rel=1e-4)
+
+
+def test_mujoco_itself_needs_these_efforts() -> None:
+    """Its inverse dynamics, its dry friction apart, which is a constraint of another law near standstill."""
+    mujoco = pytest.importorskip("mujoco")
+    samples = Samples.concatenate(list(found().judged)).select(slice(0, 400, 40))
+    model = mujoco.MjModel.from_xml_string(handed("mujoco").files["identified.xml"])
+    model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_FRICTIONLOSS | mujoco.mjtDisableBit.mjDSBL_CONTACT
+    data = mujoco.MjData(model)
+    names = found().session.robot.joint_names
+    places = [model.joint(name).dofadr[0] for name in names]
+    read = read_mjcf_back(handed("mujoco").files["identified.xml"], found().session.robot)
+    for name in names:
+        read.attributes[name, "joint/frictionloss"] = 0.0
+    _, predicted = read.predict(found().session.model, samples)
+    for index in range(len(samples)):
+        data.qpos[places], data.qvel[places] = samples.position[index], samples.velocity[index]
+        data.qacc[places] = samples.acceleration[index]
+        mujoco.mj_inverse(model, data)
+        np.testing.assert_allclose(data.qfrc_inverse[places], predicted[index, : len(names)], rtol=1e-3, atol=2e-3)
+
+
+def test_a_number_that_is_wrong_in_the_file_shows() -> None:
+    """Judged is the text that is written, not the parameters that it was made from."""
+    session = found().session
+    text = handed("urdf").files["identified.urdf"]
+    wrong = re.sub(r'damping="[^"]*"', 'damping="10"', text)
+    right, bad = (
+        _rms(read_urdf_back(session.read_robot(each, "file"), "urdf").predict(session.model, samples))
+        for each in (text, wrong)
+        for samples in [Samples.concatenate(list(found().judged))]
+    )
+    assert np.all(bad > 2.0 * right)
+
+
+def test_a_file_worse_than_what_it_is_from_says_so_with_the_channel_and_what_it_lacks() -> None:
+    lacks = {"a": ("spring of a",), "b": ()}
+    judged = Judged("f.urdf", "pinocchio", {"a": 2.0, "b": 1.0}, {"a": 1.2, "b": 1.0}, {"a": 1.0, "b": 1.0}, lacks)
+    (sentence,) = judged.worse
+    assert sentence.startswith("'a' is predicted worse by f.urdf than by the description that it is from: RMS 2 ")
+    assert "it cannot hold spring of a" in sentence
+    offsets = Judged("f.urdf", "pinocchio", {"a": 2.0}, {"a": 0.9}, {"a": 1.0}, {"a": ()})
+    assert not offsets.worse, "an error of a sensor is no part of the robot"
+
+
+@pytest.mark.parametrize("reader", ["urdf", "mujoco", "drake"])
+def test_what_is_exported_later_is_what_was_fitted_then(reader: str, tmp_path: Path) -> None:
+    found().session.save(tmp_path, found().estimate)
+    model = read_model(tmp_path / "estimate.json", reader)
+    assert model.fitted
+    written = found().session.written_model(found().estimate, reader)
+    for name, parameters in written.inertias.items():
+        assert model.bodies[name].inertial.mass == pytest.approx(parameters[0], rel=1e-9)
+    said = {(effect.effect, effect.joint): effect for effect in model.effects}
+    for effect in written.effects:
+        there = said[effect.effect, effect.joint]
+        assert {n: q.value for n, q in there.parameters.items()} == pytest.approx(
+            {n: q.value for n, q in effect.parameters.items()}
+        )
+
+
+def test_an_earlier_estimate_is_exported_as_not_fitted(tmp_path: Path) -> None:
+    """Its description has the estimate's own inertias."""
+    found().session.save(tmp_path, found().estimate)
+    document = json.loads((tmp_path / "estimate.json").read_text())
+    del document["handover"]
+    (tmp_path / "estimate.json").write_text(json.dumps(document))
+    inertias = {link.name: (link.mass, link.com, link.inertia) for link in found().links}
+    (tmp_path / "identified.urdf").write_text(with_inertials(found().session.urdf, inertias))
+    assert not read_model(tmp_path / "estimate.json", "mujoco").fitted
+
+
+def _rms(pair: tuple[FloatArray, FloatArray]) -> FloatArray:
+    measured, predicted = pair
+    return np.sqrt(np.nanmean((measured - predicted) ** 2, axis=0))
