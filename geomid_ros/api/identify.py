@@ -6,9 +6,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Unpack
 
-from geomid_ros.api.arguments import Config, PathLike, Paths, Texts, bag_paths, configuration, description, entries
+from geomid_ros.api.arguments import PathLike, Paths, Texts, entries
+from geomid_ros.api.options import RecordingKeywords, RecordingOptions
 from geomid_ros.api.origin import origin
 from geomid_ros.estimation.estimate import EffectEstimate, Estimate, LinkEstimate
 from geomid_ros.estimation.telling_motions import telling_motions
@@ -22,7 +23,7 @@ from geomid_ros.report.series import Series
 from geomid_ros.report.sheet import write_picture
 from geomid_ros.session.fitting import Fitting
 from geomid_ros.session.locking import read_with_locked
-from geomid_ros.session.recordings import Bags, Progress, Topics, read_bags, read_fitted, silent
+from geomid_ros.session.recordings import Bags, Progress, read_bags, read_fitted, silent
 from geomid_ros.session.session import Session
 from geomid_ros.types import FloatArray
 
@@ -195,21 +196,13 @@ def identify(
     bags: Paths,
     urdf: PathLike | None = None,
     *,
-    config: Config | None = None,
-    model: PathLike | None = None,
     prior: PathLike | None = None,
-    xacro_args: Texts = (),
     effects: Texts | None = None,
     candidates: Texts | None = None,
     links: Texts | None = None,
     known: Texts = (),
-    floating_base: bool = False,
-    wrench: Texts = (),
-    joint_topic: str = "joint_states",
-    odom_topic: str = "odom",
-    hold_out: float | None = None,
-    validate: Paths = (),
     progress: Progress = silent,
+    **options: Unpack[RecordingKeywords],
 ) -> Identification:
     """Identify link inertias and joint effects from rosbags.
 
@@ -218,45 +211,25 @@ def identify(
 
     Args:
         bags: rosbag folders, or .mcap and .db3 files.
-        urdf: path or text of the robot description; None for the identified.urdf beside ``model``, or else what is
-            recorded on robot_description in the bags.
-        config: the node's parameter file (YAML), or parameters by their full names.
-        model: an estimate.json to start from.
+        urdf: path or text of the robot description, see :class:`~geomid_ros.RecordingOptions`.
         prior: a population.json of the robot's type (``geomid fleet``) to start from.
-        xacro_args: arguments, as ``NAME:=VALUE``, of ``urdf``, if that is a .xacro file, which is run.
         effects: names of the effects to identify at every joint and no others, ``[]`` for none; None for the configured
             ones, and for the candidates where held-out data ask for them.
         candidates: names of effects to identify where held-out data ask for them, beside ``effects``.
         links: names of the only links to identify; None for the configured ones.
         known: masses that were weighed, as ``LINK=MASS:STD``, ``LINK+LINK=MASS:STD`` or ``total=MASS:STD`` [kg].
-        floating_base: whether the base moves; its pose is read from ``odom_topic``.
-        wrench: wrench sensors, as ``TOPIC:FRAME:ROLE[:AXES]``; ``ROLE`` is mounted or external.
-        joint_topic: topic of the joint states.
-        odom_topic: topic of the base's pose.
-        hold_out: share of each bag's time, at the end, to judge on; None for 0.3, with ``validate`` 0.
-        validate: bags to judge on.
         progress: called with what is being done and the share of it, 0 to 1, that is done.
+        options: which robot it is and how its recordings are read, see :class:`~geomid_ros.RecordingOptions`.
 
     Raises:
         InputError: a file, an argument or the data cannot be used; the message names it and says what to do.
     """
-    weighed = entries("known", known)
-    chosen: dict[str, Any] = {"known": weighed} if weighed else {}
-    if prior is not None:
-        chosen["prior"] = str(prior)
-    if effects is not None:
-        chosen |= {"effects": entries("effects", effects), "candidates": []}
-    chosen |= {
-        name: entries(name, given)
-        for name, given in (("candidates", candidates), ("links", links))
-        if given is not None
-    }
-    parameters = configuration(config, model=model, floating_base=floating_base, wrench=wrench, **chosen)
-    topics = Topics(joint_topic, odom_topic)
-    recorded = Bags(fitted=bag_paths(bags), validate=bag_paths(validate), hold_out=hold_out, topics=topics)
-    robot = description(urdf, recorded.fitted, model=model, xacro_args=xacro_args)
+    chosen = RecordingOptions(urdf=urdf, **options)
+    recorded = chosen.bags(bags)
+    parameters = chosen.configuration(chosen.model, **_parameters(prior, effects, candidates, links, known))
+    robot = chosen.description(recorded.fitted, chosen.model)
     session, (held_out, judged) = read_with_locked(
-        lambda chosen: Session(robot.text, chosen, robot.source),
+        lambda configured: Session(robot.text, configured, robot.source),
         parameters,
         lambda session: _read(session, recorded, progress),
     )
@@ -264,6 +237,17 @@ def identify(
     progress("solving", 0.0)
     estimate = session.identifier.solve()
     return Identification(session=session, bags=recorded, estimate=estimate, held_out=held_out, judged=judged)
+
+
+def _parameters(
+    prior: PathLike | None, effects: Texts | None, candidates: Texts | None, links: Texts | None, known: Texts
+) -> dict[str, Any]:
+    """The parameters that these arguments set."""
+    lists = {"effects": effects, "candidates": candidates, "links": links, "known": known or None}
+    found: dict[str, Any] = {name: entries(name, given) for name, given in lists.items() if given is not None}
+    if effects is not None:
+        found = {"candidates": []} | found
+    return found if prior is None else found | {"prior": str(prior)}
 
 
 def _read(session: Session, bags: Bags, progress: Progress) -> tuple[list[Samples], list[Samples]]:

@@ -6,11 +6,12 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Unpack
 
 import numpy as np
 
-from geomid_ros.api.arguments import Config, PathLike, Paths, Texts, bag_paths, configuration, description, texts
+from geomid_ros.api.arguments import PathLike, Paths, Texts, bag_paths, texts
+from geomid_ros.api.options import RobotKeywords, RobotOptions
 from geomid_ros.errors import InputError
 from geomid_ros.files.models.results import read_estimate
 from geomid_ros.model.samples import Samples
@@ -18,7 +19,7 @@ from geomid_ros.plausibility.requirements import TOTAL, Outcome, Requirement, Va
 from geomid_ros.plausibility.verdict import recording_verdict
 from geomid_ros.session.gap import gap_session
 from geomid_ros.session.locking import read_with_locked
-from geomid_ros.session.recordings import Bags, Progress, Topics, read_fitted, silent
+from geomid_ros.session.recordings import Bags, Progress, read_fitted, silent
 from geomid_ros.session.session import Session
 from geomid_ros.types import FloatArray
 
@@ -52,13 +53,8 @@ def verify(
     urdf: PathLike | None = None,
     *,
     require: Texts = (),
-    config: Config | None = None,
-    xacro_args: Texts = (),
-    floating_base: bool = False,
-    wrench: Texts = (),
-    joint_topic: str = "joint_states",
-    odom_topic: str = "odom",
     progress: Progress = silent,
+    **options: Unpack[RobotKeywords],
 ) -> Verification:
     """Predict recordings with a model that was identified before, and see whether it does as required.
 
@@ -67,24 +63,19 @@ def verify(
     Args:
         model: an estimate.json.
         validate: rosbag folders, or .mcap and .db3 files.
-        urdf: path or text of the robot description that the model was identified from; None for the identified.urdf
-            beside it, or else what is recorded on robot_description in the bags.
+        urdf: path or text of the robot description that the model was identified from, see
+            :class:`~geomid_ros.RobotOptions`.
         require: what is required, as :mod:`~geomid_ros.plausibility.requirements` says.
-        config: the node's parameter file (YAML), or parameters by their full names.
-        xacro_args: arguments, as ``NAME:=VALUE``, of ``urdf``, if that is a .xacro file, which is run.
-        floating_base: whether the base moves; its pose is read from ``odom_topic``.
-        wrench: wrench sensors, as ``TOPIC:FRAME:ROLE[:AXES]``; ``ROLE`` is mounted or external.
-        joint_topic: topic of the joint states.
-        odom_topic: topic of the base's pose.
         progress: called with what is being done and the share of it, 0 to 1, that is done.
+        options: which robot it is and how its recordings are read, see :class:`~geomid_ros.RobotOptions`.
 
     Raises:
         InputError: a file, an argument, a requirement or the data cannot be used.
     """
     required = [Requirement.parse(text) for text in texts(require)]
-    parameters = configuration(config, model=model, floating_base=floating_base, wrench=wrench)
-    recorded = Bags(fitted=bag_paths(validate), hold_out=0.0, topics=Topics(joint_topic, odom_topic))
-    robot = description(urdf, recorded.fitted, model=model, xacro_args=xacro_args)
+    chosen = RobotOptions(urdf=urdf, **options)
+    recorded = Bags(fitted=bag_paths(validate), hold_out=0.0, topics=chosen.topics)
+    robot = chosen.description(recorded.fitted, model)
     relative = next((each for each in required if each.reference == "urdf"), None)
     if relative and urdf is None and Path(robot.source).parent == Path(model).parent:
         raise InputError(
@@ -92,8 +83,8 @@ def verify(
             "name the former with --urdf"
         )
     session, samples = read_with_locked(
-        lambda chosen: gap_session(robot.text, chosen, robot.source),
-        parameters,
+        lambda configured: gap_session(robot.text, configured, robot.source),
+        chosen.configuration(model),
         lambda session: read_fitted(session, recorded, progress),
     )
     session.settled.extend(robot.notes)
