@@ -22,6 +22,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from geomid_ros.api.compare import Comparison, compare
     from geomid_ros.api.excite import MotionDesign, excite
     from geomid_ros.api.export import Exported, export
     from geomid_ros.api.fleet import FleetIdentification, identify_fleet
@@ -43,6 +44,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 __version__ = "0.1.0"
 
 __all__ = [
+    "Comparison",
     "Effect",
     "Exported",
     "FleetIdentification",
@@ -60,6 +62,7 @@ __all__ = [
     "RowsSolution",
     "SampledRobots",
     "Verification",
+    "compare",
     "excite",
     "export",
     "find_gap",
@@ -73,6 +76,7 @@ __all__ = [
 ]
 
 _NAMES = {
+    "geomid_ros.api.compare": ("Comparison", "compare"),
     "geomid_ros.api.excite": ("MotionDesign", "excite"),
     "geomid_ros.api.export": ("Exported", "export"),
     "geomid_ros.api.fleet": ("FleetIdentification", "identify_fleet"),

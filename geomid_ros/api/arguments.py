@@ -50,6 +50,11 @@ def entries(argument: str, given: Texts) -> list[str]:
     return result
 
 
+def beside(model: PathLike) -> Path:
+    """The description that is written with an estimate.json."""
+    return Path(model).parent / "identified.urdf"
+
+
 class Description(NamedTuple):
     """The ``text`` of a URDF, its ``source``, and ``notes`` on where it was found if nobody named it."""
 
@@ -81,9 +86,8 @@ def description(
         raise InputError(f"arguments for xacro are given, and {urdf or 'no file'} is no {SUFFIX} file to give them to")
     if urdf is not None:
         return Description(read_urdf(Path(urdf)), str(urdf))
-    beside = Path(model).parent / "identified.urdf" if model is not None else None
-    if beside is not None and beside.is_file():
-        text, source = read_urdf(beside), str(beside)
+    if model is not None and (own := beside(model)).is_file():
+        text, source = read_urdf(own), str(own)
     else:
         text, source = recorded_description(bags)
     return Description(text, source, (f"no --urdf is given: the robot is that of {source}",))

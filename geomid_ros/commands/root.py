@@ -13,6 +13,7 @@ import geomid_ros
 from geomid_ros.errors import TOO_LITTLE_MEMORY, GeomidError, is_lack_of_memory, load_hashes, missing_library
 
 COMMANDS = {
+    "compare": "Compare two results of one robot.",
     "dashboard": "Show a running node on a local page.",
     "demo": "Watch a robot's inertias being identified live.",
     "excite": "Design a motion from which much is learned.",

@@ -120,7 +120,7 @@ def test_what_has_changed_is_told(first: tuple[Path, str], bags: Path, tmp_path:
     printed = done("fleet", bags, "--urdf", URDF, "--scheduler", NOBODY, "--out", out, "--since", tmp_path)
     (line,) = [line for line in printed.splitlines() if line.strip().startswith("ada ")]
     name, mass = document["links"][2]["name"], read(out / "ada")["links"][2]["mass"]
-    assert f"{name}: {2 * mass:.3g} kg → {mass:.3g} kg" in line
+    assert f"{name}: mass {2 * mass:.3g} → {mass:.3g} kg" in line
     (line,) = [line for line in printed.splitlines() if line.strip().startswith("bob ")]
     assert "→" not in line
 
