@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from geomid_ros.api.identify import Identification, identify
     from geomid_ros.api.options import RecordingOptions, RobotOptions
     from geomid_ros.api.payload import weigh_payload
+    from geomid_ros.api.rebuild import rebuild_report
     from geomid_ros.api.sample import SampledRobots, sample
     from geomid_ros.api.verify import Verification, verify
     from geomid_ros.errors import GeomidError, InputError
@@ -68,6 +69,7 @@ __all__ = [
     "find_gap",
     "identify",
     "identify_fleet",
+    "rebuild_report",
     "register",
     "sample",
     "solve_rows",
@@ -84,6 +86,7 @@ _NAMES = {
     "geomid_ros.api.identify": ("Identification", "identify"),
     "geomid_ros.api.options": ("RecordingOptions", "RobotOptions"),
     "geomid_ros.api.payload": ("weigh_payload",),
+    "geomid_ros.api.rebuild": ("rebuild_report",),
     "geomid_ros.api.sample": ("SampledRobots", "sample"),
     "geomid_ros.api.verify": ("Verification", "verify"),
     "geomid_ros.errors": ("GeomidError", "InputError"),

@@ -11,11 +11,15 @@ from geomid_ros.api.arguments import PathLike, Paths, bag_paths
 from geomid_ros.api.options import RecordingKeywords, RecordingOptions
 from geomid_ros.errors import InputError
 from geomid_ros.files.disk import write_json
+from geomid_ros.files.models.effect_forms import effect_entry
+from geomid_ros.files.models.gap_reading import page_entries
 from geomid_ros.files.models.gap_results import gap_document
 from geomid_ros.files.models.judgements import causes_entry
+from geomid_ros.files.models.tables import write_tables
 from geomid_ros.gap.result import Finding, GapResult, Verdict
 from geomid_ros.model.samples import Samples
 from geomid_ros.plausibility.verdict import recording_verdict
+from geomid_ros.report.gap_figures import elapsed
 from geomid_ros.report.gap_page import GapPage, write_gap_page
 from geomid_ros.report.gap_words import verdict_sentence
 from geomid_ros.report.simulated_again import SimulatedAgain, position_units, simulated_again
@@ -61,6 +65,14 @@ class Gap:
         """All numbers, as ``gap.json`` has them."""
         document = gap_document(self.result, {simulation.kind: simulation.errors for simulation in self.simulated})
         session = self.session
+        stamps = self.result.trace.stamps
+        document |= page_entries(self.result, nominal_inertias(session)) | {
+            "robot": session.robot.name,
+            "recordings": [path.name for path, _ in self.bags.shares],
+            "judged_seconds": float(elapsed(stamps)[-1]) if len(stamps) else 0.0,
+            "known": [effect_entry(effect) for effect in session.loaded.effects],
+            "not_simulated": self.not_simulated,
+        }
         remarks = {"causes": causes_entry(session.findings), "warnings": session.warnings(), "notes": session.notes}
         return document | remarks
 
@@ -96,7 +108,7 @@ class Gap:
         return Path(path)
 
     def save(self, folder: PathLike, *, progress: Progress = silent) -> list[Path]:
-        """Write report.html, gap.json, and the model with what was found.
+        """Write report.html, gap.json, findings.csv, and the model with what was found.
 
         Args:
             folder: made if it does not exist.
@@ -111,7 +123,8 @@ class Gap:
         folder = Path(folder)
         files = write_found(folder, self.session, self.result)
         write_json(folder / "gap.json", self.document)
-        return [self.report(folder / "report.html", progress=progress), folder / "gap.json", *files]
+        written = [folder / "gap.json", *write_tables(folder, self.document)]
+        return [self.report(folder / "report.html", progress=progress), *written, *files]
 
     def __repr__(self) -> str:
         """What makes it doubtful, the verdict, and a sentence for each finding."""

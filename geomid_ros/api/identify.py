@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Unpack
@@ -15,6 +16,7 @@ from geomid_ros.estimation.estimate import EffectEstimate, Estimate, LinkEstimat
 from geomid_ros.estimation.telling_motions import telling_motions
 from geomid_ros.files.models.effect_forms import unsaid
 from geomid_ros.files.models.results import model_effects
+from geomid_ros.files.models.tables import write_tables
 from geomid_ros.model.samples import Samples
 from geomid_ros.plausibility.verdict import Verdict
 from geomid_ros.report.drawing import draw_identification, series_of
@@ -100,8 +102,34 @@ class Identification:
 
     @property
     def document(self) -> dict[str, Any]:
-        """All numbers, as ``estimate.json`` has them."""
-        return self.session.document(self.estimate, self.held_out_rms, self.verdict)
+        """All numbers, as ``estimate.json`` has them, but for where they are from."""
+        return self.session.document(self.estimate, self.held_out_rms, self.verdict) | self._tables
+
+    @property
+    def _tables(self) -> dict[str, Any]:
+        """What pages and tables need beside the estimate: URDF's masses, errors by channel, informative motions."""
+        units = {channel.name: channel.unit for channel in self.session.model.channels}
+        masses = self.session.model.nominal_inertias.reshape(-1, 10)[:, 0].tolist()
+        return {
+            "urdf_masses": dict(zip(self.session.model.body_names, masses, strict=True)),
+            "channels": [
+                {
+                    "channel": name,
+                    "unit": units[name],
+                    "judged_on": "held-out data" if self.held_out else "fitted data",
+                    "urdf": self.rms_nominal[name],
+                    "identified": error,
+                }
+                for name, error in self.rms.items()
+                if math.isfinite(error)
+            ],
+            "telling": self._telling,
+        }
+
+    @cached_property
+    def _telling(self) -> dict[str, dict[str, list[str]]]:
+        """By link and motion, the quantities that it would identify."""
+        return telling_motions(self.session.model, self.estimate)
 
     def urdf(self) -> str:
         """The robot description with the identified inertias and friction; every other character of it is kept."""
@@ -151,7 +179,7 @@ class Identification:
             effects=model_effects(estimate, session.loaded.effects),
             series=self._series,
             held_out=bool(self.held_out),
-            telling=telling_motions(session.model, estimate),
+            telling=self._telling,
             messages=session.pipeline.ledger.topics,
             refused_rows=session.identifier.rows_rejected,
             origin=origin(session, self.bags, command),
@@ -162,7 +190,7 @@ class Identification:
     def save(
         self, folder: PathLike, *, progress: Progress = silent, command: str = "geomid_ros.identify"
     ) -> list[Path]:
-        """Write estimate.json, identified.urdf, posterior.npz, identification.png and report.html.
+        """Write estimate.json, identified.urdf, posterior.npz, tables (CSV), identification.png and report.html.
 
         Args:
             folder: made if it does not exist.
@@ -175,7 +203,9 @@ class Identification:
         Raises:
             InputError: a file cannot be written.
         """
-        files = self.session.save(Path(folder), self.estimate, self.held_out_rms, self.verdict)
+        more = self._tables | {"origin": asdict(origin(self.session, self.bags, command))}
+        files = self.session.save(Path(folder), self.estimate, self.held_out_rms, self.verdict, more)
+        files += write_tables(Path(folder), self.document)
         progress("drawing", 0.0)
         picture = Path(folder) / "identification.png"
         write_picture(picture, self.plot())

@@ -24,6 +24,7 @@ COMMANDS = {
     "payload": "Weigh what a robot carries.",
     "play": "Publish topics of BAG live.",
     "prior": "Give a URDF inertials from its shapes.",
+    "report": "Write the report of a result again.",
     "sample": "Draw robots from what an identification knows.",
     "simulate": "Record a simulated robot into a new rosbag.",
     "verify": "Check that a model predicts a recording.",

@@ -16,7 +16,7 @@ from geomid_ros.plausibility.verdict import Verdict
 from geomid_ros.report import identification_words
 from geomid_ros.report.gap_words import percent
 from geomid_ros.report.page import Bars, Script, write_page
-from geomid_ros.report.series import Series
+from geomid_ros.report.series import ChannelFit, Series
 from geomid_ros.report.sheet import number
 from geomid_ros.report.trace import traces
 from geomid_ros.signals.ledger import Account
@@ -50,7 +50,7 @@ class IdentificationPage:
         estimate: all that was found.
         masses: ``(links,)`` of the URDF [kg].
         effects: all effects of the model.
-        series: the measured channels on what is judged on.
+        series: the measured channels on what is judged on: over time, or how well they fit alone.
         held_out: whether that was held out.
         telling: by link and motion, the quantities that it would tell, see
             :func:`~geomid_ros.estimation.telling_motions.telling_motions`.
@@ -66,7 +66,7 @@ class IdentificationPage:
     estimate: Estimate
     masses: FloatArray
     effects: Sequence[KnownEffect]
-    series: Sequence[Series]
+    series: Sequence[ChannelFit]
     held_out: bool
     telling: Mapping[str, Mapping[str, Sequence[str]]]
     messages: Mapping[str, Account]
@@ -96,7 +96,7 @@ def write_identification_page(path: Path, page: IdentificationPage) -> None:
         "telling": {name: identification_words.telling(motions) for name, motions in page.telling.items()},
         "weak": [effect for effect in page.estimate.effects if effect.from_data < identification_words.WEAK],
         "to_tell": identification_words.tells_effect,
-        "traces": traces(page.series),
+        "traces": traces([channel for channel in page.series if isinstance(channel, Series)]),
         "script": Script.read(_SCRIPT),
     }
     write_page(path, "identification.html.j2", content)
@@ -125,14 +125,14 @@ def _heaviest(page: IdentificationPage) -> float:
     return 1.05 * max(1e-9, min(max(ends, default=0.0), 3.0 * max(masses, default=0.0)), *masses)
 
 
-def _fit(series: Sequence[Series]) -> Iterator[tuple[Series, str, str, float]]:
+def _fit(series: Sequence[ChannelFit]) -> Iterator[tuple[ChannelFit, str, str, float]]:
     """Of every channel: RMS of the URDF and of the identified model, and the share of the former that is explained."""
     for channel in series:
         before, after = channel.rms
         yield channel, number(before), number(after), 1.0 - channel.ratio
 
 
-def _bars(series: Sequence[Series]) -> Bars:
+def _bars(series: Sequence[ChannelFit]) -> Bars:
     """RMS of the identified model beside that of the URDF, which is 100 %."""
     ratios = {channel.name: channel.ratio for channel in series if math.isfinite(channel.ratio)}
     end = max(1.0, min(2.0, max(ratios.values(), default=1.0)))

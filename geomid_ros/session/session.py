@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -338,6 +339,7 @@ class Session:
         document = estimate_document(estimate, rejected, held_out, self.loaded.effects)
         judged = verdict or self.verdict(estimate)
         return document | {
+            "robot": self.robot.name,
             "verdict": verdict_entry(judged, self.findings),
             "warnings": self.warnings(estimate, judged),
             "notes": self.notes,
@@ -350,16 +352,21 @@ class Session:
         return with_effects(urdf, model_effects(estimate, self.loaded.effects))
 
     def save(
-        self, folder: Path, estimate: Estimate, held_out: FloatArray | None = None, verdict: Verdict | None = None
+        self,
+        folder: Path,
+        estimate: Estimate,
+        held_out: FloatArray | None = None,
+        verdict: Verdict | None = None,
+        more: Mapping[str, Any] = MappingProxyType({}),
     ) -> list[Path]:
         """Write ``estimate.json``, see :meth:`document`, ``identified.urdf`` and ``posterior.npz`` into a folder.
 
-        Returns their paths.
+        ``more``: further entries of the document. Returns their paths.
         """
         document, description = folder / "estimate.json", folder / "identified.urdf"
         write_text(description, self.identified_urdf(estimate))
         posterior = write_posterior(folder / POSTERIOR, estimate.posterior)
-        write_json(document, self.document(estimate, held_out, verdict))
+        write_json(document, {**self.document(estimate, held_out, verdict), **more})
         return [document, description, *posterior]
 
 

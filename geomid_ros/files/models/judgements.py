@@ -60,6 +60,18 @@ def causes_entry(findings: Sequence[Finding]) -> list[dict[str, Any]]:
     ]
 
 
+def doubts_of(document: Mapping[str, Any]) -> list[str]:
+    """The sentences on what a recording seems to be. Raises KeyError or TypeError for a document without them."""
+    return [
+        Finding(cause=_cause(entry), sure=entry["sure"], rivals=tuple(map(_cause, entry["rivals"]))).sentence
+        for entry in document["causes"]
+    ]
+
+
+def _cause(entry: Mapping[str, Any]) -> Cause:
+    return Cause(kind=entry["kind"], sentence=entry["sentence"])
+
+
 def _cause_entry(cause: Cause) -> dict[str, Any]:
     return {
         "kind": cause.kind,

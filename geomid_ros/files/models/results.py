@@ -61,6 +61,7 @@ def estimate_document(
         "converged": estimate.converged,
         "reason": estimate.reason,
         "seconds": round(estimate.seconds, 3),
+        "steps": estimate.steps,
         "gamma": estimate.gamma,
         "rows": {
             "accepted": estimate.rows_accepted,
@@ -83,7 +84,12 @@ def estimate_document(
             for effect in effects
             if is_coefficient(effect)
         ],
-        "added": [effect_entry(effect) for effect in effects if not is_coefficient(effect)],
+        "added": [
+            effect_entry(effect) | ({"from_data": shares[key]} if key in shares else {})
+            for effect in effects
+            if not is_coefficient(effect)
+            for key in [(effect.effect, effect.joint)]
+        ],
         "known": [
             {"name": k.name, "mass": k.mass, "std": k.std, "given": k.given, "given_std": k.given_std}
             for k in estimate.known
