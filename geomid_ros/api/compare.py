@@ -26,7 +26,7 @@ from geomid_ros.plausibility.verdict import DOUBTFUL, STATUS, USABLE
 from geomid_ros.report.comparison_page import ChannelErrors, ComparisonPage, write_comparison_page
 from geomid_ros.session.recordings import Progress, silent
 
-_OWN = "held-out data of its own recording"
+_OWN = "what each held out of its own recording"
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -10,9 +10,9 @@ from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 
-from geomid_ros.api.arguments import PathLike, Paths
+from geomid_ros.api.arguments import PathLike, Paths, beside
 from geomid_ros.api.options import RobotKeywords, RobotOptions
-from geomid_ros.api.verify import doubts_of, identified, number, read_to_judge
+from geomid_ros.api.verify import doubts_of, entry_of, identified, number, read_to_judge
 from geomid_ros.errors import InputError
 from geomid_ros.estimation.comparison import LinkValues, RobotValues
 from geomid_ros.exports.inertial import Summand, total
@@ -20,7 +20,9 @@ from geomid_ros.exports.model import Model, read_model
 from geomid_ros.files.models.judgements import read_verdict
 from geomid_ros.files.models.results import read_estimate
 from geomid_ros.files.models.robot_values import robot_values
+from geomid_ros.files.models.urdf import read_urdf
 from geomid_ros.geometry import pseudo_inertia
+from geomid_ros.model.urdf_tree import read_xml
 from geomid_ros.plausibility.verdict import Verdict
 from geomid_ros.report.comparison_page import ChannelErrors
 from geomid_ros.session.recordings import Progress
@@ -46,8 +48,10 @@ class Result:
 
     @property
     def robot(self) -> str:
-        """The robot's name; empty where the file does not say it."""
-        return str(self.document.get("robot", ""))
+        """The robot's name; empty where neither the file nor the description beside it says it."""
+        own = beside(self.path)
+        said = self.document.get("robot") or (read_xml(read_urdf(own), str(own)).get("name") if own.is_file() else "")
+        return str(said)
 
 
 Side: TypeAlias = Result | Model
@@ -121,9 +125,11 @@ def own_errors(sides: Sequence[Side]) -> list[ChannelErrors]:
 
 def _said(document: Mapping[str, Any]) -> dict[str, tuple[float, str]]:
     """What a document says of the errors of held-out data, or of the fitted ones if none were held out."""
-    entries = document.get("channels")
+    entries, rms = document.get("channels"), entry_of(document, "rms")
     rows = [entry for entry in entries if isinstance(entry, dict)] if isinstance(entries, list) else []
-    return {str(row.get("channel")): (number(row.get("identified")), str(row.get("unit", ""))) for row in rows}
+    units = {str(row.get("channel")): str(row.get("unit", "")) for row in rows}
+    errors = entry_of(rms, "held_out") or entry_of(rms, "train")
+    return {name: (number(error), units.get(name, "")) for name, error in errors.items()}
 
 
 def joined(sides: Sequence[Mapping[str, tuple[float, str]]]) -> list[ChannelErrors]:

@@ -126,7 +126,7 @@ def _values(session: Session, samples: Sequence[Samples], document: Mapping[str,
     """The numbers of every quantity that may be required."""
     nominal, found = session.nominal_parameters, identified(session)
     channels = [channel.name for channel in session.model.channels]
-    floors = _entry(_entry(document, "rms"), "train")
+    floors = entry_of(entry_of(document, "rms"), "train")
     errors = zip(channels, *(session.rms(samples, each).tolist() for each in (found, nominal)), strict=True)
     bodies = session.model.body_names
     masses = [[*each, sum(each)] for each in (_masses(found, bodies), _masses(nominal, bodies))]
@@ -142,7 +142,7 @@ def _masses(parameters: FloatArray, bodies: Sequence[str]) -> list[float]:
     return masses
 
 
-def _entry(document: Mapping[str, Any], key: str) -> Mapping[str, Any]:
+def entry_of(document: Mapping[str, Any], key: str) -> Mapping[str, Any]:
     """An object of a file, empty if it is none."""
     found = document.get(key)
     return found if isinstance(found, dict) else {}

@@ -13,8 +13,10 @@ def show(found: Comparison) -> None:
     for heading, sentences in (("DOUBTFUL", found.doubts), ("Note", found.notes)):
         for sentence in sentences:
             say(console, f"{heading}:", f" {sentence}")
+    for number, path in enumerate((found.first, found.second), 1):
+        say(console, f"{number}:", f" {path}")
     say(console, "", verdict(found.compared))
-    table = plain_table(f"1: {found.first}\n2: {found.second}\n(± is the 95 % interval, of differences the joint one)")
+    table = plain_table("")
     for heading in ("where", "parameter"):
         table.add_column(heading, overflow="fold")
     number_columns(table, ["1", "2", "difference"])
@@ -22,9 +24,11 @@ def show(found: Comparison) -> None:
         table.add_row(*row(difference))
     table.add_section()
     for channel in found.errors:
-        table.add_row(channel.name, f"RMS error [{channel.unit}]", error(channel.first), error(channel.second), "")
+        unit = f" [{channel.unit}]" if channel.unit else ""
+        table.add_row(channel.name, f"RMS error{unit}", error(channel.first), error(channel.second), "")
     console.print(table)
+    say(console, "±:", " the 95 % interval of a value, the joint 95 % interval of a difference")
     if found.errors:
-        say(console, "RMS errors", f" are those of {found.judged_on}")
+        say(console, "RMS errors:", f" on {found.judged_on}")
     for name in found.compared.not_compared:
         say(console, "Not compared:", f" {name}, identified together with other links in the second")
