@@ -8,9 +8,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from geomid_ros.estimation.estimate import Estimate
+from geomid_ros.files.models.results import shares_from_data
 from geomid_ros.model.effects import KnownEffect, Quantity
 from geomid_ros.plausibility.verdict import Verdict
 from geomid_ros.report import identification_words
@@ -90,7 +89,7 @@ def write_identification_page(path: Path, page: IdentificationPage) -> None:
         "fit": _fit(page.series),
         "fit_bars": _bars(page.series),
         "kinds": _KINDS,
-        "shares": _shares(page.estimate),
+        "shares": shares_from_data(page.estimate),
         "open": [link for link in page.estimate.links if link.cannot_tell],
         "cannot_tell": identification_words.cannot_tell,
         "telling": {name: identification_words.telling(motions) for name, motions in page.telling.items()},
@@ -141,11 +140,3 @@ def _bars(series: Sequence[ChannelFit]) -> Bars:
         for name, ratio in ratios.items()
     ]
     return Bars(rows, [(f"{100 * share:.0f}", 100.0 * share / end) for share in _SHARES], "RMS")
-
-
-def _shares(estimate: Estimate) -> dict[tuple[str, str], float]:
-    """How much of an effect's uncertainty the data removed, on average over its coefficients."""
-    found: dict[tuple[str, str], list[float]] = {}
-    for effect in estimate.effects:
-        found.setdefault((effect.name, effect.joint), []).append(effect.from_data)
-    return {key: float(np.mean(shares)) for key, shares in found.items()}

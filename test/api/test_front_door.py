@@ -105,7 +105,8 @@ def test_the_friction_is_named(shown: dict[str, Any]) -> None:
 def test_what_is_written(shown: dict[str, Any]) -> None:
     folder = shown["folder"]
     names = {path.name for path in (folder / "geomid_out").iterdir()}
-    assert names == {"estimate.json", "identified.urdf", "posterior.npz", "identification.png", "report.html"}
+    tables = {"links.csv", "effects.csv", "channels.csv"}
+    assert names == {"estimate.json", "identified.urdf", "posterior.npz", "identification.png", "report.html", *tables}
     assert (folder / "geomid_out/identified.urdf").read_text() == shown["found"].urdf()
     assert "Coulomb friction" in (folder / "report.html").read_text()
 
