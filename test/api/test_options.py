@@ -20,12 +20,14 @@ BAG, URDF = BAGS / "arm3", BAGS / "arm3.urdf"
 OF_COMMANDS = {"out", "as_json", "controller", "until", "help"}
 OF_FUNCTIONS = {"progress"}
 DOORS: dict[str, Callable[..., Any]] = {
+    "compare": geomid_ros.compare,
     "excite": geomid_ros.excite,
     "export": geomid_ros.export,
     "fleet": geomid_ros.identify_fleet,
     "gap": geomid_ros.find_gap,
     "identify": geomid_ros.identify,
     "payload": geomid_ros.weigh_payload,
+    "report": geomid_ros.rebuild_report,
     "sample": geomid_ros.sample,
     "verify": geomid_ros.verify,
 }
