@@ -185,3 +185,20 @@ def test_what_is_no_result_is_refused(halves: tuple[Path, Path], tmp_path: Path)
     links[0]["std"] = {"mass": "much"}
     wrong = changed_copy(halves[0], tmp_path / "wrong", links=links)
     assert "link 'link1' lacks a valid std" in refused("compare", halves[0], wrong, "--out", tmp_path)
+
+
+def test_no_link_in_common_is_another_robot(halves: tuple[Path, Path], tmp_path: Path) -> None:
+    links = json.loads(halves[0].read_text())["links"]
+    renamed = [link | {"name": f"other_{link['name']}"} for link in links]
+    other = changed_copy(halves[0], tmp_path / "other", links=renamed, information=None)
+    assert "a model of another robot" in refused("compare", halves[0], other, "--out", tmp_path)
+
+
+def test_a_link_of_other_parts_is_left_out_and_said(halves: tuple[Path, Path], tmp_path: Path) -> None:
+    links = json.loads(halves[1].read_text())["links"]
+    links[-1] |= {"merged": ["another_tool"], "mass": 10.0 * links[-1]["mass"]}
+    other = changed_copy(halves[1], tmp_path / "other", links=links)
+    found = geomid_ros.compare(halves[0], other)
+    assert found.compared.not_compared == ("link7",)
+    assert "link7" not in {each.place for each in found.compared.differences}
+    assert "Not compared: link7" in done("compare", halves[0], other, "--out", tmp_path)

@@ -12,6 +12,8 @@ from files.recordings import BAGS
 from report.pages import Page
 
 import geomid_ros
+from geomid_ros.files.models.judgements import causes_entry, doubts_of
+from geomid_ros.plausibility.hypotheses import Cause, Finding
 
 BAG, URDF = BAGS / "arm3", BAGS / "arm3.urdf"
 MISSING = "Time series need the recordings; this page was made from the files of the result alone."
@@ -98,3 +100,11 @@ def test_a_gap_that_lacks_something_is_refused(key: str, gap: Path, tmp_path: Pa
 def test_an_estimate_without_its_posterior_is_refused(identified: Path, tmp_path: Path) -> None:
     shutil.copytree(identified, tmp_path / "alone", ignore=shutil.ignore_patterns("posterior.npz"))
     assert "there is no posterior.npz beside it" in refused("report", tmp_path / "alone")
+
+
+def test_doubts_are_said_again_as_they_were() -> None:
+    """Sure, suspected, and with rivals."""
+    signs, units = Cause(kind="signs", sentence="signs are reversed"), Cause(kind="units", sentence="in mN m")
+    findings = [Finding(cause=signs), Finding(cause=units, sure=False), Finding(cause=signs, rivals=(units,))]
+    written = json.loads(json.dumps({"causes": causes_entry(findings)}))
+    assert doubts_of(written) == [finding.sentence for finding in findings]
