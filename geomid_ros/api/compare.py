@@ -65,8 +65,14 @@ class Comparison:
             "second": self.second,
             "differences": [_entry(difference) for difference in self.compared.differences],
             "changed_links": [
-                {"link": c.link, "mass": quantity_entry(c.mass), "gain": c.gain, "rivals": list(c.rivals)}
-                for c in self.compared.changed
+                {
+                    "link": link.link,
+                    "mass": quantity_entry(link.mass),
+                    "moment": {axis: quantity_entry(own) for axis, own in link.moment.items()},
+                    "gain": link.gain,
+                    "rivals": list(link.rivals),
+                }
+                for link in self.compared.changed
             ],
             "not_compared": list(self.compared.not_compared),
             "judged_on": self.judged_on,

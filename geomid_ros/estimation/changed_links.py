@@ -10,8 +10,8 @@ What the effects are is left open: friction may differ from day to day.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
@@ -22,25 +22,47 @@ from geomid_ros.model.effects import Quantity
 from geomid_ros.types import FloatArray
 
 _SIZE = 10
+_UNITS = ("kg", "kg m", "kg m", "kg m")  # of mass and first moment, with which the parameters begin
 
 
 @dataclass(frozen=True)
 class ChangedLink:
-    """A link whose change explains the difference of two results: by how much better (``gain``, a difference of
-    -2 log p), by how much its ``mass`` is larger in the second result, and ``rivals``: links whose change explains it
-    nearly as well."""
+    """A link whose change explains the difference of two results.
+
+    Attributes:
+        link: its name.
+        gain: by how much better, a difference of -2 log p.
+        mass: by how much it is heavier in the second result [kg].
+        moment: by how much its first moment is larger there, about the link's origin, by axis [kg m].
+        rivals: links whose change explains it nearly as well.
+    """
 
     link: str
     gain: float
     mass: Quantity
+    moment: Mapping[str, Quantity] = field(default_factory=dict)
     rivals: tuple[str, ...] = ()
 
     @property
     def sentence(self) -> str:
-        """In words, with the 95 % interval."""
-        less = "less" if self.mass.value < 0.0 else "more"
+        """In words, with 95 % intervals: the mass, or where that may be as it was, the first moment."""
         others = f", or {' or '.join(self.rivals)} has changed instead" if self.rivals else ""
-        return f"{self.link} weighs {abs(self.mass.value):.3g} ± {SURE * self.mass.std:.2g} kg {less}{others}"
+        interval = f"± {SURE * self.mass.std:.2g} kg"
+        if _is_sure(self.mass):
+            less = "less" if self.mass.value < 0.0 else "more"
+            return f"{self.link} weighs {abs(self.mass.value):.3g} {interval} {less}{others}"
+        moments = [
+            f"first moment {axis} by {change.value:.2g} ± {SURE * change.std:.2g} kg m"
+            for axis, change in self.moment.items()
+            if _is_sure(change)
+        ]
+        changes = ", ".join([*moments, f"mass by {self.mass.value:.2g} {interval}"])
+        return f"{self.link} has changed: {changes}{others}"
+
+
+def _is_sure(change: Quantity) -> bool:
+    """True if a change is not zero."""
+    return abs(change.value) > SURE * change.std
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,8 +103,8 @@ def changed_links(
         changed.append(best)
         found.append((gain, rivals))
     return tuple(
-        ChangedLink(names[link], gain, mass, tuple(rivals))
-        for link, (gain, rivals), mass in zip(changed, found, problem.masses(changed), strict=True)
+        ChangedLink(names[link], gain, mass, dict(zip("xyz", moment, strict=True)), tuple(rivals))
+        for link, (gain, rivals), (mass, *moment) in zip(changed, found, problem.sizes(changed), strict=True)
     )
 
 
@@ -130,11 +152,14 @@ class _Problem:
         solution = inverse @ projected
         return float(np.sum((targets - rows @ solution) ** 2)), solution[size:], covariance[size:, size:]
 
-    def masses(self, changed: Sequence[int]) -> list[Quantity]:
-        """By how much the links that have changed are heavier."""
+    def sizes(self, changed: Sequence[int]) -> list[list[Quantity]]:
+        """By how much mass and first moment of each link that has changed are larger."""
         _, changes, covariance = self.solved(changed)
         found = []
         for place, link in enumerate(changed):
-            own, row = slice(_SIZE * place, _SIZE * (place + 1)), self._jacobian[link][0]
-            found.append(Quantity(float(row @ changes[own]), float(np.sqrt(row @ covariance[own, own] @ row)), "kg"))
+            own, rows = slice(_SIZE * place, _SIZE * (place + 1)), self._jacobian[link][: len(_UNITS)]
+            std = np.sqrt(np.diag(rows @ covariance[own, own] @ rows.T))
+            found.append(
+                [Quantity(*each) for each in zip((rows @ changes[own]).tolist(), std.tolist(), _UNITS, strict=True)]
+            )
         return found

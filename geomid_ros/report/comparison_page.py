@@ -47,6 +47,7 @@ def write_comparison_page(path: Path, page: ComparisonPage) -> None:
     content = {
         "page": page,
         "verdict": verdict(page.compared),
+        "sure": SURE,
         "differing": [row(each) for each in page.compared.differing],
         "all": [row(each) for each in page.compared.differences],
         "errors": [(e.name, e.unit, error(e.first), error(e.second)) for e in page.errors],

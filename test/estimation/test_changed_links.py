@@ -90,3 +90,24 @@ def test_links_that_move_alike_are_rivals() -> None:
 def test_in_words() -> None:
     changed = ChangedLink("hand", 50.0, Quantity(-0.5, 0.1, "kg"))
     assert changed.sentence == "hand weighs 0.5 ± 0.2 kg less"
+    moment = {"x": Quantity(0.001, 0.01, "kg m"), "z": Quantity(-0.1, 0.01, "kg m")}
+    unsure = ChangedLink("hand", 50.0, Quantity(-0.1, 0.1, "kg"), moment, ("lower",))
+    assert unsure.sentence == (
+        "hand has changed: first moment z by -0.1 ± 0.02 kg m, mass by -0.1 ± 0.2 kg, or lower has changed instead"
+    )
+
+
+def test_a_body_that_was_moved_has_another_first_moment_and_the_same_mass() -> None:
+    random = np.random.default_rng(8)
+    before = bodies(random)
+    after = before.copy()
+    placed = pseudo_inertia.quantities_of(before[1])
+    placed[1:4] += np.array([0.0, 0.05, 0.0])
+    after[1] = pseudo_inertia.parameters_of(placed)
+    rows = random.standard_normal((200, 30))
+    (changed,) = changed_links(NAMES, *(measured(own, rows, random, before) for own in (before, after)), LIMIT, ALIKE)
+    assert changed.link == "lower"
+    assert abs(changed.mass.value) < 4.0 * changed.mass.std
+    for axis, moved in zip("xyz", (after - before)[1][1:4], strict=True):
+        assert abs(changed.moment[axis].value - moved) < 4.0 * changed.moment[axis].std
+    assert changed.moment["y"].value > 10.0 * changed.moment["y"].std
