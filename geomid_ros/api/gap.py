@@ -15,7 +15,7 @@ from geomid_ros.files.models.effect_forms import effect_entry
 from geomid_ros.files.models.gap_reading import page_entries
 from geomid_ros.files.models.gap_results import gap_document
 from geomid_ros.files.models.judgements import causes_entry
-from geomid_ros.files.models.tables import write_tables
+from geomid_ros.files.models.tables import tables, write_tables
 from geomid_ros.gap.result import Finding, GapResult, Verdict
 from geomid_ros.model.samples import Samples
 from geomid_ros.plausibility.verdict import recording_verdict
@@ -123,7 +123,7 @@ class Gap:
         folder = Path(folder)
         files = write_found(folder, self.session, self.result)
         write_json(folder / "gap.json", self.document)
-        written = [folder / "gap.json", *write_tables(folder, self.document)]
+        written = [folder / "gap.json", *write_tables(folder, tables(self.document))]
         return [self.report(folder / "report.html", progress=progress), *written, *files]
 
     def __repr__(self) -> str:

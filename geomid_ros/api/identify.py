@@ -16,7 +16,7 @@ from geomid_ros.estimation.estimate import EffectEstimate, Estimate, LinkEstimat
 from geomid_ros.estimation.telling_motions import telling_motions
 from geomid_ros.files.models.effect_forms import unsaid
 from geomid_ros.files.models.results import model_effects
-from geomid_ros.files.models.tables import write_tables
+from geomid_ros.files.models.tables import tables, write_tables
 from geomid_ros.model.samples import Samples
 from geomid_ros.plausibility.verdict import Verdict
 from geomid_ros.report.drawing import draw_identification, series_of
@@ -205,7 +205,7 @@ class Identification:
         """
         more = self._tables | {"origin": asdict(origin(self.session, self.bags, command))}
         files = self.session.save(Path(folder), self.estimate, self.held_out_rms, self.verdict, more)
-        files += write_tables(Path(folder), self.document)
+        files += write_tables(Path(folder), tables(self.document))
         progress("drawing", 0.0)
         picture = Path(folder) / "identification.png"
         write_picture(picture, self.plot())

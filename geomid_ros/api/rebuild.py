@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
+from jinja2 import TemplateError
 
 from geomid_ros.api.arguments import PathLike
 from geomid_ros.errors import InputError
@@ -17,7 +19,7 @@ from geomid_ros.files.models.posterior import beside, read_posterior
 from geomid_ros.files.models.reading import accounts_of, estimate_of
 from geomid_ros.files.models.results import read_estimate
 from geomid_ros.files.models.sidecar import effect_of
-from geomid_ros.files.models.tables import write_tables
+from geomid_ros.files.models.tables import tables, write_tables
 from geomid_ros.report.gap_page import GapPage, write_gap_page
 from geomid_ros.report.identification_page import IdentificationPage, Origin, write_identification_page
 from geomid_ros.report.series import SavedFit
@@ -43,63 +45,73 @@ def rebuild_report(folder: PathLike, *, out: PathLike | None = None) -> list[Pat
         InputError: the folder has no result, or one of an earlier version.
     """
     source, target = Path(folder), Path(folder if out is None else out)
+    page = target / _PAGE
     if (source / _GAP).is_file():
         document = read_gap(source / _GAP)
-        write_gap_page(target / _PAGE, _gap_page(document, str(source / _GAP)), lambda _: None)
-    elif (source / _ESTIMATE).is_file():
-        document = read_estimate(source / _ESTIMATE)
-        write_identification_page(target / _PAGE, _identification_page(document, source / _ESTIMATE))
-    else:
+        with _needed(source / _GAP, "geomid gap"):
+            found = tables(document)
+            write_gap_page(page, _gap_page(document, str(source / _GAP)), lambda _: None)
+        return [page, *write_tables(target, found)]
+    if not (source / _ESTIMATE).is_file():
         raise InputError(f"{source}: no result is in this folder, neither {_ESTIMATE} nor {_GAP}")
-    return [target / _PAGE, *write_tables(target, document)]
+    document = read_estimate(source / _ESTIMATE)
+    with _needed(source / _ESTIMATE, "geomid identify"):
+        found = tables(document)
+        write_identification_page(page, _identification_page(document, source / _ESTIMATE))
+    return [page, *write_tables(target, found)]
+
+
+@contextmanager
+def _needed(path: Path, command: str) -> Iterator[None]:
+    """Say of a file that lacks what its page needs which one it is. Raises InputError."""
+    try:
+        yield
+    except (AttributeError, IndexError, KeyError, TypeError, ValueError, TemplateError) as error:
+        raise InputError(
+            f"{path}: lacks what its page needs ({error}): it was not written by '{command}', or by an earlier "
+            f"version; run '{command}' again"
+        ) from error
 
 
 def _identification_page(document: Mapping[str, Any], path: Path) -> IdentificationPage:
     source = str(path)
     estimate = estimate_of(document, read_posterior(beside(path)), source)
-    try:
-        masses, rows = document["urdf_masses"], document["channels"]
-        return IdentificationPage(
-            robot=str(document["robot"]),
-            verdict=read_verdict(document, source),
-            warnings=document["warnings"],
-            notes=document["notes"],
-            estimate=estimate,
-            masses=np.array([float(masses[link.name]) for link in estimate.links]),
-            effects=known_effects(document, source),
-            series=[SavedFit(row["channel"], row["unit"], (row["urdf"], row["identified"])) for row in rows],
-            held_out=document["rms"]["held_out"] is not None,
-            telling=document["telling"],
-            messages=accounts_of(document, source),
-            refused_rows=document["rows"]["rejected"],
-            origin=Origin(**document["origin"]),
-        )
-    except (KeyError, TypeError, ValueError) as error:
-        what = "no recordings of 'geomid identify' are behind it, or an earlier version wrote it"
-        raise InputError(f"{source}: lacks {error}, which its page needs: {what}") from error
+    masses, rows = document["urdf_masses"], document["channels"]
+    return IdentificationPage(
+        robot=str(document["robot"]),
+        verdict=read_verdict(document, source),
+        warnings=document["warnings"],
+        notes=document["notes"],
+        estimate=estimate,
+        masses=np.array([float(masses[link.name]) for link in estimate.links]),
+        effects=known_effects(document, source),
+        series=[SavedFit(row["channel"], row["unit"], (row["urdf"], row["identified"])) for row in rows],
+        held_out=document["rms"]["held_out"] is not None,
+        telling=document["telling"],
+        messages=accounts_of(document),
+        refused_rows=document["rows"]["rejected"],
+        origin=Origin(**document["origin"]),
+    )
 
 
 def _gap_page(document: Mapping[str, Any], source: str) -> GapPage:
     result, nominal = gap_of(document, source)
-    try:
-        return GapPage(
-            robot=str(document["robot"]),
-            recordings=document["recordings"],
-            joints=[],
-            units=[],
-            result=result,
-            nominal=nominal,
-            rigid=np.zeros((0, len(result.channels))),
-            known=[effect_of(entry, f"{source}: known") for entry in document["known"]],
-            simulated=_simulated(document),
-            not_simulated=str(document["not_simulated"]),
-            seconds=float(document["judged_seconds"]),
-            doubts=doubts_of(document),
-            warnings=document["warnings"],
-            notes=document["notes"],
-        )
-    except (KeyError, TypeError, ValueError) as error:
-        raise InputError(f"{source}: lacks {error}, which its page needs; run geomid gap again") from error
+    return GapPage(
+        robot=str(document["robot"]),
+        recordings=document["recordings"],
+        joints=[],
+        units=[],
+        result=result,
+        nominal=nominal,
+        rigid=np.zeros((0, len(result.channels))),
+        known=[effect_of(entry, f"{source}: known") for entry in document["known"]],
+        simulated=_simulated(document),
+        not_simulated=str(document["not_simulated"]),
+        seconds=float(document["judged_seconds"]),
+        doubts=doubts_of(document),
+        warnings=document["warnings"],
+        notes=document["notes"],
+    )
 
 
 def _simulated(document: Mapping[str, Any]) -> list[SimulatedAgain]:

@@ -41,7 +41,7 @@ def read(text: str) -> list[dict[str, str]]:
 
 
 def test_a_link_has_all_its_numbers(tmp_path: Path) -> None:
-    write_tables(tmp_path, ESTIMATE)
+    write_tables(tmp_path, tables(ESTIMATE))
     (row,) = read((tmp_path / "links.csv").read_bytes().decode())
     assert row["link"] == EVIL
     assert row["merged"].split(";") == ["tool", "hand"]
@@ -53,7 +53,7 @@ def test_a_link_has_all_its_numbers(tmp_path: Path) -> None:
 
 
 def test_every_parameter_of_an_effect_has_a_row(tmp_path: Path) -> None:
-    write_tables(tmp_path, ESTIMATE)
+    write_tables(tmp_path, tables(ESTIMATE))
     rows = read((tmp_path / "effects.csv").read_text())
     assert [(row["effect"], row["joint"], row["parameter"], row["value"], row["std"]) for row in rows] == [
         ("viscous_friction", "joint1", "coefficient", "3.0", "0.2"),
@@ -70,7 +70,7 @@ def test_channels_are_as_the_document_has_them() -> None:
 
 def test_findings_of_a_gap(tmp_path: Path) -> None:
     finding = FRICTION | {"confidence": "confident", "share": 0.4, "sentence": "Stribeck friction, with a comma"}
-    (path,) = write_tables(tmp_path, {"findings": [finding]})
+    (path,) = write_tables(tmp_path, tables({"findings": [finding]}))
     assert path.name == "findings.csv"
     rows = read(path.read_text())
     assert [(row["parameter"], row["confidence"], row["share"], row["sentence"]) for row in rows] == [

@@ -21,7 +21,6 @@ from geomid_ros.model.effects import Quantity
 from geomid_ros.types import FloatArray
 
 _MOST_BYTES = 20_000_000
-_AGAIN = "run geomid gap again with this version"
 
 
 def page_entries(result: GapResult, nominal: FloatArray) -> dict[str, Any]:
@@ -62,12 +61,10 @@ def gap_of(document: Mapping[str, Any], source: str) -> tuple[GapResult, FloatAr
     """The result of a document, without samples, and the bodies' parameters before ``(bodies, 10)``.
 
     Raises:
-        InputError: the document lacks something, as one of an earlier version does.
+        InputError: a finding is none.
+        AttributeError, KeyError, TypeError, ValueError: the document lacks something.
     """
-    try:
-        return _result(document, source), _bodies(document, "before")
-    except (AttributeError, KeyError, TypeError, ValueError) as error:
-        raise InputError(f"{source}: lacks a valid {error}, which its page needs; {_AGAIN}") from error
+    return _result(document, source), _bodies(document, "before")
 
 
 def _result(document: Mapping[str, Any], source: str) -> GapResult:

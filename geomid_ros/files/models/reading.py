@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 
-from geomid_ros.errors import InputError
 from geomid_ros.estimation.estimate import EffectEstimate, Estimate, LinkEstimate, LinksInformation, WeighedEstimate
 from geomid_ros.estimation.posterior import Posterior
 from geomid_ros.files.models.loaded_model import known_effects
@@ -17,8 +16,6 @@ from geomid_ros.files.models.results import known_inertias, known_information
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.signals.ledger import Account
 from geomid_ros.types import FloatArray
-
-_AGAIN = "identify again with this version"
 
 
 def estimate_of(document: Mapping[str, Any], posterior: Posterior, source: str) -> Estimate:
@@ -30,15 +27,9 @@ def estimate_of(document: Mapping[str, Any], posterior: Posterior, source: str) 
         source: the file, for messages.
 
     Raises:
-        InputError: the document lacks something, as one of an earlier version does.
+        InputError: a link or an effect is none.
+        KeyError, TypeError, ValueError: the document lacks something.
     """
-    try:
-        return _estimate(document, posterior, source)
-    except (KeyError, TypeError, ValueError) as error:
-        raise InputError(f"{source}: lacks a valid {error}, which its page needs; {_AGAIN}") from error
-
-
-def _estimate(document: Mapping[str, Any], posterior: Posterior, source: str) -> Estimate:
     inertias = known_inertias(document, source)
     rows, targets = posterior.evidence
     size, rms = 10 * len(inertias), document["rms"]
@@ -107,16 +98,13 @@ def _numbers(entry: Mapping[str, Any]) -> FloatArray:
     return np.array([math.nan if value is None else value for value in entry.values()], dtype=float)
 
 
-def accounts_of(document: Mapping[str, Any], source: str) -> dict[str, Account]:
-    """What became of the messages, by topic. Raises InputError for what says no such thing."""
-    try:
-        return {
-            str(topic): Account(
-                accepted=int(entry["accepted"]),
-                lost=int(entry["lost"]),
-                **{kind: Counter(entry[kind]) for kind in ("rejected", "dropped", "noted")},
-            )
-            for topic, entry in document["messages"].items()
-        }
-    except (AttributeError, KeyError, TypeError, ValueError) as error:
-        raise InputError(f"{source}: lacks valid accounts of its messages ({error}); {_AGAIN}") from error
+def accounts_of(document: Mapping[str, Any]) -> dict[str, Account]:
+    """What became of the messages, by topic. Raises KeyError, TypeError or ValueError for what says no such thing."""
+    return {
+        str(topic): Account(
+            accepted=int(entry["accepted"]),
+            lost=int(entry["lost"]),
+            **{kind: Counter(entry[kind]) for kind in ("rejected", "dropped", "noted")},
+        )
+        for topic, entry in document["messages"].items()
+    }

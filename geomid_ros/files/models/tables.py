@@ -6,21 +6,23 @@ import csv
 import io
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 from geomid_ros.estimation.estimate import QUANTITIES
 from geomid_ros.files.disk import write_text
 from geomid_ros.files.models.robot_values import quantities_entry
 from geomid_ros.model.effects import effect_class
 
+Rows: TypeAlias = list[dict[str, Any]]
+"""A table: each row has its cells by column."""
+
 _BETWEEN = ";"
 _UNKNOWN = {"mass": "nan", "com": ["nan"] * 3, "inertia": [["nan"] * 3] * 3}
 _FINDING = ("confidence", "share", "separability", "loss", "sentence")
 
 
-def write_tables(folder: Path, document: Mapping[str, Any]) -> list[Path]:
-    """Write links.csv, effects.csv and channels.csv of an ``estimate.json``'s document, or findings.csv of a
-    ``gap.json``'s.
+def write_tables(folder: Path, found: Mapping[str, Rows]) -> list[Path]:
+    """Write tables into a folder, each as a file with its name.
 
     Returns:
         The files.
@@ -29,14 +31,15 @@ def write_tables(folder: Path, document: Mapping[str, Any]) -> list[Path]:
         GeomidError: a file cannot be written.
     """
     files = []
-    for name, rows in tables(document).items():
+    for name, rows in found.items():
         files.append(folder / f"{name}.csv")
         write_text(files[-1], csv_text(rows))
     return files
 
 
-def tables(document: Mapping[str, Any]) -> dict[str, list[dict[str, Any]]]:
-    """The rows of every table by its name; each row has its cells by column."""
+def tables(document: Mapping[str, Any]) -> dict[str, Rows]:
+    """The tables by their names: links, effects and channels of an ``estimate.json``'s document, findings of a
+    ``gap.json``'s. Raises AttributeError, KeyError, TypeError or ValueError for a document that lacks something."""
     if "findings" in document:
         return {"findings": list(_findings(document))}
     return {
@@ -46,7 +49,7 @@ def tables(document: Mapping[str, Any]) -> dict[str, list[dict[str, Any]]]:
     }
 
 
-def csv_text(rows: list[dict[str, Any]]) -> str:
+def csv_text(rows: Rows) -> str:
     """Rows as CSV below the names of their columns; what is not known is empty."""
     text = io.StringIO()
     columns = list(dict.fromkeys(column for row in rows for column in row))
