@@ -202,3 +202,26 @@ def test_a_link_of_other_parts_is_left_out_and_said(halves: tuple[Path, Path], t
     assert found.compared.not_compared == ("link7",)
     assert "link7" not in {each.place for each in found.compared.differences}
     assert "Not compared: link7" in done("compare", halves[0], other, "--out", tmp_path)
+
+
+@pytest.mark.parametrize("garbage", [None, 5, [[]], {"a": 1}])
+def test_garbage_never_ends_in_a_traceback(garbage: object, halves: tuple[Path, Path], tmp_path: Path) -> None:
+    """In any entry of the file, or of a link: it is refused, naming the file, or does not matter."""
+    document = json.loads(halves[0].read_text())
+    wrong = [document | {key: garbage} for key in document]
+    wrong += [document | {"links": [document["links"][0] | {key: garbage}]} for key in document["links"][0]]
+    (tmp_path / "wrong").mkdir()
+    for entries in wrong:
+        path = tmp_path / "wrong/estimate.json"
+        path.write_text(json.dumps(entries))
+        said = refusal(halves[1], path)
+        assert not said or str(path) in said
+
+
+def refusal(first: Path, second: Path) -> str:
+    """Why two files are not compared; empty if they are."""
+    try:
+        geomid_ros.compare(first, second)
+    except geomid_ros.InputError as error:
+        return str(error)
+    return ""

@@ -67,7 +67,7 @@ class LoadedModel:
         document = read_estimate(Path(path))
         inertias = known_inertias(document, path)
         known = known_information(document, inertias, path)
-        merged = _merged(document, path)
+        merged = merged_links(document, path)
         return LoadedModel(path, inertias, tuple(known_effects(document, path)), known, merged, doubt(document, path))
 
     def refitted(
@@ -244,8 +244,8 @@ def _is_beside(known: KnownEffect) -> bool:
     return issubclass(cls, SituationEffect) and not identified
 
 
-def _merged(document: Mapping[str, Any], source: str) -> dict[str, frozenset[str]]:
-    """The fixed links that are merged into each link of a document that says so."""
+def merged_links(document: Mapping[str, Any], source: str) -> dict[str, frozenset[str]]:
+    """The fixed links that are merged into each link of a document that says so. Raises InputError for other things."""
     try:
         return {
             str(link["name"]): frozenset(map(str, link["merged"])) for link in document["links"] if "merged" in link

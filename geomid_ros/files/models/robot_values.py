@@ -9,7 +9,7 @@ import numpy as np
 
 from geomid_ros.errors import InputError
 from geomid_ros.estimation.comparison import LinkValues, RobotValues
-from geomid_ros.files.models.loaded_model import known_effects
+from geomid_ros.files.models.loaded_model import known_effects, merged_links
 from geomid_ros.files.models.results import known_inertias, known_information
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.types import FloatArray
@@ -25,12 +25,12 @@ def robot_values(document: Mapping[str, Any], source: str) -> RobotValues:
     Raises:
         InputError: the document says no such thing.
     """
-    inertias = known_inertias(document, source)
+    inertias, merged = known_inertias(document, source), merged_links(document, source)
     links = {
         str(link["name"]): LinkValues(
             parameters=inertias[str(link["name"])],
             std=_deviations(link, source),
-            merged=frozenset(map(str, link.get("merged", ()))),
+            merged=merged.get(str(link["name"]), frozenset()),
         )
         for link in document["links"]
     }
