@@ -161,7 +161,7 @@ def compare(
         errors=errors,
         judged_on=data,
         doubts=list(dict.fromkeys(doubts)),
-        notes=notes_on(sides, values),
+        notes=notes_on(results, own_data=not bag),
         status=status,
     )
 

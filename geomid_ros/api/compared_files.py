@@ -72,13 +72,15 @@ def urdf_values(model: Model, result: Result) -> RobotValues:
     """What a URDF says of the bodies of a result, exactly.
 
     Raises:
-        InputError: it has not all of their links, or no body can be as it says.
+        InputError: it has not all of these links, or no inertial of one, or no body can be as it says.
     """
     links = {}
     for name, body in result.values.links.items():
         parts = [link for link in (name, *sorted(body.merged)) if link in model.bodies]
-        if name not in model.tree.links or not parts:
+        if name not in model.tree.links:
             raise _other_robot(model.source, model.tree.links, str(result.path), result.values.links)
+        if not parts:
+            raise InputError(f"{model.source}: link '{name}' has no <inertial>, and {result.path} has identified it")
         terms = [Summand(model.bodies[link].inertial, model.placement(link, name)) for link in parts]
         quantities = total(terms, f"{model.source}: link '{name}'").quantities
         links[name] = LinkValues(
@@ -108,14 +110,15 @@ def _other_robot(source: str, links: Iterable[str], other: str, others: Iterable
     )
 
 
-def notes_on(sides: Sequence[Side], values: Sequence[RobotValues]) -> list[str]:
-    """What is worth knowing of the comparison."""
-    exact = [
-        str(side.path)
-        for side, said in zip(sides, values, strict=True)
-        if isinstance(side, Result) and not any(np.any(np.isfinite(link.std)) for link in said.links.values())
+def notes_on(results: Sequence[Result], *, own_data: bool) -> list[str]:
+    """What is worth knowing of the comparison; ``own_data``: of the errors, too, each on its own recording."""
+    exact = [r.path for r in results if not any(np.any(np.isfinite(link.std)) for link in r.values.links.values())]
+    rms = [(result.path, entry_of(result.document, "rms")) for result in results]
+    fitted = [path for path, errors in rms if own_data and errors and not entry_of(errors, "held_out")]
+    return [
+        *(f"{path} says no standard deviations: its links count as exact" for path in exact),
+        *(f"{path} held nothing out: its errors are of the data that were fitted" for path in fitted),
     ]
-    return [f"{source} says no standard deviations: its links count as exact" for source in exact]
 
 
 def own_errors(sides: Sequence[Side]) -> list[ChannelErrors]:
@@ -147,9 +150,7 @@ def joined(sides: Sequence[Mapping[str, tuple[float, str]]]) -> list[ChannelErro
     ]
 
 
-def judged_on(
-    side: Side, urdf: PathLike | None, bags: Paths, options: RobotKeywords, progress: Progress
-) -> Errors:
+def judged_on(side: Side, urdf: PathLike | None, bags: Paths, options: RobotKeywords, progress: Progress) -> Errors:
     """What a side leaves of recordings."""
     if isinstance(side, Result):
         chosen = RobotOptions(urdf=urdf, **options)

@@ -204,6 +204,34 @@ def test_a_link_of_other_parts_is_left_out_and_said(halves: tuple[Path, Path], t
     assert "Not compared: link7" in done("compare", halves[0], other, "--out", tmp_path)
 
 
+def test_what_counts_as_exact_or_was_fitted_is_said(halves: tuple[Path, Path], tmp_path: Path) -> None:
+    """A file without standard deviations, as of 'geomid gap', and one that held nothing out."""
+    document = json.loads(halves[1].read_text())
+    links = [{key: value for key, value in link.items() if key != "std"} for link in document["links"]]
+    rms = document["rms"] | {"held_out": None}
+    other = changed_copy(halves[1], tmp_path / "other", links=links, rms=rms)
+    found = geomid_ros.compare(halves[0], other)
+    assert found.notes == [
+        f"{other} says no standard deviations: its links count as exact",
+        f"{other} held nothing out: its errors are of the data that were fitted",
+    ]
+    assert {error.name: error.second for error in found.errors} == rms["train"]
+    (mass,) = (each for each in found.compared.differences if (each.place, each.parameter) == ("link7", "mass"))
+    both = geomid_ros.compare(*halves).compared.differences
+    (known,) = (each for each in both if (each.place, each.parameter) == ("link7", "mass"))
+    assert 0.0 < mass.half_width < known.half_width
+
+
+def test_a_urdf_without_an_inertial_is_refused(halves: tuple[Path, Path], tmp_path: Path) -> None:
+    """Neither at the link nor at those that are fixed to it."""
+    text = ARM7.read_text()
+    for link in ("link7", "flange", "tool"):
+        text = re.sub(rf'(<link name="{link}">.*?)<inertial>.*?</inertial>', r"\1", text, count=1, flags=re.DOTALL)
+    (tmp_path / "bare.urdf").write_text(text)
+    message = refused("compare", halves[0], tmp_path / "bare.urdf", "--out", tmp_path)
+    assert "link 'link7' has no <inertial>" in message
+
+
 @pytest.mark.parametrize("garbage", [None, 5, [[]], {"a": 1}])
 def test_garbage_never_ends_in_a_traceback(garbage: object, halves: tuple[Path, Path], tmp_path: Path) -> None:
     """In any entry of the file, or of a link: it is refused, naming the file, or does not matter."""
