@@ -7,12 +7,12 @@ from pathlib import Path
 import click
 
 import geomid_ros
-from geomid_ros.commands.options import UNTRIED_OUT
+from geomid_ros.commands.options import OUT
 
 
 @click.command()
 @click.argument("folder", type=click.Path(path_type=Path))
-@click.option("--out", **UNTRIED_OUT | {"help": "Folder for the page and the tables.  [default: FOLDER]"})
+@click.option("--out", **OUT | {"help": "Folder for the page and the tables.  [default: FOLDER]"})
 def report(folder: Path, out: Path | None) -> None:
     """Write the report of a result again.
 
