@@ -14,6 +14,7 @@ from geomid_ros.exports.inertial import Export
 from geomid_ros.exports.into import into_mjcf
 from geomid_ros.exports.model import Model, read_model
 from geomid_ros.exports.payload import attached, chosen, difference, each_link
+from geomid_ros.files.models.handover import INTO
 
 _MUJOCO = "mujoco"
 
@@ -54,7 +55,7 @@ def export(
         InputError: the files or arguments cannot be used, or the data do not tell what is asked for.
     """
     _check(tool, frame, links, without, into)
-    own = read_model(Path(model))
+    own = read_model(Path(model), tool if into is None else INTO)
     reference = None if without is None else read_model(Path(without))
     doubts = tuple(each.doubt for each in (own, reference) if each is not None and each.doubt)
     if tool in CONTROLLERS:

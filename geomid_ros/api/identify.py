@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Unpack
@@ -12,13 +12,19 @@ from typing import TYPE_CHECKING, Any, Unpack
 from geomid_ros.api.arguments import PathLike, Paths, Texts, entries
 from geomid_ros.api.options import RecordingKeywords, RecordingOptions
 from geomid_ros.api.origin import origin
+from geomid_ros.errors import unknown_name
 from geomid_ros.estimation.estimate import EffectEstimate, Estimate, LinkEstimate
 from geomid_ros.estimation.telling_motions import telling_motions
+from geomid_ros.exports.handover import HandedOver, Judged
+from geomid_ros.files.disk import staged, write_json, write_text
 from geomid_ros.files.models.effect_forms import unsaid
+from geomid_ros.files.models.handover import ELEMENTS, READERS, URDF
+from geomid_ros.files.models.posterior import POSTERIOR, write_posterior
 from geomid_ros.files.models.results import model_effects
+from geomid_ros.files.models.sidecar import write_sidecar
 from geomid_ros.files.models.tables import tables, write_tables
 from geomid_ros.model.samples import Samples
-from geomid_ros.plausibility.verdict import Verdict
+from geomid_ros.plausibility.verdict import DOUBTFUL, Verdict
 from geomid_ros.report.drawing import draw_identification, series_of
 from geomid_ros.report.identification_page import IdentificationPage, write_identification_page
 from geomid_ros.report.series import Series
@@ -43,6 +49,7 @@ class Identification:
         estimate: all that the solver found.
         held_out: the samples to judge on, in batches, which were not fitted; empty if nothing was held out.
         judged: the samples that it is judged on: those, or all that were fitted.
+        reader: who will read the description that is written.
     """
 
     session: Session
@@ -50,6 +57,7 @@ class Identification:
     estimate: Estimate
     held_out: Sequence[Samples]
     judged: Sequence[Samples]
+    reader: str = URDF
 
     @property
     def links(self) -> tuple[LinkEstimate, ...]:
@@ -75,7 +83,23 @@ class Identification:
     @cached_property
     def verdict(self) -> Verdict:
         """Whether the result can be used: ``usable``, ``doubtful`` or ``not converged``, and why not."""
-        return self.session.verdict(self.estimate, self.judged, self.held_out_rms)
+        judged = self.session.verdict(self.estimate, self.judged, self.held_out_rms)
+        worse = self.handover.worse
+        return replace(judged, word=DOUBTFUL, reasons=(*judged.reasons, *worse)) if worse else judged
+
+    @cached_property
+    def written(self) -> HandedOver:
+        """The description that is written for :attr:`reader`."""
+        return HandedOver(self.session, self.estimate, self.reader, {})
+
+    @cached_property
+    def handover(self) -> Judged:
+        """How well that description predicts what is judged on, loaded again by the program that reads it.
+
+        Raises:
+            InputError: the program does not take it.
+        """
+        return self.written.judged(self.judged)
 
     @cached_property
     def train(self) -> Sequence[Samples]:
@@ -103,7 +127,9 @@ class Identification:
     @property
     def document(self) -> dict[str, Any]:
         """All numbers, as ``estimate.json`` has them, but for where they are from."""
-        return self.session.document(self.estimate, self.held_out_rms, self.verdict) | self._tables
+        document = self.session.document(self.estimate, self.held_out_rms, self.verdict)
+        document["handover"][self.reader] |= self.handover.entry
+        return document | self._tables
 
     @property
     def _tables(self) -> dict[str, Any]:
@@ -136,10 +162,10 @@ class Identification:
         return self.session.identified_urdf(self.estimate)
 
     @property
-    def not_in_urdf(self) -> str:
-        """What :meth:`urdf` cannot say, or is too unsure to say, in a sentence; empty for nothing."""
-        names = unsaid(model_effects(self.estimate, self.session.loaded.effects), ("urdf",))
-        return f"identified.urdf does not say: {'; '.join(names)}" if names else ""
+    def not_written(self) -> str:
+        """What the description for :attr:`reader` cannot hold, in a sentence; empty for nothing."""
+        names = unsaid(model_effects(self.estimate, self.session.loaded.effects), ELEMENTS[self.reader])
+        return f"Not representable in {self.written.name}: {'; '.join(names)}" if names else ""
 
     def plot(self) -> Figure:
         """Draw the bodies, before and after, and the channels, measured and predicted."""
@@ -190,7 +216,9 @@ class Identification:
     def save(
         self, folder: PathLike, *, progress: Progress = silent, command: str = "geomid_ros.identify"
     ) -> list[Path]:
-        """Write estimate.json, identified.urdf, posterior.npz, tables (CSV), identification.png and report.html.
+        """Write estimate.json, identified.urdf, effects.yaml, posterior.npz, tables (CSV), identification.png,
+        report.html, and the
+        description for :attr:`reader`: all of them, or none.
 
         Args:
             folder: made if it does not exist.
@@ -203,13 +231,25 @@ class Identification:
         Raises:
             InputError: a file cannot be written.
         """
-        more = self._tables | {"origin": asdict(origin(self.session, self.bags, command))}
-        files = self.session.save(Path(folder), self.estimate, self.held_out_rms, self.verdict, more)
-        files += write_tables(Path(folder), tables(self.document))
+        with staged(Path(folder)) as stage:
+            files = self._write(stage, progress, command)
+        return [Path(folder) / file.name for file in files]
+
+    def _write(self, folder: Path, progress: Progress, command: str) -> list[Path]:
+        texts = {"identified.urdf": self.urdf(), **self.written.files}
+        for name, text in texts.items():
+            write_text(folder / name, text)
+        sidecar, picture, report = (folder / name for name in ("effects.yaml", "identification.png", "report.html"))
+        write_sidecar(sidecar, self.session.robot.name, self.written.model.effects)
+        posterior = write_posterior(folder / POSTERIOR, self.estimate.posterior)
+        document = self.document
+        write_json(folder / "estimate.json", document | {"origin": asdict(origin(self.session, self.bags, command))})
+        csv = write_tables(folder, tables(document))
         progress("drawing", 0.0)
-        picture = Path(folder) / "identification.png"
         write_picture(picture, self.plot())
-        return [*files, picture, self.report(Path(folder) / "report.html", command=command)]
+        self.report(report, command=command)
+        written = [folder / name for name in ("estimate.json", *texts)]
+        return [*written, sidecar, *posterior, *csv, picture, report]
 
     def __repr__(self) -> str:
         """Why it should not be used, and a line for each link."""
@@ -231,6 +271,7 @@ def identify(
     candidates: Texts | None = None,
     links: Texts | None = None,
     known: Texts = (),
+    reader: str = URDF,
     progress: Progress = silent,
     **options: Unpack[RecordingKeywords],
 ) -> Identification:
@@ -248,25 +289,30 @@ def identify(
         candidates: names of effects to identify where held-out data ask for them, beside ``effects``.
         links: names of the only links to identify; None for the configured ones.
         known: masses that were weighed, as ``LINK=MASS:STD``, ``LINK+LINK=MASS:STD`` or ``total=MASS:STD`` [kg].
+        reader: who will read the description that is written: urdf, moveit, isaac, gazebo, drake or mujoco.
         progress: called with what is being done and the share of it, 0 to 1, that is done.
         options: which robot it is and how its recordings are read, see :class:`~geomid_ros.RecordingOptions`.
 
     Raises:
         InputError: a file, an argument or the data cannot be used; the message names it and says what to do.
     """
+    if reader not in ELEMENTS:
+        raise unknown_name("reader", reader, ELEMENTS)
     chosen = RecordingOptions(urdf=urdf, **options)
     recorded = chosen.bags(bags)
     parameters = chosen.configuration(chosen.model, **_parameters(prior, effects, candidates, links, known))
     robot = chosen.description(recorded.fitted, chosen.model)
     session, (held_out, judged) = read_with_locked(
-        lambda configured: Session(robot.text, configured, robot.source),
+        lambda configured: Session(robot.text, configured, robot.source, readers=(*READERS,)),
         parameters,
         lambda session: _read(session, recorded, progress),
     )
     session.settled.extend(robot.notes)
     progress("solving", 0.0)
     estimate = session.identifier.solve()
-    return Identification(session=session, bags=recorded, estimate=estimate, held_out=held_out, judged=judged)
+    return Identification(
+        session=session, bags=recorded, estimate=estimate, held_out=held_out, judged=judged, reader=reader
+    )
 
 
 def _parameters(

@@ -12,6 +12,7 @@ import click
 import geomid_ros
 from geomid_ros.commands.options import OUT, Names, recording_options, robot_options
 from geomid_ros.errors import one_line
+from geomid_ros.exports.formats import DESCRIBED_FOR
 
 
 @click.command()
@@ -40,14 +41,22 @@ from geomid_ros.errors import one_line
     type=click.Path(path_type=Path),
     help="Start from this population.json, which 'geomid fleet' wrote of robots of this type.",
 )
+@click.option(
+    "--for",
+    "reader",
+    type=click.Choice(DESCRIBED_FOR),
+    default="urdf",
+    show_default=True,
+    help="Who will read the description: what is written is fitted within what its files hold, and judged as itself.",
+)
 @click.option("--out", default=Path("geomid_out"), **OUT)
 @click.option("--json", "as_json", is_flag=True, help="Print estimate.json instead of tables.")
 def identify(bags: tuple[Path, ...], out: Path, as_json: bool, **options: Any) -> None:
     """Identify link inertias from rosbags.
 
     Reads BAGS (folders, folders of them, or .mcap and .db3 files) and writes estimate.json, identified.urdf,
-    posterior.npz, identification.png and report.html. How well the result predicts is judged on data that were held
-    out: the end of each bag, or the bags of --validate.
+    effects.yaml, posterior.npz, identification.png, report.html, and the description that --for asks for. How well
+    the result predicts is judged on data that were held out: the end of each bag, or the bags of --validate.
     """
     from geomid_ros.commands.progress import progress_bar
     from geomid_ros.commands.results import identification
@@ -60,5 +69,5 @@ def identify(bags: tuple[Path, ...], out: Path, as_json: bool, **options: Any) -
     else:
         identification.show(found)
         click.echo(f"\nWritten: {', '.join(map(str, files))}")
-        click.echo(one_line(found.not_in_urdf))
+        click.echo(one_line(found.not_written))
     sys.exit(found.verdict.status)

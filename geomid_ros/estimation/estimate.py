@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -158,6 +158,7 @@ class Estimate:
         rows, targets: The same of all parameters of the posterior: rows ``(<= D, D)`` and targets of independent errors
             of standard deviation 1.
         posterior: What is known of links and effects together.
+        within: Parameters ``(D,)`` fitted as far as files can hold them, by who reads the file.
         warnings: What makes the result doubtful, in sentences.
     """
 
@@ -181,4 +182,5 @@ class Estimate:
     rows: FloatArray
     targets: FloatArray
     known: tuple[WeighedEstimate, ...] = ()
+    within: Mapping[str, FloatArray] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()

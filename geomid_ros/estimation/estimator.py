@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any
 
@@ -14,6 +14,7 @@ from geomid_ros.errors import InputError, unknown_name
 from geomid_ros.estimation import estimate_parts, starting_point, uncertainty
 from geomid_ros.estimation.choice import choose
 from geomid_ros.estimation.estimate import Estimate
+from geomid_ros.estimation.file_fits import fit_files
 from geomid_ros.estimation.fit import INDEPENDENT, Fit, driven_rows, fit, settle
 from geomid_ros.estimation.objective import GeodesicObjective, ResidualObjective
 from geomid_ros.estimation.population import Population
@@ -49,6 +50,8 @@ class EstimatorSettings:
         known: Weighed masses.
         cutoff: Of the filter that made the rows [Hz], which says how many of them are independent.
         population: Of the robot's type, in place of the URDF as the prior.
+        files: By who reads it, the file's elements (:meth:`~geomid_ros.model.effects.ParameterForm.said_by`): the
+            parameters are also fitted as far as such a file can hold them.
     """
 
     gamma: float | None = None
@@ -60,6 +63,7 @@ class EstimatorSettings:
     known: tuple[WeighedMass, ...] = ()
     cutoff: float = np.inf
     population: Population | None = None
+    files: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         if self.objective not in OBJECTIVES:
@@ -136,19 +140,26 @@ def estimate(
         columns = _kept(model, warm)
     problem = subproblem(whole, columns)
     start = None if warm is None else problem.manifold.point(warm.parameters[columns])
-    solve = partial(
-        _fit,
-        start=start,
-        spreads=None if warm is None else warm.spreads,
-        tolerance=settings.tolerance,
-        max_steps=settings.max_steps,
-    )
-    if settings.population is None:
-        return _estimate(columns, model, solve(problem), settings, begin)
-    beside = PopulationPrior.of(settings.population, problem)
-    found, weights = fit_with_population(beside, solve)
+    solve = partial(_fit, tolerance=settings.tolerance, max_steps=settings.max_steps)
+    warm_solve = partial(solve, start=start, spreads=None if warm is None else warm.spreads)
+    found, warnings = _with_population(settings.population, problem, warm_solve)
     result = _estimate(columns, model, found, settings, begin)
-    return replace(result, warnings=(*result.warnings, *unlike_population(beside, weights)))
+    within = fit_files(
+        whole, columns, settings.files, lambda each: _with_population(settings.population, each, solve)[0]
+    )
+    seconds = time.perf_counter() - begin
+    return replace(result, within=within, seconds=seconds, warnings=(*result.warnings, *warnings))
+
+
+def _with_population(
+    population: Population | None, problem: Problem, solve: Callable[[Problem], Fit]
+) -> tuple[Fit, Iterable[str]]:
+    """A fit, beside a population if there is one, and warnings in sentences."""
+    if population is None:
+        return solve(problem), ()
+    beside = PopulationPrior.of(population, problem)
+    found, weights = fit_with_population(beside, solve)
+    return found, unlike_population(beside, weights)
 
 
 def _beside(population: Population | None, whole: Problem) -> Problem:
@@ -180,7 +191,9 @@ def least_inflation(summary: RowSummary, cutoff: float) -> float:
     return max(1.0 / (_OF_WHITE_NOISE * cutoff * summary.period), 1.0)
 
 
-def _fit(problem: Problem, start: Point | None, spreads: FloatArray | None, **options: Any) -> Fit:
+def _fit(
+    problem: Problem, start: Point | None = None, spreads: FloatArray | None = None, **options: Any
+) -> Fit:
     """A fit, in which no joint is driven by its dry friction; its problem has the rows that see to that."""
     if start is not None:
         # Which joints these are a rough solution tells.

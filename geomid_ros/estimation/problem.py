@@ -64,7 +64,7 @@ class Problem:
     @cached_property
     def manifold(self) -> ParameterManifold:
         """Where the parameters live."""
-        return self.model.manifold(scales_of_reals(self.model, self.summary))
+        return self.model.manifold(scales_of_reals(self.model, self.summary, self.given))
 
     @cached_property
     def prior(self) -> FloatArray:

@@ -65,9 +65,9 @@ def _least_residual(factor: FloatArray) -> tuple[float, int]:
     return float(np.linalg.norm(factor[:, -1] - regressor @ solution)), int(rank)
 
 
-def scales_of_reals(model: MeasurementModel, summary: RowSummary) -> FloatArray:
+def scales_of_reals(model: MeasurementModel, summary: RowSummary, given: FloatArray | None = None) -> FloatArray:
     """The scale of each real coefficient: that with which it is as large as the channel that it adds to, of several the
-    largest."""
+    largest; less for one that is expected to be small, if no prior ``given (D,)`` says of it what it is."""
     first = len(model.nominal_inertias) + model.positives
     scales = np.zeros(model.dimension)
     sizes, factors = channel_sizes(summary, model.dimension), summary.factors()
@@ -78,7 +78,18 @@ def scales_of_reals(model: MeasurementModel, summary: RowSummary) -> FloatArray:
         large = columns > _ROUNDING_COLUMN
         own = sizes[index] / np.where(large, columns, np.inf)
         scales[channel.columns] = np.maximum(scales[channel.columns], own)
-    return np.where(scales > 0.0, scales, 1.0)[first:]
+    shares = _expected_shares(model, given)[model.positives :] / _USUAL_SPREAD_OF_REALS
+    return np.where(scales > 0.0, scales, 1.0)[first:] * np.where(np.isnan(shares), 1.0, shares)
+
+
+def _expected_shares(model: MeasurementModel, given: FloatArray | None) -> FloatArray:
+    """How large each coefficient is expected to be about zero ``(coefficients,)``, as a share of what its channel
+    measures; NaN where more is known: a ``given`` prior ``(D,)``, or a first fit, as where it is part of another
+    effect."""
+    parts = {(c.place, part) for c in model.coefficients for part in c.effect.parts if part != c.effect}
+    shares = [None if (c.place, c.effect) in parts else c.effect.expected_share for c in model.coefficients]
+    unknown = True if given is None else ~np.isfinite(given[len(model.nominal_inertias) :])
+    return np.where(unknown, np.array(shares, dtype=np.float64), np.nan)
 
 
 def usual_spreads(manifold: ParameterManifold) -> FloatArray:
@@ -95,7 +106,8 @@ def prior_parameters(model: MeasurementModel, summary: RowSummary, given: FloatA
     These are the ``given`` ones ``(D,)`` where they are given and not NaN; else the URDF's inertias and, for the
     effects, the non-negative least-squares fit of each joint's effects alone to what the inertias leave unexplained: no
     CAD file knows a joint's friction, and the metric on positive coefficients is relative, so that their prior must
-    have the right order of magnitude.
+    have the right order of magnitude. What the URDF says of friction holds where a joint hardly moves. Errors of
+    sensors are expected to be zero.
 
     Raises:
         InputError: ``given`` is no point of the model's manifold.
@@ -116,6 +128,7 @@ def prior_parameters(model: MeasurementModel, summary: RowSummary, given: FloatA
         count = float(np.sum(counts[group]))
         size = float(np.mean(sizes[group]))
         parameters[chosen] = _fitted_effects(model, factor, count, columns, parameters, size)
+    parameters[first:][np.isfinite(_expected_shares(model, given))] = 0.0
     if given is not None:
         parameters = np.where(np.isfinite(given), given, parameters)
     return parameters
@@ -166,16 +179,18 @@ def _fitted_effects(
 ) -> FloatArray:
     """Coefficients of the effects among the ``columns`` of channels with the ``factor (rows, k + 1)`` of ``count``
     rows, whose measured values have this ``size``."""
-    inertial = columns < len(model.nominal_inertias)
+    first = len(model.nominal_inertias)
+    inertial = columns < first
     chosen = columns[~inertial]
-    positive = chosen < len(model.nominal_inertias) + model.positives
+    positive = chosen < first + model.positives
     if not len(factor):
         return np.where(positive, 1.0, 0.0)
     remainder = factor[:, -1] - factor[:, :-1][:, inertial] @ parameters[columns[inertial]]
     regressor = factor[:, :-1][:, ~inertial]
     split = np.hstack([regressor, -regressor[:, ~positive]])
     damping = _NOISE_MOTION * np.sqrt(count) * np.eye(split.shape[1])
-    halves = _non_negative(np.concatenate([split, damping]), np.append(remainder, np.zeros(len(damping))))
+    described = np.append(model.described_coefficients[chosen - first], np.zeros(np.count_nonzero(~positive)))
+    halves = _non_negative(np.concatenate([split, damping]), np.append(remainder, damping @ described))
     fitted = halves[: len(chosen)]
     fitted[~positive] -= halves[len(chosen) :]
     column_sizes = np.maximum(np.linalg.norm(regressor, axis=0) / np.sqrt(count), _LEAST_MOTION)

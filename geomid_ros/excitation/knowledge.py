@@ -17,7 +17,6 @@ from geomid_ros.excitation.limits import MotionLimits
 from geomid_ros.excitation.motion import Motion
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.samples import Samples
-from geomid_ros.model.urdf_tree import read_numbers, read_xml
 from geomid_ros.types import FloatArray, frozen
 
 NOISE = 2e-3
@@ -29,7 +28,6 @@ ROWS_PER_SECOND = INDEPENDENT * CUTOFF
 _USUAL_SHARE = 0.02  # of the joint's effort limit that an effect usually adds
 _RATE = 4.0  # [1/s] of acceleration to speed, in random states
 _STATES = 200
-_DYNAMICS = ("damping", "friction")
 _WIDEST = np.pi  # [rad, m]
 _OTHERS = (
     "{}: an estimate of other links or effects than this robot has ({}); give the URDF and the options with which it "
@@ -135,7 +133,7 @@ def prior_knowledge(model: MeasurementModel, limits: MotionLimits) -> Knowledge:
     usual = _channel_sizes(model, limits, coefficients)
     columns = np.sqrt(np.mean(coefficients[:, :, first:] ** 2, axis=0))  # (C, effects)
     sizes = np.max(usual[:, None] / np.where(columns > 0.0, columns, np.inf), axis=0, initial=0.0)
-    sizes = np.maximum(np.where(sizes > 0.0, sizes, 1.0), _stated(model))
+    sizes = np.maximum(np.where(sizes > 0.0, sizes, 1.0), model.described_coefficients)
     positive = np.arange(len(sizes)) < model.positives
     parameters = np.concatenate([model.nominal_inertias, np.where(positive, sizes, 0.0)])
     # A real coefficient is of any sign and about the size that a positive one has.
@@ -153,17 +151,6 @@ def prior_knowledge(model: MeasurementModel, limits: MotionLimits) -> Knowledge:
         prior_spreads=frozen(spreads),
     )
     return Knowledge(model, posterior, frozen(NOISE / _USUAL_SHARE * usual))
-
-
-def _stated(model: MeasurementModel) -> FloatArray:
-    """What the URDF's <dynamics> say of each coefficient ``(effects,)``; zero where they say nothing."""
-    source = model.robot.source
-    said = {
-        (joint.get("name", ""), f"dynamics/{key}"): read_numbers(joint, "dynamics", (key,), [0.0], source)[0]
-        for joint in read_xml(model.robot.urdf, source).findall("joint")
-        for key in _DYNAMICS
-    }
-    return np.array([said.get((c.place_name, c.effect.own[c.index].urdf), 0.0) for c in model.coefficients])
 
 
 def effect_coordinates(model: MeasurementModel) -> tuple[EffectCoordinate, ...]:

@@ -5,7 +5,8 @@ mujoco   reads MJCF: damping, frictionloss, armature and springs of joints, elas
 gazebo   turns a URDF into SDF: <dynamics> of joints, and springs as <gazebo> elements (SDFormat, sdf_extensions.md)
 drake    reads damping of <dynamics>, not friction; rotor inertia at the actuators of transmissions
          (multibody/parsing/detail_urdf_parser.cc)
-isaac    reads <dynamics> (isaacsim.asset.importer.urdf, UrdfDynamics), no armature
+isaac    reads <dynamics> up to Isaac Sim 6.0 (isaacsim.asset.importer.urdf), no armature; actuators of Isaac Lab take
+         armature and friction of joints (isaaclab.actuators, ActuatorBaseCfg)
 urdf     whatever reads a URDF
 moveit   reads a URDF, of whose inertials and <dynamics> its planners take nothing
 =======  ===============================================================================================================
@@ -13,20 +14,25 @@ moveit   reads a URDF, of whose inertials and <dynamics> its planners take nothi
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
+from types import MappingProxyType
 from typing import NamedTuple
 
 from geomid_ros.exports import formats
 from geomid_ros.exports.inertial import Export
 from geomid_ros.exports.model import Model
-from geomid_ros.files.models.effect_forms import is_sure, joint_attributes, unsaid
+from geomid_ros.files.models.effect_forms import joint_attributes, unsaid
+from geomid_ros.files.models.handover import ELEMENTS
 from geomid_ros.files.models.mjcf import mjcf
 from geomid_ros.files.models.mjcf_shapes import mjcf_shapes
 from geomid_ros.files.models.urdf import with_effects
 from geomid_ros.files.models.urdf_extensions import for_drake, for_gazebo
 from geomid_ros.files.shapes.meshes import MeshFinder
+from geomid_ros.model.effects import KnownEffect
 from geomid_ros.model.robot import Robot
+from geomid_ros.types import FloatArray
 
 _MOVEIT_NOTE = (
     "What reads it: MoveIt plans by limits alone; its DynamicsSolver, and ros2_control's controllers that compute",
@@ -34,9 +40,19 @@ _MOVEIT_NOTE = (
     "<dynamics> nothing. The same elements stand in a xacro file.",
 )
 _ISAAC_NOTE = (
-    "What reads it: Isaac Sim's URDF importer takes inertials (import_inertia_tensor) and <dynamics>. A joint's drive",
-    "and the actuators of Isaac Lab set stiffness, damping, friction and armature anew: give them these numbers.",
+    "What reads it: Isaac Sim's URDF importer takes inertials (import_inertia_tensor); <dynamics> up to 6.0, 6.1 drops",
+    "them without a word (IsaacSim issue 841). So give the actuators of Isaac Lab the numbers of isaac_joints.json:",
+    "armature, friction (static), dynamic_friction and viscous_friction, efforts in N m since Isaac Sim 5.0 (PhysX's",
+    "PxJointFrictionParams). Not tried here: there is no Isaac Sim on the machines that test this.",
 )
+_ISAAC_FILE = "isaac_joints.json"
+# The actuators' names of joint attributes, by MJCF's.
+_ISAAC_JOINT = {
+    "armature": "armature",
+    "friction": "frictionloss",
+    "dynamic_friction": "frictionloss",
+    "viscous_friction": "damping",
+}
 _GAZEBO_NOTE = ("What reads it: gz sdf -p shows what Gazebo makes of it: it lumps fixed links together.",)
 _DRAKE_NOTE = ("What reads it: Drake takes inertials and damping, and rotor inertia of joints with an effort limit.",)
 _MUJOCO_NOTE = (
@@ -48,10 +64,23 @@ _MOST_MISSING = 3  # of which each has its sentence
 
 
 class Whole(NamedTuple):
-    """The text of a whole robot, and sentences on what it lacks."""
+    """The text of a whole robot, sentences on what it lacks, and texts of files ``beside`` it that hold more, by
+    name."""
 
     text: str
     lacks: list[str]
+    beside: Mapping[str, str] = MappingProxyType({})
+
+
+class DescribedRobot(NamedTuple):
+    """A robot to describe: its ``urdf`` with the inertias, the ``path`` that its meshes are found from, the ``effects``
+    beside, ``gravity (3,)`` where its base stands straight, and what ``read``s it."""
+
+    urdf: str
+    path: Path
+    effects: Sequence[KnownEffect]
+    gravity: FloatArray
+    read: Callable[[], Robot]
 
 
 class Description(NamedTuple):
@@ -61,7 +90,7 @@ class Description(NamedTuple):
     files: tuple[str, ...]
     note: tuple[str, ...]
     inertial: Callable[[Export], str]
-    whole: Callable[[Model, Mapping[str, Path]], Whole]
+    whole: Callable[[DescribedRobot, Mapping[str, Path]], Whole]
 
     def payload(self, export: Export) -> str:
         """One inertia."""
@@ -69,44 +98,52 @@ class Description(NamedTuple):
 
     def robot(self, model: Model, links: Sequence[Export], packages: Mapping[str, Path]) -> Whole:
         """The whole robot, and behind it a comment on its ``links`` and on what it lacks."""
-        text, lacks = self.whole(model, packages)
-        lacks = [*not_said(model, self.files), *lacks]
+        text, own, beside = self.whole(as_described(model), packages)
+        lacks = [*not_said(model, self.files), *own]
         lines = [*self.note, *lacks, *(line for export in links for line in formats.comments(export))]
-        return Whole(text.rstrip() + "\n" + formats.xml_comment(lines), lacks)
+        return Whole(text.rstrip() + "\n" + formats.xml_comment(lines), lacks, beside)
 
 
 def not_said(model: Model, files: tuple[str, ...]) -> list[str]:
     """What these files cannot say of a model's effects, in a sentence, if there is anything."""
     names = unsaid(model.effects, files)
-    return [f"Not said here: {'; '.join(names)}"] if names else []
+    refit = [] if model.fitted else ["written by an earlier version: identify again, and the rest is fitted to make up"]
+    return [f"Not representable here: {'; '.join([*names, *refit])}"] if names else []
 
 
-def _urdf(model: Model, _: Mapping[str, Path]) -> Whole:
-    return Whole(with_effects(model.urdf, model.effects), [])
+def _urdf(robot: DescribedRobot, _: Mapping[str, Path]) -> Whole:
+    return Whole(with_effects(robot.urdf, robot.effects), [])
 
 
-def _isaac(model: Model, _: Mapping[str, Path]) -> Whole:
-    said = joint_attributes(filter(is_sure, model.effects), "joint")
-    armature = {joint: float(f"{own['armature']:.6g}") for joint, own in said.items() if "armature" in own}
-    return Whole(
-        with_effects(model.urdf, model.effects), [f"For Isaac Lab's actuators: armature={armature}"] if armature else []
-    )
+def _isaac(robot: DescribedRobot, _: Mapping[str, Path]) -> Whole:
+    said = joint_attributes(robot.effects, "joint")
+    joints = {
+        joint: {isaac: float(f"{own[ours]:.6g}") for isaac, ours in _ISAAC_JOINT.items() if ours in own}
+        for joint, own in said.items()
+    }
+    text = with_effects(robot.urdf, robot.effects)
+    return Whole(text, [f"{_ISAAC_FILE}: {json.dumps(joints)}"], {_ISAAC_FILE: json.dumps(joints, indent=2) + "\n"})
 
 
-def _gazebo(model: Model, _: Mapping[str, Path]) -> Whole:
-    return Whole(for_gazebo(with_effects(model.urdf, model.effects), model.effects), [])
+def _gazebo(robot: DescribedRobot, _: Mapping[str, Path]) -> Whole:
+    return Whole(for_gazebo(with_effects(robot.urdf, robot.effects), robot.effects), [])
 
 
-def _drake(model: Model, _: Mapping[str, Path]) -> Whole:
-    return Whole(for_drake(with_effects(model.urdf, model.effects), model.effects, str(model.urdf_path)), [])
+def _drake(robot: DescribedRobot, _: Mapping[str, Path]) -> Whole:
+    return Whole(for_drake(with_effects(robot.urdf, robot.effects), robot.effects, str(robot.path)), [])
 
 
-def _mujoco(model: Model, packages: Mapping[str, Path]) -> Whole:
-    shapes = mjcf_shapes(model.urdf, str(model.urdf_path), MeshFinder(model.urdf_path, packages).find)
-    effects = [effect for effect in model.effects if is_sure(effect)]
+def _mujoco(robot: DescribedRobot, packages: Mapping[str, Path]) -> Whole:
+    shapes = mjcf_shapes(robot.urdf, str(robot.path), MeshFinder(robot.path, packages).find)
     missing = list(dict.fromkeys(shapes.missing))
     more = [f"{len(missing) - _MOST_MISSING} more shapes are missing"] if len(missing) > _MOST_MISSING else []
-    return Whole(mjcf(described_robot(model), {}, effects, shapes=shapes), [*missing[:_MOST_MISSING], *more])
+    text = mjcf(robot.read(), {}, robot.effects, gravity=robot.gravity, shapes=shapes)
+    return Whole(text, [*missing[:_MOST_MISSING], *more])
+
+
+def as_described(model: Model) -> DescribedRobot:
+    """A model as descriptions are made of it."""
+    return DescribedRobot(model.urdf, model.urdf_path, model.effects, model.gravity, lambda: described_robot(model))
 
 
 def described_robot(model: Model) -> Robot:
@@ -130,12 +167,12 @@ DESCRIPTIONS = dict(
     zip(
         formats.DESCRIBED_FOR,
         (
-            Description(("urdf",), (), formats.urdf_inertial, _urdf),
-            Description(("urdf",), _MOVEIT_NOTE, formats.urdf_inertial, _urdf),
-            Description(("urdf",), _ISAAC_NOTE, formats.urdf_inertial, _isaac),
-            Description(("urdf", "gazebo"), _GAZEBO_NOTE, formats.sdf_inertial, _gazebo),
-            Description(("urdf/link", "drake"), _DRAKE_NOTE, formats.urdf_inertial, _drake),
-            Description(("mjcf",), _MUJOCO_NOTE, formats.mjcf_inertial, _mujoco),
+            Description(ELEMENTS["urdf"], (), formats.urdf_inertial, _urdf),
+            Description(ELEMENTS["moveit"], _MOVEIT_NOTE, formats.urdf_inertial, _urdf),
+            Description(ELEMENTS["isaac"], _ISAAC_NOTE, formats.urdf_inertial, _isaac),
+            Description(ELEMENTS["gazebo"], _GAZEBO_NOTE, formats.sdf_inertial, _gazebo),
+            Description(ELEMENTS["drake"], _DRAKE_NOTE, formats.urdf_inertial, _drake),
+            Description(ELEMENTS["mujoco"], _MUJOCO_NOTE, formats.mjcf_inertial, _mujoco),
         ),
         strict=True,
     )

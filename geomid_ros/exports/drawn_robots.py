@@ -15,7 +15,7 @@ import numpy as np
 
 from geomid_ros.errors import InputError
 from geomid_ros.estimation.posterior import EffectCoordinate, Posterior
-from geomid_ros.exports.descriptions import DESCRIPTIONS
+from geomid_ros.exports.descriptions import DESCRIPTIONS, as_described
 from geomid_ros.exports.formats import JSON
 from geomid_ros.exports.inertial import UncertainInertia
 from geomid_ros.exports.into import OwnMjcf, read_own_mjcf
@@ -171,11 +171,11 @@ def described(
 def _writer(model: Model, tool: str, into: Path | None, packages: Mapping[str, Path]) -> Callable[[Model], str]:
     """What makes the text of a drawn robot."""
     if tool != "mujoco":
-        return lambda drawn: DESCRIPTIONS[tool].whole(drawn, packages).text
+        return lambda drawn: DESCRIPTIONS[tool].whole(as_described(drawn), packages).text
     if into is not None:
         own = read_own_mjcf(model, into)
         return replace(own, text=_with_absolute_folders(own.text, into)).with_numbers
-    text = DESCRIPTIONS[tool].whole(model, packages).text
+    text = DESCRIPTIONS[tool].whole(as_described(model), packages).text
     placements = {name: np.eye(4) for name in model.estimated}
     joints = [joint.name for joint in model.tree.joints]
     return OwnMjcf(model.urdf_path, text, placements, joints, ()).with_numbers

@@ -13,7 +13,7 @@ from geomid_ros.errors import InputError
 from geomid_ros.exports.descriptions import Whole, not_said
 from geomid_ros.exports.model import Model
 from geomid_ros.files.disk import read_text
-from geomid_ros.files.models.effect_forms import is_sure, joint_attributes
+from geomid_ros.files.models.effect_forms import joint_attributes
 from geomid_ros.files.models.joint_frames import joint_frames
 from geomid_ros.files.models.mjcf_edits import with_identified
 from geomid_ros.geometry import pseudo_inertia
@@ -46,7 +46,7 @@ class OwnMjcf:
         """The text with the inertias of a model's links and what was found at its joints, all else as it is. Raises
         InputError for a file that does not have these itself."""
         inertias = {name: _moved(_carried(model, name), placed) for name, placed in self.placements.items()}
-        said = joint_attributes(filter(is_sure, model.effects), "joint")
+        said = joint_attributes(model.effects, "joint")
         joints = {name: own for name, own in said.items() if name in self.joints}
         try:
             return with_identified(self.text, inertias, joints, self.emptied)
@@ -63,7 +63,7 @@ def into_mjcf(model: Model, path: Path) -> Whole:
     :func:`read_own_mjcf`."""
     own = read_own_mjcf(model, path)
     patched = own.with_numbers(model)
-    links, said = model.estimated or model.bodies, joint_attributes(filter(is_sure, model.effects), "joint")
+    links, said = model.estimated or model.bodies, joint_attributes(model.effects, "joint")
     sentences = [
         *not_said(model, ("mjcf/joint", "mjcf/body")),
         *_named(f"{path}: has no body", [name for name in links if name not in own.placements]),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -13,16 +13,18 @@ import numpy as np
 from geomid_ros.errors import InputError, unknown_name
 from geomid_ros.estimation.estimate import QUANTITIES
 from geomid_ros.exports.inertial import UncertainInertia
-from geomid_ros.files.models.effect_forms import coefficient, effects_of_dynamics, is_body, is_sure, joint_attributes
+from geomid_ros.files.models.effect_forms import coefficient, effects_of_dynamics, is_body, joint_attributes
+from geomid_ros.files.models.handover import URDF, written_for
 from geomid_ros.files.models.joint_frames import joint_frames
 from geomid_ros.files.models.judgements import doubt
 from geomid_ros.files.models.loaded_model import LoadedModel
-from geomid_ros.files.models.results import known_inertias, read_estimate
+from geomid_ros.files.models.results import gravity_of, known_inertias, read_estimate
 from geomid_ros.files.models.robot_values import quantities_entry
-from geomid_ros.files.models.urdf import read_urdf
+from geomid_ros.files.models.urdf import inertia_of, read_urdf, with_inertials
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.model.effects import KnownEffect, Quantity, effect_class
 from geomid_ros.model.effects.parameters import COM_ENTRIES
+from geomid_ros.model.robot import GRAVITY
 from geomid_ros.model.urdf_tree import UrdfTree, parse, read_numbers, read_xml
 from geomid_ros.types import FloatArray
 
@@ -62,6 +64,8 @@ class Model:
         doubt: Why it should not be used, in a sentence; empty if nothing speaks against it.
         urdf: The description with the inertias, and the file that it is from.
         effects: What was found beside these, without the payloads that are links of the URDF.
+        gravity: ``(3,)`` [m/s^2] where the base stands straight.
+        fitted: Whether bodies and effects were fitted for who is to read them.
     """
 
     source: str
@@ -73,6 +77,8 @@ class Model:
     urdf: str
     urdf_path: Path
     effects: tuple[KnownEffect, ...]
+    gravity: FloatArray = field(default_factory=GRAVITY.copy)
+    fitted: bool = True
 
     def placement(self, link: str, frame: str) -> FloatArray:
         """The homogeneous matrix ``(4, 4)`` from a link's coordinates to those of the link ``frame``."""
@@ -84,38 +90,75 @@ class Model:
             raise InputError(f"{self.source}: {unknown_name(kind, link, self.tree.links)}")
 
 
-def read_model(path: Path) -> Model:
-    """Read an ``estimate.json`` or a URDF. Raises InputError naming the file."""
-    document = read_estimate(path) if path.suffix == ".json" else None
-    urdf = path if document is None else path.parent / _URDF
-    if document is not None and not urdf.exists():
+def read_model(path: Path, reader: str = "") -> Model:
+    """Read an ``estimate.json`` or a URDF.
+
+    Args:
+        path: the file.
+        reader: who is to read it, of :data:`~geomid_ros.files.models.handover.ELEMENTS`, for the model that was fitted
+            within what its files hold; empty for the estimate itself.
+
+    Raises:
+        InputError: it names the file.
+    """
+    if path.suffix != ".json":
+        return _of_urdf(path)
+    document, urdf = read_estimate(path), path.parent / _URDF
+    if not urdf.exists():
         raise InputError(
             f"{path}: there is no {_URDF} beside it, which says where the links are; keep the files that were written "
             "together in one folder"
         )
-    text = read_urdf(urdf)
+    text, source = read_urdf(urdf), str(path)
     tree = parse(text, str(urdf))
-    bodies = _urdf_bodies(tree) if document is None else _estimated_bodies(document, tree, str(path))
-    estimated = () if document is None else tuple(str(link["name"]) for link in document["links"])
-    reason = "" if document is None else doubt(document, str(path))
-    found = () if document is None else tuple(LoadedModel.read(str(path)).beside_inertias)
-    effects = (*found, *_dynamics(text, str(urdf), found))
+    found = tuple(LoadedModel.read(source).beside_inertias)
+    bodies = _estimated_bodies(document, tree, source)
+    written = written_for(document, reader, source)
+    friction = _dynamics(text, str(urdf), found)
+    if written is not None:
+        found = tuple(effect for effect in written.effects if not is_body(effect))
+        bodies |= {name: _at(bodies[name], own) for name, own in written.inertias.items()}
+        text = with_inertials(text, {name: inertia_of(own) for name, own in written.inertias.items()})
     return Model(
-        source=str(path),
+        source=source,
         tree=tree,
         placements=_placements(text, tree, str(urdf)),
         bodies=bodies,
-        estimated=estimated,
-        doubt=reason,
+        estimated=tuple(str(link["name"]) for link in document["links"]),
+        doubt=doubt(document, source),
         urdf=text,
         urdf_path=urdf,
-        effects=effects,
+        effects=(*found, *friction),
+        gravity=gravity_of(document, source),
+        fitted=written is not None or not reader,
     )
 
 
+def _of_urdf(path: Path) -> Model:
+    text = read_urdf(path)
+    tree = parse(text, str(path))
+    return Model(
+        source=str(path),
+        tree=tree,
+        placements=_placements(text, tree, str(path)),
+        bodies=_urdf_bodies(tree),
+        estimated=(),
+        doubt="",
+        urdf=text,
+        urdf_path=path,
+        effects=tuple(_dynamics(text, str(path), ())),
+    )
+
+
+def _at(body: MassiveLink, parameters: FloatArray) -> MassiveLink:
+    """A body with other parameters ``(10,)``, as sure as it was."""
+    quantities = pseudo_inertia.quantities_of(parameters)
+    return replace(body, inertial=UncertainInertia(quantities, body.inertial.std))
+
+
 def _dynamics(urdf: str, source: str, found: Sequence[KnownEffect]) -> list[KnownEffect]:
-    """Friction in a URDF's <dynamics> that is not among the effects that were ``found`` and are sure."""
-    said = joint_attributes(filter(is_sure, found), "dynamics")
+    """Friction in a URDF's <dynamics> that is not among the effects that were ``found``."""
+    said = joint_attributes(found, "dynamics")
     effects = []
     for joint in read_xml(urdf, source).findall("joint"):
         name = joint.get("name", "")
@@ -149,7 +192,8 @@ def _urdf_bodies(tree: UrdfTree) -> dict[str, MassiveLink]:
 def _estimated_bodies(document: Mapping[str, Any], tree: UrdfTree, source: str) -> dict[str, MassiveLink]:
     """The URDF's bodies, with the document's estimates of those that were identified."""
     inertias = known_inertias(document, source)
-    _check_same_model(inertias, tree, source)
+    written = written_for(document, URDF, source)
+    _check_same_model(inertias if written is None else written.inertias, tree, source)
     bodies = _urdf_bodies(tree)
     if any("cannot_tell" in link for link in document["links"]):
         bodies = {name: MassiveLink(body.inertial, unidentified=QUANTITIES) for name, body in bodies.items()}

@@ -6,7 +6,8 @@ import errno
 import json
 import os
 import tempfile
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -51,6 +52,30 @@ def write_bytes(path: Path, content: bytes) -> None:
         _sync_folder(path.parent)
     except OSError as error:
         raise GeomidError(f"{path}: cannot be written ({error.strerror or error})") from error
+
+
+@contextmanager
+def staged(folder: Path) -> Iterator[Path]:
+    """A folder for files that go into ``folder`` together when the block ends; none does if it ends with an error.
+
+    Raises GeomidError naming the file.
+    """
+    fresh = not folder.exists()
+    try:
+        make_folder(folder)
+        with tempfile.TemporaryDirectory(dir=folder, prefix=".") as name:
+            try:
+                yield Path(name)
+            except GeomidError as error:
+                raise GeomidError(str(error).replace(name, str(folder))) from error
+            for file in sorted(Path(name).iterdir()):
+                file.replace(folder / file.name)
+        _sync_folder(folder)
+    except OSError as error:
+        raise GeomidError(f"{folder}: cannot be written ({error.strerror or error})") from error
+    finally:
+        if fresh and folder.is_dir() and not any(folder.iterdir()):
+            folder.rmdir()
 
 
 def make_folder(path: Path) -> None:

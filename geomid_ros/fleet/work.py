@@ -14,6 +14,7 @@ from geomid_ros.errors import InputError
 from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.estimation.population import Evidence
 from geomid_ros.estimation.summary import RowSummary
+from geomid_ros.files.models.handover import READERS
 from geomid_ros.fleet.bag_summary import BagSummary, summarise, total
 from geomid_ros.fleet.plan import Plan
 from geomid_ros.fleet.recordings import FleetBag, on_this_disk
@@ -99,7 +100,9 @@ def solve_robot(store: Store, plan_name: str, name: str, bags: Sequence[str], lo
     """
     plan = _plan(store, plan_name)
     try:
-        session = Session(plan.description, with_locked(plan.configuration, locked), plan.source)
+        session = Session(
+            plan.description, with_locked(plan.configuration, locked), plan.source, readers=READERS
+        )
         summary = total([_kept(store, bag, session) for bag in bags])
         results = _results(session, *solve(session, summary))
     except InputError as error:

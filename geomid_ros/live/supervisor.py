@@ -11,6 +11,7 @@ from typing import Protocol
 from geomid_ros.errors import InputError
 from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.estimation.identifier import EstimationTask
+from geomid_ros.files.models.handover import URDF
 from geomid_ros.live.saving import Checkpoints, CheckpointStatus
 from geomid_ros.live.solving_process import SolvingProcess
 from geomid_ros.live.worker import OnEstimate, OnSamples, Worker
@@ -97,7 +98,7 @@ class Supervisor:
             InputError: the description does not fit the parameters.
         """
         configuration = with_locked(self._configuration, absent) if absent else self._configuration
-        session = Session(urdf, configuration, source, self._ledger)
+        session = Session(urdf, configuration, source, self._ledger, (URDF,))
         if self._solving:
             session.identifier.solve_with(self._solving.remote(EstimationTask.solve))
             session.judge_with(self._solving.remote(JudgementTask.judge))

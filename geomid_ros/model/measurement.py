@@ -295,6 +295,12 @@ class MeasurementModel:
         """The nominal model ``(D,)``: the URDF's inertias and no effects."""
         return np.append(self.nominal_inertias, np.zeros(len(self.coefficients)))
 
+    @property
+    def described_coefficients(self) -> FloatArray:
+        """What the URDF's ``<dynamics>`` says of each coefficient ``(coefficients,)``; zero where it says nothing."""
+        said = self.robot.described_dynamics
+        return np.array([said.get((c.place_name, c.effect.own[c.index].urdf), 0.0) for c in self.coefficients])
+
     def manifold(self, scales: FloatArray) -> ParameterManifold:
         """The manifold of the parameters, with the scales of the real coefficients."""
         return ParameterManifold(len(self.identified), self.positives, scales)

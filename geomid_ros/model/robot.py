@@ -17,6 +17,7 @@ from geomid_ros.model.samples import Samples
 from geomid_ros.types import FloatArray, frozen
 
 GRAVITY = np.array([0.0, 0.0, -9.81])
+_DYNAMICS = "damping", "friction"
 _PARALLEL = 0.99  # scalar product of two axes
 _ROOT_JOINT = "floating base of geomid_ros"  # must not be the name of a joint of the URDF
 
@@ -124,6 +125,20 @@ class Robot:
         self._moved = [index for index, body in enumerate(self.bodies) if body.joint > 0]
         self._moved_by = [self.bodies[index].joint - 1 for index in self._moved]
         self._to_joints = np.array([self.bodies[index].to_joint for index in self._moved])
+
+    @cached_property
+    def described_dynamics(self) -> dict[tuple[str, str], float]:
+        """What the URDF says at a joint's ``<dynamics>``, by the joint and the attribute (``dynamics/damping``).
+
+        Raises InputError for what is no number.
+        """
+        return {
+            (joint.get("name", ""), f"dynamics/{key}"): urdf_tree.read_numbers(
+                joint, "dynamics", (key,), [0.0], f"{self.source}: joint '{joint.get('name')}'"
+            )[0]
+            for joint in urdf_tree.read_xml(self.urdf, self.source).findall("joint")
+            for key in _DYNAMICS
+        }
 
     def _master(self, name: str) -> tuple[str, float, float] | None:
         """The joint that another one follows in the end, with factor and offset; None for one that follows nobody, or

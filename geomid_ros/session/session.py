@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -21,12 +20,13 @@ from geomid_ros.estimation.summary import RowSummary
 from geomid_ros.files.bags.bag import Bag
 from geomid_ros.files.checkpoints.checkpoint import Checkpoint
 from geomid_ros.files.disk import write_json, write_text
+from geomid_ros.files.models.handover import ELEMENTS, URDF, WrittenModel, handover_entry, written_model
 from geomid_ros.files.models.judgements import account_entry, verdict_entry
 from geomid_ros.files.models.loaded_model import LoadedModel
 from geomid_ros.files.models.population import population_document, read_population
 from geomid_ros.files.models.posterior import POSTERIOR, write_posterior
-from geomid_ros.files.models.results import estimate_document, model_effects
-from geomid_ros.files.models.urdf import with_effects, with_identified_inertias
+from geomid_ros.files.models.results import estimate_document
+from geomid_ros.files.models.urdf import inertia_of, with_effects, with_inertials
 from geomid_ros.model.absent_joints import lockable
 from geomid_ros.model.columns import Columns
 from geomid_ros.model.measurement import MeasurementModel
@@ -53,7 +53,14 @@ class Session:
     The node, the command line and notebooks all identify by means of it.
     """
 
-    def __init__(self, urdf: str, configuration: Configuration, source: str, ledger: Ledger | None = None) -> None:
+    def __init__(
+        self,
+        urdf: str,
+        configuration: Configuration,
+        source: str,
+        ledger: Ledger | None = None,
+        readers: Collection[str] = (),
+    ) -> None:
         """Build the model that description and configuration ask for.
 
         Args:
@@ -61,22 +68,18 @@ class Session:
             configuration: parameters.
             source: where the description is from, for messages.
             ledger: told what becomes of every message.
+            readers: who will read the files of results, of :data:`~geomid_ros.files.models.handover.ELEMENTS`.
 
         Raises:
             InputError: these do not fit together.
         """
         self.urdf = urdf
         self.configuration = configuration
+        self._readers = readers
         self.loaded = LoadedModel.read(configuration["model"])
         sensors = self.loaded.sensors(configuration.sensors)
-        self.robot = Robot(
-            urdf,
-            floating_base=configuration["floating_base"],
-            cuts=[sensor.frame for sensor in sensors if sensor.role == "mounted"],
-            locked_joints=configuration["locked_joints"],
-            gravity=self.loaded.gravity(configuration.gravity),
-            source=source,
-        )
+        self._sensors = sensors
+        self.robot = self.read_robot(urdf, source)
         effects = configuration.effects
         local = self.loaded.local_effects(effects)
         model = MeasurementModel(
@@ -115,6 +118,19 @@ class Session:
         self.recent = Recent(configuration["gap.memory"])
         self.pipeline = self.new_pipeline(on_accepted=self.recent, ledger=ledger)
 
+    def read_robot(self, urdf: str, source: str) -> Robot:
+        """The robot of a description with the same links and joints as this one's. Raises InputError naming the
+        ``source``."""
+        configuration = self.configuration
+        return Robot(
+            urdf,
+            floating_base=configuration["floating_base"],
+            cuts=[sensor.frame for sensor in self._sensors if sensor.role == "mounted"],
+            locked_joints=configuration["locked_joints"],
+            gravity=self.loaded.gravity(configuration.gravity),
+            source=source,
+        )
+
     @property
     def prior(self) -> FloatArray | None:
         """The parameters ``(D,)`` of an earlier estimate to start from, NaN where it has none; None without one."""
@@ -123,6 +139,7 @@ class Session:
     def _estimator_settings(self) -> EstimatorSettings:
         """With the population that is the prior. Raises InputError where several priors are given, or none fits."""
         settings = self.configuration.estimator([channel.name for channel in self.model.channels])
+        settings = replace(settings, files={reader: ELEMENTS[reader] for reader in self._readers})
         if not (path := self.configuration["prior"]):
             return settings
         for other in ("model", "gamma"):
@@ -338,18 +355,30 @@ class Session:
         rejected = dict(self.identifier.rows_rejected)
         document = estimate_document(estimate, rejected, held_out, self.loaded.effects)
         judged = verdict or self.verdict(estimate)
+        merged = {link.name: link.merged for link in estimate.links}
         return document | {
             "robot": self.robot.name,
             "verdict": verdict_entry(judged, self.findings),
             "warnings": self.warnings(estimate, judged),
             "notes": self.notes,
             "messages": {topic: account_entry(account) for topic, account in self.pipeline.ledger.topics.items()},
+            "gravity": self.configuration.gravity.tolist(),
+            "handover": {
+                reader: handover_entry(self.written_model(estimate, reader), merged) for reader in estimate.within
+            },
         }
 
+    def written_model(self, estimate: Estimate, reader: str) -> WrittenModel:
+        """The model that is written for a ``reader``."""
+        return written_model(self.model, estimate, reader, self.loaded.effects)
+
     def identified_urdf(self, estimate: Estimate) -> str:
-        """The robot description with the estimated inertias and friction; every other character of it is kept."""
-        urdf = with_identified_inertias(self.urdf, estimate.links)
-        return with_effects(urdf, model_effects(estimate, self.loaded.effects))
+        """The robot description with the inertias and friction that were fitted for a URDF; every other character of it
+        is kept."""
+        written = self.written_model(estimate, URDF)
+        merged = [name for link in estimate.links for name in link.merged]
+        inertias = {name: inertia_of(own) for name, own in written.inertias.items()}
+        return with_effects(with_inertials(self.urdf, inertias, merged), written.effects)
 
     def save(
         self,
@@ -357,16 +386,15 @@ class Session:
         estimate: Estimate,
         held_out: FloatArray | None = None,
         verdict: Verdict | None = None,
-        more: Mapping[str, Any] = MappingProxyType({}),
     ) -> list[Path]:
         """Write ``estimate.json``, see :meth:`document`, ``identified.urdf`` and ``posterior.npz`` into a folder.
 
-        ``more``: further entries of the document. Returns their paths.
+        Returns their paths.
         """
         document, description = folder / "estimate.json", folder / "identified.urdf"
         write_text(description, self.identified_urdf(estimate))
         posterior = write_posterior(folder / POSTERIOR, estimate.posterior)
-        write_json(document, {**self.document(estimate, held_out, verdict), **more})
+        write_json(document, self.document(estimate, held_out, verdict))
         return [document, description, *posterior]
 
 

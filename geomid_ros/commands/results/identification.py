@@ -123,12 +123,19 @@ def _joint_effects_table(effects: Sequence[EffectEstimate]) -> Table:
 
 
 def _channels_table(found: Identification) -> Table:
+    """RMS per channel of the URDF, of the estimate, and of the written file alone and with the offsets beside it."""
     table = plain_table("RMS of what remains, on " + ("held-out data" if found.held_out else "the same data"))
     table.add_column("channel", overflow="fold")
-    number_columns(table, ["unit", "URDF", "identified", "explained"])
+    file = found.handover
+    number_columns(table, ["unit", "URDF", "identified", "explained", f"{file.name}\nalone", "with\noffsets"])
     for channel in found.session.model.channels:
         before, now = found.rms_nominal[channel.name], found.rms[channel.name]
         if np.isfinite(now):
             share = f"{100.0 * (1.0 - now / before):.0f} %" if before > 0 else ""
-            table.add_row(channel.name, channel.unit, f"{before:.3g}", f"{now:.3g}", share)
+            written = file.alone[channel.name], file.corrected[channel.name]
+            table.add_row(channel.name, channel.unit, *map(_digits, (before, now)), share, *map(_digits, written))
     return table
+
+
+def _digits(value: float) -> str:
+    return f"{value:.3g}"

@@ -25,14 +25,6 @@ def is_coefficient(effect: KnownEffect) -> bool:
     return issubclass(cls, IdentifiedEffect) and cls.is_one_number() and len(effect.parameters) == 1
 
 
-def is_sure(effect: KnownEffect) -> bool:
-    """Whether simulators are told of it: one that cannot be negative is at least as large as its standard deviation."""
-    if not is_coefficient(effect) or effect_class(effect.effect).parameters[0].above != 0.0:
-        return True
-    (quantity,) = effect.parameters.values()
-    return quantity.value > 0.0 and not quantity.value < quantity.std
-
-
 def joint_attributes(effects: Iterable[KnownEffect], element: str) -> dict[str, dict[str, float]]:
     """What effects say of the attributes of a joint's ``element``, added up, by joint: ``dynamics`` in a URDF,
     ``joint`` in an MJCF, ``actuator`` in a URDF for Drake, ``gazebo`` in one for Gazebo."""
@@ -58,22 +50,20 @@ def effects_of_dynamics() -> dict[str, str]:
 
 
 def unsaid(effects: Iterable[KnownEffect], files: Iterable[str]) -> list[str]:
-    """What ``files`` (see :meth:`~geomid_ros.model.effects.ParameterForm.said_by`) do not say of effects, in words."""
+    """What ``files`` (see :meth:`~geomid_ros.model.effects.ParameterForm.said_by`) cannot say of effects, in words.
+
+    Errors of sensors are no part of a robot, and do not count."""
     files = tuple(files)
     found: dict[str, list[str]] = {}
     for effect in effects:
-        forms = [form for form in effect_class(effect.effect).parameters if form.name in effect.parameters]
-        usual = effect_class(effect.effect).usual_constant  # no format has it, and no simulator needs it
-        missing = [form.name for form in forms if not form.said_by(files) and form.name != usual]
-        what = effect.effect.replace("_", " ")
-        what += f" ({', '.join(missing)})" if 0 < len(missing) < len(forms) else ""
-        if missing or not is_sure(effect):
-            what += "" if is_sure(effect) else " (no larger than its standard deviation)"
+        cls = effect_class(effect.effect)
+        forms = [form for form in cls.parameters if form.name in effect.parameters]
+        # A usual constant no format has, and no simulator needs.
+        missing = [form.name for form in forms if not form.said_by(files) and form.name != cls.usual_constant]
+        if missing and not cls.of_sensor:
+            what = effect.effect.replace("_", " ") + (f" ({', '.join(missing)})" if len(missing) < len(forms) else "")
             found.setdefault(what, []).append(effect.link or effect.joint)
-    together: dict[str, list[str]] = {}
-    for what, places in found.items():
-        together.setdefault(", ".join(filter(None, places)), []).append(what)
-    return [", ".join(names) + (f" of {places}" if places else "") for places, names in together.items()]
+    return [what + (f" of {', '.join(places)}" if any(places) else "") for what, places in found.items()]
 
 
 def payload_quantities(payload: Mapping[str, float]) -> FloatArray:

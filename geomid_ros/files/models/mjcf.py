@@ -18,7 +18,8 @@ from geomid_ros.files.models.effect_forms import is_body, joint_attributes, payl
 from geomid_ros.files.models.joint_frames import JointFrame, joint_frames
 from geomid_ros.files.models.mjcf_shapes import Shapes, words
 from geomid_ros.geometry import pseudo_inertia
-from geomid_ros.model.effects import EFFECTS, Hinge, KnownEffect, values_of
+from geomid_ros.model.effects import EFFECTS, Hinge, KnownEffect, joints_of, values_of
+from geomid_ros.model.effects.places import place_named
 from geomid_ros.model.robot import Robot
 from geomid_ros.model.sensors import WrenchSensor
 from geomid_ros.types import FloatArray
@@ -72,6 +73,9 @@ class _Writer:
         self._moving = self._driven.union(follower.joint.name for follower in robot.followers)
         effects = list(effects)
         self._said_of = joint_attributes(effects, "joint")
+        # One for each: two of a pair may turn it in different ratios.
+        said = (joint_attributes([effect], "tendon") for effect in effects)
+        self._said_of_pairs = [(name, numbers) for own in said for name, numbers in own.items()]
         self._effects = {(effect.effect, effect.joint): values_of(effect) for effect in effects}
         self._payloads = {effect.link: values_of(effect) for effect in effects if is_body(effect)}
         self._gravity = turned_gravity(gravity, effects)
@@ -93,6 +97,7 @@ class _Writer:
             if joint.name in self._driven:
                 self._add_motor(actuators, joint)
         self._add_followers(root)
+        self._add_tendons(root)
         self._add_sensors(root, sensors)
         if shapes.assets:
             SubElement(root, "asset").extend(shapes.assets)
@@ -201,6 +206,17 @@ class _Writer:
                 joint2=self._robot.joint_names[follower.master],
                 polycoef=words([follower.offset, follower.factor, 0.0, 0.0, 0.0]),
             )
+
+    def _add_tendons(self, root: Element) -> None:
+        """What acts on two joints together, along a fixed tendon of their weighted sum."""
+        for name, numbers in self._said_of_pairs:
+            place, coefficient = place_named("joints", name, self._robot.joint_names), numbers.pop("coef")
+            joints = [self._robot.joint_names[joint] for joint in (joints_of(place) if place else ())]
+            tendons = root.find("tendon")
+            tendon = SubElement(tendons if tendons is not None else SubElement(root, "tendon"), "fixed")
+            tendon.attrib |= {key: words(number) for key, number in sorted(numbers.items())}
+            for joint, weight in zip(joints, (1.0, coefficient), strict=False):
+                SubElement(tendon, "joint", joint=joint, coef=words(weight))
 
     def _add_sensors(self, root: Element, sensors: Sequence[WrenchSensor]) -> None:
         """Sites in the sensors' frames, and what is sensed there."""

@@ -26,6 +26,7 @@ from geomid_ros.files.models.urdf import Inertia
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.geometry.manifold import ParameterManifold
 from geomid_ros.model.effects import KnownEffect
+from geomid_ros.model.robot import GRAVITY
 from geomid_ros.types import FloatArray
 
 FORMAT = 1
@@ -174,6 +175,18 @@ def known_inertias(document: Mapping[str, Any], source: str) -> dict[str, FloatA
             raise InputError(f"{source}: there are two links '{name}', expected each once")
         known[name] = parameters
     return known
+
+
+def gravity_of(document: Mapping[str, Any], source: str) -> FloatArray:
+    """Gravity ``(3,)`` [m/s^2] that a document is for, where the base stands straight. Raises InputError for what is no
+    such thing."""
+    try:
+        found = np.array(document.get("gravity", GRAVITY), dtype=np.float64).reshape(3)
+    except (TypeError, ValueError) as error:
+        raise InputError(f"{source}: gravity is no list of three numbers ({error})") from error
+    if not np.all(np.abs(found) < _LARGEST):
+        raise InputError(f"{source}: gravity is {found.tolist()}, expected three finite numbers")
+    return found
 
 
 def known_information(

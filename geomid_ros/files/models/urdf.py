@@ -8,7 +8,7 @@ from typing import TypeAlias
 
 from geomid_ros.estimation.estimate import LinkEstimate
 from geomid_ros.files.disk import read_text
-from geomid_ros.files.models.effect_forms import is_body, is_sure, joint_attributes, payload_quantities
+from geomid_ros.files.models.effect_forms import is_body, joint_attributes, payload_quantities
 from geomid_ros.files.models.xml_edits import Edit, Span, children_of, edited, insertion, with_attributes
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.model.effects import KnownEffect, values_of
@@ -63,11 +63,11 @@ def _inertial(mass: float, com: FloatArray, inertia: FloatArray) -> bytes:
 def with_effects(urdf: str, effects: Iterable[KnownEffect]) -> str:
     """``urdf`` with the effects that a URDF can say; every other character of it is kept.
 
-    What sure effects say of a joint's ``<dynamics>`` is added up there; a payload becomes a link that is fixed to the
+    What effects say of a joint's ``<dynamics>`` is added up there; a payload becomes a link that is fixed to the
     one which carries it.
     """
     data = urdf.encode()
-    effects = [effect for effect in effects if is_sure(effect)]
+    effects = list(effects)
     joints, links = children_of(data, "robot", "joint", "dynamics"), children_of(data, "robot", "link", "inertial")
     edits = [_dynamics(data, joints[name], own) for name, own in joint_attributes(effects, "dynamics").items()]
     end = data.rindex(b"</robot")

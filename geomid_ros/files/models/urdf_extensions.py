@@ -6,7 +6,7 @@ import re
 from collections.abc import Iterable
 from xml.sax.saxutils import escape, quoteattr
 
-from geomid_ros.files.models.effect_forms import is_sure, joint_attributes
+from geomid_ros.files.models.effect_forms import joint_attributes
 from geomid_ros.files.models.xml_edits import Span, children_of, edited, end_of_tag, insertion
 from geomid_ros.model.effects import KnownEffect
 from geomid_ros.model.urdf_tree import read_xml
@@ -26,7 +26,7 @@ def for_drake(urdf: str, effects: Iterable[KnownEffect], source: str) -> str:
     }
     spans = children_of(data, "robot", "transmission", "actuator")
     end, edits, added = data.rindex(b"</robot"), [], b""
-    for joint, said in joint_attributes(filter(is_sure, effects), "actuator").items():
+    for joint, said in joint_attributes(effects, "actuator").items():
         inside = _rotor(said["drake:rotor_inertia"])
         span = spans.get(transmissions.get(joint) or "")
         if span and span.child:
@@ -60,7 +60,7 @@ def for_gazebo(urdf: str, effects: Iterable[KnownEffect]) -> str:
         f"  <gazebo reference={quoteattr(joint)}>\n"
         + "".join(f"    <{name}>{escape(f'{value:.9g}')}</{name}>\n" for name, value in said.items())
         + "  </gazebo>\n"
-        for joint, said in joint_attributes(filter(is_sure, effects), "gazebo").items()
+        for joint, said in joint_attributes(effects, "gazebo").items()
     )
     end = data.rindex(b"</robot")
     return edited(data, [(end, end, added.encode())]).decode()

@@ -12,7 +12,7 @@ from geomid_ros.model.effects.parameters import EFFORT, ParameterForm, Values
 from geomid_ros.model.effects.situation import JointMotion
 from geomid_ros.types import FloatArray
 
-_RATIO = ParameterForm("ratio", ("-", "-"))
+_RATIO = ParameterForm("ratio", ("-", "-"), mjcf="tendon/coef")
 
 
 @dataclass(frozen=True)
@@ -65,7 +65,7 @@ class CoupledViscousFriction(_CoupledMotor):
     name = "coupled_viscous_friction"
     label = "viscous friction of a motor that turns both joints"
     meaning = "effort coefficient (v_1 + ratio v_2) at the first joint, ratio times as much at the second"
-    parameters = (ParameterForm("coefficient", ("N m s/rad", "N s/m"), above=0.0), _RATIO)
+    parameters = (ParameterForm("coefficient", ("N m s/rad", "N s/m"), above=0.0, mjcf="tendon/damping"), _RATIO)
 
     def of_motor(self, motor: JointMotion) -> FloatArray:
         return motor.velocity
@@ -77,7 +77,7 @@ class CoupledCoulombFriction(_CoupledMotor):
     name = "coupled_coulomb_friction"
     label = "Coulomb friction of a motor that turns both joints"
     meaning = "effort level sign(v_1 + ratio v_2) at the first joint, ratio times as much at the second"
-    parameters = (ParameterForm("level", EFFORT, above=0.0), _RATIO)
+    parameters = (ParameterForm("level", EFFORT, above=0.0, mjcf="tendon/frictionloss"), _RATIO)
 
     def of_motor(self, motor: JointMotion) -> FloatArray:
         return CoulombFriction().column(motor)
@@ -89,7 +89,7 @@ class CoupledRotorInertia(_CoupledMotor):
     name = "coupled_rotor_inertia"
     label = "rotor inertia of a motor that turns both joints"
     meaning = "effort inertia (a_1 + ratio a_2) at the first joint, ratio times as much at the second"
-    parameters = (ParameterForm("inertia", ("kg m^2", "kg"), above=0.0), _RATIO)
+    parameters = (ParameterForm("inertia", ("kg m^2", "kg"), above=0.0, mjcf="tendon/armature"), _RATIO)
 
     def of_motor(self, motor: JointMotion) -> FloatArray:
         return motor.acceleration

@@ -95,6 +95,11 @@ class Effect(ABC):
     """Whether what was found of it is built into the model (gravity, time, scale), and only its change is a column."""
     largest: ClassVar[float] = np.inf
     """The largest coefficient, its sign apart, of a robot that works."""
+    of_sensor: ClassVar[bool] = False
+    """Whether it is an error of what is measured, which moves nothing: no file of a robot has to hold it."""
+    expected_share: ClassVar[float | None] = None
+    """Its prior standard deviation about zero, as a share of what its channel measures; None where its prior is a first
+    fit."""
     scales_measurement: ClassVar[bool] = False
     """Whether it acts on what is measured after everything else."""
 

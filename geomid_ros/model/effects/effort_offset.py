@@ -18,6 +18,9 @@ class EffortOffset(JointEffect):
     parameters = (ParameterForm("offset", EFFORT),)
     like_a_payload = True
     alike_one_way = "coulomb_friction"
+    of_sensor = True
+    # Gravity is of the same form where a joint turns little: a wider prior lets an offset stand in for a mass.
+    expected_share = 0.05
     settled_by = "a recording in which gravity loads this joint to both sides"
 
     def column(self, motion: JointMotion) -> FloatArray:

@@ -93,5 +93,10 @@ class ParameterForm:
 
     def said_by(self, files: Iterable[str]) -> bool:
         """Whether one of ``files`` says it: a name of these attributes, or an element there, ``mjcf/joint``."""
-        said = [f"{name}/{getattr(self, name)}/" for name in ("urdf", "mjcf", "drake", "gazebo") if getattr(self, name)]
-        return any(place.startswith(f"{own}/") for own in files for place in said)
+        return bool(self.place_in(files))
+
+    def place_in(self, files: Iterable[str]) -> str:
+        """Where one of these files says it, as ``ELEMENT/ATTRIBUTE``; empty where none does."""
+        said = {name: getattr(self, name) for name in ("urdf", "mjcf", "drake", "gazebo") if getattr(self, name)}
+        places = [at for own in files for name, at in said.items() if f"{name}/{at}/".startswith(f"{own}/")]
+        return places[0] if places else ""

@@ -22,6 +22,7 @@ class WrenchOffset(SensorEffect):
     )
     settled_by = "still poses with the sensor turned to all sides"
     like_a_payload = True
+    of_sensor = True
     corrected_in_samples = True
 
     def columns(self, motion: Motion, axes: Sequence[str]) -> FloatArray:

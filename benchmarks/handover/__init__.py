@@ -1,0 +1,1 @@
+"""How well the written files, loaded by the programs that read them, predict what was held out."""

@@ -1,0 +1,55 @@
+"""The parameters fitted anew within what a file can hold.
+
+A robot description holds some effects and lacks others: a URDF says damping and friction, no rotor inertia. To drop
+what it lacks from a sum that needs it makes the file worse than one without any effects. So each file has a minimum of
+its own, over the inertias and the effects that it holds. What it lacks is part of the noise, which is estimated anew.
+Errors of sensors stay in the fit. They move nothing, and a file does not have to hold them; without them a mass would
+stand in for an offset.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Mapping
+
+import numpy as np
+
+from geomid_ros.estimation.fit import Fit
+from geomid_ros.estimation.problem import Problem, subproblem
+from geomid_ros.model.measurement import Coefficient, MeasurementModel
+from geomid_ros.types import FloatArray, IntArray, frozen
+
+
+def fit_files(
+    whole: Problem, chosen: IntArray, files: Mapping[str, tuple[str, ...]], solve: Callable[[Problem], Fit]
+) -> dict[str, FloatArray]:
+    """Parameters ``(D,)`` of the minimum within each of the ``files``; zero where a file holds nothing.
+
+    Args:
+        whole: the problem with all its coefficients.
+        chosen: the parameters that the estimate has, by their columns.
+        files: by who reads it, a file's elements (:meth:`~geomid_ros.model.effects.ParameterForm.said_by`).
+        solve: fits a problem.
+    """
+    found: dict[tuple[int, ...], FloatArray] = {}
+    fitted = {}
+    for reader, elements in files.items():
+        columns = held_columns(whole.model, chosen, elements)
+        key = tuple(columns.tolist())
+        if key not in found:
+            parameters = np.zeros(whole.model.dimension)
+            parameters[columns] = solve(subproblem(whole, columns)).point.parameters
+            found[key] = frozen(parameters)
+        fitted[reader] = found[key]
+    return fitted
+
+
+def held_columns(model: MeasurementModel, chosen: IntArray, elements: Collection[str]) -> IntArray:
+    """The ``chosen`` parameters that a file with these ``elements`` holds, and errors of sensors, by their columns."""
+    first = len(model.nominal_inertias)
+    kept = [column < first or _is_held(model.coefficients[column - first], elements) for column in chosen.tolist()]
+    return chosen[kept]
+
+
+def _is_held(coefficient: Coefficient, elements: Collection[str]) -> bool:
+    effect = coefficient.effect
+    return effect.of_sensor or effect.own[coefficient.index].said_by(elements)

@@ -1,0 +1,166 @@
+"""A description as it is handed over: written, loaded again by the program that reads it, and judged as itself."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property, partial
+from pathlib import Path
+
+import numpy as np
+
+from geomid_ros.estimation.estimate import Estimate
+from geomid_ros.exports.descriptions import DESCRIPTIONS, DescribedRobot, Whole
+from geomid_ros.files.models.effect_forms import unsaid
+from geomid_ros.files.models.handover import ELEMENTS, URDF, WrittenModel
+from geomid_ros.files.models.read_back import ReadBack, read_urdf_back
+from geomid_ros.files.models.results import model_effects
+from geomid_ros.files.models.urdf import inertia_of, with_inertials
+from geomid_ros.model.effects import effect_class
+from geomid_ros.model.samples import Samples
+from geomid_ros.resimulation.read_back import read_mjcf_back
+from geomid_ros.session.session import Session
+from geomid_ros.types import FloatArray
+
+_WORSE = 1.05  # RMS over that of what was given: less is of no account
+MUJOCO = "mujoco"
+
+
+@dataclass(frozen=True, eq=False)
+class HandedOver:
+    """The file for a ``reader``.
+
+    Attributes:
+        session: the robot, and the description that was given.
+        estimate: what was found.
+        reader: of :data:`~geomid_ros.files.models.handover.ELEMENTS`.
+        packages: folders of ROS packages by name, for meshes.
+    """
+
+    session: Session
+    estimate: Estimate
+    reader: str
+    packages: Mapping[str, Path]
+
+    @property
+    def name(self) -> str:
+        """The file's name."""
+        names = {URDF: "identified.urdf", "moveit": "identified.urdf", MUJOCO: "identified.xml"}
+        return names.get(self.reader, f"identified.{self.reader}.urdf")
+
+    @property
+    def program(self) -> str:
+        """The program that loads it here."""
+        return "MuJoCo" if self.reader == MUJOCO else "pinocchio"
+
+    @cached_property
+    def model(self) -> WrittenModel:
+        """What is written."""
+        return self.session.written_model(self.estimate, self.reader)
+
+    @cached_property
+    def _whole(self) -> Whole:
+        session, merged = self.session, [name for link in self.estimate.links for name in link.merged]
+        urdf = with_inertials(session.urdf, {n: inertia_of(own) for n, own in self.model.inertias.items()}, merged)
+        robot = DescribedRobot(
+            urdf,
+            Path(session.robot.source),
+            self.model.effects,
+            session.configuration.gravity,
+            partial(session.read_robot, urdf, session.robot.source),
+        )
+        return DESCRIPTIONS[self.reader].whole(robot, self.packages)
+
+    @property
+    def files(self) -> dict[str, str]:
+        """Texts of the files by name: the description, and what stands beside it."""
+        return {self.name: self._whole.text, **self._whole.beside}
+
+    def lacks(self, joint: str) -> list[str]:
+        """What the estimate has at a joint and the file cannot say, in words."""
+        effects = model_effects(self.estimate, self.session.loaded.effects)
+        return unsaid([effect for effect in effects if joint in effect.joint.split("+")], ELEMENTS[self.reader])
+
+    def judged(self, batches: Sequence[Samples]) -> Judged:
+        """How well it predicts samples. Raises InputError where the program does not take the file."""
+        session, text = self.session, self._whole.text
+        if self.reader == MUJOCO:
+            written = read_mjcf_back(text, session.robot)
+        else:
+            written = read_urdf_back(session.read_robot(text, self.name), self.reader, self._whole.beside)
+        given = read_urdf_back(session.robot, URDF if self.reader == MUJOCO else self.reader)
+        channels = [channel.name for channel in session.model.channels]
+        alone, corrected, before = (
+            dict(zip(channels, _rms(session, batches, each, offsets).tolist(), strict=True))
+            for each, offsets in ((written, None), (written, self._errors_of_sensors), (given, None))
+        )
+        return Judged(self.name, self.program, alone, corrected, before, {name: self.lacks(name) for name in channels})
+
+    @property
+    def _errors_of_sensors(self) -> FloatArray:
+        """Parameters ``(D,)`` of the errors of sensors that stand beside the file."""
+        known = {
+            (effect.effect, effect.joint, name): quantity.value
+            for effect in self.model.effects
+            if effect_class(effect.effect).of_sensor
+            for name, quantity in effect.parameters.items()
+        }
+        model = self.session.model
+        found = [known.get((c.effect.name, c.place_name, c.parameter), 0.0) for c in model.coefficients]
+        return np.concatenate([np.zeros(len(model.nominal_inertias)), found])
+
+
+@dataclass(frozen=True, eq=False)
+class Judged:
+    """What a file leaves of samples, RMS by channel [N m, N], NaN where nothing is measured.
+
+    Attributes:
+        name: the file.
+        program: that loaded it.
+        alone: of the file by itself.
+        corrected: of the file, with the errors of sensors that stand beside it.
+        given: of the description that it is from.
+        lacks: what the estimate has there and the file cannot say, in words.
+    """
+
+    name: str
+    program: str
+    alone: Mapping[str, float]
+    corrected: Mapping[str, float]
+    given: Mapping[str, float]
+    lacks: Mapping[str, Sequence[str]]
+
+    @property
+    def worse(self) -> list[str]:
+        """Sentences on the channels that it predicts worse than the description that it is from."""
+        return [
+            f"'{name}' is predicted worse by {self.name} than by the description that it is from: RMS {own:.3g} "
+            f"instead of {self.given[name]:.3g}{self._why(name)}; {_ADVICE}"
+            for name, own in self.alone.items()
+            if min(own, self.corrected[name]) > _WORSE * self.given[name]
+        ]
+
+    def _why(self, channel: str) -> str:
+        lacks = self.lacks[channel]
+        return f" (it cannot hold {'; '.join(lacks)})" if lacks else ""
+
+    @property
+    def entry(self) -> dict[str, object]:
+        """As ``estimate.json`` has it."""
+        return {"file": self.name, "loaded_by": self.program, **{k: dict(getattr(self, k)) for k in _KINDS}}
+
+
+_KINDS = ("alone", "corrected", "given")
+_ADVICE = "choose another reader (--for), or record more motion of this joint"
+
+
+def _rms(session: Session, batches: Sequence[Samples], read: ReadBack, beside: FloatArray | None) -> FloatArray:
+    """RMS ``(channels,)`` of what a description leaves, with what parameters ``(D,)`` say ``beside``."""
+    squares, counts = np.zeros((2, len(session.model.channels)))
+    for samples in batches:
+        measured, predicted = read.predict(session.model, samples)
+        if beside is not None:
+            predicted = predicted + session.model.predict(samples, beside)[1]
+        squares += np.nansum((measured - predicted) ** 2, axis=0)
+        counts += np.count_nonzero(np.isfinite(measured), axis=0)
+    return np.sqrt(np.divide(squares, counts, out=np.full_like(squares, np.nan), where=counts > 0))

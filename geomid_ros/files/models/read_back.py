@@ -1,0 +1,104 @@
+"""A written description as its reader takes it: the bodies' inertias, and what attributes of joints say."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import TypeAlias
+from xml.etree.ElementTree import Element
+
+import numpy as np
+
+from geomid_ros.files.models.handover import ELEMENTS
+from geomid_ros.model.effects import EFFECTS, Effect, MotionEffect, Place
+from geomid_ros.model.effects.places import place_named
+from geomid_ros.model.measurement import MeasurementModel
+from geomid_ros.model.robot import Robot
+from geomid_ros.model.samples import Samples
+from geomid_ros.model.urdf_tree import read_xml
+from geomid_ros.types import FloatArray
+
+Attributes: TypeAlias = dict[tuple[str, str], float]
+"""Numbers of a description by joint and ``ELEMENT/ATTRIBUTE``."""
+
+
+@dataclass(frozen=True, eq=False)
+class ReadBack:
+    """What a ``reader`` takes from a description: ``inertias (10,)`` by body, and ``attributes`` of joints."""
+
+    reader: str
+    inertias: Mapping[str, FloatArray]
+    attributes: Attributes
+
+    def predict(self, model: MeasurementModel, samples: Samples) -> tuple[FloatArray, FloatArray]:
+        """Measured values of every channel of ``model`` ``(N, channels)``, and those that this robot would show."""
+        bodies = [self.inertias[name] for name in model.body_names]
+        parameters = np.concatenate([*bodies, np.zeros(len(model.coefficients))])
+        measured, predicted = model.predict(samples, parameters)
+        if model.layout.efforts:
+            predicted[:, model.layout.efforts] += samples.efforts_of(self._terms(model.robot.joint_names))
+        return measured, predicted
+
+    def _terms(self, joints: Sequence[str]) -> Iterator[tuple[MotionEffect, Place, float]]:
+        """The effects that the attributes mean, at their places, with their coefficients."""
+        taken = set[str]()
+        for cls in (each for each in EFFECTS.values() if issubclass(each, MotionEffect)):
+            places = {form.name: form.place_in(ELEMENTS[self.reader]) for form in cls.parameters}
+            sizes = {places[form.name] for form in cls.variants()[0].own if places[form.name]}
+            if not taken & sizes:
+                taken |= sizes
+                for name in {name for name, at in self.attributes if at in sizes}:
+                    values = {key: self.attributes.get((name, place), 0.0) for key, place in places.items()}
+                    where = place_named(cls.place, name, joints)
+                    yield from _parts(cls, values, where) if where is not None else ()
+
+
+def _parts(cls: type[Effect], values: Mapping[str, float], place: Place) -> Iterator[tuple[MotionEffect, Place, float]]:
+    if any(values.values()):
+        for part, (coefficient, *_) in cls.coefficients(values).items():
+            if isinstance(part, MotionEffect):
+                yield part, place, coefficient
+
+
+def read_urdf_back(robot: Robot, reader: str, beside: Mapping[str, str] = MappingProxyType({})) -> ReadBack:
+    """What a reader takes from the URDF that ``robot`` was read from, by pinocchio, and from the files ``beside``."""
+    attributes = {**robot.described_dynamics, **_of_gazebo(robot), **_of_drake(robot)}
+    for text in beside.values():
+        armatures = {name: own.get("armature", 0.0) for name, own in json.loads(text).items()}
+        attributes |= {(name, "joint/armature"): armature for name, armature in armatures.items()}
+    return ReadBack(reader, {body.name: body.parameters for body in robot.bodies}, attributes)
+
+
+def _of_gazebo(robot: Robot) -> Attributes:
+    """Numbers in elements of ``<gazebo reference=JOINT>``."""
+    elements = read_xml(robot.urdf, robot.source).findall("gazebo")
+    named = [(element.get("reference", ""), child) for element in elements for child in element]
+    return {(joint, f"gazebo/{child.tag}"): value for joint, child in named if (value := _number(child.text))}
+
+
+def _of_drake(robot: Robot) -> Attributes:
+    """Inertias of rotors, as they are behind their gears, at the actuators of transmissions."""
+    found = {}
+    for transmission in read_xml(robot.urdf, robot.source).findall("transmission"):
+        joint, actuator = transmission.find("joint"), transmission.find("actuator")
+        said = {_local_name(child): _number(child.get("value")) for child in ([] if actuator is None else actuator)}
+        if joint is not None and said.get("rotor_inertia"):
+            ratio = said.get("gear_ratio") or 1.0
+            found[joint.get("name", ""), "actuator/drake:rotor_inertia"] = said["rotor_inertia"] * ratio**2
+    return found
+
+
+def _local_name(element: Element) -> str:
+    """An element's name without its namespace."""
+    return re.sub(r"^\{.*\}|^.*:", "", str(element.tag))
+
+
+def _number(text: str | None) -> float:
+    """A number, zero for what is none."""
+    try:
+        return float(text or 0.0)
+    except ValueError:
+        return 0.0
