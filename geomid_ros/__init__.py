@@ -22,9 +22,16 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from geomid_ros.api.compare import Comparison, compare
+    from geomid_ros.api.excite import MotionDesign, excite
+    from geomid_ros.api.export import Exported, export
+    from geomid_ros.api.fleet import FleetIdentification, identify_fleet
     from geomid_ros.api.gap import Gap, find_gap
     from geomid_ros.api.identify import Identification, identify
+    from geomid_ros.api.options import RecordingOptions, RobotOptions
     from geomid_ros.api.payload import weigh_payload
+    from geomid_ros.api.rebuild import rebuild_report
+    from geomid_ros.api.sample import SampledRobots, sample
     from geomid_ros.api.verify import Verification, verify
     from geomid_ros.errors import GeomidError, InputError
     from geomid_ros.estimation.rows import RowsSolution, solve_rows
@@ -38,29 +45,49 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 __version__ = "0.1.0"
 
 __all__ = [
+    "Comparison",
     "Effect",
+    "Exported",
+    "FleetIdentification",
     "Gap",
     "GeomidError",
     "Identification",
     "InputError",
     "JointEffect",
     "JointMotion",
+    "MotionDesign",
     "ParameterForm",
     "Payload",
+    "RecordingOptions",
+    "RobotOptions",
     "RowsSolution",
+    "SampledRobots",
     "Verification",
+    "compare",
+    "excite",
+    "export",
     "find_gap",
     "identify",
+    "identify_fleet",
+    "rebuild_report",
     "register",
+    "sample",
     "solve_rows",
     "verify",
     "weigh_payload",
 ]
 
 _NAMES = {
+    "geomid_ros.api.compare": ("Comparison", "compare"),
+    "geomid_ros.api.excite": ("MotionDesign", "excite"),
+    "geomid_ros.api.export": ("Exported", "export"),
+    "geomid_ros.api.fleet": ("FleetIdentification", "identify_fleet"),
     "geomid_ros.api.gap": ("Gap", "find_gap"),
     "geomid_ros.api.identify": ("Identification", "identify"),
+    "geomid_ros.api.options": ("RecordingOptions", "RobotOptions"),
     "geomid_ros.api.payload": ("weigh_payload",),
+    "geomid_ros.api.rebuild": ("rebuild_report",),
+    "geomid_ros.api.sample": ("SampledRobots", "sample"),
     "geomid_ros.api.verify": ("Verification", "verify"),
     "geomid_ros.errors": ("GeomidError", "InputError"),
     "geomid_ros.estimation.rows": ("RowsSolution", "solve_rows"),

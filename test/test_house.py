@@ -156,7 +156,7 @@ def test_the_simulator_shares_no_code_with_the_estimator() -> None:
 
 # What has an effect's name but is none: a command, and parameters of the node and of the signals.
 NAMESAKES = {
-    ("geomid_ros.commands.options", "effort_gain"),
+    ("geomid_ros.api.options", "effort_gain"),
     ("geomid_ros.commands.root", "payload"),
     ("geomid_ros.excitation.criteria", "payload"),
     ("geomid_ros.exports.descriptions", "viscous_friction"),

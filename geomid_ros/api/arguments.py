@@ -10,7 +10,6 @@ from geomid_ros.errors import InputError
 from geomid_ros.files.bags.bag import bags_in
 from geomid_ros.files.models.urdf import read_urdf
 from geomid_ros.files.models.xacro import SUFFIX, urdf_of_xacro
-from geomid_ros.model.sensors import WrenchSensor
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.recordings import recorded_description
 
@@ -51,6 +50,11 @@ def entries(argument: str, given: Texts) -> list[str]:
     return result
 
 
+def beside(model: PathLike) -> Path:
+    """The description that is written with an estimate.json."""
+    return Path(model).parent / "identified.urdf"
+
+
 class Description(NamedTuple):
     """The ``text`` of a URDF, its ``source``, and ``notes`` on where it was found if nobody named it."""
 
@@ -82,42 +86,8 @@ def description(
         raise InputError(f"arguments for xacro are given, and {urdf or 'no file'} is no {SUFFIX} file to give them to")
     if urdf is not None:
         return Description(read_urdf(Path(urdf)), str(urdf))
-    beside = Path(model).parent / "identified.urdf" if model is not None else None
-    if beside is not None and beside.is_file():
-        text, source = read_urdf(beside), str(beside)
+    if model is not None and (own := beside(model)).is_file():
+        text, source = read_urdf(own), str(own)
     else:
         text, source = recorded_description(bags)
     return Description(text, source, (f"no --urdf is given: the robot is that of {source}",))
-
-
-def configuration(
-    config: Config | None, *, model: PathLike | None, floating_base: bool, wrench: Texts, **values: Any
-) -> Configuration:
-    """The configuration of ``config`` with what other arguments say, which win.
-
-    Args:
-        config: see :data:`Config`; None for the defaults.
-        model: an estimate.json to start from.
-        floating_base: whether the base moves.
-        wrench: sensors, as ``TOPIC:FRAME:ROLE[:AXES]``; none leaves those of ``config``.
-        values: further parameters by name.
-
-    Raises:
-        InputError: a parameter is unknown or has a wrong value.
-    """
-    if model is not None:
-        values["model"] = str(model)
-    if floating_base:
-        values["floating_base"] = True
-    result = _base(config)
-    if wrench:
-        result = result.with_sensors([WrenchSensor.parse(text) for text in texts(wrench)])
-    return result.with_values(Configuration(values, "options").given)
-
-
-def _base(config: Config | None) -> Configuration:
-    if isinstance(config, Configuration):
-        return config
-    if config is None or isinstance(config, Mapping):
-        return Configuration(config, "options" if config is None else "config")
-    return Configuration.read(Path(config))

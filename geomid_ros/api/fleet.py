@@ -6,8 +6,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
+from typing import Unpack
 
-from geomid_ros.api.arguments import Config, PathLike, Texts, configuration, description
+from geomid_ros.api.arguments import PathLike
+from geomid_ros.api.options import RobotKeywords, RobotOptions
 from geomid_ros.estimation.members import population_and_members
 from geomid_ros.estimation.population import FEWEST, Evidence, Population
 from geomid_ros.files.models.population import write_population
@@ -20,7 +22,7 @@ from geomid_ros.fleet.recordings import find_bags, on_this_disk
 from geomid_ros.fleet.store import Store
 from geomid_ros.plausibility.verdict import DOUBTFUL, STATUS, USABLE
 from geomid_ros.report.fleet_page import FleetPage, RobotLine, write_fleet_page
-from geomid_ros.session.recordings import Progress, Topics, silent
+from geomid_ros.session.recordings import Progress, silent
 
 _KEPT = "kept"
 
@@ -56,14 +58,9 @@ def identify_fleet(
     scheduler: str | None = None,
     keep: str | None = None,
     since: PathLike | None = None,
-    config: Config | None = None,
-    xacro_args: Texts = (),
-    floating_base: bool = False,
-    wrench: Texts = (),
-    joint_topic: str = "joint_states",
-    odom_topic: str = "odom",
     hold_out: float | None = None,
     progress: Progress = silent,
+    **options: Unpack[RobotKeywords],
 ) -> FleetIdentification:
     """Identify many robots of a type from many bags.
 
@@ -78,26 +75,25 @@ def identify_fleet(
         scheduler: address of a Dask scheduler; None for workers on this machine's cores.
         keep: path or URL, which all workers see, of what was done so far; None for a folder in ``out``.
         since: folder of an earlier run, to tell which robots have changed.
-        config, xacro_args, floating_base, wrench, joint_topic, odom_topic: as of :func:`geomid_ros.identify`.
         hold_out: share of each bag's time, at the end, to judge on; None for 0.3.
         progress: called with what is being done and the share of it, 0 to 1, that is done.
+        options: which robot it is and how its recordings are read, see :class:`~geomid_ros.RobotOptions`.
 
     Raises:
         InputError: a file, an argument or the cluster cannot be used; what was done so far is kept.
     """
-    folder = Path(out)
+    folder, chosen = Path(out), RobotOptions(urdf=urdf, **options)
     found = find_bags(bags, by)
     if urdf is None:
         with on_this_disk(found[0].url) as path:
-            described = description(None, [path])
+            described = chosen.description([path])
     else:
-        described = description(urdf, [], xacro_args=xacro_args)
-    settings = configuration(config, model=None, floating_base=floating_base, wrench=wrench)
+        described = chosen.description([])
     plan = Plan(
         description=described.text,
         source=described.source,
-        given=settings.given,
-        topics=Topics(joint_topic, odom_topic),
+        given=chosen.configuration().given,
+        topics=chosen.topics,
         hold_out=hold_out,
     )
     fleet = Fleet(plan, found, Store(keep or str((folder / _KEPT).absolute())))

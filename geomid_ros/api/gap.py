@@ -5,23 +5,28 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Unpack
 
-from geomid_ros.api.arguments import Config, PathLike, Paths, Texts, bag_paths, configuration, description
+from geomid_ros.api.arguments import PathLike, Paths, bag_paths
+from geomid_ros.api.options import RecordingKeywords, RecordingOptions
 from geomid_ros.errors import InputError
 from geomid_ros.files.disk import write_json
+from geomid_ros.files.models.effect_forms import effect_entry
+from geomid_ros.files.models.gap_reading import page_entries
 from geomid_ros.files.models.gap_results import gap_document
 from geomid_ros.files.models.judgements import causes_entry
+from geomid_ros.files.models.tables import tables, write_tables
 from geomid_ros.gap.result import Finding, GapResult, Verdict
 from geomid_ros.model.samples import Samples
 from geomid_ros.plausibility.verdict import recording_verdict
+from geomid_ros.report.gap_figures import elapsed
 from geomid_ros.report.gap_page import GapPage, write_gap_page
 from geomid_ros.report.gap_words import verdict_sentence
 from geomid_ros.report.simulated_again import SimulatedAgain, position_units, simulated_again
 from geomid_ros.session.gap import GapReader, find, gap_session
 from geomid_ros.session.gap_simulation import nominal_inertias, simulate_again, without_findings, write_found
 from geomid_ros.session.locking import read_with_locked
-from geomid_ros.session.recordings import Bags, Progress, Topics, silent
+from geomid_ros.session.recordings import Bags, Progress, silent
 from geomid_ros.session.session import Session
 
 
@@ -60,6 +65,14 @@ class Gap:
         """All numbers, as ``gap.json`` has them."""
         document = gap_document(self.result, {simulation.kind: simulation.errors for simulation in self.simulated})
         session = self.session
+        stamps = self.result.trace.stamps
+        document |= page_entries(self.result, nominal_inertias(session)) | {
+            "robot": session.robot.name,
+            "recordings": [path.name for path, _ in self.bags.shares],
+            "judged_seconds": float(elapsed(stamps)[-1]) if len(stamps) else 0.0,
+            "known": [effect_entry(effect) for effect in session.loaded.effects],
+            "not_simulated": self.not_simulated,
+        }
         remarks = {"causes": causes_entry(session.findings), "warnings": session.warnings(), "notes": session.notes}
         return document | remarks
 
@@ -95,7 +108,7 @@ class Gap:
         return Path(path)
 
     def save(self, folder: PathLike, *, progress: Progress = silent) -> list[Path]:
-        """Write report.html, gap.json, and the model with what was found.
+        """Write report.html, gap.json, findings.csv, and the model with what was found.
 
         Args:
             folder: made if it does not exist.
@@ -110,7 +123,8 @@ class Gap:
         folder = Path(folder)
         files = write_found(folder, self.session, self.result)
         write_json(folder / "gap.json", self.document)
-        return [self.report(folder / "report.html", progress=progress), folder / "gap.json", *files]
+        written = [folder / "gap.json", *write_tables(folder, tables(self.document))]
+        return [self.report(folder / "report.html", progress=progress), *written, *files]
 
     def __repr__(self) -> str:
         """What makes it doubtful, the verdict, and a sentence for each finding."""
@@ -123,18 +137,10 @@ def find_gap(
     bags: Paths,
     urdf: PathLike | None = None,
     *,
-    config: Config | None = None,
-    model: PathLike | None = None,
-    xacro_args: Texts = (),
-    floating_base: bool = False,
-    wrench: Texts = (),
-    joint_topic: str = "joint_states",
-    odom_topic: str = "odom",
-    hold_out: float | None = None,
-    validate: Paths = (),
     simulated: Paths = (),
     command: str | None = None,
     progress: Progress = silent,
+    **options: Unpack[RecordingKeywords],
 ) -> Gap:
     """Find where simulation and measurement disagree, which effect that is, and how much of the gap it closes.
 
@@ -142,31 +148,22 @@ def find_gap(
 
     Args:
         bags: rosbag folders, or .mcap and .db3 files.
-        urdf: path or text of the robot description; None for the identified.urdf beside ``model``, or else what is
-            recorded on robot_description in the bags.
-        config: the node's parameter file (YAML), or parameters by their full names.
-        model: an estimate.json to compare with instead of the URDF's inertias alone.
-        xacro_args: arguments, as ``NAME:=VALUE``, of ``urdf``, if that is a .xacro file, which is run.
-        floating_base: whether the base moves; its pose is read from ``odom_topic``.
-        wrench: wrench sensors, as ``TOPIC:FRAME:ROLE[:AXES]``; ``ROLE`` is mounted or external.
-        joint_topic: topic of the joint states.
-        odom_topic: topic of the base's pose.
-        hold_out: share of each bag's time, at the end, to judge on; None for 0.3, with ``validate`` 0.
-        validate: bags to judge on.
+        urdf: path or text of the robot description, see :class:`~geomid_ros.RecordingOptions`.
         simulated: what your simulator did under the commands of each bag, in their order.
         command: topic of the joints' set-points (JointState), to simulate in closed loop.
         progress: called with what is being done and the share of it, 0 to 1, that is done.
+        options: which robot it is and how its recordings are read, see :class:`~geomid_ros.RecordingOptions`; with
+            ``model``, an estimate.json is compared with instead of the URDF's inertias alone.
 
     Raises:
         InputError: a file, an argument or the data cannot be used; the message names it and says what to do.
     """
-    parameters = configuration(config, model=model, floating_base=floating_base, wrench=wrench)
-    topics = Topics(joint_topic, odom_topic)
-    recorded = Bags(fitted=bag_paths(bags), validate=bag_paths(validate), hold_out=hold_out, topics=topics)
-    robot, twins = description(urdf, recorded.fitted, model=model, xacro_args=xacro_args), bag_paths(simulated)
+    chosen = RecordingOptions(urdf=urdf, **options)
+    recorded, twins = chosen.bags(bags), bag_paths(simulated)
+    robot = chosen.description(recorded.fitted, chosen.model)
     session, recordings = read_with_locked(
-        lambda chosen: gap_session(robot.text, chosen, robot.source),
-        parameters,
+        lambda configured: gap_session(robot.text, configured, robot.source),
+        chosen.configuration(chosen.model),
         lambda session: GapReader(session, recorded, progress).read(twins),
     )
     session.settled.extend(robot.notes)

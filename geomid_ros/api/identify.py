@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Unpack
 
-from geomid_ros.api.arguments import Config, PathLike, Paths, Texts, bag_paths, configuration, description, entries
+from geomid_ros.api.arguments import PathLike, Paths, Texts, entries
+from geomid_ros.api.options import RecordingKeywords, RecordingOptions
 from geomid_ros.api.origin import origin
 from geomid_ros.errors import unknown_name
 from geomid_ros.estimation.estimate import EffectEstimate, Estimate, LinkEstimate
@@ -20,6 +22,7 @@ from geomid_ros.files.models.handover import ELEMENTS, READERS, URDF
 from geomid_ros.files.models.posterior import POSTERIOR, write_posterior
 from geomid_ros.files.models.results import model_effects
 from geomid_ros.files.models.sidecar import write_sidecar
+from geomid_ros.files.models.tables import tables, write_tables
 from geomid_ros.model.samples import Samples
 from geomid_ros.plausibility.verdict import DOUBTFUL, Verdict
 from geomid_ros.report.drawing import draw_identification, series_of
@@ -30,7 +33,7 @@ from geomid_ros.resimulation.closed_loop import Tracking
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.fitting import Fitting
 from geomid_ros.session.locking import read_with_locked
-from geomid_ros.session.recordings import Bags, Progress, Topics, read_bags, read_fitted, silent
+from geomid_ros.session.recordings import Bags, Progress, read_bags, read_fitted, silent
 from geomid_ros.session.session import Session
 from geomid_ros.session.tracking import tracking_of
 from geomid_ros.types import FloatArray
@@ -145,12 +148,40 @@ class Identification:
 
     @property
     def document(self) -> dict[str, Any]:
-        """All numbers, as ``estimate.json`` has them."""
+        """All numbers, as ``estimate.json`` has them, but for where they are from."""
         document = self.session.document(self.estimate, self.held_out_rms, self.verdict)
         document["handover"][self.reader] |= self.handover.entry
         if self.tracking is not None:
             document["handover"][self.reader]["tracking"] = dict(self.tracking.rms)
-        return document
+        return document | self._tables
+
+    @property
+    def _tables(self) -> dict[str, Any]:
+        """What pages and tables need beside the estimate: URDF's masses, errors by channel, informative motions."""
+        units = {channel.name: channel.unit for channel in self.session.model.channels}
+        masses = self.session.model.nominal_inertias.reshape(-1, 10)[:, 0].tolist()
+        return {
+            "urdf_masses": dict(zip(self.session.model.body_names, masses, strict=True)),
+            "channels": [
+                {
+                    "channel": name,
+                    "unit": units[name],
+                    "judged_on": "held-out data" if self.held_out else "fitted data",
+                    "urdf": self.rms_nominal[name],
+                    "identified": error,
+                    "file": self.handover.alone[name],
+                    "file_with_offsets": self.handover.corrected[name],
+                }
+                for name, error in self.rms.items()
+                if math.isfinite(error)
+            ],
+            "telling": self._telling,
+        }
+
+    @cached_property
+    def _telling(self) -> dict[str, dict[str, list[str]]]:
+        """By link and motion, the quantities that it would identify."""
+        return telling_motions(self.session.model, self.estimate)
 
     def urdf(self) -> str:
         """The robot description with the identified inertias and friction; every other character of it is kept."""
@@ -203,7 +234,7 @@ class Identification:
             file=self.handover.name,
             alone=self.handover.alone,
             corrected=self.handover.corrected,
-            telling=telling_motions(session.model, estimate),
+            telling=self._telling,
             messages=session.pipeline.ledger.topics,
             refused_rows=session.identifier.rows_rejected,
             origin=origin(session, self.bags, command),
@@ -214,8 +245,8 @@ class Identification:
     def save(
         self, folder: PathLike, *, progress: Progress = silent, command: str = "geomid_ros.identify"
     ) -> list[Path]:
-        """Write estimate.json, identified.urdf, effects.yaml, posterior.npz, identification.png, report.html, and the
-        description for :attr:`reader`: all of them, or none.
+        """Write estimate.json, identified.urdf, effects.yaml, posterior.npz, tables (CSV), identification.png,
+        report.html, and the description for :attr:`reader`: all of them, or none.
 
         Args:
             folder: made if it does not exist.
@@ -239,11 +270,14 @@ class Identification:
         sidecar, picture, report = (folder / name for name in ("effects.yaml", "identification.png", "report.html"))
         write_sidecar(sidecar, self.session.robot.name, self.written.model.effects)
         posterior = write_posterior(folder / POSTERIOR, self.estimate.posterior)
-        write_json(folder / "estimate.json", self.document)
+        document = self.document
+        write_json(folder / "estimate.json", document | {"origin": asdict(origin(self.session, self.bags, command))})
+        csv = write_tables(folder, tables(document))
         progress("drawing", 0.0)
         write_picture(picture, self.plot())
         self.report(report, command=command)
-        return [folder / "estimate.json", *(folder / name for name in texts), sidecar, *posterior, picture, report]
+        written = [folder / name for name in ("estimate.json", *texts)]
+        return [*written, sidecar, *posterior, *csv, picture, report]
 
     def __repr__(self) -> str:
         """Why it should not be used, and a line for each link."""
@@ -260,23 +294,15 @@ def identify(
     bags: Paths,
     urdf: PathLike | None = None,
     *,
-    config: Config | None = None,
-    model: PathLike | None = None,
     prior: PathLike | None = None,
-    xacro_args: Texts = (),
     effects: Texts | None = None,
     candidates: Texts | None = None,
     links: Texts | None = None,
     known: Texts = (),
-    floating_base: bool = False,
-    wrench: Texts = (),
-    joint_topic: str = "joint_states",
-    odom_topic: str = "odom",
-    hold_out: float | None = None,
-    validate: Paths = (),
     reader: str = URDF,
     command: str | None = None,
     progress: Progress = silent,
+    **options: Unpack[RecordingKeywords],
 ) -> Identification:
     """Identify link inertias and joint effects from rosbags.
 
@@ -285,49 +311,29 @@ def identify(
 
     Args:
         bags: rosbag folders, or .mcap and .db3 files.
-        urdf: path or text of the robot description; None for the identified.urdf beside ``model``, or else what is
-            recorded on robot_description in the bags.
-        config: the node's parameter file (YAML), or parameters by their full names.
-        model: an estimate.json to start from.
+        urdf: path or text of the robot description, see :class:`~geomid_ros.RecordingOptions`.
         prior: a population.json of the robot's type (``geomid fleet``) to start from.
-        xacro_args: arguments, as ``NAME:=VALUE``, of ``urdf``, if that is a .xacro file, which is run.
         effects: names of the effects to identify at every joint and no others, ``[]`` for none; None for the configured
             ones, and for the candidates where held-out data ask for them.
         candidates: names of effects to identify where held-out data ask for them, beside ``effects``.
         links: names of the only links to identify; None for the configured ones.
         known: masses that were weighed, as ``LINK=MASS:STD``, ``LINK+LINK=MASS:STD`` or ``total=MASS:STD`` [kg].
-        floating_base: whether the base moves; its pose is read from ``odom_topic``.
-        wrench: wrench sensors, as ``TOPIC:FRAME:ROLE[:AXES]``; ``ROLE`` is mounted or external.
-        joint_topic: topic of the joint states.
-        odom_topic: topic of the base's pose.
-        hold_out: share of each bag's time, at the end, to judge on; None for 0.3, with ``validate`` 0.
-        validate: bags to judge on.
         reader: who will read the description that is written: urdf, moveit, isaac, gazebo, drake or mujoco.
         command: topic of the joints' set-points (JointState), to simulate what is held out under them.
         progress: called with what is being done and the share of it, 0 to 1, that is done.
+        options: which robot it is and how its recordings are read, see :class:`~geomid_ros.RecordingOptions`.
 
     Raises:
         InputError: a file, an argument or the data cannot be used; the message names it and says what to do.
     """
     if reader not in ELEMENTS:
         raise unknown_name("reader", reader, ELEMENTS)
-    weighed = entries("known", known)
-    chosen: dict[str, Any] = {"known": weighed} if weighed else {}
-    if prior is not None:
-        chosen["prior"] = str(prior)
-    if effects is not None:
-        chosen |= {"effects": entries("effects", effects), "candidates": []}
-    chosen |= {
-        name: entries(name, given)
-        for name, given in (("candidates", candidates), ("links", links))
-        if given is not None
-    }
-    parameters = configuration(config, model=model, floating_base=floating_base, wrench=wrench, **chosen)
-    topics = Topics(joint_topic, odom_topic)
-    recorded = Bags(fitted=bag_paths(bags), validate=bag_paths(validate), hold_out=hold_out, topics=topics)
-    robot = description(urdf, recorded.fitted, model=model, xacro_args=xacro_args)
+    chosen = RecordingOptions(urdf=urdf, **options)
+    recorded = chosen.bags(bags)
+    parameters = chosen.configuration(chosen.model, **_parameters(prior, effects, candidates, links, known))
+    robot = chosen.description(recorded.fitted, chosen.model)
     session, (held_out, judged) = read_with_locked(
-        lambda chosen: Session(robot.text, chosen, robot.source, readers=(*READERS,)),
+        lambda configured: Session(robot.text, configured, robot.source, readers=(*READERS,)),
         parameters,
         lambda session: _read(session, recorded, progress),
     )
@@ -343,6 +349,17 @@ def identify(
         reader=reader,
         command=command,
     )
+
+
+def _parameters(
+    prior: PathLike | None, effects: Texts | None, candidates: Texts | None, links: Texts | None, known: Texts
+) -> dict[str, Any]:
+    """The parameters that these arguments set."""
+    lists = {"effects": effects, "candidates": candidates, "links": links, "known": known or None}
+    found: dict[str, Any] = {name: entries(name, given) for name, given in lists.items() if given is not None}
+    if effects is not None:
+        found = {"candidates": []} | found
+    return found if prior is None else found | {"prior": str(prior)}
 
 
 def _read(session: Session, bags: Bags, progress: Progress) -> tuple[list[Samples], list[Samples]]:

@@ -6,19 +6,19 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Unpack
 
 import numpy as np
 
-from geomid_ros.api.arguments import Config, PathLike, Paths, Texts, bag_paths, configuration, description, texts
+from geomid_ros.api.arguments import PathLike, Paths, Texts, bag_paths, beside, texts
+from geomid_ros.api.options import RobotKeywords, RobotOptions
 from geomid_ros.errors import InputError
 from geomid_ros.files.models.results import read_estimate
 from geomid_ros.model.samples import Samples
 from geomid_ros.plausibility.requirements import TOTAL, Outcome, Requirement, Values
 from geomid_ros.plausibility.verdict import recording_verdict
-from geomid_ros.session.gap import gap_session
 from geomid_ros.session.locking import read_with_locked
-from geomid_ros.session.recordings import Bags, Progress, Topics, read_fitted, silent
+from geomid_ros.session.recordings import Bags, Progress, read_fitted, silent
 from geomid_ros.session.session import Session
 from geomid_ros.types import FloatArray
 
@@ -52,13 +52,8 @@ def verify(
     urdf: PathLike | None = None,
     *,
     require: Texts = (),
-    config: Config | None = None,
-    xacro_args: Texts = (),
-    floating_base: bool = False,
-    wrench: Texts = (),
-    joint_topic: str = "joint_states",
-    odom_topic: str = "odom",
     progress: Progress = silent,
+    **options: Unpack[RobotKeywords],
 ) -> Verification:
     """Predict recordings with a model that was identified before, and see whether it does as required.
 
@@ -67,59 +62,78 @@ def verify(
     Args:
         model: an estimate.json.
         validate: rosbag folders, or .mcap and .db3 files.
-        urdf: path or text of the robot description that the model was identified from; None for the identified.urdf
-            beside it, or else what is recorded on robot_description in the bags.
+        urdf: path or text of the robot description that the model was identified from, see
+            :class:`~geomid_ros.RobotOptions`.
         require: what is required, as :mod:`~geomid_ros.plausibility.requirements` says.
-        config: the node's parameter file (YAML), or parameters by their full names.
-        xacro_args: arguments, as ``NAME:=VALUE``, of ``urdf``, if that is a .xacro file, which is run.
-        floating_base: whether the base moves; its pose is read from ``odom_topic``.
-        wrench: wrench sensors, as ``TOPIC:FRAME:ROLE[:AXES]``; ``ROLE`` is mounted or external.
-        joint_topic: topic of the joint states.
-        odom_topic: topic of the base's pose.
         progress: called with what is being done and the share of it, 0 to 1, that is done.
+        options: which robot it is and how its recordings are read, see :class:`~geomid_ros.RobotOptions`.
 
     Raises:
         InputError: a file, an argument, a requirement or the data cannot be used.
     """
     required = [Requirement.parse(text) for text in texts(require)]
-    parameters = configuration(config, model=model, floating_base=floating_base, wrench=wrench)
-    recorded = Bags(fitted=bag_paths(validate), hold_out=0.0, topics=Topics(joint_topic, odom_topic))
-    robot = description(urdf, recorded.fitted, model=model, xacro_args=xacro_args)
     relative = next((each for each in required if each.reference == "urdf"), None)
-    if relative and urdf is None and Path(robot.source).parent == Path(model).parent:
+    if relative and urdf is None and (own := beside(model)).is_file():
         raise InputError(
-            f"requirement '{relative.text}' compares with the URDF before, and {robot.source} is the identified one; "
-            "name the former with --urdf"
+            f"requirement '{relative.text}' compares with the URDF before, and {own} is the identified one; name the "
+            "former with --urdf"
         )
-    session, samples = read_with_locked(
-        lambda chosen: gap_session(robot.text, chosen, robot.source),
-        parameters,
-        lambda session: read_fitted(session, recorded, progress),
-    )
-    session.settled.extend(robot.notes)
+    session, samples = read_to_judge(RobotOptions(urdf=urdf, **options), validate, progress, model=model)
     values = _values(session, samples, read_estimate(Path(model)))
-    doubts = recording_verdict(session.findings).reasons
     return Verification(
         session=session,
         rms=values["rms"],
-        doubts=[*filter(None, [session.loaded.doubt]), *doubts],
+        doubts=doubts_of(session),
         outcomes=[outcome for requirement in required for outcome in requirement.checked(values)],
     )
 
 
+def read_to_judge(
+    options: RobotOptions, bags: Paths, progress: Progress, *, model: PathLike | None = None, effects: Texts = ()
+) -> tuple[Session, Sequence[Samples]]:
+    """A robot's session, and all samples of recordings that a model is judged on.
+
+    Args:
+        options: which robot it is, and how the recordings are read.
+        bags: the recordings.
+        progress: told of what is being done.
+        model: an estimate.json; None for the URDF alone.
+        effects: names of effects at every joint that the model has beside those of the estimate.
+    """
+    recorded = Bags(fitted=bag_paths(bags), hold_out=0.0, topics=options.topics)
+    robot = options.description(recorded.fitted, model)
+    session, samples = read_with_locked(
+        lambda configured: Session(robot.text, configured, robot.source),
+        options.configuration(model, effects=texts(effects), candidates=[]),
+        lambda session: read_fitted(session, recorded, progress),
+    )
+    session.settled.extend(robot.notes)
+    return session, samples
+
+
+def doubts_of(session: Session) -> list[str]:
+    """Why a model or the recordings that it was judged on are not to be believed."""
+    return [*filter(None, [session.loaded.doubt]), *recording_verdict(session.findings).reasons]
+
+
+def identified(session: Session) -> FloatArray:
+    """Parameters ``(D,)`` of the model that a session began with; the URDF's where it has none."""
+    nominal, prior = session.nominal_parameters, session.prior
+    return nominal if prior is None else np.where(np.isnan(prior), nominal, prior)
+
+
 def _values(session: Session, samples: Sequence[Samples], document: Mapping[str, Any]) -> dict[str, Values]:
     """The numbers of every quantity that may be required."""
-    nominal, prior = session.nominal_parameters, session.prior
-    found = nominal if prior is None else np.where(np.isnan(prior), nominal, prior)
+    nominal, found = session.nominal_parameters, identified(session)
     channels = [channel.name for channel in session.model.channels]
-    floors = _entry(_entry(document, "rms"), "train")
+    floors = entry_of(entry_of(document, "rms"), "train")
     errors = zip(channels, *(session.rms(samples, each).tolist() for each in (found, nominal)), strict=True)
     bodies = session.model.body_names
     masses = [[*each, sum(each)] for each in (_masses(found, bodies), _masses(nominal, bodies))]
     return {
-        "rms": {name: {"value": own, "floor": _number(floors.get(name)), "urdf": urdf} for name, own, urdf in errors},
+        "rms": {name: {"value": own, "floor": number(floors.get(name)), "urdf": urdf} for name, own, urdf in errors},
         "mass": {name: {"value": own, "urdf": urdf} for name, own, urdf in zip([*bodies, TOTAL], *masses, strict=True)},
-        "from_data": {str(link["name"]): {"value": _number(link.get("from_data"))} for link in document["links"]},
+        "from_data": {str(link["name"]): {"value": number(link.get("from_data"))} for link in document["links"]},
     }
 
 
@@ -128,12 +142,12 @@ def _masses(parameters: FloatArray, bodies: Sequence[str]) -> list[float]:
     return masses
 
 
-def _entry(document: Mapping[str, Any], key: str) -> Mapping[str, Any]:
+def entry_of(document: Mapping[str, Any], key: str) -> Mapping[str, Any]:
     """An object of a file, empty if it is none."""
     found = document.get(key)
     return found if isinstance(found, dict) else {}
 
 
-def _number(value: object) -> float:
+def number(value: object) -> float:
     """A number of a file, NaN if it is none."""
     return float(value) if isinstance(value, int | float) and not isinstance(value, bool) else math.nan

@@ -3,19 +3,14 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import Any
 
 import click
 
+import geomid_ros
 from geomid_ros.commands.options import Names, package_option
-from geomid_ros.errors import InputError, one_line
+from geomid_ros.errors import one_line
 from geomid_ros.exports.formats import CONTROLLERS, DESCRIBED_FOR
-from geomid_ros.files.models.handover import INTO
-
-if TYPE_CHECKING:
-    from geomid_ros.exports.descriptions import Whole
-    from geomid_ros.exports.inertial import Export
-    from geomid_ros.exports.model import Model
 
 
 @click.command()
@@ -43,15 +38,7 @@ if TYPE_CHECKING:
     "it is.",
 )
 @package_option
-def export(
-    model: Path,
-    tool: str,
-    frame: str | None,
-    links: list[str] | None,
-    without: Path | None,
-    into: Path | None,
-    package_path: dict[str, Path],
-) -> None:
+def export(**options: Any) -> None:
     """Print an estimate in the terms of other software.
 
     FROM is an estimate.json with its identified.urdf beside it, or any URDF. For ur (Universal Robots) and franka, that
@@ -61,60 +48,8 @@ def export(
     cannot say is said. What the data did not show is not exported as a payload. A model whose verdict is not 'usable'
     is warned of.
     """
-    if into and tool != "mujoco":
-        raise click.UsageError("--into is a file of MuJoCo's: --for mujoco.")
-    read = _read(model, tool if into is None else INTO)
-    if tool in CONTROLLERS:
-        controller = CONTROLLERS[tool]
-        payload = _payload(read, frame or _flange(read, controller.flange), links, without)
-        click.echo(controller.commands(payload), nl=False)
-        return
-    from geomid_ros.exports.descriptions import DESCRIPTIONS
-    from geomid_ros.exports.payload import each_link
-
-    if frame:
-        click.echo(DESCRIPTIONS[tool].payload(_payload(read, frame, links, without)), nl=False)
-        return
-    if links or without:
-        raise click.UsageError("Missing option '--frame': in the axes of which link?")
-    whole = _into(read, into) if into else DESCRIPTIONS[tool].robot(read, each_link(read), package_path)
-    for sentence in whole.lacks:
-        click.echo(f"Note: {one_line(sentence)}", err=True)
-    click.echo(whole.text, nl=False)
-
-
-def _into(model: Model, into: Path) -> Whole:
-    from geomid_ros.exports.into import into_mjcf
-
-    return into_mjcf(model, into)
-
-
-def _payload(model: Model, frame: str, links: list[str] | None, without: Path | None) -> Export:
-    if links and without:
-        raise click.UsageError("A payload is either --links or what a model --without it lacks.")
-    from geomid_ros.exports.payload import attached, chosen, difference
-
-    if without:
-        return difference(model, _read(without), frame)
-    if links:
-        return chosen(model, links, frame)
-    return attached(model, frame)
-
-
-def _read(path: Path, reader: str = "") -> Model:
-    """Read a model as it is written for a reader, and warn of one that should not be used."""
-    from geomid_ros.exports.model import read_model
-
-    model = read_model(path, reader)
-    if model.doubt:
-        click.echo(f"Warning: {one_line(model.doubt)}", err=True)
-    return model
-
-
-def _flange(model: Model, ending: str) -> str:
-    """The link that the flange is called in the manufacturer's URDF, with any prefix."""
-    found = [link for link in model.tree.links if link.endswith(ending)]
-    if len(found) != 1:
-        listed = ", ".join(found or model.tree.links)
-        raise InputError(f"{model.source}: which link is the flange? Name it with --frame: {listed}")
-    return found[0]
+    found = geomid_ros.export(**options)
+    for heading, sentences in (("Warning", found.doubts), ("Note", found.notes)):
+        for sentence in sentences:
+            click.echo(f"{heading}: {one_line(sentence)}", err=True)
+    click.echo(found.text, nl=False)

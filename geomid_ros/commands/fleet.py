@@ -8,13 +8,12 @@ from typing import Any
 
 import click
 
-from geomid_ros.commands.options import OUT, base_options, robot_options
+from geomid_ros.commands.options import OUT, robot_options
 
 
 @click.command()
 @click.argument("bags")
 @robot_options
-@base_options
 @click.option("--by", default="robot", show_default=True, help="The column of a table of bags that names the robot.")
 @click.option("--scheduler", metavar="tcp://HOST:PORT", help="A Dask cluster.  [default: this machine's cores]")
 @click.option(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import shlex
 import sys
 from pathlib import Path
@@ -67,7 +66,7 @@ def identify(bags: tuple[Path, ...], out: Path, as_json: bool, **options: Any) -
         found = geomid_ros.identify(bags, progress=progress, **options)
         files = found.save(out, progress=progress, command=shlex.join(["geomid", *sys.argv[1:]]))
     if as_json:
-        click.echo(json.dumps(found.document, indent=2))
+        click.echo(files[0].read_text(encoding="utf-8"), nl=False)
     else:
         identification.show(found)
         click.echo(f"\nWritten: {', '.join(map(str, files))}")

@@ -2,15 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from functools import wraps
+from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
-
-if TYPE_CHECKING:
-    from geomid_ros.session.configuration import Configuration
 
 
 class Output(click.Path):
@@ -61,25 +57,12 @@ UNTRIED_OUT = OUT | {"type": click.Path(path_type=Path, file_okay=False)}
 """The same for commands that do not always write: they try it themselves."""
 
 
-def robot_options(function: Callable[..., None]) -> Callable[..., None]:
-    """The options that say which robot it is, and what is measured on it.
-
-    Those that stand for parameters reach the function in ``config``, where they win over the parameter file.
-    """
-
-    @wraps(function)
-    def command(
-        *,
-        config: Path | None,
-        cutoff: float | None,
-        gravity: tuple[float, ...] | None,
-        gain: Sequence[str],
-        lock: list[str] | None,
-        **options: Any,
-    ) -> None:
-        function(config=_configuration(config, cutoff, gravity, gain, lock), **options)
-
+def robot_options(command: Callable[..., None]) -> Callable[..., None]:
+    """The options that say which robot it is, what is measured on it, and how that is read: as
+    :class:`~geomid_ros.api.options.RobotOptions` has them."""
     for option in (
+        click.option("--odom-topic", default="odom", show_default=True, help="Topic of the base's pose."),
+        click.option("--floating-base", is_flag=True, help="The base moves; its pose is read from the odometry topic."),
         click.option(
             "--wrench",
             multiple=True,
@@ -87,6 +70,7 @@ def robot_options(function: Callable[..., None]) -> Callable[..., None]:
             help="A wrench topic; ROLE is mounted or external, -ROLE reverses its sign; AXES like fz,tx,ty.",
         ),
         click.option("--joint-topic", default="joint_states", show_default=True, help="Topic of the joint states."),
+        click.option("--merge", is_flag=True, help="Several publishers send joint states, each of some joints."),
         click.option("--lock", type=Names(), metavar="JOINTS", help="These joints stand at zero; separated by commas."),
         click.option(
             "--gain",
@@ -112,18 +96,8 @@ def robot_options(function: Callable[..., None]) -> Callable[..., None]:
     return command
 
 
-def base_options(command: Callable[..., None]) -> Callable[..., None]:
-    """Whether the base moves, and how."""
-    for option in (
-        click.option("--odom-topic", default="odom", show_default=True, help="Topic of the base's pose."),
-        click.option("--floating-base", is_flag=True, help="The base moves; its pose is read from the odometry topic."),
-    ):
-        command = option(command)
-    return command
-
-
 def recording_options(command: Callable[..., None]) -> Callable[..., None]:
-    """Further ones: which data are tested on, how the base moves, and where to start from."""
+    """Further ones: which data are judged on, and where to start from."""
     for option in (
         click.option(
             "--validate", multiple=True, type=click.Path(path_type=Path), help="A bag to test on; may be repeated."
@@ -133,7 +107,6 @@ def recording_options(command: Callable[..., None]) -> Callable[..., None]:
             type=click.FloatRange(0.0, 0.9),
             help="Share of each bag's time, at the end, kept to test on.  [default: 0.3, with --validate 0]",
         ),
-        base_options,
         click.option(
             "--model",
             type=click.Path(path_type=Path),
@@ -142,38 +115,6 @@ def recording_options(command: Callable[..., None]) -> Callable[..., None]:
     ):
         command = option(command)
     return command
-
-
-def _configuration(
-    config: Path | None,
-    cutoff: float | None,
-    gravity: Sequence[float] | None,
-    gains: Sequence[str],
-    lock: list[str] | None,
-) -> Configuration:
-    """The parameter file with what these options say."""
-    from geomid_ros.session.configuration import Configuration
-
-    values: dict[str, Any] = dict(map(_gain, gains))
-    if cutoff is not None:
-        values["filter.cutoff"] = cutoff
-    if gravity:
-        values["gravity"] = list(gravity)
-    if lock:
-        values["locked_joints"] = lock
-    base = Configuration.read(config) if config else Configuration(source="options")
-    return base.with_values(Configuration(values, "options").given)
-
-
-def _gain(text: str) -> tuple[str, float]:
-    """The parameter that a ``[JOINT=]FACTOR`` sets, and its value."""
-    joint, _, factor = text.rpartition("=")
-    try:
-        return (f"joint.{joint}.effort_gain" if joint else "effort_gain"), float(factor)
-    except ValueError as error:
-        raise click.BadParameter(
-            f"'{text}' is not of the form [JOINT=]FACTOR, e.g. -1 or joint3=0.5", param_hint="'--gain'"
-        ) from error
 
 
 def _packages(_context: click.Context, _option: click.Parameter, texts: tuple[str, ...]) -> dict[str, Path]:

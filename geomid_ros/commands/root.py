@@ -13,6 +13,7 @@ import geomid_ros
 from geomid_ros.errors import TOO_LITTLE_MEMORY, GeomidError, is_lack_of_memory, load_hashes, missing_library
 
 COMMANDS = {
+    "compare": "Compare two results of one robot.",
     "dashboard": "Show a running node on a local page.",
     "demo": "Watch a robot's inertias being identified live.",
     "excite": "Design a motion from which much is learned.",
@@ -23,6 +24,7 @@ COMMANDS = {
     "payload": "Weigh what a robot carries.",
     "play": "Publish topics of BAG live.",
     "prior": "Give a URDF inertials from its shapes.",
+    "report": "Write the report of a result again.",
     "sample": "Draw robots from what an identification knows.",
     "simulate": "Record a simulated robot into a new rosbag.",
     "verify": "Check that a model predicts a recording.",

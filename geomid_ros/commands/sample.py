@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import click
 
+import geomid_ros
 from geomid_ros.commands.options import OUT, package_option
 from geomid_ros.errors import one_line
 from geomid_ros.exports.formats import DESCRIBED_FOR, JSON
@@ -35,16 +37,7 @@ _WIDEST = 3.0
 @click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="The same seed draws the same.")
 @package_option
 @click.option("--out", default=Path("geomid_samples"), **OUT)
-def sample(
-    model: Path,
-    count: int,
-    tool: str,
-    into: Path | None,
-    spread: float,
-    seed: int,
-    package_path: dict[str, Path],
-    out: Path,
-) -> None:
+def sample(out: Path, **options: Any) -> None:
     """Draw robots from what an identification knows.
 
     ESTIMATE is an estimate.json with the identified.urdf and the posterior.npz of the same run beside it. Links and
@@ -53,31 +46,15 @@ def sample(
     (for isaac with the event terms of Isaac Lab), and torques.png: how much the joint torques of these robots differ,
     beside those of ranges of 20 %.
     """
-    if into and tool != "mujoco":
-        raise click.UsageError("--into is a file of MuJoCo's: --for mujoco.")
     from geomid_ros.commands.progress import progress_bar
     from geomid_ros.commands.results import torques
-    from geomid_ros.exports.drawn_robots import described, draw_robots
-    from geomid_ros.exports.ranges import ranges_text
-    from geomid_ros.exports.torque_spread import torque_spread
-    from geomid_ros.files.disk import write_text
-    from geomid_ros.report.torque_picture import torque_picture
 
-    drawn = draw_robots(model, count, seed, spread)
-    for heading, sentence in (("Warning", drawn.model.doubt), ("Note", drawn.not_drawn)):
+    found = geomid_ros.sample(**options)
+    for heading, sentence in (("Warning", found.drawn.model.doubt), ("Note", found.drawn.not_drawn)):
         if sentence:
             click.echo(f"{heading}: {one_line(sentence)}", err=True)
-    ranges, picture, robots = out / "ranges.yaml", out / "torques.png", []
     with progress_bar() as progress:
-        for name, text in described(drawn, tool, into, package_path):
-            robots.append(out / name)
-            progress("writing robots", len(robots) / count)
-            write_text(robots[-1], text)
-        progress("comparing torques", 0.0)
-        write_text(ranges, ranges_text(drawn, isaac=tool == "isaac"))
-        spread_of = torque_spread(drawn)
-        names = [f"{name} [{unit}]" for name, unit in zip(spread_of.joints, spread_of.units, strict=True)]
-        torque_picture(picture, f"{count} robots of {model}", names, spread_of.drawn, spread_of.ranges)
-    torques.show(spread_of)
+        *robots, ranges, picture = found.save(out, progress=progress)
+    torques.show(found.torques)
     files = f"{robots[0]} to {robots[-1].name}" if len(robots) > 1 else str(robots[0])
     click.echo(f"\nWritten: {files}, {ranges}, {picture}")

@@ -9,13 +9,12 @@ from typing import Any
 import click
 
 import geomid_ros
-from geomid_ros.commands.options import base_options, robot_options
+from geomid_ros.commands.options import robot_options
 
 
 @click.command()
 @click.argument("model", type=click.Path(path_type=Path))
 @robot_options
-@base_options
 @click.option(
     "--validate",
     required=True,

@@ -13,6 +13,8 @@ from geomid_ros.types import FloatArray
 
 QUANTITIES = ("mass", "com x", "com y", "com z", "Ixx", "Ixy", "Iyy", "Ixz", "Iyz", "Izz")
 """Names of a link's ten quantities, in the order of :func:`geomid_ros.geometry.pseudo_inertia.quantities_of`."""
+UNITS = ("kg", *("m",) * 3, *("kg m^2",) * 6)
+"""Units of these."""
 IDENTIFIABLE = 0.5
 """A quantity is identifiable when data leave at most this share of its standard deviation in the prior."""
 _TOLD = 3.0  # standard deviations

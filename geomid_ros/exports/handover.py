@@ -11,7 +11,7 @@ import numpy as np
 
 from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.exports.descriptions import DESCRIPTIONS, DescribedRobot, Whole
-from geomid_ros.files.models.effect_forms import unsaid
+from geomid_ros.files.models.effect_forms import finite, unsaid
 from geomid_ros.files.models.handover import ELEMENTS, URDF, WrittenModel
 from geomid_ros.files.models.read_back import ReadBack, read_urdf_back
 from geomid_ros.files.models.results import model_effects
@@ -147,7 +147,8 @@ class Judged:
     @property
     def entry(self) -> dict[str, object]:
         """As ``estimate.json`` has it."""
-        return {"file": self.name, "loaded_by": self.program, **{k: dict(getattr(self, k)) for k in _KINDS}}
+        kinds = {kind: {name: finite(rms) for name, rms in getattr(self, kind).items()} for kind in _KINDS}
+        return {"file": self.name, "loaded_by": self.program, **kinds}
 
 
 _KINDS = ("alone", "corrected", "given")

@@ -19,6 +19,7 @@ from geomid_ros.files.models.joint_frames import joint_frames
 from geomid_ros.files.models.judgements import doubt
 from geomid_ros.files.models.loaded_model import LoadedModel
 from geomid_ros.files.models.results import gravity_of, known_inertias, read_estimate
+from geomid_ros.files.models.robot_values import quantities_entry
 from geomid_ros.files.models.urdf import inertia_of, read_urdf, with_inertials
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.model.effects import KnownEffect, Quantity, effect_class
@@ -214,10 +215,9 @@ def _check_same_model(inertias: Mapping[str, FloatArray], tree: UrdfTree, source
 def _estimated_body(link: Mapping[str, Any], parameters: FloatArray, source: str) -> MassiveLink:
     try:
         unidentified = link.get("cannot_tell")
+        std = quantities_entry(link["std"]) if "std" in link else np.full(10, np.nan)
         return MassiveLink(
-            UncertainInertia(
-                pseudo_inertia.quantities_of(parameters), _std(link["std"]) if "std" in link else np.full(10, np.nan)
-            ),
+            UncertainInertia(pseudo_inertia.quantities_of(parameters), std),
             tuple(map(str, link["merged"])),
             None if unidentified is None else tuple(map(str, unidentified)),
             float(link.get("from_data", np.nan)),
@@ -237,8 +237,3 @@ def _found_payloads(bodies: Mapping[str, MassiveLink], source: str) -> dict[str,
             std = [effect.parameters[key].std if key in effect.parameters else np.nan for key in _PAYLOAD]
             found[name] = MassiveLink(UncertainInertia(bodies[name].inertial.quantities, np.array(std)))
     return found
-
-
-def _std(std: Mapping[str, Any]) -> FloatArray:
-    inertia = pseudo_inertia.inertia_entries(np.array(std["inertia"], dtype=float).reshape(3, 3))
-    return np.concatenate([[float(std["mass"])], np.array(std["com"], dtype=float).reshape(3), inertia])

@@ -47,7 +47,8 @@ class GapPage:
     (bodies, 10)`` are the model file's inertias of the result's bodies. ``rigid (N, channels)`` is what the final
     model predicts on the trace without any named effect. ``known`` are effects that the model had before.
     ``simulated`` are simulations; if there are none, ``not_simulated`` says why. ``doubts`` say why the recording is
-    not to be believed, ``warnings`` what to be careful about, ``notes`` what is worth knowing.
+    not to be believed, ``warnings`` what to be careful about, ``notes`` what is worth knowing. ``seconds`` of held-out
+    data, if the result has no samples of them.
     """
 
     robot: str
@@ -60,6 +61,7 @@ class GapPage:
     known: Sequence[KnownEffect] = ()
     simulated: Sequence[SimulatedAgain] = ()
     not_simulated: str = ""
+    seconds: float = 0.0
     doubts: Sequence[str] = ()
     warnings: Sequence[str] = ()
     notes: Sequence[str] = ()
@@ -89,7 +91,7 @@ def _content(page: GapPage, progress: Callable[[float], None]) -> dict[str, Any]
         "confidence": gap_words.CONFIDENCE,
         "bars": _bars(result),
         "kinds": _KINDS,
-        "seconds": float(elapsed(result.trace.stamps)[-1]) if len(result.trace.stamps) else 0.0,
+        "seconds": float(elapsed(result.trace.stamps)[-1]) if len(result.trace.stamps) else page.seconds,
         "remainders": [(name, [draw(picture) for picture in many]) for name, many in remainders],
         "overlays": [draw(picture) for picture in overlays],
         "motions": [
@@ -140,7 +142,7 @@ def _motion_bars(again: SimulatedAgain) -> Bars:
 
 def _telling_channels(result: GapResult) -> list[int]:
     """Channels whose remainder is worth a look: where something was named or is missing, then where most improved."""
-    if result.verdict == "no gap":
+    if result.verdict == "no gap" or not len(result.trace.stamps):
         return []
     places = [finding.joint for finding in result.findings] + [entry.joint for entry in result.unexplained]
     named = [k for place in places if place for k, name in enumerate(result.channels) if is_of(name, place)]

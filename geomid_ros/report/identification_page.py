@@ -8,15 +8,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from geomid_ros.estimation.estimate import Estimate
+from geomid_ros.files.models.results import shares_from_data
 from geomid_ros.model.effects import KnownEffect, Quantity
 from geomid_ros.plausibility.verdict import Verdict
 from geomid_ros.report import identification_words
 from geomid_ros.report.gap_words import percent
 from geomid_ros.report.page import Bars, Script, write_page
-from geomid_ros.report.series import Series
+from geomid_ros.report.series import ChannelFit, Series
 from geomid_ros.report.sheet import number
 from geomid_ros.report.trace import traces
 from geomid_ros.signals.ledger import Account
@@ -50,7 +49,7 @@ class IdentificationPage:
         estimate: all that was found.
         masses: ``(links,)`` of the URDF [kg].
         effects: all effects of the model.
-        series: the measured channels on what is judged on.
+        series: the measured channels on what is judged on: over time, or how well they fit alone.
         held_out: whether that was held out.
         file: the description that is written.
         alone, corrected: RMS of what it leaves by itself, and with the errors of sensors beside it, by channel.
@@ -68,7 +67,7 @@ class IdentificationPage:
     estimate: Estimate
     masses: FloatArray
     effects: Sequence[KnownEffect]
-    series: Sequence[Series]
+    series: Sequence[ChannelFit]
     held_out: bool
     file: str
     alone: Mapping[str, float]
@@ -95,13 +94,13 @@ def write_identification_page(path: Path, page: IdentificationPage) -> None:
         "fit": _fit(page),
         "fit_bars": _bars(page.series),
         "kinds": _KINDS,
-        "shares": _shares(page.estimate),
+        "shares": shares_from_data(page.estimate),
         "open": [link for link in page.estimate.links if link.cannot_tell],
         "cannot_tell": identification_words.cannot_tell,
         "telling": {name: identification_words.telling(motions) for name, motions in page.telling.items()},
         "weak": [effect for effect in page.estimate.effects if effect.from_data < identification_words.WEAK],
         "to_tell": identification_words.tells_effect,
-        "traces": traces(page.series),
+        "traces": traces([channel for channel in page.series if isinstance(channel, Series)]),
         "script": Script.read(_SCRIPT),
     }
     write_page(path, "identification.html.j2", content)
@@ -130,15 +129,15 @@ def _heaviest(page: IdentificationPage) -> float:
     return 1.05 * max(1e-9, min(max(ends, default=0.0), 3.0 * max(masses, default=0.0)), *masses)
 
 
-def _fit(page: IdentificationPage) -> Iterator[tuple[Series, tuple[str, ...], float]]:
+def _fit(page: IdentificationPage) -> Iterator[tuple[ChannelFit, tuple[str, ...], float]]:
     """RMS per channel of the URDF, of the identified model, of the written file alone and with the errors of sensors
     beside it; and the share of the URDF's that the identified model explains."""
     for channel in page.series:
-        written = page.alone[channel.name], page.corrected[channel.name]
+        written = [each.get(channel.name, math.nan) for each in (page.alone, page.corrected)]
         yield channel, tuple(map(number, (*channel.rms, *written))), 1.0 - channel.ratio
 
 
-def _bars(series: Sequence[Series]) -> Bars:
+def _bars(series: Sequence[ChannelFit]) -> Bars:
     """RMS of the identified model beside that of the URDF, which is 100 %."""
     ratios = {channel.name: channel.ratio for channel in series if math.isfinite(channel.ratio)}
     end = max(1.0, min(2.0, max(ratios.values(), default=1.0)))
@@ -147,11 +146,3 @@ def _bars(series: Sequence[Series]) -> Bars:
         for name, ratio in ratios.items()
     ]
     return Bars(rows, [(f"{100 * share:.0f}", 100.0 * share / end) for share in _SHARES], "RMS")
-
-
-def _shares(estimate: Estimate) -> dict[tuple[str, str], float]:
-    """How much of an effect's uncertainty the data removed, on average over its coefficients."""
-    found: dict[tuple[str, str], list[float]] = {}
-    for effect in estimate.effects:
-        found.setdefault((effect.name, effect.joint), []).append(effect.from_data)
-    return {key: float(np.mean(shares)) for key, shares in found.items()}

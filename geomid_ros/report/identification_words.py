@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 
 from geomid_ros.estimation.estimate import QUANTITIES, EffectEstimate, Estimate
 from geomid_ros.plausibility.verdict import USABLE, Verdict
-from geomid_ros.report.series import Series
+from geomid_ros.report.series import ChannelFit
 
 WEAK = 0.5
 """Share of an effect's uncertainty: less that the data removed is little."""
@@ -26,7 +26,7 @@ _TELLS = {
 }
 
 
-def uses(verdict: Verdict, estimate: Estimate, series: Sequence[Series], held_out: bool) -> list[str]:
+def uses(verdict: Verdict, estimate: Estimate, series: Sequence[ChannelFit], held_out: bool) -> list[str]:
     """What a result can be used for, in sentences.
 
     Args:
@@ -41,7 +41,7 @@ def uses(verdict: Verdict, estimate: Estimate, series: Sequence[Series], held_ou
     return [*_predictions(series, held_out), _masses(told, len(estimate.links))]
 
 
-def _predictions(series: Sequence[Series], held_out: bool) -> list[str]:
+def _predictions(series: Sequence[ChannelFit], held_out: bool) -> list[str]:
     ratios = [channel.ratio for channel in series if math.isfinite(channel.ratio)]
     if not ratios:
         return []

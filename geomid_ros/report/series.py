@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 
@@ -13,6 +14,40 @@ BINS = 500
 """Stretches of a long line; each keeps its smallest and largest value."""
 
 _CORE = (0.5, 99.5)  # percentiles between which a channel's ordinary values lie
+
+
+class ChannelFit(Protocol):
+    """How well the URDF and the identified model predict a channel, in its ``unit``."""
+
+    @property
+    def name(self) -> str:
+        """The channel's."""
+
+    @property
+    def unit(self) -> str:
+        """N m or N."""
+
+    @property
+    def rms(self) -> tuple[float, float]:
+        """RMS residual of the URDF and of the identified model."""
+
+    @property
+    def ratio(self) -> float:
+        """RMS after over RMS before."""
+
+
+@dataclass(frozen=True)
+class SavedFit:
+    """The same as a file says it, without the samples."""
+
+    name: str
+    unit: str
+    rms: tuple[float, float]
+
+    @property
+    def ratio(self) -> float:
+        """RMS after over RMS before; NaN where it is undefined."""
+        return _ratio(*self.rms)
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,8 +70,11 @@ class Series:
     @property
     def ratio(self) -> float:
         """RMS after over RMS before: below 1 is better; NaN where it is undefined."""
-        before, after = self.rms
-        return after / before if before > 0 else float("nan")
+        return _ratio(*self.rms)
+
+
+def _ratio(before: float, after: float) -> float:
+    return after / before if before > 0 else float("nan")
 
 
 @dataclass(frozen=True, eq=False)

@@ -15,6 +15,14 @@ from geomid_ros.resimulation.windows import HORIZON
 from geomid_ros.session.gap_simulation import Simulations
 from geomid_ros.types import FloatArray
 
+SENTENCES = {
+    "windows": f"Velocities in MuJoCo, from the written MJCF: every {HORIZON:g} s from the measured state anew, under "
+    "the measured efforts.",
+    "closed_loop": "Efforts in MuJoCo, from the written MJCF: the whole motion under the recorded commands, with the "
+    "controller that explains the measured efforts best.",
+}
+"""How it was simulated, by kind."""
+
 _SECONDS_OF_WINDOWS = 2.0
 
 
@@ -55,8 +63,7 @@ def _of_windows(model: MeasurementModel, found: Resimulated) -> SimulatedAgain:
 
     return SimulatedAgain(
         kind="windows",
-        sentence=f"Velocities in MuJoCo, from the written MJCF: every {HORIZON:g} s from the measured state anew, "
-        "under the measured efforts.",
+        sentence=SENTENCES["windows"],
         errors={"before": found.before, "after": found.after},
         joints=model.robot.joint_names,
         units=[f"{unit}/s" for unit in position_units(model)],
@@ -74,8 +81,7 @@ def _of_loop(model: MeasurementModel, found: ClosedLoop) -> SimulatedAgain:
 
     return SimulatedAgain(
         kind="closed_loop",
-        sentence="Efforts in MuJoCo, from the written MJCF: the whole motion under the recorded commands, with the "
-        "controller that explains the measured efforts best.",
+        sentence=SENTENCES["closed_loop"],
         errors={"before": found.before, "after": found.after},
         joints=model.robot.joint_names,
         units=[joint.unit for joint in model.robot.joints],

@@ -357,6 +357,7 @@ class Session:
         judged = verdict or self.verdict(estimate)
         merged = {link.name: link.merged for link in estimate.links}
         return document | {
+            "robot": self.robot.name,
             "verdict": verdict_entry(judged, self.findings),
             "warnings": self.warnings(estimate, judged),
             "notes": self.notes,
@@ -380,7 +381,11 @@ class Session:
         return with_effects(with_inertials(self.urdf, inertias, merged), written.effects)
 
     def save(
-        self, folder: Path, estimate: Estimate, held_out: FloatArray | None = None, verdict: Verdict | None = None
+        self,
+        folder: Path,
+        estimate: Estimate,
+        held_out: FloatArray | None = None,
+        verdict: Verdict | None = None,
     ) -> list[Path]:
         """Write ``estimate.json``, see :meth:`document`, ``identified.urdf`` and ``posterior.npz`` into a folder.
 

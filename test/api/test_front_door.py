@@ -105,8 +105,9 @@ def test_the_friction_is_named(shown: dict[str, Any]) -> None:
 def test_what_is_written(shown: dict[str, Any]) -> None:
     folder = shown["folder"]
     names = {path.name for path in (folder / "geomid_out").iterdir()}
+    tables = {"links.csv", "effects.csv", "channels.csv"}
     files = {"estimate.json", "identified.urdf", "effects.yaml", "posterior.npz", "identification.png", "report.html"}
-    assert names == files
+    assert names == files | tables
     assert (folder / "geomid_out/identified.urdf").read_text() == shown["found"].urdf()
     assert "Coulomb friction" in (folder / "report.html").read_text()
 

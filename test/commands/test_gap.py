@@ -24,7 +24,8 @@ from .running import done, geomid, refused
 
 URDF = BAGS / "arm3.urdf"
 LEVEL = 1.0  # of the friction that is hidden at joint2 [N m]
-FILES = {"gap.json", "report.html", "estimate.json", "identified.urdf", "identified.xml", "effects.yaml"}
+MODEL = {"estimate.json", "identified.urdf", "identified.xml", "effects.yaml"}
+FILES = {"gap.json", "findings.csv", "report.html", *MODEL}
 Arguments = Sequence[str | Path]
 
 

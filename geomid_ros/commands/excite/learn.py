@@ -61,14 +61,12 @@ def learn(
     a folder of its own. What stops a motion is what stops 'geomid excite run', and ends the command, which then says
     how to go on. Needs ROS 2.
     """
-    from geomid_ros.api.arguments import configuration, description
+    from geomid_ros.api.excite import robot_to_excite
+    from geomid_ros.api.options import RobotOptions
 
-    if urdf is None and model is None:
-        raise InputError("no robot is given: add --urdf ROBOT.urdf (or --from estimate.json, with identified.urdf)")
+    robot, chosen = robot_to_excite(RobotOptions(urdf=urdf, xacro_args=xacro_args, lock=lock, wrench=wrench), model)
     if (out / "round1").exists():
         raise InputError(f"{out / 'round1'} exists already; name another folder with --out")
-    robot = description(urdf, [], model=model, xacro_args=xacro_args)
-    chosen = configuration(None, model=model, floating_base=False, wrench=wrench, locked_joints=lock or [])
     learning = _Learning(robot, chosen, wish_of(options), out, options)
     for designed in learning.designs(rounds):
         if learning.found and designed.learning.gain < until:
@@ -124,8 +122,8 @@ class _Learning:
 
     def designs(self, rounds: int) -> Iterator[Excitation]:
         """The motion of each round, from what is known when it begins."""
+        from geomid_ros.api.excite import designed_motion
         from geomid_ros.commands.progress import progress_bar
-        from geomid_ros.session import excitation
         from geomid_ros.session.configuration import Configuration
 
         for _ in range(rounds):
@@ -136,8 +134,7 @@ class _Learning:
                 model = str(self.result / "estimate.json")
                 known = known.with_values(Configuration({"model": model}, "options").given)
             with progress_bar() as progress:
-                task = excitation.task_of(self.robot.text, Path(self.robot.source), known, wish)
-                designed = excitation.design(task, wish, progress)
+                designed = designed_motion(self.robot, known, wish, progress).excitation
             yield designed
 
     def show(self, designed: Excitation) -> None:

@@ -20,7 +20,11 @@ def surroundings_options(command: Callable[..., None]) -> Callable[..., None]:
     """What must not be touched; see :func:`surroundings_of`."""
     for option in (
         package_option,
-        click.option("--no-collision", is_flag=True, help="Do not look for collisions, e.g. of a URDF without shapes."),
+        click.option(
+            "--collision/--no-collision",
+            default=True,
+            help="Whether collisions are looked for; a URDF without shapes has none.",
+        ),
         click.option(
             "--clearance",
             default=0.02,
@@ -47,7 +51,7 @@ def surroundings_of(options: dict[str, Any]) -> Surroundings:
     return Surroundings(
         avoid=options.pop("avoid"),
         clearance=options.pop("clearance"),
-        collide=not options.pop("no_collision"),
+        collide=options.pop("collision"),
         packages=options.pop("package_path"),
     )
 
@@ -113,7 +117,7 @@ def wish_of(options: dict[str, Any]) -> Wish:
     from geomid_ros.session.excitation import Wish
 
     own = {name: options.pop(name) for name in ("limits", "duration", "repeats", "speed", "aim", "seed")}
-    return Wish(start=_numbers(options.pop("start")), surroundings=surroundings_of(options), **own)
+    return Wish(start=numbers(options.pop("start")), surroundings=surroundings_of(options), **own)
 
 
 def robot_run_options(command: Callable[..., None]) -> Callable[..., None]:
@@ -156,7 +160,8 @@ def share_of(_context: click.Context, _option: click.Parameter, text: str | None
     return share
 
 
-def _numbers(text: str | None) -> list[float]:
+def numbers(text: str | None) -> list[float]:
+    """Numbers that are separated by commas, none for no text. Raises InputError."""
     try:
         return [] if text is None else [float(part) for part in text.split(",")]
     except ValueError as error:

@@ -5,10 +5,8 @@ from __future__ import annotations
 import click
 
 from geomid_ros.commands.tables import number_columns, plain_table, print_remarks, results_console
-from geomid_ros.estimation.estimate import QUANTITIES
+from geomid_ros.estimation.estimate import QUANTITIES, UNITS
 from geomid_ros.exports.weighed_payload import Payload
-
-_UNITS = ("kg", *("m",) * 3, *("kg m^2",) * 6)
 
 
 def show(found: Payload, controller: str | None) -> None:
@@ -21,7 +19,7 @@ def show(found: Payload, controller: str | None) -> None:
     number_columns(table, ["value", "std"])
     table.add_column("unit")
     table.add_column("told by the motions")
-    rows = zip(QUANTITIES, found.inertial.quantities, found.inertial.std, _UNITS, strict=True)
+    rows = zip(QUANTITIES, found.inertial.quantities, found.inertial.std, UNITS, strict=True)
     for name, value, std, unit in rows:
         told = "no" if name in found.weighed.cannot_tell else "yes"
         table.add_row(name, f"{value:.4g}", f"{std:.2g}", unit, told)

@@ -56,7 +56,7 @@ def write_model(
     bodies = {name: inertia_of(parameters) for name, parameters in inertias.items()}
     merged = {body.name: body.merged for body in model.robot.bodies if body.name in bodies}
     removed = [name for names in merged.values() for name in names]
-    judged = {"verdict": verdict_entry(recording_verdict(findings), findings)}
+    judged = {"robot": model.robot.name, "verdict": verdict_entry(recording_verdict(findings), findings)}
     write_json(folder / ESTIMATE, _estimate(bodies, merged, effects) | judged)
     write_text(folder / URDF, with_effects(with_inertials(urdf, bodies, removed), effects))
     write_text(folder / MJCF, mjcf(model.robot, inertias, effects, model.sensors, gravity))

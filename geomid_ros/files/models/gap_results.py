@@ -30,6 +30,8 @@ causes          what makes the recording doubtful: list of {``kind``, ``places``
                 into the configuration), ``sure``, ``rivals``}
 warnings        what else to know, in sentences: of the recording, and of the model that it was compared with
 notes           what was settled for the user, in sentences: where the description was found, which joints were locked
+robot ...       what the page shows beside: ``robot``, ``recordings``, ``known`` (effects that the model had),
+                ``judged_seconds``, ``not_simulated``, and what :mod:`geomid_ros.files.models.gap_reading` adds
 ==============  =======================================================================================================
 
 Numbers that do not exist (a channel without measurements, say) are null.

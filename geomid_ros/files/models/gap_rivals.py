@@ -2,20 +2,16 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from geomid_ros.errors import InputError
-from geomid_ros.files.disk import read_text
-from geomid_ros.files.models.gap_results import FORMAT
+from geomid_ros.files.models.gap_reading import read_gap
 from geomid_ros.files.models.sidecar import effect_of
 from geomid_ros.gap.result import GapResult
 from geomid_ros.model.effects import KnownEffect, effect_class
-
-_MOST_BYTES = 20_000_000
 
 
 @dataclass(frozen=True)
@@ -36,14 +32,7 @@ def read_open_findings(path: Path) -> tuple[list[OpenFinding], dict[str, float]]
 
     Raises InputError naming the file and what is wrong in it, or that nothing is open.
     """
-    try:
-        document = json.loads(read_text(path, "gap report", _MOST_BYTES))
-    except (ValueError, RecursionError) as error:
-        raise InputError(f"{path}: the gap report cannot be read ({error})") from error
-    if not isinstance(document, dict) or not isinstance(document.get("findings"), list):
-        raise InputError(f"{path}: not a gap.json, it has no list 'findings'")
-    if document.get("format") != FORMAT:
-        raise InputError(f"{path}: has format {document.get('format')}, this version reads format {FORMAT}")
+    document = read_gap(path)
     found = [_open(entry, f"{path}: findings[{index}]") for index, entry in enumerate(document["findings"])]
     left = [finding for finding in found if finding.rivals]
     if not left:

@@ -24,8 +24,8 @@ def verdict_entry(verdict: Verdict, findings: Sequence[Finding]) -> dict[str, An
     }
 
 
-def doubt(document: Mapping[str, Any], source: str) -> str:
-    """Why the estimate of a document should not be used, in a sentence; empty if nothing speaks against it.
+def read_verdict(document: Mapping[str, Any], source: str) -> Verdict:
+    """The verdict of a document; one without any is usable if its solver converged.
 
     Raises:
         InputError: the verdict is none; the message names the file ``source``.
@@ -37,9 +37,19 @@ def doubt(document: Mapping[str, Any], source: str) -> str:
     word = str(entry.get("result"))
     if word not in STATUS:
         raise InputError(f"{source}: {unknown_name('verdict', word, STATUS)}")
-    if word == USABLE:
+    return Verdict(word=word, reasons=tuple(map(str, reasons)))
+
+
+def doubt(document: Mapping[str, Any], source: str) -> str:
+    """Why the estimate of a document should not be used, in a sentence; empty if nothing speaks against it.
+
+    Raises:
+        InputError: as :func:`read_verdict`.
+    """
+    verdict = read_verdict(document, source)
+    if verdict.word == USABLE:
         return ""
-    return f"{source}: this model's verdict is '{word}': {'; '.join(map(str, reasons)) or 'no reason is given'}"
+    return f"{source}: this model's verdict is '{verdict.word}': {'; '.join(verdict.reasons) or 'no reason is given'}"
 
 
 def causes_entry(findings: Sequence[Finding]) -> list[dict[str, Any]]:
@@ -48,6 +58,18 @@ def causes_entry(findings: Sequence[Finding]) -> list[dict[str, Any]]:
         _cause_entry(finding.cause) | {"sure": finding.sure, "rivals": [_cause_entry(c) for c in finding.rivals]}
         for finding in findings
     ]
+
+
+def doubts_of(document: Mapping[str, Any]) -> list[str]:
+    """The sentences on what a recording seems to be. Raises KeyError or TypeError for a document without them."""
+    return [
+        Finding(cause=_cause(entry), sure=entry["sure"], rivals=tuple(map(_cause, entry["rivals"]))).sentence
+        for entry in document["causes"]
+    ]
+
+
+def _cause(entry: Mapping[str, Any]) -> Cause:
+    return Cause(kind=entry["kind"], sentence=entry["sentence"])
 
 
 def _cause_entry(cause: Cause) -> dict[str, Any]:

@@ -65,15 +65,10 @@ class LoadedModel:
         if not path:
             return LoadedModel()
         document = read_estimate(Path(path))
-        added = document.get("added", [])
-        effects = [
-            *_single_coefficients(document, path),
-            *(effect_of(entry, f"{path}: added[{index}]") for index, entry in enumerate(added)),
-        ]
         inertias = known_inertias(document, path)
         known = known_information(document, inertias, path)
-        merged = _merged(document, path)
-        return LoadedModel(path, inertias, tuple(combined(effects)), known, merged, doubt(document, path))
+        merged = merged_links(document, path)
+        return LoadedModel(path, inertias, tuple(known_effects(document, path)), known, merged, doubt(document, path))
 
     def refitted(
         self, model: MeasurementModel, coefficients: FloatArray, beside: Sequence[KnownEffect] = ()
@@ -235,14 +230,22 @@ class LoadedModel:
         return total
 
 
+def known_effects(document: Mapping[str, Any], source: str) -> list[KnownEffect]:
+    """The effects in a document of :mod:`geomid_ros.files.models.results`. Raises InputError for what is none."""
+    added = [
+        effect_of(entry, f"{source}: added[{index}]") for index, entry in enumerate(document.get("added", []))
+    ]
+    return combined([*_single_coefficients(document, source), *added])
+
+
 def _is_beside(known: KnownEffect) -> bool:
     cls = effect_class(known.effect)
     identified = issubclass(cls, LoadEffect) or cls.corrected_in_samples or cls.absorbed
     return issubclass(cls, SituationEffect) and not identified
 
 
-def _merged(document: Mapping[str, Any], source: str) -> dict[str, frozenset[str]]:
-    """The fixed links that are merged into each link of a document that says so."""
+def merged_links(document: Mapping[str, Any], source: str) -> dict[str, frozenset[str]]:
+    """The fixed links that are merged into each link of a document that says so. Raises InputError for other things."""
     try:
         return {
             str(link["name"]): frozenset(map(str, link["merged"])) for link in document["links"] if "merged" in link

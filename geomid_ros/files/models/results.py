@@ -55,13 +55,14 @@ def estimate_document(
         known: the effects of the model that the estimation began with.
     """
     effects = model_effects(estimate, known)
-    shares = {(effect.name, effect.joint): effect.from_data for effect in estimate.effects}
+    shares = shares_from_data(estimate)
     rms = {"nominal": estimate.rms_nominal, "train": estimate.rms, "held_out": held_out}
     return {
         "format": FORMAT,
         "converged": estimate.converged,
         "reason": estimate.reason,
         "seconds": round(estimate.seconds, 3),
+        "steps": estimate.steps,
         "gamma": estimate.gamma,
         "rows": {
             "accepted": estimate.rows_accepted,
@@ -84,7 +85,12 @@ def estimate_document(
             for effect in effects
             if is_coefficient(effect)
         ],
-        "added": [effect_entry(effect) for effect in effects if not is_coefficient(effect)],
+        "added": [
+            effect_entry(effect) | ({"from_data": shares[key]} if key in shares else {})
+            for effect in effects
+            if not is_coefficient(effect)
+            for key in [(effect.effect, effect.joint)]
+        ],
         "known": [
             {"name": k.name, "mass": k.mass, "std": k.std, "given": k.given, "given_std": k.given_std}
             for k in estimate.known
@@ -95,6 +101,14 @@ def estimate_document(
         "sigma": by_channel(estimate.channels, estimate.sigmas),
         "information": _together(estimate) if len(estimate.links) <= _MOST_LINKS_TOGETHER else None,
     }
+
+
+def shares_from_data(estimate: Estimate) -> dict[tuple[str, str], float]:
+    """Share of an effect's uncertainty that the data removed, by its name and place: the mean over its coefficients."""
+    found: dict[tuple[str, str], list[float]] = {}
+    for effect in estimate.effects:
+        found.setdefault((effect.name, effect.joint), []).append(effect.from_data)
+    return {key: float(np.mean(shares)) for key, shares in found.items()}
 
 
 def link_entry(name: str, merged: Sequence[str], inertia: Inertia) -> dict[str, Any]:

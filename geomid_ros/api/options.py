@@ -1,0 +1,163 @@
+"""The options that functions and commands share: which robot it is, and how its recordings are read."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, TypeAlias, TypedDict
+
+from geomid_ros.api.arguments import Config, Description, PathLike, Paths, Texts, bag_paths, description, entries, texts
+from geomid_ros.errors import InputError
+from geomid_ros.model.sensors import WrenchSensor
+from geomid_ros.session.configuration import Configuration
+from geomid_ros.session.recordings import Bags, Topics
+
+Gains: TypeAlias = float | str | Sequence[float | str] | Mapping[str, float]
+"""A factor of all joints' efforts, ``[JOINT=]FACTOR`` as on the command line, several of them, or factors by joint."""
+
+
+class RobotKeywords(TypedDict, total=False):
+    """Keyword arguments that make :class:`RobotOptions`, where they are explained."""
+
+    config: Config | None
+    xacro_args: Texts
+    cutoff: float | None
+    gravity: Sequence[float] | None
+    gain: Gains
+    lock: Texts | None
+    merge: bool
+    wrench: Texts
+    joint_topic: str
+    floating_base: bool
+    odom_topic: str
+
+
+class RecordingKeywords(RobotKeywords, total=False):
+    """Keyword arguments that make :class:`RecordingOptions`, where they are explained."""
+
+    model: PathLike | None
+    hold_out: float | None
+    validate: Paths
+
+
+@dataclass(frozen=True, kw_only=True)
+class RobotOptions:
+    """Which robot it is, what is measured on it, and how that is read.
+
+    Functions of ``geomid_ros`` take them as keyword arguments; commands of ``geomid`` have options of the same names.
+    They win over ``config``.
+
+    Attributes:
+        urdf: path of the robot description (URDF or .xacro), or its text; None for the identified.urdf beside a model
+            that is given, or else for the description in the bags.
+        config: the node's parameter file (YAML), or parameters by their full names.
+        xacro_args: arguments, as ``NAME:=VALUE``, of a .xacro file, which is run.
+        cutoff: cutoff frequency of the low-pass on all signals [Hz].
+        gravity: gravity ``(3,)`` in the base frame [m/s^2].
+        gain: factors from the messages' efforts to N m (or N), see :data:`Gains`.
+        lock: joints that stand at zero.
+        merge: whether several publishers send the joint states, each some of the joints.
+        wrench: wrench sensors, as ``TOPIC:FRAME:ROLE[:AXES]``; ``ROLE`` is mounted or external.
+        joint_topic: topic of the joint states.
+        floating_base: whether the base moves; its pose is read from ``odom_topic``.
+        odom_topic: topic of the base's pose.
+    """
+
+    urdf: PathLike | None = None
+    config: Config | None = None
+    xacro_args: Texts = ()
+    cutoff: float | None = None
+    gravity: Sequence[float] | None = None
+    gain: Gains = ()
+    lock: Texts | None = None
+    merge: bool = False
+    wrench: Texts = ()
+    joint_topic: str = "joint_states"
+    floating_base: bool = False
+    odom_topic: str = "odom"
+
+    @property
+    def topics(self) -> Topics:
+        """The topics that recordings are read from."""
+        return Topics(self.joint_topic, self.odom_topic)
+
+    def description(self, bags: Sequence[Path], model: PathLike | None = None) -> Description:
+        """The robot description, see :func:`~geomid_ros.api.arguments.description`."""
+        return description(self.urdf, bags, model=model, xacro_args=self.xacro_args)
+
+    def configuration(self, model: PathLike | None = None, **values: Any) -> Configuration:
+        """The parameters of ``config`` with what the other options say.
+
+        Args:
+            model: an estimate.json to start from.
+            values: further parameters by their full names.
+
+        Raises:
+            InputError: a parameter is unknown or has a wrong value.
+        """
+        own = {
+            "model": None if model is None else str(model),
+            "filter.cutoff": self.cutoff,
+            "gravity": None if self.gravity is None else list(self.gravity),
+            "locked_joints": entries("lock", self.lock or ()) or None,
+            "merge_joint_states": self.merge or None,
+            "floating_base": self.floating_base or None,
+        }
+        said = {name: value for name, value in own.items() if value is not None}
+        result = _base(self.config)
+        if self.wrench:
+            result = result.with_sensors([WrenchSensor.parse(text) for text in texts(self.wrench)])
+        return result.with_values(Configuration(said | _gains(self.gain) | values, "options").given)
+
+
+@dataclass(frozen=True, kw_only=True)
+class RecordingOptions(RobotOptions):
+    """The same, and where to start from and what to judge on.
+
+    Attributes:
+        model: an estimate.json to start from.
+        hold_out: share of each bag's time, at the end, to judge on; None for 0.3, with ``validate`` 0.
+        validate: bags to judge on.
+    """
+
+    model: PathLike | None = None
+    hold_out: float | None = None
+    validate: Paths = ()
+
+    def bags(self, fitted: Paths) -> Bags:
+        """The recordings to fit and to judge on.
+
+        Raises:
+            InputError: there is none, or one is given twice.
+        """
+        return Bags(
+            fitted=bag_paths(fitted),
+            validate=bag_paths(self.validate),
+            hold_out=self.hold_out,
+            topics=self.topics,
+        )
+
+
+def _base(config: Config | None) -> Configuration:
+    if isinstance(config, Configuration):
+        return config
+    if config is None or isinstance(config, Mapping):
+        return Configuration(config, "options" if config is None else "config")
+    return Configuration.read(Path(config))
+
+
+def _gains(given: Gains) -> dict[str, float]:
+    """The parameters that factors set."""
+    if isinstance(given, Mapping):
+        return {f"joint.{joint}.effort_gain": float(factor) for joint, factor in given.items()}
+    return dict(_gain(str(entry)) for entry in ([given] if isinstance(given, float | int | str) else given))
+
+
+def _gain(text: str) -> tuple[str, float]:
+    """The parameter that ``[JOINT=]FACTOR`` sets, and its value."""
+    joint, _, factor = text.rpartition("=")
+    try:
+        return (f"joint.{joint}.effort_gain" if joint else "effort_gain"), float(factor)
+    except ValueError as error:
+        raise InputError(f"gain: '{text}' is not of the form [JOINT=]FACTOR, e.g. -1 or joint3=0.5") from error

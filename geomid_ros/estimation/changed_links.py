@@ -1,0 +1,165 @@
+"""Which links have changed between two results, by what both sets of data say of all links together.
+
+Single inertial parameters are mostly known in combinations only: a mass that changed by a fifth may lie within the
+interval of each number. Here the links are the same robot's in both results, but for those that changed. With the
+log-likelihoods of both data sets as functions of the link parameters, the change of one link is judged by how much
+better it explains the difference, -2 log p, which is chi-square distributed with at most ten degrees of freedom if
+nothing has changed. Links are taken one by one, the best first (stepwise), until no other explains more than chance.
+What the effects are is left open: friction may differ from day to day.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+
+from geomid_ros.estimation.estimate import SURE, LinksInformation
+from geomid_ros.geometry.manifold import ParameterManifold
+from geomid_ros.model.effects import Quantity
+from geomid_ros.types import FloatArray
+
+_SIZE = 10
+_UNITS = ("kg", "kg m", "kg m", "kg m")  # of mass and first moment, with which the parameters begin
+
+
+@dataclass(frozen=True)
+class ChangedLink:
+    """A link whose change explains the difference of two results.
+
+    Attributes:
+        link: its name.
+        gain: by how much better, a difference of -2 log p.
+        mass: by how much it is heavier in the second result [kg].
+        moment: by how much its first moment is larger there, about the link's origin, by axis [kg m].
+        rivals: links whose change explains it nearly as well.
+    """
+
+    link: str
+    gain: float
+    mass: Quantity
+    moment: Mapping[str, Quantity] = field(default_factory=dict)
+    rivals: tuple[str, ...] = ()
+
+    @property
+    def sentence(self) -> str:
+        """In words, with 95 % intervals: the mass, or where that may be as it was, the first moment."""
+        others = f", or {' or '.join(self.rivals)} has changed instead" if self.rivals else ""
+        interval = f"± {SURE * self.mass.std:.2g} kg"
+        if _is_sure(self.mass):
+            less = "less" if self.mass.value < 0.0 else "more"
+            return f"{self.link} weighs {abs(self.mass.value):.3g} {interval} {less}{others}"
+        moments = [
+            f"first moment {axis} by {change.value:.2g} ± {SURE * change.std:.2g} kg m"
+            for axis, change in self.moment.items()
+            if _is_sure(change)
+        ]
+        changes = ", ".join([*moments, f"mass by {self.mass.value:.2g} {interval}"])
+        return f"{self.link} has changed: {changes}{others}"
+
+
+def _is_sure(change: Quantity) -> bool:
+    """True if a change is not zero."""
+    return abs(change.value) > SURE * change.std
+
+
+@dataclass(frozen=True, eq=False)
+class LinkEvidence:
+    """What the data of a result say of its links.
+
+    Attributes:
+        parameters: ``(links, 10)`` in pinocchio's order, about the links' origins.
+        information: the log-likelihood about these.
+    """
+
+    parameters: FloatArray
+    information: LinksInformation
+
+
+def changed_links(
+    names: Sequence[str], first: LinkEvidence, second: LinkEvidence, limit: float, alike: float
+) -> tuple[ChangedLink, ...]:
+    """The links that have changed, in the order in which they were found.
+
+    Args:
+        names: of the links.
+        first, second: both results, links in the order of the names.
+        limit: gain from which on a change is believed.
+        alike: a link is a rival if its change explains it worse by less than this.
+    """
+    problem = _Problem(first, second)
+    changed: list[int] = []
+    found: list[tuple[float, list[str]]] = []
+    while len(changed) < len(names):
+        left = [link for link in range(len(names)) if link not in changed]
+        errors = {link: problem.solved([*changed, link])[0] for link in left}
+        best = min(left, key=errors.__getitem__)
+        gain = problem.solved(changed)[0] - errors[best]
+        if gain <= limit:
+            break
+        rivals = [names[link] for link in left if link != best and errors[link] - errors[best] < alike]
+        changed.append(best)
+        found.append((gain, rivals))
+    return tuple(
+        ChangedLink(names[link], gain, mass, dict(zip("xyz", moment, strict=True)), tuple(rivals))
+        for link, (gain, rivals), (mass, *moment) in zip(changed, found, problem.sizes(changed), strict=True)
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _Problem:
+    """Least squares in tangent coordinates at the first result: of its links, and of the changes of some. A unit of
+    a coordinate is a change by about as much as the body is: so wide is what is known beforehand."""
+
+    first: LinkEvidence
+    second: LinkEvidence
+
+    @cached_property
+    def _jacobian(self) -> FloatArray:
+        """Derivative ``(links, 10, 10)`` of each link's parameters by its coordinates."""
+        manifold = ParameterManifold(len(self.first.parameters), 0, np.zeros(0))
+        return manifold.point(self.first.parameters.ravel()).links_jacobian
+
+    def _whitened(self, evidence: LinkEvidence) -> tuple[FloatArray, FloatArray]:
+        """Rows ``(10 links, 10 links)`` of the coordinates, and residuals at the first result."""
+        rows, offset = evidence.information.rows, (self.first.parameters - evidence.parameters).ravel()
+        blocks = rows.reshape(len(rows), -1, _SIZE)
+        return np.einsum("nli,lij->nlj", blocks, self._jacobian).reshape(rows.shape), (
+            evidence.information.residuals + rows @ offset
+        )
+
+    @cached_property
+    def _both(self) -> tuple[tuple[FloatArray, FloatArray], tuple[FloatArray, FloatArray]]:
+        return self._whitened(self.first), self._whitened(self.second)
+
+    def solved(self, changed: Sequence[int]) -> tuple[float, FloatArray, FloatArray]:
+        """The least squared error if these links have changed, their changes ``(10 changed,)`` in coordinates, and
+        the covariance of these."""
+        (before, residual), (after, other) = self._both
+        columns = [_SIZE * link + index for link in changed for index in range(_SIZE)]
+        count, size = len(columns), before.shape[1]
+        rows = np.zeros((len(before) + len(after) + size + count, size + count))
+        rows[: len(before), :size], rows[len(before) : len(before) + len(after), :size] = before, after
+        rows[len(before) : len(before) + len(after), size:] = after[:, columns]
+        rows[len(before) + len(after) :] = np.eye(size + count)
+        targets = np.concatenate([-residual, -other, np.zeros(size + count)])
+        orthogonal, triangle = np.linalg.qr(rows)
+        projected = orthogonal.T @ targets
+        inverse = np.linalg.inv(triangle)
+        covariance = inverse @ inverse.T
+        solution = inverse @ projected
+        return float(np.sum((targets - rows @ solution) ** 2)), solution[size:], covariance[size:, size:]
+
+    def sizes(self, changed: Sequence[int]) -> list[list[Quantity]]:
+        """By how much mass and first moment of each link that has changed are larger."""
+        _, changes, covariance = self.solved(changed)
+        found = []
+        for place, link in enumerate(changed):
+            own, rows = slice(_SIZE * place, _SIZE * (place + 1)), self._jacobian[link][: len(_UNITS)]
+            std = np.sqrt(np.diag(rows @ covariance[own, own] @ rows.T))
+            found.append(
+                [Quantity(*each) for each in zip((rows @ changes[own]).tolist(), std.tolist(), _UNITS, strict=True)]
+            )
+        return found

@@ -1,0 +1,190 @@
+"""Parameters in which two results differ by more than their uncertainties leave open.
+
+Intervals are joint: if the robot is the same, all differences together stay within them with a probability of 95 %.
+Each of n comparisons has a share 0.05 / n of the chance to be wrong (Bonferroni), however they depend on each other.
+A comparison is that of one number, or that of one link as a whole (:mod:`geomid_ros.estimation.changed_links`).
+
+The errors of both results count as independent. What both took from the same prior counts as uncertain twice.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from geomid_ros.estimation.changed_links import ChangedLink, LinkEvidence, changed_links
+from geomid_ros.estimation.estimate import QUANTITIES, UNITS, LinksInformation
+from geomid_ros.geometry import pseudo_inertia
+from geomid_ros.model.effects import KnownEffect, Quantity
+from geomid_ros.types import FloatArray
+
+CHANCE = 0.05
+"""Probability that any of the numbers is said to differ if none does."""
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class LinkValues:
+    """What a result says of a link.
+
+    Attributes:
+        parameters: ``(10,)`` in pinocchio's order, about the link's origin.
+        std: standard deviations ``(10,)`` of the :data:`~geomid_ros.estimation.estimate.QUANTITIES`; zero of exact
+            numbers, NaN of unknown ones.
+        merged: the links that are fixed to it and counted in.
+    """
+
+    parameters: FloatArray
+    std: FloatArray
+    merged: frozenset[str] = frozenset()
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class RobotValues:
+    """What a result says of a robot: its ``links`` by name, its ``effects``, and what its data say of all links
+    together (None where that is not known)."""
+
+    links: Mapping[str, LinkValues]
+    effects: tuple[KnownEffect, ...] = ()
+    information: LinksInformation | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Difference:
+    """A number in two results.
+
+    Attributes:
+        place: the link or joint, or what else it belongs to.
+        effect: the effect whose parameter it is; empty for a link.
+        parameter: its name.
+        first, second: the two values; None where a result has no such effect: that a model lacks it says nothing of
+            the robot.
+        half_width: of the joint interval of their difference; NaN where neither result says how sure it is.
+    """
+
+    place: str
+    effect: str
+    parameter: str
+    first: Quantity | None
+    second: Quantity | None
+    half_width: float = math.nan
+
+    @property
+    def unit(self) -> str:
+        """The unit of the values."""
+        return next(value.unit for value in (self.first, self.second) if value is not None)
+
+    @property
+    def value(self) -> float:
+        """By how much the second value is larger; NaN where one of them is missing."""
+        before, after = (math.nan if value is None else value.value for value in (self.first, self.second))
+        return after - before
+
+    @property
+    def score(self) -> float:
+        """The difference in units of its interval: above 1 the two differ."""
+        return abs(self.value) / self.half_width if self.half_width > 0.0 else 0.0
+
+    @property
+    def differs(self) -> bool:
+        """True if the values differ by more than chance explains."""
+        return self.score > 1.0
+
+    @property
+    def sentence(self) -> str:
+        """In words."""
+        name = f"{self.effect.replace('_', ' ')} {self.parameter}".strip().replace("_", " ")
+        before, after = ("none" if value is None else f"{value.value:.3g}" for value in (self.first, self.second))
+        return f"{self.place}: {name} {before} → {after} {self.unit}".strip()
+
+
+@dataclass(frozen=True, kw_only=True)
+class Compared:
+    """Two results side by side.
+
+    Attributes:
+        differences: every number, in the order of links and effects.
+        changed: links whose change explains the difference, the one that explains most first.
+        not_compared: links that consist of other parts in the second result.
+    """
+
+    differences: tuple[Difference, ...]
+    changed: tuple[ChangedLink, ...] = ()
+    not_compared: tuple[str, ...] = ()
+
+    @property
+    def differing(self) -> list[Difference]:
+        """The numbers that differ, the surest first."""
+        return sorted((each for each in self.differences if each.differs), key=lambda each: -each.score)
+
+
+def compared(first: RobotValues, second: RobotValues, chance: float = CHANCE) -> Compared:
+    """Compare two results of one robot.
+
+    Args:
+        first, second: what they say.
+        chance: probability that any number is said to differ if none does.
+    """
+    common = [name for name in first.links if name in second.links]
+    same = [name for name in common if first.links[name].merged == second.links[name].merged]
+    differences = [*_links(first, second, same), *_effects(first, second)]
+    deviations = [_deviation(difference) for difference in differences]
+    evidence = _evidence(first, second, same)
+    count = sum(deviation > 0.0 for deviation in deviations) + (len(same) if evidence else 0)
+    times, limit = _limits(chance / max(count, 1))
+    judged = [
+        replace(difference, half_width=times * deviation) if deviation > 0.0 else difference
+        for difference, deviation in zip(differences, deviations, strict=True)
+    ]
+    return Compared(
+        differences=tuple(judged),
+        changed=changed_links(same, *evidence, limit, -2.0 * math.log(chance)) if evidence else (),
+        not_compared=tuple(name for name in common if name not in same),
+    )
+
+
+def _evidence(first: RobotValues, second: RobotValues, names: list[str]) -> tuple[LinkEvidence, LinkEvidence] | None:
+    """What the data of both say of these links together; None if either does not say it of exactly these."""
+    if first.information is None or second.information is None or not names == [*first.links] == [*second.links]:
+        return None
+    before, after = (np.array([values.links[name].parameters for name in names]) for values in (first, second))
+    return LinkEvidence(before, first.information), LinkEvidence(after, second.information)
+
+
+def _limits(chance: float) -> tuple[float, float]:
+    """Standard deviations of a number, and the gain of a link's change, that chance exceeds with this probability."""
+    from scipy.special import chdtri, ndtri  # noqa: PLC0415 of comparisons alone
+
+    return float(-ndtri(0.5 * chance)), float(chdtri(len(QUANTITIES), chance))
+
+
+def _links(first: RobotValues, second: RobotValues, names: list[str]) -> Iterator[Difference]:
+    for name in names:
+        pair = [_quantities(values.links[name]) for values in (first, second)]
+        for quantity, before, after in zip(QUANTITIES, *pair, strict=True):
+            yield Difference(place=name, effect="", parameter=quantity, first=before, second=after)
+
+
+def _quantities(link: LinkValues) -> list[Quantity]:
+    values = pseudo_inertia.quantities_of(link.parameters)
+    return [Quantity(*own) for own in zip(values.tolist(), link.std.tolist(), UNITS, strict=True)]
+
+
+def _effects(first: RobotValues, second: RobotValues) -> Iterator[Difference]:
+    """Every parameter that either result has."""
+    there, here = ({(e.effect, e.link or e.joint): e.parameters for e in values.effects} for values in (first, second))
+    for key in dict.fromkeys((*there, *here)):
+        before, after = there.get(key, {}), here.get(key, {})
+        for name in dict.fromkeys((*before, *after)):
+            yield Difference(
+                place=key[1], effect=key[0], parameter=name, first=before.get(name), second=after.get(name)
+            )
+
+
+def _deviation(difference: Difference) -> float:
+    """Standard deviation of a difference; zero where a value is missing or neither is uncertain."""
+    if difference.first is None or difference.second is None:
+        return 0.0
+    return math.hypot(*(value.std for value in (difference.first, difference.second) if math.isfinite(value.std)))

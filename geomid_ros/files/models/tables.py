@@ -1,0 +1,96 @@
+"""Tables of a result as CSV, for spreadsheets and data frames: made from its document alone."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any, TypeAlias
+
+from geomid_ros.estimation.estimate import QUANTITIES
+from geomid_ros.files.disk import write_text
+from geomid_ros.files.models.robot_values import quantities_entry
+from geomid_ros.model.effects import effect_class
+
+Rows: TypeAlias = list[dict[str, Any]]
+"""A table: each row has its cells by column."""
+
+_BETWEEN = ";"
+_UNKNOWN = {"mass": "nan", "com": ["nan"] * 3, "inertia": [["nan"] * 3] * 3}
+_FINDING = ("confidence", "share", "separability", "loss", "sentence")
+
+
+def write_tables(folder: Path, found: Mapping[str, Rows]) -> list[Path]:
+    """Write tables into a folder, each as a file with its name.
+
+    Returns:
+        The files.
+
+    Raises:
+        GeomidError: a file cannot be written.
+    """
+    files = []
+    for name, rows in found.items():
+        files.append(folder / f"{name}.csv")
+        write_text(files[-1], csv_text(rows))
+    return files
+
+
+def tables(document: Mapping[str, Any]) -> dict[str, Rows]:
+    """The tables by their names: links, effects and channels of an ``estimate.json``'s document, findings of a
+    ``gap.json``'s. Raises AttributeError, KeyError, TypeError or ValueError for a document that lacks something."""
+    if "findings" in document:
+        return {"findings": list(_findings(document))}
+    return {
+        "links": [_link(link, document.get("urdf_masses", {})) for link in document["links"]],
+        "effects": list(_effects(document)),
+        "channels": [dict(channel) for channel in document.get("channels", [])],
+    }
+
+
+def csv_text(rows: Rows) -> str:
+    """Rows as CSV below the names of their columns; what is not known is empty."""
+    text = io.StringIO()
+    columns = list(dict.fromkeys(column for row in rows for column in row))
+    writer = csv.DictWriter(text, columns, lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(rows)
+    return text.getvalue()
+
+
+def _link(link: Mapping[str, Any], urdf_masses: Mapping[str, float]) -> dict[str, Any]:
+    """Quantities and standard deviations of a link, with what the file says of how they are known."""
+    names = [name.replace(" ", "_") for name in QUANTITIES]
+    values, std = (quantities_entry(entry).tolist() for entry in (link, link.get("std", _UNKNOWN)))
+    return {
+        "link": link["name"],
+        "merged": _BETWEEN.join(link.get("merged", ())),
+        "urdf_mass": urdf_masses.get(link["name"]),
+        **dict(zip(names, values, strict=True)),
+        **({f"std_{name}": own for name, own in zip(names, std, strict=True)} if "std" in link else {}),
+        **{key: link[key] for key in ("distance_from_prior", "from_data") if key in link},
+        "not_identifiable": _BETWEEN.join(link.get("cannot_tell", ())),
+    }
+
+
+def _effects(document: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
+    """A row for every parameter of every effect."""
+    for entry in document["effects"]:
+        parameter = effect_class(entry["name"]).parameters[0].name
+        yield _row(entry["name"], entry, parameter, entry) | {"from_data": entry.get("from_data")}
+    for entry in document.get("added", []):
+        for name, quantity in entry["parameters"].items():
+            yield _row(entry["effect"], entry, name, quantity) | {"from_data": entry.get("from_data")}
+
+
+def _findings(document: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
+    """A row for every parameter of every finding."""
+    for entry in document["findings"]:
+        for name, quantity in entry["parameters"].items():
+            yield _row(entry["effect"], entry, name, quantity) | {key: entry.get(key) for key in _FINDING}
+
+
+def _row(effect: str, entry: Mapping[str, Any], parameter: str, quantity: Mapping[str, Any]) -> dict[str, Any]:
+    numbers = {key: quantity.get(key) for key in ("value", "std", "unit")}
+    return {"effect": effect, "joint": entry.get("joint"), "link": entry.get("link"), "parameter": parameter, **numbers}

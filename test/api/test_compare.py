@@ -1,0 +1,266 @@
+"""Two results of one robot: equal halves are alike, what was planted is named, another robot is refused."""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from commands.running import done, geomid, refused, undrawn
+from files.recordings import BAGS, QUICK, recorded, write_bag
+from report.pages import Page
+
+import geomid_ros
+from geomid_ros.files.models.urdf import with_inertials
+from geomid_ros.simulation import SimulationOptions, simulate
+
+ARM7, LINK = BAGS / "arm7.urdf", "link6"
+
+
+def heavier(urdf: Path, link: str, factor: float) -> str:
+    """A description in which a link has more mass, where it was."""
+
+    def more(match: re.Match[str]) -> str:
+        return re.sub(r'(<mass value=")([^"]+)', lambda mass: f"{mass[1]}{factor * float(mass[2])!r}", match[0])
+
+    return re.sub(rf'<link name="{link}">.*?</link>', more, urdf.read_text(), flags=re.DOTALL)
+
+
+def mass_of(urdf: Path, link: str) -> float:
+    found = re.search(rf'<link name="{link}">.*?<mass value="([^"]+)"', urdf.read_text(), re.DOTALL)
+    assert found
+    return float(found[1])
+
+
+def identified(folder: Path, bag: Path, **options: Any) -> Path:
+    """The estimate.json of a recording."""
+    with pytest.MonkeyPatch.context() as patch:
+        undrawn(patch)
+        geomid_ros.identify(bag, ARM7, **options).save(folder)
+    return folder / "estimate.json"
+
+
+@pytest.fixture(scope="module")
+def halves(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
+    """Estimates of both halves of the shipped recording."""
+    folder, messages = tmp_path_factory.mktemp("halves"), recorded(BAGS / "arm7")
+    middle = (messages[0].time + messages[-1].time) // 2
+    parts = [[m for m in messages if m.time < middle], [m for m in messages if m.time >= middle]]
+    first, second = (
+        identified(folder / f"result{k}", write_bag(folder / f"half{k}", part)) for k, part in enumerate(parts)
+    )
+    return first, second
+
+
+@pytest.fixture(scope="module")
+def planted(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
+    """Estimates of a robot, and of the same with a link that weighs a fifth more."""
+    pytest.importorskip("mujoco")
+    folder = tmp_path_factory.mktemp("planted")
+    (folder / "heavier.urdf").write_text(heavier(ARM7, LINK, 1.2))
+    found = []
+    for number, robot in enumerate(("arm7", str(folder / "heavier.urdf"))):
+        options = SimulationOptions(
+            robot=robot, seed=1, motion_seed=number, duration=15.0, longest_step=QUICK, inertia_error=0.0
+        )
+        simulate(folder / f"bag{number}", options)
+        found.append(identified(folder / f"result{number}", folder / f"bag{number}", candidates=[]))
+    return found[0], found[1]
+
+
+def test_halves_of_a_recording_are_alike(halves: tuple[Path, Path], tmp_path: Path) -> None:
+    found = geomid_ros.compare(*halves)
+    assert not found.differing
+    assert not found.compared.changed
+    assert not found.compared.not_compared
+    assert found.status == 0
+    printed = done("compare", *halves, "--out", tmp_path)
+    assert "Nothing differs beyond the joint 95 % intervals." in printed
+    held_out = json.loads(halves[0].read_text())["rms"]["held_out"]
+    assert {error.name: error.first for error in found.errors} == held_out
+
+
+def test_a_mass_that_was_changed_is_named(planted: tuple[Path, Path]) -> None:
+    """That link, none other, and by as much as it was."""
+    found = geomid_ros.compare(*planted)
+    (changed,) = found.compared.changed
+    assert changed.link == LINK
+    assert abs(changed.mass.value - 0.2 * mass_of(ARM7, LINK)) < 4.0 * changed.mass.std
+    assert changed.sentence in repr(found)
+    back = geomid_ros.compare(*reversed(planted))
+    assert back.compared.changed[0].link == LINK
+    assert back.compared.changed[0].mass.value < 0.0
+
+
+def urdf_of(estimate: Path, path: Path) -> Path:
+    """The robot's description with an estimate's inertias; links that are counted in weigh nothing."""
+    links = json.loads(estimate.read_text())["links"]
+    inertias = {link["name"]: (link["mass"], np.array(link["com"]), np.array(link["inertia"])) for link in links}
+    merged = [name for link in links for name in link["merged"]]
+    path.write_text(with_inertials(ARM7.read_text(), inertias, merged))
+    return path
+
+
+def test_a_result_is_as_a_urdf_with_its_inertias(halves: tuple[Path, Path], tmp_path: Path) -> None:
+    found = geomid_ros.compare(halves[0], urdf_of(halves[0], tmp_path / "same.urdf"))
+    assert not found.differing
+    links = [each for each in found.compared.differences if not each.effect]
+    assert len(links) == 70
+    assert all(each.first and abs(each.value) <= 1e-6 * max(each.first.std, abs(each.first.value)) for each in links)
+
+
+def test_a_number_that_was_changed_in_the_urdf_is_named(halves: tuple[Path, Path], tmp_path: Path) -> None:
+    """Its standard deviation is five percent."""
+    own = urdf_of(halves[0], tmp_path / "own.urdf")
+    (tmp_path / "other.urdf").write_text(heavier(own, "link7", 1.5))
+    found = geomid_ros.compare(halves[0], tmp_path / "other.urdf")
+    assert [(each.place, each.parameter) for each in found.differing] == [("link7", "mass")]
+    assert f"link7: mass {mass_of(own, 'link7'):.3g} → {1.5 * mass_of(own, 'link7'):.3g} kg" in repr(found)
+
+
+def test_both_predict_a_recording(halves: tuple[Path, Path]) -> None:
+    """As 'verify' does: a result by its model, a URDF without friction by its inertias alone."""
+    bag = BAGS / "arm7"
+    found = geomid_ros.compare(halves[0], ARM7, bag=bag)
+    verified = geomid_ros.verify(halves[0], bag, ARM7).rms
+    assert {e.name: e.first for e in found.errors} == pytest.approx({name: v["value"] for name, v in verified.items()})
+    assert {e.name: e.second for e in found.errors} == pytest.approx({name: v["urdf"] for name, v in verified.items()})
+    assert str(bag) in found.judged_on
+
+
+def test_a_urdf_predicts_with_the_friction_that_it_says(halves: tuple[Path, Path]) -> None:
+    """The identified one lacks offsets and rotor inertias: worse than the estimate, better than no friction."""
+    errors = [
+        {e.name: e.second for e in geomid_ros.compare(halves[0], urdf, bag=BAGS / "arm7").errors}
+        for urdf in (halves[0].with_name("identified.urdf"), ARM7)
+    ]
+    estimate = geomid_ros.compare(halves[0], ARM7, bag=BAGS / "arm7").errors
+    for error in estimate:
+        assert error.first < errors[0][error.name] < errors[1][error.name], error.name
+
+
+def test_the_page_has_it_all(planted: tuple[Path, Path], tmp_path: Path) -> None:
+    found = geomid_ros.compare(*planted)
+    page = Page(found.report(tmp_path / "compare.html").read_text(encoding="utf-8"))
+    (changed,) = found.compared.changed
+    assert f"{changed.mass.value:+.3g} ± {1.96 * changed.mass.std:.2g} kg" in page.text
+    for path in planted:
+        assert str(path) in page.text
+    assert f"All {len(found.compared.differences)} numbers" in page.text
+    assert not {"script", "iframe", "link"} & {tag for tag, _ in page.elements}
+
+
+def test_numbers_for_programs(planted: tuple[Path, Path], tmp_path: Path) -> None:
+    result = geomid("compare", *planted, "--json", "--out", tmp_path)
+    assert result.exit_code == 0
+    document = json.loads(result.stdout)
+    assert [entry["link"] for entry in document["changed_links"]] == [LINK]
+    assert {entry["parameter"] for entry in document["differences"] if entry["place"] == LINK} >= {"mass", "Izz"}
+    assert (tmp_path / "compare.html").is_file()
+
+
+def changed_copy(estimate: Path, folder: Path, **entries: Any) -> Path:
+    """An estimate that says something else."""
+    shutil.copytree(estimate.parent, folder)
+    document = json.loads(estimate.read_text()) | entries
+    (folder / "estimate.json").write_text(json.dumps(document))
+    return folder / "estimate.json"
+
+
+def test_the_status_is_that_of_the_worse_verdict(halves: tuple[Path, Path], tmp_path: Path) -> None:
+    verdict = {"result": "doubtful", "reasons": ["signs of joint2 are reversed"]}
+    doubtful = changed_copy(halves[1], tmp_path / "doubtful", verdict=verdict)
+    result = geomid("compare", halves[0], doubtful, "--out", tmp_path)
+    assert result.exit_code == 4
+    assert "signs of joint2 are reversed" in result.stdout
+
+
+def test_another_robot_is_refused_by_name(halves: tuple[Path, Path], tmp_path: Path) -> None:
+    arm3 = BAGS / "arm3.urdf"
+    message = refused("compare", halves[0], arm3, "--out", tmp_path)
+    assert f"{arm3}: a model of another robot than {halves[0]}" in message
+    geomid_ros.identify(BAGS / "arm3", arm3, effects=[]).save(tmp_path / "arm3")
+    message = refused("compare", halves[0], tmp_path / "arm3/estimate.json", "--out", tmp_path)
+    assert re.search(r"\('arm3'\): a model of another robot than \S+ \('arm7'\)", message), message
+
+
+def test_what_is_no_result_is_refused(halves: tuple[Path, Path], tmp_path: Path) -> None:
+    assert "neither is an estimate.json" in refused("compare", ARM7, ARM7, "--out", tmp_path)
+    (tmp_path / "empty.json").write_text("{}")
+    assert "not an estimate.json" in refused("compare", halves[0], tmp_path / "empty.json", "--out", tmp_path)
+    links = json.loads(halves[0].read_text())["links"]
+    links[0]["std"] = {"mass": "much"}
+    wrong = changed_copy(halves[0], tmp_path / "wrong", links=links)
+    assert "link 'link1' lacks a valid std" in refused("compare", halves[0], wrong, "--out", tmp_path)
+
+
+def test_no_link_in_common_is_another_robot(halves: tuple[Path, Path], tmp_path: Path) -> None:
+    links = json.loads(halves[0].read_text())["links"]
+    renamed = [link | {"name": f"other_{link['name']}"} for link in links]
+    other = changed_copy(halves[0], tmp_path / "other", links=renamed, information=None)
+    assert "a model of another robot" in refused("compare", halves[0], other, "--out", tmp_path)
+
+
+def test_a_link_of_other_parts_is_left_out_and_said(halves: tuple[Path, Path], tmp_path: Path) -> None:
+    links = json.loads(halves[1].read_text())["links"]
+    links[-1] |= {"merged": ["another_tool"], "mass": 10.0 * links[-1]["mass"]}
+    other = changed_copy(halves[1], tmp_path / "other", links=links)
+    found = geomid_ros.compare(halves[0], other)
+    assert found.compared.not_compared == ("link7",)
+    assert "link7" not in {each.place for each in found.compared.differences}
+    assert "Not compared: link7" in done("compare", halves[0], other, "--out", tmp_path)
+
+
+def test_what_counts_as_exact_or_was_fitted_is_said(halves: tuple[Path, Path], tmp_path: Path) -> None:
+    """A file without standard deviations, as of 'geomid gap', and one that held nothing out."""
+    document = json.loads(halves[1].read_text())
+    links = [{key: value for key, value in link.items() if key != "std"} for link in document["links"]]
+    rms = document["rms"] | {"held_out": None}
+    other = changed_copy(halves[1], tmp_path / "other", links=links, rms=rms)
+    found = geomid_ros.compare(halves[0], other)
+    assert found.notes == [
+        f"{other} says no standard deviations: its links count as exact",
+        f"{other} held nothing out: its errors are of the data that were fitted",
+    ]
+    assert {error.name: error.second for error in found.errors} == rms["train"]
+    (mass,) = (each for each in found.compared.differences if (each.place, each.parameter) == ("link7", "mass"))
+    both = geomid_ros.compare(*halves).compared.differences
+    (known,) = (each for each in both if (each.place, each.parameter) == ("link7", "mass"))
+    assert 0.0 < mass.half_width < known.half_width
+
+
+def test_a_urdf_without_an_inertial_is_refused(halves: tuple[Path, Path], tmp_path: Path) -> None:
+    """Neither at the link nor at those that are fixed to it."""
+    text = ARM7.read_text()
+    for link in ("link7", "flange", "tool"):
+        text = re.sub(rf'(<link name="{link}">.*?)<inertial>.*?</inertial>', r"\1", text, count=1, flags=re.DOTALL)
+    (tmp_path / "bare.urdf").write_text(text)
+    message = refused("compare", halves[0], tmp_path / "bare.urdf", "--out", tmp_path)
+    assert "link 'link7' has no <inertial>" in message
+
+
+@pytest.mark.parametrize("garbage", [None, 5, [[]], {"a": 1}])
+def test_garbage_never_ends_in_a_traceback(garbage: object, halves: tuple[Path, Path], tmp_path: Path) -> None:
+    """In any entry of the file, or of a link: it is refused, naming the file, or does not matter."""
+    document = json.loads(halves[0].read_text())
+    wrong = [document | {key: garbage} for key in document]
+    wrong += [document | {"links": [document["links"][0] | {key: garbage}]} for key in document["links"][0]]
+    (tmp_path / "wrong").mkdir()
+    for entries in wrong:
+        path = tmp_path / "wrong/estimate.json"
+        path.write_text(json.dumps(entries))
+        said = refusal(halves[1], path)
+        assert not said or str(path) in said
+
+
+def refusal(first: Path, second: Path) -> str:
+    """Why two files are not compared; empty if they are."""
+    try:
+        geomid_ros.compare(first, second)
+    except geomid_ros.InputError as error:
+        return str(error)
+    return ""

@@ -1,0 +1,133 @@
+"""The Python door has the options of the command line: the same names, the same defaults, the same effect."""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Callable
+from dataclasses import fields
+from typing import Any, get_type_hints
+
+import click
+import pytest
+from files.recordings import BAGS
+
+import geomid_ros
+from geomid_ros.api.options import RecordingKeywords, RecordingOptions, RobotKeywords, RobotOptions
+from geomid_ros.commands.root import root
+
+BAG, URDF = BAGS / "arm3", BAGS / "arm3.urdf"
+# What a command does with a result, which in Python are the result's methods; and what a function alone is told.
+OF_COMMANDS = {"out", "as_json", "controller", "until", "help"}
+OF_FUNCTIONS = {"progress"}
+DOORS: dict[str, Callable[..., Any]] = {
+    "compare": geomid_ros.compare,
+    "excite": geomid_ros.excite,
+    "export": geomid_ros.export,
+    "fleet": geomid_ros.identify_fleet,
+    "gap": geomid_ros.find_gap,
+    "identify": geomid_ros.identify,
+    "payload": geomid_ros.weigh_payload,
+    "report": geomid_ros.rebuild_report,
+    "sample": geomid_ros.sample,
+    "verify": geomid_ros.verify,
+}
+
+
+def keywords(function: Callable[..., Any]) -> dict[str, Any]:
+    """All arguments of a function with their defaults, those that it hands on included."""
+    found = {
+        name: parameter.default
+        for name, parameter in inspect.signature(function).parameters.items()
+        if parameter.kind is not inspect.Parameter.VAR_KEYWORD
+    }
+    shared = RecordingOptions if "RecordingKeywords" in str(inspect.signature(function)) else RobotOptions
+    if "options" in inspect.signature(function).parameters:
+        found = {field.name: field.default for field in fields(shared)} | found
+    return found
+
+
+def options(name: str) -> dict[str, Any]:
+    """The arguments and options of a command with their defaults."""
+    command = root.get_command(click.Context(root), name)
+    assert command is not None
+    given = {str(parameter.name): parameter.get_default(click.Context(command)) for parameter in command.params}
+    return {name: value if isinstance(value, bool | float | int | str) else None for name, value in given.items()}
+
+
+@pytest.mark.parametrize("name", DOORS)
+def test_a_function_has_the_arguments_of_its_command(name: str) -> None:
+    assert keywords(DOORS[name]).keys() - OF_FUNCTIONS - OF_COMMANDS == options(name).keys() - OF_COMMANDS
+
+
+@pytest.mark.parametrize("name", DOORS)
+def test_the_defaults_are_the_same(name: str) -> None:
+    """Where both have one; several of nothing is nothing."""
+    there = keywords(DOORS[name])
+    for option, default in options(name).items():
+        if option in there and there[option] is not inspect.Parameter.empty:
+            assert (default or None) == (there[option] or None), option
+
+
+@pytest.mark.parametrize(("made", "keys"), [(RobotOptions, RobotKeywords), (RecordingOptions, RecordingKeywords)])
+def test_keywords_and_options_are_the_same(made: type, keys: type) -> None:
+    assert get_type_hints(keys) == {name: kind for name, kind in get_type_hints(made).items() if name != "urdf"}
+
+
+def test_keywords_are_parameters_and_win_over_the_configuration() -> None:
+    config = {"filter.cutoff": 3.0, "gravity": [0.0, 0.0, -9.7], "still_speed": 0.01}
+    gains, gravity = [2.0, "joint2=0.5"], (0.0, 0.0, -9.8)
+    chosen = RobotOptions(config=config, cutoff=8.0, gravity=gravity, gain=gains, lock="joint3", merge=True)
+    found = chosen.configuration(floating_base=True)
+    assert found.given == {
+        "filter.cutoff": 8.0,
+        "gravity": [0.0, 0.0, -9.8],
+        "effort_gain": 2.0,
+        "joint.joint2.effort_gain": 0.5,
+        "locked_joints": ["joint3"],
+        "merge_joint_states": True,
+        "floating_base": True,
+        "still_speed": 0.01,
+    }
+
+
+@pytest.mark.parametrize("gain", [-1, -1.0, "-1", ["-1"], [-1]])
+def test_a_gain_of_all_joints(gain: Any) -> None:
+    assert RobotOptions(gain=gain).configuration().given == {"effort_gain": -1.0}
+
+
+def test_gains_by_joint() -> None:
+    assert RobotOptions(gain={"joint2": 3}).configuration().given == {"joint.joint2.effort_gain": 3.0}
+
+
+def test_an_argument_that_does_not_exist_is_refused() -> None:
+    with pytest.raises(TypeError, match="'cutof'"):
+        geomid_ros.identify(BAG, URDF, cutof=8.0)  # type: ignore[call-arg]
+
+
+def test_a_cutoff_is_that_of_the_parameter() -> None:
+    """The same result by the keyword as by the configuration."""
+    by_name = geomid_ros.identify(BAG, URDF, cutoff=8.0, effects=[])
+    by_file = geomid_ros.identify(BAG, URDF, config={"filter.cutoff": 8.0}, effects=[])
+    usual = geomid_ros.identify(BAG, URDF, effects=[])
+    masses = [[link.mass for link in found.links] for found in (by_name, by_file, usual)]
+    assert masses[0] == masses[1] != masses[2]
+
+
+@pytest.mark.parametrize(
+    ("wrong", "said"),
+    [
+        ({"gain": "fast"}, r"gain: 'fast' is not of the form \[JOINT=\]FACTOR"),
+        ({"lock": ["joint1", ""]}, "lock: an empty text"),
+        ({"cutoff": -1.0}, "filter.cutoff is -1"),
+        ({"gravity": (0.0, 9.81)}, "gravity has 2 entries"),
+    ],
+)
+def test_a_wrong_argument_is_named(wrong: dict[str, Any], said: str) -> None:
+    with pytest.raises(geomid_ros.InputError, match=said):
+        geomid_ros.identify(BAG, URDF, **wrong)
+
+
+@pytest.mark.parametrize("wrong", [{"duration": 0.0}, {"repeats": 0}, {"speed": 0.0}, {"clearance": -1.0}])
+def test_a_motion_that_cannot_be_is_refused(wrong: dict[str, Any]) -> None:
+    with pytest.raises(geomid_ros.InputError, match=f"{next(iter(wrong))} is "):
+        geomid_ros.excite(URDF, **wrong)

@@ -1,0 +1,133 @@
+"""A result's page and tables written again from its files alone: the same, but for what needs the recordings."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+
+import pytest
+from commands.running import done, refused
+from files.recordings import BAGS
+from report.pages import Page
+
+import geomid_ros
+from geomid_ros.files.models.judgements import causes_entry, doubts_of
+from geomid_ros.plausibility.hypotheses import Cause, Finding
+
+BAG, URDF = BAGS / "arm3", BAGS / "arm3.urdf"
+MISSING = "Time series need the recordings; this page was made from the files of the result alone."
+
+
+@pytest.fixture(scope="module")
+def identified(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """What 'geomid identify' writes, with effects of several parameters, a weighed mass and options in it."""
+    out = tmp_path_factory.mktemp("identified")
+    options = ("--wrench", "/wrench:wrist_ft:mounted", "--cutoff", "6", "--known", "link2=1.2:0.05")
+    done("identify", BAG, "--urdf", URDF, *options, "--out", out)
+    return out
+
+
+@pytest.fixture(scope="module")
+def gap(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """What 'geomid gap' writes."""
+    out = tmp_path_factory.mktemp("gap")
+    done("gap", BAG, "--urdf", URDF, "--out", out)
+    return out
+
+
+OF_SAMPLES = ("Measured against predicted", "Held-out data", "What was missing, and what is left", "What is missing")
+
+
+def lines(path: Path) -> list[str]:
+    """What is written on a page, without sections and pictures of samples over time, and without the hour."""
+    parts = path.read_text(encoding="utf-8").partition("<body>")[2].partition("<script>")[0].split("<section>")
+    kept = [part for part in parts if not any(f"<h2>{heading}</h2>" in part for heading in OF_SAMPLES)]
+    written = [line.strip() for part in kept for line in part.splitlines()]
+    return [line for line in written if line and "<img" not in line and "<dt>date</dt>" not in line]
+
+
+@pytest.mark.parametrize("kind", ["identified", "gap"])
+def test_all_but_time_series_is_as_it_was(kind: str, request: pytest.FixtureRequest, tmp_path: Path) -> None:
+    folder: Path = request.getfixturevalue(kind)
+    shutil.copytree(folder, tmp_path / "files", ignore=shutil.ignore_patterns("report.html", "*.csv", "*.png"))
+    printed = done("report", tmp_path / "files")
+    assert lines(tmp_path / "files" / "report.html") == lines(folder / "report.html")
+    again = (tmp_path / "files" / "report.html").read_text(encoding="utf-8")
+    assert MISSING in again
+    assert MISSING not in (folder / "report.html").read_text(encoding="utf-8")
+    Page(again)
+    for name in ("links.csv", "effects.csv", "channels.csv") if kind == "identified" else ("findings.csv",):
+        assert (tmp_path / "files" / name).read_bytes() == (folder / name).read_bytes()
+        assert str(tmp_path / "files" / name) in printed
+
+
+def test_another_folder_can_be_named(identified: Path, tmp_path: Path) -> None:
+    before = (identified / "report.html").read_bytes()
+    files = geomid_ros.rebuild_report(identified, out=tmp_path / "new")
+    assert {path.name for path in files} == {"report.html", "links.csv", "effects.csv", "channels.csv"}
+    assert all(path.parent == tmp_path / "new" and path.is_file() for path in files)
+    assert (identified / "report.html").read_bytes() == before
+
+
+def test_what_is_no_result_is_refused(tmp_path: Path) -> None:
+    assert "no result is in this folder" in refused("report", tmp_path)
+    assert "no result is in this folder" in refused("report", tmp_path / "nowhere")
+
+
+@pytest.mark.parametrize("key", ["channels", "origin", "urdf_masses", "telling", "robot", "steps", "messages", "known"])
+def test_a_result_that_lacks_something_is_refused(key: str, identified: Path, tmp_path: Path) -> None:
+    shutil.copytree(identified, tmp_path / "old")
+    document = json.loads((identified / "estimate.json").read_text())
+    del document[key]
+    (tmp_path / "old/estimate.json").write_text(json.dumps(document))
+    message = refused("report", tmp_path / "old", "--out", tmp_path / "new")
+    assert f"{tmp_path / 'old/estimate.json'}: lacks what its page needs ('{key}')" in message
+    assert not (tmp_path / "new").exists()
+
+
+@pytest.mark.parametrize("key", ["units", "located", "ranking", "bodies", "known", "robot", "judged_seconds", "links"])
+def test_a_gap_that_lacks_something_is_refused(key: str, gap: Path, tmp_path: Path) -> None:
+    document = json.loads((gap / "gap.json").read_text())
+    del document[key]
+    (tmp_path / "gap.json").write_text(json.dumps(document))
+    message = refused("report", tmp_path, "--out", tmp_path / "new")
+    assert f"{tmp_path / 'gap.json'}: lacks what its page needs ('{key}')" in message
+    assert not (tmp_path / "new").exists()
+
+
+def refusal(folder: Path, out: Path) -> str:
+    """Why no page can be written; empty if it can."""
+    try:
+        geomid_ros.rebuild_report(folder, out=out)
+    except geomid_ros.InputError as error:
+        return str(error)
+    return ""
+
+
+@pytest.mark.parametrize("garbage", [None, 5, [[]], {"a": 1}])
+@pytest.mark.parametrize("kind", ["identified", "gap"])
+def test_garbage_is_refused_or_shown_and_never_ends_in_a_traceback(
+    kind: str, garbage: object, request: pytest.FixtureRequest, tmp_path: Path
+) -> None:
+    folder, name = request.getfixturevalue(kind), {"identified": "estimate.json", "gap": "gap.json"}[kind]
+    shutil.copytree(folder, tmp_path / "files")
+    document = json.loads((folder / name).read_text())
+    for key in document:
+        (tmp_path / "files" / name).write_text(json.dumps(document | {key: garbage}))
+        said = refusal(tmp_path / "files", tmp_path / key)
+        assert str(tmp_path / "files") in said or (tmp_path / key / "report.html").is_file()
+        assert not said or not (tmp_path / key).exists()
+
+
+def test_an_estimate_without_its_posterior_is_refused(identified: Path, tmp_path: Path) -> None:
+    shutil.copytree(identified, tmp_path / "alone", ignore=shutil.ignore_patterns("posterior.npz"))
+    assert "there is no posterior.npz beside it" in refused("report", tmp_path / "alone")
+
+
+def test_doubts_are_said_again_as_they_were() -> None:
+    """Sure, suspected, and with rivals."""
+    signs, units = Cause(kind="signs", sentence="signs are reversed"), Cause(kind="units", sentence="in mN m")
+    findings = [Finding(cause=signs), Finding(cause=units, sure=False), Finding(cause=signs, rivals=(units,))]
+    written = json.loads(json.dumps({"causes": causes_entry(findings)}))
+    assert doubts_of(written) == [finding.sentence for finding in findings]

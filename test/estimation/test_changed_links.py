@@ -1,0 +1,113 @@
+"""Which link has changed: planted changes are found, and nothing is where nothing changed."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.special import chdtri
+
+from geomid_ros.estimation.changed_links import ChangedLink, LinkEvidence, changed_links
+from geomid_ros.estimation.estimate import LinksInformation
+from geomid_ros.geometry import pseudo_inertia
+from geomid_ros.model.effects import Quantity
+
+NAMES = ("upper", "lower", "hand")
+LIMIT = float(chdtri(10, 0.05 / len(NAMES)))
+ALIKE = 6.0
+NOISE = 0.01
+SEEDS = 200
+
+
+def bodies(random: np.random.Generator) -> np.ndarray:
+    """Parameters ``(3, 10)`` of bodies of 1 to 3 kg."""
+    centres = 0.1 * random.standard_normal((3, 3))
+    return pseudo_inertia.assemble(random.uniform(1.0, 3.0, 3), centres, np.tile(0.02 * np.eye(3), (3, 1, 1)))
+
+
+def measured(
+    parameters: np.ndarray, rows: np.ndarray, random: np.random.Generator, started: np.ndarray
+) -> LinkEvidence:
+    """What ``rows (N, 30)`` of noisy measurements say about an estimate that is a little off."""
+    estimate = started * (1.0 + 0.02 * random.standard_normal((3, 1)))
+    errors = (rows @ (estimate - parameters).ravel() + NOISE * random.standard_normal(len(rows))) / NOISE
+    triangle = np.linalg.qr(np.column_stack([rows / NOISE, errors]), mode="r")
+    return LinkEvidence(estimate, LinksInformation(triangle[:30, :30], triangle[:30, 30]))
+
+
+def of_combinations(random: np.random.Generator) -> np.ndarray:
+    """Rows ``(200, 30)`` that tell 18 combinations of the parameters, and no single one."""
+    return random.standard_normal((200, 18)) @ random.standard_normal((18, 30))
+
+
+def found(seed: int, change: dict[int, float]) -> tuple[ChangedLink, ...]:
+    """What is found if links are so many times as heavy in the second result."""
+    random = np.random.default_rng(seed)
+    before = bodies(random)
+    after = before.copy()
+    for link, factor in change.items():
+        after[link] *= factor
+    first, second = (measured(own, of_combinations(random), random, before) for own in (before, after))
+    return changed_links(NAMES, first, second, LIMIT, ALIKE)
+
+
+@pytest.mark.parametrize("link", range(3))
+def test_the_link_that_changed_is_named_with_its_mass(link: int) -> None:
+    random = np.random.default_rng(link)
+    mass = bodies(random)[link][0]
+    (changed,) = found(link, {link: 1.2})
+    assert changed.link == NAMES[link]
+    assert abs(changed.mass.value - 0.2 * mass) < 4.0 * changed.mass.std
+    assert changed.mass.std < 0.1 * mass
+
+
+def test_two_links_that_changed_are_both_named() -> None:
+    assert {each.link for each in found(5, {0: 1.3, 2: 0.7})} == {"upper", "hand"}
+
+
+def test_nothing_is_named_where_nothing_changed() -> None:
+    """In 5 % of all cases at most; what is counted is binomial."""
+    named = sum(bool(found(seed, {})) for seed in range(SEEDS))
+    most = 0.05 * SEEDS + 4.0 * np.sqrt(0.05 * 0.95 * SEEDS)
+    assert named <= most
+
+
+def test_links_that_move_alike_are_rivals() -> None:
+    """Where rows tell the sum of two links alone, either may have changed."""
+    random = np.random.default_rng(3)
+    before = bodies(random)
+    before[1] = before[0]
+    rows = random.standard_normal((200, 20))
+    rows = np.column_stack([rows[:, :10], rows[:, :10], rows[:, 10:]])
+    after = before.copy()
+    after[1] *= 1.2
+    (changed,) = changed_links(
+        NAMES, *(measured(own, rows, random, before) for own in (before, after)), LIMIT, ALIKE
+    )
+    assert {changed.link, *changed.rivals} == {"upper", "lower"}
+    assert f"or {changed.rivals[0]} has changed instead" in changed.sentence
+
+
+def test_in_words() -> None:
+    changed = ChangedLink("hand", 50.0, Quantity(-0.5, 0.1, "kg"))
+    assert changed.sentence == "hand weighs 0.5 ± 0.2 kg less"
+    moment = {"x": Quantity(0.001, 0.01, "kg m"), "z": Quantity(-0.1, 0.01, "kg m")}
+    unsure = ChangedLink("hand", 50.0, Quantity(-0.1, 0.1, "kg"), moment, ("lower",))
+    assert unsure.sentence == (
+        "hand has changed: first moment z by -0.1 ± 0.02 kg m, mass by -0.1 ± 0.2 kg, or lower has changed instead"
+    )
+
+
+def test_a_body_that_was_moved_has_another_first_moment_and_the_same_mass() -> None:
+    random = np.random.default_rng(8)
+    before = bodies(random)
+    after = before.copy()
+    placed = pseudo_inertia.quantities_of(before[1])
+    placed[1:4] += np.array([0.0, 0.05, 0.0])
+    after[1] = pseudo_inertia.parameters_of(placed)
+    rows = random.standard_normal((200, 30))
+    (changed,) = changed_links(NAMES, *(measured(own, rows, random, before) for own in (before, after)), LIMIT, ALIKE)
+    assert changed.link == "lower"
+    assert abs(changed.mass.value) < 4.0 * changed.mass.std
+    for axis, moved in zip("xyz", (after - before)[1][1:4], strict=True):
+        assert abs(changed.moment[axis].value - moved) < 4.0 * changed.moment[axis].std
+    assert changed.moment["y"].value > 10.0 * changed.moment["y"].std
