@@ -22,24 +22,25 @@ from geomid_ros.errors import one_line
 @click.option(
     "--effects",
     type=Names(or_none=True),
-    help="Identify these effects everywhere and no others, separated by commas; 'none' for none.",
+    help="Effects to identify at every place, separated by commas; 'none' for none.  [default: see the reference]",
 )
 @click.option(
     "--candidates",
     type=Names(or_none=True),
-    help="Identify these effects where held-out data ask for them, separated by commas; 'none' for none.",
+    help="Effects to add where held-out data need them, separated by commas; 'none' for none.  [default: see the "
+    "reference]",
 )
-@click.option("--links", type=Names(), help="Identify only these links, separated by commas.")
+@click.option("--links", type=Names(), help="Links to identify, separated by commas.  [default: all]")
 @click.option(
     "--known",
     multiple=True,
     metavar="LINK=MASS:STD",
-    help="A mass that was weighed, of a link, of LINK+LINK together, or total; may be repeated.",
+    help="Weighed mass of a link, of LINK+LINK together, or of the total [kg]; may be repeated.",
 )
 @click.option(
     "--prior",
     type=click.Path(path_type=Path),
-    help="Start from this population.json, which 'geomid fleet' wrote of robots of this type.",
+    help="Start from this population.json, written by 'geomid fleet' for this type of robot.",
 )
 @click.option("--out", default=Path("geomid_out"), **OUT)
 @click.option("--json", "as_json", is_flag=True, help="Print estimate.json instead of tables.")
@@ -47,8 +48,8 @@ def identify(bags: tuple[Path, ...], out: Path, as_json: bool, **options: Any) -
     """Identify link inertias from rosbags.
 
     Reads BAGS (folders, folders of them, or .mcap and .db3 files) and writes estimate.json, identified.urdf,
-    posterior.npz, identification.png and report.html. How well the result predicts is judged on data that were held
-    out: the end of each bag, or the bags of --validate.
+    posterior.npz, identification.png and report.html. The result is tested on held-out data: the end of each bag, or
+    the bags of --validate.
     """
     from geomid_ros.commands.progress import progress_bar
     from geomid_ros.commands.results import identification

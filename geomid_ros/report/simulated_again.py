@@ -55,7 +55,7 @@ def _of_windows(model: MeasurementModel, found: Resimulated) -> SimulatedAgain:
 
     return SimulatedAgain(
         kind="windows",
-        sentence=f"Velocities in MuJoCo, from the written MJCF: every {HORIZON:g} s from the measured state anew, "
+        sentence=f"Velocities in MuJoCo, from the written MJCF: restarted every {HORIZON:g} s from the measured state, "
         "under the measured efforts.",
         errors={"before": found.before, "after": found.after},
         joints=model.robot.joint_names,

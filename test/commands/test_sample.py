@@ -146,7 +146,9 @@ def test_what_is_refused(estimate: Path, tmp_path: Path) -> None:
     assert "no estimate.json" in refused("sample", alone / "identified.urdf", *draw)
     (alone / "posterior.npz").write_bytes((estimate.parent / "posterior.npz").read_bytes()[:-100])
     assert "cannot be read" in refused("sample", alone / "estimate.json", *draw)
-    assert "--into is a file of MuJoCo's" in refused("sample", estimate, "--for", "isaac", "--into", "robot.xml")
+    assert "--into takes an MJCF and needs --for mujoco" in refused(
+        "sample", estimate, "--for", "isaac", "--into", "robot.xml"
+    )
     assert "0.0<x<=3.0" in refused("sample", estimate, *draw, "--spread", "4")
     assert not (tmp_path / "out").exists()
 

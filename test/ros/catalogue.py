@@ -129,7 +129,7 @@ CATALOGUE = (
     Fault(45, "description unreadable", "E; the old one is kept", (f"{_DESCRIPTION}a_late_and_at_first_unreadable_description",)),
     Fault(46, "an inertia that is not physically consistent", "E naming the link", (f"{_DESCRIPTION}a_late_and_at_first_unreadable_description",)),
     Fault(47, "standing still", "R; W naming the links without an identifiable parameter", (f"{_FAILURES}47_standing_still",)),
-    Fault(48, "rank deficient", "W in the status of each link without an identifiable parameter", (f"{_STREAMS}48_a_motion_of_one_joint_leaves_links_untold_and_names_them",)),
+    Fault(48, "rank deficient", "the status of each link says if no parameter is individually identifiable", (f"{_STREAMS}48_a_motion_of_one_joint_leaves_links_untold_and_names_them",)),
     Fault(49, "solver not converged, not finite, or failing", "W, E if it fails; the last estimate is kept", (_solver("49-not-converged"), _solver("49-not-a-number"), _solver("49-solver-fails"))),
     Fault(50, "solver timeout", "W; the last estimate is kept", (_solver("50-solver-over-its-time"),)),
     Fault(51, "exception in a callback", "the message is dropped, E", (_exception("51-callback"),)),

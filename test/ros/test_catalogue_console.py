@@ -236,7 +236,7 @@ def test_90_messages_of_which_nothing_comes_are_a_warning() -> None:
     said = []
     for second in range(12):
         diagnostics.array(status(100 * second, 5))
-        said.append([c.sentence for c in diagnostics.complaints if "no rows come of them" in c.sentence])
+        said.append([c.sentence for c in diagnostics.complaints if "have yielded no rows" in c.sentence])
     assert not any(said[:5])
     assert all(said[6:])
     assert "are the stamps of joint_states and /wrench of one clock?" in said[-1][0]

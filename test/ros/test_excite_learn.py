@@ -62,7 +62,7 @@ def test_from_a_urdf_to_an_identified_robot_until_nothing_worth_it_is_left(stage
     for said in ("Round 1:", "Masses after round 1", "Masses after round 2"):
         stage.observer.wait_for(lambda said=said: said in process.output or not process.running, said)
     assert status(stage, process) == 0, process.output
-    assert "Nothing worth it is left: 5 s more would lower the expected error by" in process.output
+    assert "Stopped: 5 s more would lower the expected error by" in process.output
     rounds = sorted((stage.folder / "out").iterdir(), key=lambda folder: int(folder.name.removeprefix("round")))
     assert len(rounds) >= 2
     assert f"Identified from {len(rounds)} rounds: {rounds[-1] / 'identified.urdf'}" in process.output

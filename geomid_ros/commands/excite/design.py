@@ -27,7 +27,7 @@ def design_options(command: Callable[..., None]) -> Callable[..., None]:
         click.option(
             "--settle",
             type=click.Path(path_type=Path),
-            help="Tell the rivals apart that this gap.json names.",
+            help="Discriminate between the rival effects of this gap.json.",
         ),
         motion_options,
     ):
@@ -68,5 +68,5 @@ def design(
         progress("writing", 0.0)
         files = save(found, out) if worth_it else []
     results.show(found)
-    said = f"Written: {', '.join(map(str, files))}" if worth_it else f"Nothing is written: {found.not_worth(until)}"
+    said = f"Written: {', '.join(map(str, files))}" if worth_it else f"Nothing was written: {found.not_worth(until)}"
     click.echo(f"\n{said}")
