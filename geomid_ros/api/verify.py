@@ -88,7 +88,7 @@ def verify(
     relative = next((each for each in required if each.reference == "urdf"), None)
     if relative and urdf is None and Path(robot.source).parent == Path(model).parent:
         raise InputError(
-            f"requirement '{relative.text}' compares with the URDF before, and {robot.source} is the identified one; "
+            f"requirement '{relative.text}' compares with the original URDF, but {robot.source} is the identified one; "
             "name the former with --urdf"
         )
     session, samples = read_with_locked(

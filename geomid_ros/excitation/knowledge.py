@@ -32,8 +32,8 @@ _STATES = 200
 _DYNAMICS = ("damping", "friction")
 _WIDEST = np.pi  # [rad, m]
 _OTHERS = (
-    "{}: an estimate of other links or effects than this robot has ({}); give the URDF and the options with which it "
-    "was identified"
+    "{}: an estimate with other links or effects than this robot ({}); give the URDF and the options of that "
+    "identification"
 )
 
 

@@ -97,17 +97,19 @@ def closed_loop(
         cutoff: Errors are judged below it [Hz]; that of ``noise``.
     """
     if model.robot.floating_base:
-        return ClosedLoop({}, {}, (), "the base floats: without its contacts its motion cannot be simulated")
+        return ClosedLoop({}, {}, (), "the base floats, and its motion cannot be simulated without its contacts")
     parts = [part for pair in zip(recordings, commands, strict=True) for part in _commanded(*pair)]
     if not parts:
-        return ClosedLoop({}, {}, (), "commands and measurements have no time in common")
+        return ClosedLoop({}, {}, (), "commands and measurements do not overlap in time")
     joints = model.robot.joint_names
     robots = [WrittenRobot(files, joints) for files in (before, after)]
     for robot in robots:
         robot.expect_load(robot.true_effort(np.concatenate([part.stretch.samples.effort for part in parts])))
     controller = fitted_controller(parts, robots[1])
     if not np.any(controller.found):
-        return ClosedLoop({}, {}, (), "the measured efforts do not follow from the commands by gains and feed-forward")
+        return ClosedLoop(
+            {}, {}, (), "the measured efforts cannot be reproduced from the commands with gains and feed-forward"
+        )
     traces = [_simulated(part, controller, *robots) for part in parts]
     floor = np.sqrt(np.mean(noise.only(joints).values ** 2, axis=0))
     known = controller.found & (floor > 0.0)

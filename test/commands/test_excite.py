@@ -34,7 +34,7 @@ def folder(arm: Path) -> Path:
     out = arm.parent / "out"
     text = done("excite", "--urdf", arm, *QUICK, "--avoid", "plane:0,0,1,-0.2", "--out", out)
     for said in (
-        "acceleration limits follow",
+        "acceleration limits are derived",
         "jerk limits are 10",
         "Smallest distance:",
         "Expected error of efforts predicted for other motions, in units of the noise:",

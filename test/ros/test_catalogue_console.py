@@ -278,7 +278,7 @@ def test_92_hangs_are_forgotten_after_an_hour(monkeypatch: pytest.MonkeyPatch) -
         watched.restart_what_hangs()
         now[0] += 1.0
     assert worker.restarts == 20 + MOST_RESTARTS
-    assert "left alone" in watched.problem
+    assert "no restart for an hour" in watched.problem
     now[0] += FORGOTTEN
     watched.restart_what_hangs()
     assert worker.restarts == 21 + MOST_RESTARTS

@@ -82,9 +82,7 @@ def _channels_table(result: GapResult) -> Table:
     table = plain_table("Gap on held-out data, in units of the noise floor (no model can do better than 1)")
     table.add_column("\nchannel", overflow="fold")
     number_columns(table, ["\nfloor", "\nnominal", "inertias\nonly", "with\neffect", "\nexpected"])
-    table.add_column(
-        f"gap above the floor, logarithmic\n{_AFTER} after {_INERTIAS} inertias only {_BEFORE} nominal"
-    )
+    table.add_column(f"gap above the floor, logarithmic\n{_AFTER} after {_INERTIAS} inertias only {_BEFORE} nominal")
     gaps = (result.gap.before, result.gap.inertias_only, result.gap.after)
     end = max(2.0, *(gap_words.worst(values) for values in gaps))
     for k, (name, unit, floor) in enumerate(zip(result.channels, result.units, result.floor, strict=True)):
