@@ -98,7 +98,7 @@ def configuration(
     Args:
         config: see :data:`Config`; None for the defaults.
         model: an estimate.json to start from.
-        floating_base: whether the base moves.
+        floating_base: True if the base moves.
         wrench: sensors, as ``TOPIC:FRAME:ROLE[:AXES]``; none leaves those of ``config``.
         values: further parameters by name.
 

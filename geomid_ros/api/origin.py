@@ -16,7 +16,7 @@ def origin(session: Session, bags: Bags, command: str) -> Origin:
 
     Args:
         session: the robot and its configuration.
-        bags: what was read.
+        bags: the recordings.
         command: what was run.
     """
     urdf = hashlib.sha256(session.urdf.encode(errors="replace")).hexdigest()

@@ -1,4 +1,4 @@
-"""From a recording with a payload, and a recording or an estimate of the robot without it, to the payload."""
+"""Identification of a payload, from a recording with it, and a recording or an estimate without it."""
 
 from __future__ import annotations
 
@@ -31,10 +31,10 @@ def weigh_payload(
     odom_topic: str = "odom",
     progress: Progress = silent,
 ) -> Payload:
-    """Weigh what a robot carries: the same links and friction with and without it, and one body more with it.
+    """Identify a payload: both recordings share links and friction; the loaded one has an additional body.
 
-    ``geomid payload`` calls this; its options have the same names. The recordings move all joints; the motions need not
-    be the same.
+    ``geomid payload`` calls this; its options have the same names. All joints must move in both recordings; the motions
+    may differ.
 
     Args:
         empty: rosbag folders, or .mcap and .db3 files, without the payload; or the estimate.json of an earlier
@@ -43,15 +43,15 @@ def weigh_payload(
         urdf: path or text of the robot description; None for the identified.urdf beside the estimate.json, or else what
             is recorded on robot_description in the bags.
         frame: the flange, a link of the URDF; None for the configured ``payload.frame``, or the last link that moves.
-        gain_std: standard deviation of the efforts' gain, relative; 0 for calibrated torque sensors; None for
-            the configured ``payload.gain``.
-        config: the node's parameter file (YAML), or parameters by their full names.
-        xacro_args: arguments, as ``NAME:=VALUE``, of ``urdf``, if that is a .xacro file, which is run.
-        floating_base: whether the base moves; its pose is read from ``odom_topic``.
+        gain_std: relative standard deviation of the effort gain; 0 for calibrated torque sensors; None for the
+            configured ``payload.gain``.
+        config: the node's parameter file (YAML), or parameters by full name.
+        xacro_args: arguments ``NAME:=VALUE`` for ``urdf``, if that is a .xacro file, which is run.
+        floating_base: True if the base moves; its pose is read from ``odom_topic``.
         wrench: wrench sensors, as ``TOPIC:FRAME:ROLE[:AXES]``; ``ROLE`` is mounted or external.
         joint_topic: topic of the joint states.
-        odom_topic: topic of the base's pose.
-        progress: called with what is being done and the share of it, 0 to 1, that is done.
+        odom_topic: topic of the base pose.
+        progress: called with the current stage and its completed share, 0 to 1.
 
     Raises:
         InputError: a file, an argument or the data cannot be used; the message names it and says what to do.
