@@ -10,7 +10,7 @@ from geomid_ros.report import gap_words
 from geomid_ros.session.excitation import Excitation
 
 _PERCENT = 100.0
-_MOTIONS = ("before", "after\nthis", "after a\nrandom one", "after this\ntwice")
+_MOTIONS = ("before", "designed", "random", "designed,\ntwice")
 
 
 def show(found: Excitation) -> None:
