@@ -177,7 +177,7 @@ class Inputs:
                 policy = self._policies.get(entry.name, "quality of service")
                 who = _full_name(publisher)
                 problems.append(
-                    f"{entry.name}: no messages from {who}, whose QoS is incompatible: {policy} ({reason.rstrip(';')})"
+                    f"{entry.name}: no messages from {who}, incompatible QoS: {policy} ({reason.rstrip(';')})"
                 )
         if len(heard) > 1 and not entry.several:
             names = ", ".join(sorted(map(_full_name, heard)))

@@ -149,12 +149,12 @@ FAILURES = {
     "51-callback": (
         "callback fails",
         "/wrench dropped: ZeroDivisionError in a callback",
-        "a message on /wrench could not be taken: ZeroDivisionError: planted",
+        "a message on /wrench could not be processed: ZeroDivisionError: planted",
     ),
     "52-worker": (
         "messages fail",
         "/wrench dropped: ZeroDivisionError while taking a message",
-        "a message on /wrench could not be taken: ZeroDivisionError: planted",
+        "a message on /wrench could not be processed: ZeroDivisionError: planted",
     ),
 }
 

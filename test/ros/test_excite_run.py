@@ -66,7 +66,7 @@ def test_without_execute_nothing_moves(stage: Stage) -> None:
     controller(stage, start=0.5)
     process = excite(stage, bump(JOINTS, 4.0))
     assert status(stage, process) == 0, process.output
-    assert "First to the start, 0.300 rad (m) away" in process.output
+    assert "Approach: 0.300 rad (m) to the start" in process.output
     assert "20 % of its speed: 20.0 s" in process.output
     assert "Nothing has moved" in process.output
     assert commands == []
