@@ -67,7 +67,7 @@ def test_without_execute_nothing_moves(stage: Stage) -> None:
     process = excite(stage, bump(JOINTS, 4.0))
     assert status(stage, process) == 0, process.output
     assert "Approach: 0.300 rad (m) to the start" in process.output
-    assert "20 % of its speed: 20.0 s" in process.output
+    assert "Motion: 20.0 s at 20 % of its speed" in process.output
     assert "Nothing has moved" in process.output
     assert commands == []
     assert np.all(column(heard, "position") == 0.5)
@@ -221,7 +221,7 @@ def refused(stage: Stage, *arguments: str | Path) -> str:
 
 def test_what_is_not_there_is_named(stage: Stage) -> None:
     assert "no message on robot_description; give the URDF with --urdf" in refused(stage)
-    assert "no joint states on /joint_states: does the driver run?" in refused(stage, "--urdf", URDF)
+    assert "no joint states on /joint_states: check that the driver runs" in refused(stage, "--urdf", URDF)
     controller(stage)
     message = refused(stage, "--controller", "/arm_controller", "--execute")
     assert "nothing subscribes to /arm_controller/joint_trajectory" in message
@@ -239,7 +239,7 @@ def test_a_robot_that_is_out_of_its_range_is_not_moved(stage: Stage) -> None:
 def test_what_is_in_the_way_is_named_before_anything_moves(stage: Stage) -> None:
     controller(stage)
     inside = refused(stage, "--execute", "--avoid", "box:0,0,0.6,0.5,0.5,0.5")
-    assert "where the robot is, " in inside
+    assert "at the present pose, " in inside
     assert " and box:0,0,0.6,0.5,0.5,0.5 overlap by " in inside
     assert "exclude each other" in refused(stage, "--no-collision", "--avoid", "plane:0,0,1,-1")
 
