@@ -37,7 +37,7 @@ class ReproducibleSdist(sdist):
 setup(
     name=NAME,
     version="0.1.0",
-    description="Geometric identification of physically possible link inertias, online and from rosbags.",
+    description="Geometric identification of physically consistent link inertias, online and from rosbags.",
     long_description=Path("README.md").read_text(encoding="utf-8"),
     long_description_content_type="text/markdown",
     license="Apache-2.0",

@@ -242,7 +242,7 @@ def _live(kind: str, robot: _Robot, keeper: _Keeper, parameters: Path, log: Path
         max(0.0, killed - max(keeper.last, ready)) if np.isfinite(ready) else 0.0,
         torn,
         damaged,
-        not np.isfinite(ready) or number == 0 or f"goes on from checkpoint {number} " in output,
+        not np.isfinite(ready) or number == 0 or f"resumed from checkpoint {number} " in output,
     )
 
 

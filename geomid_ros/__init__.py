@@ -1,18 +1,18 @@
 """Geometric identification of link inertias, online and from rosbags.
 
-What a notebook or a script needs is here; everything else may change::
+The public names are here; everything else may change::
 
     import geomid_ros
 
     found = geomid_ros.identify("my_bag", "robot.urdf")
     found.links, found.effects, found.rms
-    found.save("geomid_out")  # report.html tells all of it
+    found.save("geomid_out")  # see report.html
 
     gap = geomid_ros.find_gap("my_bag", "robot.urdf")
     gap.verdict, gap.findings
     gap.report("report.html")
 
-A name is loaded when it is first used, with all that it needs: the import itself costs nothing.
+A name is loaded on first use, so the import is fast.
 """
 
 from __future__ import annotations

@@ -8,7 +8,7 @@ from collections.abc import Iterable
 _LONGEST = 4000  # characters of a message
 _NO_MEMORY = ("failed to map segment", "annot allocate memory", "Unable to allocate")
 TOO_LITTLE_MEMORY = (
-    "too little memory: geomid needs 1 GB, and what its recordings take (is there a limit, as by ulimit -v?)"
+    "too little memory: geomid needs 1 GB plus the size of its recordings; check limits such as ulimit -v"
 )
 """What is said then."""
 _LONGEST_GUESS = 200  # characters of a name

@@ -79,7 +79,7 @@ SLIP = np.array([0.0, 1.0, -1.0])
 KINDS = {
     "one joint": Kind(
         "gear_ripple",
-        "Ripple of a gear",
+        "Gear ripple",
         "joint2",
         {"amplitude": 0.6},
         {"amplitude": "N m"},

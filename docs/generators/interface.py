@@ -21,32 +21,30 @@ _ARGUMENTS = ["--ros-args", "-r", f"__ns:={_NAMESPACE}", "-p", "use_sim_time:=tr
 _SENSOR = ["-p", "wrenches:=['NAME']", "-p", "wrench.NAME.frame:=LINK"]
 
 _MEANINGS = {
-    "joint_states": "joints in any order; velocity is used when it is there and agrees with the position",
-    "robot_description": "the URDF, unless given as a parameter",
+    "joint_states": "joints in any order; velocity is used if present and consistent with the position",
+    "robot_description": "the URDF, unless it is given as a parameter",
     "odom": "pose of a floating base, with `floating_base`",
-    "NAME": "one for every sensor in `wrenches`, here `NAME`; `wrench.NAME.topic` says another topic",
+    "NAME": "one for every sensor in `wrenches`, here `NAME`; `wrench.NAME.topic` sets another topic",
     "~/inertias": "one message per link; `frame_id` is the link, `com` in its frame, "
     "the inertia about the centre of mass in the link's axes",
     "~/robot_description": "the identified URDF",
-    "~/predicted_joint_states": "efforts as the estimate predicts them, with the filtered motion, stamped as the data; "
-    "while somebody listens",
-    "~/predicted_efforts_std": "the same with the standard deviations of these efforts, as links and effects are "
-    "unsure together; while somebody listens",
-    "~/markers": "ellipsoids for RViz, blue where known from the prior, orange where from the data",
-    "~/gap": "what `~/find_gap` found, as `gap.json`, with `compared_with` where a gap is open; with nothing but "
-    "`error` in it where nothing can be said",
-    "~/payload": "what `~/payload/loaded` weighed, as `geomid payload --json` prints it; with nothing but `error` in "
-    "it where nothing can be said",
-    "/diagnostics": "at 1 Hz: the stream and every link, see below; the stream's warns when a gap opens",
-    "~/start": "take data",
-    "~/stop": "take no data; rows and estimate are kept",
-    "~/reset": "forget all rows, and take the latest robot description",
-    "~/save": "solve for all data so far, and write `estimate.json`, `identified.urdf` and `posterior.npz` into "
+    "~/predicted_joint_states": "predicted efforts, filtered motion, stamped as the data; only with a subscriber",
+    "~/predicted_efforts_std": "standard deviations of the predicted efforts, from the joint posterior; only with a "
+    "subscriber",
+    "~/markers": "ellipsoids for RViz, blue: from the prior, orange: from the data",
+    "~/gap": "findings of `~/find_gap`, as `gap.json`, with `compared_with` while a gap is open; "
+    "only `error` if it failed",
+    "~/payload": "result of `~/payload/loaded`, as printed by `geomid payload --json`; only `error` if it failed",
+    "/diagnostics": "at 1 Hz: the stream and every link, see below; the stream status warns if a gap opens",
+    "~/start": "start using data",
+    "~/stop": "stop using data; rows and estimate are kept",
+    "~/reset": "discard all rows, and use the latest robot description",
+    "~/save": "solve with all data so far, and write `estimate.json`, `identified.urdf` and `posterior.npz` into "
     "`output_folder`",
-    "~/find_gap": "look for a gap in the last `gap.memory` seconds, beside everything else; "
-    "answers on `~/gap` and in the diagnostics",
-    "~/payload/empty": "remember the last `gap.memory` seconds as the robot's motion without a payload",
-    "~/payload/loaded": "weigh what it has carried since then; answers on `~/payload`",
+    "~/find_gap": "look for a gap in the last `gap.memory` seconds, in the background; result on `~/gap` and in "
+    "the diagnostics",
+    "~/payload/empty": "store the last `gap.memory` seconds as the motion without a payload",
+    "~/payload/loaded": "identify the payload since then; result on `~/payload`",
 }
 
 

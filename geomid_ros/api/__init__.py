@@ -1,1 +1,1 @@
-"""The front door: what notebooks and the command line call. ``import geomid_ros`` offers it."""
+"""Public functions for notebooks and the command line, offered by ``import geomid_ros``."""

@@ -46,7 +46,7 @@ def entries(argument: str, given: Texts) -> list[str]:
     """
     result = texts(given)
     if not all(result):
-        raise InputError(f"{argument}: an empty text is given, which says nothing; leave it out")
+        raise InputError(f"{argument}: the text is empty; omit the argument")
     return result
 
 
@@ -83,11 +83,11 @@ def description(
     if urdf is not None and Path(urdf).suffix == SUFFIX:
         return Description(urdf_of_xacro(Path(urdf), texts(xacro_args)), str(urdf))
     if xacro_args:
-        raise InputError(f"arguments for xacro are given, and {urdf or 'no file'} is no {SUFFIX} file to give them to")
+        raise InputError(f"arguments for xacro are given, and {urdf or 'no file'} is not a {SUFFIX} file")
     if urdf is not None:
         return Description(read_urdf(Path(urdf)), str(urdf))
     if model is not None and (own := beside(model)).is_file():
         text, source = read_urdf(own), str(own)
     else:
         text, source = recorded_description(bags)
-    return Description(text, source, (f"no --urdf is given: the robot is that of {source}",))
+    return Description(text, source, (f"no --urdf is given: using the description of {source}",))

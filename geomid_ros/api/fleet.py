@@ -1,4 +1,4 @@
-"""From the bags of many robots of a type to an estimate of each, and to what they have in common."""
+"""Identification of many robots of one type, and of their population."""
 
 from __future__ import annotations
 
@@ -29,13 +29,13 @@ _KEPT = "kept"
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class FleetIdentification:
-    """What was identified of a fleet.
+    """Result of a fleet identification.
 
     Attributes:
-        lines: a line for every robot.
-        bad: bags that could not be used, with why, in sentences.
-        doubtful: bags that were left out, or make their robot doubtful, with what seems to be wrong with them.
-        files: that were written.
+        lines: one line for each robot.
+        bad: bags that could not be used, each with the reason.
+        doubtful: bags that were left out or make their robot doubtful, each with the reason.
+        files: the written files.
     """
 
     lines: Sequence[RobotLine]
@@ -68,19 +68,19 @@ def identify_fleet(
 
     Args:
         bags: a folder with a folder of bags for each robot, a pattern, or a table (.csv) with the columns ``robot`` and
-            ``bag``; on a disk, or by a URL that fsspec knows.
-        urdf: path or text of the robot description; None for what is recorded in the first bag.
-        out: folder for results, one for each robot.
-        by: the column of the table that names the robot.
+            ``bag``; on a disk, or at a URL that fsspec supports.
+        urdf: path or text of the robot description; None for the one in the first bag.
+        out: output folder, with a subfolder for each robot.
+        by: column of the table that names the robot.
         scheduler: address of a Dask scheduler; None for workers on this machine's cores.
-        keep: path or URL, which all workers see, of what was done so far; None for a folder in ``out``.
-        since: folder of an earlier run, to tell which robots have changed.
-        hold_out: share of each bag's time, at the end, to judge on; None for 0.3.
-        progress: called with what is being done and the share of it, 0 to 1, that is done.
+        keep: path or URL of intermediate results, visible to all workers; None for a folder in ``out``.
+        since: folder of an earlier run, to report which robots have changed.
+        hold_out: share of each bag, at its end, held out for testing; None for 0.3.
+        progress: called with the current stage and its completed share, 0 to 1.
         options: which robot it is and how its recordings are read, see :class:`~geomid_ros.RobotOptions`.
 
     Raises:
-        InputError: a file, an argument or the cluster cannot be used; what was done so far is kept.
+        InputError: a file, an argument or the cluster cannot be used; intermediate results are kept.
     """
     folder, chosen = Path(out), RobotOptions(urdf=urdf, **options)
     found = find_bags(bags, by)

@@ -1,4 +1,4 @@
-"""From rosbags to what a simulation of the robot lacks."""
+"""Diagnosis of the gap between simulation and robot, from rosbags."""
 
 from __future__ import annotations
 
@@ -32,15 +32,15 @@ from geomid_ros.session.session import Session
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Gap:
-    """What a simulation of the robot lacks.
+    """Result of the gap workflow.
 
     Attributes:
-        session: the robot and the model before.
-        bags: what was compared with it.
-        result: all that the workflow found.
-        held_out: the samples that were judged on, one element per recording.
-        simulated: these recordings simulated again in MuJoCo, before and after.
-        not_simulated: why there is no such simulation; empty if nothing is missing.
+        session: the robot and the given model.
+        bags: the recordings.
+        result: findings, ranking and gaps.
+        held_out: the held-out samples, one element per recording.
+        simulated: resimulations of these recordings in MuJoCo, before and after.
+        not_simulated: why there is no resimulation; empty if there is one.
     """
 
     session: Session
@@ -57,7 +57,7 @@ class Gap:
 
     @property
     def findings(self) -> tuple[Finding, ...]:
-        """The effects that were found, the surest first."""
+        """The effects found, the most certain first."""
         return self.result.findings
 
     @property
@@ -77,11 +77,11 @@ class Gap:
         return document | remarks
 
     def report(self, path: PathLike, *, progress: Progress = silent) -> Path:
-        """Write everything with pictures on one HTML page that needs no network.
+        """Write one HTML page with all results and plots, which needs no network.
 
         Args:
             path: the file.
-            progress: called with what is being done and the share of it, 0 to 1, that is done.
+            progress: called with the current stage and its completed share, 0 to 1.
 
         Returns:
             The same path.
@@ -111,8 +111,8 @@ class Gap:
         """Write report.html, gap.json, findings.csv, and the model with what was found.
 
         Args:
-            folder: made if it does not exist.
-            progress: called with what is being done and the share of it, 0 to 1, that is done.
+            folder: created if it does not exist.
+            progress: called with the current stage and its completed share, 0 to 1.
 
         Returns:
             The files; the model is estimate.json, identified.urdf, identified.xml (MJCF) and effects.yaml.
@@ -127,7 +127,7 @@ class Gap:
         return [self.report(folder / "report.html", progress=progress), *written, *files]
 
     def __repr__(self) -> str:
-        """What makes it doubtful, the verdict, and a sentence for each finding."""
+        """Reasons for doubt, the verdict, and a sentence for each finding."""
         doubts = recording_verdict(self.session.findings).remarks
         sentences = [f"  {finding.sentence}" for finding in self.findings]
         return "\n".join([*doubts, f"Gap of {self.session.robot.name}: {verdict_sentence(self.result)}", *sentences])
@@ -142,16 +142,16 @@ def find_gap(
     progress: Progress = silent,
     **options: Unpack[RecordingKeywords],
 ) -> Gap:
-    """Find where simulation and measurement disagree, which effect that is, and how much of the gap it closes.
+    """Find where simulation and measurement disagree, by which effect, and how much of the gap it closes.
 
     ``geomid gap`` calls this; its options have the same names.
 
     Args:
         bags: rosbag folders, or .mcap and .db3 files.
         urdf: path or text of the robot description, see :class:`~geomid_ros.RecordingOptions`.
-        simulated: what your simulator did under the commands of each bag, in their order.
-        command: topic of the joints' set-points (JointState), to simulate in closed loop.
-        progress: called with what is being done and the share of it, 0 to 1, that is done.
+        simulated: recordings of your simulator under the commands of each bag, in the same order.
+        command: topic of the recorded joint set-points (JointState), for a simulation in closed loop.
+        progress: called with the current stage and its completed share, 0 to 1.
         options: which robot it is and how its recordings are read, see :class:`~geomid_ros.RecordingOptions`; with
             ``model``, an estimate.json is compared with instead of the URDF's inertias alone.
 

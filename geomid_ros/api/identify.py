@@ -1,4 +1,4 @@
-"""From rosbags to the inertias of a robot's links."""
+"""Identification of link inertias from rosbags."""
 
 from __future__ import annotations
 
@@ -44,14 +44,14 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Identification:
-    """What was identified.
+    """Result of an identification.
 
     Attributes:
         session: the robot, its model and its configuration.
-        bags: what was read.
-        estimate: all that the solver found.
-        held_out: the samples to judge on, in batches, which were not fitted; empty if nothing was held out.
-        judged: the samples that it is judged on: those, or all that were fitted.
+        bags: the recordings.
+        estimate: result of the solver.
+        held_out: the held-out samples, in batches; empty if nothing was held out.
+        judged: the samples that the result is tested on: ``held_out``, or the fitted samples if that is empty.
         reader: who will read the description that is written.
         command: topic of the joints' set-points, to simulate them.
     """
@@ -76,18 +76,18 @@ class Identification:
 
     @property
     def rms(self) -> dict[str, float]:
-        """RMS of what the estimate leaves unexplained, by channel [N m, N]: on held-out data, or on the fitted data if
-        nothing was held out. NaN where nothing was measured."""
+        """RMS of the estimate's residual, by channel [N m, N], on held-out data, or the fitted data if there are none.
+        NaN for a channel that was not measured."""
         return self._by_channel(self.estimate.rms if self.held_out_rms is None else self.held_out_rms)
 
     @property
     def warnings(self) -> list[str]:
-        """What to know of the result, in sentences, beside the :attr:`verdict`."""
+        """Warnings on the result, as sentences, in addition to the :attr:`verdict`."""
         return self.session.warnings(self.estimate, self.verdict)
 
     @cached_property
     def verdict(self) -> Verdict:
-        """Whether the result can be used: ``usable``, ``doubtful`` or ``not converged``, and why not."""
+        """Verdict on the result: ``usable``, ``doubtful`` or ``not converged``, with the reasons."""
         judged = self.session.verdict(self.estimate, self.judged, self.held_out_rms)
         worse = self.handover.worse
         return replace(judged, word=DOUBTFUL, reasons=(*judged.reasons, *worse)) if worse else judged
@@ -108,15 +108,15 @@ class Identification:
 
     @cached_property
     def train(self) -> Sequence[Samples]:
-        """The samples that were fitted, in batches; where others are held out they are read once more, as they are not
-        remembered."""
+        """The fitted samples, in batches; if others are held out, they are read from the bags again, as they are not
+        kept."""
         if not self.held_out:
             return self.judged
         return read_fitted(Session(*self._again), self.bags)
 
     @cached_property
     def rms_nominal(self) -> dict[str, float]:
-        """The same of the URDF: its inertias and no effects."""
+        """RMS of the URDF's residual, by channel [N m, N], with its inertias and no effects."""
         if not self.held_out:
             return self._by_channel(self.estimate.rms_nominal)
         return self._by_channel(self.session.rms(self.held_out, self.session.nominal_parameters))
@@ -184,7 +184,7 @@ class Identification:
         return telling_motions(self.session.model, self.estimate)
 
     def urdf(self) -> str:
-        """The robot description with the identified inertias and friction; every other character of it is kept."""
+        """The robot description with the identified inertias and friction; every other character is kept."""
         return self.session.identified_urdf(self.estimate)
 
     @property
@@ -194,7 +194,7 @@ class Identification:
         return f"Not representable in {self.written.name}: {'; '.join(names)}" if names else ""
 
     def plot(self) -> Figure:
-        """Draw the bodies, before and after, and the channels, measured and predicted."""
+        """Draw the bodies before and after, and the channels measured and predicted."""
         return draw_identification(self.session, self.estimate, self.judged, self._series, self._of_what)
 
     @property
@@ -207,12 +207,11 @@ class Identification:
         return series_of(self.session, self.estimate, self.judged)
 
     def report(self, path: PathLike, *, command: str = "geomid_ros.identify") -> Path:
-        """Write everything with pictures on one HTML page that needs no network: whether the result can be used and for
-        what, and all that it rests on.
+        """Write one HTML page with all results and plots, which needs no network.
 
         Args:
             path: the file.
-            command: what was run, for the page.
+            command: the command line, for the page.
 
         Returns:
             The same path.
@@ -249,9 +248,9 @@ class Identification:
         report.html, and the description for :attr:`reader`: all of them, or none.
 
         Args:
-            folder: made if it does not exist.
-            progress: called with what is being done.
-            command: what was run, for the report.
+            folder: created if it does not exist.
+            progress: called with the current stage and its completed share, 0 to 1.
+            command: the command line, for the report.
 
         Returns:
             The files.
@@ -280,7 +279,7 @@ class Identification:
         return [*written, sidecar, *posterior, *csv, picture, report]
 
     def __repr__(self) -> str:
-        """Why it should not be used, and a line for each link."""
+        """Reasons for doubt, and a line for each link."""
         state = "converged" if self.estimate.converged else f"NOT converged ({self.estimate.reason})"
         lines = [
             f"  {link.name}: {link.mass:.3f} ± {link.std_mass:.3f} kg, {100 * link.from_data:.0f} % from data"
@@ -306,21 +305,21 @@ def identify(
 ) -> Identification:
     """Identify link inertias and joint effects from rosbags.
 
-    How well the result predicts is judged on data that were held out: the end of each bag, or the bags of ``validate``.
+    The result is tested on held-out data: the end of each bag, or the bags of ``validate``.
     ``geomid identify`` calls this; its options have the same names.
 
     Args:
         bags: rosbag folders, or .mcap and .db3 files.
         urdf: path or text of the robot description, see :class:`~geomid_ros.RecordingOptions`.
         prior: a population.json of the robot's type (``geomid fleet``) to start from.
-        effects: names of the effects to identify at every joint and no others, ``[]`` for none; None for the configured
-            ones, and for the candidates where held-out data ask for them.
-        candidates: names of effects to identify where held-out data ask for them, beside ``effects``.
-        links: names of the only links to identify; None for the configured ones.
-        known: masses that were weighed, as ``LINK=MASS:STD``, ``LINK+LINK=MASS:STD`` or ``total=MASS:STD`` [kg].
+        effects: names of the effects to identify at every joint, ``[]`` for none; None for the configured ones, with
+            the candidates where held-out data need them.
+        candidates: names of effects to add to ``effects`` where held-out data need them.
+        links: names of the links to identify; None for the configured ones.
+        known: weighed masses, as ``LINK=MASS:STD``, ``LINK+LINK=MASS:STD`` or ``total=MASS:STD`` [kg].
         reader: who will read the description that is written: urdf, moveit, isaac, gazebo, drake or mujoco.
         command: topic of the joints' set-points (JointState), to simulate what is held out under them.
-        progress: called with what is being done and the share of it, 0 to 1, that is done.
+        progress: called with the current stage and its completed share, 0 to 1.
         options: which robot it is and how its recordings are read, see :class:`~geomid_ros.RecordingOptions`.
 
     Raises:

@@ -16,7 +16,7 @@ def origin(session: Session, bags: Bags, command: str) -> Origin:
 
     Args:
         session: the robot and its configuration.
-        bags: what was read.
+        bags: the recordings.
         command: what was run.
     """
     urdf = hashlib.sha256(session.urdf.encode(errors="replace")).hexdigest()
@@ -32,5 +32,5 @@ def origin(session: Session, bags: Bags, command: str) -> Origin:
 
 def _what(share: float) -> str:
     if share >= 1.0:
-        return "recording to judge on"
-    return "recording, fitted" + (f" but for the last {100.0 * share:.0f} %" if share > 0.0 else "")
+        return "recording, held out"
+    return "recording, fitted" + (f" except the last {100.0 * share:.0f} %" if share > 0.0 else "")

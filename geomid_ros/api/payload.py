@@ -1,4 +1,4 @@
-"""From a recording with a payload, and a recording or an estimate of the robot without it, to the payload."""
+"""Identification of a payload, from a recording with it, and a recording or an estimate without it."""
 
 from __future__ import annotations
 
@@ -28,10 +28,10 @@ def weigh_payload(
     progress: Progress = silent,
     **options: Unpack[RobotKeywords],
 ) -> Payload:
-    """Weigh what a robot carries: the same links and friction with and without it, and one body more with it.
+    """Identify a payload: both recordings share links and friction; the loaded one has an additional body.
 
-    ``geomid payload`` calls this; its options have the same names. The recordings move all joints; the motions need not
-    be the same.
+    ``geomid payload`` calls this; its options have the same names. All joints must move in both recordings; the motions
+    may differ.
 
     Args:
         empty: rosbag folders, or .mcap and .db3 files, without the payload; or the estimate.json of an earlier
@@ -39,9 +39,9 @@ def weigh_payload(
         loaded: rosbag folders, or .mcap and .db3 files, with it.
         urdf: path or text of the robot description, see :class:`~geomid_ros.RobotOptions`.
         frame: the flange, a link of the URDF; None for the configured ``payload.frame``, or the last link that moves.
-        gain_std: standard deviation of the efforts' gain, relative; 0 for calibrated torque sensors; None for
-            the configured ``payload.gain``.
-        progress: called with what is being done and the share of it, 0 to 1, that is done.
+        gain_std: relative standard deviation of the effort gain; 0 for calibrated torque sensors; None for the
+            configured ``payload.gain``.
+        progress: called with the current stage and its completed share, 0 to 1.
         options: which robot it is and how its recordings are read, see :class:`~geomid_ros.RobotOptions`.
 
     Raises:

@@ -1,4 +1,4 @@
-"""From a model on disk and a recording to whether the model still holds."""
+"""Verification of a model on disk against a recording."""
 
 from __future__ import annotations
 
@@ -25,14 +25,14 @@ from geomid_ros.types import FloatArray
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Verification:
-    """How well a model predicts a recording, and whether that is as required.
+    """Result of checking a model against a recording.
 
     Attributes:
         session: the robot and its model.
-        rms: by channel, RMS of what the model leaves (``value``), of what it left of the data that it was fitted to
-            (``floor``), and of what the URDF leaves (``urdf``); NaN where nothing is measured or known.
-        doubts: why the model or the recording is not to be believed.
-        outcomes: what was required, and whether it is so.
+        rms: by channel, residual RMS of the model (``value``), of the model on the data it was fitted to (``floor``),
+            and of the URDF (``urdf``); NaN if not measured or not known.
+        doubts: reasons to doubt the model or the recording.
+        outcomes: result of each requirement.
     """
 
     session: Session
@@ -42,7 +42,7 @@ class Verification:
 
     @property
     def passed(self) -> bool:
-        """Whether nothing casts doubt on it and all is as required."""
+        """True if all requirements hold and nothing is doubtful."""
         return not self.doubts and all(outcome.passed for outcome in self.outcomes)
 
 
@@ -55,7 +55,7 @@ def verify(
     progress: Progress = silent,
     **options: Unpack[RobotKeywords],
 ) -> Verification:
-    """Predict recordings with a model that was identified before, and see whether it does as required.
+    """Predict recordings with an existing model, and check requirements.
 
     ``geomid verify`` calls this; its options have the same names.
 
@@ -64,8 +64,8 @@ def verify(
         validate: rosbag folders, or .mcap and .db3 files.
         urdf: path or text of the robot description that the model was identified from, see
             :class:`~geomid_ros.RobotOptions`.
-        require: what is required, as :mod:`~geomid_ros.plausibility.requirements` says.
-        progress: called with what is being done and the share of it, 0 to 1, that is done.
+        require: requirements, see :mod:`~geomid_ros.plausibility.requirements`.
+        progress: called with the current stage and its completed share, 0 to 1.
         options: which robot it is and how its recordings are read, see :class:`~geomid_ros.RobotOptions`.
 
     Raises:

@@ -30,13 +30,18 @@ _WRENCH = {
 
 @click.command()
 @click.option("--out", default=Path("geomid_out/demo"), **OUT)
-@click.option("--rate", default=1.0, show_default=True, type=click.FloatRange(0.1, 10.0), help="Times real time.")
+@click.option(
+    "--rate",
+    default=1.0,
+    show_default=True,
+    type=click.FloatRange(0.1, 10.0),
+    help="Playback speed, relative to real time.",
+)
 def demo(out: Path, rate: float) -> None:
-    """Watch a robot's inertias being identified live.
+    """Watch a live identification of a simulated arm.
 
-    Plays a recording of a simulated arm with a wrist sensor into a node, both in processes of their own, and shows
-    the estimates as they arrive. The arm's true inertias differ from its URDF by about 20 %; the node knows nothing of
-    them.
+    Plays a recording of an arm with a wrist sensor into a node, in a separate process, and shows the estimates as they
+    arrive. The true inertias differ from the URDF by about 20 %; the node does not know them.
     """
     from rich.live import Live
 
@@ -51,7 +56,7 @@ def demo(out: Path, rate: float) -> None:
     try:
         from geomid_ros.ros.live_run import LiveRun
     except ImportError as error:
-        raise InputError(f"ROS 2 is needed for the demonstration, and cannot be imported ({error})") from error
+        raise InputError(f"the demonstration needs ROS 2, which cannot be imported ({error})") from error
     bag, urdf = shared_file("bags/arm7"), shared_file("bags/arm7.urdf")
     truth = _true_masses(shared_file("bags/arm7.truth.json"))
     configuration = Configuration({**_WRENCH, "solve_period": max(0.1, 0.3 / rate)}, "demo")
@@ -116,12 +121,13 @@ def _conclude(
     rms = document["rms"]
     shares = [1.0 - rms["train"][channel] / nominal for channel, nominal in rms["nominal"].items()]
     console.print(
-        f"\nFound from {document['rows']['accepted']} rows: the best known body is {tool['name']} with "
+        f"\nIdentified from {document['rows']['accepted']} rows. The most certain body is {tool['name']} with "
         f"{tool['mass']:.4f} ± {tool['std']['mass']:.4f} kg (truth {true_mass:.4f}), "
         f"{100 * tool['from_data']:.0f} % from data.\n"
-        f"The motion cannot tell the mass of {', '.join(untold) or 'no link'} by itself; these stay near the URDF.\n"
-        f"Of what the URDF left unexplained {100 * sum(shares) / len(shares):.0f} % is explained now (mean over "
-        f"channels); all bodies are possible.\n"
+        f"Masses not individually identifiable: {', '.join(untold) or 'none'}; these stay near the URDF.\n"
+        f"The estimate removes {100 * sum(shares) / len(shares):.0f} % of the URDF's RMS error (mean over channels); "
+        f"all bodies "
+        f"are physically consistent.\n"
         f"The same bag identified offline gives the same masses within {difference:.0e} (relative).\n\n"
         f"Picture: {out / 'identification.png'}\nURDF:    {out / 'identified.urdf'}\n"
         f"Numbers: {out / 'estimate.json'}, {out / 'posterior.npz'}",

@@ -22,17 +22,17 @@ from geomid_ros.commands.options import OUT, recording_options, robot_options
     "--simulated",
     multiple=True,
     type=click.Path(path_type=Path),
-    help="What your simulator did under the commands of a bag; one for each of BAGS, in their order.",
+    help="Recording of your simulator under the commands of a bag; one for each of BAGS, in their order.",
 )
-@click.option("--command", help="Topic of the joints' set-points (JointState), to simulate in closed loop.")
+@click.option("--command", help="Topic of the recorded joint set-points (JointState), for a simulation in closed loop.")
 @click.option("--out", default=Path("geomid_gap"), **OUT)
 @click.option("--json", "as_json", is_flag=True, help="Print gap.json instead of tables.")
 def gap(bags: tuple[Path, ...], out: Path, as_json: bool, **options: Any) -> None:
-    """Find what a simulation lacks.
+    """Diagnose the gap between simulation and robot.
 
-    Compares BAGS (folders, folders of them, or .mcap and .db3 files) with the model of --urdf or --model, names the
-    missing effect, adds it to the model and shows how much of the gap that closes on data that were held out. Writes
-    gap.json, report.html, and the model: estimate.json, identified.urdf, identified.xml (MJCF) and effects.yaml.
+    Compares BAGS (folders, folders of them, or .mcap and .db3 files) with the model of --urdf or --model. Names the
+    missing effects, adds them to the model, and shows how much of the gap they close on held-out data. Writes gap.json,
+    report.html, and the model: estimate.json, identified.urdf, identified.xml (MJCF) and effects.yaml.
     """
     from geomid_ros.commands.progress import progress_bar
     from geomid_ros.commands.results import gap as results
@@ -49,5 +49,5 @@ def gap(bags: tuple[Path, ...], out: Path, as_json: bool, **options: Any) -> Non
         click.echo(f"\nWritten: {', '.join(map(str, files))}")
         if is_open(found.result):
             arguments = ("--urdf", options["urdf"] or "ROBOT.urdf", "--settle", out / "gap.json")
-            click.echo(f"A motion that decides: geomid excite {shlex.join(map(str, arguments))}")
+            click.echo(f"To discriminate between the rivals: geomid excite {shlex.join(map(str, arguments))}")
     sys.exit(recording_verdict(found.session.findings).status)

@@ -22,24 +22,25 @@ from geomid_ros.exports.formats import DESCRIBED_FOR
 @click.option(
     "--effects",
     type=Names(or_none=True),
-    help="Identify these effects everywhere and no others, separated by commas; 'none' for none.",
+    help="Effects to identify at every place, separated by commas; 'none' for none.  [default: see the reference]",
 )
 @click.option(
     "--candidates",
     type=Names(or_none=True),
-    help="Identify these effects where held-out data ask for them, separated by commas; 'none' for none.",
+    help="Effects to add where held-out data need them, separated by commas; 'none' for none.  [default: see the "
+    "reference]",
 )
-@click.option("--links", type=Names(), help="Identify only these links, separated by commas.")
+@click.option("--links", type=Names(), help="Links to identify, separated by commas.  [default: all]")
 @click.option(
     "--known",
     multiple=True,
     metavar="LINK=MASS:STD",
-    help="A mass that was weighed, of a link, of LINK+LINK together, or total; may be repeated.",
+    help="Weighed mass of a link, of LINK+LINK together, or of the total [kg]; may be repeated.",
 )
 @click.option(
     "--prior",
     type=click.Path(path_type=Path),
-    help="Start from this population.json, which 'geomid fleet' wrote of robots of this type.",
+    help="Start from this population.json, written by 'geomid fleet' for this type of robot.",
 )
 @click.option(
     "--for",

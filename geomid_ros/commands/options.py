@@ -44,14 +44,16 @@ class Names(click.ParamType):  # type: ignore[type-arg]  # older releases of cli
             return []
         if not all(names):
             none = ", or 'none' for none" if self._or_none else ""
-            self.fail(f"there is an empty name in '{value}'. Write NAME,NAME,...{none}; or leave it out.", param, ctx)
+            self.fail(
+                f"there is an empty name in '{value}'. Write NAME,NAME,...{none}; or omit the option.", param, ctx
+            )
         return names
 
 
 OUT: dict[str, Any] = {
     "type": Output(file_okay=False),
     "show_default": True,
-    "help": "Folder for results.",
+    "help": "Output folder.",
 }
 UNTRIED_OUT = OUT | {"type": click.Path(path_type=Path, file_okay=False)}
 """The same for commands that do not always write: they try it themselves."""
@@ -61,35 +63,35 @@ def robot_options(command: Callable[..., None]) -> Callable[..., None]:
     """The options that say which robot it is, what is measured on it, and how that is read: as
     :class:`~geomid_ros.api.options.RobotOptions` has them."""
     for option in (
-        click.option("--odom-topic", default="odom", show_default=True, help="Topic of the base's pose."),
+        click.option("--odom-topic", default="odom", show_default=True, help="Topic of the base pose."),
         click.option("--floating-base", is_flag=True, help="The base moves; its pose is read from the odometry topic."),
         click.option(
             "--wrench",
             multiple=True,
             metavar="TOPIC:FRAME:ROLE[:AXES]",
-            help="A wrench topic; ROLE is mounted or external, -ROLE reverses its sign; AXES like fz,tx,ty.",
+            help="Wrench topic; ROLE is mounted or external, -ROLE reverses the sign; AXES as in fz,tx,ty.",
         ),
         click.option("--joint-topic", default="joint_states", show_default=True, help="Topic of the joint states."),
         click.option("--merge", is_flag=True, help="Several publishers send joint states, each of some joints."),
-        click.option("--lock", type=Names(), metavar="JOINTS", help="These joints stand at zero; separated by commas."),
+        click.option("--lock", type=Names(), metavar="JOINTS", help="Joints that stay at zero, separated by commas."),
         click.option(
             "--gain",
             multiple=True,
             metavar="[JOINT=]FACTOR",
-            help="Factor from the messages' efforts to N m (or N), of all joints or of one; may be repeated.",
+            help="Factor from message efforts to N m (or N), for all joints or one; may be repeated.",
         ),
         click.option(
             "--gravity", nargs=3, type=float, metavar="X Y Z", help="Gravity in the base frame.  [default: 0 0 -9.81]"
         ),
-        click.option("--cutoff", type=float, metavar="HZ", help="Cutoff of the low-pass on all signals."),
+        click.option("--cutoff", type=float, metavar="HZ", help="Cutoff of the low-pass filter on all signals."),
         click.option("--config", type=click.Path(path_type=Path), help="The node's parameter file (YAML)."),
         click.option(
-            "--xacro-arg", "xacro_args", multiple=True, metavar="NAME:=VALUE", help="For a xacro; may be repeated."
+            "--xacro-arg", "xacro_args", multiple=True, metavar="NAME:=VALUE", help="Xacro argument; may be repeated."
         ),
         click.option(
             "--urdf",
             type=click.Path(path_type=Path),
-            help="The robot's description, URDF or .xacro.  [default: that on robot_description in the bags]",
+            help="Robot description, URDF or .xacro.  [default: robot_description in the bags]",
         ),
     ):
         command = option(command)
@@ -100,17 +102,17 @@ def recording_options(command: Callable[..., None]) -> Callable[..., None]:
     """Further ones: which data are judged on, and where to start from."""
     for option in (
         click.option(
-            "--validate", multiple=True, type=click.Path(path_type=Path), help="A bag to test on; may be repeated."
+            "--validate", multiple=True, type=click.Path(path_type=Path), help="Bag to test on; may be repeated."
         ),
         click.option(
             "--hold-out",
             type=click.FloatRange(0.0, 0.9),
-            help="Share of each bag's time, at the end, kept to test on.  [default: 0.3, with --validate 0]",
+            help="Share of each bag, at its end, held out for testing.  [default: 0.3; 0 with --validate]",
         ),
         click.option(
             "--model",
             type=click.Path(path_type=Path),
-            help="Start from this estimate.json; without --urdf, of the robot of identified.urdf beside it.",
+            help="Start from this estimate.json. Without --urdf, the robot is the identified.urdf beside it.",
         ),
     ):
         command = option(command)
@@ -133,5 +135,6 @@ package_option = click.option(
     multiple=True,
     metavar="NAME=FOLDER",
     callback=_packages,
-    help="Where package://NAME is, if not above URDF, in ROS_PACKAGE_PATH or in AMENT_PREFIX_PATH; may be repeated.",
+    help="Folder of package://NAME, if not above the URDF, in ROS_PACKAGE_PATH or in AMENT_PREFIX_PATH; may be "
+    "repeated.",
 )

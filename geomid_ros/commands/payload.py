@@ -18,20 +18,22 @@ from geomid_ros.exports.formats import CONTROLLERS
 @click.argument("empty", type=click.Path(path_type=Path))
 @click.argument("loaded", type=click.Path(path_type=Path))
 @robot_options
-@click.option("--frame", metavar="LINK", help="The flange.  [default: payload.frame, or the last link that moves]")
+@click.option(
+    "--frame", metavar="LINK", help="Link that is the flange.  [default: payload.frame, or the last moving link]"
+)
 @click.option("--for", "controller", type=click.Choice([*CONTROLLERS]), help="Print the commands that set the payload.")
 @click.option(
     "--gain-std",
     type=click.FloatRange(0.0, 1.0, max_open=True),
-    help="Standard deviation of the efforts' gain; 0 for calibrated torque sensors.  [default: payload.gain]",
+    help="Relative standard deviation of the effort gain; 0 for calibrated torque sensors.  [default: payload.gain]",
 )
 @click.option("--json", "as_json", is_flag=True, help="Print the numbers as JSON.")
 def payload(empty: Path, loaded: Path, controller: str | None, as_json: bool, **options: Any) -> None:
-    """Weigh what a robot carries.
+    """Identify a payload.
 
-    EMPTY and LOADED are recordings (folders, or .mcap and .db3 files) without the payload and with it, in which all
-    joints move. EMPTY may be the estimate.json of an earlier 'geomid identify' without the payload instead. Prints
-    mass, centre of mass and inertia in the axes of the flange, with the interval of the mass.
+    EMPTY and LOADED are recordings (folders, or .mcap and .db3 files) without and with the payload; all joints must
+    move. Instead of a recording, EMPTY may be the estimate.json of an earlier 'geomid identify' without the payload.
+    Prints mass, centre of mass and inertia in the axes of the flange, with the 95 % interval of the mass.
     """
     from geomid_ros.commands.progress import progress_bar
     from geomid_ros.commands.results import payload as results

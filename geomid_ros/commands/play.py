@@ -11,20 +11,29 @@ from geomid_ros.errors import InputError, printable
 
 @click.command()
 @click.argument("bag", type=click.Path(path_type=Path))
-@click.option("--rate", default=1.0, show_default=True, type=click.FloatRange(0.01, 100.0), help="Times real time.")
 @click.option(
-    "--wait", default=10.0, show_default=True, type=click.FloatRange(0.0), help="Wait so long for subscribers [s]."
+    "--rate",
+    default=1.0,
+    show_default=True,
+    type=click.FloatRange(0.01, 100.0),
+    help="Playback speed, relative to real time.",
 )
-@click.option("--topic", multiple=True, help="Publish this topic, too; may be repeated. A robot follows its commands.")
+@click.option(
+    "--wait", default=10.0, show_default=True, type=click.FloatRange(0.0), help="Longest wait for subscribers [s]."
+)
+@click.option(
+    "--topic", multiple=True, help="Also publish this topic; may be repeated. A robot will follow recorded commands."
+)
 @click.option(
     "--config",
     type=click.Path(path_type=Path),
-    help="The node's parameter file (YAML); publish the topics of the wrench sensors in it, too.",
+    help="The node's parameter file (YAML); also publish the topics of its wrench sensors.",
 )
 def play(bag: Path, rate: float, wait: float, topic: tuple[str, ...], config: Path | None) -> None:
-    """Publish topics of BAG live.
+    """Play a rosbag on live topics.
 
-    Only those that geomid reads: joint_states, odom and robot_description in any namespace, and /clock.
+    Publishes only the topics of BAG that geomid reads: joint_states, odom and robot_description in any namespace, and
+    /clock.
     """
     from geomid_ros.commands.progress import progress_bar
     from geomid_ros.session.configuration import Configuration
@@ -32,7 +41,7 @@ def play(bag: Path, rate: float, wait: float, topic: tuple[str, ...], config: Pa
     try:
         from geomid_ros.ros.player import play as published
     except ImportError as error:
-        raise InputError(f"ROS 2 is needed to play a bag, and cannot be imported ({error})") from error
+        raise InputError(f"playing a bag needs ROS 2, which cannot be imported ({error})") from error
     sensors = Configuration.read(config).sensors if config else []
     named = [*topic, *(sensor.topic for sensor in sensors)]
     count = 0

@@ -24,11 +24,9 @@ _LIGHTEST, _HEAVIEST = 50.0, 20_000.0  # [kg/m^3]
 
 @click.command()
 @click.argument("urdf", type=click.Path(path_type=Path))
+@click.option("--mass", type=click.FloatRange(0.0, min_open=True), required=True, help="Total mass of all links [kg].")
 @click.option(
-    "--mass", type=click.FloatRange(0.0, min_open=True), required=True, help="What all links weigh together [kg]."
-)
-@click.option(
-    "--keep", type=Names(), help="Links that stay as they are, separated by commas; the mass they have counts."
+    "--keep", type=Names(), help="Links to leave unchanged, separated by commas; their mass counts towards --mass."
 )
 @package_option
 @click.option(
@@ -36,14 +34,14 @@ _LIGHTEST, _HEAVIEST = 50.0, 20_000.0  # [kg/m^3]
     type=Output(within=True, dir_okay=False),
     default=Path("prior.urdf"),
     show_default=True,
-    help="The URDF to write.",
+    help="URDF to write.",
 )
 def prior(urdf: Path, mass: float, keep: list[str] | None, package_path: dict[str, Path], out: Path) -> None:
-    """Give a URDF inertials from its shapes.
+    """Compute prior inertials of a URDF from its shapes.
 
-    Fills the shapes of every link of URDF with one density, so that all links weigh --mass together: its collision
-    shapes, or the visual ones if it has no others. A mesh that is not closed counts as its convex hull. Links without
-    shapes stay as they are. The result is a prior to identify from, not an estimate.
+    Fills the shapes of every link with one density, so that the total mass is --mass. Uses collision shapes, or visual
+    ones if a link has no others. A mesh that is not closed counts as its convex hull. Links without shapes are left
+    unchanged. The result is a prior for identification, not an estimate.
     """
     from geomid_ros.commands.progress import progress_bar
     from geomid_ros.commands.results import shapes
@@ -103,20 +101,21 @@ def _warnings(result: ShapePrior, tree: UrdfTree) -> Iterator[str]:
 
     if not _LIGHTEST <= result.density <= _HEAVIEST:
         yield (
-            f"a density of {result.density:.3g} kg/m³ is not that of a machine. Is the mass right, are the meshes in "
-            "metres (attribute scale), and are all shapes parts of the robot (else --keep their links)?"
+            f"a density of {result.density:.3g} kg/m³ is out of range for a machine. Check the mass, the units of the "
+            f"meshes "
+            "(metres; attribute scale), and whether all shapes belong to the robot (else --keep their links)"
         )
     impossible = [link.name for link in result.links if link.parameters is None and link.verdict == IMPOSSIBLE]
     if impossible:
-        yield f"links that stay with inertials that belong to no body that can exist: {', '.join(impossible)}"
+        yield f"links left with inertials that are not physically consistent: {', '.join(impossible)}"
     between, last = massless_links(tree, {link.name: link.mass for link in result.links})
     if last:
         yield (
-            f"these moving links, and all that is attached to them, have neither a shape nor a mass: {', '.join(last)}"
-            ". Give them shapes or inertials; a joint that moves nothing has no dynamics"
+            f"these moving links, and everything attached to them, have neither a shape nor a mass: {', '.join(last)}"
+            ". Add shapes or inertials; a joint that moves no mass has no dynamics"
         )
     if between:
-        yield f"massless, right only for links between the axes of one joint: {', '.join(between)}"
+        yield f"massless links, which is right only between the axes of one joint: {', '.join(between)}"
 
 
 def _draw(path: Path, robot: Robot, result: ShapePrior) -> None:

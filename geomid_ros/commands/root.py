@@ -15,18 +15,18 @@ from geomid_ros.errors import TOO_LITTLE_MEMORY, GeomidError, is_lack_of_memory,
 COMMANDS = {
     "compare": "Compare two results of one robot.",
     "dashboard": "Show a running node on a local page.",
-    "demo": "Watch a robot's inertias being identified live.",
-    "excite": "Design a motion from which much is learned.",
+    "demo": "Watch a live identification of a simulated arm.",
+    "excite": "Design an exciting trajectory.",
     "export": "Print an estimate in the terms of other software.",
     "fleet": "Identify many robots of a type from many bags.",
-    "gap": "Find what a simulation lacks.",
+    "gap": "Diagnose the gap between simulation and robot.",
     "identify": "Identify link inertias from rosbags.",
-    "payload": "Weigh what a robot carries.",
-    "play": "Publish topics of BAG live.",
-    "prior": "Give a URDF inertials from its shapes.",
+    "payload": "Identify a payload.",
+    "play": "Play a rosbag on live topics.",
+    "prior": "Compute prior inertials of a URDF from its shapes.",
     "report": "Write the report of a result again.",
-    "sample": "Draw robots from what an identification knows.",
-    "simulate": "Record a simulated robot into a new rosbag.",
+    "sample": "Sample robots from the posterior.",
+    "simulate": "Record a rosbag of a simulated robot.",
     "verify": "Check that a model predicts a recording.",
 }
 """The first sentence of each command's help, by its name, which is that of its module."""
@@ -69,7 +69,7 @@ class _Group(click.Group):
 @click.group(cls=_Group, context_settings={"help_option_names": ["-h", "--help"]})
 @click.version_option(geomid_ros.__version__, prog_name="geomid")
 def root() -> None:
-    """Find a robot's true link inertias, from rosbags or while it runs."""
+    """Identify a robot's link inertias, from rosbags or while it runs."""
 
 
 def main() -> None:

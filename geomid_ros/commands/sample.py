@@ -18,33 +18,42 @@ _WIDEST = 3.0
 
 @click.command()
 @click.argument("model", metavar="ESTIMATE", type=click.Path(path_type=Path))
-@click.option("-n", "count", type=click.IntRange(1, _MOST), default=100, show_default=True, help="How many robots.")
-@click.option("--for", "tool", required=True, type=click.Choice([*DESCRIBED_FOR, JSON]), help="Who is to read them.")
+@click.option("-n", "count", type=click.IntRange(1, _MOST), default=100, show_default=True, help="Number of robots.")
+@click.option(
+    "--for", "tool", required=True, type=click.Choice([*DESCRIBED_FOR, JSON]), help="Software that will read them."
+)
 @click.option(
     "--into",
     metavar="MJCF",
     type=click.Path(path_type=Path),
-    help="For mujoco: this file with the numbers of each robot at the bodies and joints of the same names, all else as "
-    "it is.",
+    help="For mujoco: write this file with each robot's numbers for the bodies and joints of the same names; the rest "
+    "is "
+    "unchanged.",
 )
 @click.option(
     "--spread",
     type=click.FloatRange(0.0, _WIDEST, min_open=True),
     default=1.0,
     show_default=True,
-    help="Factor of all standard deviations.",
+    help="Factor on all standard deviations.",
 )
-@click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="The same seed draws the same.")
+@click.option(
+    "--seed",
+    type=click.IntRange(0),
+    default=0,
+    show_default=True,
+    help="Random seed; the same seed gives the same robots.",
+)
+
 @package_option
 @click.option("--out", default=Path("geomid_samples"), **OUT)
 def sample(out: Path, **options: Any) -> None:
-    """Draw robots from what an identification knows.
+    """Sample robots from the posterior.
 
     ESTIMATE is an estimate.json with the identified.urdf and the posterior.npz of the same run beside it. Links and
-    effects are drawn together, as the recording and the prior leave them, and every robot can exist. Writes a
-    description of each as 'geomid export' does (json: one robots.json), ranges.yaml with the 95 % range of each number
-    (for isaac with the event terms of Isaac Lab), and torques.png: how much the joint torques of these robots differ,
-    beside those of ranges of 20 %.
+    effects are sampled jointly, and every robot is physically consistent. Writes a description of each robot as 'geomid
+    export' does (json: one robots.json). Also writes ranges.yaml with the 95 % range of each number (for isaac with the
+    event terms of Isaac Lab), and torques.png, which compares the spread of joint torques with that of ranges of 20 %.
     """
     from geomid_ros.commands.progress import progress_bar
     from geomid_ros.commands.results import torques

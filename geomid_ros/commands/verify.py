@@ -20,21 +20,21 @@ from geomid_ros.commands.options import robot_options
     required=True,
     multiple=True,
     type=click.Path(path_type=Path),
-    help="A bag to predict; may be repeated.",
+    help="Bag to predict; may be repeated.",
 )
 @click.option(
     "--require",
     multiple=True,
     metavar="[PLACE.]QUANTITY<BOUND",
-    help="What must be so, as rms<2*floor, joint2.rms<1.5, rms<0.5*urdf, total.mass>20, link3.mass<1.1*urdf, "
+    help="Requirement, such as rms<2*floor, joint2.rms<1.5, rms<0.5*urdf, total.mass>20, link3.mass<1.1*urdf, "
     "from_data>=0.1; may be repeated.",
 )
 def verify(**options: Any) -> None:
     """Check that a model predicts a recording.
 
-    Reads MODEL (an estimate.json), predicts the bags of --validate with it, and says what is as required. The exit
-    status is 0 if all is, 1 if anything is not or the model or a recording is doubtful, and 2 for a refusal. The floor
-    of an rms is what the model left of the data that it was identified from.
+    Reads MODEL (an estimate.json), predicts the bags of --validate, and checks the requirements. The exit status is 0
+    if all hold, 1 if one fails or if the model or a recording is doubtful, and 2 if the input is refused. The floor of
+    an rms is the residual RMS on the data that the model was identified from.
     """
     from geomid_ros.commands.progress import progress_bar
     from geomid_ros.commands.results import verification

@@ -267,12 +267,12 @@ def _run_away(model: MeasurementModel, fitted: Fit, point: Point) -> Iterator[st
     spreads, pairs = fitted.spreads, zip(fitted.problem.prior_point.pseudo_inertias, point.pseudo_inertias, strict=True)
     for name, spread, usual, (prior, found) in zip(model.body_names, spreads, fitted.problem.usual, pairs, strict=True):
         if spread > _FAR * usual:
-            what = f"{found[3, 3]:.3g} kg instead of {prior[3, 3]:.3g}"
+            what = f"moved from {prior[3, 3]:.3g} to {found[3, 3]:.3g} kg"
             if abs(np.log(found[3, 3] / prior[3, 3])) < _SAME_MASS:
-                what = "its centre of mass or its inertia, not its mass"
+                what = "changed its centre of mass or its inertia"
             yield (
-                f"link '{name}' is far from what was known of it: {what}; if it cannot be so, it stands in for an "
-                "effect that the model lacks, as a spring, a payload or other friction ('geomid gap' looks for it)"
+                f"link '{name}' {what} ({spread / usual:.1f} default prior std); it probably absorbs an unmodelled "
+                "effect, such as a spring, a payload or other friction; run 'geomid gap'"
             )
 
 

@@ -48,7 +48,7 @@ class PopulationPrior:
         links = [name for name in model.body_names if name in population.links]
         if not links:
             raise InputError(
-                f"the prior is a population of other robots: its links are {', '.join(population.links)}, those of "
+                f"the prior is of another type of robot: its links are {', '.join(population.links)}, those of "
                 f"this robot {', '.join(model.body_names)}"
             )
         named = {(effect.name, effect.place, effect.parameter): effect for effect in population.effects}
@@ -148,6 +148,7 @@ def unlike_population(prior: PopulationPrior, weights: Mapping[str, float]) -> I
         if weight < _DOUBTED:
             what = f"link '{name}'" if name in prior.population.links else f"the {name.replace('_', ' ')} of joints"
             yield (
-                f"{what} is unlike that of the {prior.population.robots} robots of the prior, which counts little "
-                "there: a tool left on, a repair, or a robot of another type"
+                f"{what} differs from that of the {prior.population.robots} robots of the prior and was released from "
+                f"it; "
+                "check for a tool left on, a repair, or a robot of another type"
             )

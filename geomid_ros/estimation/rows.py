@@ -211,4 +211,4 @@ def _check(rows: FloatArray, targets: FloatArray, sigmas: FloatArray, prior: Flo
         raise InputError("standard deviations must be greater than zero")
     smallest = np.linalg.eigvalsh(pseudo_inertia.from_parameters(prior))[:, 0]
     if np.any(smallest <= 0.0):
-        raise InputError(f"the prior of link {int(np.argmin(smallest))} belongs to no body that can exist")
+        raise InputError(f"the prior of link {int(np.argmin(smallest))} is not physically consistent")

@@ -174,7 +174,7 @@ def _check_possible(given: FloatArray, model: MeasurementModel) -> None:
     first = len(model.nominal_inertias)
     for name, body in zip(model.body_names, given[:first].reshape(-1, 10), strict=True):
         if np.all(np.isfinite(body)) and np.linalg.eigvalsh(pseudo_inertia.from_parameters(body))[0] <= 0.0:
-            raise InputError(f"the prior of link '{name}' belongs to no body that can exist")
+            raise InputError(f"the prior of link '{name}' is not physically consistent")
     for coefficient, value in zip(model.coefficients, given[first:], strict=True):
         if coefficient.positive and value <= 0.0:
             what = f"{coefficient.effect.name} of joint '{coefficient.place_name}'"

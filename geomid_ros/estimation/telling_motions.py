@@ -26,9 +26,9 @@ _RATE = 4.0  # [1/s] of acceleration to speed
 _WIDEST = np.pi  # [rad, m]
 _TILT = np.array([[1.0, 0.0, 0.0], [0.0, np.sqrt(0.5), -np.sqrt(0.5)], [0.0, np.sqrt(0.5), np.sqrt(0.5)]])
 
-POSES = "standing still in many poses of all joints"
+POSES = "standing still in many poses"
 FAST = "fast motion of all joints at once"
-TILTED = "fast motion of all joints with the base mounted at a slant"
+TILTED = "fast motion of all joints with a tilted base"
 
 
 def telling_motions(model: MeasurementModel, estimate: Estimate) -> dict[str, dict[str, list[str]]]:

@@ -35,12 +35,12 @@ def weight_of(aim: str, knowledge: Knowledge, others: Sequence[Motion]) -> Float
     if aim == FRICTION:
         places = [place for place, own in enumerate(_are_friction(knowledge), manifold.inertial.stop) if own]
         if not places:
-            raise InputError("--for friction: no effect that is identified is friction; add some to 'effects'")
+            raise InputError("--for friction: none of the identified effects is friction; add one to 'effects'")
     elif aim == PAYLOAD or aim.startswith(LINK):
         links = knowledge.posterior.links
         name = links[-1] if aim == PAYLOAD else aim.removeprefix(LINK)
         if name not in links:
-            raise unknown_name("link to learn about", name, links)
+            raise unknown_name("link to identify", name, links)
         places = [*range(size)[manifold.link(links.index(name))]]
     else:
         raise unknown_name("aim", aim, (PREDICTION, FRICTION, PAYLOAD, f"{LINK}NAME"))

@@ -74,7 +74,7 @@ class Feasibility:
         for name, own, lower, upper in zip(self.names, self.start, low, high, strict=True):
             if not lower <= own <= upper:
                 raise InputError(
-                    f"the start of joint '{name}' is {own:.4g}, outside of its limits {lower:.4g} to {upper:.4g}; "
+                    f"the start of joint '{name}' is {own:.4g}, outside its limits {lower:.4g} to {upper:.4g}; "
                     "give another --start"
                 )
         still = np.stack([self.start, 0.0 * self.start, 0.0 * self.start])[:, None]

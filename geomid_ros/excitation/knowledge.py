@@ -30,8 +30,8 @@ _RATE = 4.0  # [1/s] of acceleration to speed, in random states
 _STATES = 200
 _WIDEST = np.pi  # [rad, m]
 _OTHERS = (
-    "{}: an estimate of other links or effects than this robot has ({}); give the URDF and the options with which it "
-    "was identified"
+    "{}: an estimate with other links or effects than this robot ({}); give the URDF and the options of that "
+    "identification"
 )
 
 

@@ -50,10 +50,10 @@ class Learning:
         else:
             said.append(
                 f"a random feasible motion of the same length leaves {self.random.error:.3g}: the design saves nothing "
-                "here, the motion is only known to be safe"
+                "here; its benefit is that the motion is checked"
             )
         longer = self.random_twice.error / self.designed.error
-        better = "no design replaces the time" if longer < 1.0 else "the design is worth more than that"
+        better = "recording longer helps more than the design" if longer < 1.0 else "the design is worth more than that"
         said.append(f"a random motion twice as long leaves {self.random_twice.error:.3g}: {better}")
         said.append(f"this motion recorded twice leaves {self.twice.error:.3g}")
         return said

@@ -133,7 +133,7 @@ def _notes(names: Sequence[str], derived: FloatArray, by_jerk: FloatArray, accel
     if np.any(derived):
         said = ", ".join(f"{name} {a:.3g}" for name, a, own in zip(names, acceleration, derived, strict=True) if own)
         notes.append(
-            "acceleration limits follow from the effort limits, and are at most "
+            "acceleration limits are derived from the effort limits, and are at most "
             f"{ACCELERATION:g} 1/s times the velocity limits [rad/s^2, m/s^2]: {said}"
         )
     if np.any(by_jerk):

@@ -118,7 +118,7 @@ def read_bytes(path: Path, what: str, most_bytes: int) -> bytes:
     """
     try:
         if path.exists() and not path.is_file():
-            raise InputError(f"{path}: no regular file, as a {what} is")
+            raise InputError(f"{path}: not a regular file; expected a {what}")
         return _bounded(path, what, most_bytes)
     except OSError as error:
         raise InputError(f"{path}: the {what} cannot be read ({error})") from error

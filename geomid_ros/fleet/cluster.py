@@ -32,7 +32,7 @@ class Cluster:
         try:
             import distributed  # noqa: PLC0415 an extra
         except ImportError as error:
-            raise InputError("geomid fleet needs what 'pip install geomid_ros[fleet]' installs") from error
+            raise InputError("geomid fleet needs the extra 'fleet': pip install geomid_ros[fleet]") from error
         # What it logs, with tracebacks, is what is told here in a sentence.
         logging.getLogger("distributed").setLevel(logging.CRITICAL)
         self._dask: Any = distributed
@@ -137,7 +137,7 @@ class Cluster:
                 try:
                     self._connect(self._patience)
                 except InputError as error:
-                    raise InputError(f"{error}; what was done so far is kept: run the same again") from error
+                    raise InputError(f"{error}; intermediate results are kept: run the same command again") from error
 
 
 def failure(error: BaseException) -> str:
@@ -145,5 +145,5 @@ def failure(error: BaseException) -> str:
     if isinstance(error, GeomidError):
         return str(error)
     if type(error).__name__ == "KilledWorker":
-        return "the workers that read it died, perhaps for lack of memory"
+        return "the workers that read it died, perhaps from lack of memory"
     return f"{type(error).__name__}: {error}"

@@ -53,9 +53,9 @@ def find_bags(source: str, by: str = "robot") -> list[FleetBag]:
             places = sorted(system.glob(path)) if _PATTERN & set(path) else [path]
             found = [_bag(system, bag, files) for place in places for bag, files in _bags_below(system, place)]
     except OSError as error:
-        raise InputError(f"{source}: cannot be looked at ({error})") from error
+        raise InputError(f"{source}: cannot be listed ({error})") from error
     if not found:
-        raise InputError(f"{source}: there is no rosbag, expected ROBOT/BAG folders, a pattern or a .csv file")
+        raise InputError(f"{source}: no rosbag found, expected ROBOT/BAG folders, a pattern or a .csv file")
     return sorted(set(found), key=lambda bag: (bag.robot, bag.url))
 
 
@@ -114,7 +114,7 @@ def _bag(system: Any, path: str, files: Mapping[str, Any], robot: str = "") -> F
     url = path if is_local(system) else system.unstrip_protocol(path)
     name = robot or PurePosixPath(path).parent.name
     if not name.isprintable() or "/" in name or name in ("", ".", ".."):
-        raise InputError(f"{url}: the robot's name is {name!r}, which no folder can have")
+        raise InputError(f"{url}: the robot's name is {name!r}, which is not a valid folder name")
     # A listing of a web server knows names only.
     told = [info if info.get("size") is not None else system.info(file) for file, info in sorted(files.items())]
     return FleetBag(name, url, _fingerprint(told))

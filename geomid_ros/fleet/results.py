@@ -44,7 +44,7 @@ class RobotResults:
         try:
             return RobotResults._read(content)
         except (zipfile.BadZipFile, KeyError, TypeError, ValueError, EOFError) as error:
-            raise InputError(f"what is kept of a robot cannot be read ({error})") from error
+            raise InputError(f"the stored result of a robot cannot be read ({error})") from error
 
     @staticmethod
     def _read(content: bytes) -> RobotResults:

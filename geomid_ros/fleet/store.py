@@ -21,7 +21,7 @@ def file_system(url: str) -> tuple[Any, str]:
     try:
         from fsspec.core import url_to_fs  # noqa: PLC0415 an extra
     except ImportError as error:
-        raise InputError("geomid fleet needs what 'pip install geomid_ros[fleet]' installs") from error
+        raise InputError("geomid fleet needs the extra 'fleet': pip install geomid_ros[fleet]") from error
     try:
         found: tuple[Any, str] = url_to_fs(url)
     except (ImportError, ValueError, OSError) as error:

@@ -99,4 +99,4 @@ class BackgroundSearch(Generic[R]):
     def _progress(self, stage: str, share: float) -> None:
         if self._closed:
             raise _EndedError
-        self.status = SearchStatus(f"looking: {stage}, {100.0 * share:.0f} %", stage)
+        self.status = SearchStatus(f"running: {stage}, {100.0 * share:.0f} %", stage)

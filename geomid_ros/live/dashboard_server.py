@@ -106,7 +106,7 @@ def _bound(port: int | None) -> list[socket.socket]:
     except OSError as error:
         if port is None:
             return bind_sockets(0, ADDRESS)
-        raise InputError(f"port {port} of {ADDRESS} cannot be had ({error.strerror}); name another one") from error
+        raise InputError(f"port {port} of {ADDRESS} is not available ({error.strerror}); use another --port") from error
 
 
 async def serve(node: str, port: int | None, begin: Callable[[Board, str], Any], stop: asyncio.Event) -> None:

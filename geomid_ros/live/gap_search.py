@@ -19,7 +19,7 @@ from geomid_ros.session.recordings import Progress
 from geomid_ros.session.session import Session
 from geomid_ros.signals.messages import Accepted
 
-COMPARED = "compared with what was identified before the gap"
+COMPARED = "compared with the estimate before the gap"
 
 
 @dataclass(frozen=True)

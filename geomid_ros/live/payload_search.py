@@ -40,14 +40,17 @@ class PayloadSearch:
         if not messages:
             return False, NO_DATA
         self._empty = messages
-        return True, f"{_seconds(messages):.0f} s without the payload are remembered; mount it, move, call loaded"
+        return (
+            True,
+            f"{_seconds(messages):.0f} s without the payload are stored; mount it, move, and call ~/payload/loaded",
+        )
 
     def take_loaded(self, worker: Worker) -> tuple[bool, str]:
         """Begin to weigh what the robot has carried since then. Whether it can be, and a sentence."""
         if not self._empty:
-            return False, "the motion without the payload comes first: move the robot without it, call empty"
+            return False, "no motion without the payload yet: move the robot without it, and call ~/payload/empty"
         if self._search.running:
-            return False, "already weighing; the payload comes on ~/payload"
+            return False, "already running; the result is published on ~/payload"
         begin = _last_stamp(self._empty) + 1
         loaded = [late for each in worker.recent_messages() if len(late := each.since(begin))]
         if not loaded:
@@ -59,7 +62,7 @@ class PayloadSearch:
             return _weigh(session, empty, loaded, progress)
 
         self._search.start(look)
-        return True, f"weighing, by {_seconds(loaded):.0f} s with the payload; it comes on ~/payload"
+        return True, f"identifying the payload from {_seconds(loaded):.0f} s; the result is published on ~/payload"
 
 
 def _weigh(session: Session, empty: Sequence[Accepted], loaded: Sequence[Accepted], progress: Progress) -> Payload:
@@ -71,7 +74,7 @@ def _weigh(session: Session, empty: Sequence[Accepted], loaded: Sequence[Accepte
             pipeline.push_accepted(message)
         found = pipeline.collect()
         if found is None:
-            raise InputError(f"too little motion {what} the payload: half a minute in which all joints move is needed")
+            raise InputError(f"too little motion {what} the payload: move all joints for half a minute")
         session.judge_apart()
         session.check.add(found)
         session.judge()

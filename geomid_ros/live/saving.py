@@ -33,7 +33,7 @@ _LONG = 1.0  # [s] that saving may take without a word
 FOLLOWS = "and follows"
 """In an answer: what was saved is not of all data yet."""
 NOT_YET = "no estimate yet"
-SLOW = "saving is not done yet"
+SLOW = "still saving"
 """In answers: nothing is saved so far."""
 
 Answer: TypeAlias = tuple[bool, str]
@@ -100,8 +100,8 @@ class Checkpoints:
         """How the session began, in a sentence; empty if the folder was empty."""
         found = self._restored
         if found.checkpoint is None:
-            return "; ".join(["begins without rows", *found.problems]) if found.problems else ""
-        goes_on = f"goes on from checkpoint {found.checkpoint.number} with {found.checkpoint.memory.summary.rows} rows"
+            return "; ".join(["started without rows", *found.problems]) if found.problems else ""
+        goes_on = f"resumed from checkpoint {found.checkpoint.number} with {found.checkpoint.memory.summary.rows} rows"
         return "; ".join([goes_on, *found.problems])
 
     @property

@@ -23,7 +23,7 @@ from geomid_ros.monitoring.wrench_sensors import changed_sensors, robot_may_have
 from geomid_ros.session.session import Session
 from geomid_ros.signals.ledger import count_reason
 
-SOLVING, WATCHING = "solving", "looking for changes"
+SOLVING, WATCHING = "solving", "searching for changes"
 _EARLIER = 64  # estimates, so many as are made until a gap is known: most of a minute, or more
 _CHOSEN_ANEW = 0.5  # share of what is remembered that is new when effects and the prior's weight are chosen anew
 
@@ -87,7 +87,7 @@ class Solver:
         self._requests.put(None)
         self._start()
         for done in asking:
-            done(GeomidError("the solver did not end in time and was restarted"))
+            done(GeomidError("the solver timed out and was restarted"))
 
     def close(self, patience: float) -> None:
         """End. A solve is finished first, and the estimate made up to date, unless that takes longer than ``patience``

@@ -65,10 +65,10 @@ class SolvingProcess:
         if self._closed:
             return ""
         if not self._process.is_alive():
-            return "the solving process has ended (is there too little memory?); it is started again"
+            return "the solver process died, perhaps from lack of memory; it is being restarted"
         if time.monotonic() - self._ended > _WORTH_TELLING:
             return ""
-        return f"the solving process has ended (is there too little memory?) and was started again, time {self._ends}"
+        return f"the solver process died, perhaps from lack of memory, and was restarted, time {self._ends}"
 
     def remote(
         self, method: Callable[Concatenate[Task, Arguments], Answer]
@@ -106,13 +106,13 @@ class SolvingProcess:
                 self._note_end()
                 if self._closed or self._hangs:
                     self._hangs = False
-                    raise GeomidError("the solve was given up") from error
+                    raise GeomidError("the solve was aborted") from error
                 continue
             self._fruitless = 0
             if isinstance(answer, Exception):
                 raise answer
             return answer
-        raise GeomidError("the solving process has ended twice in this solve (is there too little memory?)")
+        raise GeomidError("the solver process died twice in this solve, perhaps from lack of memory")
 
     def _note_end(self) -> None:
         self._process.join()
@@ -128,7 +128,7 @@ class SolvingProcess:
         pause = min(2.0**self._fruitless, _LONGEST_PAUSE) if self._fruitless >= _TRIES else 0.0
         left = self._ended + pause - time.monotonic()
         if left > 0.0:
-            raise GeomidError(f"the solving process has ended; it is started again in {left:.0f} s")
+            raise GeomidError(f"the solver process died; it is restarted in {left:.0f} s")
         self._begin("spawn")
 
     def _answer(

@@ -162,9 +162,9 @@ class Supervisor:
         solver = self.worker.solver.activity.current[1] > HANGING
         if not solver and not intake:
             return
-        what = "the intake of messages" if intake else "the solver"
+        what = "message processing" if intake else "the solver"
         if len(self._restarts) == MOST_RESTARTS:
-            self._hung = f"{what} hangs again after {MOST_RESTARTS} restarts and is left alone for an hour"
+            self._hung = f"{what} hangs again after {MOST_RESTARTS} restarts; no restart for an hour"
             return
         self._restarts.append(time.monotonic())
         self._hung = f"{what} hung and was restarted, {len(self._restarts)} of at most {MOST_RESTARTS} times"

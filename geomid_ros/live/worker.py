@@ -139,7 +139,7 @@ class Worker:
 
     @property
     def _sensors_left_out(self) -> list[str]:
-        return [f"{sentence}, those before too, until ~/reset" for sentence in self._wrenches.sentences.values()]
+        return [f"{sentence}, including earlier ones, until ~/reset" for sentence in self._wrenches.sentences.values()]
 
     def _causes(self, *, sure: bool) -> list[str]:
         """What the recording as a whole seems to be."""
@@ -150,12 +150,12 @@ class Worker:
     @property
     def _silence(self) -> str:
         joints = ", ".join(f"'{joint}'" for joint in self.session.pipeline.silent)
-        return f"{JOINT_STATES}: nothing comes of {joints}; no rows are made without" if joints else ""
+        return f"{JOINT_STATES}: no data of {joints}; rows need all joints" if joints else ""
 
     @property
     def _intake_is_late(self) -> str:
         what, seconds = self.activity.current
-        return f"a message on {what} is being taken since {seconds:.0f} s" if seconds > _LONG else ""
+        return f"a message on {what} has been processed for {seconds:.0f} s" if seconds > _LONG else ""
 
     @property
     def _solver_is_late(self) -> str:
@@ -168,7 +168,7 @@ class Worker:
             try:
                 self._do(task)
             except Exception as error:  # noqa: BLE001 the thread must outlive it; the diagnostics report it
-                self._fail("the intake failed", error)
+                self._fail("message processing failed", error)
 
     def _do(self, task: list[Received] | Request) -> None:
         if isinstance(task, Reset):
@@ -190,7 +190,7 @@ class Worker:
         try:
             self.session.pipeline.push(blocks)
         except Exception as error:  # noqa: BLE001 as above; the pipeline has counted the messages
-            self._fail(f"a message on {' or '.join({block.topic for block in blocks})} could not be taken", error)
+            self._fail(f"a message on {' or '.join({block.topic for block in blocks})} could not be processed", error)
         samples = self.session.pipeline.collect()
         if samples is not None:
             self._add(samples, messages[0].time)
@@ -203,7 +203,7 @@ class Worker:
         except Exception as error:  # noqa: BLE001 as above
             lost = before + len(samples) * len(self.session.model.channels) - identifier.counts.made
             self._rows_lost = self._rows_lost + Counter({type(error).__name__: lost})
-            self._fail("rows could not be made", error)
+            self._fail("rows could not be computed", error)
             return
         with self._lock:
             self._receipt_to_row.append(time.perf_counter() - received)

@@ -142,7 +142,7 @@ class MeasurementModel:
         self.channels = self._channels()
         if not self.channels:
             raise InputError(
-                "nothing that is measured can be predicted: joint efforts need every external wrench sensor to be on a "
+                "no measured channel can be predicted: joint efforts need every external wrench sensor to be on a "
                 "link and to measure all six axes; a floating base needs at least one wrench sensor of role external "
                 "(a force plate, or contact sensors on all that touches the ground)"
             )
@@ -215,13 +215,13 @@ class MeasurementModel:
             raise unknown_name("frame of a mounted wrench sensor", sensor.frame, self.robot.tree.links)
         if not self.robot.is_divided_at(sensor.frame):
             raise InputError(
-                f"a wrench sensor is mounted at link '{sensor.frame}', at which the robot's bodies are not divided: "
+                f"a wrench sensor is mounted at link '{sensor.frame}', where the robot's bodies are not split: "
                 "name this link in the robot's cuts"
             )
         if not self._loaded_bodies(sensor):
             raise InputError(
-                f"the wrench sensor mounted at link '{sensor.frame}' carries nothing: neither this link nor one that "
-                "comes after it has a mass in the URDF"
+                f"the wrench sensor mounted at link '{sensor.frame}' carries nothing: neither this link nor any link "
+                "after it has a mass in the URDF"
             )
 
     @property

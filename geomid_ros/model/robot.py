@@ -119,7 +119,7 @@ class Robot:
         if not self.bodies:
             raise InputError(
                 f"{source}: no moving link has a mass; there is nothing to identify. 'geomid prior URDF --mass KG' "
-                "gives a URDF inertials, from its shapes and the robot's weight"
+                "computes inertials from the shapes and the robot's mass"
             )
         self._velocity_rows = [joint.v for joint in self.joints]
         self._moved = [index for index, body in enumerate(self.bodies) if body.joint > 0]
@@ -245,8 +245,8 @@ class Robot:
         repaired = pseudo_inertia.nearest_body(parameters)
         change = np.max(np.abs(repaired - parameters)[4:])
         self.repaired[head] = (
-            f"the URDF's inertia of link '{head}'{merged} belongs to no body that can exist; taken with its mass and "
-            f"centre of mass, and moments that are larger by up to {change:.2g} kg m^2 (a radius of gyration of at "
+            f"the URDF's inertia of link '{head}'{merged} is not physically consistent; its mass and centre of mass "
+            f"are kept, its moments are raised by up to {change:.2g} kg m^2 (a radius of gyration of at "
             f"least {1e3 * pseudo_inertia.least_gyration(mass):.2g} mm)"
         )
         return repaired

@@ -107,11 +107,11 @@ def shape_prior(
     kept_mass = sum(inertial.mass for name, inertial in inertials.items() if name not in solids)
     volume = sum(shapes.volume(solid.moments) for solid in solids.values())
     if not solids:
-        raise InputError(f"{source}: no link has a shape from which its inertia could be taken")
+        raise InputError(f"{source}: no link has a shape to compute its inertia from")
     if total_mass <= kept_mass:
         raise InputError(
             f"{source}: the links whose inertials stay weigh {kept_mass:.3f} kg already, not less than the total mass "
-            f"of {total_mass:g} kg; nothing is left for the links that have shapes"
+            f"of {total_mass:g} kg; no mass is left for the links with shapes"
         )
     density = (total_mass - kept_mass) / volume
     links = []
@@ -190,8 +190,8 @@ class ShapedUrdf:
             parameters = urdf_tree.inertial_parameters(self.links[name], self.source)
             if parameters is not None and parameters[0] < 0.0:
                 raise InputError(
-                    f"{self.source}: link '{name}' has a mass of {parameters[0]:g} kg, which would stay, as it is "
-                    "kept or has no shape; correct or remove its <inertial>"
+                    f"{self.source}: link '{name}' has a mass of {parameters[0]:g} kg, which is kept, as it "
+                    "has no shape or is in --keep; correct or remove its <inertial>"
                 )
 
 

@@ -32,8 +32,8 @@ _NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?", re.ASCII)
 _OF_RIGID_BODIES = {"link": ("inertial",), "joint": ("parent", "child", "origin", "axis", "limit")}
 _OF_THINGS = ("visual", "collision", "inertial")
 _OTHER_FORMATS = {
-    "sdf": ": an SDF model. Give the URDF or xacro that it was made from; 'gz sdf -p' makes SDF of those, not back",
-    "mujoco": ": an MJCF model. Give the robot's URDF; 'geomid export --for mujoco' brings results into an MJCF model",
+    "sdf": ": an SDF model. Give the URDF or xacro that it was made from; 'gz sdf -p' converts only from URDF to SDF",
+    "mujoco": ": an MJCF model. Give the robot's URDF; 'geomid export --for mujoco' writes results into an MJCF model",
 }
 _AXES = {"fixed": 0, "revolute": 1, "continuous": 1, "prismatic": 1, "planar": 3, "floating": 6}
 
@@ -115,12 +115,12 @@ def tree(robot: Element, source: str) -> UrdfTree:
     """The tree of a ``<robot>``, as :func:`parse` reads it."""
     for kind in ("link", "joint"):
         if (count := len(robot.findall(kind))) > _MAX_LINKS:
-            raise InputError(f"{source}: {count} {kind}s are more than the {_MAX_LINKS} that a robot may have")
+            raise InputError(f"{source}: {count} {kind}s, more than the maximum of {_MAX_LINKS}")
     links = tuple(_name(element, source) for element in robot.findall("link"))
     joints = tuple(_joint(element, source) for element in robot.findall("joint"))
     axes = sum(_AXES[joint.type] for joint in joints)
     if axes > _MAX_AXES:
-        raise InputError(f"{source}: joints of {axes} axes are more than the {_MAX_AXES} that a robot may have")
+        raise InputError(f"{source}: joints of {axes} axes, more than the maximum of {_MAX_AXES}")
     _refuse_duplicates(links, "link", source)
     _refuse_duplicates([joint.name for joint in joints], "joint", source)
     inertials = {link.get("name", ""): inertial_parameters(link, source) for link in robot.findall("link")}
@@ -153,7 +153,7 @@ def read_xml(text: str, source: str) -> Element:
 
 def _is_xacro(source: str) -> InputError:
     command = f"xacro {shlex.quote(source)} > robot.urdf"
-    return InputError(f"{source}: a xacro file, of which this command makes a URDF: {command}")
+    return InputError(f"{source}: a xacro file; convert it with: {command}")
 
 
 class _Builder(TreeBuilder):
@@ -207,7 +207,9 @@ def _root(links: tuple[str, ...], joints: tuple[UrdfJoint, ...], source: str) ->
         reached |= {joint.child for joint in joints if joint.parent in reached}
     for link in links:
         if link not in reached:
-            raise InputError(f"{source}: link '{link}' hangs in a loop of joints and not on the root '{roots[0]}'")
+            raise InputError(
+                f"{source}: link '{link}' is in a loop of joints and not connected to the root '{roots[0]}'"
+            )
     return roots[0]
 
 

@@ -83,12 +83,12 @@ def _judged(products: FloatArray) -> str:
     handed = np.linalg.det(left @ right)
     turned = float(strengths[0] + strengths[1] + np.sign(handed) * strengths[2]) / scale
     if agreement < -_ALIGNED:
-        return "the forces are opposite to those expected from the URDF: is the sign reversed?"
+        return "the forces are opposite to those expected from the URDF: check the sign"
     if agreement < _ASTRAY and turned > _ALIGNED:
-        return "the forces are turned against those expected from the URDF: is the frame another one?"
+        return "the forces are rotated against those expected from the URDF: check the frame"
     ratio = float(np.sqrt(measured / expected))
     if agreement > _ALIGNED and not 1.0 / _OTHER_UNIT < ratio < _OTHER_UNIT:
-        return f"the forces are {ratio:.2g} times those expected from the URDF: is the unit another one?"
+        return f"the forces are {ratio:.2g} times those expected from the URDF: check the unit"
     return ""
 
 

@@ -13,30 +13,30 @@ from geomid_ros.types import IntArray
 
 KINDS = {
     "sign": "efforts are reversed",
-    "order": "efforts of two joints are exchanged",
-    "names": "names of joints are exchanged",
+    "order": "efforts of two joints are swapped",
+    "names": "names of joints are swapped",
     "gain": "efforts are in another unit",
     "magnitude": "efforts have no sign",
     "friction": "more friction is compensated than there is",
     "zero": "the zero of a joint is off",
-    "axis": "a joint turns the other way round",
-    "absolute": "the position of a joint holds that of another one, too",
+    "axis": "a joint turns in the opposite direction",
+    "absolute": "the position of a joint includes that of another one",
     "description": "the robot description cannot be that of this robot",
-    "frozen": "the position of a joint stands still while the joint moves",
+    "frozen": "the position of a joint is frozen while the joint moves",
     "degrees": "positions are in degrees",
     "gravity": "gravity acts in another direction",
     "compensated": "gravity is not in the efforts",
     "offset": "the offset of an effort changes during the recording",
     "drift": "the gain of efforts changes during the recording",
-    "switched": "gravity is in the efforts for a part of the time",
-    "load": "what is carried changes during the recording",
+    "switched": "gravity is in the efforts only part of the time",
+    "load": "the payload changes during the recording",
     "slip": "the zero of a position changes during the recording",
-    "late": "efforts are those of another time",
+    "late": "efforts are delayed against the motion",
     "unrelated": "efforts follow neither gravity nor motion",
     "constant": "an effort never changes",
-    "stream": "messages are not what a driver should send",
+    "stream": "messages are not as a driver should send them",
     "still": "the robot does not move",
-    "wrench": "a wrench sensor is not what it is declared to be",
+    "wrench": "a wrench sensor is declared wrongly",
 }
 """What may be wrong."""
 
@@ -91,9 +91,9 @@ class Finding:
     def sentence(self) -> str:
         """All of it."""
         if not self.sure:
-            return f"Not sure, but perhaps: {self.cause.sentence}"
-        others = "; or else: ".join(rival.sentence for rival in self.rivals)
-        return f"{self.cause.sentence}; or else: {others}" if others else self.cause.sentence
+            return f"Possibly: {self.cause.sentence}"
+        others = "; or: ".join(rival.sentence for rival in self.rivals)
+        return f"{self.cause.sentence}; or: {others}" if others else self.cause.sentence
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

@@ -45,8 +45,8 @@ def _would_follow(of_all: bool) -> str:
 def exchanged_efforts(first: str, second: str) -> Cause:
     """The efforts of two joints are exchanged."""
     sentence = (
-        f"the efforts of joints '{first}' and '{second}' are exchanged: the other way round they would follow this "
-        "robot's gravity and motion; correct their order where the messages are made, or the names in the URDF"
+        f"the efforts of joints '{first}' and '{second}' are swapped: swapped back they would follow this robot's "
+        "gravity and motion; correct their order in the driver, or the names in the URDF"
     )
     return Cause(kind="order", sentence=sentence, places=(first, second))
 
@@ -55,8 +55,8 @@ def exchanged_names(joints: Sequence[str], others: Sequence[str]) -> Cause:
     """Each of some joints has the name of another one."""
     pairs = ", ".join(f"'{joint}' and '{other}'" for joint, other in zip(joints, others, strict=True))
     sentence = (
-        f"the names of joints {pairs} are exchanged: the other way round positions and efforts would be those of this "
-        "robot; correct the names where the messages are made, or in the URDF"
+        f"the names of joints {pairs} are swapped: swapped back positions and efforts would be those of this robot; "
+        "correct the names in the driver, or in the URDF"
     )
     return Cause(kind="names", sentence=sentence, places=(*joints, *others))
 
@@ -68,7 +68,7 @@ def other_unit(joints: Sequence[str], gains: Iterable[float], factor: float, of_
     sentence = (
         f"{who} about 1/{factor:.3g}" if factor > 1.0 else f"{who} about {1.0 / factor:.3g} times"
     ) + f" of what this robot needs in N m{_unit(factor)}: with about {written(settings)} {_would_follow(of_all)} its "
-    sentence += "gravity and motion (the data cannot tell the exact factor from the masses)"
+    sentence += "gravity and motion (the exact factor cannot be distinguished from the masses)"
     return Cause(kind="gain", sentence=sentence, settings=settings, places=tuple(joints))
 
 
@@ -76,15 +76,15 @@ def _unit(factor: float) -> str:
     if 0.5e-3 < factor < 2e-3:
         return " (in mN m?)"
     if 250.0 < factor < 4000.0:
-        return " (in kN m, or are the masses of the URDF in grams?)"
-    return " (in amperes, or on the motor's side of the gear?)" if factor > 1.0 else ""
+        return " (in kN m? or masses of the URDF in grams?)"
+    return " (in A? or on the motor side of the gear?)" if factor > 1.0 else ""
 
 
 def degrees(joints: Sequence[str]) -> Cause:
     """Positions and speeds are in degrees."""
     sentence = (
-        "joint positions are in degrees: taken so, the efforts would follow this robot's gravity and motion; messages "
-        "have to be in rad and rad/s"
+        "joint positions are in degrees: read as degrees, the efforts follow this robot's gravity and motion; send "
+        "messages in rad and rad/s"
     )
     return Cause(kind="degrees", sentence=sentence, places=tuple(joints))
 
@@ -93,7 +93,7 @@ def other_gravity(gravity: FloatArray, joints: Sequence[str]) -> Cause:
     """Gravity acts in another direction."""
     settings = _gravity(gravity)
     sentence = (
-        f"gravity acts in another direction than configured: {written(settings)} fits (how is the robot mounted?)"
+        f"gravity acts in another direction than configured: {written(settings)} fits (check how the robot is mounted)"
     )
     return Cause(kind="gravity", sentence=sentence, settings=settings, places=tuple(joints))
 
@@ -102,9 +102,9 @@ def not_level(gravity: FloatArray, angle: float, joints: Sequence[str]) -> Cause
     """The base is tilted a little, by an angle [rad]."""
     written = " ".join(f"{entry:g}" for entry in np.round(gravity, 2) + 0.0)
     sentence = (
-        f"the efforts are explained much better if gravity is {written} in the base frame: is the base "
-        f"{np.degrees(angle):.1f} degrees off? Measure it; --gravity {written} (the parameter gravity) corrects it, "
-        "and 'geomid gap' fits it"
+        f"the efforts are explained much better if gravity is {written} in the base frame: the base may be "
+        f"tilted by {np.degrees(angle):.1f} degrees. Measure it; correct it with --gravity {written} (the parameter "
+        "gravity), or let 'geomid gap' fit it"
     )
     return Cause(kind="gravity", sentence=sentence, settings=_gravity(gravity), places=tuple(joints))
 
@@ -117,25 +117,25 @@ def no_gravity(joints: Sequence[str]) -> Cause:
     """Gravity is not in the efforts."""
     settings = {"gravity": [0.0, 0.0, 0.0]}
     sentence = (
-        "gravity is not in the efforts: they are compensated for it, or there is none. Record measured efforts that "
-        f"are not compensated, or write {written(settings)}; masses then show in accelerations alone"
+        "gravity is not in the efforts: they are compensated for it, or there is none. Record measured efforts "
+        f"without compensation, or write {written(settings)}; then only accelerations identify masses"
     )
     return Cause(kind="compensated", sentence=sentence, settings=settings, places=tuple(joints))
 
 
 def from_on(time: float) -> str:
     """When something is another."""
-    return f"from about {time:.0f} s after the beginning on"
+    return f"from about {time:.0f} s on"
 
 
 def until(time: float) -> str:
     """When something is another."""
-    return f"until about {time:.0f} s after the beginning"
+    return f"until about {time:.0f} s"
 
 
-BIT_BY_BIT = "in the course of the recording, bit by bit"
+BIT_BY_BIT = "gradually during the recording"
 """How something changes."""
-_APART = "record again, or use the part before or the part after that alone"
+_APART = "record again, or use only the part before or after"
 
 
 def change(joint: str, size: float, unit: str) -> str:
@@ -146,8 +146,8 @@ def change(joint: str, size: float, unit: str) -> str:
 def other_offset(joints: Sequence[str], said: Sequence[str], when: str) -> Cause:
     """The constant part of efforts changes."""
     sentence = (
-        f"efforts are shifted {when}, whatever the robot does: {', '.join(said)}; was a sensor set to zero, or does "
-        f"something else act there? {_advice(when)}"
+        f"efforts are shifted {when}, independently of the motion: {', '.join(said)}; check for a zeroed sensor or an "
+        f"external load. {_advice(when)}"
     )
     return Cause(kind="offset", sentence=sentence, places=tuple(joints))
 
@@ -156,15 +156,15 @@ def gain_changes(joints: Sequence[str], factor: float, when: str, of_all: bool) 
     """Efforts change by a factor."""
     who = "the efforts of all joints" if of_all else f"the effort of joint '{joints[0]}'"
     sentence = (
-        f"{who} changed to {factor:.2f} times as much {when}: does the unit change, or the torque of a motor with its "
-        f"warmth? {_advice(when)}"
+        f"{who} changed to {factor:.2f} times the earlier value {when}: check for a change of unit, or a motor that "
+        f"warms up. {_advice(when)}"
     )
     return Cause(kind="drift", sentence=sentence, places=tuple(joints))
 
 
 def unit_switches(joints: Sequence[str], factor: float, when: str) -> Cause:
     """Efforts change to another unit, or sign."""
-    what = "their other sign" if factor == -1.0 else f"{factor:.2g} times what they were"
+    what = "the opposite sign" if factor == -1.0 else f"{factor:.2g} times the earlier value"
     sentence = (
         f"the efforts of all joints have {what} {when}: another unit or sign begins; use one of the two parts, with "
         "effort_gain for its unit"
@@ -174,7 +174,7 @@ def unit_switches(joints: Sequence[str], factor: float, when: str) -> Cause:
 
 def gravity_goes(joints: Sequence[str], when: str) -> Cause:
     """Gravity is in the efforts for a part of the time."""
-    sentence = f"gravity is not in the efforts {when}: its compensation is switched; {_APART}"
+    sentence = f"gravity is not in the efforts {when}: its compensation was switched; {_APART}"
     return Cause(kind="switched", sentence=sentence, places=tuple(joints))
 
 
@@ -182,8 +182,8 @@ def payload_changes(link: str, mass: float, joints: Sequence[str], when: str) ->
     """Something is taken up or put down."""
     what = "more" if mass > 0.0 else "less"
     sentence = (
-        f"'{link}' carries about {abs(mass):.2g} kg {what} {when}: something is taken up or put down; identify the "
-        f"robot without it from a recording without it ({_APART})"
+        f"'{link}' carries about {abs(mass):.2g} kg {what} {when}: something is picked up or put down; identify the "
+        f"robot from a recording without it ({_APART})"
     )
     return Cause(kind="load", sentence=sentence, places=tuple(joints))
 
@@ -196,14 +196,14 @@ def displaced(joint: str, size: float, turns: bool) -> str:
 def zero_changes(joints: Sequence[str], said: Sequence[str], when: str) -> Cause:
     """Positions are others than they were."""
     sentence = (
-        f"positions are off {when}: {', '.join(said)}; does a coupling slip, or was an encoder set to zero? "
+        f"positions are off {when}: {', '.join(said)}; check for a slipping coupling or a zeroed encoder. "
         f"{_advice(when)}"
     )
     return Cause(kind="slip", sentence=sentence, places=tuple(joints))
 
 
 def _advice(when: str) -> str:
-    return "Mend that and record again" if when == BIT_BY_BIT else _APART[0].upper() + _APART[1:]
+    return "Fix that and record again" if when == BIT_BY_BIT else _APART[0].upper() + _APART[1:]
 
 
 def all_late(joints: Sequence[str], lag: float) -> Cause:
@@ -211,8 +211,8 @@ def all_late(joints: Sequence[str], lag: float) -> Cause:
     first, second = ("efforts", "positions") if lag > 0.0 else ("positions", "efforts")
     held = "they are filtered, held or polled in the driver" + (", or positions are set-points" if lag > 0.0 else "")
     sentence = (
-        f"the {first} come about {1000.0 * abs(lag):.0f} ms later than the {second} that they belong to: {held}. "
-        "Record both as they are measured, with the stamp of that time (a delay alone is found by 'geomid gap')"
+        f"the {first} come about {1000.0 * abs(lag):.0f} ms later than the matching {second}: {held}. Record "
+        "both as measured, with the stamp of the measurement ('geomid gap' identifies a pure delay)"
     )
     return Cause(kind="late", sentence=sentence, places=tuple(joints))
 
@@ -222,8 +222,9 @@ def some_late(joints: Sequence[str], lags: Iterable[float]) -> Cause:
     times = [f"{1000.0 * abs(lag):.0f} ms {'late' if lag > 0.0 else 'early'}" for lag in lags]
     said = ", ".join(f"'{joint}' about {time}" for joint, time in zip(joints, times, strict=True))
     sentence = (
-        f"efforts do not come at the time of the motion that they belong to: that of {said}; are they filtered or held "
-        "in the driver, or polled one after the other? Record all joints with the stamp of their measurement"
+        f"efforts are not synchronous with the motion: that of {said}; check whether the driver filters or holds "
+        f"them, or "
+        "polls them one after the other. Record all joints with the stamp of their measurement"
     )
     return Cause(kind="late", sentence=sentence, places=tuple(joints))
 
@@ -232,14 +233,14 @@ def frozen_effort(joint: str, begin: float, end: float, asked: float) -> Cause:
     """An effort stays the same for a while."""
     sentence = (
         f"the effort of joint '{joint}' is exactly the same from about {begin:.0f} s to {end:.0f} s, while gravity and "
-        f"motion change what is needed by {asked:.3g}: it is not measured then; leave that part out"
+        f"motion change the required effort by {asked:.3g}: it is not measured there; leave that part out"
     )
     return Cause(kind="constant", sentence=sentence, places=(joint,))
 
 
 MODEL = (
-    "the efforts are those of the URDF's own model, without friction or errors: a simulation of it, or what a "
-    "controller computes. If a robot was to be measured, record its measured efforts"
+    "the efforts equal those of the URDF's own model, without friction or errors: they come from a simulation or a "
+    "controller's model. To identify a real robot, record its measured efforts"
 )
 """What efforts are that nobody measures."""
 
@@ -247,8 +248,8 @@ MODEL = (
 def unrelated(joints: Sequence[str]) -> Cause:
     """No model explains the efforts."""
     sentence = (
-        "the efforts follow neither the gravity nor the motion of this robot: are they external or compensated "
-        "efforts, or is the URDF that of another robot?"
+        "the efforts follow neither the gravity nor the motion of this robot: check whether they are external or "
+        "compensated efforts, or the URDF is of another robot"
     )
     return Cause(kind="unrelated", sentence=sentence, places=tuple(joints))
 
@@ -264,9 +265,8 @@ def overcompensated(joints: Sequence[str]) -> Cause:
     """Friction drives the motion."""
     named = ", ".join(f"'{joint}'" for joint in joints)
     sentence = (
-        f"at {named} friction seems to drive the motion: more friction is compensated than there is, while weights and "
-        "inertias are those of this robot. Record efforts that are measured before friction is compensated, or "
-        "compensate less"
+        f"at {named} friction seems to drive the motion: more friction is compensated than there is, while masses and "
+        "inertias match this robot. Record efforts before friction compensation, or compensate less"
     )
     return Cause(kind="friction", sentence=sentence, places=tuple(joints))
 
@@ -275,8 +275,8 @@ def magnitudes(joints: Sequence[str]) -> Cause:
     """Efforts have lost their sign."""
     named = ", ".join(f"'{joint}'" for joint in joints)
     sentence = (
-        f"the effort of {named} has no sign: it never changes it though this robot's gravity and motion do. Record "
-        "efforts with their sign"
+        f"the effort of {named} has no sign: it never changes sign, though this robot's gravity and motion require it. "
+        "Record efforts with their sign"
     )
     return Cause(kind="magnitude", sentence=sentence, places=tuple(joints))
 
@@ -285,7 +285,7 @@ def other_zero(joint: str, zero: float, deviation: float) -> Cause:
     """A joint counts from another zero: ``zero`` [rad] has to be added to its positions."""
     sentence = (
         f"the zero of joint '{joint}' seems to be off: {_degrees(zero, deviation)} to be added to its positions before "
-        "efforts follow this robot's gravity and motion. Calibrate the joint, or turn its frame in the URDF"
+        "efforts follow this robot's gravity and motion. Calibrate the joint, or rotate its frame in the URDF"
     )
     return Cause(kind="zero", sentence=sentence, places=(joint,))
 
@@ -294,9 +294,9 @@ def turned_axis(joint: str, zero: float, deviation: float) -> Cause:
     """A joint counts the other way round."""
     zeros = "" if abs(zero) < _LEAST_ZERO else f", and {_degrees(zero, deviation)} to be added to its positions then"
     sentence = (
-        f"joint '{joint}' seems to turn the other way round than its axis in the URDF: with position, velocity and "
-        f"effort reversed efforts would follow this robot's gravity and motion{zeros}. Correct the signs where the "
-        "messages are made, or the axis in the URDF"
+        f"joint '{joint}' seems to turn opposite to its axis in the URDF: with position, velocity and effort "
+        f"reversed, efforts would follow this robot's gravity and motion{zeros}. Correct the signs in the driver, or "
+        "the axis in the URDF"
     )
     return Cause(kind="axis", sentence=sentence, places=(joint,))
 
@@ -304,8 +304,9 @@ def turned_axis(joint: str, zero: float, deviation: float) -> Cause:
 def absolute(joint: str, other: str, share: float) -> Cause:
     """The position of a joint holds that of another one, too."""
     sentence = (
-        f"the position of joint '{joint}' seems to hold that of '{other}', too (an angle against the base, not against "
-        f"the link before): {'less' if share > 0.0 else 'with'} the position of '{other}' efforts follow this robot's "
+        f"the position of joint '{joint}' seems to include that of '{other}' (an angle against the base, not against "
+        f"the "
+        f"previous link): {'minus' if share > 0.0 else 'plus'} the position of '{other}', efforts follow this robot's "
         "gravity and motion. Send the angle between the links"
     )
     return Cause(kind="absolute", sentence=sentence, places=(joint, other))
@@ -314,8 +315,8 @@ def absolute(joint: str, other: str, share: float) -> Cause:
 def frozen_position(joint: str, share: float) -> Cause:
     """A position that stands still."""
     sentence = (
-        f"the position of joint '{joint}' stands exactly still for {share:.0%} of the time, while efforts are not "
-        "those of that pose: is its encoder cut off, or does the driver repeat an old value? Leave that stretch out"
+        f"the position of joint '{joint}' is frozen for {share:.0%} of the time, while efforts are not those of that "
+        "pose: check the encoder, and whether the driver repeats an old value. Leave that part out"
     )
     return Cause(kind="frozen", sentence=sentence, places=(joint,))
 
@@ -324,7 +325,7 @@ def far_centre(link: str, distance: float, length: float) -> Cause:
     """Centres of mass in another unit."""
     sentence = (
         f"the URDF has the centre of mass of link '{link}' {distance:.3g} m from its frame, though all links together "
-        f"are {length:.3g} m long: are the centres of mass in mm? They have to be in m"
+        f"are {length:.3g} m long: the centres of mass may be in mm; they must be in m"
     )
     return Cause(kind="description", sentence=sentence, places=(link,))
 
@@ -332,8 +333,8 @@ def far_centre(link: str, distance: float, length: float) -> Cause:
 def too_heavy(mass: float, reason: str) -> Cause:
     """Masses in another unit."""
     sentence = (
-        f"by the URDF the links weigh {mass:.3g} kg in all, and {reason}: are the masses in grams? They have to "
-        "be in kg"
+        f"in the URDF the links weigh {mass:.3g} kg in total, and {reason}: the masses may be in grams; they must be "
+        "in kg"
     )
     return Cause(kind="description", sentence=sentence)
 

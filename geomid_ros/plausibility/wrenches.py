@@ -103,7 +103,7 @@ class WrenchSensorCheck:
             what = f"its sign is reversed: write {written(settings)} (on the command line, {minus})"
             return Finding(cause=self._cause(what, settings))
         if not 1.0 / _OTHER_UNIT < fit.slope < _OTHER_UNIT or fit.slope < 1.0 / _REASON:
-            what = f"what it carries would weigh {fit.slope:.3g} times as much as in the URDF: is it not in N and N m?"
+            what = f"its load would weigh {fit.slope:.3g} times as much as in the URDF: check that it is in N and N m"
             return Finding(cause=self._cause(what), sure=not 1.0 / _OTHER_UNIT < fit.slope < 1.0 / _REASON)
         return None
 
@@ -119,13 +119,13 @@ class WrenchSensorCheck:
         for rotation in _turns():
             turned = (halves @ rotation.T).reshape(-1, 6)
             named = ", ".join(_axis(row) for row in rotation)
-            what = f"its axes are turned: x, y, z of '{self._sensor.frame}' are its {named}; name the right frame"
+            what = f"its axes are rotated: x, y, z of '{self._sensor.frame}' are its {named}; set the right frame"
             yield turned, self._cause(what)
         in_sensor = np.einsum("nji,nkj->nki", self._rotations, halves).reshape(-1, 6)
         yield in_sensor, self._cause(f"its wrench is in the axes of the base, not of '{self._sensor.frame}'")
         for factor, unit in ((1.0 / _UNIT, "N mm"), (_UNIT, "kN m")):
             scaled = self._wrench * np.array([1.0] * 3 + [factor] * 3)
-            yield scaled, self._cause(f"its torques are in {unit}, its forces in N; both have to be in N and N m")
+            yield scaled, self._cause(f"its torques are in {unit}, its forces in N; they must be in N and N m")
 
     def _delayed(self) -> Iterator[tuple[_Fit, Cause]]:
         """The wrench of other times, where forces of the URDF's links are most alike."""

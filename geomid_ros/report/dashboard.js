@@ -1,6 +1,6 @@
 "use strict";
 // Follows the node. All that comes from outside becomes text, never markup.
-const WORDS = { ok: "well", warning: "warning", error: "error", stale: "silent" };
+const WORDS = { ok: "running", warning: "warning", error: "error", stale: "silent" };
 const CLASSES = { ok: "no-gap", warning: "incomplete", error: "unexplained", stale: "incomplete" };
 const MOST = 600; // instants that are remembered of each line
 const SILENT = 4000; // [ms] after which the node is said to be silent
@@ -128,8 +128,8 @@ function show(state) {
 
 setInterval(() => {
   const silent = Date.now() - heard;
-  if (heard && silent > SILENT) showVerdict("stale", WORDS.stale, connected ? "The node says nothing. What is below is old." : "The dashboard has ended. What is below is old.");
-  place("heard").textContent = heard ? `Heard ${(silent / 1000).toFixed(0)} s ago.` : connected ? "" : "No connection.";
+  if (heard && silent > SILENT) showVerdict("stale", WORDS.stale, connected ? "The node is silent. The data below are outdated." : "The dashboard has ended. The data below are outdated.");
+  place("heard").textContent = heard ? `Last update ${(silent / 1000).toFixed(0)} s ago.` : connected ? "" : "No connection.";
 }, 1000);
 
 const events = new EventSource("events");

@@ -41,7 +41,7 @@ def draw_identification(
         f"{session.robot.name}: identified link inertias",
         _bodies(session, estimate, _middle(batches)),
         series,
-        f"Measured against predicted on {of_what}; {estimate.rows_accepted} rows identified from.",
+        f"Measured and predicted on {of_what}; identified from {estimate.rows_accepted} rows.",
     )
 
 

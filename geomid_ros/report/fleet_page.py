@@ -56,7 +56,7 @@ def write_fleet_page(path: Path, page: FleetPage) -> None:
         GeomidError: the file cannot be written.
     """
     counts = {
-        "unlike the others": sum(bool(line.unlike) for line in page.lines),
+        "differ from the others": sum(bool(line.unlike) for line in page.lines),
         "changed": sum(bool(line.changed) for line in page.lines),
         "not usable": sum(line.verdict != "usable" for line in page.lines),
         "bags that could not be read": len(page.bad),

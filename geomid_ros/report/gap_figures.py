@@ -108,8 +108,8 @@ def remainder_picture(remainder: Remainder, against: Against) -> Picture:
         panels[-1].set_xlabel(f"{against.name} [{against.unit}]", labelpad=1.0, parse_math=False)
         figure.align_ylabels()
         what = {
-            "missing": "above what the model with corrected inertias misses, with what the named effects explain; ",
-            "left": "what is left",
+            "missing": "above, the residual of the model with corrected inertias, and what the findings explain; ",
+            "left": "the remaining residual",
         }
         described = "".join(what[name] for name, _, _ in rows)
         return _picture(figure, f"Residual of {remainder.channel} against {against.name}: {described}.")

@@ -24,21 +24,21 @@ _VARIABLES = {
     "velocity": "its velocity",
     "load": "the effort it transmits",
     "time": "time",
-    "reversals": "when it last reversed",
-    "unknown": "nothing that was looked at",
+    "reversals": "its last reversal",
+    "unknown": "none of the tested variables",
 }
 _RECORD = {
-    "position": "a slow motion of the joint at one constant speed, through its whole range and back",
-    "velocity": "the joint through one range at several constant speeds, slow to fast, both ways",
+    "position": "a slow motion of the joint at one constant speed, over its whole range and back",
+    "velocity": "the joint over one range at several constant speeds, slow to fast, in both directions",
     "load": "the same motion with and without a known payload",
     "time": "the same motion every few minutes, from cold to warm",
-    "reversals": "the joint to and fro, at several places, with small and with large strokes",
-    "unknown": "the same motion again, to see whether it is repeated",
+    "reversals": "the joint back and forth, at several positions, with small and large strokes",
+    "unknown": "the same motion again, to check whether the residual repeats",
 }
 CONFIDENCE: dict[Confidence, str] = {
     "confident": "nothing else explains the data as well",
-    "tentative": "the best name, but the evidence is thin",
-    "ambiguous": "other names explain these data as well",
+    "tentative": "the best explanation, but the evidence is weak",
+    "ambiguous": "other effects explain the data as well",
 }
 
 
@@ -125,18 +125,18 @@ def verdict_sentence(result: GapResult) -> str:
     before, after = worst(gap.before), worst(gap.after)
     fall = f"the worst channel falls from {ratio(before)} to {ratio(after)} times the noise floor"
     named = _named(result.findings)
-    missing = "; ".join(f"at {joint}, depending on {on}" for joint, _, on in not_explained(result))
+    missing = "; ".join(f"at {joint}, which depends on {on}" for joint, _, on in not_explained(result))
     if result.verdict == "no gap":
         if before <= _CLOSED * after:
-            return f"Nothing found: the model explains the measurement, up to {ratio(after)} times the noise floor."
+            return f"No gap found: the model explains the measurement to within {ratio(after)} times the noise floor."
         return f"No effect is missing. Corrected link inertias close the gap: {fall}."
     if result.verdict == "named":
         return f"Found: {named}. With {'it' if len(result.findings) == 1 else 'them'}, {fall}."
     if result.verdict == "incomplete":
-        rest = f": something is left {missing}" if missing else f": {fall}"
-        return f"Found: {named or 'no name'}, but that is not all{rest}."
-    found = f" Named besides: {named}." if named else ""
-    return f"Something is missing that no known effect explains: {missing or 'in no one joint alone'}.{found}"
+        rest = f"A residual remains {missing}" if missing else f"A residual remains: {fall}"
+        return f"Found: {named or 'no effect'}. {rest}."
+    found = f" Also found: {named}." if named else ""
+    return f"No known effect explains the residual {missing or 'of several joints'}.{found}"
 
 
 def in_short(result: GapResult) -> list[str]:
@@ -150,12 +150,12 @@ def in_short(result: GapResult) -> list[str]:
         what = f"efforts of all joints {low:.3g} to {high:.3g} times as large"
         said.insert(0, ("confident" if sure else "tentative", what))
     said += [(change.confidence, change.sentence) for change in result.links]
-    left = [f"{joint} {ratio(times)} times the floor, depending on {on}" for joint, times, on in not_explained(result)]
+    left = [f"{joint} {ratio(times)} times the floor, depends on {on}" for joint, times, on in not_explained(result)]
     record = to_record(result)
     sentences = {
         "Sure": _few([what for confidence, what in said if confidence == "confident"]),
-        "Perhaps": _few([what for confidence, what in said if confidence != "confident"]),
-        "Left": _few(left),
+        "Possible": _few([what for confidence, what in said if confidence != "confident"]),
+        "Unexplained": _few(left),
         "Record next": f"{record[0]}{_more(len(record) - 1)}" if record else "",
     }
     return [f"{about}: {sentence}." for about, sentence in sentences.items() if sentence]
@@ -223,5 +223,5 @@ def to_record(result: GapResult) -> list[str]:
             purposes.setdefault(finding.settled_by, []).append(named)
     for entry in result.unexplained:
         motion = _RECORD.get(entry.depends_on, f"the joint alone, then {entry.depends_on} alone, then both")
-        purposes.setdefault(motion, []).append(f"what is missing at {entry.joint}")
+        purposes.setdefault(motion, []).append(f"the residual at {entry.joint}")
     return [f"{motion} (for {_listed(list(dict.fromkeys(purpose)))})" for motion, purpose in purposes.items()]

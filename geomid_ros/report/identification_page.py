@@ -88,7 +88,7 @@ def write_identification_page(path: Path, page: IdentificationPage) -> None:
         "page": page,
         "estimate": page.estimate,
         "uses": identification_words.uses(page.verdict, page.estimate, page.series, page.held_out),
-        "judged_on": "held-out data" if page.held_out else "the same data that were fitted",
+        "judged_on": "held-out data" if page.held_out else "the fitted data",
         "links": list(_links(page)),
         "end": _heaviest(page),
         "fit": _fit(page),

@@ -61,7 +61,7 @@ def prior_picture(path: Path, title: str, links: Sequence[PlacedLink]) -> None:
     handles = [
         Line2D([], [], color="#c9cdd1", lw=6, label="shapes"),
         Line2D([], [], color=_PRIOR, label="uniform ellipsoid of the same inertia, prior"),
-        Line2D([], [], color=_URDF, ls="--", label="the same, of the URDF's inertial"),
+        Line2D([], [], color=_URDF, ls="--", label="the same for the URDF's inertial"),
     ]
     figure.legend(handles=handles, loc="outside lower center", ncols=3, frameon=False)
     write_picture(path, figure)

@@ -117,13 +117,13 @@ def _simulated(stretch: Stretch, errors: Errors, before: WrittenRobot, after: Wr
 
 def _why_not(model: MeasurementModel, recordings: Sequence[Samples]) -> str:
     if model.robot.floating_base:
-        return "the base floats: without its contacts its motion cannot be simulated"
+        return "the base floats, and its motion cannot be simulated without its contacts"
     if any(sensor.role == "external" for sensor in model.sensors):
-        return "loads from outside act on the robot, which the written models do not have"
+        return "external loads act on the robot, which the written models do not contain"
     if not stretches(recordings):
         return "the recording is too short"
     if not np.any(_judged_joints(stretches(recordings))):
-        return "no joint both moves and has its effort measured"
+        return "no joint moves and has a measured effort"
     return ""
 
 

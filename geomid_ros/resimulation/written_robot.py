@@ -66,7 +66,7 @@ class WrittenRobot:
         except ValueError as error:
             raise InputError(f"{path}: MuJoCo cannot read this model ({' '.join(str(error).split())})") from error
         if model.nq != model.njnt:
-            raise InputError(f"{path}: has joints of several axes, or a floating base, which cannot be simulated again")
+            raise InputError(f"{path}: has joints of several axes, or a floating base, which cannot be resimulated")
         return model
 
     def _read_effects(self, files: ModelFiles) -> None:
@@ -239,7 +239,7 @@ def load_mujoco() -> Any:
     try:
         mujoco = importlib.import_module("mujoco")
     except ImportError as error:
-        raise InputError(f"MuJoCo is needed, which does not import ({error}): pip install mujoco") from error
+        raise InputError(f"MuJoCo is needed but cannot be imported ({error}): pip install mujoco") from error
     # By itself it prints them and leaves a MUJOCO_LOG.TXT where the user happens to be; the figures say it better.
     mujoco.set_mju_user_warning(_pass_over)
     return mujoco

@@ -81,10 +81,10 @@ class Diagnostics:
         self._barren = self._barren + 1 if barren else 0
         if self._barren <= _LONGEST_BARREN + 2.0 * status.lag:
             return []
-        why = "a pause in every filter window, or a rate too low for it?"
+        why = "check for pauses in every filter window, or a rate too low for it"
         if len(status.topics) > 1:
-            why = f"are the stamps of {' and '.join(status.topics)} of one clock?"
-        return [f"messages are accepted, but no rows come of them since {self._barren} s: {why}"]
+            why = f"check that {' and '.join(status.topics)} are stamped by the same clock"
+        return [f"messages are accepted, but have yielded no rows for {self._barren} s: {why}"]
 
 
 def _status(name: str, level: bytes, message: str, values: Mapping[str, object]) -> DiagnosticStatus:
@@ -108,7 +108,8 @@ def _link(node: str, link: LinkEstimate) -> DiagnosticStatus:
         "cannot be told": ", ".join(link.cannot_tell),
     }
     if len(link.cannot_tell) == len(QUANTITIES):
-        return _status(f"{node}: {link.name}", DiagnosticStatus.WARN, "no quantity can be told by itself", values)
+        message = "no parameter is individually identifiable, only combinations"
+        return _status(f"{node}: {link.name}", DiagnosticStatus.OK, message, values)
     return _status(f"{node}: {link.name}", DiagnosticStatus.OK, f"mass {link.mass:.3f} kg", values)
 
 
@@ -209,7 +210,9 @@ def _checkpoints(name: str, checkpoints: CheckpointStatus) -> DiagnosticStatus:
         return _status(name, DiagnosticStatus.ERROR, checkpoints.error, checkpoints.values)
     if checkpoints.warning:
         return _status(name, DiagnosticStatus.WARN, checkpoints.warning, checkpoints.values)
-    return _status(name, DiagnosticStatus.OK, f"{checkpoints.values['rows']} rows are safe", checkpoints.values)
+    return _status(
+        name, DiagnosticStatus.OK, f"{checkpoints.values['rows']} rows in the checkpoint", checkpoints.values
+    )
 
 
 def _judgement(status: Status, errors: Sequence[str], warnings: Sequence[str]) -> tuple[bytes, str]:
@@ -226,7 +229,7 @@ def _errors(status: Status, new: Status) -> list[str]:
     sentences = [*status.problems, *new.failures]
     if status.joints and len(status.unmeasured) == status.joints:
         sentences.append(
-            f"{JOINT_STATES}: no joint's effort is measured, no joint's equation is used: {_list(status.unmeasured)}"
+            f"{JOINT_STATES}: no effort is measured at any joint, no joint equation is used: {_list(status.unmeasured)}"
         )
     gaps = [gap for gap in _open(status) if _is_wrench(gap, status)]
     if gaps:
@@ -258,7 +261,7 @@ def _warnings(status: Status, new: Status) -> list[str]:
     sentences += [f"{topic}: {remark}" for topic, account in new.accounts.items() for remark in account.noted]
     sentences += [f"{topic} lost ({account.lost} messages)" for topic, account in new.accounts.items() if account.lost]
     if status.unmeasured:
-        sentences.append(f"{JOINT_STATES}: no effort of {_list(status.unmeasured)}: what it says is left out")
+        sentences.append(f"{JOINT_STATES}: no effort of {_list(status.unmeasured)}; its equation is left out")
     gaps = [gap for gap in _open(status) if not _is_wrench(gap, status)]
     if gaps:
         sentences.append(_gap_sentence(gaps))
@@ -278,10 +281,10 @@ def _is_wrench(gap: ChannelGap, status: Status) -> bool:
 
 
 def _wrench_question(changed: Sequence[str]) -> str:
-    question = "was the sensor tared, does it drift, or has the load changed?"
+    question = "the sensor was tared, drifts, or the load has changed"
     if not changed:
-        return f"{question} Its rows are taken"
-    return f"{question} Rows of {', '.join(changed)} are left out until it is as before, or ~/reset"
+        return f"{question}. Its rows are used"
+    return f"{question}. Rows of {', '.join(changed)} are left out until the gap closes, or ~/reset"
 
 
 def _most_frequent(refusals: Mapping[str, int]) -> list[str]:
@@ -291,9 +294,9 @@ def _most_frequent(refusals: Mapping[str, int]) -> list[str]:
 def _standing_still(estimate: Estimate | None) -> list[str]:
     """A complaint only if something is not known yet."""
     if estimate is None:
-        return [f"{STANDING_STILL}: nothing can be told of any link"]
+        return [f"{STANDING_STILL}: no link is identifiable; move the robot"]
     unknown = [link.name for link in estimate.links if len(link.cannot_tell) == len(QUANTITIES)]
-    return [f"{STANDING_STILL}: nothing new can be told of {_list(unknown)}"] if unknown else []
+    return [f"{STANDING_STILL}: no new information on {_list(unknown)}; move the robot"] if unknown else []
 
 
 def _list(names: Sequence[str]) -> str:

@@ -177,11 +177,13 @@ class Inputs:
                 policy = self._policies.get(entry.name, "quality of service")
                 who = _full_name(publisher)
                 problems.append(
-                    f"{entry.name}: nothing comes from {who}, which differs in QoS: {policy} ({reason.rstrip(';')})"
+                    f"{entry.name}: no messages from {who}, incompatible QoS: {policy} ({reason.rstrip(';')})"
                 )
         if len(heard) > 1 and not entry.several:
             names = ", ".join(sorted(map(_full_name, heard)))
-            problems.append(f"{entry.name} has {len(heard)} publishers, nothing is taken until one is left: {names}")
+            problems.append(
+                f"{entry.name} has {len(heard)} publishers; all its messages are dropped until one is left: {names}"
+            )
         return problems
 
 

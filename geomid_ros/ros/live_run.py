@@ -100,7 +100,7 @@ class LiveRun:
     def _save(self) -> None:
         client = self._watcher.create_client(Trigger, "geomid/save")
         if not client.wait_for_service(timeout_sec=_START_TIMEOUT):
-            raise GeomidError("the node offers no service to save with")
+            raise GeomidError("the node does not offer the service ~/save")
         end = time.monotonic() + _SAVE_TIMEOUT
         result = self._ask(client)
         while result is not None and _is_late(result.message) and time.monotonic() < end:

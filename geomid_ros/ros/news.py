@@ -25,7 +25,7 @@ class News:
         self._before = status
         self._coming = {topic: self._coming.get(topic, 0) + 1 for topic, count in accepted.items() if count > 0}
         yield from (
-            f"{topic} comes, {accepted[topic]} messages a second" for topic in self._coming if self._coming[topic] == 2
+            f"{topic}: receiving {accepted[topic]} messages/s" for topic in self._coming if self._coming[topic] == 2
         )
         yield from self._estimated(status.estimate)
 
@@ -39,15 +39,15 @@ class News:
             yield _first(estimate, told.values())
         elif new := [link for name, link in told.items() if name not in self._told]:
             self._told.update(told)
-            yield f"known now: {_list(map(_mass, new))}"
+            yield f"identified: {_list(map(_mass, new))}"
 
 
 def _first(estimate: Estimate, told: Iterable[LinkEstimate]) -> str:
     known = _list(map(_mass, told))
     rest = _list(link.name for link in estimate.links if _MASS in link.cannot_tell)
     sentence = f"first estimate, from {estimate.rows_accepted} rows"
-    sentence += f"; known: {known}" if known else "; no link's mass is known by itself yet"
-    return sentence + (f"; not yet: {rest}" if known and rest else "")
+    sentence += f"; identified: {known}" if known else "; no mass is individually identifiable yet"
+    return sentence + (f"; not identified yet: {rest}" if known and rest else "")
 
 
 def _mass(link: LinkEstimate) -> str:

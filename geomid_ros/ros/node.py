@@ -133,7 +133,9 @@ class GeomidNode(Node):
             reason = self._take(messages)
         except Exception as error:  # noqa: BLE001 the node lives on
             reason = f"{type(error).__name__} in a callback"
-            self.fail(f"a message on {' or '.join({message.topic for message in messages})} could not be taken", error)
+            self.fail(
+                f"a message on {' or '.join({message.topic for message in messages})} could not be processed", error
+            )
         for message in messages if reason else ():
             self._ledger.drop(message.topic, reason)
 
@@ -211,7 +213,7 @@ class GeomidNode(Node):
 
     def _missing_clock(self) -> list[str]:
         missing = self.get_parameter("use_sim_time").value and not self.get_clock().now().nanoseconds
-        return ["use_sim_time is set, but nothing comes on /clock"] if missing else []
+        return ["use_sim_time is set, but there are no messages on /clock"] if missing else []
 
     def _set_active(self, active: bool) -> tuple[bool, str]:
         self._active = active
@@ -227,24 +229,24 @@ class GeomidNode(Node):
                 return False, str(error)
         self._supervisor.reset()
         self._payload.forget()
-        return True, "all rows forgotten"
+        return True, "all rows discarded"
 
     def _look(self, act: Callable[[Worker], tuple[bool, str]]) -> tuple[bool, str]:
         """Look at what was measured lately, if anything is remembered."""
         if self._worker is None:
             return False, NO_DESCRIPTION
         if self._configuration["gap.memory"] == 0.0:
-            return False, "nothing to look at: the parameter gap.memory is 0"
+            return False, "no messages in memory: the parameter gap.memory is 0"
         return act(self._worker)
 
     def _find_gap(self, worker: Worker) -> tuple[bool, str]:
         if self._search.running:
-            return False, "already looking; the finding comes on ~/gap"
+            return False, "already running; the result is published on ~/gap"
         messages = worker.recent_messages()
         if not messages:
             return False, NO_DATA
         self._search.start(partial(look_for_gap, worker.session, worker.estimate_before_gap, messages))
-        return True, "looking; the finding comes on ~/gap"
+        return True, "search started; the result is published on ~/gap"
 
     async def _save(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         if self._worker is None:

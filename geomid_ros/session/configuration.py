@@ -58,44 +58,62 @@ PARAMETERS = (
     Parameter("robot_description", "", "URDF text; empty: taken from the topic robot_description"),
     Parameter("model", "", "estimate.json of an earlier run to start from instead of the URDF's inertias"),
     Parameter("prior", "", "population.json of the robot's type to start from instead of the URDF's inertias"),
-    Parameter("links", _NONE, "moving links to identify; empty: all that have a mass"),
-    Parameter("known", _NONE, "masses that were weighed, as LINK=MASS:STD, LINK+LINK=MASS:STD or total=MASS:STD [kg]"),
+    Parameter("links", _NONE, "moving links to identify; empty: all with a mass"),
+    Parameter("known", _NONE, "weighed masses, as LINK=MASS:STD, LINK+LINK=MASS:STD or total=MASS:STD [kg]"),
     Parameter("effects", list(DEFAULT_EFFECTS), "effects identified at every joint and wrench sensor"),
-    Parameter("candidates", list(DEFAULT_CANDIDATES), "effects identified where held-out data ask for them"),
+    Parameter("candidates", list(DEFAULT_CANDIDATES), "effects added where held-out data need them"),
     Parameter("floating_base", False, "the base moves; its pose is read from the topic odom"),
-    Parameter("locked_joints", _NONE, "joints of the URDF that never move and are in no message, taken as at zero"),
+    Parameter("locked_joints", _NONE, "joints of the URDF that never move and are in no message, assumed at zero"),
     Parameter("gravity", [0.0, 0.0, -9.81], "gravity in the base (world) frame [m/s^2]"),
     Parameter("wrenches", _NONE, "names of wrench sensors; each is described under wrench.NAME"),
     Parameter("wrench.*.topic", "", "topic of the sensor's geometry_msgs/WrenchStamped; empty: the sensor's name"),
-    Parameter("wrench.*.frame", "", "frame the wrench is given in: a link, or for a force plate the world (odom)"),
-    Parameter("wrench.*.frame_id", "", "what the messages' frame_id calls this frame; empty: by its own name"),
-    Parameter("wrench.*.role", "mounted", "mounted (in the chain: feels all distal parts) or external (a known load)"),
-    Parameter("wrench.*.axes", list(AXES), "axes that are measured"),
+    Parameter("wrench.*.frame", "", "frame of the wrench: a link, or for a force plate the world (odom)"),
+    Parameter("wrench.*.frame_id", "", "frame_id of the messages, if it differs from this frame's name"),
+    Parameter(
+        "wrench.*.role", "mounted", "mounted (in the chain: measures all distal parts) or external (a known load)"
+    ),
+    Parameter("wrench.*.axes", list(AXES), "measured axes"),
     Parameter("wrench.*.sign", 1.0, "-1 if the sensor reports the reaction", -1.0, 1.0),
     Parameter("merge_joint_states", False, "joint_states has several publishers, each with some of the joints"),
-    Parameter("effort_gain", 1.0, "factor from messages' efforts to N m (or N); negative reverses the sign", -1e6, 1e6),
+    Parameter("effort_gain", 1.0, "factor from message efforts to N m (or N); negative reverses the sign", -1e6, 1e6),
     Parameter("joint.*.effort_gain", 1.0, "the same for one joint", -1e6, 1e6),
     Parameter("effort_side", "motor", "where efforts are measured: motor (currents), or link (behind the gear)"),
     Parameter("joint.*.effort_side", "motor", "the same for one joint"),
-    Parameter("filter.cutoff", 5.0, "cutoff of the zero-phase low-pass on all signals [Hz]", 0.05, 500.0),
+    Parameter("filter.cutoff", 5.0, "cutoff of the zero-phase low-pass filter on all signals [Hz]", 0.05, 500.0),
     Parameter("filter.period", 0.0, "period of the time grid [s]; 0: that of the first joint messages", 0.0, 1.0),
     Parameter("filter.max_gap", 0.5, "a longer pause of a topic starts a new segment [s]", 0.001, 60.0),
-    Parameter("gamma", 0.0, "weight of the prior as a share of the rows'; 0: found by link from the data", 0.0, 1e6),
-    Parameter("objective", "residual", "what is minimised: residual (Remark 3 of the paper) or geodesic (its (19))"),
+    Parameter(
+        "gamma", 0.0, "weight of the prior relative to the rows; 0: estimated from the data for each link", 0.0, 1e6
+    ),
+    Parameter("objective", "residual", "objective: residual (Remark 3 of the paper) or geodesic (its equation (19))"),
     Parameter("solver", "trust_region", "solver of the geodesic objective: trust_region or cyclic (the paper's)"),
-    Parameter("sigma.*", 1.0, "standard deviation of a channel [N m, N], where known (else from residuals)", 1e-9, 1e9),
-    Parameter("forgetting_time", 0.0, "motion [s] after which data count 1/e; 0: nothing is forgotten", 0.0, 1e6),
-    Parameter("still_speed", 1e-3, "slower than this everywhere counts as standing still [rad/s, m/s]", 0.0, 10.0),
-    Parameter("still_distance", 1e-2, "at a standstill, a pose nearer to the last one is not new [rad, m]", 0.0, 10.0),
-    Parameter("solve_period", 1.0, "least seconds between estimates while data come in [s]", 0.001, 3600.0),
-    Parameter("gap.memory", 120.0, "seconds of messages for ~/find_gap and ~/payload; 0: none [s]", 0.0, 3600.0),
-    Parameter("payload.frame", "", "flange whose payload is weighed; empty: the last link that moves"),
-    Parameter("payload.gain", GAIN, "standard deviation of the efforts' common gain; 0: calibrated sensors", 0.0, 0.99),
-    Parameter("active", True, "take data from the start; otherwise wait for ~/start"),
-    Parameter("checkpoint.folder", "", "folder, of this node alone, to go on from after a crash; empty: none is kept"),
-    Parameter("checkpoint.period", 2.0, "seconds between checkpoints; a crash loses hardly more [s]", 0.1, 3600.0),
+    Parameter(
+        "sigma.*", 1.0, "standard deviation of a channel's noise [N m, N], if known (else from residuals)", 1e-9, 1e9
+    ),
+    Parameter(
+        "forgetting_time",
+        0.0,
+        "time in motion after which the weight of data falls to 1/e [s]; 0: no forgetting",
+        0.0,
+        1e6,
+    ),
+    Parameter("still_speed", 1e-3, "speed below which a joint counts as standing still [rad/s, m/s]", 0.0, 10.0),
+    Parameter(
+        "still_distance", 1e-2, "at standstill, smallest distance between two poses that are used [rad, m]", 0.0, 10.0
+    ),
+    Parameter("solve_period", 1.0, "shortest time between estimates [s]", 0.001, 3600.0),
+    Parameter(
+        "gap.memory", 120.0, "length of the message memory for ~/find_gap and ~/payload [s]; 0: none", 0.0, 3600.0
+    ),
+    Parameter("payload.frame", "", "flange whose payload is identified; empty: the last moving link"),
+    Parameter(
+        "payload.gain", GAIN, "relative standard deviation of the common effort gain; 0: calibrated sensors", 0.0, 0.99
+    ),
+    Parameter("active", True, "use data from startup; otherwise wait for ~/start"),
+    Parameter("checkpoint.folder", "", "folder for checkpoints, used by this node alone; empty: no checkpoints"),
+    Parameter("checkpoint.period", 2.0, "time between checkpoints, about the data that a crash loses [s]", 0.1, 3600.0),
     Parameter("dashboard", False, "show the node on a local page, as geomid dashboard does"),
-    Parameter("output_folder", "", "folder that ~/save and the end of the node write to; empty: the working directory"),
+    Parameter("output_folder", "", "output folder of ~/save and of the shutdown; empty: the working directory"),
 )
 # All others say what a row is: rows of before serve as long as they are the same.
 _NOT_OF_ROWS = (

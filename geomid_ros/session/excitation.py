@@ -109,7 +109,11 @@ class Decision:
         if self.is_sure:
             return f"{said}; {DECIDED:g} decide"
         times = DECIDED / max(self.difference, 1e-9)
-        longer = f"record it {times:.0f} times" if times < _MANY else "no motion within these limits tells them apart"
+        longer = (
+            f"record it {times:.0f} times"
+            if times < _MANY
+            else "no motion within these limits discriminates between them"
+        )
         return f"{said}; {DECIDED:g} would decide: {longer}"
 
 
@@ -133,8 +137,8 @@ class Excitation:
             return ""
         place = int(np.argmin(self.margins.distance - clearances))
         lower, asked = 1e3 * self.margins.distance[place], 1e3 * clearances[place]
-        half = ", half of what they have at the start" if clearances[place] < self.task.feasibility.clearance else ""
-        return f"{collision.pairs[place]} stay {lower:.0f} mm apart or more ({asked:.0f} mm are asked for{half})"
+        half = ", half of their distance at the start" if clearances[place] < self.task.feasibility.clearance else ""
+        return f"{collision.pairs[place]} stay at least {lower:.0f} mm apart (required: {asked:.0f} mm{half})"
 
     def not_worth(self, until: float) -> str:
         """Why a motion is not worth it that lowers the expected error by less than the share ``until``, in words."""
@@ -234,7 +238,7 @@ def _feasibility(
 
 def _nowhere(refused: Sequence[InputError], around: Surroundings) -> str:
     """Why no posture can be begun from, and what to give."""
-    said = f"no posture was found to begin from, of {len(refused)} that were tried; of the first: {refused[0]}"
+    said = f"no feasible start was found among {len(refused)} postures; the first one: {refused[0]}"
     if not around.avoid:
         return said
     return f"{said}, or make room: --avoid is in metres in the base frame, each part of a mesh is its convex hull"

@@ -84,7 +84,7 @@ class Fitted:
         """As :func:`check_measured`."""
         named = ", ".join(map(str, bags))
         if not self._any:
-            raise InputError(f"{named}: too short, nothing is left to identify from")
+            raise InputError(f"{named}: too short, no data left to identify from")
         if not self._measured:
             channels = ", ".join(channel.name for channel in self._session.model.channels)
             raise InputError(
@@ -99,6 +99,7 @@ class Fitted:
         if self._session.robot.floating_base or most >= self._session.configuration["still_distance"]:
             return ()
         sentence = (
-            f"the robot stands still: no joint moves by more than {most:.2g} (rad, m), which tells next to nothing"
+            f"the robot stands still: no joint moves by more than {most:.2g} (rad, m), which contains almost no "
+            "information"
         )
         return (Finding(cause=Cause(kind="still", sentence=f"{sentence}; record a motion of all joints")),)

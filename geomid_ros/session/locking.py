@@ -21,7 +21,7 @@ def with_locked(configuration: Configuration, joints: Collection[str]) -> Config
 def locked_note(joints: Iterable[str]) -> str:
     """The sentence on joints that were locked as they are in no message."""
     named = ", ".join(map(repr, joints))
-    return f"no message names {named}: taken as fixed at zero, as if named in locked_joints (--lock)"
+    return f"no message names {named}: locked at zero, as with locked_joints (--lock)"
 
 
 def read_with_locked(

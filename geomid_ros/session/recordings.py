@@ -79,8 +79,8 @@ class Bags:
         twice = next((path for path in (*self.fitted, *self.validate) if every[path.resolve()] > 1), None)
         if twice is not None:
             raise InputError(
-                f"{twice}: given twice. Data that are fitted judge nothing: without --validate the end of each bag is "
-                "held out"
+                f"{twice}: given twice. Fitted data cannot be used for testing; without --validate the end of each bag "
+                "is held out"
             )
         if not 0.0 <= self.share <= _MOST_HELD_OUT:
             raise InputError(f"the share to hold out is {self.share:g}, expected a number from 0 to {_MOST_HELD_OUT:g}")
@@ -192,7 +192,7 @@ def read_bags(session: Session, bags: Bags, fit: Fit, progress: Progress = silen
             held_out += [late] if len(late) else []
     fitted.check(bags.fitted)
     if not held_out and bags.holds_out:
-        raise InputError(f"{', '.join(map(str, bags.fitted))}: too short, nothing is left to judge on")
+        raise InputError(f"{', '.join(map(str, bags.fitted))}: too short, no data left to test on")
     session.judge()
     session.findings += fitted.standing()
     return held_out
@@ -248,7 +248,7 @@ def _resolved_topics(bag: Bag, session: Session, topics: Topics) -> dict[str, st
 
 def _why_no_samples(bag: Bag, session: Session, pipeline: SignalPipeline) -> str:
     reasons = [
-        f"{topic}: {count} of {account.received} messages refused, {reason}"
+        f"{topic}: {count} of {account.received} messages rejected, {reason}"
         for topic, account in pipeline.ledger.topics.items()
         for reason, count in account.rejected.most_common(2)
     ]
@@ -257,9 +257,9 @@ def _why_no_samples(bag: Bag, session: Session, pipeline: SignalPipeline) -> str
         short = f"it is shorter than the filter's window ({2 * pipeline.lag:.1f} s)"
         reasons = [f"{short} or its topics do not overlap; record half a minute of motion"]
     if any(OTHER_FRAME in reason for reason in reasons):
-        reasons.append("--wrench says the frame of a wrench, wrench.*.frame_id what messages call it")
+        reasons.append("--wrench sets the frame of a wrench, wrench.*.frame_id the frame_id of its messages")
     why = f"{bag.path}: no usable samples. " + "; ".join(reasons)
     missing = not pipeline.joints_heard.issuperset(session.robot.joint_names)
     joints = f"The URDF's moving joints: {', '.join(session.robot.joint_names)}"
     end = "" if why.endswith("?") else "."
-    return f"{why}{end} Or is it a recording of another robot? {joints}" if missing else why
+    return f"{why}{end} Or the recording is of another robot. {joints}" if missing else why

@@ -34,9 +34,9 @@ def folder(arm: Path) -> Path:
     out = arm.parent / "out"
     text = done("excite", "--urdf", arm, *QUICK, "--avoid", "plane:0,0,1,-0.2", "--out", out)
     for said in (
-        "acceleration limits follow",
+        "acceleration limits are derived",
         "jerk limits are 10",
-        "Least distance:",
+        "Smallest distance:",
         "Expected error of efforts predicted for other motions, in units of the noise:",
         "trajectory.yaml",
     ):
@@ -140,10 +140,10 @@ def test_an_estimate_without_a_posterior_says_nothing_of_what_is_known(tmp_path:
 
 def test_nothing_is_written_where_nothing_is_worth_it(arm: Path, tmp_path: Path) -> None:
     text = done("excite", "--urdf", arm, *QUICK, "--until", "99.9%", "--out", tmp_path / "out")
-    assert "Nothing is written: 6 s more would lower the expected error by" in text
+    assert "Nothing was written: 6 s more would lower the expected error by" in text
     assert "less than 99.9%" in text
     assert not (tmp_path / "out").exists()
-    assert "'5 apples' is no share" in refused("excite", "--urdf", arm, "--until", "5 apples")
+    assert "'5 apples' is not a share" in refused("excite", "--urdf", arm, "--until", "5 apples")
 
 
 def test_help_says_what_it_is_for() -> None:

@@ -73,7 +73,7 @@ def test_it_writes_what_it_says(found: tuple[Path, str]) -> None:
 def test_a_motion_that_decides_is_proposed_where_something_is_open(found: tuple[Path, str]) -> None:
     out, text = found
     is_open = any(finding["rivals"] and finding["settled_by"] for finding in read(out)["findings"])
-    line = f"A motion that decides: geomid excite --urdf {URDF} --settle {out / 'gap.json'}"
+    line = f"To discriminate between the rivals: geomid excite --urdf {URDF} --settle {out / 'gap.json'}"
     assert (line in text.splitlines()) is is_open
 
 
@@ -96,18 +96,18 @@ def test_the_written_model_is_simulated_again(found: tuple[Path, str]) -> None:
     for how in ("resimulated", "closed_loop"):
         errors = read(found[0])[how]
         assert errors["after"]["joint2"] < 0.3 * errors["before"]["joint2"], how
-    assert "Simulated again in closed" in found[1]
+    assert "Resimulation in closed" in found[1]
 
 
 def test_the_terminal_and_the_page_say_the_same(found: tuple[Path, str]) -> None:
     out, text = found
     page = (out / "report.html").read_text()
-    said = " ".join(text.partition("What was found")[0].split()[1:])
+    said = " ".join(text.partition("Findings")[0].split()[1:])
     sentence, sure, what = said.partition(" Sure: ")
     assert sentence.startswith("Found: ")
     assert sentence in page
     assert f"<li>{sure.strip()} {what}</li>" in page
-    assert "Simulated again" in page
+    assert "Resimulation" in page
 
 
 def test_the_written_model_has_what_was_found(found: tuple[Path, str]) -> None:
@@ -173,9 +173,9 @@ def test_the_model_of_a_doubtful_recording_is_marked_so(tmp_path: Path) -> None:
 def test_nothing_hidden_is_nothing_found(tmp_path: Path) -> None:
     bag = robot(tmp_path / "bag", None, inertia_error=0.0)
     text = done("gap", bag, "--urdf", URDF, "--out", tmp_path / "out")
-    assert text.startswith("NO GAP  Nothing found")
-    assert "What was found" not in text
-    assert "Nothing found" in (tmp_path / "out/report.html").read_text()
+    assert text.startswith("NO GAP  No gap found")
+    assert "Findings" not in text
+    assert "No gap found" in (tmp_path / "out/report.html").read_text()
     assert read(tmp_path / "out")["findings"] == []
 
 

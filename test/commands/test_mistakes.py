@@ -105,11 +105,11 @@ def existing(folder: Path) -> Arguments:
 REFUSED: dict[str, tuple[Callable[[Path], Arguments], str]] = {
     "1 another joint topic": (typed(*ROBOT, "--joint-topic", "/joint_state"), r"--joint-topic names.*/joint_states \("),
     "2 a namespace": (on(under("/robot1")), r"no topic /joint_states.*--joint-topic.*/robot1/joint_states"),
-    "3 another robot's URDF": (typed(*OTHER), r"'joint4' is missing.*another robot\? The URDF's moving joints: joint1"),
+    "3 another robot's URDF": (typed(*OTHER), r"'joint4' is missing.*another robot\. The URDF's moving joints: joint1"),
     "5 other names": (on(joints(name=lambda _: ["a", "b", "c"])), r"none of the messages' names is a joint.*'a', 'b'"),
     "6 one other name": (
         on(joints(name=lambda names: ["elbow" if name == "joint2" else name for name in names])),
-        r"'joint2' is missing: .*--lock.*merge_joint_states; or is it 'elbow'\? Or is it a recording",
+        r"'joint2' is missing: .*--lock.*merge_joint_states; or is it 'elbow'\? Or the recording is",
     ),
     "7 no efforts": (
         on(joints(effort=lambda _: np.array([]))),
@@ -135,7 +135,7 @@ REFUSED: dict[str, tuple[Callable[[Path], Arguments], str]] = {
     "26 role": (typed(*ROBOT, "--wrench", "/wrench:wrist_ft:mount"), r"Did you mean 'mounted'\?"),
     "27 another link": (
         typed(*ROBOT, "--wrench", "/wrench:link3:mounted"),
-        r"frame 'wrist_ft' is not the declared 'link3'; --wrench says the frame.*wrench\.\*\.frame_id",
+        r"frame 'wrist_ft' is not the declared 'link3'; --wrench sets the frame.*wrench\.\*\.frame_id",
     ),
     "29 wrench's topic": (
         typed(*ROBOT, "--wrench", "/ft:wrist_ft:mounted"),
@@ -208,7 +208,7 @@ SAID: dict[str, tuple[Callable[[Path], Arguments], int, str]] = {
     "4 degrees": (
         on(joints(position=lambda p: DEGREES * p, velocity=lambda v: DEGREES * v)),
         4,
-        r"DOUBTFUL: joint positions are in degrees.* messages have to be in rad",
+        r"DOUBTFUL: joint positions are in degrees.* send messages in rad",
     ),
     "10 one effort missing": (
         on(half_of),
@@ -216,7 +216,7 @@ SAID: dict[str, tuple[Callable[[Path], Arguments], int, str]] = {
         r"Warning: most of the time no effort is measured at '\w+': it is left out",
     ),
     "11 reversed": (on(joints(effort=np.negative)), 4, r"DOUBTFUL: .*reversed: with effort_gain: -1.0"),
-    "12 amperes": (on(joints(effort=lambda e: e / 11.0)), 4, r"DOUBTFUL: .*in amperes.*about effort_gain: \d"),
+    "12 amperes": (on(joints(effort=lambda e: e / 11.0)), 4, r"DOUBTFUL: .*in A\?.*about effort_gain: \d"),
     "13 standing still": (on(standing), 4, r"DOUBTFUL: the robot stands still: .*record a motion of all joints"),
     "28 sign of a wrench": (
         typed(*ROBOT, "--wrench", "/wrench:wrist_ft:-mounted"),
@@ -228,7 +228,7 @@ SAID: dict[str, tuple[Callable[[Path], Arguments], int, str]] = {
         0,
         r"Warning: 'link2' moves without a mass in the URDF: .*'geomid prior'",
     ),
-    "22 no URDF": (typed(), 0, r"Note: no --urdf is given: the robot is that of /robot_description in \S*arm3"),
+    "22 no URDF": (typed(), 0, r"Note: no --urdf is given: using the description of /robot_description in \S*arm3"),
 }
 
 
@@ -247,7 +247,7 @@ def test_a_torn_file_is_read_as_far_as_it_goes(tmp_path: Path) -> None:
     result = geomid("identify", tmp_path / "torn.mcap", *ROBOT, "--out", tmp_path / "out")
     assert result.exit_code == 0, result.output
     assert re.search(
-        r"Warning: \S*torn.mcap: cut off at byte \d+, .*whole messages are read", " ".join(result.stdout.split())
+        r"Warning: \S*torn.mcap: truncated at byte \d+, .*intact messages are read", " ".join(result.stdout.split())
     )
 
 

@@ -49,7 +49,7 @@ def test_a_gripper_in_no_message_is_locked_as_if_it_had_been_named(tmp_path: Pat
     (tmp_path / "hand.urdf").write_text(with_gripper())
     arguments = ("identify", BAG, "--urdf", tmp_path / "hand.urdf", "--out")
     shown = " ".join(done(*arguments, tmp_path / "alone").split())
-    assert "Note: no message names 'finger_joint1': taken as fixed at zero, as if named in locked_joints" in shown
+    assert "Note: no message names 'finger_joint1': locked at zero, as with locked_joints" in shown
     (note,) = read(tmp_path / "alone")["notes"]
     assert note.startswith("no message names 'finger_joint1'")
     assert "no message names" in (tmp_path / "alone" / "report.html").read_text(encoding="utf-8")
@@ -129,7 +129,7 @@ def test_commands_that_read_bags_have_the_same_options(command: str) -> None:
 def test_a_description_in_a_namespace_is_found(tmp_path: Path) -> None:
     renamed = altered(BAG, tmp_path / "bag", lambda item: replace(item, topic=f"/cell{item.topic}"))
     shown = " ".join(done("identify", renamed, "--joint-topic", "cell/joint_states", "--out", tmp_path).split())
-    assert f"the robot is that of /cell/robot_description in {renamed}" in shown
+    assert f"using the description of /cell/robot_description in {renamed}" in shown
 
 
 def test_two_descriptions_are_one_too_many(tmp_path: Path) -> None:
@@ -199,11 +199,9 @@ def test_without_the_package_the_command_is_said(tmp_path: Path, monkeypatch: py
 def test_only_a_file_that_is_called_so_is_run(tmp_path: Path) -> None:
     """A URDF of somebody else's runs nothing, whatever is in it."""
     (tmp_path / "robot.urdf").write_text(XACRO)
-    assert "a xacro file, of which this command makes a URDF" in refused(
-        "identify", BAG, "--urdf", tmp_path / "robot.urdf"
-    )
+    assert "a xacro file; convert it with" in refused("identify", BAG, "--urdf", tmp_path / "robot.urdf")
     wrong = refused("identify", BAG, "--urdf", tmp_path / "robot.urdf", "--xacro-arg", "prefix:=a")
-    assert "robot.urdf is no .xacro file to give them to" in wrong
+    assert "robot.urdf is not a .xacro file" in wrong
     assert "is not of the form NAME:=VALUE" in refused("identify", BAG, "--urdf", "a.xacro", "--xacro-arg", "prefix=a")
 
 

@@ -145,7 +145,7 @@ def test_a_tool_left_on_is_told_and_moves_nothing() -> None:
     assert unlike[0] == kind.case.model.body_names[-1]
     assert moved(found, of_the_others()) < MOST_MOVED
     told = solved(case, EstimatorSettings(population=found)).warnings
-    assert any(f"link '{unlike[0]}' is unlike" in sentence for sentence in told)
+    assert any(f"link '{unlike[0]}' differs" in sentence for sentence in told)
 
 
 def test_a_third_of_another_type_does_not_move_the_population() -> None:
@@ -190,5 +190,5 @@ def test_a_population_of_other_robots_is_refused() -> None:
         scales=other.scales,
         robots=5,
     )
-    with pytest.raises(InputError, match=r"a population of other robots: its links are elsewhere, those of this robot"):
+    with pytest.raises(InputError, match=r"of another type of robot: its links are elsewhere, those of this robot"):
         solved(case, EstimatorSettings(population=renamed))

@@ -90,5 +90,5 @@ def test_starts_that_cannot_be() -> None:
 
 
 def test_surroundings_that_enclose_the_arm() -> None:
-    with pytest.raises(InputError, match="no posture was found to begin from"):
+    with pytest.raises(InputError, match="no feasible start was found among"):
         small_task(Wish(duration=6.0, surroundings=Surroundings(avoid=("box:0,0,0,5,5,5",))))

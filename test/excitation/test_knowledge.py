@@ -50,7 +50,7 @@ def test_friction_that_the_urdf_states_is_expected() -> None:
 
 def test_an_estimate_of_another_robot_is_refused() -> None:
     other = replace(KNOWLEDGE.posterior, links=("x", *KNOWLEDGE.posterior.links[1:]))
-    with pytest.raises(InputError, match=r"estimate.json: an estimate of other links"):
+    with pytest.raises(InputError, match=r"estimate.json: an estimate with other links"):
         known_before(KNOWLEDGE.model, other, [1.0] * 3, "estimate.json")
 
 
@@ -109,6 +109,6 @@ def test_what_is_expected_is_said_honestly() -> None:
     weight = weight_of("prediction", KNOWLEDGE, [motion(1)])
     found = expected_learning(KNOWLEDGE, weight, motion(2), [motion(2)])
     assert any("saves nothing" in sentence for sentence in found.sentences)
-    assert any("no design replaces the time" in sentence for sentence in found.sentences)
+    assert any("recording longer helps more than the design" in sentence for sentence in found.sentences)
     assert found.before.error > found.designed.error > found.twice.error
     assert np.all(found.before.links >= found.designed.links - 1e-12)

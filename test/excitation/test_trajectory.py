@@ -63,7 +63,7 @@ def in_point(key: str, value: Any) -> Callable[[dict[str, Any]], Any]:
 WRONG: dict[str, tuple[Callable[[dict[str, Any]], Any], str]] = {
     "no joints": (drop("joint_names"), "expected the lists joint_names and points"),
     "no points": (drop("points"), "expected the lists joint_names and points"),
-    "one point": (lambda document: document.update(points=document["points"][:1]), "1 points, expected two"),
+    "one point": (lambda document: document.update(points=document["points"][:1]), "1 points, expected at least two"),
     "a joint twice": (lambda document: document.update(joint_names=["elbow", "elbow"]), "every joint once"),
     "too few numbers": (in_point("velocities", [0.0]), "point 3"),
     "text": (in_point("positions", ["here", "there"]), "point 3"),
@@ -88,7 +88,7 @@ def test_a_file_that_is_no_trajectory_is_refused(case: str, tmp_path: Path) -> N
 NO_YAML = {
     "joint_names: [a": "cannot be read",
     "a: &x [1]\njoint_names: *x\n": "has aliases, which are not allowed",
-    "- 1": "no trajectory",
+    "- 1": "not a trajectory",
     "!!python/name:os.system x": "cannot be read",
 }
 

@@ -116,15 +116,15 @@ class TestTruncated:
             path.write_bytes(data[:cut])
             count = sum(end <= cut for end in ends)
             if not count:
-                assert "it has no whole message" in error_of(path)
+                assert "it has no intact message" in error_of(path)
                 continue
             with Bag(path) as bag:
                 found = list(bag.raw_messages(list(bag.topics)))
                 (warning,) = bag.warnings
             assert len(found) >= count if form.method and form.chunk else len(found) == count
             assert found == everything[: len(found)]
-            assert f"its {len(found)} whole messages are read, up to {found[-1][1] * 1e-9:.3f} s" in warning
-            assert int(re.search(r"cut off at byte (\d+)", warning)[1]) <= cut
+            assert f"its {len(found)} intact messages are read, up to {found[-1][1] * 1e-9:.3f} s" in warning
+            assert int(re.search(r"truncated at byte (\d+)", warning)[1]) <= cut
 
     def test_a_file_that_ends_in_zeros_is_cut_off(self, tmp_path: Path) -> None:
         """As a disk may have them that lost its power."""
@@ -157,8 +157,8 @@ class TestTruncated:
             path.write_bytes(whole[: int(share * len(whole))])
             with Bag(path) as bag:
                 found = list(bag.raw_messages(list(bag.topics)))
-                assert f"its {len(found)} whole messages are read" in bag.warnings[0]
-                assert f"cut off at byte {path.stat().st_size}" in bag.warnings[0]
+                assert f"its {len(found)} intact messages are read" in bag.warnings[0]
+                assert f"truncated at byte {path.stat().st_size}" in bag.warnings[0]
             counts.append(len(found))
             assert sorted(found, key=lambda item: item[1]) == by_time[: len(found)]
             # Rows are written one after the other: what is there of the file is there of them, but for its indices.
@@ -184,7 +184,7 @@ class TestTruncated:
         before = {file.name: file.read_bytes() for file in folder.iterdir()}
         with Bag(killed) as bag:
             assert len(list(bag.raw_messages(list(bag.topics)))) == 100
-            assert "it was not closed; its 100 whole messages are read" in bag.warnings[0]
+            assert "it was not closed; its 100 intact messages are read" in bag.warnings[0]
         assert {file.name: file.read_bytes() for file in folder.iterdir()} == before
 
     def test_a_rollback_journal_is_not_obeyed(self, tmp_path: Path) -> None:
@@ -194,7 +194,7 @@ class TestTruncated:
         journal.write_bytes(b"\xd9\xd5\x05\xf9 \xa1c\xd7" + bytes(600))
         with Bag(path) as bag:
             assert len(list(bag.raw_messages(list(bag.topics)))) == 50
-            assert f"{journal.name} has a part of it" in bag.warnings[0]
+            assert f"{journal.name} holds a part of it" in bag.warnings[0]
         assert journal.exists()
 
     @pytest.mark.parametrize("storage", [StoragePlugin.MCAP, StoragePlugin.SQLITE3])
@@ -229,8 +229,7 @@ class TestTruncated:
         with Bag(bag) as opened:
             assert list(opened.raw_messages(list(opened.topics))) == whole
             assert (
-                "has no metadata.yaml, as if its recorder was killed; read is what it has: bag.mcap"
-                in (opened.warnings[0])
+                "has no metadata.yaml (was its recorder killed?); reading its files: bag.mcap" in (opened.warnings[0])
             )
 
     def test_the_command_reads_what_is_whole_and_says_so(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -242,10 +241,10 @@ class TestTruncated:
         short.write_bytes(file_of(Form(), 500))
         shown = " ".join(done("identify", cut, "--urdf", URDF, "--out", outs[0]).split())
         done("identify", short, "--urdf", URDF, "--out", outs[1])
-        assert re.search(r"Warning: \S*cut.mcap: cut off at byte \d+", shown)
-        assert "its 500 whole messages are read" in shown
+        assert re.search(r"Warning: \S*cut.mcap: truncated at byte \d+", shown)
+        assert "its 500 intact messages are read" in shown
         (torn, told), (whole, none) = ((document_of(out), document_of(out)["warnings"]) for out in outs)
-        assert "cut off at byte" in told[0]
+        assert "truncated at byte" in told[0]
         assert none == []
         assert torn["links"] == whole["links"]
 
@@ -381,12 +380,12 @@ WRONG: dict[str, tuple[Callable[[Path], Path], str]] = {
     "two formats without metadata": (two_formats, "without metadata.yaml.*one of its files"),
     "empty mcap": (file("a.mcap", b""), "at byte 0, the file is empty"),
     "empty db3": (file("a.db3", b""), "at byte 0, the file is empty"),
-    "db3 called mcap": (file("a.mcap", b"SQLite format 3\0" + bytes(100)), "at byte 0, .*as an mcap file"),
-    "mcap called db3": (file("a.db3", file_of(Form(), 10)), "at byte 0, .*as an SQLite database"),
+    "db3 called mcap": (file("a.mcap", b"SQLite format 3\0" + bytes(100)), "at byte 0, .*with an MCAP header"),
+    "mcap called db3": (file("a.db3", file_of(Form(), 10)), "at byte 0, .*with an SQLite header"),
     "a ROS 1 bag": (file("a.bag", b"#ROSBAG V2.0\n"), "a bag of ROS 1.*rosbags-convert --src .*a.bag --dst .*a "),
     "a text": (file("a.md", b"# Bag\n"), "wrong type; expected a bag's folder, or a file"),
-    "a ROS 1 bag called mcap": (file("a.mcap", b"#ROSBAG V2.0\n" + bytes(100)), "at byte 0, .*as an mcap file"),
-    "an mcap of ROS 1": (file("a.mcap", file_of(Form(), 10).replace(text("ros2"), text("ros1"))), "profile 'ros1'"),
+    "a ROS 1 bag called mcap": (file("a.mcap", b"#ROSBAG V2.0\n" + bytes(100)), "at byte 0, .*with an MCAP header"),
+    "an mcap of ROS 1": (file("a.mcap", file_of(Form(), 10).replace(text("ros2"), text("ros1"))), "profile is 'ros1'"),
     "another database": (file("a.db3", b""), "the file is empty"),
     "the file is missing": (with_metadata(relative_file_paths=["other.mcap"]), "other.mcap: .*missing"),
     "a path outside": (with_metadata(relative_file_paths=["../../../../etc/passwd"]), "bag/passwd: .*missing"),
@@ -463,9 +462,13 @@ class TestCrafted:
     @pytest.mark.parametrize(
         ("name", "data", "message"),
         [
-            ("zstd.mcap", lambda: bomb("zstd"), f"591000\\d+ bytes are packed in \\d+, more than the {MOST_BYTES}"),
+            (
+                "zstd.mcap",
+                lambda: bomb("zstd"),
+                f"591000\\d+ bytes unpacked from \\d+, more than the maximum of {MOST_BYTES}",
+            ),
             ("lz4.mcap", lambda: bomb("lz4"), "more than"),
-            ("lying.mcap", lying_bomb, "should unpack to 1000 bytes unpacks to more"),
+            ("lying.mcap", lying_bomb, "expected 1000 unpacked bytes, found more"),
         ],
         ids=["zstd", "lz4", "lying"],
     )
@@ -488,7 +491,7 @@ class TestCrafted:
         connection = sqlite3.connect(path)
         connection.executescript(CRAFTED_TABLES[case])
         connection.close()
-        assert "not of the plain tables and indices" in error_of(path)
+        assert "not a plain table or index" in error_of(path)
 
     def test_a_packed_file_that_unpacks_to_too_much_is_refused(self, tmp_path: Path) -> None:
         bag = with_metadata(compression_mode="FILE", compression_format="zstd")(tmp_path)
@@ -506,7 +509,7 @@ class TestCrafted:
         path.write_bytes(mcap([("/a", "std_msgs/msg/String")], messages, Form(chunk=2)))
         assert content(path)[:2] == [("/a", 0, bytes(100))] * 2
         monkeypatch.setattr("geomid_ros.files.bags.mcap._MOST_PENDING", 10_000)
-        assert "overlap in time" in error_of(path)
+        assert "overlap too much in time" in error_of(path)
 
     def test_what_a_bag_calls_its_topics_does_not_reach_the_terminal(self, tmp_path: Path) -> None:
         path = tmp_path / "colour.mcap"
@@ -535,7 +538,7 @@ class TestAsFound:
     def test_the_command_for_a_bag_of_ros_1_makes_one_that_is_read(self, tmp_path: Path) -> None:
         bag = ros1_bag(tmp_path / "old one.bag", MESSAGES[:600])
         message = refused("identify", bag, "--urdf", URDF, "--out", tmp_path / "out")
-        command = shlex.split(" ".join(message.split()).partition("one of ROS 2: ")[2])
+        command = shlex.split(" ".join(message.split()).partition("convert it with: ")[2])
         assert command[0] == "rosbags-convert"
         rosbags_convert(command[1:])
         states = [item for item in MESSAGES[:600] if item.topic == "/joint_states"]
@@ -556,7 +559,7 @@ class TestAsFound:
         one, two = (document_of(tmp_path / name) for name in ("one", "two"))
         assert one["links"] == two["links"]
         assert one["rows"] == two["rows"]
-        with pytest.raises(InputError, match=r"no rosbag; name one of those in it \(.*runs/a\)"):
+        with pytest.raises(InputError, match=r"not a rosbag; name one of its bags \(.*runs/a\)"):
             Bag(tmp_path / "runs")
 
     @pytest.mark.parametrize("storage", [StoragePlugin.MCAP, StoragePlugin.SQLITE3])
@@ -605,7 +608,7 @@ class TestAsFound:
 
         monkeypatch.setattr("shutil.rmtree", measured)
         monkeypatch.setattr("tempfile._shutil.rmtree", measured)
-        with pytest.raises(InputError, match=r"bag.mcap: .*no room for what it unpacks to; set TMPDIR"):
+        with pytest.raises(InputError, match=r"bag.mcap: .*no room to unpack it; set TMPDIR"):
             content(bag)
         assert written
         assert max(written) <= 2_000_000

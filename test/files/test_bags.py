@@ -108,7 +108,7 @@ UNREADABLE: dict[str, tuple[Callable[[Path], Path], str]] = {
     "text": (file_of("notes.txt", b"not a bag"), "notes.txt: cannot be read.*wrong type"),
     "text called mcap": (file_of("notes.mcap", b"not a bag"), "cannot be read"),
     "text called db3": (file_of("notes.db3", b"not a bag" * 1000), "cannot be read"),
-    "empty mcap": (file_of("empty.mcap", b""), "empty; it has no whole message"),
+    "empty mcap": (file_of("empty.mcap", b""), "empty; it has no intact message"),
     "empty db3": (file_of("empty.db3", b""), "cannot be read"),
     "mcap's magic and no more": (file_of("start.mcap", MCAP[:8]), "cannot be read"),
 }

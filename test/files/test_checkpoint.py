@@ -231,13 +231,13 @@ CRAFTED: dict[str, Callable[[dict[str, Any], dict[str, Any]], Any]] = {
     "lacks 'lost'": lambda d, _: d["ledger"]["/wrench"].pop("lost"),
     "lacks 'fold 0": lambda _, v: v.pop(FIRST),
     "lacks 'counts'": lambda _, v: v.pop("counts"),
-    "-1 is no count": lambda d, _: d.update(rows=-1),
-    "1.5 is no count": lambda d, _: d.update(instants=1.5),
-    "True is no count": lambda d, _: d.update(number=True),
-    "9223372036854775808 is no count": lambda d, _: d.update(last_stamp=2**63),
-    "'7' is no count": lambda d, _: d["rows_rejected"].update(x="7"),
-    "'x' is no number": lambda d, _: d.update(weight="x"),
-    "0 is no number": lambda d, _: d.update(time=0),
+    "-1 is not a count": lambda d, _: d.update(rows=-1),
+    "1.5 is not a count": lambda d, _: d.update(instants=1.5),
+    "True is not a count": lambda d, _: d.update(number=True),
+    "9223372036854775808 is not a count": lambda d, _: d.update(last_stamp=2**63),
+    "'7' is not a count": lambda d, _: d["rows_rejected"].update(x="7"),
+    "'x' is not a number": lambda d, _: d.update(weight="x"),
+    "0 is not a number": lambda d, _: d.update(time=0),
     r"\[\] has no names": lambda d, _: d.update(ledger=[]),
     "None has no names": lambda d, _: d["ledger"].update(joint_states=None),
     "does not say what": lambda d, _: d.update(meaning=None),
@@ -250,12 +250,12 @@ CRAFTED: dict[str, Callable[[dict[str, Any], dict[str, Any]], Any]] = {
     "negative or not finite": lambda _, v: v.update(counts=-v["counts"]),
     "or not finite": lambda _, v: v.update(counts=v["counts"] * np.nan),
     "'joint1' are not finite": lambda _, v: v[FIRST].__setitem__(3, np.inf),
-    "'joint1' has 11 numbers, no triangle": lambda _, v: v.update({FIRST: np.zeros(11)}),
+    "'joint1' has 11 numbers, not a triangle": lambda _, v: v.update({FIRST: np.zeros(11)}),
     "last pose is not finite": lambda _, v: v["last_pose"].__setitem__(0, np.nan),
     "pose of shape": lambda _, v: v.update(last_pose=np.zeros(4)),
     "an estimate of 3 parameters": lambda _, v: v.update(estimate=np.zeros(3)),
     "estimate is not finite": lambda _, v: v["estimate"].__setitem__(0, np.nan),
-    "None is no count": lambda d, _: d.update(chosen_at_rows=None),
+    "None is not a count": lambda d, _: d.update(chosen_at_rows=None),
 }
 
 
@@ -272,7 +272,7 @@ class TestCrafted:
         text = re.sub(r'"weight": [0-9.]+', '"weight": 1e999', texts["checkpoint"])
         with pytest.raises(InputError, match="not finite"):
             read(pack({"checkpoint": text}, vectors))
-        with pytest.raises(InputError, match="Infinity is no JSON"):
+        with pytest.raises(InputError, match="Infinity is not JSON"):
             read(pack({"checkpoint": text.replace("1e999", "Infinity")}, vectors))
 
     @pytest.mark.parametrize(

@@ -84,7 +84,7 @@ class TestPrimitives:
         solid, warnings = read(element(geometry) + element(BOX, kind="visual"))
         assert solid is not None
         assert solid.shape == "visual: box"
-        assert warnings == [f"of no volume and left out: collision {name} of arm"]
+        assert warnings == [f"shapes without volume, ignored: collision {name} of arm"]
 
     @pytest.mark.parametrize(
         ("geometry", "message"),
@@ -152,7 +152,7 @@ class TestUnion:
         solid, warnings = read(2 * element(BOX))
         assert solid is not None
         np.testing.assert_array_equal(solid.moments, 2.0 * shapes.box(SIZE))
-        assert warnings == ["shapes that cannot be joined, so that what they share counts twice: arm"]
+        assert warnings == ["shapes that cannot be merged, so their overlap counts twice: arm"]
 
 
 class TestMeshes:
@@ -192,7 +192,7 @@ class TestMeshes:
         assert solid is not None
         np.testing.assert_allclose(solid.moments, shapes.box(SIZE), rtol=1e-6, atol=1e-9)
         assert solid.shape == "collision: hull of open.stl"
-        assert warnings == ["convex hulls taken of meshes whose surface is not closed: open.stl of arm"]
+        assert warnings == ["meshes that are not closed, replaced by their convex hulls: open.stl of arm"]
 
     def test_a_hole_in_a_solid_is_empty(self, tmp_path: Path) -> None:
         inner = trimesh.creation.box(0.5 * SIZE)
@@ -212,12 +212,12 @@ class TestMeshes:
     @pytest.mark.parametrize(
         ("name", "content", "message"),
         [
-            ("a.stl", b"", "has no triangles of finite corners"),
+            ("a.stl", b"", "has no triangles with finite vertices"),
             ("a.stl", b"solid nothing\nendsolid\n", "a.stl "),
             ("a.dae", b"<COLLADA", "cannot be read"),
-            ("a.obj", b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n", "is flat, it encloses no volume"),
-            ("a.obj", b"v 0 0 0\nv nan 0 0\nv 0 1 0\nf 1 2 3\n", "has no triangles of finite corners"),
-            ("a.step", b"", "is no mesh that can be read; expected .stl, .dae, .obj"),
+            ("a.obj", b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n", "is flat and encloses no volume"),
+            ("a.obj", b"v 0 0 0\nv nan 0 0\nv 0 1 0\nf 1 2 3\n", "has no triangles with finite vertices"),
+            ("a.step", b"", "is not a readable mesh; expected .stl, .dae, .obj"),
         ],
     )
     def test_a_file_that_is_no_solid_is_named(self, name: str, content: bytes, message: str, tmp_path: Path) -> None:
@@ -232,8 +232,8 @@ class TestMeshes:
         with (tmp_path / "large.dae").open("wb") as file:
             file.truncate(10**11)
         for name, message in (
-            ("pipe.stl", "no regular file"),
-            ("device.obj", "no regular file"),
+            ("pipe.stl", "not a regular file"),
+            ("device.obj", "not a regular file"),
             ("large.dae", "larger than 100 MB"),
         ):
             with pytest.raises(InputError, match=rf"^robot.urdf: link 'arm': .*/{name}: {message}"):
@@ -305,10 +305,10 @@ class TestFinding:
     @pytest.mark.parametrize(
         ("uri", "message"),
         [
-            ("package://my_robot/a.stl", "is not there. Say where the package is: --package-path my_robot=FOLDER"),
-            ("a.stl", "is not there. Looked at .*a.stl"),
+            ("package://my_robot/a.stl", "was not found. Locate the package: --package-path my_robot=FOLDER"),
+            ("a.stl", "was not found. Looked in .*a.stl"),
             ("http://host/a.stl", "neither a package:// nor a file:// URI nor a path"),
-            ("", "is not there"),
+            ("", "was not found"),
         ],
     )
     def test_what_is_missing_is_named(self, uri: str, message: str, tmp_path: Path) -> None:

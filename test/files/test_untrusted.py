@@ -44,10 +44,10 @@ DESCRIPTIONS: dict[str, tuple[str, str]] = {
     "digits of another script": (ARM3.replace('<mass value="3"/>', '<mass value="\u0663"/>'), "finite"),
     "two inertials": (ARM3.replace("</inertial>", "</inertial><inertial/>", 1), "more than one <inertial>"),
     "many elements": (ARM3.replace("</robot>", "<x/>" * 200_000 + "</robot>"), "more than 200000 elements"),
-    "many links": (ARM3.replace("</robot>", "<link name='x'/>" * 2000 + "</robot>"), "more than the 1000"),
+    "many links": (ARM3.replace("</robot>", "<link name='x'/>" * 2000 + "</robot>"), "more than the maximum of 1000"),
     "many joints": (
         ARM3.replace("</robot>", "<joint name='x' type='fixed'/>" * 2000 + "</robot>"),
-        "more than the 1000",
+        "more than the maximum of 1000",
     ),
     "no name": (ARM3.replace('<robot name="arm3"', "<robot"), "no name"),
     "a limit of words": (ARM3.replace('lower="-2.8"', 'lower="low"'), 'lower="low"'),

@@ -213,7 +213,7 @@ def test_bodies_close_to_impossible_stay_possible() -> None:
     ("make", "message"),
     [
         (Path.exists, "the robot description cannot be read .*No such file"),
-        (Path.mkdir, "no regular file, as a robot description is"),
+        (Path.mkdir, "not a regular file; expected a robot description"),
         (lambda path: path.write_bytes(b"<robot name='\xff\xfe'/>"), "the robot description cannot be read .*utf-8"),
     ],
 )

@@ -49,5 +49,5 @@ def test_a_scheduler_that_does_not_come_back_is_told(local: distributed.LocalClu
         running = cluster.run(time.sleep, [(place, (0.02,)) for place in range(100)])
         next(running)
         local.close()
-        with pytest.raises(InputError, match="what was done so far is kept: run the same again"):
+        with pytest.raises(InputError, match="intermediate results are kept: run the same command again"):
             list(running)

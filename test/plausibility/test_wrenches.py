@@ -63,7 +63,7 @@ def test_a_reversed_sign() -> None:
 def test_another_unit_of_all(factor: float) -> None:
     found = cause(lambda wrench: factor * wrench)
     assert found is not None
-    assert "is it not in N and N m?" in found.sentence
+    assert "check that it is in N and N m" in found.sentence
 
 
 def test_torques_in_another_unit() -> None:

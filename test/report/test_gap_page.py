@@ -144,8 +144,8 @@ def test_what_the_model_said_before_is_in_the_table_of_changes(drawn: Draw) -> N
 
 def test_nothing_found_is_a_plain_page(drawn: Draw) -> None:
     page = drawn(PAGES["no gap"])
-    assert "Nothing found" in page.text
-    for absent in ("What was found", "What is not explained", "What to record next", "Candidates", "against"):
+    assert "No gap found" in page.text
+    for absent in ("Findings", "Unexplained", "Next recording", "Candidates", "against"):
         assert absent not in page.text
 
 
@@ -154,16 +154,16 @@ def test_an_ambiguity_names_rivals_and_what_would_settle_it(drawn: Draw) -> None
     assert "Load friction at joint2 (worse by 1.2), Viscous friction at joint2 (worse by 3.8)" in text.replace(
         " ,", ","
     )
-    assert "To settle it: move joint2 at three constant speeds" in text
-    assert "To settle it" not in drawn(NAMED).text
+    assert "To discriminate: move joint2 at three constant speeds" in text
+    assert "To discriminate" not in drawn(NAMED).text
 
 
 def test_simulated_again(drawn: Draw) -> None:
     text = drawn(NAMED).text
-    assert "Simulated again In closed loop Under its commands." in text
+    assert "Resimulation In closed loop Under its commands." in text
     assert "before 10.9" in text
-    assert "Not simulated" not in text
-    assert "Not simulated again: MuJoCo has the day off." in drawn(PAGES["ambiguous"]).text
+    assert "No resimulation" not in text
+    assert "No resimulation: MuJoCo has the day off." in drawn(PAGES["ambiguous"]).text
 
 
 def test_thirty_joints_make_no_endless_page(drawn: Draw) -> None:

@@ -110,7 +110,7 @@ def test_channels_that_were_not_measured_are_not_the_worst() -> None:
 
 
 def test_nothing_found_is_said_plainly() -> None:
-    assert verdict_sentence(gap_result("no gap", JOINTS)).startswith("Nothing found: the model explains")
+    assert verdict_sentence(gap_result("no gap", JOINTS)).startswith("No gap found: the model explains")
 
 
 def test_inertias_that_were_all_that_was_wrong() -> None:
@@ -126,11 +126,11 @@ def test_the_verdict_names_effect_place_and_success() -> None:
 
 
 def test_what_is_left_is_part_of_the_verdict() -> None:
-    assert "that is not all: something is left at knee, depending on its position" in verdict_sentence(
+    assert "A residual remains at knee, which depends on its position" in verdict_sentence(
         gap_result("incomplete", JOINTS)
     )
     unexplained = verdict_sentence(gap_result("unexplained", JOINTS))
-    assert "no known effect explains: at knee, depending on the motion of hip" in unexplained
+    assert "No known effect explains the residual at knee, which depends on the motion of hip" in unexplained
     assert "Found" not in unexplained
 
 
@@ -141,9 +141,9 @@ def test_what_to_record_next() -> None:
     ]
     (slow,) = to_record(gap_result("incomplete", JOINTS))
     assert slow.startswith("a slow motion of the joint at one constant speed, ")
-    assert slow.endswith("(for what is missing at knee)")
+    assert slow.endswith("(for the residual at knee)")
     assert to_record(gap_result("unexplained", JOINTS)) == [
-        "the joint alone, then hip alone, then both (for what is missing at knee)"
+        "the joint alone, then hip alone, then both (for the residual at knee)"
     ]
 
 

@@ -36,11 +36,11 @@ ORIGIN = Origin(
 SECTIONS = [
     "Masses",
     "Fit of every channel",
-    "Measured against predicted",
+    "Measured and predicted",
     "Effects",
-    "What could not be told",
-    "What was refused of the data",
-    "Where this is from",
+    "Not individually identifiable",
+    "Rejected data",
+    "Provenance",
 ]
 
 
@@ -93,7 +93,7 @@ def test_what_was_planted_is_on_it(plain: Page) -> None:
     for planted in (
         *("5.500", "4.32 \u00b1 0.10 kg", "4.129 to 4.522", "50 %"),
         *("0.750 \u00b1 0.010 N m", "0.730 to 0.770", "25 %"),
-        *("/joint1", "90", "100", "7: glitch of joint1", "11, standing"),
+        *("/joint1", "90", "100", "7: glitch of joint1", "11 (standing)"),
         *(ORIGIN.version, ORIGIN.command, ORIGIN.date, "/data/monday", "filter.cutoff", "7.5"),
         *("a warning of joint1", "a note of joint1"),
     ):
@@ -206,7 +206,7 @@ def test_long_names_break_between_words(tmp_path: Path) -> None:
 
 def test_no_channel_and_no_effect_is_a_page_too(tmp_path: Path) -> None:
     page = replace(page_of("joint1"), series=[], effects=[], messages={}, refused_rows={})
-    assert "None was identified." in written(page, tmp_path)[0].text
+    assert "No effects were identified." in written(page, tmp_path)[0].text
 
 
 def test_the_script_reads_values_and_zooms(tmp_path: Path) -> None:

@@ -109,10 +109,10 @@ def test_a_joint_that_nobody_commands_follows_its_measured_motion(tmp_path: Path
 def test_what_cannot_be_simulated_says_why(tmp_path: Path) -> None:
     ok, exact = files(tmp_path, "a"), recording(noise=0.0)
     elsewhere = with_values(exact, stamps=exact.stamps + 1)
-    assert "no time in common" in simulated(ok, ok, exact, elsewhere).skipped
+    assert "do not overlap in time" in simulated(ok, ok, exact, elsewhere).skipped
     random = np.random.default_rng(0).normal(size=exact.position.shape)
     unrelated = with_values(exact, position=random, velocity=random, effort=np.full_like(random, np.nan))
-    assert "do not follow from the commands" in simulated(ok, ok, exact, unrelated).skipped
+    assert "cannot be reproduced from the commands" in simulated(ok, ok, exact, unrelated).skipped
     floating = MeasurementModel(Robot(ARM, floating_base=True, cuts=["wrist_ft"]), (), MODEL.sensors)
     assert (
         "base floats" in closed_loop(floating, ok, ok, [exact], [exact], noise=noise_example(), cutoff=CUTOFF).skipped

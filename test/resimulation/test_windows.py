@@ -230,7 +230,7 @@ def test_what_cannot_be_simulated_says_why(tmp_path: Path) -> None:
     floating = MeasurementModel(Robot(ARM, floating_base=True), (), [WrenchSensor("/plate", "world", "external")])
     assert "base floats" in resimulate(floating, ok, ok, [data], noise).skipped
     touched = MeasurementModel(Robot(ARM), (), [WrenchSensor("/hand", "tool", "external")])
-    assert "loads from outside" in resimulate(touched, ok, ok, [data], noise).skipped
+    assert "external loads" in resimulate(touched, ok, ok, [data], noise).skipped
     assert "too short" in resimulate(MODEL, ok, ok, [data.select(slice(0, 5))], noise).skipped
     still = with_values(data, position=np.zeros_like(data.position))
     assert "no joint" in resimulate(MODEL, ok, ok, [still], noise).skipped

@@ -97,7 +97,7 @@ class Rig:
     def begin(self) -> tuple[list[Recorded], list[Recorded]]:
         """Begin a case without rows; good messages for before and after the fault."""
         self._cases += 1
-        assert self.trigger("reset") == (True, "all rows forgotten")
+        assert self.trigger("reset") == (True, "all rows discarded")
         self.twin.session.identifier.reset()
         return self.shifted(BEFORE), self.shifted(AFTER)
 

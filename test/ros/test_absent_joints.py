@@ -88,7 +88,7 @@ def test_they_are_locked_when_all_had_the_time_to_be_heard(node: tuple[Superviso
     clock.now += 2.0 * module._PUBLISHERS_START
     supervisor.lock_absent_joints()
     assert joints(supervisor) == ARM
-    assert any(f"no message names '{FINGER}': taken as fixed at zero" in line for line in said)
+    assert any(f"no message names '{FINGER}': locked at zero" in line for line in said)
     assert supervisor.worker is not None
     (note,) = supervisor.worker.session.notes
     assert note in said, "what is saved has it, too"

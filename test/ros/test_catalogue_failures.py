@@ -100,7 +100,7 @@ def test_47_standing_still(faulty: Faulty) -> None:
     rig.feed(still[260:])
     values = rig.settled(len(rig.arrays))
     assert int(values["rows rejected: standing still"]) > 100
-    rig.says(begin, WARN, "standing still: nothing new can be told of 'link1'")
+    rig.says(begin, WARN, "standing still: no new information on 'link1'")
     rig.assert_same_as_twin()
 
 
@@ -149,12 +149,12 @@ FAILURES = {
     "51-callback": (
         "callback fails",
         "/wrench dropped: ZeroDivisionError in a callback",
-        "a message on /wrench could not be taken: ZeroDivisionError: planted",
+        "a message on /wrench could not be processed: ZeroDivisionError: planted",
     ),
     "52-worker": (
         "messages fail",
         "/wrench dropped: ZeroDivisionError while taking a message",
-        "a message on /wrench could not be taken: ZeroDivisionError: planted",
+        "a message on /wrench could not be processed: ZeroDivisionError: planted",
     ),
 }
 
@@ -183,7 +183,7 @@ def test_52_rows_that_cannot_be_made_are_counted(faulty: Faulty) -> None:
     with faulty.has("rows fail"):
         rig.send(after[:100])
         values = rig.settled(len(rig.arrays))
-        rig.says(begin, ERROR, "rows could not be made: ZeroDivisionError: planted")
+        rig.says(begin, ERROR, "rows could not be computed: ZeroDivisionError: planted")
         assert int(values["rows rejected: ZeroDivisionError"]) > 0
         assert len(rig.inertias) == heard
     rig.twin.samples(after[:100])  # the twin loses the same rows
@@ -243,7 +243,7 @@ def test_67_a_slow_disk_keeps_nobody_waiting(faulty: Faulty) -> None:
         rig.says(begin, ERROR, "saving takes", str(rig.out))
         rig.settled(begin)
         rig.stage.observer.wait_for(answer.done, "the answer")
-    assert (answer.result().success, answer.result().message) == (False, f"saving is not done yet: {rig.out} is slow")
+    assert (answer.result().success, answer.result().message) == (False, f"still saving: {rig.out} is slow")
     rig.assert_same_as_twin()
 
 
@@ -266,8 +266,8 @@ def test_53_an_intake_that_hangs_is_replaced_three_times(faulty: Faulty) -> None
     with faulty.has("intake hangs"):
         for attempt, reason in enumerate(
             [
-                *(f"the intake of messages hung and was restarted, {k} of at most 3 times" for k in (1, 2, 3)),
-                "the intake of messages hangs again after 3 restarts and is left alone for an hour",
+                *(f"message processing hung and was restarted, {k} of at most 3 times" for k in (1, 2, 3)),
+                "message processing hangs again after 3 restarts; no restart for an hour",
             ]
         ):
             rig.send(rig.shifted(later(item, (5 + 3 * attempt) * SECOND) for item in GOOD[300:600]))

@@ -46,7 +46,7 @@ def publish(stage: Stage, publisher: Any, count: int, begin: int = 0) -> None:
 
 
 def test_29_simulated_time_without_a_clock(strict: Stage) -> None:
-    told(strict, WARN, "use_sim_time is set, but nothing comes on /clock")
+    told(strict, WARN, "use_sim_time is set, but there are no messages on /clock")
     clock = strict.observer.node.create_publisher(Clock, "/clock", 10)
     strict.observer.wait_for(clock.get_subscription_count, "the node")
     strict.observer.spin(MATCHING)
@@ -60,7 +60,7 @@ def test_29_simulated_time_without_a_clock(strict: Stage) -> None:
 def test_33_a_description_that_is_not_kept_for_those_who_come_late(strict: Stage) -> None:
     volatile = QoSProfile(depth=1, durability=DurabilityPolicy.VOLATILE)
     talker = strict.observer.node.create_publisher(String, "/robot_description", volatile)
-    told(strict, ERROR, "robot_description: nothing comes from /observer", "QoS: durability")
+    told(strict, ERROR, "robot_description: no messages from /observer", "QoS: durability")
     strict.observer.node.destroy_publisher(talker)
     told(strict, WARN, "no robot description yet")
     talker = strict.observer.node.create_publisher(String, "/robot_description", latched(1))
@@ -73,7 +73,7 @@ def test_34_joint_states_less_reliable_than_is_asked_for(strict: Stage) -> None:
     sloppy = node.create_publisher(
         JointState, "/joint_states", QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT)
     )
-    values = told(strict, ERROR, "joint_states: nothing comes from /observer", "QoS: reliability")
+    values = told(strict, ERROR, "joint_states: no messages from /observer", "QoS: reliability")
     assert "joint_states received" not in values, "nothing came, and nothing is counted"
     node.destroy_publisher(sloppy)
     inertias = strict.observer.collect(InertiaStamped, "/geomid/inertias", latched())

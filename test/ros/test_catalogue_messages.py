@@ -199,8 +199,8 @@ def after_half_a_second(
 no_effort_of_one = joints_only(lambda item, _: with_numbers(item, "effort", 1, NAN))
 no_effort = joints_only(lambda item, _: item.changed(effort=item.message.effort[:0]))
 zero_effort = joints_only(lambda item, _: item.changed(effort=0.0 * item.message.effort))
-LEFT_OUT = "joint_states: no effort of 'joint3': what it says is left out"
-NONE_LEFT = "joint_states: no joint's effort is measured, no joint's equation is used: 'joint1', 'joint2', 'joint3'"
+LEFT_OUT = "joint_states: no effort of 'joint3'; its equation is left out"
+NONE_LEFT = "joint_states: no effort is measured at any joint, no joint equation is used: 'joint1', 'joint2', 'joint3'"
 
 
 def at_places(

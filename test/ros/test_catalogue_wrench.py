@@ -34,9 +34,9 @@ def with_wrench(item: Recorded, change: Callable[[np.ndarray, np.ndarray], tuple
 TURN = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
 
 SPOKEN: dict[str, tuple[Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]], str]] = {
-    "35-sign-flipped": (lambda f, t: (-f, -t), "is the sign reversed?"),
-    "36-another-frame": (lambda f, t: (TURN @ f, TURN @ t), "is the frame another one?"),
-    "38-millinewtons": (lambda f, t: (1e3 * f, 1e3 * t), "is the unit another one?"),
+    "35-sign-flipped": (lambda f, t: (-f, -t), "check the sign"),
+    "36-another-frame": (lambda f, t: (TURN @ f, TURN @ t), "check the frame"),
+    "38-millinewtons": (lambda f, t: (1e3 * f, 1e3 * t), "check the unit"),
 }
 
 
@@ -60,7 +60,7 @@ def test_a_sensor_that_is_declared_wrongly_is_named(name: str, rig: Rig) -> None
     wrong = [with_wrench(item, change) for item in before + after]
     rig.send(wrong)
     moving, *_ = rig.twin.session.identifier.add(silenced(rig.twin.samples(wrong)))
-    rig.says(begin, ERROR, "/wrench: ", says, "Its rows are left out, those before too, until ~/reset")
+    rig.says(begin, ERROR, "/wrench: ", says, "Its rows are left out, including earlier ones, until ~/reset")
     rig.settled(begin)
     rig.assert_same_as_twin()
     left_out = {"rows rejected: wrench doubtful: /wrench": str(AXES * len(moving))}
@@ -96,7 +96,7 @@ def test_a_sensor_that_changes_is_named(name: str, rig: Rig) -> None:
     for part in range(0, len(messages), PART):
         rig.send(messages[part : part + PART])
         rig.settled()
-    rig.says(begin, ERROR, "gap at wrench/fz", "was the sensor tared", "Rows of /wrench are left out until")
+    rig.says(begin, ERROR, "gap at wrench/fz", "the sensor was tared", "Rows of /wrench are left out until")
     assert rig.trigger("save")[0], "what waits is judged by now"
     rows = json.loads((rig.out / "estimate.json").read_text())["rows"]
     left_out = rows["rejected"]["wrench changed: /wrench"]

@@ -280,7 +280,7 @@ def test_the_older_one_serves_with_a_warning(tmp_path: Path) -> None:
         file.write(b"damage")
     with closing(Checkpoints(session(), tmp_path, 3600.0)) as kept:
         assert kept.status.error == ""
-        assert f"goes on from checkpoint 1 with {of.identifier.rows} rows" in kept.status.warning
+        assert f"resumed from checkpoint 1 with {of.identifier.rows} rows" in kept.status.warning
         assert "checkpoint-b.safetensors is not used: the checksum is wrong" in kept.status.warning
 
 

@@ -125,7 +125,7 @@ def test_a_port_that_is_taken_is_said_and_without_one_another_is_taken(stage: St
     third = stage.start("geomid_ros", "dashboard", "--port", str(port))
     stage.observer.wait_for(lambda: not third.running, "its end", PATIENCE)
     assert third.status() == 2
-    assert f"port {port} of 127.0.0.1 cannot be had" in third.output
+    assert f"port {port} of 127.0.0.1 is not available" in third.output
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGKILL])

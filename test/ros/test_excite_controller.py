@@ -91,13 +91,13 @@ def test_a_goal_is_the_trajectory_and_may_succeed(controller: ActionController) 
 def test_a_goal_that_is_not_accepted_is_told(controller: ActionController) -> None:
     controller.send(MOTION)
     Client.last.goals[0][1].fulfil(SimpleNamespace(accepted=False))
-    assert "gave up the motion: not accepted" in controller.problem
+    assert "aborted the motion: not accepted" in controller.problem
 
 
 def test_a_goal_that_is_aborted_is_told(controller: ActionController) -> None:
     controller.send(MOTION)
     Client.last.accept(0).fulfil(ended(FollowJointTrajectory.Result.PATH_TOLERANCE_VIOLATED, "path tolerance"))
-    assert controller.problem == "the controller gave up the motion: path tolerance"
+    assert controller.problem == "the controller aborted the motion: path tolerance"
 
 
 def test_a_goal_that_was_replaced_may_fail(controller: ActionController) -> None:
@@ -111,7 +111,7 @@ def test_a_goal_that_was_replaced_may_fail(controller: ActionController) -> None
 def test_a_server_that_goes_is_told(controller: ActionController) -> None:
     Client.last.there = False
     assert not controller.ready
-    assert "the controller is gone: nobody serves /arm_controller/follow_joint_trajectory" in controller.problem
+    assert "the controller is gone: nothing serves /arm_controller/follow_joint_trajectory" in controller.problem
 
 
 def test_the_message_has_all_points() -> None:

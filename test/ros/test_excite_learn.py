@@ -38,7 +38,7 @@ def test_without_execute_and_without_consent_nothing_moves(stage: Stage) -> None
     process = learn(stage)
     assert status(stage, process) == 0, process.output
     assert "Round 1: 1 x 5 s" in process.output
-    assert "First to the start, 0.200 rad (m) away" in process.output
+    assert "Approach: 0.200 rad (m) to the start" in process.output
     assert "Nothing has moved" in process.output
     page = stage.folder / "out/round1/motion.html"
     assert page.exists()
@@ -62,7 +62,7 @@ def test_from_a_urdf_to_an_identified_robot_until_nothing_worth_it_is_left(stage
     for said in ("Round 1:", "Masses after round 1", "Masses after round 2"):
         stage.observer.wait_for(lambda said=said: said in process.output or not process.running, said)
     assert status(stage, process) == 0, process.output
-    assert "Nothing worth it is left: 5 s more would lower the expected error by" in process.output
+    assert "Stopped: 5 s more would lower the expected error by" in process.output
     rounds = sorted((stage.folder / "out").iterdir(), key=lambda folder: int(folder.name.removeprefix("round")))
     assert len(rounds) >= 2
     assert f"Identified from {len(rounds)} rounds: {rounds[-1] / 'identified.urdf'}" in process.output
@@ -94,8 +94,8 @@ def test_a_round_that_is_stopped_ends_it_and_the_way_to_go_on_is_said(stage: Sta
     process.send(signal.SIGINT)
     assert status(stage, process) == 2
     said, first = process.output.partition("Error: ")[2], stage.folder / "out/round1"
-    assert "round 2: the motion was stopped: interrupted. The robot stands." in said
-    assert f"What was learned until then is in {first}. To go on from there: the same with --from {first}" in said
+    assert "round 2: the motion was stopped: interrupted. The robot is at rest." in said
+    assert f"The result so far is in {first}. To continue, repeat the command with --from {first}" in said
     on = learn(stage, "--from", first / "estimate.json", "--out", stage.folder / "on")
     assert status(stage, on) == 0, on.output
     reports = (stage.folder / out / "round1/excitation.json" for out in ("out", "on"))
@@ -107,4 +107,4 @@ def test_before_anything_is_identified_there_is_nothing_to_go_on_from(stage: Sta
     controller(stage)
     said = refused(stage, "--execute", "--yes", "--controller", "/nobody")
     assert "round 1: --controller /nobody" in said
-    assert "Nothing is identified yet. To begin again: the same with another --out" in said
+    assert "Nothing is identified yet. To start again, repeat the command with another --out" in said

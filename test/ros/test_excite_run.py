@@ -66,8 +66,8 @@ def test_without_execute_nothing_moves(stage: Stage) -> None:
     controller(stage, start=0.5)
     process = excite(stage, bump(JOINTS, 4.0))
     assert status(stage, process) == 0, process.output
-    assert "First to the start, 0.300 rad (m) away" in process.output
-    assert "20 % of its speed: 20.0 s" in process.output
+    assert "Approach: 0.300 rad (m) to the start" in process.output
+    assert "Motion: 20.0 s at 20 % of its speed" in process.output
     assert "Nothing has moved" in process.output
     assert commands == []
     assert np.all(column(heard, "position") == 0.5)
@@ -144,7 +144,7 @@ def test_what_goes_wrong_stops_it_and_the_bag_is_whole(case: str, stage: Stage) 
     assert robot.running
     if fault == STRONG:
         rests(stage, heard, commands)
-    assert "The robot stands" in process.output
+    assert "The robot is at rest" in process.output
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
@@ -153,7 +153,7 @@ def test_a_signal_stops_it_and_the_bag_is_whole(number: signal.Signals, stage: S
     process, heard, commands = under_way(stage, bump(JOINTS, 20.0, amplitude=1.5), *PATIENT)
     process.send(number)
     assert status(stage, process) == 2
-    assert "Error: the motion was stopped: interrupted. The robot stands. Recorded until then:" in process.output
+    assert "Error: the motion was stopped: interrupted. The robot is at rest. Recorded until then:" in process.output
     rests(stage, heard, commands)
     assert len(states(stage.folder / "out/run1")) > 10
 
@@ -195,7 +195,7 @@ def test_a_robot_that_is_killed_is_silent(stage: Stage) -> None:
     robot.send(signal.SIGKILL)
     assert status(stage, process) == 2
     assert "stopping: no joint states for" in process.output
-    assert "Whether the robot stands is not known" in process.output
+    assert "It is not known whether the robot is at rest" in process.output
     assert len(states(stage.folder / "out/run1")) > 10
 
 
@@ -220,12 +220,12 @@ def refused(stage: Stage, *arguments: str | Path) -> str:
 
 
 def test_what_is_not_there_is_named(stage: Stage) -> None:
-    assert "nothing comes on robot_description; name the robot's URDF with --urdf" in refused(stage)
-    assert "no joint states on /joint_states: does the driver run?" in refused(stage, "--urdf", URDF)
+    assert "no message on robot_description; give the URDF with --urdf" in refused(stage)
+    assert "no joint states on /joint_states: check that the driver runs" in refused(stage, "--urdf", URDF)
     controller(stage)
     message = refused(stage, "--controller", "/arm_controller", "--execute")
-    assert "nobody listens to /arm_controller/joint_trajectory" in message
-    assert "these are there: /joint_trajectory_controller" in message
+    assert "nothing subscribes to /arm_controller/joint_trajectory" in message
+    assert "available: /joint_trajectory_controller" in message
     assert "unknown joint of topic robot_description" in refused_motion(stage, joint_names=["joint1", "joint2", "x"])
 
 
@@ -233,13 +233,13 @@ def test_a_robot_that_is_out_of_its_range_is_not_moved(stage: Stage) -> None:
     """The first joint's range ends at 2.8."""
     controller(stage, start=2.9)
     message = refused(stage, "--execute")
-    assert "joint 'joint1' is at 2.900, out of its range -2.8 to 2.8 in the URDF: bring it back" in message
+    assert "joint 'joint1' is at 2.900, outside its range -2.8 to 2.8 in the URDF: move it back" in message
 
 
 def test_what_is_in_the_way_is_named_before_anything_moves(stage: Stage) -> None:
     controller(stage)
     inside = refused(stage, "--execute", "--avoid", "box:0,0,0.6,0.5,0.5,0.5")
-    assert "where the robot is, " in inside
+    assert "at the present pose, " in inside
     assert " and box:0,0,0.6,0.5,0.5,0.5 overlap by " in inside
     assert "exclude each other" in refused(stage, "--no-collision", "--avoid", "plane:0,0,1,-1")
 

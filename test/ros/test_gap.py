@@ -26,7 +26,7 @@ ARM3 = {"robot_description": description("arm3")}
 SECONDS = 32.0
 CHANGE = 22.0  # [s] when the friction grows
 LEVEL = 1.0  # [N m] of the friction at joint2
-LOOKING = (True, "looking; the finding comes on ~/gap")
+LOOKING = (True, "search started; the result is published on ~/gap")
 
 
 @pytest.fixture(scope="module")
@@ -106,7 +106,7 @@ def finding(stage: Stage) -> Any:
 
 
 def test_the_answer_comes_at_once(found: Found) -> None:
-    assert found.answers == [LOOKING, (False, "already looking; the finding comes on ~/gap")]
+    assert found.answers == [LOOKING, (False, "already running; the result is published on ~/gap")]
 
 
 def test_live_finds_what_is_found_in_the_bag(found: Found) -> None:
@@ -173,7 +173,7 @@ def test_friction_that_grows_opens_a_gap(stage: Stage, rubbing: list[Recorded]) 
     assert observer.trigger("/geomid/find_gap") == LOOKING
     observer.wait_for(lambda: findings, "a finding")
     document = json.loads(findings[0].data)
-    assert document["compared_with"].startswith("compared with what was identified before the gap")
+    assert document["compared_with"].startswith("compared with the estimate before the gap")
     (found,) = (f for f in document["findings"] if f["confidence"] == "confident")
     assert found["joint"] == "joint2"
     assert found["parameters"]["level"]["value"] == pytest.approx(2.0 * LEVEL, rel=0.05), "as it is now"
@@ -190,7 +190,7 @@ def test_what_cannot_be_looked_at_is_refused(stage: Stage) -> None:
     stage.serving(forgetful, "forgetful/geomid")
     trigger = stage.observer.trigger
     assert trigger("/waiting/geomid/find_gap") == (False, "no robot description yet")
-    assert trigger("/forgetful/geomid/find_gap") == (False, "nothing to look at: the parameter gap.memory is 0")
+    assert trigger("/forgetful/geomid/find_gap") == (False, "no messages in memory: the parameter gap.memory is 0")
     assert trigger("/geomid/find_gap") == (False, "no data yet")
 
 

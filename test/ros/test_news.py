@@ -45,11 +45,11 @@ def test_data_that_come_are_said_once_in_their_second_second() -> None:
     assert said(*(status(count) for count in counts)) == [
         [],
         [],
-        ["joint_states comes, 100 messages a second"],
+        ["joint_states: receiving 100 messages/s"],
         [],
         [],
         [],
-        ["joint_states comes, 100 messages a second"],
+        ["joint_states: receiving 100 messages/s"],
     ]
 
 
@@ -67,15 +67,15 @@ def test_the_first_estimate_and_every_link_that_becomes_known_are_said_once() ->
     ]
     assert said(*seconds) == [
         [],
-        ["first estimate, from 7 rows; known: b 2.000 ± 0.010 kg; not yet: a, c"],
+        ["first estimate, from 7 rows; identified: b 2.000 ± 0.010 kg; not identified yet: a, c"],
         [],
-        ["known now: a 2.000 ± 0.010 kg, c 2.000 ± 0.010 kg"],
+        ["identified: a 2.000 ± 0.010 kg, c 2.000 ± 0.010 kg"],
         [],
     ]
 
 
 def test_after_a_reset_there_is_a_first_estimate_again() -> None:
-    first = ["first estimate, from 7 rows; no link's mass is known by itself yet"]
+    first = ["first estimate, from 7 rows; no mass is individually identifiable yet"]
     nothing, some = status(0), status(0, {"a": False})
     assert said(some, nothing, some) == [first, [], first]
 
@@ -90,7 +90,7 @@ def test_the_same_news_are_said_once_a_minute(monkeypatch: pytest.MonkeyPatch) -
     monkeypatch.setattr(module, "time", SimpleNamespace(monotonic=lambda: now[0]))
     console = Console(log)
     for second in range(301):
-        console.tell_news([f"joint_states comes, {second} messages a second"])
+        console.tell_news([f"joint_states: receiving {second} messages/s"])
         now[0] += 1.0
     assert [line for line, _ in log.lines] == ["info"] * (1 + 300 // int(AGAIN))
 
@@ -101,7 +101,7 @@ def test_a_node_says_what_comes_and_what_it_has_found(stage: Stage) -> None:
     stage.spin_while(player)
     stage.observer.wait_for(lambda: "first estimate, from" in node.output, "the first estimate")
     lines = re.findall(r"\[INFO\] \S+ \[geomid\]: (.*)", node.output)
-    assert re.fullmatch(r"joint_states comes, \d+ messages a second", lines[1])
+    assert re.fullmatch(r"joint_states: receiving \d+ messages/s", lines[1])
     assert lines[0].startswith("identifying 3 links")
 
 

@@ -52,7 +52,7 @@ def test_a_payload_is_weighed_live(tmp_path: Path) -> None:
         assert ask("/geomid/payload/empty") == (False, "no data yet")
         feed(stage, empty, len(empty))
         success, answer = ask("/geomid/payload/loaded")
-        assert (success, answer.startswith("the motion without the payload comes first")) == (False, True)
+        assert (success, answer.startswith("no motion without the payload yet")) == (False, True)
         success, answer = ask("/geomid/payload/empty")
         assert success
         assert "20 s without the payload" in answer

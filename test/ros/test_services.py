@@ -50,7 +50,7 @@ def test_reset_forgets(stage: Stage, tmp_path: Path) -> None:
     stage.fed({"joint_states": EACH, "/wrench": EACH})
     assert observer.trigger("/geomid/save")[0]
     before = json.loads((tmp_path / "out/estimate.json").read_text())["rows"]["accepted"]
-    assert observer.trigger("/geomid/reset") == (True, "all rows forgotten")
+    assert observer.trigger("/geomid/reset") == (True, "all rows discarded")
     success, reason = observer.trigger("/geomid/save")
     assert not success
     assert "no usable rows" in reason

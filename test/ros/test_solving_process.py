@@ -159,9 +159,9 @@ def test_a_process_that_is_killed_is_replaced(busy: bool, solving: SolvingProces
             assert_same(results[0], expected)
         else:
             os.kill(before, signal.SIGKILL)
-            wait_until(lambda: "has ended" in solving.warning)
+            wait_until(lambda: "died" in solving.warning)
             assert_same(ours.identifier.solve(), expected)
-        assert "started again" in solving.warning
+        assert "restarted" in solving.warning
         assert pid(solving) not in killed
     assert parent(pid(solving)) == os.getpid()
 
@@ -186,7 +186,7 @@ def test_one_that_ends_in_every_solve_is_started_after_pauses(
     monkeypatch.setattr(solving, "_answer", ends)
     monkeypatch.setattr(solving, "_begin", lambda method: (begun.append(now[0]), begin(method)))
     for _ in range(500):
-        with pytest.raises(GeomidError, match="the solving process has ended"):
+        with pytest.raises(GeomidError, match="the solver process died"):
             ours.identifier.solve()
         now[0] += 1.0
     pauses = np.diff(begun)
@@ -241,8 +241,8 @@ def test_a_process_that_does_not_come_to_an_end_is_ended(
     wait_until(solving._solving.locked)
     assert_same(ours.identifier.solve(), theirs.identifier.solve())
     thread.join(PATIENCE)
-    assert str(given_up[0]) == "the solve was given up"
-    assert "started again" in solving.warning
+    assert str(given_up[0]) == "the solve was aborted"
+    assert "restarted" in solving.warning
 
 
 def test_91_a_node_whose_process_is_killed_goes_on(tmp_path: Path) -> None:
@@ -257,11 +257,11 @@ def test_91_a_node_whose_process_is_killed_goes_on(tmp_path: Path) -> None:
                 if b"resource_tracker" not in Path(f"/proc/{process}/cmdline").read_bytes():
                     os.kill(process, signal.SIGKILL)
             rig.feed(part)
-            rig.says(begin, WARN, "the solving process has ended")
+            rig.says(begin, WARN, "the solver process died")
         values = rig.settled()
         assert values["joint_states accepted"] == values["joint_states received"]
         rig.assert_same_as_twin()
-        rig.says(0, WARN, "was started again")
+        rig.says(0, WARN, "was restarted")
 
 
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM, signal.SIGINT])

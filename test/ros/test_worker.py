@@ -518,7 +518,7 @@ def test_the_intake_outlives_whatever_fails_behind_a_message(quiet: Watched, mon
     quiet.final()
     status = quiet.worker.status(active=True)
     assert status.accounts["joint_states"].accepted == 400
-    assert status.failures["the intake failed: ZeroDivisionError: division by zero"] > 0
+    assert status.failures["message processing failed: ZeroDivisionError: division by zero"] > 0
     assert status.rows_made == status.rows + status.rows_rejected.total()
 
 

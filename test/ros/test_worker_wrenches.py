@@ -257,7 +257,7 @@ def test_a_load_that_the_joints_feel_is_no_fault_of_the_sensor(working: Working,
     status = working.feed(after)
     opened = {gap.channel for gap in status.gaps if gap.since is not None}
     assert {"wrist/fz", "joint1"} <= opened
-    assert "Its rows are taken" in said(status)
+    assert "Its rows are used" in said(status)
     assert not status.changed_sensors
     assert_same(working.final(), samples(items))
 
@@ -269,7 +269,7 @@ def test_who_forgets_in_time_takes_what_has_changed() -> None:
     with closing(Working(forgetting_time=20.0)) as working:
         status = working.feed(items)
         first_suspect(status, "wrist/fz")
-        assert "Its rows are taken" in said(status)
+        assert "Its rows are used" in said(status)
         assert_same(working.final(), samples(items), forgetting_time=20.0)
     with closing(Working(forgetting_time=20.0)) as working:
         working.feed(wrong)

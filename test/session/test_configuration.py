@@ -268,7 +268,7 @@ def test_what_is_no_parameter_file_is_refused(case: str, tmp_path: Path) -> None
 def test_files_that_cannot_be_opened_are_named(tmp_path: Path) -> None:
     (tmp_path / "latin.yaml").write_bytes(b"a: \xff")
     unread = "the parameter file cannot be read"
-    reasons = {"none.yaml": unread, "": "no regular file, as a parameter file is", "latin.yaml": unread}
+    reasons = {"none.yaml": unread, "": "not a regular file; expected a parameter file", "latin.yaml": unread}
     for name, reason in reasons.items():
         with pytest.raises(InputError, match=f"{tmp_path / name}: {reason}"):
             Configuration.read(tmp_path / name)

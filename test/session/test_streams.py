@@ -255,7 +255,7 @@ CASES = {
     "78-an-effort-is-constant": Case(spoil=stuck(-3.7), cause=STUCK, doubtful=True, sigmas=np.inf),
     "78-an-effort-is-zero": Case(spoil=stuck(0.0), cause=STUCK, doubtful=True, sigmas=np.inf),
     "82-names-exchanged": Case(
-        spoil=renamed, cause="the names of joints 'joint2' and 'joint3' are exchanged", doubtful=True, sigmas=np.inf
+        spoil=renamed, cause="the names of joints 'joint2' and 'joint3' are swapped", doubtful=True, sigmas=np.inf
     ),
     "83-unit-in-mid-run": Case(spoil=another_unit, noted="efforts change at once by a factor of about", doubtful=True),
     "85-mostly-nan": Case(spoil=mostly_nan, refused="effort of 'joint3' missing or not finite"),

@@ -15,11 +15,11 @@ from geomid_ros.commands.excite.run import run
 @design_options
 @click.pass_context
 def excite(context: click.Context, /, **options: Any) -> None:
-    """Design a motion from which much is learned.
+    """Design an exciting trajectory.
 
-    Writes a trajectory that is feasible at every instant: position, speed, acceleration, jerk, effort with a margin
-    for inertias that are not known yet, and a clearance between all links and their surroundings. It is at rest at
-    both ends.
+    Writes an informative trajectory that is feasible at every instant: within the limits of position, speed,
+    acceleration and jerk, within the effort limits with a margin for uncertain inertias, and with a clearance between
+    all links and obstacles. It begins and ends at rest.
     """
     if context.invoked_subcommand is None:
         design(**options)

@@ -26,7 +26,7 @@ def design_options(command: Callable[..., None]) -> Callable[..., None]:
         click.option(
             "--settle",
             type=click.Path(path_type=Path),
-            help="Tell the rivals apart that this gap.json names.",
+            help="Discriminate between the rival effects of this gap.json.",
         ),
         motion_options,
     ):

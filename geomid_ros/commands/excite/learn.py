@@ -35,7 +35,7 @@ _FIRST = 0.2  # of the speed
     callback=share_of,
     help="Stop when another round would lower the expected error by less than this.",
 )
-@click.option("--rounds", default=10, show_default=True, type=click.IntRange(1), help="Stop after so many.")
+@click.option("--rounds", default=10, show_default=True, type=click.IntRange(1), help="Largest number of rounds.")
 @click.option("--yes", is_flag=True, help="Do not ask before each round.")
 @robot_run_options
 @click.option("--out", default=Path("geomid_out/learn"), **OUT)
@@ -53,13 +53,13 @@ def learn(
     out: Path,
     **options: Any,
 ) -> None:
-    """Identify a robot: design a motion, run it, identify, and design the next from what is known then.
+    """Identify a robot in rounds: design, run, identify.
 
-    Goes on until nothing that is worth it is left to learn (--until). The first motion is designed for a fifth of the
-    speed. Without --execute it only designs the first motion and says what would be done. Each round is asked for
-    before anything moves, and leaves its motion, its recording and what was identified from all recordings so far in
-    a folder of its own. What stops a motion is what stops 'geomid excite run', and ends the command, which then says
-    how to go on. Needs ROS 2.
+    Each round designs a trajectory for what is still uncertain, runs it, and identifies from all recordings so far.
+    Stops when another round is not worth it (--until). Without --execute it only designs the first motion and prints
+    the plan. The first motion is designed for a fifth of the speed. Asks before each round, and writes its motion,
+    recording and result into a folder. Any stop of 'geomid excite run' ends the command, which then says how to
+    continue. Needs ROS 2.
     """
     from geomid_ros.api.excite import robot_to_excite
     from geomid_ros.api.options import RobotOptions
@@ -70,15 +70,15 @@ def learn(
     learning = _Learning(robot, chosen, wish_of(options), out, options)
     for designed in learning.designs(rounds):
         if learning.found and designed.learning.gain < until:
-            click.echo(f"Nothing worth it is left: {designed.not_worth(until)}")
+            click.echo(f"Stopped: {designed.not_worth(until)}")
             break
         learning.show(designed)
         if not execute:
             learning.plan(designed)
-            click.echo("\nNothing has moved. To move: the same with --execute")
+            click.echo("\nNothing has moved. To run it, add --execute")
             return
         if not yes and not click.confirm(f"Run this motion ({learning.folder / 'motion.html'} plays it)?"):
-            click.echo(f"Round {learning.number} is not run")
+            click.echo(f"Round {learning.number} was not run")
             break
         learning.run(designed)
         learning.identify()
@@ -173,11 +173,11 @@ class _Learning:
     def _to_go_on(self) -> str:
         """What there is after a round that was stopped, and how to go on."""
         if self.found is None:
-            return "Nothing is identified yet. To begin again: the same with another --out"
+            return "Nothing is identified yet. To start again, repeat the command with another --out"
         estimate = self.result / "estimate.json"
         return (
-            f"What was learned until then is in {self.result}. To go on from there: the same with --from {estimate} "
-            "and another --out"
+            f"The result so far is in {self.result}. To continue, repeat the command with --from {estimate} and "
+            "another --out"
         )
 
     def _order(self, designed: Excitation) -> Any:

@@ -30,13 +30,14 @@ def surroundings_options(command: Callable[..., None]) -> Callable[..., None]:
             default=0.02,
             show_default=True,
             type=click.FloatRange(0.0),
-            help="Least distance of links from each other and from obstacles [m].",
+            help="Smallest distance between links, and to obstacles [m].",
         ),
         click.option(
             "--avoid",
             multiple=True,
             metavar="OBSTACLE",
-            help="box:X,Y,Z,LENGTH,WIDTH,HEIGHT (its centre), plane:NX,NY,NZ,OFFSET (solid below) or a mesh file "
+            help="Obstacle: box:X,Y,Z,LENGTH,WIDTH,HEIGHT (X,Y,Z is its centre), plane:NX,NY,NZ,OFFSET (solid below) "
+            "or a mesh file "
             "(each part counts as its convex hull), in metres in the base frame; may be repeated.",
         ),
     ):
@@ -60,19 +61,19 @@ def motion_options(command: Callable[..., None]) -> Callable[..., None]:
     """What a designed motion is asked for; see :func:`wish_of`."""
     for option in (
         surroundings_options,
-        click.option("--seed", default=0, show_default=True, help="Of the search; another one finds another motion."),
-        click.option("--lock", type=Names(), metavar="JOINTS", help="These joints stand at zero; separated by commas."),
+        click.option("--seed", default=0, show_default=True, help="Random seed; another seed finds another motion."),
+        click.option("--lock", type=Names(), metavar="JOINTS", help="Joints that stay at zero, separated by commas."),
         click.option(
             "--wrench",
             multiple=True,
             metavar="TOPIC:FRAME:ROLE[:AXES]",
-            help="A wrench sensor that is recorded, too; ROLE is mounted or external.",
+            help="Wrench sensor that will be recorded, too; ROLE is mounted or external.",
         ),
         click.option(
             "--from",
             "model",
             type=click.Path(path_type=Path),
-            help="Learn what this estimate.json does not know yet; posterior.npz is read beside it.",
+            help="Target what this estimate.json left uncertain; posterior.npz is read beside it.",
         ),
         click.option(
             "--for",
@@ -80,33 +81,39 @@ def motion_options(command: Callable[..., None]) -> Callable[..., None]:
             default="prediction",
             show_default=True,
             metavar="AIM",
-            help="prediction (of the efforts in other motions), friction, payload or link:NAME.",
+            help="What to identify: prediction (of efforts in other motions), friction, payload or link:NAME.",
         ),
         click.option(
             "--speed",
             default=0.5,
             show_default=True,
             type=click.FloatRange(0.0, 1.0, min_open=True),
-            help="Share of the velocity limits.",
+            help="Largest speed, as a share of the velocity limits.",
         ),
         click.option(
             "--start",
             metavar="Q",
-            help="Where it begins and ends: one number for each joint, separated by commas.",
+            help="Posture at both ends: one number for each joint, separated by commas.",
         ),
         click.option(
-            "--repeats", default=2, show_default=True, type=click.IntRange(1, 20), help="How often a period is run."
+            "--repeats", default=2, show_default=True, type=click.IntRange(1, 20), help="Number of repetitions."
         ),
         click.option(
             "--duration",
             default=20.0,
             show_default=True,
             type=click.FloatRange(2.0, 600.0),
-            help="Of all periods together [s].",
+            help="Total duration [s].",
         ),
-        click.option("--limits", type=click.Path(path_type=Path), help="joint_limits.yaml, as MoveIt has it."),
-        click.option("--xacro-arg", "xacro_args", multiple=True, metavar="NAME:=VALUE", help="For a xacro."),
-        click.option("--urdf", type=click.Path(path_type=Path), help="The robot's description, URDF or .xacro."),
+        click.option(
+            "--limits",
+            type=click.Path(path_type=Path),
+            help="Joint limits, in the format of MoveIt's joint_limits.yaml.",
+        ),
+        click.option(
+            "--xacro-arg", "xacro_args", multiple=True, metavar="NAME:=VALUE", help="Xacro argument; may be repeated."
+        ),
+        click.option("--urdf", type=click.Path(path_type=Path), help="Robot description, URDF or .xacro."),
     ):
         command = option(command)
     return command
@@ -123,11 +130,12 @@ def wish_of(options: dict[str, Any]) -> Wish:
 def robot_run_options(command: Callable[..., None]) -> Callable[..., None]:
     """Who moves the robot, and what stops it."""
     for option in (
-        click.option("--execute", is_flag=True, help="Move. Without it nothing moves."),
+        click.option("--execute", is_flag=True, help="Move the robot; without it nothing moves."),
         click.option(
             "--silence",
             type=click.FloatRange(0.0, min_open=True),
-            help="Stop where joint states stay away so long [s].  [default: 0.04, or three of their periods if that is "
+            help="Stop if no joint states arrive for this time [s].  [default: 0.04, or three of their periods if "
+            "that is "
             "longer]",
         ),
         click.option(
@@ -135,14 +143,14 @@ def robot_run_options(command: Callable[..., None]) -> Callable[..., None]:
             default=0.1,
             show_default=True,
             type=click.FloatRange(0.0, min_open=True),
-            help="Stop where a joint is so far from where it should be [rad, m].",
+            help="Stop if a joint is this far off its trajectory [rad, m].",
         ),
         click.option("--joint-topic", default="joint_states", show_default=True, help="Topic of the joint states."),
         click.option(
             "--controller",
             default="/joint_trajectory_controller",
             show_default=True,
-            help="Who is to follow the motion.",
+            help="Controller that follows the motion.",
         ),
     ):
         command = option(command)
@@ -156,7 +164,7 @@ def share_of(_context: click.Context, _option: click.Parameter, text: str | None
     except ValueError:
         share = -1.0
     if not 0.0 <= share < 1.0:
-        raise click.BadParameter(f"'{text}' is no share; expected e.g. 5%")
+        raise click.BadParameter(f"'{text}' is not a share; expected e.g. 5%")
     return share
 
 
@@ -165,4 +173,4 @@ def numbers(text: str | None) -> list[float]:
     try:
         return [] if text is None else [float(part) for part in text.split(",")]
     except ValueError as error:
-        raise InputError(f"--start is '{text}', expected numbers that are separated by commas") from error
+        raise InputError(f"--start is '{text}', expected numbers separated by commas") from error

@@ -24,14 +24,14 @@ _PERCENT = 100.0
 @click.option(
     "--urdf",
     type=click.Path(path_type=Path),
-    help="The robot's description, URDF or .xacro.  [default: that on the topic robot_description]",
+    help="Robot description, URDF or .xacro.  [default: the topic robot_description]",
 )
 @click.option(
     "--speed",
     default=0.2,
     show_default=True,
     type=click.FloatRange(0.0, 1.0, min_open=True),
-    help="Times the motion's own speed; raise it when the robot has shown that nothing is in its way.",
+    help="Factor on the speed of the motion; raise it once nothing is in the way.",
 )
 @robot_run_options
 @surroundings_options
@@ -40,11 +40,10 @@ _PERCENT = 100.0
 def run(trajectory: Path, urdf: Path | None, execute: bool, identify: bool, out: Path, **options: Any) -> None:
     """Run a motion on a robot, and record it.
 
-    Reads TRAJECTORY, as 'geomid excite' writes it. Says what would be done; with --execute the robot goes slowly to
-    the start, by a way on which nothing collides, then through the motion, at a fifth of its speed unless --speed says
-    otherwise. Ctrl-C stops it, and so does a joint that is not where it should be, leaves its range or needs more than
-    its effort limit, and silence. Nothing knows what --avoid does not name: keep the emergency stop at hand. Needs
-    ROS 2.
+    Reads TRAJECTORY, as written by 'geomid excite', and prints the plan. With --execute the robot moves slowly to the
+    start on a collision-free path, then runs the motion, by default at a fifth of its speed. It stops on Ctrl-C, if a
+    joint is off its trajectory, leaves its range or exceeds its effort limit, and if joint states stop. Obstacles that
+    --avoid does not name are unknown: keep the emergency stop at hand. Needs ROS 2.
     """
     from geomid_ros.api.arguments import description
     from geomid_ros.files.disk import check_writable
@@ -64,7 +63,7 @@ def run(trajectory: Path, urdf: Path | None, execute: bool, identify: bool, out:
     with ros.prepared_run(order) as prepared:
         show_plan(order, prepared.plan)
         if not execute:
-            click.echo("\nNothing has moved. To move: the same with --execute")
+            click.echo("\nNothing has moved. To run it, add --execute")
             return
         bag = _free(out)
         prepared.execute(bag, lambda said: click.echo(printable(said), err=True))
@@ -77,7 +76,7 @@ def ros_runs() -> ModuleType:
     try:
         from geomid_ros.ros.excite import run
     except ImportError as error:
-        raise InputError(f"ROS 2 is needed to run a motion, and cannot be imported ({error})") from error
+        raise InputError(f"running a motion needs ROS 2, which cannot be imported ({error})") from error
     return run
 
 
@@ -88,7 +87,7 @@ def show_plan(order: Order, plan: Plan) -> None:
     console = results_console()
     table = plain_table(f"{order.source} on {order.controller}")
     table.add_column("joint")
-    number_columns(table, ["now", "start", "way", "from", "to", "speed", "of its limit"])
+    number_columns(table, ["now", "start", "distance", "lowest", "highest", "speed", "of its limit"])
     motion, here = plan.motion, plan.way.positions[0]
     for index, joint in enumerate(motion.joints):
         positions, speed = motion.positions[:, index], motion.speeds[index]
@@ -100,10 +99,12 @@ def show_plan(order: Order, plan: Plan) -> None:
     for note in plan.notes:
         say(console, "Note:", f" {note}")
     console.print(
-        f"First to the start, {far:.3f} rad (m) away, in {plan.way.duration:.1f} s. Then the motion at "
-        f"{_PERCENT * order.speed:g} % of its speed: {motion.duration:.1f} s, at most {max(motion.speeds):.3f} rad/s "
-        f"(m/s).\nWhat stops it: Ctrl-C; {order.tolerance:g} rad (m) from where a joint should be; the URDF's limits "
-        f"of positions and efforts; {1e3 * plan.silence:.0f} ms without joint states."
+        f"Approach: {far:.3f} rad (m) to the start, in {plan.way.duration:.1f} s. Motion: {motion.duration:.1f} s at "
+        f"{_PERCENT * order.speed:g} % of its speed, at most {max(motion.speeds):.3f} rad/s (m/s).\nIt stops on "
+        f"Ctrl-C, if "
+        f"a joint is {order.tolerance:g} rad (m) off its trajectory, at the URDF's limits of positions and efforts, "
+        f"and "
+        f"after {1e3 * plan.silence:.0f} ms without joint states."
     )
 
 

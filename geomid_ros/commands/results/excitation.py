@@ -10,7 +10,7 @@ from geomid_ros.report import gap_words
 from geomid_ros.session.excitation import Excitation
 
 _PERCENT = 100.0
-_MOTIONS = ("before", "after\nthis", "after a\nrandom one", "after this,\ntwice")
+_MOTIONS = ("before", "designed", "random", "designed,\ntwice")
 
 
 def show(found: Excitation) -> None:
@@ -22,21 +22,21 @@ def show(found: Excitation) -> None:
     console.print(f"{form.repeats} x {form.period:g} s = {form.duration:g} s")
     console.print(_margins(found))
     if found.closest:
-        say(console, "Least distance:", f" {found.closest}")
+        say(console, "Smallest distance:", f" {found.closest}")
     console.print(_links(found))
     if found.task.knowledge.posterior.effects:
         console.print(_effects(found))
     for decision in found.decisions:
-        say(console, "Decides:" if decision.is_sure else "Does not decide:", f" {decision.sentence}")
+        say(console, "Discriminates:" if decision.is_sure else "Does not discriminate:", f" {decision.sentence}")
     say(console, "Expected error", f" {found.error}:")
     for sentence in found.learning.sentences:
         say(console, "", f"- {sentence}")
 
 
 def _margins(found: Excitation) -> Table:
-    table = plain_table("How much of each limit is used")
+    table = plain_table("Use of each limit")
     table.add_column("joint", overflow="fold")
-    number_columns(table, ["from", "to", "to limit", "speed", "acceleration", "jerk", "effort, with its margin"])
+    number_columns(table, ["lowest", "highest", "to limit", "speed", "acceleration", "jerk", "effort with margin"])
     margins, positions = found.margins, found.trajectory.positions
     for index, name in enumerate(found.task.feasibility.names):
         used = (margins.velocity, margins.acceleration, margins.jerk, margins.effort)

@@ -13,7 +13,7 @@ def show(found: FleetIdentification) -> None:
     table.add_column("robot")
     number_columns(table, ("bags", "mass [kg]", "distance"))
     table.add_column("verdict")
-    table.add_column("unlike the others")
+    table.add_column("differs from the others")
     table.add_column("changed")
     for line in found.lines:
         numbers = ("" if number is None else f"{number:.2f}" for number in (line.mass, line.distance))

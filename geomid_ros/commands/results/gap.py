@@ -38,21 +38,21 @@ def show(found: Gap) -> None:
     for simulation in found.simulated:
         console.print(_simulated_table(simulation))
     if found.not_simulated:
-        say(console, "Not simulated again", f"  {found.not_simulated}")
+        say(console, "No resimulation", f"  {found.not_simulated}")
     if result.ranking and result.verdict != "no gap":
         console.print(_candidates_table(result))
     for joint, times, variables in gap_words.not_explained(result):
-        left = f"{joint}: {gap_words.ratio(times)} times the floor remain, depending on {variables}"
-        say(console, "Not explained", f"  {left}")
+        left = f"{joint}: {gap_words.ratio(times)} times the floor remain; the residual depends on {variables}"
+        say(console, "Unexplained", f"  {left}")
     record = gap_words.to_record(result)
     if record:
-        say(console, "To record next", "")
+        say(console, "Next recording", "")
         for what in record:
             say(console, "", f"- {what}")
 
 
 def _findings_table(result: GapResult) -> Table:
-    table = plain_table("What was found")
+    table = plain_table("Findings")
     table.add_column("effect", no_wrap=True)
     table.add_column("where", overflow="fold", min_width=16)
     table.add_column("parameter")
@@ -79,12 +79,10 @@ def _sentences(result: GapResult) -> Iterator[str]:
 
 
 def _channels_table(result: GapResult) -> Table:
-    table = plain_table("Gap on held-out data, in units of the noise floor (1 is as good as any model can be)")
+    table = plain_table("Gap on held-out data, in units of the noise floor (no model can do better than 1)")
     table.add_column("\nchannel", overflow="fold")
     number_columns(table, ["\nfloor", "\nnominal", "inertias\nonly", "with\neffect", "\nexpected"])
-    table.add_column(
-        f"how far above the floor, logarithmic\n{_AFTER} after {_INERTIAS} inertias only {_BEFORE} nominal"
-    )
+    table.add_column(f"gap above the floor, logarithmic\n{_AFTER} after {_INERTIAS} inertias only {_BEFORE} nominal")
     gaps = (result.gap.before, result.gap.inertias_only, result.gap.after)
     end = max(2.0, *(gap_words.worst(values) for values in gaps))
     for k, (name, unit, floor) in enumerate(zip(result.channels, result.units, result.floor, strict=True)):
@@ -108,7 +106,7 @@ def _length(value: float, end: float) -> int:
 
 def _simulated_table(simulation: SimulatedAgain) -> Table:
     how = {"windows": "in short windows", "closed_loop": "in closed loop"}[simulation.kind]
-    table = plain_table(f"Simulated again {how}\n(times the noise)")
+    table = plain_table(f"Resimulation {how}\n(error in units of the noise)")
     table.add_column("channel", overflow="fold")
     number_columns(table, ["before", "after"])
     for name, before in simulation.errors["before"].items():
@@ -117,9 +115,9 @@ def _simulated_table(simulation: SimulatedAgain) -> Table:
 
 
 def _candidates_table(result: GapResult) -> Table:
-    table = plain_table("Candidates, the best first")
+    table = plain_table("Candidates, best first")
     table.add_column("candidate", overflow="fold")
-    number_columns(table, ["improves by", "separable", "chosen"])
+    number_columns(table, ["score gain", "separable", "chosen"])
     for entry in result.ranking[:_MOST_CANDIDATES]:
         chosen = "yes" if entry.chosen else ""
         table.add_row(gap_words.title(entry), f"{entry.gain:.1f}", gap_words.percent(entry.separability), chosen)

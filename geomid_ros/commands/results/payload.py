@@ -18,7 +18,7 @@ def show(found: Payload, controller: str | None) -> None:
     table.add_column("quantity")
     number_columns(table, ["value", "std"])
     table.add_column("unit")
-    table.add_column("told by the motions")
+    table.add_column("identifiable")
     rows = zip(QUANTITIES, found.inertial.quantities, found.inertial.std, UNITS, strict=True)
     for name, value, std, unit in rows:
         told = "no" if name in found.weighed.cannot_tell else "yes"

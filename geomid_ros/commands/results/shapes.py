@@ -22,11 +22,11 @@ def show(prior: ShapePrior, kept: Sequence[str]) -> None:
         volume = f"{1000.0 * shapes.volume(link.solid.moments):.3f}" if link.solid else ""
         table.add_row(link.name, _shape(link, kept), volume, before, after, link.verdict or "plausible")
     table.add_section()
-    table.add_row("together", "", "", f"{prior.mass_before:.3f}", f"{prior.mass:.3f}", "")
+    table.add_row("total", "", "", f"{prior.mass_before:.3f}", f"{prior.mass:.3f}", "")
     results_console().print(table)
 
 
 def _shape(link: LinkPrior, kept: Sequence[str]) -> str:
     if link.name in kept:
-        return "kept as it is"
-    return link.solid.shape if link.solid else "none, stays as it is"
+        return "kept"
+    return link.solid.shape if link.solid else "none, unchanged"

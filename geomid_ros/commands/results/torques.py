@@ -12,9 +12,9 @@ from geomid_ros.exports.torque_spread import RANGE, TorqueSpread
 def show(spread: TorqueSpread) -> None:
     """Print how much torques differ among drawn robots, and among those of ranges."""
     table = Table(
-        box=box.SIMPLE_HEAD, title="95 % bands of efforts in fast motion, root mean square", title_justify="left"
+        box=box.SIMPLE_HEAD, title="Width of the 95 % band of efforts in fast motion (RMS)", title_justify="left"
     )
-    for heading in ("joint", "drawn robots", f"ranges of ±{100 * RANGE:.0f} %", "share"):
+    for heading in ("joint", "sampled robots", f"ranges of ±{100 * RANGE:.0f} %", "ratio"):
         table.add_column(heading, justify="left" if heading == "joint" else "right")
     rows = zip(spread.joints, spread.units, spread.drawn, spread.ranges, strict=True)
     for name, unit, drawn, ranges in rows:

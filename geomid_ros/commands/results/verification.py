@@ -32,7 +32,7 @@ def show(found: Verification) -> None:
 
 
 def _channels(found: Verification) -> Table:
-    table = plain_table("RMS of what remains")
+    table = plain_table("RMS of the residual")
     table.add_column("channel", overflow="fold")
     number_columns(table, ["unit", "URDF", "model", "floor"])
     for channel in found.session.model.channels:
@@ -43,9 +43,9 @@ def _channels(found: Verification) -> Table:
 
 def _requirements(found: Verification) -> Table:
     table = plain_table("Requirements")
-    for heading in ("required", "of"):
+    for heading in ("requirement", "of"):
         table.add_column(heading, overflow="fold")
-    number_columns(table, ["is", "must be", "result"])
+    number_columns(table, ["value", "bound", "result"])
     for outcome in found.outcomes:
         result = "passed" if outcome.passed else "FAILED"
         table.add_row(outcome.requirement, outcome.what, _written(outcome.value), outcome.bound, result)

@@ -35,7 +35,7 @@ class RobotLimits:
         for name in joints:
             if name not in robot.joint_names:
                 unknown = unknown_name(f"joint of {robot.source}", name, robot.joint_names)
-                raise InputError(f"{source}: was made for another robot: {unknown}")
+                raise InputError(f"{source}: made for another robot: {unknown}")
         places = [robot.joint_names.index(name) for name in joints]
         lower, upper = robot.position_limits[places].T
         return RobotLimits(joints, lower, upper, robot.speed_limits[places], robot.effort_limits[places])
@@ -44,7 +44,7 @@ class RobotLimits:
         """Which joint is out of its range at a position ``(joints,)``, in a sentence, if one is."""
         for index in np.flatnonzero((position < self.lower - _OUTSIDE) | (position > self.upper + _OUTSIDE)):
             limits = f"{self.lower[index]:g} to {self.upper[index]:g}"
-            return f"joint '{self.joints[index]}' is at {position[index]:.3f}, out of its range {limits}"
+            return f"joint '{self.joints[index]}' is at {position[index]:.3f}, outside its range {limits}"
         return ""
 
 
@@ -65,7 +65,7 @@ def check_motion(motion: Trajectory, limits: RobotLimits, source: str) -> None:
     for index, joint in enumerate(motion.joints):
         if lowest[index] < limits.lower[index] - _SLACK or highest[index] > limits.upper[index] + _SLACK:
             raise InputError(
-                f"{source}: joint '{joint}' moves from {lowest[index]:.3f} to {highest[index]:.3f}, out of its range "
+                f"{source}: joint '{joint}' moves from {lowest[index]:.3f} to {highest[index]:.3f}, outside its range "
                 f"{limits.lower[index]:g} to {limits.upper[index]:g} in the URDF"
             )
         if motion.speeds[index] > limits.speeds[index] * (1.0 + _SLACK):

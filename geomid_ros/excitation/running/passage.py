@@ -72,7 +72,9 @@ class Passage:
         for posture in tried:
             if not self._obstacle(here, posture) and not self._obstacle(posture, there):
                 return [posture, there]
-        raise InputError(f"the way to the start is not free: {obstacle}; move the robot nearer to the start by hand")
+        raise InputError(
+            f"the approach to the start is not free: {obstacle}; move the robot closer to the start by hand"
+        )
 
     def _obstacle(self, here: FloatArray, there: FloatArray) -> str:
         """What is in the straight way, in words; empty if nothing is."""

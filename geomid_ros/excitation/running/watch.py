@@ -126,8 +126,8 @@ class Watch:
         if error[worst] <= self._tolerance:
             return ""
         return (
-            f"joint '{self._name(worst)}' is {error[worst]:.3f} rad (m) from where it should be, at "
-            f"{position[worst]:.3f} instead of {wanted[worst]:.3f}; {self._tolerance:g} are tolerated (--tolerance)"
+            f"joint '{self._name(worst)}' is {error[worst]:.3f} rad (m) off its trajectory, at "
+            f"{position[worst]:.3f} instead of {wanted[worst]:.3f}; {self._tolerance:g} are allowed (--tolerance)"
         )
 
     def _not_followed(self) -> str:
@@ -140,7 +140,8 @@ class Watch:
         most = int(np.argmax(asked))
         return (
             f"the controller does not follow: joint '{self._name(most)}' should have moved by {asked[most]:.3f} rad "
-            f"(m) in the last {_WINDOW:g} s and stands still. Is the controller active, and the robot enabled?"
+            f"(m) in the last {_WINDOW:g} s but stands still. Check that the controller is active and the robot is "
+            f"enabled"
         )
 
     def _name(self, index: int | np.integer[Any]) -> str:

@@ -110,7 +110,7 @@ class Bag:
         for count, (topic, time, kind, data) in enumerate(self._raw_messages(topics)):
             where = f"{self.path}: message on {topic} at {time} ns"
             if kind not in types.types:
-                raise InputError(f"{where} is of the type {kind}, which is none of those that come with ROS 2")
+                raise InputError(f"{where} has the type {kind}, which is not a standard ROS 2 type")
             if len(data) > _MOST_BYTES:
                 raise self._too_long(RawMessage(topic, time, kind, data))
             try:
@@ -121,7 +121,7 @@ class Bag:
 
     def _too_long(self, message: RawMessage) -> InputError:
         where = f"{self.path}: message on {message.topic} at {message.time} ns"
-        return InputError(f"{where} has {len(message.data)} bytes, more than the {_MOST_BYTES} that are read")
+        return InputError(f"{where} has {len(message.data)} bytes, more than the maximum of {_MOST_BYTES}")
 
     def not_valid(self, topic: str, time: int, kind: str, reason: str, count: int) -> InputError:
         """The error for a message whose bytes are not of its type, after ``count`` others."""
@@ -208,10 +208,10 @@ def _bag_files(path: Path, scratch: Callable[[], Path]) -> _BagFiles:
         return _in_folder(path, scratch)
     if path.suffix == ".bag":
         command = ["rosbags-convert", "--src", str(path), "--dst", str(path.with_suffix("")), *_TO_JAZZY]
-        raise InputError(f"{path}: a bag of ROS 1, which this command makes one of ROS 2: {shlex.join(command)}")
+        raise InputError(f"{path}: a bag of ROS 1; convert it with: {shlex.join(command)}")
     if path.suffix not in _SUFFIXES.values():
         expected = f"expected a bag's folder, or a file that ends in {' or '.join(_SUFFIXES.values())}"
-        raise InputError(f"{path}: cannot be read as a rosbag2 recording, it is of the wrong type; {expected}")
+        raise InputError(f"{path}: cannot be read as a rosbag2 recording, it has the wrong type; {expected}")
     return _BagFiles((_checked(path),), path.suffix)
 
 
@@ -226,7 +226,7 @@ def _in_folder(path: Path, scratch: Callable[[], Path]) -> _BagFiles:
         mode, method = (information.get("compression_mode") or "none").lower(), information.get("compression_format")
     except (KeyError, TypeError, AttributeError) as error:
         what = f"no valid {error}" if isinstance(error, KeyError) else str(error)
-        raise InputError(f"{metadata}: cannot be read, {what}; 'ros2 bag reindex' writes it anew") from error
+        raise InputError(f"{metadata}: cannot be read, {what}; 'ros2 bag reindex' rewrites it") from error
     if mode == "none":
         return _BagFiles(tuple(paths), suffix)
     if mode not in ("file", "message") or method not in METHODS:
@@ -246,11 +246,11 @@ def _without_metadata(path: Path) -> _BagFiles:
     files = _files_in(path)
     if len({file.suffix for file in files}) == 1:
         names = ", ".join(file.name for file in files)
-        warning = f"{path}: has no {_METADATA}, as if its recorder was killed; read is what it has: {names}"
+        warning = f"{path}: has no {_METADATA} (was its recorder killed?); reading its files: {names}"
         return _BagFiles(tuple(map(_checked, files)), files[0].suffix, warnings=(warning,))
     inside = [bag for bag in bags_in(path) if bag != path]
-    hint = f"name one of those in it ({inside[0]})" if inside else "name a bag's folder, or one of its files"
-    raise InputError(f"{path}: a folder without {_METADATA} is no rosbag; {hint}")
+    hint = f"name one of its bags ({inside[0]})" if inside else "name a bag's folder, or one of its files"
+    raise InputError(f"{path}: a folder without {_METADATA} is not a rosbag; {hint}")
 
 
 def _checked(path: Path) -> Path:

@@ -90,7 +90,7 @@ class Database:
         """Look at the whole file. Raises TornError or FaultError."""
         self._check_size(header)
         if journal := self._beside("-journal"):
-            raise TornError(f"{journal.name} has a part of it, and 'sqlite3 FILE VACUUM' joins them")
+            raise TornError(f"{journal.name} holds a part of it; 'sqlite3 FILE VACUUM' merges both")
         self._check_schema()
         self._check_pages()
         self._read_topics()
@@ -120,7 +120,7 @@ class Database:
         try:
             for identity, time, data in rows:
                 if not isinstance(time, int) or not isinstance(data, bytes):
-                    raise FaultError("a message's time is no integer, or its data are no bytes")  # noqa: TRY301
+                    raise FaultError("a message's time is not an integer, or its data are not bytes")  # noqa: TRY301
                 count, last = count + 1, time
                 yield RawMessage(self._topics[identity][0], time, self._topics[identity][1], data)
         except FaultError as fault:
@@ -146,7 +146,7 @@ class Database:
         with self._path.open("rb") as file:
             header = file.read(_HEADER)
         if not (header.startswith(_MAGIC) or _MAGIC.startswith(header)):
-            raise damaged(self._path, FaultError("it does not begin as an SQLite database does", 0), Part(0, 0, ""))
+            raise damaged(self._path, FaultError("it does not begin with an SQLite header", 0), Part(0, 0, ""))
         return header
 
     def _check_size(self, header: bytes) -> None:
@@ -162,11 +162,11 @@ class Database:
         for name, text in self._query("SELECT name, sql FROM sqlite_master WHERE sql IS NOT NULL"):
             plain = re.sub(r"\s+", " ", text.replace('"', "")[:_MOST_SCHEMA]) if isinstance(text, str) else ""
             if not _PLAIN.fullmatch(plain):
-                raise FaultError(f"{str(name)[:50]!r} is not of the plain tables and indices that rosbag2 writes")
+                raise FaultError(f"{str(name)[:50]!r} is not a plain table or index as written by rosbag2")
         for table, needed in _NEEDED.items():
             found = {row[1] for row in self._query(f"PRAGMA table_info({table})")}
             if not needed <= found:
-                raise FaultError(f"no rosbag2 database: it has no table '{table}' with {', '.join(sorted(needed))}")
+                raise FaultError(f"not a rosbag2 database: it has no table '{table}' with {', '.join(sorted(needed))}")
 
     def _check_pages(self) -> None:
         ((answer,),) = self._query("PRAGMA integrity_check(1)")
@@ -183,7 +183,7 @@ class Database:
     def _read_topics(self) -> None:
         for identity, name, kind, encoding in self._query("SELECT id, name, type, serialization_format FROM topics"):
             if not all(isinstance(text, str) for text in (name, kind, encoding)):
-                raise FaultError("a topic's name or type is no text")
+                raise FaultError("a topic's name or type is not text")
             self._topics[identity] = name, kind if encoding == "cdr" else f"{kind} in {encoding}"
         self.counts = dict.fromkeys(self._topics.values(), 0)
 

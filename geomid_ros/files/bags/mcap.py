@@ -31,7 +31,7 @@ _MOST_STRETCHES = 1_000_000
 _MOST_PENDING = 1 << 28  # bytes of messages that are held at once: those of a chunk, and of others that overlap it
 _BYTES_BESIDE_DATA = 250  # of a message that is held
 T = TypeVar("T")
-_TOO_MUCH = "its chunks are too large, or overlap in time too much; 'mcap sort' may put them in order"
+_TOO_MUCH = "its chunks are too large, or overlap too much in time; 'mcap sort' may help"
 _RESCUE = "'mcap recover' may save it"
 
 
@@ -158,7 +158,7 @@ class McapFile:
         """Look at the whole file."""
         first = self._bytes(0, len(_MAGIC))
         if not _MAGIC.startswith(first):
-            raise FaultError("it does not begin as an mcap file does", 0)
+            raise FaultError("it does not begin with an MCAP header", 0)
         if first != _MAGIC:
             raise TornError("the file is empty" if not first else "the file ends in its first bytes", 0)
         data_end = 0
@@ -231,7 +231,7 @@ class McapFile:
                 if kind == _MESSAGE:
                     channel, _, time, _ = _MESSAGE_HEAD.unpack_from(record)
                     if channel not in self._channels:
-                        raise ValueError(f"a message of channel {channel}, which was not announced")  # noqa: TRY301
+                        raise ValueError(f"a message of channel {channel}, which was not declared")  # noqa: TRY301
                     counted[channel] += 1
                     first, last = min(first, time), max(last, time)
                 elif kind == _SCHEMA:
@@ -273,7 +273,7 @@ class McapFile:
         except (ValueError, struct.error) as error:
             raise FaultError(f"its header, {error}", begin) from error
         if profile != "ros2":
-            raise FaultError(f"it is of the profile {profile[:20]!r}, expected 'ros2'", begin)
+            raise FaultError(f"its profile is {profile[:20]!r}, expected 'ros2'", begin)
 
     def _number(self, begin: int, size: int) -> int:
         """The number of ``size`` bytes at an offset."""
@@ -295,7 +295,7 @@ class McapFile:
 
 def _set_once(table: dict[int, T], key: int, value: T, what: str) -> None:
     if table.setdefault(key, value) != value:
-        raise ValueError(f"{what} {key} is announced twice, and differently")
+        raise ValueError(f"{what} {key} is declared twice, with different content")
 
 
 def _chunk_data(fields: _Fields, last: bool) -> tuple[bytes | memoryview, bool, bool]:
@@ -328,6 +328,6 @@ def _records(data: memoryview, torn: bool = False) -> Iterator[tuple[int, memory
         if length > len(data) - begin:
             if torn:
                 return
-            raise ValueError("a record is longer than what it is in")
+            raise ValueError("a record is longer than its container")
         yield kind, data[begin : begin + length]
         begin += length

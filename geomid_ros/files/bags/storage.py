@@ -68,7 +68,7 @@ class Part:
     def __str__(self) -> str:
         if not self.count:
             return "No message before that can be read"
-        return f"Only a part can be read: {self.count} messages, up to {self.time * 1e-9:.3f} s. {self.rescue}"
+        return f"Only a part is readable: {self.count} messages, up to {self.time * 1e-9:.3f} s. {self.rescue}"
 
 
 def damaged(path: Path, fault: FaultError, part: Part) -> InputError:
@@ -78,8 +78,8 @@ def damaged(path: Path, fault: FaultError, part: Part) -> InputError:
 
 def cut_off(path: Path, fault: FaultError, count: int, time: int) -> str:
     """The sentence on a file that ends too early, with ``count`` whole messages, the last at ``time`` [ns]."""
-    whole = f"its {count} whole messages are read, up to {time * 1e-9:.3f} s" if count else "it has no whole message"
-    return f"{path}: cut off{_place(fault)}, {fault}; {whole}"
+    whole = f"its {count} intact messages are read, up to {time * 1e-9:.3f} s" if count else "it has no intact message"
+    return f"{path}: truncated{_place(fault)}, {fault}; {whole}"
 
 
 def _place(fault: FaultError) -> str:

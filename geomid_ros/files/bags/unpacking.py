@@ -40,11 +40,11 @@ def unpacked(data: bytes | memoryview, method: str, size: int) -> bytes | memory
     Raises ValueError if it cannot be, or is too large.
     """
     if size > MOST_BYTES:
-        raise ValueError(f"{size} bytes are packed in {len(data)}, more than the {MOST_BYTES} that are allowed")
+        raise ValueError(f"{size} bytes unpacked from {len(data)}, more than the maximum of {MOST_BYTES}")
     result = data if not method else _unpacked(data, method, size + 1)
     if len(result) != size:
         found = "more" if len(result) > size else len(result)
-        raise ValueError(f"what should unpack to {size} bytes unpacks to {found}")
+        raise ValueError(f"expected {size} unpacked bytes, found {found}")
     return result
 
 
@@ -101,7 +101,7 @@ def unpack_file(path: Path, target: Path, method: str) -> None:
             if size > most:
                 raise ValueError(f"it unpacks to more than {_MOST_RATIO} times its size")
             if size > room:
-                raise ValueError(f"{target.parent} has no room for what it unpacks to; set TMPDIR to another folder")
+                raise ValueError(f"{target.parent} has no room to unpack it; set TMPDIR to another folder")
             file.write(piece)
 
 

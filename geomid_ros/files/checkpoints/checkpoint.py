@@ -166,7 +166,7 @@ def _factor(numbers: FloatArray, channel: Channel) -> FloatArray:
     width = len(channel.columns) + 1
     rows = next((rows for rows in range(width + 1) if _packed(rows, width) == numbers.size), None)
     if rows is None:
-        raise InputError(f"channel '{channel.name}' has {numbers.size} numbers, no triangle of {width} columns")
+        raise InputError(f"channel '{channel.name}' has {numbers.size} numbers, not a triangle of {width} columns")
     factor = np.zeros((rows, width))
     for index, row in enumerate(factor):
         begin = _packed(index, width)
@@ -176,14 +176,14 @@ def _factor(numbers: FloatArray, channel: Channel) -> FloatArray:
 
 def _count(value: Any) -> int:
     if type(value) is not int or not 0 <= value < _LARGEST_COUNT:
-        raise InputError(f"{value!r:.80} is no count")
+        raise InputError(f"{value!r:.80} is not a count")
     return value
 
 
 def _number(value: Any) -> float:
     """A number as JSON has it, which may be infinite: 1e999. Those who use it check that."""
     if type(value) is not float:
-        raise InputError(f"{value!r:.80} is no number")
+        raise InputError(f"{value!r:.80} is not a number")
     return value
 
 

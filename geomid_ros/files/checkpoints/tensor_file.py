@@ -46,7 +46,7 @@ def unpack(content: bytes) -> tuple[dict[str, str], dict[str, FloatArray]]:
     """The texts and vectors of a file. Raises InputError for what :func:`pack` cannot have made."""
     body, checksum = content[:-_DIGEST], content[-_DIGEST:]
     if hashlib.sha256(body).digest() != checksum:
-        raise InputError("the checksum is wrong: damaged, or not whole")
+        raise InputError("the checksum is wrong: damaged or truncated")
     length = int.from_bytes(body[:_LENGTH], "little")
     if length > min(MOST_HEADER, len(body) - _LENGTH):
         raise InputError("the header is longer than the file, or than is allowed")
@@ -54,7 +54,7 @@ def unpack(content: bytes) -> tuple[dict[str, str], dict[str, FloatArray]]:
     numbers = body[_LENGTH + length :]
     texts, _ = header.pop(_TEXTS, None), header.pop(_CHECKSUM, None)
     if not isinstance(texts, dict) or not all(isinstance(text, str) for text in texts.values()):
-        raise InputError("the header has no texts")
+        raise InputError("the header has no text")
     vectors, end = {}, 0
     for name, entry in header.items():
         begin, end = end, _end(name, entry, end, len(numbers))
@@ -72,7 +72,7 @@ def _end(name: str, entry: Any, begin: int, limit: int) -> int:
         raise InputError(f"the header does not say where {name!r} lies")
     expected = {"dtype": "F64", "shape": [(end - begin) // 8], "data_offsets": [begin, end]}
     if entry != expected or (end - begin) % 8:
-        raise InputError(f"the header describes {name!r} otherwise than as a vector of float64")
+        raise InputError(f"the header does not describe {name!r} as a vector of float64")
     return end
 
 
@@ -88,4 +88,4 @@ def parsed(text: str) -> dict[str, Any]:
 
 
 def _refuse(constant: str) -> None:
-    raise ValueError(f"{constant} is no JSON")
+    raise ValueError(f"{constant} is not JSON")

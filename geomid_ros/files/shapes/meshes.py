@@ -47,7 +47,7 @@ class MeshFinder:
         for path in candidates:
             if path.exists() and not path.is_dir():
                 return path
-        raise InputError(f"{where}: the mesh '{uri}' is not there. {_advice(uri, candidates)}")
+        raise InputError(f"{where}: the mesh '{uri}' was not found. {_advice(uri, candidates)}")
 
     def _folders(self, package: str) -> list[Path]:
         if package in self._packages:
@@ -63,11 +63,11 @@ def _path_list(variable: str) -> list[str]:
 
 
 def _advice(uri: str, candidates: list[Path]) -> str:
-    looked = f"Looked at {', '.join(map(str, candidates))}. " if candidates else ""
+    looked = f"Looked in {', '.join(map(str, candidates))}. " if candidates else ""
     if not uri.startswith("package://"):
         return looked.rstrip()
     package = uri.removeprefix("package://").partition("/")[0]
-    return f"{looked}Say where the package is: --package-path {package}=FOLDER, or source its workspace"
+    return f"{looked}Locate the package: --package-path {package}=FOLDER, or source its workspace"
 
 
 def read_mesh(path: Path, where: str) -> tuple[trimesh.Trimesh, bool]:
@@ -78,7 +78,7 @@ def read_mesh(path: Path, where: str) -> tuple[trimesh.Trimesh, bool]:
     """
     suffix = path.suffix.lower()
     if suffix not in SUFFIXES:
-        raise InputError(f"{where}: {path} is no mesh that can be read; expected {', '.join(SUFFIXES)}")
+        raise InputError(f"{where}: {path} is not a readable mesh; expected {', '.join(SUFFIXES)}")
     try:
         content = read_bytes(path, "mesh", _MOST_BYTES)
     except InputError as error:
@@ -91,7 +91,7 @@ def read_mesh(path: Path, where: str) -> tuple[trimesh.Trimesh, bool]:
         raise InputError(f"{where}: {path} cannot be read ({error})") from error
     vertices = unit * np.asarray(loaded.vertices, dtype=np.float64)
     if not len(loaded.faces) or not np.all(np.isfinite(vertices)):
-        raise InputError(f"{where}: {path} has no triangles of finite corners")
+        raise InputError(f"{where}: {path} has no triangles with finite vertices")
     mesh = trimesh.Trimesh(vertices, loaded.faces, process=True)
     if mesh.is_watertight and mesh.is_winding_consistent and mesh.volume < 0.0:
         mesh.invert()
@@ -100,4 +100,4 @@ def read_mesh(path: Path, where: str) -> tuple[trimesh.Trimesh, bool]:
     try:
         return mesh.convex_hull, False
     except QhullError as error:
-        raise InputError(f"{where}: {path} is flat, it encloses no volume") from error
+        raise InputError(f"{where}: {path} is flat and encloses no volume") from error

@@ -37,8 +37,8 @@ def link_shapes(urdf: str, path: Path, packages: Mapping[str, Path]) -> dict[str
             found[name] = [ConvexShape(name, vertices) for vertices in outlines]
     if not found:
         raise InputError(
-            f"{path}: no link has a <collision> or <visual> shape, so that nothing tells where links collide; add "
-            "shapes, or give --no-collision if nothing can"
+            f"{path}: no link has a <collision> or <visual> shape to check for collisions; add shapes, or "
+            "give --no-collision if nothing can collide"
         )
     return found
 

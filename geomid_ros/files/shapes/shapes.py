@@ -54,9 +54,9 @@ class ShapeReader:
     def warnings(self) -> list[str]:
         """One sentence for each thing that was found, with all links where it was."""
         found = {
-            "of no volume and left out": self._no_volume,
-            "convex hulls taken of meshes whose surface is not closed": self._hulls,
-            "shapes that cannot be joined, so that what they share counts twice": self._doubled,
+            "shapes without volume, ignored": self._no_volume,
+            "meshes that are not closed, replaced by their convex hulls": self._hulls,
+            "shapes that cannot be merged, so their overlap counts twice": self._doubled,
         }
         return [f"{what}: {', '.join(dict.fromkeys(where))}" for what, where in found.items() if where]
 

@@ -35,12 +35,12 @@ def read_trajectory(path: Path) -> Trajectory:
     if not joints or len(set(joints)) != len(joints):
         raise InputError(f"{path}: joint_names must name every joint once, and at least one")
     if len(points) < 2:
-        raise InputError(f"{path}: {len(points)} points, expected two at least")
+        raise InputError(f"{path}: {len(points)} points, expected at least two")
     rows = list(_rows(path, points, len(joints)))
     times = np.array([time for time, _ in rows])
     late = np.flatnonzero(np.diff(times, prepend=-1e-9) <= 0.0)
     if len(late):
-        raise InputError(f"{path}: point {late[0]} is at {times[late[0]]:g} s, not after the one before it")
+        raise InputError(f"{path}: point {late[0]} is at {times[late[0]]:g} s, not after the previous one")
     positions, velocities, accelerations = np.moveaxis(np.array([numbers for _, numbers in rows]), 1, 0)
     return Trajectory(joints, times, positions, velocities, accelerations)
 
@@ -55,7 +55,7 @@ def _document(path: Path) -> Mapping[str, Any]:
         raise InputError(f"{path}: the {_WHAT} cannot be read ({' '.join(str(error).split())})") from error
     lists = isinstance(document, dict) and all(isinstance(document.get(key), list) for key in ("joint_names", "points"))
     if not lists:
-        raise InputError(f"{path}: no {_WHAT}: expected the lists joint_names and points, as 'geomid excite' writes")
+        raise InputError(f"{path}: not a {_WHAT}: expected the lists joint_names and points, as 'geomid excite' writes")
     return dict(document)
 
 
@@ -68,7 +68,9 @@ def _rows(path: Path, points: list[Any], joints: int) -> Iterator[tuple[float, F
             numbers = np.array([point[name] for name in _NUMBERS], dtype=np.float64)
         except (KeyError, TypeError, ValueError) as error:
             expected = f"{', '.join(_NUMBERS)} of {joints} numbers, and time_from_start: {{sec, nanosec}}"
-            raise InputError(f"{path}: point {index} has not what a point has: {expected}") from error
+            raise InputError(f"{path}: point {index} is incomplete; expected {expected}") from error
         if numbers.shape != (3, joints) or not np.all(np.isfinite([seconds, *numbers.ravel()])):
-            raise InputError(f"{path}: point {index} must have {joints} finite {', '.join(_NUMBERS)}, one by joint")
+            raise InputError(
+                f"{path}: point {index} must have {joints} finite {', '.join(_NUMBERS)}, one for each joint"
+            )
         yield seconds, numbers

@@ -27,14 +27,14 @@ class CoulombFriction(JointEffect):
 
     name = "coulomb_friction"
     label = "Coulomb friction"
-    meaning = "effort level sign(v), its sign tanh(v/smoothing); smoothing is 0.02 where it is not said"
+    meaning = "effort level sign(v), its sign tanh(v/smoothing); smoothing is 0.02 by default"
     parameters = (
         ParameterForm("level", EFFORT, above=0.0, urdf="dynamics/friction", mjcf="joint/frictionloss"),
         SMOOTHING,
     )
     said_first = 1
     usual_constant = SMOOTHING.name
-    settled_by = "a slow motion of this joint to and fro, at several constant speeds"
+    settled_by = "slow motion of this joint, back and forth at several constant speeds"
     alike_one_way = "effort_offset"
     is_dry_friction = True
 

@@ -24,7 +24,7 @@ class _CoupledMotor(PairEffect):
 
     adds_up = False
     before_gear = True
-    settled_by: ClassVar[str] = "a motion of either joint alone, and of both together"
+    settled_by: ClassVar[str] = "motion of each joint alone, and of both together"
 
     @classmethod
     def variants(cls) -> tuple[Effect, ...]:

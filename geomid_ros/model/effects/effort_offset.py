@@ -14,14 +14,14 @@ class EffortOffset(JointEffect):
 
     name = "effort_offset"
     label = "an offset of the measured effort"
-    meaning = "measured effort = true + offset; beside a gain, gain (true + offset)"
+    meaning = "measured effort = true + offset; with a gain, gain (true + offset)"
     parameters = (ParameterForm("offset", EFFORT),)
     like_a_payload = True
     alike_one_way = "coulomb_friction"
     of_sensor = True
     # Gravity is of the same form where a joint turns little: a wider prior lets an offset stand in for a mass.
     expected_share = 0.05
-    settled_by = "a recording in which gravity loads this joint to both sides"
+    settled_by = "a recording in which gravity loads this joint in both directions"
 
     def column(self, motion: JointMotion) -> FloatArray:
         return np.ones_like(motion.velocity)

@@ -23,7 +23,7 @@ class GravityTilt(SituationEffect):
     parameters = tuple(
         ParameterForm(name, ("rad", "rad"), above=-math.pi, below=math.pi, mjcf="option/gravity") for name in _NAMES
     )
-    settled_by = "a slow motion of the first joint through its range with the arm stretched out"
+    settled_by = "slow motion of the first joint over its range, with the arm stretched out"
     place = "robot"
     count = 2
     largest = 0.5  # [rad] a base that is farther from level is mounted otherwise

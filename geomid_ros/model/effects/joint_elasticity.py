@@ -18,7 +18,7 @@ class JointElasticity(SituationEffect):
     label = "an elastic gear"
     meaning = "link position = measured (motor) position - tau/stiffness"
     parameters = (ParameterForm("stiffness", ("N m/rad", "N/m"), above=0.0, mjcf="elasticity/stiffness"),)
-    settled_by = "faster motions, or an encoder on the link's side"
+    settled_by = "faster motion, or an encoder on the link side"
     adds_up = False
     like_a_payload = True
     first_order = True

@@ -11,10 +11,10 @@ class LoadFriction(LoadEffect):
     """Friction in proportion to the effort that the gear transmits: effort ``c |tau| sign(v)``."""
 
     name = "load_friction"
-    label = "friction in proportion to the load"
+    label = "load-dependent friction"
     meaning = "effort coefficient |tau| sign(v)"
     parameters = (ParameterForm("coefficient", ("-", "-"), above=0.0, below=1.0),)
-    settled_by = "the same motion with a known payload and without"
+    settled_by = "the same motion with and without a known payload"
     largest = 1.0  # nothing of the effort would pass
 
     @property

@@ -19,7 +19,7 @@ class Payload(Effect):
         *(ParameterForm(name, ("kg m^2", "kg m^2"), optional=True, urdf=_URDF, mjcf=_MJCF) for name in INERTIA_NAMES),
     )
     said_first = 4
-    settled_by = "the same motion with and without what the link carries, or a wrench sensor that carries the link"
+    settled_by = "the same motion with and without the payload, or a wrench sensor that carries the link"
     place = "link"
     like_a_payload = True
     adds_up = False

@@ -15,10 +15,10 @@ class QuadraticFriction(JointEffect):
     """
 
     name = "quadratic_friction"
-    label = "friction in proportion to the square of speed"
+    label = "friction proportional to the square of the speed"
     meaning = "effort coefficient v |v|"
     parameters = (ParameterForm("coefficient", ("N m s^2/rad^2", "N s^2/m^2")),)
-    settled_by = "a motion that moves this joint at several constant speeds up to its fastest"
+    settled_by = "this joint at several constant speeds, up to its fastest"
 
     def column(self, motion: JointMotion) -> FloatArray:
         return motion.velocity * np.abs(motion.velocity)

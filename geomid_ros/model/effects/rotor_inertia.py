@@ -19,7 +19,7 @@ class RotorInertia(JointEffect):
     )
     like_a_payload = True
     before_gear = True
-    settled_by = "fast accelerations of this joint alone with the links after it stretched out and folded"
+    settled_by = "fast accelerations of this joint alone, with the distal links stretched out and folded"
 
     def column(self, motion: JointMotion) -> FloatArray:
         return motion.acceleration

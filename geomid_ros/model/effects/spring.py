@@ -25,7 +25,7 @@ class Spring(JointEffect):
             "equilibrium", ("rad", "m"), optional=True, mjcf="joint/springref", gazebo="gazebo/springReference"
         ),
     )
-    settled_by = "a slow sweep of this joint through its range in several postures of the others"
+    settled_by = "slow sweeps of this joint over its range, in several postures of the others"
     adds_up = False
     contains = "effort_offset"
     like_a_payload = True

@@ -31,7 +31,7 @@ class StribeckFriction(JointEffect):
 
     name = "stribeck_friction"
     label = "Stribeck friction"
-    meaning = "effort sign(v) (level + excess exp(-(v/speed)^2)); smoothing as of coulomb_friction"
+    meaning = "effort sign(v) (level + excess exp(-(v/speed)^2)); smoothing as in coulomb_friction"
     parameters = (
         ParameterForm("level", EFFORT, above=0.0, optional=True, urdf="dynamics/friction", mjcf="joint/frictionloss"),
         ParameterForm("excess", EFFORT),  # the coefficient: positive and in units as the level
@@ -40,7 +40,7 @@ class StribeckFriction(JointEffect):
     )
     said_first = 3
     usual_constant = SMOOTHING.name
-    settled_by = "runs of this joint at constant speeds from creeping to fast"
+    settled_by = "this joint at several constant speeds, from creeping to fast"
     constant = "speed"
     adds_up = False
     contains = "coulomb_friction"

@@ -22,7 +22,7 @@ class ViscousFriction(JointEffect):
             drake="dynamics/damping",
         ),
     )
-    settled_by = "a motion that moves this joint at several constant speeds"
+    settled_by = "this joint at several constant speeds"
 
     def column(self, motion: JointMotion) -> FloatArray:
         return motion.velocity

@@ -20,7 +20,7 @@ class WrenchOffset(SensorEffect):
         *(ParameterForm(name, ("N", "N"), optional=True) for name in ("fx", "fy", "fz")),
         *(ParameterForm(name, ("N m", "N m"), optional=True) for name in ("tx", "ty", "tz")),
     )
-    settled_by = "still poses with the sensor turned to all sides"
+    settled_by = "static poses with the sensor in many orientations"
     like_a_payload = True
     of_sensor = True
     corrected_in_samples = True

@@ -49,7 +49,7 @@ class TopicController:
 
     @property
     def problem(self) -> str:
-        return "" if self.ready else f"the controller is gone: nobody listens to {self.name} any more"
+        return "" if self.ready else f"the controller is gone: nothing subscribes to {self.name} any more"
 
     def send(self, trajectory: Trajectory) -> None:
         self._publisher.publish(message_of(trajectory))
@@ -72,7 +72,7 @@ class ActionController:
 
     @property
     def problem(self) -> str:
-        return self._refusal or ("" if self.ready else f"the controller is gone: nobody serves {self.name} any more")
+        return self._refusal or ("" if self.ready else f"the controller is gone: nothing serves {self.name} any more")
 
     def send(self, trajectory: Trajectory) -> None:
         goal = self._action.Goal()
@@ -83,7 +83,7 @@ class ActionController:
 
     def _on_answer(self, number: int, handle: Any) -> None:
         if not handle.accepted:
-            self._refuse(number, "not accepted. Is the controller active, and are these its joints?")
+            self._refuse(number, "not accepted; check that the controller is active and has these joints")
             return
         handle.get_result_async().add_done_callback(lambda future: self._on_result(number, future.result().result))
 
@@ -93,7 +93,7 @@ class ActionController:
 
     def _refuse(self, number: int, why: str) -> None:
         if number == self._goals:  # one that was replaced is expected to fail
-            self._refusal = f"the controller gave up the motion: {why}"
+            self._refusal = f"the controller aborted the motion: {why}"
 
 
 def message_of(trajectory: Trajectory) -> JointTrajectory:
@@ -139,8 +139,10 @@ def find_controller(node: Node, controller: str, look: Callable[[], object]) -> 
         for topic, kinds in node.get_topic_names_and_types()
         if _KIND in kinds and node.count_subscribers(topic)
     ]
-    there = f"these are there: {', '.join(sorted(others))}" if others else "no other is there: is it loaded and active?"
-    raise InputError(f"--controller {controller}: nobody listens to {ways[-1].name}; {there}")
+    there = (
+        f"available: {', '.join(sorted(others))}" if others else "there is no other; check that it is loaded and active"
+    )
+    raise InputError(f"--controller {controller}: nothing subscribes to {ways[-1].name}; {there}")
 
 
 def _action(node: Node, controller: str) -> list[Controller]:

@@ -114,7 +114,7 @@ class MotionRun:
     def _description(self) -> tuple[str, str]:
         text = self._robot.wait_for(lambda: self._robot.description or None, _PATIENCE)
         if text is None:
-            raise InputError("nothing comes on robot_description; name the robot's URDF with --urdf")
+            raise InputError("no message on robot_description; give the URDF with --urdf")
         return text, "topic robot_description"
 
     def _heard(self) -> JointState:
@@ -123,13 +123,15 @@ class MotionRun:
             return state
         topic, missing = self._robot.topic, sorted({*self._order.motion.joints} - self._robot.positions.keys())
         if not self._robot.positions:
-            raise InputError(f"no joint states on {topic}: does the driver run? --joint-topic names another topic")
-        what = f"nothing of {', '.join(missing)}" if missing else "no message has finite positions of all joints"
+            raise InputError(
+                f"no joint states on {topic}: check that the driver runs; --joint-topic names another topic"
+            )
+        what = f"no data of {', '.join(missing)}" if missing else "no message has finite positions of all joints"
         raise InputError(f"{topic}: {what}; {self._order.source} moves {', '.join(self._order.motion.joints)}")
 
     def _planned(self, robot: Robot, state: JointState) -> Plan:
         if outside := self._limits.out_of_range(state.position):
-            raise InputError(f"{outside} in the URDF: bring it back before anything else moves")
+            raise InputError(f"{outside} in the URDF: move it back first")
         motion = self._order.slowed
         silence = self._order.silence or max(_SILENCE, _PERIODS * self._robot.period(_LISTENING))
         postures, notes = self._postures(robot, state.position)
@@ -146,9 +148,9 @@ class MotionRun:
         heard = [self._robot.positions.get(name, np.nan) for name in robot.joint_names]
         passage = Passage(robot, motion.joints, np.nan_to_num(heard), collision)
         unwatched = without_touching(collision, passage.whole(start[None])[0]) if collision else ()
-        for where, position in (("where the robot is", here), ("at the start of the motion", start)):
+        for where, position in (("at the present pose", here), ("at the start of the motion", start)):
             if touching := passage.overlap(position):
-                raise InputError(f"{where}, {touching}; bring it elsewhere first, or correct --avoid")
+                raise InputError(f"{where}, {touching}; move it away first, or correct --avoid")
         passage.keep(np.array([here, start]), around.clearance)
         passage.check(motion, self._order.source)
         notes = ["" if collision else NOT_LOOKED, not_watched(unwatched)]
@@ -218,7 +220,7 @@ class MotionRun:
             heard += self._robot.look()
         lately = [state.position for state in heard if state.stamp > heard[-1].stamp - 1e9 * _LATELY]
         if len(lately) < 2:
-            return "Whether the robot stands is not known, as no joint states come: look at it"
+            return "It is not known whether the robot is at rest, as no joint states arrive: check it"
         if np.max(np.ptp(lately, axis=0)) > _RESTING * _LATELY:
             return "The robot still moves: use its emergency stop"
-        return "The robot stands"
+        return "The robot is at rest"

@@ -40,10 +40,10 @@ def test_a_motion_within_all_limits_is_taken(tmp_path: Path) -> None:
 
 def test_what_goes_too_far_or_too_fast_is_refused(tmp_path: Path) -> None:
     far = float(LIMITS.upper[0]) + 0.01 - 0.2
-    with pytest.raises(InputError, match=r"m.yaml: joint 'joint3' moves from 0.200 to .* out of its range"):
+    with pytest.raises(InputError, match=r"m.yaml: joint 'joint3' moves from 0.200 to .* outside its range"):
         check_motion(points(bump(LIMITS.joints, 9.0, far), tmp_path), LIMITS, "m.yaml")
     low = float(LIMITS.lower[0]) - 0.01 - 0.2
-    with pytest.raises(InputError, match=r"joint 'joint3' moves from .* to 0.200, out of its range"):
+    with pytest.raises(InputError, match=r"joint 'joint3' moves from .* to 0.200, outside its range"):
         check_motion(points(bump(LIMITS.joints, 9.0, low), tmp_path), LIMITS, "m.yaml")
     fastest = np.abs(BUMP.deriv()(np.linspace(0.0, 1.0, 60))).max()
     duration = 0.5 * float(fastest) / float(LIMITS.speeds[0])

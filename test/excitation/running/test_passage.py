@@ -63,7 +63,7 @@ def test_a_way_leads_around_what_is_in_between() -> None:
 def test_a_robot_that_is_enclosed_is_not_moved() -> None:
     walls = "box:0.6,0,0.6,1,0.02,1.6", "box:-0.6,0,0.6,1,0.02,1.6"
     found, _ = passage(*walls, "plane:0,0,-1,-1.2")
-    with pytest.raises(InputError, match=r"the way to the start is not free: \w+ and box:0.6.* collide; move"):
+    with pytest.raises(InputError, match=r"the approach to the start is not free: \w+ and box:0.6.* collide; move"):
         found.to(HERE, THERE)
 
 

@@ -69,7 +69,7 @@ def test_a_robot_that_follows_is_not_stopped(watch: Watch, lag: float, noise: fl
 def test_a_joint_that_is_pushed_away_stops_it_at_once(watch: Watch) -> None:
     time, why = stopped(watch, lambda time: state(time, push=np.array([0.0, -0.11 if time > FAULT else 0.0])))
     assert FAULT < time <= FAULT + 1.5 * PERIOD
-    assert why.startswith("joint 'b' is 0.110 rad (m) from where it should be")
+    assert why.startswith("joint 'b' is 0.110 rad (m) off its trajectory")
 
 
 def test_a_push_that_is_tolerated_does_not(watch: Watch) -> None:
@@ -101,7 +101,7 @@ def test_a_joint_that_leaves_its_range_stops_it_at_once(sign: float, tmp_path: P
     time, why = stopped(watch, lambda time: state(time, motion))
     assert 0.805 < sign * (motion.rows(np.array([time]))[0, 0] - 0.2) < 0.82
     assert why.startswith("joint 'a' is at")
-    assert why.endswith("out of its range -0.6 to 1")
+    assert why.endswith("outside its range -0.6 to 1")
 
 
 @pytest.mark.parametrize("slow", [1.0, 4.0])
