@@ -10,7 +10,8 @@ import click
 import geomid_ros
 from geomid_ros.commands.options import Names, package_option
 from geomid_ros.errors import one_line
-from geomid_ros.exports.formats import CONTROLLERS, DESCRIBED_FOR
+from geomid_ros.exports.formats import CONTROLLERS
+from geomid_ros.files.models.readers import DESCRIBED_FOR
 
 
 @click.command()

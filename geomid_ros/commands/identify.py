@@ -12,7 +12,7 @@ import click
 import geomid_ros
 from geomid_ros.commands.options import OUT, Names, recording_options, robot_options
 from geomid_ros.errors import one_line
-from geomid_ros.exports.formats import DESCRIBED_FOR
+from geomid_ros.files.models.readers import DESCRIBED_FOR
 
 
 @click.command()

@@ -24,9 +24,9 @@ from geomid_ros.exports import formats
 from geomid_ros.exports.inertial import Export
 from geomid_ros.exports.model import Model
 from geomid_ros.files.models.effect_forms import joint_attributes, unsaid
-from geomid_ros.files.models.handover import ELEMENTS
 from geomid_ros.files.models.mjcf import mjcf
 from geomid_ros.files.models.mjcf_shapes import mjcf_shapes
+from geomid_ros.files.models.readers import DESCRIBED_FOR, ELEMENTS
 from geomid_ros.files.models.urdf import with_effects
 from geomid_ros.files.models.urdf_extensions import for_drake, for_gazebo
 from geomid_ros.files.shapes.meshes import MeshFinder
@@ -165,7 +165,7 @@ def _locked(model: Model) -> list[str]:
 
 DESCRIPTIONS = dict(
     zip(
-        formats.DESCRIBED_FOR,
+        DESCRIBED_FOR,
         (
             Description(ELEMENTS["urdf"], (), formats.urdf_inertial, _urdf),
             Description(ELEMENTS["moveit"], _MOVEIT_NOTE, formats.urdf_inertial, _urdf),

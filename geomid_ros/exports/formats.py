@@ -90,8 +90,6 @@ def franka_commands(export: Export) -> str:
 
 CONTROLLERS = {"ur": PayloadFormat("tool0", ur_commands), "franka": PayloadFormat("link8", franka_commands)}
 """Controllers that take a payload, by the name of who is to read it."""
-DESCRIBED_FOR = ("urdf", "moveit", "isaac", "gazebo", "drake", "mujoco")
-"""Who reads descriptions of whole robots, in the order of :mod:`geomid_ros.exports.descriptions`."""
 JSON = "json"
 """Who reads drawn robots in one file, as ``estimate.json`` has links and effects."""
 

@@ -12,8 +12,9 @@ import numpy as np
 from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.exports.descriptions import DESCRIPTIONS, DescribedRobot, Whole
 from geomid_ros.files.models.effect_forms import finite, unsaid
-from geomid_ros.files.models.handover import ELEMENTS, URDF, WrittenModel
+from geomid_ros.files.models.handover import WrittenModel
 from geomid_ros.files.models.read_back import ReadBack, read_urdf_back
+from geomid_ros.files.models.readers import ELEMENTS, URDF
 from geomid_ros.files.models.results import model_effects
 from geomid_ros.files.models.urdf import inertia_of, with_inertials
 from geomid_ros.model.effects import effect_class

@@ -14,10 +14,11 @@ from geomid_ros.errors import InputError, unknown_name
 from geomid_ros.estimation.estimate import QUANTITIES
 from geomid_ros.exports.inertial import UncertainInertia
 from geomid_ros.files.models.effect_forms import coefficient, effects_of_dynamics, is_body, joint_attributes
-from geomid_ros.files.models.handover import URDF, written_for
+from geomid_ros.files.models.handover import written_for
 from geomid_ros.files.models.joint_frames import joint_frames
 from geomid_ros.files.models.judgements import doubt
 from geomid_ros.files.models.loaded_model import LoadedModel
+from geomid_ros.files.models.readers import URDF
 from geomid_ros.files.models.results import gravity_of, known_inertias, read_estimate
 from geomid_ros.files.models.robot_values import quantities_entry
 from geomid_ros.files.models.urdf import inertia_of, read_urdf, with_inertials

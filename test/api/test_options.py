@@ -117,7 +117,7 @@ def test_a_cutoff_is_that_of_the_parameter() -> None:
     ("wrong", "said"),
     [
         ({"gain": "fast"}, r"gain: 'fast' is not of the form \[JOINT=\]FACTOR"),
-        ({"lock": ["joint1", ""]}, "lock: an empty text"),
+        ({"lock": ["joint1", ""]}, "lock: the text is empty"),
         ({"cutoff": -1.0}, "filter.cutoff is -1"),
         ({"gravity": (0.0, 9.81)}, "gravity has 2 entries"),
     ],

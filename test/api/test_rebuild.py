@@ -36,7 +36,7 @@ def gap(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return out
 
 
-OF_SAMPLES = ("Measured against predicted", "Held-out data", "What was missing, and what is left", "What is missing")
+OF_SAMPLES = ("Measured and predicted", "Held-out data", "Residual, and what the findings explain", "Residual")
 
 
 def lines(path: Path) -> list[str]:

@@ -59,7 +59,7 @@ def test_an_empty_name_is_refused(option: str, text: str) -> None:
 
 
 def test_an_empty_mass_is_refused() -> None:
-    assert "known: an empty text" in refused("identify", BAG, "--urdf", URDF, *OUT, "--known", "")
+    assert "known: the text is empty" in refused("identify", BAG, "--urdf", URDF, *OUT, "--known", "")
 
 
 @pytest.mark.usefixtures("without_pictures")

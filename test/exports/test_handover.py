@@ -15,8 +15,8 @@ import geomid_ros
 from geomid_ros.api.identify import Identification
 from geomid_ros.exports.handover import HandedOver, Judged
 from geomid_ros.exports.model import read_model
-from geomid_ros.files.models.handover import READERS
 from geomid_ros.files.models.read_back import read_urdf_back
+from geomid_ros.files.models.readers import READERS
 from geomid_ros.files.models.urdf import with_inertials
 from geomid_ros.model.samples import Samples
 from geomid_ros.resimulation.read_back import read_mjcf_back

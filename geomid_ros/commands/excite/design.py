@@ -47,5 +47,5 @@ def design(*, start: str | None, until: float, out: Path, **options: Any) -> Non
         progress("writing", 0.0)
         files = found.save(out) if worth_it else []
     results.show(found.excitation)
-    no = f"Nothing is written: {found.excitation.not_worth(until)}"
+    no = f"Nothing was written: {found.excitation.not_worth(until)}"
     click.echo(f"\nWritten: {', '.join(map(str, files))}" if worth_it else f"\n{no}")

@@ -1,4 +1,4 @@
-"""What is written for whom: the elements that a reader of robot descriptions takes, and the model that they hold."""
+"""The model that is written for a reader: what its files hold of an estimate."""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ import math
 import reprlib
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
-from types import MappingProxyType
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -14,6 +13,7 @@ import numpy as np
 from geomid_ros.errors import InputError
 from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.files.models.effect_forms import combined, continued, effect_entry
+from geomid_ros.files.models.readers import ELEMENTS
 from geomid_ros.files.models.results import known_inertias, link_entry
 from geomid_ros.files.models.sidecar import effect_of
 from geomid_ros.files.models.urdf import inertia_of
@@ -22,26 +22,6 @@ from geomid_ros.model.measurement import Coefficient, MeasurementModel
 from geomid_ros.types import FloatArray
 
 _There: TypeAlias = dict[tuple[Place, Effect, int], tuple[Coefficient, float]]
-
-URDF, INTO = "urdf", "mjcf_joints"
-ELEMENTS: Mapping[str, tuple[str, ...]] = MappingProxyType(
-    {
-        URDF: ("urdf",),
-        "moveit": ("urdf",),
-        "isaac": ("urdf", "mjcf/joint/armature"),
-        "gazebo": ("urdf", "gazebo"),
-        "drake": ("urdf/link", "drake"),
-        "mujoco": ("mjcf",),
-        "mjcf_joints": ("mjcf/joint", "mjcf/body"),
-    }
-)
-"""By the name of who reads a description of the whole robot, the elements that it takes; see
-:meth:`~geomid_ros.model.effects.ParameterForm.said_by`. Isaac's armature stands in a file beside its URDF; an MJCF of
-the user's own takes what its bodies and joints say (:data:`INTO`)."""
-
-READERS = tuple(reader for reader in ELEMENTS if reader != "moveit")
-"""Those whose files differ."""
-
 
 @dataclass(frozen=True, eq=False)
 class WrittenModel:
