@@ -29,8 +29,9 @@ class Verification:
 
     Attributes:
         session: the robot and its model.
-        rms: by channel, RMS of what the model leaves (``value``), of what it left of the data that it was fitted to
-            (``floor``), and of what the URDF leaves (``urdf``); NaN where nothing is measured or known.
+        rms: by channel, RMS of what the model leaves (``value``), of the noise, or where the file does not say that of
+            what the model left of the data that it was fitted to (``floor``), and of what the URDF leaves (``urdf``);
+            NaN where nothing is measured or known.
         doubts: why the model or the recording is not to be believed.
         outcomes: what was required, and whether it is so.
     """
@@ -82,7 +83,10 @@ def verify(
         InputError: a file, an argument, a requirement or the data cannot be used.
     """
     required = [Requirement.parse(text) for text in texts(require)]
+    document = read_estimate(Path(model))
     parameters = configuration(config, model=model, floating_base=floating_base, wrench=wrench)
+    if "cutoff" in document and "filter.cutoff" not in parameters.given:  # the floor is that of a band
+        parameters = parameters.with_values({"filter.cutoff": _number(document["cutoff"])})
     recorded = Bags(fitted=bag_paths(validate), hold_out=0.0, topics=Topics(joint_topic, odom_topic))
     robot = description(urdf, recorded.fitted, model=model, xacro_args=xacro_args)
     relative = next((each for each in required if each.reference == "urdf"), None)
@@ -97,7 +101,7 @@ def verify(
         lambda session: read_fitted(session, recorded, progress),
     )
     session.settled.extend(robot.notes)
-    values = _values(session, samples, read_estimate(Path(model)))
+    values = _values(session, samples, document)
     doubts = recording_verdict(session.findings).reasons
     return Verification(
         session=session,
@@ -112,7 +116,7 @@ def _values(session: Session, samples: Sequence[Samples], document: Mapping[str,
     nominal, prior = session.nominal_parameters, session.prior
     found = nominal if prior is None else np.where(np.isnan(prior), nominal, prior)
     channels = [channel.name for channel in session.model.channels]
-    floors = _entry(_entry(document, "rms"), "train")
+    floors = _entry(document, "floor") or _entry(_entry(document, "rms"), "train")
     errors = zip(channels, *(session.rms(samples, each).tolist() for each in (found, nominal)), strict=True)
     bodies = session.model.body_names
     masses = [[*each, sum(each)] for each in (_masses(found, bodies), _masses(nominal, bodies))]

@@ -2,7 +2,8 @@
 
 ``estimate.json`` is a starting point like any other (:mod:`geomid_ros.files.models.results`), with less in it: of links
 ``name``, ``merged``, ``mass``, ``com`` and ``inertia``; ``effects`` of one coefficient at a joint; ``added``, the other
-effects, as the sidecar has them; and the ``verdict`` on the recording that it is from.
+effects, as the sidecar has them; the ``verdict`` on the recording that it is from; and the ``floor``, the standard
+deviation of each channel's noise [N m, N] below the ``cutoff`` [Hz], in which ``geomid verify`` judges it.
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from geomid_ros.files.disk import write_json, write_text
-from geomid_ros.files.models.effect_forms import coefficient_entry, combined, effect_entry, is_coefficient
+from geomid_ros.files.models.effect_forms import by_channel, coefficient_entry, combined, effect_entry, is_coefficient
 from geomid_ros.files.models.judgements import verdict_entry
 from geomid_ros.files.models.mjcf import mjcf
 from geomid_ros.files.models.results import FORMAT, link_entry
@@ -36,6 +37,15 @@ class ModelFiles:
     effects: Path | None = None
 
 
+@dataclass(frozen=True, eq=False)
+class NoiseFloor:
+    """The noise's standard deviation in each of ``channels``, ``stds (C,)``, below the ``cutoff`` [Hz]."""
+
+    channels: Sequence[str]
+    stds: FloatArray
+    cutoff: float
+
+
 def write_model(
     folder: Path,
     model: MeasurementModel,
@@ -44,12 +54,13 @@ def write_model(
     effects: Iterable[KnownEffect],
     gravity: FloatArray,
     findings: Sequence[Finding] = (),
+    floor: NoiseFloor | None = None,
 ) -> list[Path]:
     """Write the model with ``inertias (10,)`` of identified bodies by name and all of its ``effects`` into ``folder``;
     returns the files.
 
     ``gravity (3,)`` is that of a base which stands straight; ``findings`` are what seems to be wrong with the recording
-    that the model is from. Of effects that are there twice, see
+    that the model is from, whose ``floor`` is written if it is known. Of effects that are there twice, see
     :func:`~geomid_ros.files.models.effect_forms.combined`.
     """
     effects = combined(effects)
@@ -57,7 +68,8 @@ def write_model(
     merged = {body.name: body.merged for body in model.robot.bodies if body.name in bodies}
     removed = [name for names in merged.values() for name in names]
     judged = {"verdict": verdict_entry(recording_verdict(findings), findings)}
-    write_json(folder / ESTIMATE, _estimate(bodies, merged, effects) | judged)
+    noise = {} if floor is None else {"floor": by_channel(floor.channels, floor.stds), "cutoff": floor.cutoff}
+    write_json(folder / ESTIMATE, _estimate(bodies, merged, effects) | judged | noise)
     write_text(folder / URDF, with_effects(with_inertials(urdf, bodies, removed), effects))
     write_text(folder / MJCF, mjcf(model.robot, inertias, effects, model.sensors, gravity))
     write_sidecar(folder / EFFECTS_FILE, model.robot.name, effects)

@@ -31,13 +31,21 @@ class HeldOut:
 
     @cached_property
     def gap(self) -> Gap:
-        """Of all channels, in units of the floor."""
+        """Of all channels, in units of the floor, at the instants that are judged on."""
         names = self._analysis.names
         variance = self._last.variance(self._last.columns(names.chosen, self._prior.terms), names)
         unsure = self._times_floor(np.sqrt(variance))
         fits = (self._untouched, self._analysis.bare, names)
         before, bare, after = (self.times_floor(found) for found in fits)
         return Gap(before, bare, after, np.sqrt(1.0 + unsure**2))
+
+    @cached_property
+    def on_all(self) -> Gap:
+        """The same at all instants, those at rest and near reversals, too."""
+        trace = self.trace
+        fits = (trace.before, trace.inertias_only, trace.after)
+        before, bare, after = (_root_mean_square(trace.measured - each) / self._analysis.floor for each in fits)
+        return Gap(before, bare, after, self.gap.expected)
 
     @cached_property
     def with_curves(self) -> FloatArray:
@@ -92,3 +100,10 @@ class HeldOut:
         squares = np.sum(np.where(self._last.valid, residual, 0.0) ** 2, axis=0)
         counts = np.where(self.counts > 0.0, self.counts, np.nan)
         return np.asarray(np.sqrt(squares / counts) / self._analysis.floor)
+
+
+def _root_mean_square(left: FloatArray) -> FloatArray:
+    """Of each channel ``(C,)`` over what is measured; NaN where nothing is."""
+    counts = np.sum(np.isfinite(left), axis=0)
+    squares = np.where(counts > 0, np.nansum(left**2, axis=0), np.nan)
+    return np.asarray(np.sqrt(squares / np.maximum(counts, 1)))
