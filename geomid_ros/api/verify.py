@@ -16,7 +16,7 @@ from geomid_ros.files.models.results import read_estimate
 from geomid_ros.model.samples import Samples
 from geomid_ros.plausibility.requirements import TOTAL, Outcome, Requirement, Values
 from geomid_ros.plausibility.verdict import recording_verdict
-from geomid_ros.session.gap import gap_session
+from geomid_ros.session.gap import gap_session, rms_of_model
 from geomid_ros.session.locking import read_with_locked
 from geomid_ros.session.recordings import Bags, Progress, Topics, read_fitted, silent
 from geomid_ros.session.session import Session
@@ -117,7 +117,8 @@ def _values(session: Session, samples: Sequence[Samples], document: Mapping[str,
     found = nominal if prior is None else np.where(np.isnan(prior), nominal, prior)
     channels = [channel.name for channel in session.model.channels]
     floors = _entry(document, "floor") or _entry(_entry(document, "rms"), "train")
-    errors = zip(channels, *(session.rms(samples, each).tolist() for each in (found, nominal)), strict=True)
+    left = rms_of_model(session, samples), session.rms(samples, nominal)
+    errors = zip(channels, *(each.tolist() for each in left), strict=True)
     bodies = session.model.body_names
     masses = [[*each, sum(each)] for each in (_masses(found, bodies), _masses(nominal, bodies))]
     return {

@@ -35,7 +35,7 @@ def verify(**options: Any) -> None:
 
     Reads MODEL (an estimate.json), predicts the bags of --validate with it, and says what is as required. The exit
     status is 0 if all is, 1 if anything is not or the model or a recording is doubtful, and 2 for a refusal. The floor
-    of an rms is what the model left of the data that it was identified from.
+    of an rms is the noise that "geomid gap" found, or what the model left of the data that it was identified from.
     """
     from geomid_ros.commands.progress import progress_bar
     from geomid_ros.commands.results import verification

@@ -15,7 +15,7 @@ from geomid_ros.estimation.fit import CERTAINTY
 from geomid_ros.gap.candidates import Candidate, EffectTerm, Term
 from geomid_ros.gap.evidence.record import Records
 from geomid_ros.gap.fitting.fit import unfitted
-from geomid_ros.gap.fitting.linearised_problem import LinearisedProblem, total_model
+from geomid_ros.gap.fitting.linearised_problem import LinearisedProblem, root_mean_square, total_model
 from geomid_ros.gap.fitting.prior import Prior
 from geomid_ros.gap.judgement.changed_links import changed_links
 from geomid_ros.gap.judgement.held_out import HeldOut
@@ -151,6 +151,30 @@ def find_gap(
         ordinary=kept.ordinary,
         seconds=perf_counter() - started,
     )
+
+
+def left_by_model(
+    model: MeasurementModel,
+    samples: Sequence[Samples],
+    cutoff: float,
+    nominal: FloatArray | None,
+    beside: Sequence[KnownEffect],
+) -> FloatArray:
+    """RMS ``(C,)`` of what a model leaves of samples, predicted as :func:`find_gap` does before it fits anything.
+
+    Args:
+        model: the robot, its wrench sensors, and the effects that are part of the model.
+        samples: one element per recording, of a pipeline with this ``cutoff`` [Hz].
+        cutoff: of their low-pass [Hz].
+        nominal: the model's parameters ``(D,)``, as in :func:`find_gap`.
+        beside: the effects that it has beside these, which depend on what it says of a motion: elastic gears, play.
+    """
+    bare, records = model.without_effects(), Records.make(samples, cutoff)
+    prior = _prior(model, nominal, None, None, GapSettings(cutoff=cutoff))
+    prior, _ = _with_beside(bare, records, prior, beside)
+    untouched = unfitted(prior)
+    problem = LinearisedProblem(bare, records, total_model(bare, untouched))
+    return root_mean_square(problem.residual(problem.columns((), prior.terms), untouched))
 
 
 def _silent(_: str, __: float) -> None:

@@ -123,7 +123,9 @@ def verdict_sentence(result: GapResult) -> str:
     """The verdict in one sentence."""
     gap = result.gap
     before, after = worst(gap.before), worst(gap.after)
+    moving = ratio(worst(result.moving))
     fall = f"the worst channel falls from {ratio(before)} to {ratio(after)} times the noise floor"
+    fall += f" ({moving} while joints move)" if moving != ratio(after) else ""
     named = _named(result.findings)
     missing = "; ".join(f"at {joint}, depending on {on}" for joint, _, on in not_explained(result))
     if result.verdict == "no gap":
@@ -137,6 +139,12 @@ def verdict_sentence(result: GapResult) -> str:
         return f"Found: {named or 'no name'}, but that is not all{rest}."
     found = f" Named besides: {named}." if named else ""
     return f"Something is missing that no known effect explains: {missing or 'in no one joint alone'}.{found}"
+
+
+def of_every_joint(result: GapResult) -> str:
+    """The effects of the written model that need no name, in a sentence."""
+    kinds = dict.fromkeys(effect_name(effect.effect) for effect in result.ordinary)
+    return f"Written as well, as joints have it and the URDF does not say: {', '.join(kinds)} (effects.yaml has each)."
 
 
 def in_short(result: GapResult) -> list[str]:

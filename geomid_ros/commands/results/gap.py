@@ -32,6 +32,8 @@ def show(found: Gap) -> None:
         say(console, "", sentence)
     if result.findings:
         console.print(_findings_table(result))
+    if result.ordinary:
+        say(console, "", gap_words.of_every_joint(result))
     for sentence in _sentences(result):
         say(console, "", sentence)
     console.print(_channels_table(result))
@@ -52,7 +54,7 @@ def show(found: Gap) -> None:
 
 
 def _findings_table(result: GapResult) -> Table:
-    table = plain_table("What was found")
+    table = plain_table("What was found (the written model has what is confident)")
     table.add_column("effect", no_wrap=True)
     table.add_column("where", overflow="fold", min_width=16)
     table.add_column("parameter")
@@ -79,18 +81,20 @@ def _sentences(result: GapResult) -> Iterator[str]:
 
 
 def _channels_table(result: GapResult) -> Table:
-    table = plain_table("Gap on held-out data, in units of the noise floor (1 is as good as any model can be)")
+    table = plain_table("Gap on all held-out samples, in units of the noise floor (1 is as good as any model can be)")
     table.add_column("\nchannel", overflow="fold")
-    number_columns(table, ["\nfloor", "\nnominal", "inertias\nonly", "with\neffect", "\nexpected"])
+    headings = ["\nfloor", "\nnominal", "inertias\nonly", "written\nmodel", "moving\nalone", "moving,\nexpected"]
+    number_columns(table, headings)
     table.add_column(
         f"how far above the floor, logarithmic\n{_AFTER} after {_INERTIAS} inertias only {_BEFORE} nominal"
     )
     gaps = (result.gap.before, result.gap.inertias_only, result.gap.after)
     end = max(2.0, *(gap_words.worst(values) for values in gaps))
-    for k, (name, unit, floor) in enumerate(zip(result.channels, result.units, result.floor, strict=True)):
-        before, inertias, after, expected = (float(values[k]) for values in (*gaps, result.gap.expected))
+    for k, (name, unit, floor) in enumerate(zip(result.channels, result.units, result.corrected_floor, strict=True)):
+        before, inertias, after = (float(values[k]) for values in gaps)
         if math.isfinite(before):
-            numbers = (gap_words.ratio(value) for value in (before, inertias, after, expected))
+            moving = float(result.moving[k]), float(result.gap.expected[k])
+            numbers = (gap_words.ratio(value) for value in (before, inertias, after, *moving))
             table.add_row(name, f"{floor:.2g} {unit}", *numbers, _bar(before, inertias, after, end))
     return table
 

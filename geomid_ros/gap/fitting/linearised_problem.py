@@ -111,11 +111,11 @@ class LinearisedProblem:
     def usual_sizes(self, terms: Sequence[Term]) -> FloatArray:
         """The coefficients ``(terms,)`` with which columns are as large as what is measured, at most; 0 without any,
         infinite of columns that are zero."""
-        measured, columns = _root_mean_square(self.rows.targets), self.columns((), terms)
+        measured, columns = root_mean_square(self.rows.targets), self.columns((), terms)
         sizes = []
         for term in terms:
             with np.errstate(divide="ignore", invalid="ignore"):
-                own = [measured[channel] / _root_mean_square(column) for channel, column in columns[term].items()]
+                own = [measured[channel] / root_mean_square(column) for channel, column in columns[term].items()]
             sizes.append(float(np.fmin.reduce(own, initial=np.inf)) if own else 0.0)
         return np.array(sizes)
 
@@ -146,7 +146,8 @@ class LinearisedProblem:
         return np.asarray(np.einsum("ncd,de,nce->nc", jacobian, found.covariance, jacobian, optimize=True))
 
 
-def _root_mean_square(values: FloatArray) -> FloatArray:
-    """Of each column of ``values (N, ...)``, over what is measured; 0 where nothing is."""
+def root_mean_square(values: FloatArray) -> FloatArray:
+    """RMS of ``values (N, ...)`` over those that are measured, ``(...)``; NaN where none is."""
     counts = np.sum(np.isfinite(values), axis=0)
-    return np.asarray(np.sqrt(np.nansum(values**2, axis=0) / np.maximum(counts, 1)))
+    squares = np.where(counts > 0, np.nansum(values**2, axis=0), np.nan)
+    return np.asarray(np.sqrt(squares / np.maximum(counts, 1)))

@@ -8,7 +8,7 @@ import numpy as np
 
 from geomid_ros.gap.evidence.record import Records
 from geomid_ros.gap.fitting.fit import JointFit, unfitted
-from geomid_ros.gap.fitting.linearised_problem import LinearisedProblem, total_model
+from geomid_ros.gap.fitting.linearised_problem import LinearisedProblem, root_mean_square, total_model
 from geomid_ros.gap.judgement.locate import located
 from geomid_ros.gap.result import Gap, Located, Trace
 from geomid_ros.gap.search.analysis import Analysis
@@ -44,7 +44,7 @@ class HeldOut:
         """The same at all instants, those at rest and near reversals, too."""
         trace = self.trace
         fits = (trace.before, trace.inertias_only, trace.after)
-        before, bare, after = (_root_mean_square(trace.measured - each) / self._analysis.floor for each in fits)
+        before, bare, after = (root_mean_square(trace.measured - each) / self._analysis.floor for each in fits)
         return Gap(before, bare, after, self.gap.expected)
 
     @cached_property
@@ -100,10 +100,3 @@ class HeldOut:
         squares = np.sum(np.where(self._last.valid, residual, 0.0) ** 2, axis=0)
         counts = np.where(self.counts > 0.0, self.counts, np.nan)
         return np.asarray(np.sqrt(squares / counts) / self._analysis.floor)
-
-
-def _root_mean_square(left: FloatArray) -> FloatArray:
-    """Of each channel ``(C,)`` over what is measured; NaN where nothing is."""
-    counts = np.sum(np.isfinite(left), axis=0)
-    squares = np.where(counts > 0, np.nansum(left**2, axis=0), np.nan)
-    return np.asarray(np.sqrt(squares / np.maximum(counts, 1)))
