@@ -141,10 +141,10 @@ def verdict_sentence(result: GapResult) -> str:
     return f"Something is missing that no known effect explains: {missing or 'in no one joint alone'}.{found}"
 
 
-def of_every_joint(result: GapResult) -> str:
-    """The effects of the written model that need no name, in a sentence."""
-    kinds = dict.fromkeys(effect_name(effect.effect) for effect in result.ordinary)
-    return f"Written as well, as joints have it and the URDF does not say: {', '.join(kinds)} (effects.yaml has each)."
+def of_every_joint(result: GapResult) -> list[str]:
+    """The effects of the written model that need no name, in a sentence; none without such."""
+    kinds = ", ".join(dict.fromkeys(effect_name(effect.effect) for effect in result.ordinary))
+    return [f"Written as well, for every joint has them: {kinds} (effects.yaml has each)."] if kinds else []
 
 
 def in_short(result: GapResult) -> list[str]:

@@ -32,9 +32,7 @@ def show(found: Gap) -> None:
         say(console, "", sentence)
     if result.findings:
         console.print(_findings_table(result))
-    if result.ordinary:
-        say(console, "", gap_words.of_every_joint(result))
-    for sentence in _sentences(result):
+    for sentence in (*gap_words.of_every_joint(result), *_sentences(result)):
         say(console, "", sentence)
     console.print(_channels_table(result))
     for simulation in found.simulated:
