@@ -18,6 +18,7 @@ from geomid_ros.gap.fitting.fit import unfitted
 from geomid_ros.gap.fitting.linearised_problem import LinearisedProblem, root_mean_square, total_model
 from geomid_ros.gap.fitting.prior import Prior
 from geomid_ros.gap.judgement.changed_links import changed_links
+from geomid_ros.gap.judgement.folded import folded
 from geomid_ros.gap.judgement.held_out import HeldOut
 from geomid_ros.gap.judgement.locate import located
 from geomid_ros.gap.judgement.needed import confirmed
@@ -149,6 +150,7 @@ def find_gap(
         coefficients=_coefficients(model, prior, said),
         beside=tuple(known for candidate, known in own if not said.issuperset(candidate.terms)),
         ordinary=kept.ordinary,
+        folded=folded(LinearisedProblem(bare, records, total_model(bare, kept.found)), kept.found),
         seconds=perf_counter() - started,
     )
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import Any
 
 import numpy as np
 
@@ -48,7 +49,7 @@ def write_found(folder: Path, session: Session, result: GapResult) -> list[Path]
     known = session.loaded.refitted(session.model, result.coefficients, result.beside)
     floor = NoiseFloor(result.channels, result.corrected_floor, result.cutoff)
     effects = [*known.beside_inertias, *result.ordinary, *result.sure]
-    return _write(folder, session, result.inertias, effects, floor)
+    return _write(folder, session, result.inertias, effects, floor=floor, folded=result.folded)
 
 
 def nominal_inertias(session: Session) -> FloatArray:
@@ -120,8 +121,8 @@ def _write(
     session: Session,
     inertias: FloatArray,
     effects: Sequence[KnownEffect],
-    floor: NoiseFloor | None = None,
+    **judged: Any,
 ) -> list[Path]:
     by_name = dict(zip(session.model.body_names, inertias, strict=True))
     gravity, findings = session.configuration.gravity, session.findings
-    return write_model(folder, session.model, session.urdf, by_name, effects, gravity, findings, floor)
+    return write_model(folder, session.model, session.urdf, by_name, effects, gravity, findings=findings, **judged)

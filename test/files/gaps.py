@@ -81,6 +81,7 @@ def gap_result(case: Case, joints: Sequence[str], *, wrench: bool = False) -> Ga
         coefficients=np.zeros(0),
         beside=(),
         ordinary=(),
+        folded={},
         seconds=2.5,
     )
 

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from geomid_ros.gap.evidence.record import Records
 from geomid_ros.gap.judgement.confidence import Evidence
 from geomid_ros.gap.result import GapResult
 from geomid_ros.gap.workflow import find_gap
@@ -94,6 +95,23 @@ def test_beside_a_urdf_joints_have_the_friction_that_every_joint_has(monkeypatch
         assert size.std < 0.1 * true
     assert {effect for effect, _ in values} <= {"viscous_friction", "coulomb_friction"}, "nothing else is there"
     assert np.max(result.gap.after) < 1.2
+
+
+def test_friction_that_no_file_can_say_is_folded_into_what_files_say() -> None:
+    """What is left of the friction is at right angles to what they can say."""
+    quadratic = 0.2
+
+    def thick(q: FloatArray, v: FloatArray, a: FloatArray) -> FloatArray:
+        return planted.rigid(GIVEN)(q, v, a) + np.array([1.0, 0.0, 0.0]) * v * (VISCOUS + quadratic * np.abs(v))
+
+    train, unseen = planted.recording(thick, 3), planted.recording(thick, 1003, 15.0)
+    result = find_gap(MODEL, [train], [unseen])
+    values = {(e.effect, e.joint): e.parameters["coefficient"].value for e in (*result.sure, *result.ordinary)}
+    assert values["quadratic_friction", JOINTS[0]] == pytest.approx(quadratic, rel=0.05)
+    v = train.select(Records.make([train], planted.CUTOFF).chosen[0]).velocity[:, 0]
+    left = values["quadratic_friction", JOINTS[0]] * v * np.abs(v) - result.folded[JOINTS[0], "dynamics/damping"] * v
+    assert abs(left @ v) < 1e-6 * np.linalg.norm(left) * np.linalg.norm(v)
+    assert result.folded[JOINTS[0], "dynamics/damping"] > 0.3 * quadratic
 
 
 def test_the_table_is_of_all_samples(beside_model: GapResult) -> None:
