@@ -13,7 +13,7 @@ from geomid_ros.gap import workflow
 from geomid_ros.gap.candidates import EffectTerm
 from geomid_ros.gap.evidence.record import Records
 from geomid_ros.gap.result import GapResult
-from geomid_ros.gap.workflow import GapSettings, find_gap
+from geomid_ros.gap.workflow import GapSettings, find_gap, left_by_model
 from geomid_ros.model.effects import AtJoint, KnownEffect, Quantity
 from geomid_ros.model.effects.coulomb_friction import CoulombFriction
 from geomid_ros.model.effects.effort_offset import EffortOffset
@@ -75,6 +75,15 @@ def test_what_is_missing_is_named_and_what_is_known_stays(result: GapResult) -> 
     assert known == [KNOWN], "no finding says that it is another"
     assert result.beside == (BESIDE,)
     assert result.ordinary == (), "the model knows of friction"
+
+
+def test_a_model_with_effects_beside_its_coefficients_is_judged_as_the_search_begins(result: GapResult) -> None:
+    known = nominal(**{JOINTS[0]: KNOWN})
+    left = left_by_model(MODEL, [UNSEEN], GapSettings().cutoff, known, [BESIDE])
+    np.testing.assert_allclose(left, result.gap.before * result.floor, rtol=1e-9)
+    without = left_by_model(MODEL, [UNSEEN], GapSettings().cutoff, known, [])
+    assert without[2] > 1.5 * left[2]
+    np.testing.assert_allclose(without[:2], left[:2], rtol=1e-9)
 
 
 def test_channels_have_names_and_units(result: GapResult) -> None:

@@ -62,6 +62,15 @@ def test_what_no_finding_says_is_as_it_was_given(beside_model: GapResult) -> Non
     assert f"{size.value:.4g}" in finding.sentence
 
 
+def test_the_table_is_of_the_model_that_is_written(beside_model: GapResult) -> None:
+    trace, size = beside_model.trace, beside_model.sure[0].parameters["coefficient"].value
+    _, q, v, a = planted.motion(1003, 15.0)
+    chosen = Records.make([planted.recording(efforts, 1003, 15.0)], planted.CUTOFF).chosen[0]
+    written = planted.rigid(beside_model.inertias)(q, v, a) + np.array([VISCOUS, size, 0.0]) * v
+    written += np.array([0.0, 0.0, LEVEL]) * np.tanh(v / 0.02)
+    np.testing.assert_allclose(trace.after, written[chosen], atol=0.02 * planted.NOISE)
+
+
 def test_a_sure_finding_has_the_size_with_which_the_file_leaves_least(beside_model: GapResult) -> None:
     """Its column is at right angles to what the file leaves of the recording that it was fitted to."""
     _, q, v, a = planted.motion(3, 40.0)
