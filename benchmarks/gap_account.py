@@ -2,6 +2,8 @@
 
     python -m benchmarks.gap_account [--seeds 100:106] [--sets lwr4 ...] [--out out/realistic]
 
+An empty ``--seeds ""`` leaves the simulated robots out.
+
 Every seed is a robot of the realistic bench (:mod:`benchmarks.blind.realistic`), compared with the model identified
 before the change and judged on a third recording. The sets are measured robots in ../shared/data. A value counts as
 written where it differs from the model that ``gap`` was given by more than its standard deviation there; it is told
