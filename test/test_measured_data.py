@@ -65,7 +65,8 @@ def test_held_out_errors(named: tuple[str, Comparison]) -> None:
 def test_simulated_again_is_how_many_times_the_noise(monkeypatch: pytest.MonkeyPatch) -> None:
     """Of the worst channel, after; not what was simulated."""
     simulation = SimpleNamespace(errors={"before": {"a": 9.0}, "after": {"a": 1.5, "b": 2.5}}, after=np.array([40.0]))
-    result = SimpleNamespace(verdict="named", gap=SimpleNamespace(after=np.array([1.1, np.nan])))
+    left = np.array([1.1, np.nan])
+    result = SimpleNamespace(verdict="named", gap=SimpleNamespace(after=left), moving=left)
     found = SimpleNamespace(result=result, findings=[], simulated=[simulation])
     monkeypatch.setattr(geomid_ros, "find_gap", lambda *_, **__: found)
     assert gap(CASES["ur10"])["simulated again"] == 2.5

@@ -17,6 +17,7 @@ from geomid_ros.files.models.results import read_estimate
 from geomid_ros.model.samples import Samples
 from geomid_ros.plausibility.requirements import TOTAL, Outcome, Requirement, Values
 from geomid_ros.plausibility.verdict import recording_verdict
+from geomid_ros.session.gap import rms_of_model
 from geomid_ros.session.locking import read_with_locked
 from geomid_ros.session.recordings import Bags, Progress, read_fitted, silent
 from geomid_ros.session.session import Session
@@ -29,8 +30,8 @@ class Verification:
 
     Attributes:
         session: the robot and its model.
-        rms: by channel, residual RMS of the model (``value``), of the model on the data it was fitted to (``floor``),
-            and of the URDF (``urdf``); NaN if not measured or not known.
+        rms: by channel, residual RMS of the model (``value``), of the noise (``floor``; where the file does not say it,
+            of the model on the data it was fitted to), and of the URDF (``urdf``); NaN if not measured or not known.
         doubts: reasons to doubt the model or the recording.
         outcomes: result of each requirement.
     """
@@ -72,14 +73,17 @@ def verify(
         InputError: a file, an argument, a requirement or the data cannot be used.
     """
     required = [Requirement.parse(text) for text in texts(require)]
+    document = read_estimate(Path(model))
     relative = next((each for each in required if each.reference == "urdf"), None)
     if relative and urdf is None and (own := beside(model)).is_file():
         raise InputError(
             f"requirement '{relative.text}' compares with the URDF before, and {own} is the identified one; name the "
             "former with --urdf"
         )
-    session, samples = read_to_judge(RobotOptions(urdf=urdf, **options), validate, progress, model=model)
-    values = _values(session, samples, read_estimate(Path(model)))
+    session, samples = read_to_judge(
+        RobotOptions(urdf=urdf, **options), validate, progress, model=model, cutoff=document.get("cutoff")
+    )
+    values = _values(session, samples, document)
     return Verification(
         session=session,
         rms=values["rms"],
@@ -89,7 +93,13 @@ def verify(
 
 
 def read_to_judge(
-    options: RobotOptions, bags: Paths, progress: Progress, *, model: PathLike | None = None, effects: Texts = ()
+    options: RobotOptions,
+    bags: Paths,
+    progress: Progress,
+    *,
+    model: PathLike | None = None,
+    effects: Texts = (),
+    cutoff: float | None = None,
 ) -> tuple[Session, Sequence[Samples]]:
     """A robot's session, and all samples of recordings that a model is judged on.
 
@@ -99,12 +109,16 @@ def read_to_judge(
         progress: told of what is being done.
         model: an estimate.json; None for the URDF alone.
         effects: names of effects at every joint that the model has beside those of the estimate.
+        cutoff: low-pass [Hz] of the band that the model's floor is of, unless the options name another.
     """
     recorded = Bags(fitted=bag_paths(bags), hold_out=0.0, topics=options.topics)
     robot = options.description(recorded.fitted, model)
+    parameters = options.configuration(model, effects=texts(effects), candidates=[])
+    if cutoff is not None and "filter.cutoff" not in parameters.given:
+        parameters = parameters.with_values({"filter.cutoff": float(cutoff)})
     session, samples = read_with_locked(
         lambda configured: Session(robot.text, configured, robot.source),
-        options.configuration(model, effects=texts(effects), candidates=[]),
+        parameters,
         lambda session: read_fitted(session, recorded, progress),
     )
     session.settled.extend(robot.notes)
@@ -126,8 +140,9 @@ def _values(session: Session, samples: Sequence[Samples], document: Mapping[str,
     """The numbers of every quantity that may be required."""
     nominal, found = session.nominal_parameters, identified(session)
     channels = [channel.name for channel in session.model.channels]
-    floors = entry_of(entry_of(document, "rms"), "train")
-    errors = zip(channels, *(session.rms(samples, each).tolist() for each in (found, nominal)), strict=True)
+    floors = entry_of(document, "floor") or entry_of(entry_of(document, "rms"), "train")
+    left = rms_of_model(session, samples), session.rms(samples, nominal)
+    errors = zip(channels, *(each.tolist() for each in left), strict=True)
     bodies = session.model.body_names
     masses = [[*each, sum(each)] for each in (_masses(found, bodies), _masses(nominal, bodies))]
     return {

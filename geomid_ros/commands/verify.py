@@ -34,7 +34,7 @@ def verify(**options: Any) -> None:
 
     Reads MODEL (an estimate.json), predicts the bags of --validate, and checks the requirements. The exit status is 0
     if all hold, 1 if one fails or if the model or a recording is doubtful, and 2 if the input is refused. The floor of
-    an rms is the residual RMS on the data that the model was identified from.
+    an rms is the noise that "geomid gap" found, or the residual RMS on the data that the model was identified from.
     """
     from geomid_ros.commands.progress import progress_bar
     from geomid_ros.commands.results import verification

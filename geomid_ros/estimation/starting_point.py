@@ -30,7 +30,7 @@ _ROUNDING_SLOPE = 1e-13
 # measures.
 USUAL_SPREAD_OF_LINKS = 0.2
 _USUAL_SPREAD_OF_POSITIVES = 1.0
-_USUAL_SPREAD_OF_REALS = 0.2
+USUAL_SPREAD_OF_REALS = 0.2
 
 
 def channel_sizes(summary: RowSummary, dimension: int) -> FloatArray:
@@ -85,7 +85,7 @@ def usual_spreads(manifold: ParameterManifold) -> FloatArray:
     """Usual standard deviations ``(D,)`` of a prior's error, in tangent coordinates."""
     spreads = np.full(manifold.dimension, USUAL_SPREAD_OF_LINKS)
     spreads[manifold.positive] = _USUAL_SPREAD_OF_POSITIVES
-    spreads[manifold.real] = _USUAL_SPREAD_OF_REALS
+    spreads[manifold.real] = USUAL_SPREAD_OF_REALS
     return spreads
 
 

@@ -65,6 +65,7 @@ class Model:
         doubt: Why it should not be used, in a sentence; empty if nothing speaks against it.
         urdf: The description with the inertias, and the file that it is from.
         effects: What was found beside these, without the payloads that are links of the URDF.
+        known: all effects of the estimate, those that its reader cannot hold included.
         gravity: ``(3,)`` [m/s^2] where the base stands straight.
         fitted: Whether bodies and effects were fitted for who is to read them.
     """
@@ -78,6 +79,7 @@ class Model:
     urdf: str
     urdf_path: Path
     effects: tuple[KnownEffect, ...]
+    known: tuple[KnownEffect, ...]
     gravity: FloatArray = field(default_factory=GRAVITY.copy)
     fitted: bool = True
 
@@ -113,7 +115,7 @@ def read_model(path: Path, reader: str = "") -> Model:
     text, source = read_urdf(urdf), str(path)
     tree = parse(text, str(urdf))
     bodies = _estimated_bodies(document, tree, source)
-    found = tuple(LoadedModel.read(source).beside_inertias)
+    known = found = tuple(LoadedModel.read(source).beside_inertias)
     written = written_for(document, reader, source)
     friction = _dynamics(text, str(urdf), found)
     if written is not None:
@@ -130,6 +132,7 @@ def read_model(path: Path, reader: str = "") -> Model:
         urdf=text,
         urdf_path=urdf,
         effects=(*found, *friction),
+        known=(*known, *friction),
         gravity=gravity_of(document, source),
         fitted=written is not None or not reader,
     )
@@ -137,7 +140,7 @@ def read_model(path: Path, reader: str = "") -> Model:
 
 def _of_urdf(path: Path) -> Model:
     text = read_urdf(path)
-    tree = parse(text, str(path))
+    tree, effects = parse(text, str(path)), tuple(_dynamics(text, str(path), ()))
     return Model(
         source=str(path),
         tree=tree,
@@ -147,7 +150,8 @@ def _of_urdf(path: Path) -> Model:
         doubt="",
         urdf=text,
         urdf_path=path,
-        effects=tuple(_dynamics(text, str(path), ())),
+        effects=effects,
+        known=effects,
     )
 
 

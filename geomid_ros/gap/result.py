@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Literal, TypeAlias
 
+import numpy as np
+
 from geomid_ros.estimation.estimate import SURE
-from geomid_ros.model.effects import KnownEffect, Quantity, Values
+from geomid_ros.model.effects import KnownEffect, Quantity, Values, effect_class, values_of
 from geomid_ros.types import FloatArray, IntArray
 
 Confidence: TypeAlias = Literal["confident", "tentative", "ambiguous"]
@@ -163,15 +165,21 @@ class GapResult:
         unexplained: what no name explains.
         channels, units: names and units of the rows of all per-channel arrays.
         floor: the noise's standard deviation ``(C,)``.
-        gap: what the models leave of held-out data.
+        cutoff: of the low-pass in whose band noise and gap are [Hz].
+        gap: what the models leave of held-out data, rest and reversals included; ``after`` is the written model's.
+        moving: what the written model leaves where joints move one way ``(C,)``, in units of the floor.
         located: where each channel's first remainder lives.
         ranking: all candidates, the best first.
         trace: held-out data with predictions.
         bodies, inertias: the identified links, and their parameters ``(bodies, 10)`` in the final model, payloads not
             included (pinocchio's order, about the link's origin).
-        coefficients: those of the effects that the model had before, fitted anew, in its order; NaN where it had none
-            or a finding's parameter is the whole.
-        beside: the effects that it had beside its coefficients, fitted anew, without those that cannot be.
+        coefficients: those of the effects that the model had before, in its order; NaN where it had none or a sure
+            finding's parameter is the whole.
+        beside: the effects that it had beside its coefficients, without those of which a sure finding says the whole.
+        ordinary: beside a URDF alone, friction, rotor inertia and offsets of all joints that no sure finding says, as
+            ``identify`` finds them: a URDF says nothing of them.
+        folded: by how much the attributes of joints (as ``dynamics/damping``) of a URDF and an MJCF differ from what
+            was found, as these cannot say all friction; by joint and attribute.
         seconds: that the search took.
     """
 
@@ -182,7 +190,9 @@ class GapResult:
     channels: tuple[str, ...]
     units: tuple[str, ...]
     floor: FloatArray
+    cutoff: float
     gap: Gap
+    moving: FloatArray
     located: tuple[Located, ...]
     ranking: tuple[Ranked, ...]
     trace: Trace
@@ -190,4 +200,27 @@ class GapResult:
     inertias: FloatArray
     coefficients: FloatArray
     beside: tuple[KnownEffect, ...]
+    ordinary: tuple[KnownEffect, ...]
+    folded: Mapping[tuple[str, str], float]
     seconds: float
+
+    @property
+    def corrected_floor(self) -> FloatArray:
+        """The noise's standard deviation ``(C,)`` where efforts are divided by the gains that were found, as whoever
+        reads the written model does."""
+        return np.asarray(self.floor / effort_gains(self.findings, self.channels))
+
+    @property
+    def sure(self) -> tuple[Finding, ...]:
+        """The findings that are in the written model."""
+        return _sure(self.findings)
+
+
+def effort_gains(findings: Sequence[Finding], channels: Sequence[str]) -> FloatArray:
+    """Factors ``(C,)`` from true efforts to measured ones that sure findings say."""
+    gains = {f.joint: effect_class(f.effect).effort_scale(values_of(f)) for f in _sure(findings)}
+    return np.array([gains.get(channel, 1.0) for channel in channels])
+
+
+def _sure(findings: Sequence[Finding]) -> tuple[Finding, ...]:
+    return tuple(finding for finding in findings if finding.confidence == "confident")

@@ -15,16 +15,17 @@ from geomid_ros.estimation.fit import CERTAINTY
 from geomid_ros.gap.candidates import Candidate, EffectTerm, Term
 from geomid_ros.gap.evidence.record import Records
 from geomid_ros.gap.fitting.fit import unfitted
-from geomid_ros.gap.fitting.linearised_problem import LinearisedProblem, total_model
+from geomid_ros.gap.fitting.linearised_problem import LinearisedProblem, root_mean_square, total_model
 from geomid_ros.gap.fitting.prior import Prior
-from geomid_ros.gap.judgement import naming
 from geomid_ros.gap.judgement.changed_links import changed_links
+from geomid_ros.gap.judgement.folded import folded
 from geomid_ros.gap.judgement.held_out import HeldOut
 from geomid_ros.gap.judgement.locate import located
 from geomid_ros.gap.judgement.needed import confirmed
 from geomid_ros.gap.judgement.verdict import findings, ranking, unexplained, verdict
+from geomid_ros.gap.judgement.written import written
 from geomid_ros.gap.result import GapResult
-from geomid_ros.gap.search.analysis import Analysis, analyse
+from geomid_ros.gap.search.analysis import analyse
 from geomid_ros.model.effects import KnownEffect, effect_class, values_of
 from geomid_ros.model.measurement import Coefficient, MeasurementModel
 from geomid_ros.model.moving import REST
@@ -122,34 +123,60 @@ def find_gap(
     analysis = confirmed(bare, held, analysis)
     unseen = HeldOut(bare, held, analysis)
     left = unexplained(bare, analysis, unseen)
-    found = findings(bare, analysis, unseen)
+    links = changed_links(bare, analysis, unseen)
+    kept = written(bare, records, analysis, findings(bare, analysis, unseen), links)
+    files = HeldOut(bare, held, replace(analysis, names=kept.found))
     report("judging", 1.0)
-    said = {term for candidate in analysis.names.chosen for term in candidate.terms}
+    said = {term for candidate in kept.found.chosen for term in candidate.terms}
     untouched = unfitted(prior)
     problem = LinearisedProblem(bare, records, total_model(bare, untouched))
     first = problem.residual(problem.columns((), prior.terms), untouched)
     return GapResult(
         verdict=verdict(analysis, unseen),
-        findings=found,
-        links=changed_links(bare, analysis, unseen),
+        findings=kept.findings,
+        links=kept.links,
         unexplained=left,
         channels=tuple(channel.name for channel in bare.channels),
         units=tuple(channel.unit for channel in bare.channels),
         floor=analysis.floor,
-        gap=unseen.gap,
+        cutoff=settings.cutoff,
+        gap=files.on_all,
+        moving=files.gap.after,
         located=located(bare, records, first, np.abs(bare.rows(records.samples).targets - first)),
         ranking=ranking(bare, analysis),
-        trace=unseen.trace,
+        trace=files.trace,
         bodies=bare.body_names,
-        inertias=analysis.names.inertias,
-        coefficients=_coefficients(model, prior, analysis, said),
-        beside=tuple(
-            _refitted(bare, analysis, candidate, known)
-            for candidate, known in own
-            if not said.issuperset(candidate.terms) and not analysis.search.is_absurd(analysis.names, candidate)
-        ),
+        inertias=kept.found.inertias,
+        coefficients=_coefficients(model, prior, said),
+        beside=tuple(known for candidate, known in own if not said.issuperset(candidate.terms)),
+        ordinary=kept.ordinary,
+        folded=folded(LinearisedProblem(bare, records, total_model(bare, kept.found)), kept.found),
         seconds=perf_counter() - started,
     )
+
+
+def left_by_model(
+    model: MeasurementModel,
+    samples: Sequence[Samples],
+    cutoff: float,
+    nominal: FloatArray | None,
+    beside: Sequence[KnownEffect],
+) -> FloatArray:
+    """RMS ``(C,)`` of what a model leaves of samples, predicted as :func:`find_gap` does before it fits anything.
+
+    Args:
+        model: the robot, its wrench sensors, and the effects that are part of the model.
+        samples: one element per recording, of a pipeline with this ``cutoff`` [Hz].
+        cutoff: of their low-pass [Hz].
+        nominal: the model's parameters ``(D,)``, as in :func:`find_gap`.
+        beside: the effects that it has beside these, which depend on what it says of a motion: elastic gears, play.
+    """
+    bare, records = model.without_effects(), Records.make(samples, cutoff)
+    prior = _prior(model, nominal, None, None, GapSettings(cutoff=cutoff))
+    prior, _ = _with_beside(bare, records, prior, beside)
+    untouched = unfitted(prior)
+    problem = LinearisedProblem(bare, records, total_model(bare, untouched))
+    return root_mean_square(problem.residual(problem.columns((), prior.terms), untouched))
 
 
 def _silent(_: str, __: float) -> None:
@@ -245,27 +272,9 @@ def _with_least_spreads(model: MeasurementModel, records: Records, prior: Prior)
     """The prior with coefficients that may change by a small share of the measurement, if they are no larger: beside a
     spring an offset near zero is no better known than the spring's rest. The change of a larger one is to be named."""
     problem = LinearisedProblem(model, records, total_model(model, unfitted(prior)))
-    columns = problem.columns((), prior.terms)
-    measured = _root_mean_square(problem.rows.targets)
-    sizes = []
-    for term in prior.terms:
-        ratios = [measured[channel] / _root_mean_square(column[:, None]) for channel, column in columns[term].items()]
-        sizes.append(float(np.min(ratios, initial=np.inf)) if ratios else 0.0)
-    least = _LEAST_SHARE * np.array(sizes)
+    least = _LEAST_SHARE * problem.usual_sizes(prior.terms)
     small = np.abs(prior.values) < least
     return replace(prior, spreads=np.where(small, np.maximum(prior.spreads, least), prior.spreads))
-
-
-def _root_mean_square(values: FloatArray) -> FloatArray:
-    """Of each column of ``values (N, k)``, over what is measured; 0 where nothing is."""
-    counts = np.sum(np.isfinite(values), axis=0)
-    return np.asarray(np.sqrt(np.nansum(values**2, axis=0) / np.maximum(counts, 1)))
-
-
-def _refitted(model: MeasurementModel, analysis: Analysis, candidate: Candidate, known: KnownEffect) -> KnownEffect:
-    """An effect beside the model's coefficients with the size that was fitted."""
-    load = analysis.problem.situation.usual_load(candidate.place)
-    return replace(known, parameters=naming.parameters(model, analysis.names, candidate, usual_load=load))
 
 
 def _as_simulated(
@@ -280,9 +289,9 @@ def _as_simulated(
     return replace(prior, inertias=inertias, terms=found.terms, values=values, spreads=spreads, known=None)
 
 
-def _coefficients(model: MeasurementModel, prior: Prior, analysis: Analysis, said: Collection[Term]) -> FloatArray:
-    """The model's own coefficients as they were fitted ``(coefficients,)``, NaN where it had none or a name has
-    ``said`` it."""
+def _coefficients(model: MeasurementModel, prior: Prior, said: Collection[Term]) -> FloatArray:
+    """The model's own coefficients as they were given ``(coefficients,)``, NaN where it had none or a name has ``said``
+    it."""
     terms = [_term(coefficient) for coefficient in model.coefficients]
     own = [term in prior.terms and term not in said for term in terms]
-    return np.array([analysis.names.value(term) if kept else np.nan for term, kept in zip(terms, own, strict=True)])
+    return np.array([prior.value(term) if kept else np.nan for term, kept in zip(terms, own, strict=True)])

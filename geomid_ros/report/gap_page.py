@@ -123,7 +123,7 @@ class _Drawing:
 
 
 def _bars(result: GapResult) -> Bars:
-    kinds = list(_KINDS) if result.findings else ["before", "inertias_only"]
+    kinds = list(_KINDS) if result.findings or result.ordinary else ["before", "inertias_only"]
     gaps = {kind: getattr(result.gap, kind) for kind in kinds}
     return Bars.of_gaps(
         (name, f"floor {result.floor[k]:.2g} {result.units[k]}", {kind: float(gaps[kind][k]) for kind in kinds})

@@ -123,7 +123,9 @@ def verdict_sentence(result: GapResult) -> str:
     """The verdict in one sentence."""
     gap = result.gap
     before, after = worst(gap.before), worst(gap.after)
+    moving = ratio(worst(result.moving))
     fall = f"the worst channel falls from {ratio(before)} to {ratio(after)} times the noise floor"
+    fall += f" ({moving} while joints move)" if moving != ratio(after) else ""
     named = _named(result.findings)
     missing = "; ".join(f"at {joint}, which depends on {on}" for joint, _, on in not_explained(result))
     if result.verdict == "no gap":
@@ -137,6 +139,12 @@ def verdict_sentence(result: GapResult) -> str:
         return f"Found: {named or 'no effect'}. {rest}."
     found = f" Also found: {named}." if named else ""
     return f"No known effect explains the residual {missing or 'of several joints'}.{found}"
+
+
+def of_every_joint(result: GapResult) -> list[str]:
+    """The effects of the written model that need no name, in a sentence; none without such."""
+    kinds = ", ".join(dict.fromkeys(effect_name(effect.effect) for effect in result.ordinary))
+    return [f"Written as well, for every joint has them: {kinds} (effects.yaml has each)."] if kinds else []
 
 
 def in_short(result: GapResult) -> list[str]:

@@ -13,7 +13,7 @@ from geomid_ros.errors import InputError
 from geomid_ros.files.bags.bag import Bag
 from geomid_ros.gap.candidates import library_columns
 from geomid_ros.gap.result import GapResult
-from geomid_ros.gap.workflow import CUTOFF, GapSettings, find_gap
+from geomid_ros.gap.workflow import CUTOFF, GapSettings, find_gap, left_by_model
 from geomid_ros.model.samples import Samples
 from geomid_ros.resimulation.resimulate import CUTOFF as SHARP_CUTOFF
 from geomid_ros.session.configuration import Configuration
@@ -108,6 +108,21 @@ def find(session: Session, recordings: Recordings, progress: Progress) -> GapRes
         simulated=recordings.simulated,
         progress=progress,
     )
+
+
+def rms_of_model(session: Session, samples: Sequence[Samples]) -> FloatArray:
+    """RMS residual of each channel ``(channels,)`` over samples, in batches, by the session's model with all of its
+    effects, elastic gears and play included."""
+    parameters, beside = session.prior, session.loaded.beside_coefficients
+    if parameters is None or not beside:
+        nominal = session.nominal_parameters
+        return session.rms(samples, nominal if parameters is None else _known_or(parameters, nominal))
+    cutoff = float(session.configuration["filter.cutoff"])
+    return left_by_model(session.model, [Samples.concatenate(list(samples))], cutoff, parameters, beside)
+
+
+def _known_or(parameters: FloatArray, nominal: FloatArray) -> FloatArray:
+    return np.where(np.isnan(parameters), nominal, parameters)
 
 
 def find_in_messages(session: Session, messages: Sequence[Accepted], progress: Progress) -> GapResult:

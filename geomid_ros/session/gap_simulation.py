@@ -7,11 +7,12 @@ from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import Any
 
 import numpy as np
 
 from geomid_ros.errors import InputError
-from geomid_ros.files.models.gap_model import ModelFiles, model_files, write_model
+from geomid_ros.files.models.gap_model import ModelFiles, NoiseFloor, model_files, write_model
 from geomid_ros.gap.result import GapResult
 from geomid_ros.model.effects import KnownEffect
 from geomid_ros.model.samples import Samples
@@ -46,7 +47,9 @@ def write_found(folder: Path, session: Session, result: GapResult) -> list[Path]
         The files: estimate.json, identified.urdf, identified.xml (MJCF) and effects.yaml.
     """
     known = session.loaded.refitted(session.model, result.coefficients, result.beside)
-    return _write(folder, session, result.inertias, [*known.beside_inertias, *result.findings])
+    floor = NoiseFloor(result.channels, result.corrected_floor, result.cutoff)
+    effects = [*known.beside_inertias, *result.ordinary, *result.sure]
+    return _write(folder, session, result.inertias, effects, floor=floor, folded=result.folded)
 
 
 def nominal_inertias(session: Session) -> FloatArray:
@@ -87,7 +90,7 @@ def simulate_again(
     with TemporaryDirectory() as folder:
         before, after = Path(folder) / "before", Path(folder) / "after"
         _write(before, session, nominal_inertias(session), known.in_samples)
-        _write(after, session, result.inertias, [*fitted.in_samples, *result.findings])
+        _write(after, session, result.inertias, [*fitted.in_samples, *result.ordinary, *result.sure])
         files = model_files(before), model_files(after)
         try:
             return _simulated(session, Noise.of(result), files, sharp, commands, cutoff)
@@ -113,7 +116,13 @@ def _simulated(
     )
 
 
-def _write(folder: Path, session: Session, inertias: FloatArray, effects: Sequence[KnownEffect]) -> list[Path]:
+def _write(
+    folder: Path,
+    session: Session,
+    inertias: FloatArray,
+    effects: Sequence[KnownEffect],
+    **judged: Any,
+) -> list[Path]:
     by_name = dict(zip(session.model.body_names, inertias, strict=True))
     gravity, findings = session.configuration.gravity, session.findings
-    return write_model(folder, session.model, session.urdf, by_name, effects, gravity, findings=findings)
+    return write_model(folder, session.model, session.urdf, by_name, effects, gravity, findings=findings, **judged)

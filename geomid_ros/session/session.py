@@ -202,7 +202,7 @@ class Session:
             *self._incomplete,
             *self.robot.repaired.values(),
             *([_massless(self.robot.massless)] if self.robot.massless else []),
-            self.loaded.not_predicted,
+            self.loaded.not_predicted if estimate is not None else "",
         ]
         return [*filter(None, found), *(estimate.warnings if estimate is not None else ())]
 

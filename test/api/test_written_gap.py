@@ -93,6 +93,10 @@ def test_the_written_model_leaves_what_the_table_says(
     assert found.verdict == case.verdict
     assert {finding.effect for finding in found.findings} >= set(case.names)
     found.save(tmp_path / "found")
+    checked = geomid_ros.verify(tmp_path / "found/estimate.json", unseen, urdf, require="rms<100*floor")
+    assert all(outcome.passed for outcome in checked.outcomes)
+    times = [checked.rms[name]["value"] / checked.rms[name]["floor"] for name in found.result.channels]
+    np.testing.assert_allclose(times, found.result.gap.after, rtol=0.05)
     again = geomid_ros.find_gap(bag, urdf, validate=unseen, model=tmp_path / "found/estimate.json")
     # Of a joint whose gain was found the model predicts the efforts that were divided by it.
     gains = np.ones(len(found.result.channels))

@@ -67,10 +67,12 @@ def gap_result(case: Case, joints: Sequence[str], *, wrench: bool = False) -> Ga
         channels=channels,
         units=units,
         floor=np.full(len(channels), FLOOR),
+        cutoff=8.0,
         gap=Gap(
             *(_rms(trace.measured - part) / FLOOR for part in (trace.before, trace.inertias_only, trace.after)),
             np.full(len(channels), 1.02),
         ),
+        moving=_rms(trace.measured - trace.after) / FLOOR,
         located=tuple(Located(name, 0.8, 0.1, 0.2, 0.0, 0.3) for name in channels),
         ranking=_ranking(case, joints[middle]),
         trace=trace,
@@ -78,6 +80,8 @@ def gap_result(case: Case, joints: Sequence[str], *, wrench: bool = False) -> Ga
         inertias=_bodies(len(joints), 0.0 if case == "no gap" else 0.1),
         coefficients=np.zeros(0),
         beside=(),
+        ordinary=(),
+        folded={},
         seconds=2.5,
     )
 

@@ -17,7 +17,9 @@ from geomid_ros.model.effects import Quantity
 from .gaps import FLOOR, gap_result
 
 JOINTS = ("hip", "knee", "ankle")
-KEYS = {"format", "verdict", "findings", "links", "unexplained", "gap", "floor", "resimulated", "closed_loop"}
+KEYS = {
+    *("format", "verdict", "findings", "links", "ordinary", "unexplained", "gap", "floor", "resimulated", "closed_loop")
+}
 
 
 def test_what_was_found_is_in_it(tmp_path: Path) -> None:
@@ -40,6 +42,7 @@ def test_what_was_found_is_in_it(tmp_path: Path) -> None:
     assert document["gap"]["before"]["knee"] > 1.5 * document["gap"]["inertias_only"]["ankle"]
     assert document["resimulated"] == errors
     assert document["closed_loop"] is None
+    assert document["gap"]["moving"] == dict(zip(JOINTS, result.moving.tolist(), strict=True))
 
 
 def test_links_that_have_changed_are_in_it() -> None:

@@ -13,7 +13,7 @@ from geomid_ros.gap import workflow
 from geomid_ros.gap.candidates import EffectTerm
 from geomid_ros.gap.evidence.record import Records
 from geomid_ros.gap.result import GapResult
-from geomid_ros.gap.workflow import GapSettings, find_gap
+from geomid_ros.gap.workflow import GapSettings, find_gap, left_by_model
 from geomid_ros.model.effects import AtJoint, KnownEffect, Quantity
 from geomid_ros.model.effects.coulomb_friction import CoulombFriction
 from geomid_ros.model.effects.effort_offset import EffortOffset
@@ -47,24 +47,24 @@ def nominal(**coefficients: float) -> FloatArray:
     return np.append(np.full(len(MODEL.nominal_inertias), np.nan), list(values.values()))
 
 
+BESIDE = KnownEffect("load_friction", JOINTS[2], "", {"coefficient": Quantity(0.9 * LOAD, 0.01, "-")})
 TRAIN, UNSEEN = planted.recording(efforts, SEED), planted.recording(efforts, SEED + 1000, 15.0)
 PROGRESS: list[tuple[str, float]] = []
 
 
 @pytest.fixture(scope="module")
 def result() -> GapResult:
-    beside = KnownEffect("load_friction", JOINTS[2], "", {"coefficient": Quantity(0.9 * LOAD, 0.01, "-")})
     return find_gap(
         MODEL,
         [TRAIN],
         [UNSEEN],
         nominal=nominal(**{JOINTS[0]: KNOWN}),
-        beside=[beside],
+        beside=[BESIDE],
         progress=lambda what, share: PROGRESS.append((what, share)),
     )
 
 
-def test_what_is_missing_is_named_and_what_is_known_is_fitted_anew(result: GapResult) -> None:
+def test_what_is_missing_is_named_and_what_is_known_stays(result: GapResult) -> None:
     (finding,) = result.findings
     assert (finding.effect, finding.joint, result.verdict) == ("viscous_friction", JOINTS[1], "named")
     found = finding.parameters["coefficient"]
@@ -72,15 +72,18 @@ def test_what_is_missing_is_named_and_what_is_known_is_fitted_anew(result: GapRe
     coefficients = dict(zip(MODEL.coefficients, result.coefficients, strict=True))
     known = [value for c, value in coefficients.items() if np.isfinite(value)]
     assert known == [coefficients[MODEL.coefficients[0]]]
-    assert known[0] == pytest.approx(KNOWN, abs=0.01)
+    assert known == [KNOWN], "no finding says that it is another"
+    assert result.beside == (BESIDE,)
+    assert result.ordinary == (), "the model knows of friction"
 
 
-def test_what_was_beside_the_coefficients_is_fitted_anew(result: GapResult) -> None:
-    (known,) = result.beside
-    assert (known.effect, known.joint) == ("load_friction", JOINTS[2])
-    found = known.parameters["coefficient"]
-    assert abs(found.value - LOAD) < 4.0 * found.std
-    assert found.std < 0.1 * LOAD
+def test_a_model_with_effects_beside_its_coefficients_is_judged_as_the_search_begins(result: GapResult) -> None:
+    known = nominal(**{JOINTS[0]: KNOWN})
+    left = left_by_model(MODEL, [UNSEEN], GapSettings().cutoff, known, [BESIDE])
+    np.testing.assert_allclose(left, result.gap.before * result.floor, rtol=1e-9)
+    without = left_by_model(MODEL, [UNSEEN], GapSettings().cutoff, known, [])
+    assert without[2] > 1.5 * left[2]
+    np.testing.assert_allclose(without[:2], left[:2], rtol=1e-9)
 
 
 def test_channels_have_names_and_units(result: GapResult) -> None:

@@ -175,7 +175,8 @@ def test_findings_come_with_the_one_that_matters_most_first(monkeypatch: pytest.
     of_beside = [Fit(9e3, np.ones(3), (judged.name, named("spring", 0)))]
     alone = {"fit": lambda *_: judged.analysis.whole, "possible": lambda _: True}
     analysis = analysis_with(judged, rivals=lambda _, c: fits if c is judged.name else of_beside, **alone)
-    first, second = verdict.findings(MODEL, analysis, judged.unseen)
+    (_, first), (candidate, second) = verdict.findings(MODEL, analysis, judged.unseen)
+    assert candidate is judged.name
     assert (first.joint, first.loss, first.rivals, first.settled_by) == (JOINTS[0], 2000.0, (), first.settled_by)
     assert (second.effect, second.joint, second.link, second.loss) == ("viscous_friction", JOINTS[1], "", 1000.0)
     assert [rival.loss for rival in second.rivals] == [8.0, 500.0], "one that is worse than nothing is no rival"

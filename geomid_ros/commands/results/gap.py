@@ -32,7 +32,7 @@ def show(found: Gap) -> None:
         say(console, "", sentence)
     if result.findings:
         console.print(_findings_table(result))
-    for sentence in _sentences(result):
+    for sentence in (*gap_words.of_every_joint(result), *_sentences(result)):
         say(console, "", sentence)
     console.print(_channels_table(result))
     for simulation in found.simulated:
@@ -52,7 +52,7 @@ def show(found: Gap) -> None:
 
 
 def _findings_table(result: GapResult) -> Table:
-    table = plain_table("Findings")
+    table = plain_table("Findings (confident ones are in the written model)")
     table.add_column("effect", no_wrap=True)
     table.add_column("where", overflow="fold", min_width=16)
     table.add_column("parameter")
@@ -79,16 +79,20 @@ def _sentences(result: GapResult) -> Iterator[str]:
 
 
 def _channels_table(result: GapResult) -> Table:
-    table = plain_table("Gap on held-out data, in units of the noise floor (no model can do better than 1)")
+    table = plain_table("Gap on all held-out samples, in units of the noise floor (no model can do better than 1)")
     table.add_column("\nchannel", overflow="fold")
-    number_columns(table, ["\nfloor", "\nnominal", "inertias\nonly", "with\neffect", "\nexpected"])
-    table.add_column(f"gap above the floor, logarithmic\n{_AFTER} after {_INERTIAS} inertias only {_BEFORE} nominal")
+    headings = ["\nfloor", "\nnominal", "inertias\nonly", "written\nmodel", "moving\nalone", "moving,\nexpected"]
+    number_columns(table, headings)
+    table.add_column(
+        f"gap above the floor, logarithmic\n{_AFTER} after {_INERTIAS} inertias only {_BEFORE} nominal"
+    )
     gaps = (result.gap.before, result.gap.inertias_only, result.gap.after)
     end = max(2.0, *(gap_words.worst(values) for values in gaps))
-    for k, (name, unit, floor) in enumerate(zip(result.channels, result.units, result.floor, strict=True)):
-        before, inertias, after, expected = (float(values[k]) for values in (*gaps, result.gap.expected))
+    for k, (name, unit, floor) in enumerate(zip(result.channels, result.units, result.corrected_floor, strict=True)):
+        before, inertias, after = (float(values[k]) for values in gaps)
         if math.isfinite(before):
-            numbers = (gap_words.ratio(value) for value in (before, inertias, after, expected))
+            moving = float(result.moving[k]), float(result.gap.expected[k])
+            numbers = (gap_words.ratio(value) for value in (before, inertias, after, *moving))
             table.add_row(name, f"{floor:.2g} {unit}", *numbers, _bar(before, inertias, after, end))
     return table
 

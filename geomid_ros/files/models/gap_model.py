@@ -2,30 +2,32 @@
 
 ``estimate.json`` is a starting point like any other (:mod:`geomid_ros.files.models.results`), with less in it: of links
 ``name``, ``merged``, ``mass``, ``com`` and ``inertia``; ``effects`` of one coefficient at a joint; ``added``, the other
-effects, as the sidecar has them; and the ``verdict`` on the recording that it is from.
+effects, as the sidecar has them; the ``verdict`` on the recording that it is from; and the ``floor``, the standard
+deviation of each channel's noise [N m, N] below the ``cutoff`` [Hz], in which ``geomid verify`` judges it.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from geomid_ros.files.disk import write_json, write_text
-from geomid_ros.files.models.effect_forms import coefficient_entry, combined, effect_entry, is_coefficient
+from geomid_ros.files.models.effect_forms import by_channel, coefficient_entry, combined, effect_entry, is_coefficient
 from geomid_ros.files.models.judgements import verdict_entry
 from geomid_ros.files.models.mjcf import mjcf
 from geomid_ros.files.models.results import FORMAT, link_entry
 from geomid_ros.files.models.sidecar import write_sidecar
 from geomid_ros.files.models.urdf import Inertia, inertia_of, with_effects, with_inertials
-from geomid_ros.model.effects import KnownEffect
+from geomid_ros.model.effects import KnownEffect, effect_class
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.plausibility.hypotheses import Finding
 from geomid_ros.plausibility.verdict import recording_verdict
 from geomid_ros.types import FloatArray
 
 ESTIMATE, URDF, MJCF, EFFECTS_FILE = "estimate.json", "identified.urdf", "identified.xml", "effects.yaml"
+_NOTHING: Mapping[tuple[str, str], float] = {}
 
 
 @dataclass(frozen=True)
@@ -36,6 +38,15 @@ class ModelFiles:
     effects: Path | None = None
 
 
+@dataclass(frozen=True, eq=False)
+class NoiseFloor:
+    """The noise's standard deviation in each of ``channels``, ``stds (C,)``, below the ``cutoff`` [Hz]."""
+
+    channels: Sequence[str]
+    stds: FloatArray
+    cutoff: float
+
+
 def write_model(
     folder: Path,
     model: MeasurementModel,
@@ -44,24 +55,44 @@ def write_model(
     effects: Iterable[KnownEffect],
     gravity: FloatArray,
     findings: Sequence[Finding] = (),
+    floor: NoiseFloor | None = None,
+    folded: Mapping[tuple[str, str], float] = _NOTHING,
 ) -> list[Path]:
     """Write the model with ``inertias (10,)`` of identified bodies by name and all of its ``effects`` into ``folder``;
     returns the files.
 
     ``gravity (3,)`` is that of a base which stands straight; ``findings`` are what seems to be wrong with the recording
-    that the model is from. Of effects that are there twice, see
+    that the model is from, whose ``floor`` is written if it is known; ``folded``: by how much attributes of joints
+    differ in URDF and MJCF, which cannot say all friction. Of effects that are there twice, see
     :func:`~geomid_ros.files.models.effect_forms.combined`.
     """
     effects = combined(effects)
+    alone = _with_folded(effects, folded)
     bodies = {name: inertia_of(parameters) for name, parameters in inertias.items()}
     merged = {body.name: body.merged for body in model.robot.bodies if body.name in bodies}
     removed = [name for names in merged.values() for name in names]
     judged = {"robot": model.robot.name, "verdict": verdict_entry(recording_verdict(findings), findings)}
-    write_json(folder / ESTIMATE, _estimate(bodies, merged, effects) | judged)
-    write_text(folder / URDF, with_effects(with_inertials(urdf, bodies, removed), effects))
-    write_text(folder / MJCF, mjcf(model.robot, inertias, effects, model.sensors, gravity))
-    write_sidecar(folder / EFFECTS_FILE, model.robot.name, effects)
+    noise = {} if floor is None else {"floor": by_channel(floor.channels, floor.stds), "cutoff": floor.cutoff}
+    write_json(folder / ESTIMATE, _estimate(bodies, merged, effects) | judged | noise)
+    write_text(folder / URDF, with_effects(with_inertials(urdf, bodies, removed), alone))
+    write_text(folder / MJCF, mjcf(model.robot, inertias, alone, model.sensors, gravity))
+    write_sidecar(folder / EFFECTS_FILE, model.robot.name, effects, alone)
     return [folder / name for name in (ESTIMATE, URDF, MJCF, EFFECTS_FILE)]
+
+
+def _with_folded(effects: Sequence[KnownEffect], folded: Mapping[tuple[str, str], float]) -> list[KnownEffect]:
+    """Effects as the files have them: of those that say an attribute the first has its change."""
+    left = dict(folded)
+    found = []
+    for effect in effects:
+        changes = {
+            form.name: left.pop((effect.joint, form.urdf))
+            for form in effect_class(effect.effect).parameters
+            if (effect.joint, form.urdf) in left and form.name in effect.parameters
+        }
+        changed = {name: replace(q, value=q.value + changes.get(name, 0.0)) for name, q in effect.parameters.items()}
+        found.append(replace(effect, parameters=changed))
+    return found
 
 
 def model_files(folder: Path) -> ModelFiles:

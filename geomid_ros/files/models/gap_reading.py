@@ -16,7 +16,18 @@ from geomid_ros.files.disk import read_text
 from geomid_ros.files.models.effect_forms import finite
 from geomid_ros.files.models.gap_results import FORMAT
 from geomid_ros.files.models.sidecar import effect_of
-from geomid_ros.gap.result import Finding, Gap, GapResult, LinkChange, Located, Ranked, Rival, Trace, Unexplained
+from geomid_ros.gap.result import (
+    Finding,
+    Gap,
+    GapResult,
+    LinkChange,
+    Located,
+    Ranked,
+    Rival,
+    Trace,
+    Unexplained,
+    effort_gains,
+)
 from geomid_ros.model.effects import Quantity
 from geomid_ros.types import FloatArray
 
@@ -36,6 +47,7 @@ def page_entries(result: GapResult, nominal: FloatArray) -> dict[str, Any]:
         "located": [_finite(asdict(entry)) for entry in result.located],
         "ranking": [_finite(asdict(entry)) for entry in result.ranking],
         "bodies": [{"name": name, "before": before, "after": after} for name, before, after in bodies],
+        "cutoff": result.cutoff,
         "seconds": round(result.seconds, 3),
     }
 
@@ -69,17 +81,20 @@ def gap_of(document: Mapping[str, Any], source: str) -> tuple[GapResult, FloatAr
 
 def _result(document: Mapping[str, Any], source: str) -> GapResult:
     floor, gap = document["floor"], document["gap"]
+    findings = tuple(_finding(entry, f"{source}: findings[{k}]") for k, entry in enumerate(document["findings"]))
     return GapResult(
         verdict=document["verdict"],
-        findings=tuple(_finding(entry, f"{source}: findings[{k}]") for k, entry in enumerate(document["findings"])),
+        findings=findings,
         links=tuple(_change(entry) for entry in document["links"]),
         unexplained=tuple(
             Unexplained(entry["joint"], entry["depends_on"], number(entry["gap"])) for entry in document["unexplained"]
         ),
         channels=tuple(floor),
         units=tuple(document["units"][name] for name in floor),
-        floor=_row(floor.values()),
+        floor=_row(floor.values()) * effort_gains(findings, tuple(floor)),
+        cutoff=float(document["cutoff"]),
         gap=Gap(*(_row(gap[kind].values()) for kind in ("before", "inertias_only", "after", "expected"))),
+        moving=_row(gap["moving"].values()),
         located=tuple(Located(**_with_row(entry)) for entry in document["located"]),
         ranking=tuple(Ranked(**_with_row(entry)) for entry in document["ranking"]),
         trace=_no_trace(len(floor)),
@@ -87,6 +102,8 @@ def _result(document: Mapping[str, Any], source: str) -> GapResult:
         inertias=_bodies(document, "after"),
         coefficients=np.zeros(0),
         beside=(),
+        ordinary=tuple(effect_of(entry, f"{source}: ordinary[{k}]") for k, entry in enumerate(document["ordinary"])),
+        folded={},
         seconds=float(document["seconds"]),
     )
 

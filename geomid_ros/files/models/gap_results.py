@@ -20,9 +20,13 @@ links           list of links that weigh something else than the model says, the
                 ``link``, ``joint`` (that moves it), ``mass`` {``value``, ``std``, ``unit``} (by how much more),
                 ``was`` (in the model), ``loss`` (as above), ``confidence`` and ``sentence``
 unexplained     list of {``joint`` (or wrench channel), ``depends_on``, ``gap`` (times the floor)}
-gap             {``before``, ``inertias_only``, ``after``}, each {channel: held-out residual in units of the floor},
-                and ``expected``: what noise and the uncertainty of the fit would leave if the model were right
-floor           {channel: the noise's standard deviation in N m or N}
+ordinary        list of effects that no finding says and that are in the written model: beside a URDF alone, friction,
+                rotor inertia and offsets of all joints, as ``geomid identify`` finds them (as in the sidecar)
+gap             {``before``, ``inertias_only``, ``after``}, each {channel: residual of all held-out samples in units of
+                the floor}, ``after`` that of the written model, in which are the findings that are ``confident``;
+                ``moving``: the same of ``after`` where joints move one way; and ``expected``: what noise and the
+                uncertainty of the fit would leave there if the model were right
+floor           {channel: the noise's standard deviation in N m or N, of efforts without the gains that were found}
 resimulated     {``before``, ``after``}, each {joint or wrench channel: error of held-out data simulated again in short
                 windows, in units of what noise makes of it}; null where it could not be simulated
 closed_loop     the same of efforts in closed loop under the recorded commands, or null
@@ -63,8 +67,10 @@ def gap_document(result: GapResult, simulations: Mapping[str, Errors]) -> dict[s
             {"joint": entry.joint, "depends_on": entry.depends_on, "gap": finite(entry.gap)}
             for entry in result.unexplained
         ],
-        "gap": {kind: by_channel(result.channels, getattr(result.gap, kind)) for kind in kinds},
-        "floor": by_channel(result.channels, result.floor),
+        "gap": {kind: by_channel(result.channels, getattr(result.gap, kind)) for kind in kinds}
+        | {"moving": by_channel(result.channels, result.moving)},
+        "ordinary": [effect_entry(effect) for effect in result.ordinary],
+        "floor": by_channel(result.channels, result.corrected_floor),
         "resimulated": _errors(simulations.get("windows")),
         "closed_loop": _errors(simulations.get("closed_loop")),
     }

@@ -73,16 +73,18 @@ class LoadedModel:
     def refitted(
         self, model: MeasurementModel, coefficients: FloatArray, beside: Sequence[KnownEffect] = ()
     ) -> LoadedModel:
-        """The same with what was fitted anew, without payloads, which are in the links' inertias by then.
+        """The same with other coefficients, whose standard deviations stay, and without payloads, which are in the
+        links' inertias by then.
 
         Args:
             model: a measurement model.
             coefficients: those of its effects; effects are left out that are NaN or not as positive as they must be.
             beside: of :attr:`beside_coefficients` those that are left.
         """
+        stds = self.deviations(model)[len(model.nominal_inertias) :].tolist()
         entries = [
-            KnownEffect(c.effect.name, c.place_name, "", c.parameters(float(value), math.nan))
-            for c, value in zip(model.coefficients, coefficients, strict=True)
+            KnownEffect(c.effect.name, c.place_name, "", c.parameters(float(value), std))
+            for c, value, std in zip(model.coefficients, coefficients, stds, strict=True)
             if math.isfinite(value) and (value > 0.0 or not c.positive)
         ]
         fitted = {(entry.effect, entry.joint) for entry in entries}

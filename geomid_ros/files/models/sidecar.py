@@ -14,13 +14,14 @@
           speed: {value: 0.1, std: 0.01, unit: rad/s}
         urdf: [level]               # the parameters that the URDF says, too
         mjcf: [level]               # the same of the MJCF
+        alone: {level: 1.4}         # what both say instead, as they cannot say all of the friction; absent if they do
 """
 
 from __future__ import annotations
 
 import math
 import reprlib
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -37,7 +38,8 @@ _MOST_EFFECTS = 10_000
 _LARGEST = 1e50  # products of three still fit
 _HEADER = """\
 # What is known of this robot beside its bodies, in SI units. "urdf" and "mjcf" list the parameters that these files say
-# as well; whoever loads one of them adds the rest.
+# as well; whoever loads one of them adds the rest. "alone" is what both say in place of a parameter, fitted without the
+# friction that they cannot say; whoever adds that takes the parameter's value instead.
 # q, v, a: a joint's position, velocity and acceleration; tau: the effort that its gear transmits to the link.
 """
 
@@ -50,9 +52,11 @@ class Sidecar:
     effects: tuple[KnownEffect, ...]
 
 
-def write_sidecar(path: Path, robot: str, effects: Iterable[KnownEffect]) -> None:
-    """Write the sidecar of a robot."""
-    entries = [_entry(effect) for effect in effects]
+def write_sidecar(
+    path: Path, robot: str, effects: Sequence[KnownEffect], alone: Sequence[KnownEffect] | None = None
+) -> None:
+    """Write the sidecar of a robot; ``alone``: the same effects as URDF and MJCF have them, if these differ."""
+    entries = [_entry(*each) for each in zip(effects, effects if alone is None else alone, strict=True)]
     document = {"format": FORMAT, "robot": robot, "effects": entries}
     text = yaml.safe_dump(document, sort_keys=False, allow_unicode=True, default_flow_style=None, width=120)
     names = dict.fromkeys(entry["effect"] for entry in entries)
@@ -60,9 +64,10 @@ def write_sidecar(path: Path, robot: str, effects: Iterable[KnownEffect]) -> Non
     write_text(path, _HEADER + meanings + text)
 
 
-def _entry(effect: KnownEffect) -> dict[str, Any]:
+def _entry(effect: KnownEffect, alone: KnownEffect) -> dict[str, Any]:
     forms = effect_class(effect.effect).parameters
     place = {"joint": effect.joint, "link": effect.link}
+    other = {n: float(q.value) for n, q in alone.parameters.items() if q.value != effect.parameters[n].value}
     return {
         "effect": effect.effect,
         **{key: name for key, name in place.items() if name},
@@ -72,6 +77,7 @@ def _entry(effect: KnownEffect) -> dict[str, Any]:
         },
         "urdf": [form.name for form in forms if form.urdf and form.name in effect.parameters],
         "mjcf": [form.name for form in forms if form.mjcf and form.name in effect.parameters],
+        **({"alone": other} if other else {}),
     }
 
 

@@ -108,6 +108,23 @@ class LinearisedProblem:
         rows = self.rows
         return Design.make(rows.coefficients, rows.targets, self.valid, columns, noise, self.records)
 
+    def usual_sizes(self, terms: Sequence[Term]) -> FloatArray:
+        """The coefficients ``(terms,)`` with which columns are as large as what is measured, at most; 0 without any,
+        infinite of columns that are zero."""
+        measured, columns = root_mean_square(self.rows.targets), self.columns((), terms)
+        sizes = []
+        for term in terms:
+            with np.errstate(divide="ignore", invalid="ignore"):
+                own = [measured[channel] / root_mean_square(column) for channel, column in columns[term].items()]
+            sizes.append(float(np.fmin.reduce(own, initial=np.inf)) if own else 0.0)
+        return np.array(sizes)
+
+    def design_of_all(self, columns: dict[Term, dict[int, FloatArray]]) -> Design:
+        """Products of all that is measured, rest and reversals included, as if its noise were white."""
+        rows, noise = self.rows, (Autoregression.white(),) * len(self.model.channels)
+        measured = np.isfinite(rows.targets)
+        return Design.make(rows.coefficients, rows.targets, measured, columns, noise, self.records)
+
     def residual(self, columns: dict[Term, dict[int, FloatArray]], found: JointFit) -> FloatArray:
         """Measured less predicted ``(N, C)``; of a delayed channel at the moment at which it was true."""
         rows = self.rows
@@ -127,3 +144,10 @@ class LinearisedProblem:
                 own[:, channel, place] = column
         jacobian = np.concatenate([coefficients, *again, own], axis=2)
         return np.asarray(np.einsum("ncd,de,nce->nc", jacobian, found.covariance, jacobian, optimize=True))
+
+
+def root_mean_square(values: FloatArray) -> FloatArray:
+    """RMS of ``values (N, ...)`` over those that are measured, ``(...)``; NaN where none is."""
+    counts = np.sum(np.isfinite(values), axis=0)
+    squares = np.where(counts > 0, np.nansum(values**2, axis=0), np.nan)
+    return np.asarray(np.sqrt(squares / np.maximum(counts, 1)))

@@ -107,11 +107,21 @@ def centred_payloads(objective: ProfileObjective, point: Point, payloads: int) -
             break
         parameters[places] = np.concatenate([_ball(body[0], body[1:4] / body[0]) for body in bodies])
         candidate = manifold.point(parameters)
+        if not _is_body(candidate.pseudo_inertias):
+            break
         trial = objective.evaluate(candidate)
-        if trial.value >= evaluation.value:
+        if not trial.value < evaluation.value:  # nor a number
             break
         point, evaluation = candidate, trial
     return point
+
+
+def _is_body(pseudo_inertias: FloatArray) -> bool:
+    """Whether rounding leaves bodies ``(n, 4, 4)`` what bodies can be: of a few grams far away it does not."""
+    if not np.all(np.isfinite(pseudo_inertias)):
+        return False
+    sizes = np.linalg.eigvalsh(pseudo_inertias)
+    return bool(np.all(sizes[:, 0] > np.finfo(np.float64).eps * sizes[:, -1]))
 
 
 def known_rows(known: LinksInformation | None, dimension: int) -> FloatArray:

@@ -40,7 +40,7 @@ def _changes(model: MeasurementModel, analysis: Analysis, unseen: HeldOut) -> It
     names, search = analysis.names, analysis.search
     covariance = scattered(search.design, names).covariance
     nominal, stds = search.prior.inertias.reshape(-1, 10), np.sqrt(np.diag(covariance))
-    prior = _with_given_spreads(search.prior, names.inflation)
+    prior = with_given_spreads(search.prior, names.inflation)
     left = bool(open_curves(analysis, unseen) or np.any(is_open(unseen)))
     for link, was in enumerate(nominal):
         change, std = names.inertias[link] - was, stds[10 * link : 10 * link + 10]
@@ -107,7 +107,7 @@ def _with_mass_as_it_was(analysis: Analysis, prior: Prior, link: int) -> JointFi
     return fit(analysis.search.design, held, names.chosen, names, names.spreads)
 
 
-def _with_given_spreads(prior: Prior, inflation: float) -> Prior:
+def with_given_spreads(prior: Prior, inflation: float) -> Prior:
     """A prior under which scores of fits with given spreads can be compared: nothing is said of the spreads, and other
     recordings are trusted as far as they were found to be right."""
     known = prior.known

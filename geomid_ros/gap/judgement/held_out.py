@@ -8,7 +8,7 @@ import numpy as np
 
 from geomid_ros.gap.evidence.record import Records
 from geomid_ros.gap.fitting.fit import JointFit, unfitted
-from geomid_ros.gap.fitting.linearised_problem import LinearisedProblem, total_model
+from geomid_ros.gap.fitting.linearised_problem import LinearisedProblem, root_mean_square, total_model
 from geomid_ros.gap.judgement.locate import located
 from geomid_ros.gap.result import Gap, Located, Trace
 from geomid_ros.gap.search.analysis import Analysis
@@ -31,13 +31,21 @@ class HeldOut:
 
     @cached_property
     def gap(self) -> Gap:
-        """Of all channels, in units of the floor."""
+        """Of all channels, in units of the floor, at the instants that are judged on."""
         names = self._analysis.names
         variance = self._last.variance(self._last.columns(names.chosen, self._prior.terms), names)
         unsure = self._times_floor(np.sqrt(variance))
         fits = (self._untouched, self._analysis.bare, names)
         before, bare, after = (self.times_floor(found) for found in fits)
         return Gap(before, bare, after, np.sqrt(1.0 + unsure**2))
+
+    @cached_property
+    def on_all(self) -> Gap:
+        """The same at all instants, those at rest and near reversals, too."""
+        trace = self.trace
+        fits = (trace.before, trace.inertias_only, trace.after)
+        before, bare, after = (root_mean_square(trace.measured - each) / self._analysis.floor for each in fits)
+        return Gap(before, bare, after, self.gap.expected)
 
     @cached_property
     def with_curves(self) -> FloatArray:

@@ -27,12 +27,13 @@ from geomid_ros.model.effects import EFFECTS, Quantity, joint_of
 from geomid_ros.model.measurement import MeasurementModel
 
 
-def findings(model: MeasurementModel, analysis: Analysis, unseen: HeldOut) -> tuple[Finding, ...]:
+def findings(model: MeasurementModel, analysis: Analysis, unseen: HeldOut) -> list[tuple[Candidate, Finding]]:
     """The names, the one that matters most first, judged on what was fitted and on ``unseen`` data."""
-    # Of the fit that is written and judged: beside curves that span a part of it, a size means something else.
+    # Of the fit without curves: beside those that span a part of it, a size means something else.
     sized = scattered(analysis.search.design, analysis.names)
-    found = [_finding(model, analysis, c, unseen, sized) for c in analysis.whole.chosen if isinstance(c, Candidate)]
-    return tuple(sorted(found, key=lambda finding: -finding.loss))
+    names = [c for c in analysis.whole.chosen if isinstance(c, Candidate)]
+    found = [(candidate, _finding(model, analysis, candidate, unseen, sized)) for candidate in names]
+    return sorted(found, key=lambda named: -named[1].loss)
 
 
 def _finding(

@@ -1,0 +1,215 @@
+"""The model that is written: the one that was given, with what is sure to be otherwise, and nothing else."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from geomid_ros.estimation.starting_point import USUAL_SPREAD_OF_REALS
+from geomid_ros.gap.candidates import AnyCandidate, Candidate, EffectTerm
+from geomid_ros.gap.evidence.design import Design
+from geomid_ros.gap.evidence.record import Records, TotalModel
+from geomid_ros.gap.fitting.fit import JointFit, fit
+from geomid_ros.gap.fitting.linearised_problem import LinearisedProblem, total_model
+from geomid_ros.gap.fitting.prior import Prior
+from geomid_ros.gap.judgement import naming
+from geomid_ros.gap.judgement.blocks import scattered
+from geomid_ros.gap.judgement.changed_links import with_given_spreads
+from geomid_ros.gap.judgement.closing import is_identified
+from geomid_ros.gap.result import Finding, LinkChange
+from geomid_ros.gap.search.analysis import Analysis
+from geomid_ros.gap.search.beam_search import LEAST_GAIN, UNCHANGED
+from geomid_ros.model.effects import DEFAULT_EFFECTS, EFFECTS, KnownEffect, Quantity, effect_class
+from geomid_ros.model.measurement import MeasurementModel
+from geomid_ros.types import FloatArray
+
+_REFITS = 2  # the second along what the first one found
+_ORDINARY = tuple(cls() for name, cls in EFFECTS.items() if name in DEFAULT_EFFECTS)
+
+
+@dataclass(frozen=True, eq=False)
+class Written:
+    """The ``found`` fit; ``findings`` and ``links`` with the sizes that it has; and, where nothing was known of joints
+    before, their ``ordinary`` effects, which need no name."""
+
+    found: JointFit
+    findings: tuple[Finding, ...]
+    links: tuple[LinkChange, ...]
+    ordinary: tuple[KnownEffect, ...]
+
+
+def written(
+    model: MeasurementModel,
+    records: Records,
+    analysis: Analysis,
+    findings: Sequence[tuple[Candidate, Finding]],
+    links: Sequence[LinkChange],
+) -> Written:
+    """Put back what has no sure name, and fit the rest anew.
+
+    While names are looked for, all that the model has may drift a little, and names of which nobody is sure take what
+    they can. In the file both would be changes that nobody is told of. So effects of the given model, and beside a
+    model that was identified the links, are as they were given unless a sure finding says that they are not. A URDF
+    alone says nothing of friction: there joints have what those of other robots have, as ``identify`` finds it.
+    """
+    changed = [model.body_names.index(link.link) for link in links if link.confidence == "confident"]
+    sure = [candidate for candidate, finding in findings if finding.confidence == "confident"]
+    found = _Refit(model, records, analysis, changed).found(sure)
+    ordinary = [c for c in found.chosen if isinstance(c, Candidate) and c not in sure]
+    return Written(
+        found,
+        tuple(_findings_as_written(model, analysis, found, findings)),
+        tuple(_as_written(link, model, analysis, found) for link in links),
+        tuple(_known(model, found, candidate) for candidate in ordinary),
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _Refit:
+    """Fits of what an ``analysis`` is sure of, the rest as it was; ``changed``: the links that are others now.
+
+    They are to all that is measured, rest and reversals included, as if its noise were white: a file is judged by what
+    it leaves of every sample.
+    """
+
+    model: MeasurementModel
+    records: Records
+    analysis: Analysis
+    changed: Collection[int]
+
+    def found(self, sure: Sequence[Candidate]) -> JointFit:
+        """The fit of the ``sure`` names, without those that cannot be, and of those ordinary effects that are there."""
+        named, ordinary, found = [*sure], self._ordinary_beside(sure), self.analysis.names
+        total = self._without_unsure(sure)
+        for _ in range(_REFITS):
+            problem = LinearisedProblem(self.model, self.records, total)
+            design = problem.design_of_all(problem.columns([*named, *ordinary], self.analysis.search.prior.terms))
+            while True:
+                found = self._fit(problem, design, named, ordinary, found)
+                if (gone := self._untenable(found, ordinary)) is None:
+                    break
+                named, ordinary = ([c for c in own if c is not gone] for own in (named, ordinary))
+            total = total_model(self.model, found)
+        return found
+
+    def _without_unsure(self, sure: Sequence[Candidate]) -> TotalModel:
+        """What was found, without the names that are not sure: columns along a delay that is not there are others."""
+        total = total_model(self.model, self.analysis.names)
+        kept = {*self.analysis.search.prior.terms, *(term for candidate in sure for term in candidate.terms)}
+        places = {(term.effect, term.place) for term in kept if isinstance(term, EffectTerm)}
+        return replace(total, effects=tuple(own for own in total.effects if own[:2] in places))
+
+    def _untenable(self, found: JointFit, ordinary: Collection[Candidate]) -> AnyCandidate | None:
+        """One that cannot be; or else the least of the ordinary effects if it may as well be nothing; or else none."""
+        absurd = [c for c in found.chosen if self.analysis.search.is_absurd(found, c)]
+        if absurd or not ordinary:
+            return min(absurd, key=lambda c: c not in ordinary, default=None)
+        least = min(ordinary, key=lambda c: _evidence(found, c))
+        return least if _evidence(found, least) < LEAST_GAIN else None
+
+    def _ordinary_beside(self, sure: Sequence[Candidate]) -> list[Candidate]:
+        """The ordinary effects of all joints and sensors where nothing is known of them."""
+        if is_identified(self.analysis) or self.analysis.search.prior.terms:
+            return []
+        ordinary = [Candidate.of(effect, place) for effect in _ORDINARY for place in self.model.places.of(effect)]
+        return [c for c in ordinary if not any(c.excludes(other) for other in sure)]
+
+    def _fit(
+        self,
+        problem: LinearisedProblem,
+        design: Design,
+        named: Sequence[Candidate],
+        ordinary: Sequence[Candidate],
+        start: JointFit,
+    ) -> JointFit:
+        names, spreads = self.analysis.names, self.analysis.search.prior.link_spreads
+        prior = _with_ordinary(_as_given(self.analysis.search.prior, named), problem, named, ordinary)
+        if is_identified(self.analysis):
+            prior = with_given_spreads(prior, names.inflation)
+            held = np.isin(np.arange(len(names.spreads)), list(self.changed), invert=True)
+            spreads = np.where(held, UNCHANGED * prior.spread, names.spreads)
+        found = scattered(design, fit(design, prior, named, start, spreads))
+        return replace(found, chosen=(*named, *ordinary))
+
+
+def _evidence(found: JointFit, candidate: Candidate) -> float:
+    """By how much the score would be worse without it, to second order: its squared deviations from nothing."""
+    places = [found.place(term) for term in candidate.terms]
+    values = np.array([found.value(term) for term in candidate.terms])
+    return float(values @ np.linalg.solve(found.covariance[np.ix_(places, places)], values))
+
+
+def _with_ordinary(
+    prior: Prior, problem: LinearisedProblem, named: Sequence[Candidate], ordinary: Sequence[Candidate]
+) -> Prior:
+    """A prior by which ordinary effects are a part of what is measured, as ``identify`` has it: a free offset would
+    stand in for gravity."""
+    said = {term for candidate in named for term in candidate.terms}
+    terms = tuple(term for candidate in ordinary for term in candidate.terms if term not in said)
+    sizes = problem.usual_sizes(terms)
+    spreads = USUAL_SPREAD_OF_REALS * np.where(np.isfinite(sizes) & (sizes > 0.0), sizes, 1.0)  # of nothing: any
+    return replace(
+        prior,
+        terms=(*prior.terms, *terms),
+        values=np.append(prior.values, np.zeros(len(terms))),
+        spreads=np.append(prior.spreads, spreads),
+    )
+
+
+def _known(model: MeasurementModel, found: JointFit, candidate: Candidate) -> KnownEffect:
+    """An effect as files have it."""
+    parameters = naming.parameters(model, found, candidate)
+    return KnownEffect(candidate.name, model.places.name(candidate.place), "", parameters)
+
+
+def _as_given(prior: Prior, sure: Sequence[AnyCandidate]) -> Prior:
+    """A prior by which only effects with a ``sure`` name may be others than they were."""
+    named = {term for candidate in sure for term in candidate.terms}
+    factors = np.array([1.0 if term in named else UNCHANGED for term in prior.terms])
+    return replace(prior, spreads=factors * prior.spreads)
+
+
+def _findings_as_written(
+    model: MeasurementModel,
+    analysis: Analysis,
+    found: JointFit,
+    findings: Sequence[tuple[Candidate, Finding]],
+) -> Iterator[Finding]:
+    """A sure name that is impossible without the unsure ones is not sure itself."""
+    for candidate, finding in findings:
+        if finding.confidence != "confident":
+            yield finding
+        elif candidate in found.chosen:
+            load = analysis.problem.situation.usual_load(candidate.place) if candidate.effect.scanned else 0.0
+            parameters = naming.parameters(model, found, candidate, usual_load=load)
+            sized = {name: _moved(quantity, parameters[name].value) for name, quantity in finding.parameters.items()}
+            yield _said_again(replace(finding, parameters=sized))
+        else:
+            yield _said_again(replace(finding, confidence="tentative"))
+
+
+def _said_again(finding: Finding) -> Finding:
+    effect = effect_class(finding.effect)()
+    sizes = finding.parameters, finding.was, finding.confidence
+    return replace(finding, sentence=naming.sentence(effect, finding.joint, finding.link, *sizes))
+
+
+def _as_written(link: LinkChange, model: MeasurementModel, analysis: Analysis, found: JointFit) -> LinkChange:
+    """A changed link with the size that was fitted; one that is not sure keeps that which it seemed to have."""
+    if link.confidence != "confident":
+        return link
+    place = model.body_names.index(link.link)
+    change: FloatArray = found.inertias[place] - analysis.search.prior.inertias.reshape(-1, 10)[place]
+    moment = zip(link.moment.items(), change[1:4].tolist(), strict=False)
+    return replace(
+        link,
+        mass=_moved(link.mass, float(change[0])),
+        moment={axis: _moved(quantity, value) for (axis, quantity), value in moment},
+    )
+
+
+def _moved(quantity: Quantity, value: float) -> Quantity:
+    """A quantity with another value, and a deviation that reaches the one that it had."""
+    return replace(quantity, value=value, std=max(quantity.std, abs(value - quantity.value)))

@@ -1,0 +1,131 @@
+"""The written model is the one that was given, with what is sure to be otherwise."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from geomid_ros.gap.evidence.record import Records
+from geomid_ros.gap.judgement.confidence import Evidence
+from geomid_ros.gap.result import GapResult
+from geomid_ros.gap.workflow import find_gap
+from geomid_ros.model.effects.coulomb_friction import CoulombFriction
+from geomid_ros.model.effects.viscous_friction import ViscousFriction
+from geomid_ros.model.measurement import MeasurementModel
+from geomid_ros.types import FloatArray
+
+from . import planted
+
+BARE = planted.model()
+JOINTS = BARE.robot.joint_names
+MODEL = MeasurementModel(BARE.robot, (ViscousFriction(), CoulombFriction()))
+GIVEN = planted.true_inertias(5, 0.1)
+TRUE = planted.true_inertias(6, 0.02) - BARE.nominal_inertias.reshape(-1, 10) + GIVEN
+"""The links differ from the model by as little as identified ones do, and nobody can say which."""
+VISCOUS, MISSING, LEVEL = 0.3, 0.6, 0.4
+
+
+def efforts(q: FloatArray, v: FloatArray, a: FloatArray) -> FloatArray:
+    viscous = np.array([1.02 * VISCOUS, MISSING, 0.0]) * v
+    return planted.rigid(TRUE)(q, v, a) + viscous + np.array([0.0, 0.0, LEVEL]) * np.tanh(v / 0.02)
+
+
+def known() -> FloatArray:
+    """The model: inertias, viscous friction of the first joint, Coulomb friction of the last."""
+    values = {("viscous_friction", JOINTS[0]): VISCOUS, ("coulomb_friction", JOINTS[2]): LEVEL}
+    found = [values.get((c.effect.name, c.place_name), np.nan) for c in MODEL.coefficients]
+    return np.append(GIVEN.ravel(), found)
+
+
+def found(**options: Any) -> GapResult:
+    train, unseen = planted.recording(efforts, 3), planted.recording(efforts, 1003, 15.0)
+    return find_gap(MODEL, [train], [unseen], **options)
+
+
+@pytest.fixture(scope="module")
+def beside_model() -> GapResult:
+    return found(nominal=known())
+
+
+def test_what_no_finding_says_is_as_it_was_given(beside_model: GapResult) -> None:
+    result = beside_model
+    assert [(f.effect, f.joint) for f in result.sure] == [("viscous_friction", JOINTS[1])]
+    assert not result.links
+    np.testing.assert_array_equal(result.coefficients, known()[BARE.dimension :])
+    np.testing.assert_allclose(result.inertias, GIVEN, rtol=1e-3, atol=1e-5)
+    assert np.max(np.abs(TRUE - GIVEN)) > 0.01, "else nothing is to be put back"
+    (finding,) = result.sure
+    size = finding.parameters["coefficient"]
+    assert abs(size.value - MISSING) < 3.0 * size.std
+    assert f"{size.value:.4g}" in finding.sentence
+
+
+def test_the_table_is_of_the_model_that_is_written(beside_model: GapResult) -> None:
+    trace, size = beside_model.trace, beside_model.sure[0].parameters["coefficient"].value
+    _, q, v, a = planted.motion(1003, 15.0)
+    chosen = Records.make([planted.recording(efforts, 1003, 15.0)], planted.CUTOFF).chosen[0]
+    written = planted.rigid(beside_model.inertias)(q, v, a) + np.array([VISCOUS, size, 0.0]) * v
+    written += np.array([0.0, 0.0, LEVEL]) * np.tanh(v / 0.02)
+    np.testing.assert_allclose(trace.after, written[chosen], atol=0.02 * planted.NOISE)
+
+
+def test_a_sure_finding_has_the_size_with_which_the_file_leaves_least(beside_model: GapResult) -> None:
+    """Its column is at right angles to what the file leaves of the recording that it was fitted to."""
+    _, q, v, a = planted.motion(3, 40.0)
+    size = beside_model.sure[0].parameters["coefficient"].value
+    written = planted.rigid(beside_model.inertias)(q, v, a) + np.array([VISCOUS, size, 0.0]) * v
+    left, column = (efforts(q, v, a) - written)[:, 1], v[:, 1]
+    assert abs(left @ column) < 0.02 * np.linalg.norm(left) * np.linalg.norm(column)
+
+
+def test_what_is_not_sure_is_not_written(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(Evidence, "confidence", lambda *_: "tentative")
+    result = found(nominal=known())
+    assert result.findings
+    assert result.sure == ()
+    np.testing.assert_allclose(result.gap.after, result.gap.before, rtol=0.01)
+
+
+def test_beside_a_urdf_joints_have_the_friction_that_every_joint_has(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whether it has a name or not."""
+    monkeypatch.setattr(Evidence, "confidence", lambda *_: "ambiguous")
+    result = found()
+    values = {(e.effect, e.joint): e.parameters for e in result.ordinary}
+    assert result.sure == ()
+    for key, true in {
+        ("viscous_friction", JOINTS[0]): 1.02 * VISCOUS,
+        ("viscous_friction", JOINTS[1]): MISSING,
+        ("coulomb_friction", JOINTS[2]): LEVEL,
+    }.items():
+        size = next(iter(values[key].values()))
+        assert abs(size.value - true) < 4.0 * size.std
+        assert size.std < 0.1 * true
+    assert {effect for effect, _ in values} <= {"viscous_friction", "coulomb_friction"}, "nothing else is there"
+    assert np.max(result.gap.after) < 1.2
+
+
+def test_friction_that_no_file_can_say_is_folded_into_what_files_say() -> None:
+    """What is left of the friction is at right angles to what they can say."""
+    quadratic = 0.2
+
+    def thick(q: FloatArray, v: FloatArray, a: FloatArray) -> FloatArray:
+        return planted.rigid(GIVEN)(q, v, a) + np.array([1.0, 0.0, 0.0]) * v * (VISCOUS + quadratic * np.abs(v))
+
+    train, unseen = planted.recording(thick, 3), planted.recording(thick, 1003, 15.0)
+    result = find_gap(MODEL, [train], [unseen])
+    values = {(e.effect, e.joint): e.parameters["coefficient"].value for e in (*result.sure, *result.ordinary)}
+    assert values["quadratic_friction", JOINTS[0]] == pytest.approx(quadratic, rel=0.05)
+    v = train.select(Records.make([train], planted.CUTOFF).chosen[0]).velocity[:, 0]
+    left = values["quadratic_friction", JOINTS[0]] * v * np.abs(v) - result.folded[JOINTS[0], "dynamics/damping"] * v
+    assert abs(left @ v) < 1e-6 * np.linalg.norm(left) * np.linalg.norm(v)
+    assert result.folded[JOINTS[0], "dynamics/damping"] > 0.3 * quadratic
+
+
+def test_the_table_is_of_all_samples(beside_model: GapResult) -> None:
+    """Standing still the robot is pushed, which no model says."""
+    trace, floor = beside_model.trace, beside_model.floor
+    left = np.sqrt(np.mean((trace.measured - trace.after) ** 2, axis=0)) / floor
+    np.testing.assert_allclose(beside_model.gap.after, left, rtol=1e-9)
+    assert not np.array_equal(beside_model.moving, beside_model.gap.after)
