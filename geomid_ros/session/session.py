@@ -31,8 +31,9 @@ from geomid_ros.model.columns import Columns
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.robot import Robot
 from geomid_ros.model.samples import Samples
-from geomid_ros.plausibility.check import Judge, JudgementTask, RecordingCheck
+from geomid_ros.plausibility.check import Judge, JudgementTask, RecordingCheck, efforts_alone
 from geomid_ros.plausibility.hypotheses import Finding
+from geomid_ros.plausibility.unexplained import unexplained
 from geomid_ros.plausibility.verdict import Verdict, unlike, verdict, worse_channels, worse_in_folds, worse_on_rows
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.recorded import Recorded
@@ -170,9 +171,18 @@ class Session:
         else:
             worse = worse_channels(self.model, judged, estimate.parameters) if judged else worse_on_rows(estimate)
         recorded = self.recorded
+        samples = () if isinstance(judged, RowSummary) else judged
+        findings = self.findings or self._unexplained(estimate, samples)
         peculiar = [*peculiarities(recorded.accounts), *self.remarks]
         peculiar += [] if held_out is None else unlike(estimate, held_out)
-        return verdict(estimate, self.findings, self.model, worse, recorded.unmeasured, peculiar)
+        return verdict(estimate, findings, self.model, worse, recorded.unmeasured, peculiar)
+
+    def _unexplained(self, estimate: Estimate, judged: Sequence[Samples]) -> tuple[Finding, ...]:
+        """That an estimate does not explain what some joints do, if so."""
+        if not efforts_alone(self.model):
+            return ()
+        found = unexplained(self.model, judged, estimate.parameters, self.check.recorded)
+        return () if found is None else (found,)
 
     def warnings(self, estimate: Estimate | None = None, verdict: Verdict | None = None) -> list[str]:
         """What makes results doubtful, in sentences: of the model it began with, of an estimate and its verdict."""
