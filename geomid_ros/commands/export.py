@@ -41,6 +41,7 @@ if TYPE_CHECKING:
     help="For mujoco: print this file with what was identified of the bodies and joints of the same names, all else as "
     "it is.",
 )
+@click.option("--force", is_flag=True, help="Export a model whose verdict is not 'usable', too.")
 @package_option
 def export(
     model: Path,
@@ -49,6 +50,7 @@ def export(
     links: list[str] | None,
     without: Path | None,
     into: Path | None,
+    force: bool,
     package_path: dict[str, Path],
 ) -> None:
     """Print an estimate in the terms of other software.
@@ -58,21 +60,21 @@ def export(
     drake it is the robot's URDF, for mujoco its MJCF, with inertias, friction, and what else each of these can say; or
     with --frame the inertial of a payload. Standard deviations stand beside the numbers or behind them. What a format
     cannot say is said. What the data did not show is not exported as a payload. A model whose verdict is not 'usable'
-    is warned of.
+    is refused without --force.
     """
     if into and tool != "mujoco":
         raise click.UsageError("--into is a file of MuJoCo's: --for mujoco.")
-    read = _read(model)
+    read = _read(model, force)
     if tool in CONTROLLERS:
         controller = CONTROLLERS[tool]
-        payload = _payload(read, frame or _flange(read, controller.flange), links, without)
+        payload = _payload(read, frame or _flange(read, controller.flange), links, without, force)
         click.echo(controller.commands(payload), nl=False)
         return
     from geomid_ros.exports.descriptions import DESCRIPTIONS
     from geomid_ros.exports.payload import each_link
 
     if frame:
-        click.echo(DESCRIPTIONS[tool].payload(_payload(read, frame, links, without)), nl=False)
+        click.echo(DESCRIPTIONS[tool].payload(_payload(read, frame, links, without, force)), nl=False)
         return
     if links or without:
         raise click.UsageError("Missing option '--frame': in the axes of which link?")
@@ -88,23 +90,25 @@ def _into(model: Model, into: Path) -> Whole:
     return into_mjcf(model, into)
 
 
-def _payload(model: Model, frame: str, links: list[str] | None, without: Path | None) -> Export:
+def _payload(model: Model, frame: str, links: list[str] | None, without: Path | None, force: bool) -> Export:
     if links and without:
         raise click.UsageError("A payload is either --links or what a model --without it lacks.")
     from geomid_ros.exports.payload import attached, chosen, difference
 
     if without:
-        return difference(model, _read(without), frame)
+        return difference(model, _read(without, force), frame)
     if links:
         return chosen(model, links, frame)
     return attached(model, frame)
 
 
-def _read(path: Path) -> Model:
-    """Read a model, and warn of one that should not be used."""
+def _read(path: Path, force: bool) -> Model:
+    """Read a model. Raises InputError for one that should not be used, unless that is forced."""
     from geomid_ros.exports.model import read_model
 
     model = read_model(path)
+    if model.doubt and not force:
+        raise InputError(f"{model.doubt}; mend that, or export it with --force")
     if model.doubt:
         click.echo(f"Warning: {one_line(model.doubt)}", err=True)
     return model

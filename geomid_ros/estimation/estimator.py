@@ -25,7 +25,7 @@ from geomid_ros.estimation.summary import RowSummary
 from geomid_ros.geometry.manifold import ParameterManifold, Point
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.weighed_masses import WeighedMass, WeighedRows, weighed_rows
-from geomid_ros.types import FloatArray, IntArray, frozen
+from geomid_ros.types import BoolArray, FloatArray, IntArray, frozen
 
 _FAR = 2.0  # times the usual distance
 _SAME_MASS = 0.2  # logarithm of the ratio of masses
@@ -230,7 +230,9 @@ def _estimate(
         gamma=fitted.gamma,
         rows_accepted=summary.rows,
         rows_set_aside=set_aside,
-        links=estimate_parts.links(model, manifold, prior_point, solution.point, found),
+        links=estimate_parts.links(
+            model, manifold, prior_point, solution.point, found, problem.usual, _outliers(fitted)
+        ),
         effects=estimate_parts.effects(model, manifold, solution.point, found),
         parameters=frozen(parameters),
         channels=tuple(channel.name for channel in model.channels),
@@ -249,11 +251,16 @@ def _estimate(
     )
 
 
+def _outliers(fitted: Fit) -> BoolArray:
+    """Whether each link left its prior by far more than links usually do ``(links,)``."""
+    return np.asarray(fitted.spreads > _FAR * fitted.problem.usual)
+
+
 def _run_away(model: MeasurementModel, fitted: Fit, point: Point) -> Iterator[str]:
-    """A sentence for each link that left its prior by far more than links usually do."""
-    spreads, pairs = fitted.spreads, zip(fitted.problem.prior_point.pseudo_inertias, point.pseudo_inertias, strict=True)
-    for name, spread, usual, (prior, found) in zip(model.body_names, spreads, fitted.problem.usual, pairs, strict=True):
-        if spread > _FAR * usual:
+    """A sentence for each link that left its prior."""
+    pairs = zip(fitted.problem.prior_point.pseudo_inertias, point.pseudo_inertias, strict=True)
+    for name, outlier, (prior, found) in zip(model.body_names, _outliers(fitted), pairs, strict=True):
+        if outlier:
             what = f"{found[3, 3]:.3g} kg instead of {prior[3, 3]:.3g}"
             if abs(np.log(found[3, 3] / prior[3, 3])) < _SAME_MASS:
                 what = "its centre of mass or its inertia, not its mass"

@@ -105,11 +105,14 @@ def _link(node: str, link: LinkEstimate) -> DiagnosticStatus:
         "distance from prior": link.distance_from_prior,
         "min eigenvalue ratio": link.min_eigenvalue_ratio,
         "merged": ", ".join(link.merged),
-        "cannot be told": ", ".join(link.cannot_tell),
+        "cannot be told": ", ".join(name for name in QUANTITIES if name not in link.identified),
     }
-    if len(link.cannot_tell) == len(QUANTITIES):
-        return _status(f"{node}: {link.name}", DiagnosticStatus.WARN, "no quantity can be told by itself", values)
-    return _status(f"{node}: {link.name}", DiagnosticStatus.OK, f"mass {link.mass:.3f} kg", values)
+    message = f"mass {link.mass:.3f} kg"
+    if link.outlier:
+        message += ", far from what was known: a payload, or an effect that the model lacks? ('geomid gap')"
+        return _status(f"{node}: {link.name}", DiagnosticStatus.WARN, message, values)
+    alone = "" if "mass" in link.identified else ", known in combination with other links only"
+    return _status(f"{node}: {link.name}", DiagnosticStatus.OK, message + alone, values)
 
 
 _MOST_REASONS = 5  # in a sentence
@@ -289,11 +292,8 @@ def _most_frequent(refusals: Mapping[str, int]) -> list[str]:
 
 
 def _standing_still(estimate: Estimate | None) -> list[str]:
-    """A complaint only if something is not known yet."""
-    if estimate is None:
-        return [f"{STANDING_STILL}: nothing can be told of any link"]
-    unknown = [link.name for link in estimate.links if len(link.cannot_tell) == len(QUANTITIES)]
-    return [f"{STANDING_STILL}: nothing new can be told of {_list(unknown)}"] if unknown else []
+    """A complaint as long as there is no estimate: afterwards a robot may rest."""
+    return [f"{STANDING_STILL}: nothing can be told of any link"] if estimate is None else []
 
 
 def _list(names: Sequence[str]) -> str:

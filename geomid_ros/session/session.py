@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from geomid_ros.errors import InputError
-from geomid_ros.estimation.estimate import Estimate
+from geomid_ros.estimation.estimate import Estimate, LinkEstimate
 from geomid_ros.estimation.estimator import EstimatorSettings, WarmStart
 from geomid_ros.estimation.identifier import Identifier
 from geomid_ros.estimation.summary import RowSummary
@@ -34,9 +34,18 @@ from geomid_ros.model.samples import Samples
 from geomid_ros.plausibility.check import Judge, JudgementTask, RecordingCheck, efforts_alone
 from geomid_ros.plausibility.hypotheses import Finding
 from geomid_ros.plausibility.unexplained import unexplained
-from geomid_ros.plausibility.verdict import Verdict, unlike, verdict, worse_channels, worse_in_folds, worse_on_rows
+from geomid_ros.plausibility.verdict import (
+    REASON,
+    Verdict,
+    unlike,
+    verdict,
+    worse_channels,
+    worse_in_folds,
+    worse_on_rows,
+)
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.recorded import Recorded
+from geomid_ros.session.solidity import impossible_links
 from geomid_ros.session.streams import faulty_streams, peculiarities
 from geomid_ros.signals.gates import Limits
 from geomid_ros.signals.ledger import Account, Ledger
@@ -66,6 +75,7 @@ class Session:
             InputError: these do not fit together.
         """
         self.urdf = urdf
+        self._source = source
         self.configuration = configuration
         self.loaded = LoadedModel.read(configuration["model"])
         sensors = self.loaded.sensors(configuration.sensors)
@@ -175,7 +185,17 @@ class Session:
         findings = self.findings or self._unexplained(estimate, samples)
         peculiar = [*peculiarities(recorded.accounts), *self.remarks]
         peculiar += [] if held_out is None else unlike(estimate, held_out)
-        return verdict(estimate, findings, self.model, worse, recorded.unmeasured, peculiar)
+        impossible = tuple(impossible_links(self.urdf, self._source, self._suspects(estimate)))
+        return verdict(estimate, findings, self.model, worse, recorded.unmeasured, peculiar, impossible)
+
+    def _suspects(self, estimate: Estimate) -> Iterator[LinkEstimate]:
+        """The links whose masses are far from the URDF's, but for those at the ends, which may carry what is not in
+        it."""
+        masses = self.model.nominal_inertias[::10]
+        for link, nominal in zip(estimate.links, masses, strict=True):
+            far = link.outlier or not nominal / REASON <= link.mass <= nominal * REASON
+            if far and len(self.robot.subtree(link.name)) > 1:
+                yield link
 
     def _unexplained(self, estimate: Estimate, judged: Sequence[Samples]) -> tuple[Finding, ...]:
         """That an estimate does not explain what some joints do, if so."""
