@@ -27,6 +27,7 @@ def links(
     prior: Point,
     point: Point,
     found: uncertainty.Uncertainty,
+    *,
     usual: FloatArray,
     outliers: BoolArray,
 ) -> tuple[LinkEstimate, ...]:

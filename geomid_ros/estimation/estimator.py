@@ -231,7 +231,7 @@ def _estimate(
         rows_accepted=summary.rows,
         rows_set_aside=set_aside,
         links=estimate_parts.links(
-            model, manifold, prior_point, solution.point, found, problem.usual, _outliers(fitted)
+            model, manifold, prior_point, solution.point, found, usual=problem.usual, outliers=_outliers(fitted)
         ),
         effects=estimate_parts.effects(model, manifold, solution.point, found),
         parameters=frozen(parameters),

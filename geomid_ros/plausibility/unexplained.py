@@ -88,7 +88,7 @@ class Residuals:
             np.concatenate([places, places**2, places**3], axis=1),
         )
         yield (
-            f"what is left follows the speed of '{name}': check the sign of its position, and its friction",
+            f"what is left follows the speed of '{name}': check the sign of its position, and its friction (--effects)",
             np.concatenate([speeds, np.sign(speeds)], axis=1),
         )
         for other in range(len(self.names)):

@@ -186,7 +186,15 @@ class Session:
         peculiar = [*peculiarities(recorded.accounts), *self.remarks]
         peculiar += [] if held_out is None else unlike(estimate, held_out)
         impossible = tuple(impossible_links(self.urdf, self._source, self._suspects(estimate)))
-        return verdict(estimate, findings, self.model, worse, recorded.unmeasured, peculiar, impossible)
+        return verdict(
+            estimate,
+            findings,
+            self.model,
+            worse=worse,
+            unmeasured=recorded.unmeasured,
+            peculiar=peculiar,
+            impossible=impossible,
+        )
 
     def _suspects(self, estimate: Estimate) -> Iterator[LinkEstimate]:
         """The links whose masses are far from the URDF's, but for those at the ends, which may carry what is not in
