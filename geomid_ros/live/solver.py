@@ -264,6 +264,7 @@ class Solver:
         with self._lock:
             rows, epoch, instants = self._session.identifier.rows, self._epoch, self._session.identifier.instants
         try:
+            self._session.check_description()
             estimate = self._finite(self._session.identifier.solve(warm))
             if self._keep(estimate, rows, epoch, warm):
                 self._earlier.append((instants, estimate))

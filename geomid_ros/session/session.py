@@ -159,6 +159,16 @@ class Session:
         self.check, self.findings, self._kept = self._new_check(), (), ()
         self._forgotten = self.pipeline.ledger.topics
 
+    def check_description(self) -> None:
+        """Refuse a URDF that can be no robot's: what is solved for from there says nothing, and may take for ever.
+
+        Raises:
+            InputError: the recordings so far have shown that.
+        """
+        for finding in self.findings:
+            if finding.cause.kind == "description":
+                raise InputError(f"{self._source or self.robot.name}: {finding.cause.sentence}")
+
     def judge_apart(self) -> None:
         """Keep the findings so far, and judge the samples to come by themselves: what was changed on purpose between
         two recordings is no fault of theirs."""

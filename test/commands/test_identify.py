@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -168,6 +169,17 @@ def test_links_that_are_not_named_keep_their_inertia(tmp_path: Path) -> None:
 def test_effects_that_are_named(tmp_path: Path) -> None:
     document = small(tmp_path, "--effects", "coulomb_friction, rotor_inertia,coulomb_friction")
     assert [entry["name"] for entry in document["effects"]] == 3 * ["coulomb_friction"] + 3 * ["rotor_inertia"]
+
+
+def test_a_urdf_that_can_be_no_robot_s_is_refused_before_anything_is_solved(tmp_path: Path) -> None:
+    """With inertias in g mm^2 a solve would take minutes, and say nothing."""
+    text = (BAGS / "arm3.urdf").read_text()
+    spoilt = re.sub(r'( i[xyz][xyz]=)"([^"]+)"', lambda found: f'{found[1]}"{1e9 * float(found[2])}"', text)
+    (tmp_path / "arm3.urdf").write_text(spoilt)
+    message = refused("identify", BAGS / "arm3", "--urdf", tmp_path / "arm3.urdf", "--out", tmp_path / "out")
+    assert message.startswith(str(tmp_path / "arm3.urdf"))
+    assert "g mm^2" in message
+    assert not (tmp_path / "out").exists()
 
 
 def test_no_effects(tmp_path: Path) -> None:
