@@ -31,6 +31,10 @@ _FAR = 2.0  # times the usual distance
 _SAME_MASS = 0.2  # logarithm of the ratio of masses
 _ROUNDING = 1e-9
 _ROUGHLY = 1e-3  # relative change of noise and spreads in a round
+_SPENT = (
+    "the solver's budget of steps was spent before noise and spreads of the links had settled: masses are those of the "
+    "last step; is the URDF this robot's, in SI units?"
+)
 _OF_WHITE_NOISE = 1.79  # independent rows per period of the filter's cutoff: twice its noise bandwidth in cutoffs
 
 
@@ -184,7 +188,7 @@ def _fit(problem: Problem, start: Point | None, spreads: FloatArray | None, **op
     """A fit, in which no joint is driven by its dry friction; its problem has the rows that see to that."""
     if start is not None:
         # Which joints these are a rough solution tells.
-        start, _, spreads = settle(problem, start, spreads, within=_ROUGHLY, **options)
+        start, _, spreads, _ = settle(problem, start, spreads, within=_ROUGHLY, **options)
         if len(rows := driven_rows(problem.model, start.parameters)):
             return fit(problem.beside(rows), start, spreads, **options)
     found = fit(problem, start, spreads, **options)
@@ -247,7 +251,7 @@ def _estimate(
         rows=frozen(independent * fitted.rows[0]),
         targets=frozen(independent * fitted.rows[1]),
         known=estimate_parts.weighed(known, manifold, solution.point, found),
-        warnings=tuple(_run_away(model, fitted, solution.point)),
+        warnings=(*_run_away(model, fitted, solution.point), *([_SPENT] if fitted.spent else [])),
     )
 
 
