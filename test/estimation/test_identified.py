@@ -78,6 +78,11 @@ def test_a_link_that_left_its_prior_is_not_identified_however_sure_it_is() -> No
     assert usual.identified == tuple(name for name in QUANTITIES if name not in usual.cannot_tell)
 
 
+def test_the_prior_that_grew_is_not_what_the_data_are_compared_with() -> None:
+    usual, changed = (solved(factor).links[-1] for factor in (1.0, 5.0))
+    assert changed.std_prior[0] / changed.mass < 1.2 * usual.std_prior[0] / usual.mass
+
+
 def test_a_scale_identifies_a_mass() -> None:
     """The second link's, which the joints of this arm do not feel apart from the first one's."""
     assert "mass" in solved(1.0).links[0].cannot_tell
