@@ -35,6 +35,7 @@ from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.estimation.starting_point import prior_parameters
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.model.samples import Samples
+from geomid_ros.plausibility.verdict import Verdict
 from geomid_ros.session.session import Session
 from geomid_ros.types import FloatArray
 
@@ -89,7 +90,8 @@ CASES = {
 
 @dataclass(frozen=True, eq=False)
 class Comparison:
-    """RMS on held-out data by method ``(channels,)``; how many links are possible bodies; what geomid says."""
+    """RMS on held-out data by method ``(channels,)``; how many links are possible bodies; what geomid says: the verdict
+    and the warnings."""
 
     channels: tuple[str, ...]
     errors: dict[str, FloatArray]
@@ -97,6 +99,7 @@ class Comparison:
     possible: dict[str, int]
     estimate: Estimate
     added: tuple[str, ...]
+    verdict: Verdict
     warnings: tuple[str, ...]
     seconds: float
 
@@ -127,6 +130,7 @@ def compare(case: Case, paper: bool = False) -> Comparison:
         {method: _possible(session, parameters) for method, parameters in solutions.items()},
         found.estimate,
         tuple(f"{e.name} {e.joint} {e.value:.4g}" for e in found.effects if (e.name, e.joint) in optional),
+        found.verdict,
         tuple(found.warnings),
         seconds,
     )
@@ -269,6 +273,7 @@ def _report(name: str, found: Comparison) -> None:
     masses = ", ".join(f"{link.mass:.3g} ± {link.std_mass:.2g}" for link in estimate.links)
     print(f"gamma {estimate.gamma:.1e}, converged {estimate.converged}, {found.seconds:.1f} processor seconds")
     print(f"masses [kg]: {masses}\neffects that were asked for: {'; '.join(found.added) or 'none'}")
+    print("".join(f"{remark}\n" for remark in found.verdict.remarks) or "usable")
     print("".join(f"warning: {warning}\n" for warning in found.warnings))
 
 

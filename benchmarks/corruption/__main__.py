@@ -25,10 +25,11 @@ from rich import box
 from rich.console import Console
 from rich.table import Table
 
+import geomid_ros
 from benchmarks.corruption.faults import FAULTS, Fault
 from benchmarks.corruption.recording import SOURCES, Recording
+from geomid_ros.api.identify import Identification
 from geomid_ros.errors import GeomidError
-from geomid_ros.files.models.urdf import read_urdf
 from geomid_ros.model.sensors import WrenchSensor
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.recordings import Bags, read_bags
@@ -42,6 +43,9 @@ def answer(recording: Recording, fault: Fault, size: Any) -> tuple[str, str]:
     planted = fault.plant(recording, size)
     with tempfile.TemporaryDirectory(prefix="corruption-") as folder:
         try:
+            if fault.doubted:
+                reasons = identified(planted, planted.write(Path(folder) / "bag")).verdict.reasons
+                return (NAMED if reasons else SILENT), "; ".join(reasons)
             session = judged(planted, planted.write(Path(folder) / "bag"))
         except GeomidError as error:
             return NAMED if fault.refused and fault.refused in str(error) else WRONG, str(error)
@@ -69,9 +73,15 @@ def judged(recording: Recording, bag: Path) -> Session:
     configuration = Configuration(dict(source.settings))
     if source.wrench:
         configuration = configuration.with_sensors([WrenchSensor.parse(source.wrench)])
-    session = Session(read_urdf(source.urdf), configuration, str(source.urdf))
+    session = Session(recording.urdf, configuration, str(source.urdf))
     read_bags(session, Bags(fitted=[bag], hold_out=0.0), lambda _: None)
     return session
+
+
+def identified(recording: Recording, bag: Path) -> Identification:
+    """What is identified from a bag."""
+    source = recording.source
+    return geomid_ros.identify(bag, recording.urdf, config=dict(source.settings), wrench=source.wrench or ())
 
 
 def cases(names: list[str], text: str) -> Iterator[tuple[str, Recording, Fault]]:

@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, TypeAlias
 
 import numpy as np
 
-from benchmarks.corruption.recording import Recording
+from benchmarks.corruption.recording import ARM3, SOURCES, Recording
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.samples import Samples
 from geomid_ros.types import FloatArray, IntArray
 
+OTHERS = (ARM3, *SOURCES.values())
+"""Recordings of other robots."""
 Plant: TypeAlias = Callable[[Recording, Any], Recording]
 """Plants a fault of a size in a recording."""
 
@@ -32,6 +35,7 @@ class Fault:
         noted: what the ledger has to say, for a fault of messages.
         refused: what the error has to say, where the recording may be refused.
         wrench: whether it needs a wrench sensor.
+        doubted: whether it may have any name, as long as the result of an identification is doubted.
     """
 
     row: int
@@ -43,6 +47,7 @@ class Fault:
     noted: str = ""
     refused: str = ""
     wrench: bool = False
+    doubted: bool = False
 
 
 def _efforts(recording: Recording, effort: FloatArray) -> Recording:
@@ -263,6 +268,43 @@ def _copied(recording: Recording, joint: int) -> Recording:
     return _efforts(recording, effort)
 
 
+def _other_axis(recording: Recording, joint: int) -> Recording:
+    """Another axis of the joint's frame in the URDF."""
+    name = recording.robot.joint_names[joint]
+    pattern = rf'(<joint\b[^>]*name="{re.escape(name)}".*?<axis[^>]*xyz=")([^"]*)'
+    before, head, axis, rest = re.split(pattern, recording.urdf, maxsplit=1, flags=re.DOTALL)
+    turned = " ".join(np.roll(axis.split(), 2))
+    return replace(recording, urdf=before + head + turned + rest)
+
+
+def _two_robots(recording: Recording, which: int) -> Recording:
+    """The second half is of another robot, whose joints have the same names."""
+    others = [source for source in OTHERS if source.bag.is_dir() and source.bag != recording.source.bag]
+    other = Recording.read(others[which % len(others)])
+    half, joints = len(recording.stamps) // 2, min(recording.effort.shape[1], other.effort.shape[1])
+    known, times = other.stamps - other.stamps[0], recording.stamps[half:] - recording.stamps[half]
+    position, effort = recording.position.copy(), recording.effort.copy()
+    for own, of_other in ((position, other.position), (effort, other.effort)):
+        for joint in range(joints):
+            own[half:, joint] = np.interp(np.mod(times, known[-1]), known, of_other[:, joint])
+    return replace(recording, position=position, velocity=None, effort=effort)
+
+
+def _parallel_drive(recording: Recording, joint: int) -> Recording:
+    """The motor of a joint carries the next joint's effort, too."""
+    effort = recording.effort.copy()
+    effort[:, joint] -= effort[:, joint + 1]
+    return _efforts(recording, effort)
+
+
+def _turned_round(recording: Recording, joint: int) -> Recording:
+    """Positions and speeds of a joint have the opposite sign."""
+    sign = np.ones(recording.position.shape[1])
+    sign[joint] = -1.0
+    velocity = None if recording.velocity is None else sign * recording.velocity
+    return replace(recording, position=sign * recording.position, velocity=velocity)
+
+
 FAULTS = [
     Fault(row=71, name="wraps", plant=_wrapped, sizes=(0.5, 0.3, 0.8), noted="jump by whole turns"),
     Fault(row=73, name="positions jump", plant=_glitching, sizes=(1.5, 0.3, -3.0), noted="jumps, and back"),
@@ -310,6 +352,10 @@ FAULTS = [
     Fault(row=0, name="held efforts", plant=_held, sizes=(5.0, 3.0, 10.0), kind="stream"),
     Fault(row=0, name="dead band", plant=_cut, sizes=(0.5, 0.3, 0.8), kind="stream"),
     Fault(row=0, name="copied efforts", plant=_copied, sizes=(1, 2, -1), kind="stream"),
+    Fault(row=111, name="axis of the URDF", plant=_other_axis, sizes=(1, 2), doubted=True),
+    Fault(row=112, name="two robots", plant=_two_robots, sizes=(0, 1), doubted=True),
+    Fault(row=113, name="parallel drive", plant=_parallel_drive, sizes=(1, 2), doubted=True),
+    Fault(row=113, name="position turned round", plant=_turned_round, sizes=(1, 2, 3), doubted=True),
     Fault(row=90, name="wrench late", plant=_late, sizes=(0.3, 1.0, 3.0), kind="wrench", wrench=True),
 ]  # fmt: skip
 """What is planted."""

@@ -43,8 +43,12 @@ SOURCES = {
         settings={"gravity": [9.88, -0.165, -0.141]},
     ),
     "med7": Source(bag=DATA / "kuka_med7/measurements", urdf=DATA / "kuka_med7/med7.urdf"),
+    "lwr4": Source(bag=DATA / "kuka_lwr4_hw/measurements_1", urdf=DATA / "kuka_lwr4_hw/kuka_lwr4.urdf"),
     "airbot": Source(bag=DATA / "airbot_play/chirp", urdf=DATA / "airbot_play/airbot_play.urdf"),
 }
+
+
+ARM3 = Source(bag=_BAGS / "arm3", urdf=_BAGS / "arm3.urdf")
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -53,6 +57,7 @@ class Recording:
 
     Attributes:
         source: where they are from.
+        urdf: text of the robot description.
         robot: of the URDF; the joint axis of arrays follows its joints.
         messages: all of them, with their topics, types and times of recording [ns].
         stamps: ``(N,)`` of the joint messages [s].
@@ -63,6 +68,7 @@ class Recording:
     """
 
     source: Source
+    urdf: str
     robot: Robot
     messages: list[tuple[str, str, int, Any]]
     stamps: FloatArray
@@ -76,7 +82,8 @@ class Recording:
     @staticmethod
     def read(source: Source) -> Recording:
         """Read a bag."""
-        robot = Robot(read_urdf(source.urdf), source=str(source.urdf))
+        urdf = read_urdf(source.urdf)
+        robot = Robot(urdf, source=str(source.urdf))
         with Reader(source.bag) as reader:
             messages = [
                 (c.topic, c.msgtype, time, _TYPES.deserialize_cdr(raw, c.msgtype))
@@ -88,6 +95,7 @@ class Recording:
         wrenches = [message for _, kind, _, message in messages if kind == _WRENCH]
         return Recording(
             source=source,
+            urdf=urdf,
             robot=robot,
             messages=messages,
             stamps=np.array([_seconds(message) for message in states]),

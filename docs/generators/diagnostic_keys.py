@@ -77,7 +77,7 @@ _MEANINGS = {
         "distance from prior": "geodesic distance; 0.1 is about 10 % in one direction",
         "min eigenvalue ratio": "smallest eigenvalue relative to the prior; 0 is the boundary of physical consistency",
         "merged": "links fixed to it, included in its numbers",
-        "cannot be told": "parameters whose standard deviation the data did not halve",
+        "cannot be told": "quantities that are not identified: 95 % intervals beyond 20 %, or the prior's doing",
     },
 }
 _SAID_WITH_X = {f"com {axis}{what}" for axis in "yz" for what in ("", " std")}
@@ -126,6 +126,9 @@ def _estimate() -> Estimate:
         from_data=0.0,
         min_eigenvalue_ratio=1.0,
         cannot_tell=(),
+        moments=(),
+        std_prior=np.zeros(13),
+        outlier=False,
     )
     return Estimate(
         converged=True,

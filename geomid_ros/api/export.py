@@ -35,6 +35,7 @@ def export(
     links: Texts | None = None,
     without: PathLike | None = None,
     into: PathLike | None = None,
+    force: bool = False,
     package_path: Mapping[str, Path] | None = None,
 ) -> Exported:
     """An estimate in the terms of other software: a robot description, or the payload at a flange.
@@ -49,15 +50,20 @@ def export(
         links: the payload is these links.
         without: the payload is what this model (estimate.json or URDF) of the robot without it has not.
         into: an MJCF that is to get what was identified, for mujoco.
+        force: export a model whose verdict is not usable, too.
         package_path: folders of ROS packages, by name.
 
     Raises:
-        InputError: the files or arguments cannot be used, or the data do not tell what is asked for.
+        InputError: the files or arguments cannot be used, the data do not tell what is asked for, or a model is
+            doubtful and ``force`` is not given.
     """
     _check(tool, frame, links, without, into)
-    own = read_model(Path(model), tool if into is None else INTO)
+    reader = "" if tool in CONTROLLERS else tool if into is None else INTO
+    own = read_model(Path(model), reader)
     reference = None if without is None else read_model(Path(without))
     doubts = tuple(each.doubt for each in (own, reference) if each is not None and each.doubt)
+    if doubts and not force:
+        raise InputError(f"{doubts[0]}; mend that, or export it with --force")
     if tool in CONTROLLERS:
         flange = frame or _flange(own, CONTROLLERS[tool].flange)
         return Exported(CONTROLLERS[tool].commands(_payload(own, flange, links, reference)), (), doubts)

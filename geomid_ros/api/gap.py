@@ -167,6 +167,7 @@ def find_gap(
         lambda session: GapReader(session, recorded, progress).read(twins),
     )
     session.settled.extend(robot.notes)
+    session.check_description()
     reader = GapReader(session, recorded, progress)
     sharp = reader.sharp()
     commands = reader.sharp(command) if command else []

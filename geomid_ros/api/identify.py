@@ -337,6 +337,7 @@ def identify(
         lambda session: _read(session, recorded, progress),
     )
     session.settled.extend(robot.notes)
+    session.check_description()
     progress("solving", 0.0)
     estimate = session.identifier.solve()
     return Identification(

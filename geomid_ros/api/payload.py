@@ -60,6 +60,7 @@ def weigh_payload(
         lambda session: [_all(session, bags, chosen.topics, progress) for bags in both],
     )
     session.settled.extend(robot.notes)
+    session.check_description()
     progress("solving", 0.0)
     own_gain = parameters["payload.gain"] if gain_std is None else gain_std
     return weigh_at(session, known or before, after, frame or parameters["payload.frame"], own_gain)

@@ -38,6 +38,7 @@ from geomid_ros.files.models.readers import DESCRIBED_FOR
     help="For mujoco: print this file with what was identified of the bodies and joints of the same names, all else as "
     "it is.",
 )
+@click.option("--force", is_flag=True, help="Export a model whose verdict is not 'usable', too.")
 @package_option
 def export(**options: Any) -> None:
     """Print an estimate in the terms of other software.
@@ -47,7 +48,7 @@ def export(**options: Any) -> None:
     drake it is the robot's URDF, for mujoco its MJCF, with inertias, friction, and what else each of these can say; or
     with --frame the inertial of a payload. Standard deviations stand beside the numbers or behind them. What a format
     cannot say is said. What the data did not show is not exported as a payload. A model whose verdict is not 'usable'
-    is warned of.
+    is refused without --force.
     """
     found = geomid_ros.export(**options)
     for heading, sentences in (("Warning", found.doubts), ("Note", found.notes)):

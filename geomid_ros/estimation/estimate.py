@@ -15,8 +15,6 @@ QUANTITIES = ("mass", "com x", "com y", "com z", "Ixx", "Ixy", "Iyy", "Ixz", "Iy
 """Names of a link's ten quantities, in the order of :func:`geomid_ros.geometry.pseudo_inertia.quantities_of`."""
 UNITS = ("kg", *("m",) * 3, *("kg m^2",) * 6)
 """Units of these."""
-IDENTIFIABLE = 0.5
-"""A quantity is identifiable when data leave at most this share of its standard deviation in the prior."""
 _TOLD = 3.0  # standard deviations
 SURE = 1.96
 """Standard deviations to either side that hold 95 %."""
@@ -40,7 +38,12 @@ class LinkEstimate:
         distance_from_prior: Geodesic distance.
         from_data: Share of the prior's variance that the data removed, 0 to 1.
         min_eigenvalue_ratio: Smallest eigenvalue of ``P0^-1/2 P P0^-1/2``.
-        cannot_tell: Those of :data:`QUANTITIES` that the motion does not identify.
+        cannot_tell: Those of :data:`QUANTITIES` that are not identified, see :mod:`geomid_ros.estimation.identified`.
+        moments: The axes along which the first moment is identified.
+        std_prior: Standard deviations ``(13,)`` of quantities and first moments in the prior, or in the usual one where
+            that is narrower.
+        outlier: Whether it left its prior by far more than links usually do: it carries something, or stands in for an
+            effect that the model lacks. What the data tell of it is not called identified.
     """
 
     name: str
@@ -56,6 +59,14 @@ class LinkEstimate:
     from_data: float
     min_eigenvalue_ratio: float
     cannot_tell: tuple[str, ...]
+    moments: tuple[str, ...]
+    std_prior: FloatArray
+    outlier: bool
+
+    @property
+    def identified(self) -> tuple[str, ...]:
+        """Those of :data:`QUANTITIES` that may be used as numbers of this link."""
+        return () if self.outlier else tuple(name for name in QUANTITIES if name not in self.cannot_tell)
 
     @property
     def mass_interval(self) -> tuple[float, float]:

@@ -10,53 +10,70 @@ from itertools import compress
 import numpy as np
 
 from geomid_ros.estimation import uncertainty
-from geomid_ros.estimation.estimate import IDENTIFIABLE, QUANTITIES, EffectEstimate, LinkEstimate, WeighedEstimate
+from geomid_ros.estimation.estimate import QUANTITIES, EffectEstimate, LinkEstimate, WeighedEstimate
+from geomid_ros.estimation.identified import identified
 from geomid_ros.estimation.posterior import EffectCoordinate, Posterior
 from geomid_ros.estimation.problem import Problem
 from geomid_ros.geometry import pseudo_inertia, spd
 from geomid_ros.geometry.manifold import ParameterManifold, Point
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.weighed_masses import WeighedRows
-from geomid_ros.types import frozen
+from geomid_ros.types import BoolArray, FloatArray, frozen
 
 
 def links(
-    model: MeasurementModel, manifold: ParameterManifold, prior: Point, point: Point, found: uncertainty.Uncertainty
+    model: MeasurementModel,
+    manifold: ParameterManifold,
+    prior: Point,
+    point: Point,
+    found: uncertainty.Uncertainty,
+    *,
+    usual: FloatArray,
+    outliers: BoolArray,
 ) -> tuple[LinkEstimate, ...]:
-    """The links: what is known of each, beside the prior."""
+    """The links: what is known of each, beside the prior.
+
+    ``usual``: spreads of the links' priors ``(links,)``; ``outliers``: the links that left them ``(links,)``.
+    """
     parameters = pseudo_inertia.to_parameters(point.pseudo_inertias)
-    values = pseudo_inertia.quantities_of(parameters)
-    central = pseudo_inertia.central_inertia(parameters)
-    sensitivity = uncertainty.physical_sensitivity(point)
+    sensitivity = np.concatenate([uncertainty.physical_sensitivity(point), point.links_jacobian[:, 1:4]], axis=1)
     distances = spd.distance(prior.pseudo_inertias, point.pseudo_inertias)
     ratios = spd.relative_eigenvalues(prior.pseudo_inertias, point.pseudo_inertias)[:, 0]
     told = []
     for index, name in enumerate(model.body_names):
         block = manifold.link(index)
-        derivative = sensitivity[index]
-        std, of_prior = (
-            np.sqrt(np.maximum(np.einsum("ij,jk,ik->i", derivative, covariance[block, block], derivative), 0.0))
-            for covariance in (found.covariance, found.prior)
-        )
-        unidentified = std > IDENTIFIABLE * of_prior
+        std, of_prior = (_deviations(sensitivity[index], c[block, block]) for c in (found.covariance, found.prior))
+        of_usual = usual[index] * np.linalg.norm(sensitivity[index], axis=1)
+        of_prior = np.minimum(of_prior, of_usual)
+        known = identified(parameters[index], std, of_prior)
+        values = pseudo_inertia.quantities_of(parameters[index])
         told.append(
             LinkEstimate(
                 name=name,
                 merged=model.robot.bodies[model.identified[index]].merged,
-                mass=float(values[index, 0]),
-                com=frozen(values[index, 1:4]),
-                inertia=frozen(central[index]),
+                mass=float(values[0]),
+                com=frozen(values[1:4]),
+                inertia=frozen(pseudo_inertia.inertia_matrix(values[4:])),
                 std_mass=float(std[0]),
                 std_com=frozen(std[1:4]),
-                std_inertia=frozen(pseudo_inertia.inertia_matrix(std[4:])),
+                std_inertia=frozen(pseudo_inertia.inertia_matrix(std[4:10])),
                 parameters=frozen(parameters[index]),
                 distance_from_prior=float(distances[index]),
                 from_data=found.from_data(block),
                 min_eigenvalue_ratio=float(ratios[index]),
-                cannot_tell=tuple(compress(QUANTITIES, unidentified)),
+                cannot_tell=tuple(compress(QUANTITIES, ~known[:10])),
+                moments=tuple(compress("xyz", known[10:])),
+                std_prior=frozen(of_prior),
+                outlier=bool(outliers[index]),
             )
         )
     return tuple(told)
+
+
+def _deviations(sensitivity: FloatArray, covariance: FloatArray) -> FloatArray:
+    """Standard deviations ``(n,)`` of numbers with this ``sensitivity (n, 10)`` to what has the ``covariance``."""
+    variances = np.einsum("ij,jk,ik->i", sensitivity, covariance, sensitivity)
+    return np.asarray(np.sqrt(np.maximum(variances, 0.0)))
 
 
 def effects(

@@ -26,12 +26,16 @@ from geomid_ros.estimation.summary import RowSummary
 from geomid_ros.geometry.manifold import ParameterManifold, Point
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.weighed_masses import WeighedMass, WeighedRows, weighed_rows
-from geomid_ros.types import FloatArray, IntArray, frozen
+from geomid_ros.types import BoolArray, FloatArray, IntArray, frozen
 
 _FAR = 2.0  # times the usual distance
 _SAME_MASS = 0.2  # logarithm of the ratio of masses
 _ROUNDING = 1e-9
 _ROUGHLY = 1e-3  # relative change of noise and spreads in a round
+_SPENT = (
+    "the solver's budget of steps was spent before noise and spreads of the links had settled: masses are those of the "
+    "last step; is the URDF this robot's, in SI units?"
+)
 _OF_WHITE_NOISE = 1.79  # independent rows per period of the filter's cutoff: twice its noise bandwidth in cutoffs
 
 
@@ -197,7 +201,7 @@ def _fit(
     """A fit, in which no joint is driven by its dry friction; its problem has the rows that see to that."""
     if start is not None:
         # Which joints these are a rough solution tells.
-        start, _, spreads = settle(problem, start, spreads, within=_ROUGHLY, **options)
+        start, _, spreads, _ = settle(problem, start, spreads, within=_ROUGHLY, **options)
         if len(rows := driven_rows(problem.model, start.parameters)):
             return fit(problem.beside(rows), start, spreads, **options)
     found = fit(problem, start, spreads, **options)
@@ -243,7 +247,9 @@ def _estimate(
         gamma=fitted.gamma,
         rows_accepted=summary.rows,
         rows_set_aside=set_aside,
-        links=estimate_parts.links(model, manifold, prior_point, solution.point, found),
+        links=estimate_parts.links(
+            model, manifold, prior_point, solution.point, found, usual=problem.usual, outliers=_outliers(fitted)
+        ),
         effects=estimate_parts.effects(model, manifold, solution.point, found),
         parameters=frozen(parameters),
         channels=tuple(channel.name for channel in model.channels),
@@ -258,20 +264,26 @@ def _estimate(
         rows=frozen(independent * fitted.rows[0]),
         targets=frozen(independent * fitted.rows[1]),
         known=estimate_parts.weighed(known, manifold, solution.point, found),
-        warnings=tuple(_run_away(model, fitted, solution.point)),
+        warnings=(*_run_away(model, fitted, solution.point), *([_SPENT] if fitted.spent else [])),
     )
 
 
+def _outliers(fitted: Fit) -> BoolArray:
+    """Whether each link left its prior by far more than links usually do ``(links,)``."""
+    return np.asarray(fitted.spreads > _FAR * fitted.problem.usual)
+
+
 def _run_away(model: MeasurementModel, fitted: Fit, point: Point) -> Iterator[str]:
-    """A sentence for each link that left its prior by far more than links usually do."""
-    spreads, pairs = fitted.spreads, zip(fitted.problem.prior_point.pseudo_inertias, point.pseudo_inertias, strict=True)
-    for name, spread, usual, (prior, found) in zip(model.body_names, spreads, fitted.problem.usual, pairs, strict=True):
-        if spread > _FAR * usual:
+    """A sentence for each link that left its prior."""
+    pairs = zip(fitted.problem.prior_point.pseudo_inertias, point.pseudo_inertias, strict=True)
+    times = fitted.spreads / fitted.problem.usual
+    for name, outlier, far, (prior, found) in zip(model.body_names, _outliers(fitted), times, pairs, strict=True):
+        if outlier:
             what = f"moved from {prior[3, 3]:.3g} to {found[3, 3]:.3g} kg"
             if abs(np.log(found[3, 3] / prior[3, 3])) < _SAME_MASS:
                 what = "changed its centre of mass or its inertia"
             yield (
-                f"link '{name}' {what} ({spread / usual:.1f} default prior std); it probably absorbs an unmodelled "
+                f"link '{name}' {what} ({far:.1f} default prior std); it probably absorbs an unmodelled "
                 "effect, such as a spring, a payload or other friction; run 'geomid gap'"
             )
 

@@ -29,6 +29,7 @@ CERTAINTY = 20.0
 INDEPENDENT = 2.67
 """Independent rows per period of the filter's cutoff, which leaves nothing above 1.5 times this frequency."""
 _ROUNDS = 60
+_BUDGET = 3  # times the solver's steps, of all rounds together: five times what measured robots ask for
 _SETTLED = 1e-7  # relative change of standard deviations and spreads, which falls to about a third in a round
 _SETTLED_WARM = 1e-8  # the same where rounds are extrapolated, so that few more are needed
 _LEAST_GRADIENT = 1e-14  # relative to the sum of the weights; rounding allows no less
@@ -46,6 +47,7 @@ class Fit:
         sigmas: standard deviations ``(groups,)``.
         spreads: of the prior's errors ``(links,)``, geodesic distances.
         gamma: the links' weight in the prior as a share of the measured rows'.
+        spent: whether the budget of steps ended the search for noise and spreads.
     """
 
     problem: Problem
@@ -55,6 +57,7 @@ class Fit:
     sigmas: FloatArray
     spreads: FloatArray
     gamma: float
+    spent: bool
 
     @property
     def point(self) -> Point:
@@ -85,13 +88,22 @@ def fit(
         max_steps: of the solver, for each noise and spreads.
     """
     within = _SETTLED if start is None else _SETTLED_WARM
-    point, sigmas, spreads = settle(problem, start, spreads, tolerance=tolerance, max_steps=max_steps, within=within)
+    point, sigmas, spreads, spent = settle(
+        problem, start, spreads, tolerance=tolerance, max_steps=max_steps, within=within
+    )
     rows = problem.rows(sigmas)
     objective = _objective(problem, rows, spreads)
     solution = trust_region(objective, point, _gradient(objective, tolerance), max_steps)
     gamma = problem.gamma or objective.prior_weight / _measured_weight(problem, rows)
     return Fit(
-        problem=problem, rows=rows, objective=objective, solution=solution, sigmas=sigmas, spreads=spreads, gamma=gamma
+        problem=problem,
+        rows=rows,
+        objective=objective,
+        solution=solution,
+        sigmas=sigmas,
+        spreads=spreads,
+        gamma=gamma,
+        spent=spent,
     )
 
 
@@ -103,8 +115,9 @@ def settle(
     tolerance: float,
     max_steps: int,
     within: float,
-) -> tuple[Point, FloatArray, FloatArray]:
-    """The parameters, the noise of each group ``(groups,)`` and the spread of each link ``(links,)`` that go together.
+) -> tuple[Point, FloatArray, FloatArray, bool]:
+    """The parameters, the noise of each group ``(groups,)`` and the spread of each link ``(links,)`` that go together;
+    and whether the budget of steps ended the search for them.
 
     Args:
         problem, start, spreads, tolerance, max_steps: as of :func:`fit`.
@@ -115,10 +128,11 @@ def settle(
     sigmas = problem.noise(point.parameters) if start is not None else problem.first_noise
     # Near its fixed point the iteration is linear: it can be extrapolated, and one step for each noise is enough.
     extrapolation, most = (None, max_steps) if start is None else (Extrapolation(), 1)
+    steps = 0
     for _ in range(_ROUNDS):
         rough = _rough(problem, sigmas, spreads)
         solution = trust_region(rough, point, _gradient(rough, tolerance), most)
-        point = solution.point
+        point, steps = solution.point, steps + solution.steps
         begun = np.log(np.concatenate([sigmas, spreads]))
         sigmas = problem.noise(point.parameters)
         if problem.gamma is None:
@@ -126,9 +140,11 @@ def settle(
         ended = np.log(np.concatenate([sigmas, spreads]))
         if np.all(np.abs(ended - begun) < within):
             break
+        if steps > _BUDGET * max_steps:
+            return point, sigmas, spreads, True
         if extrapolation is not None:
             sigmas, spreads = np.split(np.exp(extrapolation.next(begun, ended)), [len(sigmas)])
-    return point, sigmas, spreads
+    return point, sigmas, spreads, False
 
 
 def _rough(problem: Problem, sigmas: FloatArray, spreads: FloatArray) -> ProductsObjective:

@@ -11,8 +11,10 @@ from collections.abc import Iterator
 import numpy as np
 
 from geomid_ros.estimation.channel_summary import triangular
-from geomid_ros.estimation.estimate import IDENTIFIABLE, QUANTITIES, Estimate
+from geomid_ros.estimation.estimate import QUANTITIES, Estimate
+from geomid_ros.estimation.identified import identified
 from geomid_ros.estimation.uncertainty import physical_sensitivity
+from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.geometry.manifold import ParameterManifold, Point
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.samples import Samples
@@ -36,9 +38,9 @@ def telling_motions(model: MeasurementModel, estimate: Estimate) -> dict[str, di
 
     Returns:
         By link, and by motion, the quantities that this motion would tell and no simpler one before it does; under
-        an empty name those that none tells.
+        an empty name those that none tells. Nothing of outliers: more motion does not tell what they stand in for.
     """
-    left = {link.name: list(link.cannot_tell) for link in estimate.links}
+    left = {link.name: [] if link.outlier else list(link.cannot_tell) for link in estimate.links}
     found: dict[str, dict[str, list[str]]] = {name: {} for name in left}
     if not any(left.values()):
         return found
@@ -59,10 +61,11 @@ class _Problem:
     """What the data say of all links together, and the prior."""
 
     def __init__(self, estimate: Estimate) -> None:
+        self._of_prior = [link.std_prior for link in estimate.links]
         self._manifold = ParameterManifold(len(estimate.links), 0, np.zeros(0))
         self._point: Point = self._manifold.point(estimate.parameters[self._manifold.inertial])
         self._spreads = np.repeat(estimate.spreads, 10)
-        self._sensitivity = physical_sensitivity(self._point)
+        self._sensitivity = np.concatenate([physical_sensitivity(self._point), self._point.links_jacobian[:, 1:4]], 1)
         self._rows = self._manifold.whiten(self._point, estimate.information.rows) * self._spreads
 
     def told_with(self, rows: FloatArray) -> list[set[str]]:
@@ -70,13 +73,15 @@ class _Problem:
         more = self._manifold.whiten(self._point, rows) * self._spreads
         both = np.concatenate([self._rows, more])
         covariance = np.linalg.inv(np.eye(both.shape[1]) + both.T @ both)
+        bodies = pseudo_inertia.to_parameters(self._point.pseudo_inertias)
         told = []
         for index, derivative in enumerate(self._sensitivity):
             block = self._manifold.link(index)
             scaled = derivative * self._spreads[block]
             variances = np.einsum("ij,jk,ik->i", scaled, covariance[block, block], scaled)
-            known = np.sqrt(np.maximum(variances, 0.0)) <= IDENTIFIABLE * np.linalg.norm(scaled, axis=1)
-            told.append({name for name, is_known in zip(QUANTITIES, known, strict=True) if is_known})
+            of_prior = np.minimum(self._of_prior[index], np.linalg.norm(scaled, axis=1))
+            known = identified(bodies[index], np.sqrt(np.maximum(variances, 0.0)), of_prior)
+            told.append({name for name, is_known in zip(QUANTITIES, known[:10], strict=True) if is_known})
         return told
 
 

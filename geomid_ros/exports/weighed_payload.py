@@ -72,7 +72,12 @@ class Payload:
     @property
     def _moment(self) -> dict[str, Any]:
         weighed = self.weighed
-        return {"link": weighed.link, "value": weighed.moment.tolist(), "std": weighed.moment_std.tolist()}
+        return {
+            "link": weighed.link,
+            "value": weighed.moment.tolist(),
+            "std": weighed.moment_std.tolist(),
+            "identified": list(weighed.identified_moments),
+        }
 
     def commands(self, controller: str) -> str:
         """The text that sets the payload at a controller: ``ur`` or ``franka``. Raises InputError for one that the

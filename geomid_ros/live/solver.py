@@ -177,7 +177,6 @@ class Solver:
         with activity.doing(SOLVING):
             self._detect_changes()
             result = self._solve_from_scratch()
-            self._judge()
         with self._lock:
             if done not in self._asking:
                 return False
@@ -194,7 +193,8 @@ class Solver:
             much_is_new = self._forgets or bool(self.problem) or identifier.outgrown(self._solved_rows, NEW_SHARE)
             if self._pace.worth(rows, much_is_new):
                 self._solve_once(self._warm_start())
-            self._judge()
+            else:
+                self._judge()
 
     def _solve_for_the_last_rows(self, activity: Activity) -> None:
         """Make the estimate up to date where that is a step from the last one: nobody waits for more in the end."""
@@ -205,7 +205,7 @@ class Solver:
                 self._solve_once(warm)
 
     def _judge(self) -> None:
-        """Judge the data as a whole when there are many new ones."""
+        """Judge the data as a whole when there are many new ones; before a solve, which may take long."""
         try:
             if self._session.check.due:
                 self._session.judge()
@@ -263,7 +263,9 @@ class Solver:
     def _solve_once(self, warm: WarmStart | None) -> Estimate | GeomidError:
         with self._lock:
             rows, epoch, instants = self._session.identifier.rows, self._epoch, self._session.identifier.instants
+        self._judge()
         try:
+            self._session.check_description()
             estimate = self._finite(self._session.identifier.solve(warm))
             if self._keep(estimate, rows, epoch, warm):
                 self._earlier.append((instants, estimate))

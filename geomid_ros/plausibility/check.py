@@ -56,7 +56,7 @@ class JudgementTask:
         """What a recording seems to be, by an excerpt of it."""
         findings: list[Finding] = []
         remarks: list[str] = []
-        if self._efforts_alone:
+        if efforts_alone(self.model):
             check = EffortCheck(self.model, excerpt.samples, self.gains, excerpt.stretch)
             findings, remarks = check.findings(), check.remarks
         wrenches = filter(None, (self._wrench(sensor, excerpt) for sensor in self.model.mounted))
@@ -68,11 +68,11 @@ class JudgementTask:
         name = self.sensors.get(sensor.topic, sensor.topic)
         return WrenchSensorCheck(self.model, sensor, name, excerpt.samples, excerpt.stretch).finding()
 
-    @property
-    def _efforts_alone(self) -> bool:
-        """Whether links and gravity alone decide on the efforts: not what the surroundings do to the robot."""
-        external = len(self.model.sensors) > len(self.model.mounted)
-        return bool(self.model.layout.efforts) and not self.model.robot.floating_base and not external
+
+def efforts_alone(model: MeasurementModel) -> bool:
+    """Whether links and gravity alone decide on the efforts: not what the surroundings do to the robot."""
+    external = len(model.sensors) > len(model.mounted)
+    return bool(model.layout.efforts) and not model.robot.floating_base and not external
 
 
 Judge: TypeAlias = Callable[[JudgementTask, Excerpt], Judgement]
@@ -117,6 +117,11 @@ class RecordingCheck:
         judgement = self._judge(self._task, Excerpt(samples, self._stretch.samples))
         self.remarks = judgement.remarks
         return judgement.findings
+
+    @property
+    def recorded(self) -> Samples | None:
+        """The instants that are kept; None if there are none."""
+        return self._instants.samples
 
     @property
     def unmeasured(self) -> list[str]:

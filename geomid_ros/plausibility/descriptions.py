@@ -13,13 +13,13 @@ from geomid_ros.plausibility.subject import Subject
 from geomid_ros.plausibility.units import REASON
 from geomid_ros.types import BoolArray, FloatArray
 
-_FARTHEST = 10.0  # times all lengths together, of a centre of mass: in mm it is a hundred times as far or more
+_FARTHEST = 10.0  # times all lengths together, of mass: in mm it is a hundred times as far or more
 _HALF = 0.5
 
 
 def impossible_description(subject: Subject) -> Cause | None:
-    """What is wrong with the URDF, whatever was measured: centres of mass far outside the robot, masses that joints of
-    such limits could not carry, or that no steel could have."""
+    """What is wrong with the URDF, whatever was measured: centres of mass or radii of gyration far beyond the robot,
+    masses that joints of such limits could not carry, or that no steel could have."""
     robot = subject.robot
     bodies = np.array([body.parameters for body in robot.bodies])
     total = float(np.sum(bodies[:, 0]))
@@ -28,6 +28,10 @@ def impossible_description(subject: Subject) -> Cause | None:
     farthest = int(np.argmax(distances))
     if 0.0 < _FARTHEST * length < distances[farthest]:
         return words.far_centre(robot.body_names[farthest], float(distances[farthest]), length)
+    radii = np.sqrt([0.5 * np.trace(pseudo_inertia.central_inertia(body)) / body[0] for body in bodies])
+    widest = int(np.argmax(radii))
+    if 0.0 < _FARTHEST * length < radii[widest]:
+        return words.wide_inertia(robot.body_names[widest], float(radii[widest]), length)
     with np.errstate(divide="ignore"):
         excess = _weights(subject) / robot.effort_limits
     if np.max(excess) > REASON**2:

@@ -28,6 +28,7 @@ from geomid_ros.plausibility.signs import (
 from geomid_ros.plausibility.standstill import frozen_position
 from geomid_ros.plausibility.subject import Subject
 from geomid_ros.plausibility.switched_unit import SwitchedUnit
+from geomid_ros.plausibility.unexplained import Residuals
 from geomid_ros.plausibility.units import unit_hypotheses
 from geomid_ros.plausibility.unmeasured import frozen, is_model
 from geomid_ros.plausibility.weights import gravity_hypotheses
@@ -84,7 +85,24 @@ class EffortCheck:
             subject = subject.under(np.array(level.settings["gravity"]))
             world = subject.world(subject.samples)
             own, _ = self._best(subject, world, FlexibleFit(world, subject.samples, subject.joints))
-        return [*(Finding(cause=cause) for cause in causes), *([] if own is None else [own])]
+        named = [*(Finding(cause=cause) for cause in causes), *([] if own is None else [own])]
+        return named or self._unexplained(subject, world)
+
+    @staticmethod
+    def _unexplained(subject: Subject, world: World) -> list[Finding]:
+        """The joints whose efforts no links and no friction explain, whatever the reason."""
+        explained = world.explained(world.judge(as_it_is(len(subject.joints))))
+        residuals = Residuals(
+            names=subject.names,
+            units=[subject.robot.joints[joint].unit for joint in subject.joints],
+            positions=subject.samples.position[:, subject.joints],
+            speeds=subject.samples.velocity[:, subject.joints],
+            efforts=world.measured,
+            residuals=world.measured - world.spread * explained,
+            before=np.full(len(subject.joints), np.inf),
+        )
+        found = residuals.finding(world.spread, FOLLOWS)
+        return [] if found is None else [found]
 
     def _best(self, subject: Subject, world: World, fit: FlexibleFit) -> tuple[Finding | None, Cause | None]:
         """What explains efforts better than that they are as they should be; and the same of what may only be remarked

@@ -13,7 +13,7 @@ from geomid_ros.model.samples import Samples
 from geomid_ros.plausibility.evidence import Evidence, Products, evidence
 from geomid_ros.plausibility.readings import World
 from geomid_ros.signals.saturation import STANDING
-from geomid_ros.types import FloatArray, IntArray
+from geomid_ros.types import BoolArray, FloatArray, IntArray
 
 _SLOW = 0.05  # of a joint's largest speed: below it stiction holds whatever it likes
 _CURVE = 0.5  # standard deviations of a channel that a curve may well explain
@@ -56,8 +56,7 @@ class FlexibleFit:
         self.measured, self._predicted, self._tolerated = world.measured, world.predicted, world.tolerated
         links, friction = world.columns[:, :, :-4], world.columns[:, :, -4:]
         self._rank = links.shape[2]
-        speed = np.abs(samples.velocity[:, joints])
-        self._moving = (speed > np.maximum(STANDING, _SLOW * np.max(speed, axis=0))).astype(np.float64)
+        self._moving = moving(samples.velocity[:, joints]).astype(np.float64)
         self._counts = np.maximum(np.sum(self._moving, axis=0), 1.0)
         self.instants = float(np.mean(self._counts))
         """How many instants there are, on average over channels."""
@@ -129,6 +128,12 @@ class FlexibleFit:
         self._known = basis[known.shape[1] :]
         target = ((self.measured - self._predicted) * self._weights).ravel()
         self._left = target - self._known @ (self._known.T @ target)
+
+
+def moving(velocity: FloatArray) -> BoolArray:
+    """Whether joints move, so that stiction does not hold whatever it likes ``(N, C)``."""
+    speed = np.abs(velocity)
+    return np.asarray(speed > np.maximum(STANDING, _SLOW * np.max(speed, axis=0)))
 
 
 def by_channel(columns: FloatArray) -> FloatArray:

@@ -33,6 +33,7 @@ KINDS = {
     "slip": "the zero of a position changes during the recording",
     "late": "efforts are delayed against the motion",
     "unrelated": "efforts follow neither gravity nor motion",
+    "unexplained": "the efforts of a joint are not explained by this robot",
     "constant": "an effort never changes",
     "stream": "messages are not as a driver should send them",
     "still": "the robot does not move",

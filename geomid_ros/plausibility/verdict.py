@@ -18,8 +18,8 @@ USABLE, NOT_CONVERGED, DOUBTFUL = "usable", "not converged", "doubtful"
 STATUS = {USABLE: 0, NOT_CONVERGED: 3, DOUBTFUL: 4}
 """Exit status of each verdict; 2 is that of a refusal."""
 
-_REASON = 4.0  # no URDF is wrong by more in the mass of the whole robot
-_ABSURD = _REASON**2  # nor is what little motion tells of masses
+REASON = 2.0
+"""No URDF is wrong by more in the mass of the whole robot."""
 _BLOCK = 1_000_000_000  # [ns] errors so far apart are independent
 _FEWEST_BLOCKS = 4
 _SCATTER = 3.0  # standard errors of the mean over blocks
@@ -60,6 +60,7 @@ def verdict(
     worse: Sequence[str] = (),
     unmeasured: Sequence[str] = (),
     peculiar: Sequence[str] = (),
+    impossible: Sequence[str] = (),
 ) -> Verdict:
     """Judge a result.
 
@@ -70,22 +71,20 @@ def verdict(
         worse: the channels that it predicts worse than the URDF does, see :func:`worse_channels`.
         unmeasured: the joints whose efforts are missing.
         peculiar: what is peculiar about the messages, in sentences.
+        impossible: what links no robot can have, in sentences.
     """
     warnings = [
         f"'{channel}' is predicted worse than by the URDF: the motion tells too little of what acts there, or "
         "something acts that the model lacks"
         for channel in worse
     ]
-    warnings += [*_masses(estimate, model), *peculiar]
+    warnings += peculiar
     if unmeasured:
         warnings.append(f"most of the time no effort is measured at {', '.join(map(repr, unmeasured))}: it is left out")
     stopped = "" if estimate.converged else estimate.reason
     judged = recording_verdict(findings, stopped, warnings)
-    factor = _mass_factor(estimate, model)
-    if 1.0 / _ABSURD <= factor <= _ABSURD:
-        return judged
-    reason = f"{_weigh(estimate, model)}: no such robot does, so the recording or the URDF is not what it should be"
-    return replace(judged, word=DOUBTFUL, reasons=(*judged.reasons, reason))
+    beyond = (*_beyond_reason(estimate, model), *impossible)
+    return replace(judged, word=DOUBTFUL, reasons=(*judged.reasons, *beyond)) if beyond else judged
 
 
 def recording_verdict(findings: Sequence[Finding], stopped: str = "", warnings: Sequence[str] = ()) -> Verdict:
@@ -103,27 +102,16 @@ def recording_verdict(findings: Sequence[Finding], stopped: str = "", warnings: 
     return Verdict(word=word, reasons=tuple(reasons), warnings=tuple(warnings))
 
 
-def _masses(estimate: Estimate, model: MeasurementModel) -> Iterator[str]:
-    """Whether all links together weigh what such a robot may weigh."""
-    factor = _mass_factor(estimate, model)
-    if not 1.0 / _REASON <= factor <= _REASON and 1.0 / _ABSURD <= factor <= _ABSURD:
+def _beyond_reason(estimate: Estimate, model: MeasurementModel) -> Iterator[str]:
+    """That all links together weigh what no such robot weighs, unless something was weighed, or carries the robot."""
+    found, nominal = sum(link.mass for link in estimate.links), float(np.sum(model.nominal_inertias[::10]))
+    weighed = bool(estimate.known) or model.robot.floating_base
+    if not weighed and not nominal / REASON <= found <= nominal * REASON:
         yield (
-            f"{_weigh(estimate, model)}: the motion tells too little of masses, or effects that the model lacks "
-            "stand in for them; use the predictions, not the masses, or weigh a part (--known)"
+            f"the links weigh {found:.3g} kg in all instead of the URDF's {nominal:.3g} kg: the motion does not "
+            "identify masses, effects that the model lacks stand in for them, or the recording is of another robot; "
+            "weigh the robot or a part of it (--known)"
         )
-
-
-def _mass_factor(estimate: Estimate, model: MeasurementModel) -> float:
-    return float(sum(link.mass for link in estimate.links)) / _nominal_mass(model)
-
-
-def _nominal_mass(model: MeasurementModel) -> float:
-    return float(np.sum(model.nominal_inertias.reshape(-1, 10)[:, 0]))
-
-
-def _weigh(estimate: Estimate, model: MeasurementModel) -> str:
-    found = sum(link.mass for link in estimate.links)
-    return f"the links weigh {found:.3g} kg in all instead of the URDF's {_nominal_mass(model):.3g} kg"
 
 
 def unlike(estimate: Estimate, held_out: FloatArray) -> list[str]:

@@ -330,6 +330,15 @@ def far_centre(link: str, distance: float, length: float) -> Cause:
     return Cause(kind="description", sentence=sentence, places=(link,))
 
 
+def wide_inertia(link: str, radius: float, length: float) -> Cause:
+    """Moments of inertia in another unit."""
+    sentence = (
+        f"the URDF's moments of inertia of link '{link}' are those of mass {radius:.3g} m away from its centre, though "
+        f"all links together are {length:.3g} m long: are they in g mm^2 or kg mm^2? They have to be in kg m^2"
+    )
+    return Cause(kind="description", sentence=sentence, places=(link,))
+
+
 def too_heavy(mass: float, reason: str) -> Cause:
     """Masses in another unit."""
     sentence = (

@@ -95,7 +95,7 @@ def write_identification_page(path: Path, page: IdentificationPage) -> None:
         "fit_bars": _bars(page.series),
         "kinds": _KINDS,
         "shares": shares_from_data(page.estimate),
-        "open": [link for link in page.estimate.links if link.cannot_tell],
+        "open": [link for link in page.estimate.links if link.cannot_tell or link.outlier],
         "cannot_tell": identification_words.cannot_tell,
         "telling": {name: identification_words.telling(motions) for name, motions in page.telling.items()},
         "weak": [effect for effect in page.estimate.effects if effect.from_data < identification_words.WEAK],
@@ -118,7 +118,7 @@ def _links(page: IdentificationPage) -> Iterator[dict[str, Any]]:
             "ends": link.mass_interval,
             "from_data": link.from_data,
             "distance": link.distance_from_prior,
-            "known": "mass" not in link.cannot_tell,
+            "known": "mass" in link.identified,
         }
 
 

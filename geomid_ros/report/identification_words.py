@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 
-from geomid_ros.estimation.estimate import QUANTITIES, EffectEstimate, Estimate
+from geomid_ros.estimation.estimate import QUANTITIES, EffectEstimate, Estimate, LinkEstimate
 from geomid_ros.plausibility.verdict import USABLE, Verdict
 from geomid_ros.report.series import ChannelFit
 
@@ -37,8 +37,7 @@ def uses(verdict: Verdict, estimate: Estimate, series: Sequence[ChannelFit], hel
     """
     if verdict.word != USABLE:
         return ["For nothing before what is said here is mended: numbers below show where it is wrong."]
-    told = [link.name for link in estimate.links if "mass" not in link.cannot_tell]
-    return [*_predictions(series, held_out), _masses(told, len(estimate.links))]
+    return [*_predictions(series, held_out), *identified(estimate.links)]
 
 
 def _predictions(series: Sequence[ChannelFit], held_out: bool) -> list[str]:
@@ -56,18 +55,26 @@ def _predictions(series: Sequence[ChannelFit], held_out: bool) -> list[str]:
     return [sentence] if held_out else [sentence, judge]
 
 
-def _masses(told: Sequence[str], links: int) -> str:
-    if not told:
-        return "Not for the mass of any single link: the data tell sums of them alone, which is enough to predict."
-    names = "all links" if len(told) == links else ", ".join(told)
-    sentence = f"For the masses of {names}, where no warning names them."
-    if len(told) == links:
-        return sentence
-    return f"{sentence} Of the other {links - len(told)} links the data tell sums, which is enough to predict."
+def identified(links: Sequence[LinkEstimate]) -> list[str]:
+    """What is identified of links, by quantity, in sentences."""
+    masses = [link.name for link in links if "mass" in link.identified]
+    moments = [_of_axes(link) for link in links if link.moments and not link.outlier]
+    inertias = [link.name for link in links if {*QUANTITIES[4:]} <= {*link.identified}]
+    groups = {"mass": masses, "first moment": moments, "inertia": inertias}
+    named = [f"{what} of {', '.join(names)}" for what, names in groups.items() if names]
+    if not named:
+        return ["Identified by itself: no mass, first moment or inertia of any link; only combinations, which predict."]
+    sentence = f"Identified (95 % interval within 20 %, by the data): {'; '.join(named)}."
+    whole = all(link.identified == QUANTITIES for link in links)
+    return [sentence] if whole else [sentence, "Only in combination: all else; predictions are unaffected."]
+
+
+def _of_axes(link: LinkEstimate) -> str:
+    return link.name if len(link.moments) == len("xyz") else f"{link.name} ({', '.join(link.moments)})"
 
 
 def cannot_tell(quantities: Sequence[str]) -> str:
-    """Those of :data:`QUANTITIES` that the data do not tell."""
+    """Those of :data:`QUANTITIES` that are not identified."""
     return "anything" if len(quantities) == len(QUANTITIES) else grouped(quantities)
 
 

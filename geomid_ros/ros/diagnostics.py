@@ -105,12 +105,14 @@ def _link(node: str, link: LinkEstimate) -> DiagnosticStatus:
         "distance from prior": link.distance_from_prior,
         "min eigenvalue ratio": link.min_eigenvalue_ratio,
         "merged": ", ".join(link.merged),
-        "cannot be told": ", ".join(link.cannot_tell),
+        "cannot be told": ", ".join(name for name in QUANTITIES if name not in link.identified),
     }
-    if len(link.cannot_tell) == len(QUANTITIES):
-        message = "no parameter is individually identifiable, only combinations"
-        return _status(f"{node}: {link.name}", DiagnosticStatus.OK, message, values)
-    return _status(f"{node}: {link.name}", DiagnosticStatus.OK, f"mass {link.mass:.3f} kg", values)
+    message = f"mass {link.mass:.3f} kg"
+    if link.outlier:
+        message += ", far from its prior: a payload, or an unmodelled effect; run 'geomid gap'"
+        return _status(f"{node}: {link.name}", DiagnosticStatus.WARN, message, values)
+    alone = "" if "mass" in link.identified else ", identifiable only in combination"
+    return _status(f"{node}: {link.name}", DiagnosticStatus.OK, message + alone, values)
 
 
 _MOST_REASONS = 5  # in a sentence
@@ -292,11 +294,8 @@ def _most_frequent(refusals: Mapping[str, int]) -> list[str]:
 
 
 def _standing_still(estimate: Estimate | None) -> list[str]:
-    """A complaint only if something is not known yet."""
-    if estimate is None:
-        return [f"{STANDING_STILL}: no link is identifiable; move the robot"]
-    unknown = [link.name for link in estimate.links if len(link.cannot_tell) == len(QUANTITIES)]
-    return [f"{STANDING_STILL}: no new information on {_list(unknown)}; move the robot"] if unknown else []
+    """A complaint as long as there is no estimate: afterwards a robot may rest."""
+    return [f"{STANDING_STILL}: no link is identifiable; move the robot"] if estimate is None else []
 
 
 def _list(names: Sequence[str]) -> str:

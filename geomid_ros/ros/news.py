@@ -33,7 +33,7 @@ class News:
         if estimate is None:
             self._told = None
             return
-        told = {link.name: link for link in estimate.links if _MASS not in link.cannot_tell}
+        told = {link.name: link for link in estimate.links if _MASS in link.identified}
         if self._told is None:
             self._told = set(told)
             yield _first(estimate, told.values())
@@ -44,7 +44,7 @@ class News:
 
 def _first(estimate: Estimate, told: Iterable[LinkEstimate]) -> str:
     known = _list(map(_mass, told))
-    rest = _list(link.name for link in estimate.links if _MASS in link.cannot_tell)
+    rest = _list(link.name for link in estimate.links if _MASS not in link.identified)
     sentence = f"first estimate, from {estimate.rows_accepted} rows"
     sentence += f"; identified: {known}" if known else "; no mass is individually identifiable yet"
     return sentence + (f"; not identified yet: {rest}" if known and rest else "")

@@ -5,12 +5,14 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
+from itertools import compress
 
 import numpy as np
 
 from geomid_ros.errors import InputError
-from geomid_ros.estimation.estimate import Estimate, interval_of_positive, is_told
+from geomid_ros.estimation.estimate import QUANTITIES, Estimate, interval_of_positive
 from geomid_ros.estimation.estimator import WarmStart, estimate
+from geomid_ros.estimation.identified import identified, numbers
 from geomid_ros.estimation.identifier import Identifier
 from geomid_ros.estimation.posterior import Posterior
 from geomid_ros.estimation.starting_point import USUAL_SPREAD_OF_LINKS
@@ -42,7 +44,8 @@ class WeighedPayload:
         moment, moment_std: mass times centre of mass ``(3,)`` [kg m], and their standard deviations: what gravity tells
             of a body whose mass is not told.
         gain: the standard deviation of the gain that was taken.
-        cannot_tell: the quantities that the motions do not tell.
+        cannot_tell: the quantities that are not identified, see :mod:`geomid_ros.estimation.identified`.
+        identified_moments: the axes along which the first moment is.
         rms: what remains on both recordings by channel [N m, N].
         warnings: what makes the result doubtful.
         notes: what is worth knowing beside.
@@ -57,6 +60,7 @@ class WeighedPayload:
     moment_std: FloatArray
     gain: float
     cannot_tell: tuple[str, ...]
+    identified_moments: tuple[str, ...]
     rms: dict[str, float]
     warnings: tuple[str, ...]
     notes: tuple[str, ...]
@@ -76,7 +80,7 @@ class WeighedPayload:
     @property
     def tells_moment_alone(self) -> bool:
         """Whether the motions tell mass times centre of mass, but not the mass."""
-        return any(map(is_told, self.moment, self.moment_std)) and not is_told(self.mass, self.std[0])
+        return bool(self.identified_moments) and "mass" in self.cannot_tell
 
 
 def payload_session(urdf: str, configuration: Configuration, source: str) -> Session:
@@ -163,8 +167,9 @@ def _payload(link: str, found: Estimate, gain: float, shifted: Sequence[Estimate
     std = np.concatenate([[body.std_mass], body.std_com, pseudo_inertia.inertia_entries(body.std_inertia)])
     moments = posterior.manifold.link(len(found.links) - 1).start + np.arange(1, 4)
     moment_std = np.sqrt(np.diag(posterior.parameter_covariance)[moments])
-    said, bodies = _said(body.parameters), [_said(other.links[-1].parameters) for other in shifted]
+    said, bodies = numbers(body.parameters), [numbers(other.links[-1].parameters) for other in shifted]
     deviations = _with_shifts(np.append(std, moment_std), np.array(bodies).reshape(-1, len(said)) - said)
+    known = identified(body.parameters, deviations, body.std_prior)
     return WeighedPayload(
         link=link,
         quantities=said[:10],
@@ -172,18 +177,14 @@ def _payload(link: str, found: Estimate, gain: float, shifted: Sequence[Estimate
         moment=said[10:],
         moment_std=deviations[10:],
         gain=gain,
-        cannot_tell=body.cannot_tell,
+        cannot_tell=tuple(compress(QUANTITIES, ~known[:10])),
+        identified_moments=tuple(compress("xyz", known[10:])),
         rms=dict(zip(found.channels, found.rms.tolist(), strict=True)),
         warnings=tuple(session.warnings()),
         notes=tuple(session.notes),
         findings=session.findings,
         verdict=recording_verdict(session.findings, "" if found.converged else found.reason),
     )
-
-
-def _said(parameters: FloatArray) -> FloatArray:
-    """Quantities and first moment ``(13,)`` of a body with parameters ``(10,)``."""
-    return np.append(pseudo_inertia.quantities_of(parameters), parameters[1:4])
 
 
 def _with_shifts(std: FloatArray, shifts: FloatArray) -> FloatArray:

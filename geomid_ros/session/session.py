@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Callable, Collection, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from geomid_ros.errors import InputError
-from geomid_ros.estimation.estimate import Estimate
+from geomid_ros.estimation.estimate import Estimate, LinkEstimate
 from geomid_ros.estimation.estimator import EstimatorSettings, WarmStart
 from geomid_ros.estimation.identifier import Identifier
 from geomid_ros.estimation.summary import RowSummary
@@ -33,11 +33,21 @@ from geomid_ros.model.columns import Columns
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.robot import Robot
 from geomid_ros.model.samples import Samples
-from geomid_ros.plausibility.check import Judge, JudgementTask, RecordingCheck
+from geomid_ros.plausibility.check import Judge, JudgementTask, RecordingCheck, efforts_alone
 from geomid_ros.plausibility.hypotheses import Finding
-from geomid_ros.plausibility.verdict import Verdict, unlike, verdict, worse_channels, worse_in_folds, worse_on_rows
+from geomid_ros.plausibility.unexplained import unexplained
+from geomid_ros.plausibility.verdict import (
+    REASON,
+    Verdict,
+    unlike,
+    verdict,
+    worse_channels,
+    worse_in_folds,
+    worse_on_rows,
+)
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.recorded import Recorded
+from geomid_ros.session.solidity import impossible_links
 from geomid_ros.session.streams import faulty_streams, peculiarities
 from geomid_ros.signals.gates import Limits
 from geomid_ros.signals.ledger import Account, Ledger
@@ -75,6 +85,7 @@ class Session:
             InputError: these do not fit together.
         """
         self.urdf = urdf
+        self._source = source
         self.configuration = configuration
         self._readers = readers
         self.loaded = LoadedModel.read(configuration["model"])
@@ -167,6 +178,16 @@ class Session:
         self.check, self.findings, self._kept = self._new_check(), (), ()
         self._forgotten = self.pipeline.ledger.topics
 
+    def check_description(self) -> None:
+        """Refuse a URDF that can be no robot's: what is solved for from there says nothing, and may take for ever.
+
+        Raises:
+            InputError: the recordings so far have shown that.
+        """
+        for finding in self.findings:
+            if finding.cause.kind == "description":
+                raise InputError(f"{self._source or self.robot.name}: {finding.cause.sentence}")
+
     def judge_apart(self) -> None:
         """Keep the findings so far, and judge the samples to come by themselves: what was changed on purpose between
         two recordings is no fault of theirs."""
@@ -189,9 +210,36 @@ class Session:
         else:
             worse = worse_channels(self.model, judged, estimate.parameters) if judged else worse_on_rows(estimate)
         recorded = self.recorded
+        samples = () if isinstance(judged, RowSummary) else judged
+        findings = self.findings or self._unexplained(estimate, samples)
         peculiar = [*peculiarities(recorded.accounts), *self.remarks]
         peculiar += [] if held_out is None else unlike(estimate, held_out)
-        return verdict(estimate, self.findings, self.model, worse, recorded.unmeasured, peculiar)
+        impossible = tuple(impossible_links(self.urdf, self._source, self._suspects(estimate)))
+        return verdict(
+            estimate,
+            findings,
+            self.model,
+            worse=worse,
+            unmeasured=recorded.unmeasured,
+            peculiar=peculiar,
+            impossible=impossible,
+        )
+
+    def _suspects(self, estimate: Estimate) -> Iterator[LinkEstimate]:
+        """The links whose masses are far from the URDF's, but for those at the ends, which may carry what is not in
+        it."""
+        masses = self.model.nominal_inertias[::10]
+        for link, nominal in zip(estimate.links, masses, strict=True):
+            far = link.outlier or not nominal / REASON <= link.mass <= nominal * REASON
+            if far and len(self.robot.subtree(link.name)) > 1:
+                yield link
+
+    def _unexplained(self, estimate: Estimate, judged: Sequence[Samples]) -> tuple[Finding, ...]:
+        """That an estimate does not explain what some joints do, if so."""
+        if not efforts_alone(self.model):
+            return ()
+        found = unexplained(self.model, judged, estimate.parameters, self.check.recorded)
+        return () if found is None else (found,)
 
     def warnings(self, estimate: Estimate | None = None, verdict: Verdict | None = None) -> list[str]:
         """What makes results doubtful, in sentences: of the model it began with, of an estimate and its verdict."""

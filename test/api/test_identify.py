@@ -31,7 +31,7 @@ def plain() -> dict[str, Any]:
 def test_it_says_the_same_as_the_command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     undrawn(monkeypatch)
     options = ("--hold-out", "0.2", "--effects", "effort_offset", "--links", "link3,wrist_ft", "--known", "link3=1:0.1")
-    printed = json.loads(done(*identify("arm3", *WRIST, *options, "--json", "--out", tmp_path)))
+    printed = json.loads(done(*identify("arm3", *WRIST, *options, "--json", "--out", tmp_path), status=4))
     own = document(
         [BAG],
         URDF,

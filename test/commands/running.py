@@ -21,10 +21,10 @@ def geomid(*arguments: str | Path) -> Result:
     return CliRunner().invoke(root, [str(argument) for argument in arguments], prog_name="geomid")
 
 
-def done(*arguments: str | Path) -> str:
-    """What a command prints that must succeed."""
+def done(*arguments: str | Path, status: int = 0) -> str:
+    """What a command prints that must succeed, or end with another exit status."""
     result = geomid(*arguments)
-    assert result.exit_code == 0, result.output
+    assert result.exit_code == status, result.output
     assert result.stderr == ""
     return str(result.stdout)
 

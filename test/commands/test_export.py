@@ -68,14 +68,17 @@ def test_what_the_torques_alone_do_not_show_is_refused(estimates: dict[str, Path
     assert "not known" in done("export", numbers, "--for", "franka", "--frame", "link3")
 
 
-def test_a_doubtful_model_is_told_first_and_exported(estimates: dict[str, Path], tmp_path: Path) -> None:
+def test_a_doubtful_model_is_refused_unless_it_is_forced(estimates: dict[str, Path], tmp_path: Path) -> None:
     document = json.loads(estimates["wrist"].read_text())
     document["verdict"] |= {"result": "doubtful", "reasons": ["the efforts are reversed", "gravity is missing"]}
     model = tmp_path / "estimate.json"
     model.write_text(json.dumps(document))
     (tmp_path / "identified.urdf").write_text(estimates["wrist"].with_name("identified.urdf").read_text())
     options = ("--for", "ur", "--frame", "tool", "--links", "wrist_ft")
-    result = geomid("export", model, *options)
+    message = refused("export", model, *options)
+    assert "this model's verdict is 'doubtful': the efforts are reversed; gravity is missing" in message
+    assert "--force" in message
+    result = geomid("export", model, *options, "--force")
     assert result.exit_code == 0
     said = f"Warning: {model}: this model's verdict is 'doubtful': the efforts are reversed; gravity is missing\n"
     assert result.stderr == said

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -110,11 +111,13 @@ def second(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return bag
 
 
-def small(tmp_path: Path, *arguments: str | Path) -> dict[str, Any]:
+def small(tmp_path: Path, *arguments: str | Path, status: int = 0) -> dict[str, Any]:
     """The printed estimate of the small arm, checked to be the written one."""
     with pytest.MonkeyPatch.context() as patch:
         undrawn(patch)
-        document: dict[str, Any] = json.loads(done(*identify("arm3", "--out", tmp_path, "--json", *arguments)))
+        document: dict[str, Any] = json.loads(
+            done(*identify("arm3", "--out", tmp_path, "--json", *arguments), status=status)
+        )
     assert document == read(tmp_path)
     return document
 
@@ -170,9 +173,25 @@ def test_effects_that_are_named(tmp_path: Path) -> None:
     assert [entry["name"] for entry in document["effects"]] == 3 * ["coulomb_friction"] + 3 * ["rotor_inertia"]
 
 
+def test_a_urdf_that_can_be_no_robot_s_is_refused_before_anything_is_solved(tmp_path: Path) -> None:
+    """With inertias in g mm^2 a solve would take minutes, and say nothing."""
+    text = (BAGS / "arm3.urdf").read_text()
+    spoilt = re.sub(r'( i[xyz][xyz]=)"([^"]+)"', lambda found: f'{found[1]}"{1e9 * float(found[2])}"', text)
+    (tmp_path / "arm3.urdf").write_text(spoilt)
+    message = refused("identify", BAGS / "arm3", "--urdf", tmp_path / "arm3.urdf", "--out", tmp_path / "out")
+    assert message.startswith(str(tmp_path / "arm3.urdf"))
+    assert "g mm^2" in message
+    assert not (tmp_path / "out").exists()
+
+
 def test_no_effects(tmp_path: Path) -> None:
-    assert small(tmp_path, "--effects", "none")["effects"] == []
-    assert "Joint effects" not in done(*identify("arm3", "--out", tmp_path, "--effects", "none"))
+    """Without the friction that there is the first joint is not explained, and that is said."""
+    document = small(tmp_path, "--effects", "none", status=4)
+    assert document["effects"] == []
+    (reason,) = document["verdict"]["reasons"]
+    assert "joint 'joint1' is not explained" in reason
+    assert "friction (--effects)" in reason
+    assert "Joint effects" not in done(*identify("arm3", "--out", tmp_path, "--effects", "none"), status=4)
 
 
 def test_the_node_s_file_says_the_same_as_options(tmp_path: Path) -> None:
@@ -192,7 +211,7 @@ def test_the_node_s_file_says_the_same_as_options(tmp_path: Path) -> None:
     assert from_file["gamma"] == 1e-3
     assert from_file["sigma"]["wrench/fx"] == 0.1
     assert len(from_file["effects"]) == 6
-    options_win = small(tmp_path / "b", "--config", tmp_path / "robot.yaml", "--effects", "none", *WRIST)
+    options_win = small(tmp_path / "b", "--config", tmp_path / "robot.yaml", "--effects", "none", *WRIST, status=4)
     assert options_win["effects"] == []
     assert options_win["sigma"].keys() == from_file["sigma"].keys()
 
@@ -221,7 +240,7 @@ def test_an_estimate_is_started_from(tmp_path: Path) -> None:
 
 def test_an_effect_that_only_some_joints_have(tmp_path: Path) -> None:
     """The model knows it at one joint, and it is not identified everywhere: it is among the others."""
-    small(tmp_path / "a", "--effects", "viscous_friction")
+    small(tmp_path / "a", "--effects", "viscous_friction", status=4)
     document = read(tmp_path / "a")
     document["effects"] = [entry for entry in document["effects"] if entry["joint"] == "joint2"]
     (tmp_path / "a/estimate.json").write_text(json.dumps(document))

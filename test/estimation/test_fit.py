@@ -158,3 +158,14 @@ def halting(name: str, seed: int) -> Case:
     moving = replace(case.samples, velocity=np.where(rest, 0.0, fast), acceleration=acceleration)
     clean = efforts(case.model.robot, case.true, moving)
     return replace(case, noiseless=clean, samples=replace(moving, effort=clean))
+
+
+def test_a_budget_that_is_spent_is_told() -> None:
+    """A few steps settle nothing; where they are enough nothing is said."""
+    case = arm("arm3", 1)
+    assert not fit(problem(case), tolerance=1e-10, max_steps=300).spent
+    assert fit(problem(case), tolerance=1e-10, max_steps=1).spent
+    for most, told in ((300, False), (1, True)):
+        identifier = Identifier(case.model, EstimatorSettings(max_steps=most))
+        identifier.add(case.samples)
+        assert any("budget of steps" in warning for warning in identifier.solve().warnings) == told

@@ -33,6 +33,9 @@ def link_estimate(name: str, merged: tuple[str, ...] = (), seed: int = 0) -> Lin
         from_data=0.5,
         min_eigenvalue_ratio=0.8,
         cannot_tell=("Ixx",),
+        moments=("x", "y"),
+        std_prior=np.full(13, np.inf),
+        outlier=False,
     )
 
 

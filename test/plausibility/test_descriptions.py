@@ -26,7 +26,16 @@ def millimetres(urdf: str) -> str:
     return re.sub(r'(<inertial>\s*<origin[^>]*xyz=")([^"]+)', scaled, urdf)
 
 
-@pytest.mark.parametrize(("spoil", "said"), [(grams, "in grams"), (millimetres, "in mm")])
+def gram_square_millimetres(urdf: str) -> str:
+    def scaled(found: re.Match[str]) -> str:
+        return f'{found[1]}"{1e9 * float(found[2])}"'
+
+    return re.sub(r'( i[xyz][xyz]=)"([^"]+)"', scaled, urdf)
+
+
+@pytest.mark.parametrize(
+    ("spoil", "said"), [(grams, "in grams"), (millimetres, "in mm"), (gram_square_millimetres, "in g mm^2")]
+)
 @pytest.mark.parametrize("limits", [True, False])
 @pytest.mark.parametrize("name", ["arm3", "arm7"])
 def test_units_of_a_urdf_are_named(name: str, spoil, said: str, limits: bool) -> None:  # type: ignore[no-untyped-def]

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from estimation.arms import Case, arm
 
-from geomid_ros.estimation.estimate import Estimate
+from geomid_ros.estimation.estimate import Estimate, WeighedEstimate
 from geomid_ros.estimation.identifier import Identifier
 from geomid_ros.plausibility.hypotheses import Cause, Finding
 from geomid_ros.plausibility.verdict import Verdict, unlike, verdict, worse_channels, worse_on_rows
@@ -40,18 +40,31 @@ def test_the_exit_status() -> None:
     assert judged(estimate, FINDING).reasons == (FINDING.sentence,)
 
 
-@pytest.mark.parametrize(
-    ("factor", "said", "status"),
-    [(1.0, False, 0), (3.0, False, 0), (6.0, True, 0), (0.15, True, 0), (40.0, False, 4), (0.02, False, 4)],
-)
-def test_masses_beyond_reason_are_told(factor: float, said: bool, status: int) -> None:
-    """A little beyond it in a warning, far beyond it the result is doubtful."""
+def weighing(estimate: Estimate, factor: float) -> Estimate:
+    """With links that weigh so many times as much."""
+    links = [replace(k, mass=factor * k.mass, parameters=factor * k.parameters) for k in estimate.links]
+    return replace(estimate, links=tuple(links))
+
+
+@pytest.mark.parametrize(("factor", "status"), [(1.0, 0), (1.5, 0), (0.6, 0), (3.0, 4), (0.3, 4), (40.0, 4)])
+def test_masses_beyond_reason_are_doubted(factor: float, status: int) -> None:
+    """Twice the URDF's in all, or half of it."""
     _, estimate = solved()
-    links = tuple(replace(link, mass=factor * link.mass) for link in estimate.links)
-    result = judged(replace(estimate, links=links))
-    assert bool(result.warnings) == said
+    result = judged(weighing(estimate, factor))
     assert result.status == status
     assert any("kg in all" in reason for reason in result.reasons) == (status == 4)
+
+
+def test_what_was_weighed_may_weigh_anything() -> None:
+    _, estimate = solved()
+    scale = WeighedEstimate(name="total", given=15.0, given_std=0.1, mass=15.0, std=0.1)
+    assert judged(replace(weighing(estimate, 3.0), known=(scale,))).status == 0
+
+
+def test_what_no_link_can_be_is_doubted() -> None:
+    case, estimate = solved()
+    result = verdict(estimate, (), case.model, impossible=["link 'link2' is lead"])
+    assert (result.status, result.reasons) == (4, ("link 'link2' is lead",))
 
 
 def test_missing_efforts_are_told() -> None:

@@ -109,7 +109,10 @@ def test_the_verdict_comes_first_and_sections_in_order(plain: Page) -> None:
 
 def test_what_it_is_good_for(plain: Page, tmp_path: Path) -> None:
     assert "better than by the URDF in 3 of 3 channels: 10 to 10 % of the URDF's error remain" in plain.text
-    assert "For the masses of all links" in plain.text
+    assert "Identified (95 % interval within 20 %, by the data): mass of link joint1, link joint2" in plain.text
+    assert "first moment of link joint1 (x, y)" in plain.text
+    assert "inertia of" not in plain.text
+    assert "Only in combination" in plain.text
     doubtful, _ = written(page_of("joint1", word="doubtful"), tmp_path)
     assert "doubtful signs of joint1 are reversed For nothing before" in doubtful.text
     assert "To predict" not in doubtful.text

@@ -22,7 +22,7 @@ from .test_catalogue_console import Lines
 
 
 def link(name: str, mass: float, told: bool) -> Any:
-    return SimpleNamespace(name=name, mass=mass, std_mass=0.01, cannot_tell=() if told else QUANTITIES)
+    return SimpleNamespace(name=name, mass=mass, std_mass=0.01, identified=QUANTITIES if told else ())
 
 
 def status(received: int, told: dict[str, bool] | None = None, accepted: int | None = None) -> Status:

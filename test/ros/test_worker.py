@@ -380,6 +380,25 @@ def test_closing_waits_for_no_solver_that_takes_long(quiet: Watched, monkeypatch
     assert quiet.estimates.empty(), "nothing is published after the end"
 
 
+def test_a_recording_is_judged_before_it_is_solved(quiet: Watched, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A solve may take long, and nobody wants to wait for it to hear that signs are reversed."""
+    done: list[str] = []
+    solve = quiet.session.identifier.solve
+
+    def solved(warm: Any) -> Estimate:
+        done.append("solved")
+        return solve(warm)
+
+    monkeypatch.setattr(type(quiet.session.check), "due", property(lambda _: True))
+    monkeypatch.setattr(quiet.session, "judge", lambda: done.append("judged"))
+    monkeypatch.setattr(quiet.session.identifier, "solve", solved)
+    quiet.feed()
+    answers: queue.Queue[Estimate | GeomidError] = queue.Queue()
+    quiet.worker.final_estimate(answers.put)
+    assert isinstance(answers.get(timeout=PATIENCE), Estimate)
+    assert done[: done.index("solved")].count("judged") > 0
+
+
 def test_closing_a_busy_one_ends_it() -> None:
     watched = Watched(SOON)
     watched.feed()

@@ -9,6 +9,8 @@ import pytest
 from estimation.arms import ALL_EFFECTS, Motion, efforts, motion, samples, shipped, truth
 
 from geomid_ros.errors import InputError
+from geomid_ros.estimation.estimate import QUANTITIES
+from geomid_ros.estimation.identified import sizes
 from geomid_ros.exports.weighed_payload import weigh_at
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.model.robot import Robot
@@ -133,6 +135,17 @@ def test_of_a_payload_whose_mass_is_not_told_the_first_moment_is() -> None:
     assert not weighed(0).tells_moment_alone
     (sure,) = [weigh(session(), known, [recording_of_the_last_joint(0)], link, 0.1)]
     assert np.all(sure.moment_std[[0, 2]] > found[0].moment_std[[0, 2]])
+
+
+def test_what_is_identified_of_a_payload_is_known_to_a_fifth() -> None:
+    """The rule is that of links, with the gain in the deviations: what a gain makes unsure is not identified."""
+    sure, unsure = weighed(0), weighed(0, gain=0.3)
+    for found in (sure, unsure):
+        known = np.array([name not in found.cannot_tell for name in QUANTITIES])
+        body = pseudo_inertia.parameters_of(found.quantities)
+        assert np.all(1.96 * found.std[known] <= 0.2 * sizes(body)[:10][known])
+    assert "mass" not in sure.cannot_tell
+    assert "mass" in unsure.cannot_tell
 
 
 def test_what_is_not_told_is_not_said_first() -> None:

@@ -11,10 +11,11 @@ from rich.table import Table
 
 from geomid_ros.api.identify import Identification
 from geomid_ros.commands.tables import lines, number_columns, plain_table, print_remarks, results_console, say
-from geomid_ros.estimation.estimate import EffectEstimate, Estimate
+from geomid_ros.estimation.estimate import QUANTITIES, EffectEstimate, Estimate
 from geomid_ros.files.models.effect_forms import is_coefficient
 from geomid_ros.files.models.results import model_effects
 from geomid_ros.model.effects import EFFECTS, KnownEffect
+from geomid_ros.plausibility.verdict import USABLE
 from geomid_ros.report import gap_words, identification_words
 from geomid_ros.resimulation.closed_loop import Tracking
 from geomid_ros.signals.ledger import Account
@@ -42,6 +43,8 @@ def show(found: Identification) -> None:
         f"{estimate.rows_accepted} rows, {state} in {estimate.seconds:.1f} s, prior's weight {estimate.gamma:.1e}",
     )
     console.print(_links_table(found))
+    if found.verdict.word == USABLE:
+        say(console, "", " ".join(identification_words.identified(found.links)))
     if estimate.known:
         console.print(_known_table(estimate))
     of_joints = _at_every_joint(estimate.effects)
@@ -81,7 +84,8 @@ def _links_table(found: Identification) -> Table:
         masses = f"{nominal[link.name]:.3f}", f"{link.mass:.3f} ± {link.std_mass:.3f}"
         com = lines(f"{c:+.3f} ± {s:.3f}" for c, s in zip(link.com, link.std_com, strict=True))
         shares = f"{100 * link.from_data:.0f} %", f"{link.distance_from_prior:.2f}"
-        table.add_row(names, *masses, com, *shares, identification_words.cannot_tell(link.cannot_tell))
+        untold = [name for name in QUANTITIES if name not in link.identified]
+        table.add_row(names, *masses, com, *shares, identification_words.cannot_tell(untold))
     return table
 
 

@@ -18,11 +18,11 @@ def show(found: Payload, controller: str | None) -> None:
     table.add_column("quantity")
     number_columns(table, ["value", "std"])
     table.add_column("unit")
-    table.add_column("identifiable")
+    table.add_column("identified")
     rows = zip(QUANTITIES, found.inertial.quantities, found.inertial.std, UNITS, strict=True)
     for name, value, std, unit in rows:
-        told = "no" if name in found.weighed.cannot_tell else "yes"
-        table.add_row(name, f"{value:.4g}", f"{std:.2g}", unit, told)
+        known = "no" if name in found.weighed.cannot_tell else "yes"
+        table.add_row(name, f"{value:.4g}", f"{std:.2g}", unit, known)
     console.print(table)
     if controller:
         click.echo(found.commands(controller), nl=False)

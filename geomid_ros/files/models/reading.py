@@ -17,6 +17,7 @@ from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.signals.ledger import Account
 from geomid_ros.types import FloatArray
 
+_STD_PRIOR = 13  # quantities and first moments, whose prior no file has
 
 def estimate_of(document: Mapping[str, Any], posterior: Posterior, source: str) -> Estimate:
     """The estimate of a document.
@@ -74,6 +75,9 @@ def _link(link: Mapping[str, Any], parameters: FloatArray) -> LinkEstimate:
         from_data=float(link["from_data"]),
         min_eigenvalue_ratio=float(link["min_eigenvalue_ratio"]),
         cannot_tell=tuple(map(str, link["cannot_tell"])),
+        moments=tuple(map(str, link["identified_moments"])),
+        std_prior=np.full(_STD_PRIOR, np.nan),
+        outlier=bool(link["outlier"]),
     )
 
 

@@ -77,6 +77,8 @@ def estimate_document(
                 "from_data": link.from_data,
                 "min_eigenvalue_ratio": link.min_eigenvalue_ratio,
                 "cannot_tell": list(link.cannot_tell),
+                "identified_moments": list(link.moments),
+                "outlier": link.outlier,
             }
             for link in estimate.links
         ],

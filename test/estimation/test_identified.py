@@ -1,0 +1,91 @@
+"""Which numbers of a body are identified: the rule, and what it says of planted robots."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from files.estimates import link_estimate
+
+from estimation.arms import arm
+from geomid_ros.estimation.estimate import QUANTITIES, Estimate, interval_of_positive
+from geomid_ros.estimation.estimator import EstimatorSettings, estimate
+from geomid_ros.estimation.identified import identified, numbers, sizes
+from geomid_ros.estimation.summary import RowSummary
+from geomid_ros.geometry import pseudo_inertia
+from geomid_ros.model.weighed_masses import WeighedMass
+
+BODY = link_estimate("link").parameters
+ANY = np.full(13, np.inf)
+
+
+def test_an_interval_that_ends_within_a_fifth() -> None:
+    """The interval that is shown, along the geodesic, decides."""
+    for share, known in ((0.09, True), (0.096, False)):
+        deviation = share * BODY[0]
+        assert identified(BODY, np.append(deviation, np.zeros(12)), ANY)[0] == known
+        assert (interval_of_positive(float(BODY[0]), deviation)[1] < 1.2 * BODY[0]) == known
+
+
+def test_a_narrow_prior_identifies_nothing() -> None:
+    deviations = 0.01 * sizes(BODY)
+    assert np.all(identified(BODY, deviations, ANY))
+    assert np.all(identified(BODY, deviations, 2.001 * deviations))
+    assert not np.any(identified(BODY, deviations, 1.999 * deviations))
+
+
+def test_what_may_be_zero_is_compared_with_the_body() -> None:
+    """A ball at the link's origin: its centre and its products of inertia are zero."""
+    ball = pseudo_inertia.assemble(np.array(2.0), np.zeros(3), 0.02 * np.eye(3))
+    assert np.allclose(numbers(ball), [2.0, 0, 0, 0, 0.02, 0, 0.02, 0, 0, 0.02, 0, 0, 0])
+    radius = np.sqrt(1.5 * 0.02 / 2.0)  # half of the trace over the mass, squared
+    assert np.allclose(sizes(ball), [2.0, *3 * [radius], *6 * [0.02], *3 * [2.0 * radius]])
+
+
+@pytest.mark.parametrize(("kilogram", "metre"), [(1000.0, 1.0), (1.0, 1000.0)])
+def test_units_do_not_matter(kilogram: float, metre: float) -> None:
+    """Deviations about the bound, in grams or millimetres."""
+    factors = kilogram * np.array([1.0, *3 * [1.0 / kilogram], *7 * [1.0], 1.0, 1.0])
+    factors *= metre ** np.array([0, 1, 1, 1, 2, 2, 2, 2, 2, 2, 1, 1, 1])
+    in_units = pseudo_inertia.parameters_of(factors[:10] * pseudo_inertia.quantities_of(BODY))
+    deviations = np.random.default_rng(0).uniform(0.05, 0.15, 13) * sizes(BODY)
+    known = identified(BODY, deviations, ANY)
+    assert 0 < np.count_nonzero(known) < 13
+    assert np.array_equal(identified(in_units, factors * deviations, ANY), known)
+
+
+def solved(factor: float, known: tuple[WeighedMass, ...] = ()) -> Estimate:
+    """The small arm with a last link that is so many times as heavy as in its URDF."""
+    case = arm("arm3", 0)
+    parameters = case.model.nominal_parameters.copy()
+    parameters[20:30] *= factor
+    rows = case.model.rows(case.samples)
+    summary = RowSummary(case.model.channels)
+    noise = 1e-3 * np.random.default_rng(1).normal(size=rows.targets.shape)
+    for row, target in zip(rows.coefficients, rows.coefficients @ parameters + noise, strict=True):
+        summary.add(row, target)
+    return estimate(case.model, summary, EstimatorSettings(known=known))
+
+
+def test_a_link_that_left_its_prior_is_not_identified_however_sure_it_is() -> None:
+    usual, changed = (solved(factor).links[-1] for factor in (1.0, 5.0))
+    assert not usual.outlier
+    assert "mass" not in usual.cannot_tell
+    assert set(usual.moments)
+    assert changed.outlier
+    assert changed.std_mass < 0.09 * changed.mass
+    assert "mass" not in changed.cannot_tell, "the data say so"
+    assert changed.identified == ()
+    assert usual.identified == tuple(name for name in QUANTITIES if name not in usual.cannot_tell)
+
+
+def test_the_prior_that_grew_is_not_what_the_data_are_compared_with() -> None:
+    usual, changed = (solved(factor).links[-1] for factor in (1.0, 5.0))
+    assert changed.std_prior[0] / changed.mass < 1.2 * usual.std_prior[0] / usual.mass
+
+
+def test_a_scale_identifies_a_mass() -> None:
+    """The second link's, which the joints of this arm do not feel apart from the first one's."""
+    assert "mass" in solved(1.0).links[0].cannot_tell
+    name = solved(1.0).links[0].name
+    weighed = WeighedMass((name,), 2.0, 0.01)
+    assert "mass" not in solved(1.0, (weighed,)).links[0].cannot_tell
