@@ -19,6 +19,7 @@ from geomid_ros.types import FloatArray
 
 _STD_PRIOR = 13  # quantities and first moments, whose prior no file has
 
+
 def estimate_of(document: Mapping[str, Any], posterior: Posterior, source: str) -> Estimate:
     """The estimate of a document.
 
