@@ -35,7 +35,7 @@ from geomid_ros.exports.descriptions import DESCRIPTIONS
 from geomid_ros.exports.model import read_model
 from geomid_ros.exports.payload import each_link
 from geomid_ros.files.bags.bag import Bag
-from geomid_ros.files.models.urdf import with_identified_inertias
+from geomid_ros.files.models.urdf import with_inertials
 from geomid_ros.model.effects import AtJoint
 from geomid_ros.model.effects.coulomb_friction import CoulombFriction
 from geomid_ros.model.samples import Samples
@@ -71,7 +71,7 @@ def figures(name: str) -> dict[str, Any]:
 def _by_reader(found: Identification, test: Samples, folder: Path) -> dict[str, dict[str, float]]:
     session = found.session
     joints, gravity = list(session.robot.joint_names), np.asarray(session.robot.gravity)
-    given, inertias = session.urdf, without_dynamics(with_identified_inertias(session.urdf, found.links))
+    given, inertias = session.urdf, without_dynamics(_with_estimated(found))
     rows = {}
     for tool, readers in READERS.items():
         model = read_model(folder / "estimate.json", tool)
@@ -113,6 +113,13 @@ def offsets_beside(found: Identification, tool: str, joints: list[str]) -> Float
     effects = found.session.written_model(found.estimate, tool).effects
     known = {own.joint: own.parameters["offset"].value for own in effects if own.effect == "effort_offset"}
     return np.array([known.get(name, 0.0) for name in joints])
+
+
+def _with_estimated(found: Identification) -> str:
+    """The URDF as it was given with the estimate's own inertias."""
+    merged = [name for link in found.links for name in link.merged]
+    inertias = {link.name: (link.mass, link.com, link.inertia) for link in found.links}
+    return with_inertials(found.session.urdf, inertias, merged)
 
 
 def without_dynamics(urdf: str) -> str:

@@ -11,7 +11,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Mapping, Sequence
 from importlib.util import find_spec
-from typing import TypeAlias
+from typing import Any, TypeAlias
 from xml.etree.ElementTree import Element
 
 import mujoco as mj
@@ -22,6 +22,7 @@ from geomid_ros.model.samples import Samples
 from geomid_ros.model.urdf_tree import read_xml
 from geomid_ros.types import FloatArray
 
+_SMOOTHING = 0.02  # [rad/s, m/s] over which the dry friction of two joints together changes its sign
 Predict: TypeAlias = Callable[[Samples, FloatArray], FloatArray]
 Reader: TypeAlias = Callable[[str, Sequence[str], FloatArray], Predict]
 
@@ -88,10 +89,20 @@ def mujoco(text: str, joints: Sequence[str], gravity: FloatArray) -> Predict:
                 samples.acceleration[index],
             )
             mj.mj_inverse(model, data)
-            result[index] = data.qfrc_inverse[vs]
+            result[index] = (data.qfrc_inverse + _along_tendons(model, data))[vs]
         return result + model.dof_frictionloss[vs] * direction
 
     return predict
+
+
+def _along_tendons(model: Any, data: Any) -> FloatArray:
+    """Dry friction ``(nv,)`` of what acts on two joints together, by the velocities of tendons."""
+    along = model.tendon_frictionloss * np.tanh(data.ten_velocity / _SMOOTHING)
+    lever = np.zeros((model.ntendon, model.nv))
+    for tendon in range(model.ntendon):
+        for wrap in range(model.tendon_adr[tendon], model.tendon_adr[tendon] + model.tendon_num[tendon]):
+            lever[tendon, model.jnt_dofadr[model.wrap_objid[wrap]]] = model.wrap_prm[wrap]
+    return np.asarray(along @ lever)
 
 
 def drake(urdf: str, joints: Sequence[str], gravity: FloatArray) -> Predict:

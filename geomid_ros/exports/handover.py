@@ -18,6 +18,7 @@ from geomid_ros.files.models.readers import ELEMENTS, URDF
 from geomid_ros.files.models.results import model_effects
 from geomid_ros.files.models.urdf import inertia_of, with_inertials
 from geomid_ros.model.effects import effect_class
+from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.samples import Samples
 from geomid_ros.resimulation.read_back import read_mjcf_back
 from geomid_ros.session.session import Session
@@ -91,9 +92,9 @@ class HandedOver:
             written = read_urdf_back(session.read_robot(text, self.name), self.reader, self._whole.beside)
         given = read_urdf_back(session.robot, URDF if self.reader == MUJOCO else self.reader)
         channels = [channel.name for channel in session.model.channels]
+        kinds = (written, None), (written, self._errors_of_sensors), (given, None)
         alone, corrected, before = (
-            dict(zip(channels, _rms(session, batches, each, offsets).tolist(), strict=True))
-            for each, offsets in ((written, None), (written, self._errors_of_sensors), (given, None))
+            dict(zip(channels, rms, strict=True)) for rms in _rms(session.model, batches, kinds).tolist()
         )
         return Judged(self.name, self.program, alone, corrected, before, {name: self.lacks(name) for name in channels})
 
@@ -156,13 +157,18 @@ _KINDS = ("alone", "corrected", "given")
 _ADVICE = "choose another reader (--for), or record more motion of this joint"
 
 
-def _rms(session: Session, batches: Sequence[Samples], read: ReadBack, beside: FloatArray | None) -> FloatArray:
-    """RMS ``(channels,)`` of what a description leaves, with what parameters ``(D,)`` say ``beside``."""
-    squares, counts = np.zeros((2, len(session.model.channels)))
+def _rms(
+    model: MeasurementModel, batches: Sequence[Samples], kinds: Sequence[tuple[ReadBack, FloatArray | None]]
+) -> FloatArray:
+    """RMS ``(kinds, channels)`` of what descriptions leave, each with what parameters ``(D,)`` say beside it."""
+    beside = [np.zeros(model.dimension) if own is None else own for _, own in kinds]
+    parameters = np.column_stack([read.parameters(model) + own for (read, _), own in zip(kinds, beside, strict=True)])
+    squares, counts = np.zeros((len(kinds), len(model.channels))), np.zeros(len(model.channels))
     for samples in batches:
-        measured, predicted = read.predict(session.model, samples)
-        if beside is not None:
-            predicted = predicted + session.model.predict(samples, beside)[1]
-        squares += np.nansum((measured - predicted) ** 2, axis=0)
+        measured, predicted = model.predict(samples, parameters)
+        if model.layout.efforts:
+            added = [read.efforts(model.robot.joint_names, samples) for read, _ in kinds]
+            predicted[:, model.layout.efforts] += np.stack(added, axis=2)
+        squares += np.nansum((measured[:, :, None] - predicted) ** 2, axis=0).T
         counts += np.count_nonzero(np.isfinite(measured), axis=0)
     return np.sqrt(np.divide(squares, counts, out=np.full_like(squares, np.nan), where=counts > 0))

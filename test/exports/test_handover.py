@@ -15,7 +15,7 @@ import geomid_ros
 from geomid_ros.api.identify import Identification
 from geomid_ros.exports.handover import HandedOver, Judged
 from geomid_ros.exports.model import read_model
-from geomid_ros.files.models.read_back import read_urdf_back
+from geomid_ros.files.models.read_back import ReadBack, read_urdf_back
 from geomid_ros.files.models.readers import READERS
 from geomid_ros.files.models.urdf import with_inertials
 from geomid_ros.model.samples import Samples
@@ -66,12 +66,12 @@ def test_mujoco_itself_needs_these_efforts() -> None:
     read = read_mjcf_back(handed("mujoco").files["identified.xml"], found().session.robot)
     for name in names:
         read.attributes[name, "joint/frictionloss"] = 0.0
-    _, predicted = read.predict(found().session.model, samples)
+    predicted = predicted_by(read, samples)
     for index in range(len(samples)):
         data.qpos[places], data.qvel[places] = samples.position[index], samples.velocity[index]
         data.qacc[places] = samples.acceleration[index]
         mujoco.mj_inverse(model, data)
-        np.testing.assert_allclose(data.qfrc_inverse[places], predicted[index, : len(names)], rtol=1e-3, atol=2e-3)
+        np.testing.assert_allclose(data.qfrc_inverse[places], predicted[index], rtol=1e-3, atol=2e-3)
 
 
 def test_a_number_that_is_wrong_in_the_file_shows() -> None:
@@ -79,10 +79,10 @@ def test_a_number_that_is_wrong_in_the_file_shows() -> None:
     session = found().session
     text = handed("urdf").files["identified.urdf"]
     wrong = re.sub(r'damping="[^"]*"', 'damping="10"', text)
+    samples = Samples.concatenate(list(found().judged))
     right, bad = (
-        _rms(read_urdf_back(session.read_robot(each, "file"), "urdf").predict(session.model, samples))
+        np.std(predicted_by(read_urdf_back(session.read_robot(each, "file"), "urdf"), samples) - samples.effort, axis=0)
         for each in (text, wrong)
-        for samples in [Samples.concatenate(list(found().judged))]
     )
     assert np.all(bad > 2.0 * right)
 
@@ -124,6 +124,8 @@ def test_an_earlier_estimate_is_exported_as_not_fitted(tmp_path: Path) -> None:
     assert not read_model(tmp_path / "estimate.json", "mujoco").fitted
 
 
-def _rms(pair: tuple[FloatArray, FloatArray]) -> FloatArray:
-    measured, predicted = pair
-    return np.sqrt(np.nanmean((measured - predicted) ** 2, axis=0))
+def predicted_by(read: ReadBack, samples: Samples) -> FloatArray:
+    """The joints' efforts ``(N, joints)`` by a description."""
+    model = found().session.model
+    _, predicted = model.predict(samples, read.parameters(model))
+    return predicted[:, model.layout.efforts] + read.efforts(model.robot.joint_names, samples)

@@ -33,14 +33,14 @@ class ReadBack:
     inertias: Mapping[str, FloatArray]
     attributes: Attributes
 
-    def predict(self, model: MeasurementModel, samples: Samples) -> tuple[FloatArray, FloatArray]:
-        """Measured values of every channel of ``model`` ``(N, channels)``, and those that this robot would show."""
+    def parameters(self, model: MeasurementModel) -> FloatArray:
+        """The parameters ``(D,)`` of ``model`` with these inertias and no effects."""
         bodies = [self.inertias[name] for name in model.body_names]
-        parameters = np.concatenate([*bodies, np.zeros(len(model.coefficients))])
-        measured, predicted = model.predict(samples, parameters)
-        if model.layout.efforts:
-            predicted[:, model.layout.efforts] += samples.efforts_of(self._terms(model.robot.joint_names))
-        return measured, predicted
+        return np.concatenate([*bodies, np.zeros(len(model.coefficients))])
+
+    def efforts(self, joints: Sequence[str], samples: Samples) -> FloatArray:
+        """What the attributes add to the joints' efforts ``(N, joints)``."""
+        return samples.efforts_of(self._terms(joints))
 
     def _terms(self, joints: Sequence[str]) -> Iterator[tuple[MotionEffect, Place, float]]:
         """The effects that the attributes mean, at their places, with their coefficients."""

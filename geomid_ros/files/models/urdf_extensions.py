@@ -7,7 +7,7 @@ from collections.abc import Iterable
 from xml.sax.saxutils import escape, quoteattr
 
 from geomid_ros.files.models.effect_forms import joint_attributes
-from geomid_ros.files.models.xml_edits import Span, children_of, edited, end_of_tag, insertion
+from geomid_ros.files.models.xml_edits import Edit, Span, children_of, edited, end_of_tag, insertion
 from geomid_ros.model.effects import KnownEffect
 from geomid_ros.model.urdf_tree import read_xml
 
@@ -35,7 +35,18 @@ def for_drake(urdf: str, effects: Iterable[KnownEffect], source: str) -> str:
             edits.append((*span.child, edited(own, [insertion(own, actuator, inside)])))
         else:
             added += _transmission(joint, inside)
-    return edited(data, [*edits, (end, end, added)]).decode()
+    return edited(data, [*edits, *_massless(urdf, source), (end, end, added)]).decode()
+
+
+def _massless(urdf: str, source: str) -> list[Edit]:
+    """Edits that take off inertials without a mass: Drake reads such a link as one of 1 kg."""
+    weightless = [
+        link.get("name")
+        for link in read_xml(urdf, source).findall("link")
+        if (mass := link.find("inertial/mass")) is not None and float(mass.get("value", 0.0)) == 0.0
+    ]
+    spans = children_of(urdf.encode(), "robot", "link", "inertial")
+    return [(*span.child, b"") for name in weightless if name and (span := spans[name]).child]
 
 
 def _rotor(inertia: float) -> bytes:
