@@ -4,21 +4,27 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any, Unpack
 
 from geomid_ros.api.arguments import PathLike, Paths, bag_paths
 from geomid_ros.api.options import RecordingKeywords, RecordingOptions
-from geomid_ros.errors import InputError
-from geomid_ros.files.disk import write_json
+from geomid_ros.errors import InputError, unknown_name
+from geomid_ros.exports.descriptions import DESCRIPTIONS, Whole, as_described
+from geomid_ros.exports.handover import Judged, judge
+from geomid_ros.exports.model import read_model
+from geomid_ros.files.disk import staged, write_json, write_text
 from geomid_ros.files.models.effect_forms import effect_entry
 from geomid_ros.files.models.gap_reading import page_entries
 from geomid_ros.files.models.gap_results import gap_document
 from geomid_ros.files.models.judgements import causes_entry
+from geomid_ros.files.models.readers import DESCRIBED_FOR, URDF
 from geomid_ros.files.models.tables import tables, write_tables
 from geomid_ros.gap.result import Finding, GapResult, Verdict
 from geomid_ros.model.samples import Samples
-from geomid_ros.plausibility.verdict import recording_verdict
+from geomid_ros.plausibility.verdict import DOUBTFUL, STATUS, recording_verdict
 from geomid_ros.report.gap_figures import elapsed
 from geomid_ros.report.gap_page import GapPage, write_gap_page
 from geomid_ros.report.gap_words import verdict_sentence
@@ -41,6 +47,7 @@ class Gap:
         held_out: the held-out samples, one element per recording.
         simulated: resimulations of these recordings in MuJoCo, before and after.
         not_simulated: why there is no resimulation; empty if there is one.
+        reader: who will read the description that is written.
     """
 
     session: Session
@@ -49,6 +56,7 @@ class Gap:
     held_out: Sequence[Samples]
     simulated: Sequence[SimulatedAgain]
     not_simulated: str
+    reader: str = URDF
 
     @property
     def verdict(self) -> Verdict:
@@ -59,6 +67,30 @@ class Gap:
     def findings(self) -> tuple[Finding, ...]:
         """The effects found, the most certain first."""
         return self.result.findings
+
+    @cached_property
+    def handover(self) -> Judged:
+        """How well the description for :attr:`reader` predicts the held-out samples, loaded by the program that reads
+        it.
+
+        Raises:
+            InputError: the program does not take it.
+        """
+        return judge(self.session, self.reader, self._description, self.held_out)
+
+    @cached_property
+    def _description(self) -> Whole:
+        """The description for :attr:`reader`, of the model as it is written."""
+        with TemporaryDirectory() as folder:
+            write_found(Path(folder), self.session, self.result)
+            model = read_model(Path(folder) / "estimate.json", self.reader)
+        return DESCRIPTIONS[self.reader].whole(as_described(model), {})
+
+    @property
+    def status(self) -> int:
+        """The exit status: 4 for a doubtful recording, or a description that predicts worse than the one given."""
+        judged = recording_verdict(self.session.findings)
+        return STATUS[DOUBTFUL] if self.handover.worse else judged.status
 
     @property
     def document(self) -> dict[str, Any]:
@@ -74,7 +106,7 @@ class Gap:
             "not_simulated": self.not_simulated,
         }
         remarks = {"causes": causes_entry(session.findings), "warnings": session.warnings(), "notes": session.notes}
-        return document | remarks
+        return document | remarks | {"handover": {self.reader: self.handover.entry}}
 
     def report(self, path: PathLike, *, progress: Progress = silent) -> Path:
         """Write one HTML page with all results and plots, which needs no network.
@@ -120,10 +152,21 @@ class Gap:
         Raises:
             InputError: a file cannot be written.
         """
-        folder = Path(folder)
-        files = write_found(folder, self.session, self.result)
-        write_json(folder / "gap.json", self.document)
-        written = [folder / "gap.json", *write_tables(folder, tables(self.document))]
+        with staged(Path(folder)) as stage:
+            files = self._write(stage, progress)
+        return [Path(folder) / file.name for file in files]
+
+    def _write(self, folder: Path, progress: Progress) -> list[Path]:
+        files, document = write_found(folder, self.session, self.result), self.document
+        write_json(folder / "gap.json", document)
+        description = folder / self.handover.name
+        if description not in files:
+            files.append(description)
+            write_text(description, self._description.text)
+        for name, text in self._description.beside.items():
+            files.append(folder / name)
+            write_text(folder / name, text)
+        written = [folder / "gap.json", *write_tables(folder, tables(document))]
         return [self.report(folder / "report.html", progress=progress), *written, *files]
 
     def __repr__(self) -> str:
@@ -139,6 +182,7 @@ def find_gap(
     *,
     simulated: Paths = (),
     command: str | None = None,
+    reader: str = URDF,
     progress: Progress = silent,
     **options: Unpack[RecordingKeywords],
 ) -> Gap:
@@ -151,6 +195,7 @@ def find_gap(
         urdf: path or text of the robot description, see :class:`~geomid_ros.RecordingOptions`.
         simulated: recordings of your simulator under the commands of each bag, in the same order.
         command: topic of the recorded joint set-points (JointState), for a simulation in closed loop.
+        reader: who will read the description that is written: urdf, moveit, isaac, gazebo, drake or mujoco.
         progress: called with the current stage and its completed share, 0 to 1.
         options: which robot it is and how its recordings are read, see :class:`~geomid_ros.RecordingOptions`; with
             ``model``, an estimate.json is compared with instead of the URDF's inertias alone.
@@ -158,6 +203,8 @@ def find_gap(
     Raises:
         InputError: a file, an argument or the data cannot be used; the message names it and says what to do.
     """
+    if reader not in DESCRIBED_FOR:
+        raise unknown_name("reader", reader, DESCRIBED_FOR)
     chosen = RecordingOptions(urdf=urdf, **options)
     recorded, twins = chosen.bags(bags), bag_paths(simulated)
     robot = chosen.description(recorded.fitted, chosen.model)
@@ -168,9 +215,9 @@ def find_gap(
     )
     session.settled.extend(robot.notes)
     session.check_description()
-    reader = GapReader(session, recorded, progress)
-    sharp = reader.sharp()
-    commands = reader.sharp(command) if command else []
+    of_bags = GapReader(session, recorded, progress)
+    sharp = of_bags.sharp()
+    commands = of_bags.sharp(command) if command else []
     try:
         result = find(session, recordings, progress)
     except InputError as error:
@@ -184,4 +231,5 @@ def find_gap(
         held_out=recordings.held_out,
         simulated=simulated_again(session.model, again),
         not_simulated=again.skipped,
+        reader=reader,
     )

@@ -19,7 +19,7 @@ from geomid_ros.exports.handover import HandedOver, Judged
 from geomid_ros.files.disk import staged, write_json, write_text
 from geomid_ros.files.models.effect_forms import unsaid
 from geomid_ros.files.models.posterior import POSTERIOR, write_posterior
-from geomid_ros.files.models.readers import ELEMENTS, READERS, URDF
+from geomid_ros.files.models.readers import DESCRIBED_FOR, ELEMENTS, READERS, URDF
 from geomid_ros.files.models.results import model_effects
 from geomid_ros.files.models.sidecar import write_sidecar
 from geomid_ros.files.models.tables import tables, write_tables
@@ -325,8 +325,8 @@ def identify(
     Raises:
         InputError: a file, an argument or the data cannot be used; the message names it and says what to do.
     """
-    if reader not in ELEMENTS:
-        raise unknown_name("reader", reader, ELEMENTS)
+    if reader not in DESCRIBED_FOR:
+        raise unknown_name("reader", reader, DESCRIBED_FOR)
     chosen = RecordingOptions(urdf=urdf, **options)
     recorded = chosen.bags(bags)
     parameters = chosen.configuration(chosen.model, **_parameters(prior, effects, candidates, links, known))

@@ -11,7 +11,7 @@ from typing import Any
 import click
 
 import geomid_ros
-from geomid_ros.commands.options import OUT, recording_options, robot_options
+from geomid_ros.commands.options import OUT, reader_option, recording_options, robot_options
 
 
 @click.command()
@@ -25,6 +25,7 @@ from geomid_ros.commands.options import OUT, recording_options, robot_options
     help="Recording of your simulator under the commands of a bag; one for each of BAGS, in their order.",
 )
 @click.option("--command", help="Topic of the recorded joint set-points (JointState), for a simulation in closed loop.")
+@reader_option
 @click.option("--out", default=Path("geomid_gap"), **OUT)
 @click.option("--json", "as_json", is_flag=True, help="Print gap.json instead of tables.")
 def gap(bags: tuple[Path, ...], out: Path, as_json: bool, **options: Any) -> None:
@@ -37,7 +38,6 @@ def gap(bags: tuple[Path, ...], out: Path, as_json: bool, **options: Any) -> Non
     from geomid_ros.commands.progress import progress_bar
     from geomid_ros.commands.results import gap as results
     from geomid_ros.files.models.gap_rivals import is_open
-    from geomid_ros.plausibility.verdict import recording_verdict
 
     with progress_bar() as progress:
         found = geomid_ros.find_gap(bags, progress=progress, **options)
@@ -50,4 +50,4 @@ def gap(bags: tuple[Path, ...], out: Path, as_json: bool, **options: Any) -> Non
         if is_open(found.result):
             arguments = ("--urdf", options["urdf"] or "ROBOT.urdf", "--settle", out / "gap.json")
             click.echo(f"To discriminate between the rivals: geomid excite {shlex.join(map(str, arguments))}")
-    sys.exit(recording_verdict(found.session.findings).status)
+    sys.exit(found.status)

@@ -10,9 +10,8 @@ from typing import Any
 import click
 
 import geomid_ros
-from geomid_ros.commands.options import OUT, Names, recording_options, robot_options
+from geomid_ros.commands.options import OUT, Names, reader_option, recording_options, robot_options
 from geomid_ros.errors import one_line
-from geomid_ros.files.models.readers import DESCRIBED_FOR
 
 
 @click.command()
@@ -42,14 +41,7 @@ from geomid_ros.files.models.readers import DESCRIBED_FOR
     type=click.Path(path_type=Path),
     help="Start from this population.json, written by 'geomid fleet' for this type of robot.",
 )
-@click.option(
-    "--for",
-    "reader",
-    type=click.Choice(DESCRIBED_FOR),
-    default="urdf",
-    show_default=True,
-    help="Who will read the description: what is written is fitted within what its files hold, and judged as itself.",
-)
+@reader_option
 @click.option("--command", help="Topic of the joints' set-points (JointState), to simulate what is held out.")
 @click.option("--out", default=Path("geomid_out"), **OUT)
 @click.option("--json", "as_json", is_flag=True, help="Print estimate.json instead of tables.")

@@ -8,6 +8,8 @@ from typing import Any
 
 import click
 
+from geomid_ros.files.models.readers import DESCRIBED_FOR, URDF
+
 
 class Output(click.Path):
     """Where results go: what cannot be written is told before any work is done.
@@ -129,6 +131,15 @@ def _packages(_context: click.Context, _option: click.Parameter, texts: tuple[st
         packages[name] = Path(folder)
     return packages
 
+
+reader_option = click.option(
+    "--for",
+    "reader",
+    type=click.Choice(DESCRIBED_FOR),
+    default=URDF,
+    show_default=True,
+    help="Software that will read the description: it is fitted within what such a file holds, and judged as itself.",
+)
 
 package_option = click.option(
     "--package-path",

@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
 from pathlib import Path
+from types import MappingProxyType
 
 import numpy as np
 
@@ -47,13 +48,7 @@ class HandedOver:
     @property
     def name(self) -> str:
         """The file's name."""
-        names = {URDF: "identified.urdf", "moveit": "identified.urdf", MUJOCO: "identified.xml"}
-        return names.get(self.reader, f"identified.{self.reader}.urdf")
-
-    @property
-    def program(self) -> str:
-        """The program that loads it here."""
-        return "MuJoCo" if self.reader == MUJOCO else "pinocchio"
+        return file_name(self.reader)
 
     @cached_property
     def model(self) -> WrittenModel:
@@ -85,18 +80,8 @@ class HandedOver:
 
     def judged(self, batches: Sequence[Samples]) -> Judged:
         """How well it predicts samples. Raises InputError where the program does not take the file."""
-        session, text = self.session, self._whole.text
-        if self.reader == MUJOCO:
-            written = read_mjcf_back(text, session.robot)
-        else:
-            written = read_urdf_back(session.read_robot(text, self.name), self.reader, self._whole.beside)
-        given = read_urdf_back(session.robot, URDF if self.reader == MUJOCO else self.reader)
-        channels = [channel.name for channel in session.model.channels]
-        kinds = (written, None), (written, self._errors_of_sensors), (given, None)
-        alone, corrected, before = (
-            dict(zip(channels, rms, strict=True)) for rms in _rms(session.model, batches, kinds).tolist()
-        )
-        return Judged(self.name, self.program, alone, corrected, before, {name: self.lacks(name) for name in channels})
+        lacks = {channel.name: self.lacks(channel.name) for channel in self.session.model.channels}
+        return judge(self.session, self.reader, self._whole, batches, self._errors_of_sensors, lacks)
 
     @property
     def _errors_of_sensors(self) -> FloatArray:
@@ -110,6 +95,12 @@ class HandedOver:
         model = self.session.model
         found = [known.get((c.effect.name, c.place_name, c.parameter), 0.0) for c in model.coefficients]
         return np.concatenate([np.zeros(len(model.nominal_inertias)), found])
+
+
+def file_name(reader: str) -> str:
+    """The name of the file for a reader."""
+    names = {URDF: "identified.urdf", "moveit": "identified.urdf", MUJOCO: "identified.xml"}
+    return names.get(reader, f"identified.{reader}.urdf")
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,6 +122,12 @@ class Judged:
     corrected: Mapping[str, float]
     given: Mapping[str, float]
     lacks: Mapping[str, Sequence[str]]
+
+    @property
+    def sentence(self) -> str:
+        """How well it predicts beside the description that it is from, in sums over the channels."""
+        own, given = (float(np.nansum(list(kind.values()))) for kind in (self.alone, self.given))
+        return f"{self.name}, loaded by {self.program}: residual RMS {own:.3g}, given description {given:.3g} (sums)"
 
     @property
     def worse(self) -> list[str]:
@@ -155,6 +152,42 @@ class Judged:
 
 _KINDS = ("alone", "corrected", "given")
 _ADVICE = "choose another reader (--for), or record more motion of this joint"
+
+
+def judge(
+    session: Session,
+    reader: str,
+    whole: Whole,
+    batches: Sequence[Samples],
+    errors: FloatArray | None = None,
+    lacks: Mapping[str, Sequence[str]] = MappingProxyType({}),
+) -> Judged:
+    """How well a description predicts samples, loaded by the program that reads it.
+
+    Args:
+        session: the robot, and the description that was given.
+        reader: who reads it.
+        whole: the description.
+        batches: samples to judge on.
+        errors: parameters ``(D,)`` of the errors of sensors that stand beside it.
+        lacks: what the estimate has and the description cannot say, by joint.
+
+    Raises:
+        InputError: the program does not take it.
+    """
+    name, program = file_name(reader), "MuJoCo" if reader == MUJOCO else "pinocchio"
+    if reader == MUJOCO:
+        written = read_mjcf_back(whole.text, session.robot)
+    else:
+        written = read_urdf_back(session.read_robot(whole.text, name), reader, whole.beside)
+    given = read_urdf_back(session.robot, URDF if reader == MUJOCO else reader)
+    channels = [channel.name for channel in session.model.channels]
+    kinds = (written, None), (written, errors), (given, None)
+    alone, corrected, before = (
+        dict(zip(channels, own, strict=True)) for own in _rms(session.model, batches, kinds).tolist()
+    )
+    said = {channel: lacks.get(channel, ()) for channel in channels}
+    return Judged(name, program, alone, corrected, before, said)
 
 
 def _rms(

@@ -6,10 +6,12 @@ import math
 from collections.abc import Iterator
 from itertools import pairwise
 
+from rich.console import Console
 from rich.table import Table
 
 from geomid_ros.api.gap import Gap
 from geomid_ros.commands.tables import lines, number_columns, plain_table, print_remarks, results_console, say
+from geomid_ros.exports.handover import Judged
 from geomid_ros.gap.result import GapResult
 from geomid_ros.plausibility.verdict import recording_verdict
 from geomid_ros.report import gap_words
@@ -35,6 +37,7 @@ def show(found: Gap) -> None:
     for sentence in (*gap_words.of_every_joint(result), *_sentences(result)):
         say(console, "", sentence)
     console.print(_channels_table(result))
+    _print_file(console, found.handover)
     for simulation in found.simulated:
         console.print(_simulated_table(simulation))
     if found.not_simulated:
@@ -49,6 +52,13 @@ def show(found: Gap) -> None:
         say(console, "Next recording", "")
         for what in record:
             say(console, "", f"- {what}")
+
+
+def _print_file(console: Console, judged: Judged) -> None:
+    """Print how well the written description predicts, and where it does worse than the given one."""
+    say(console, "", judged.sentence)
+    for sentence in judged.worse:
+        say(console, "DOUBTFUL", f"  {sentence}")
 
 
 def _findings_table(result: GapResult) -> Table:
