@@ -112,7 +112,8 @@ def test_installed_alone_it_identifies(alone: Path, tmp_path: Path) -> None:
     assert geomid_ros.__version__ in run(geomid, "--version", cwd=tmp_path)
     run(geomid, "identify", bags / "arm3", "--urdf", bags / "arm3.urdf", cwd=tmp_path)
     assert {path.name for path in (tmp_path / "geomid_out").iterdir()} == {
-        *("estimate.json", "identified.urdf", "posterior.npz", "identification.png", "report.html")
+        *("estimate.json", "identified.urdf", "effects.yaml", "posterior.npz", "identification.png", "report.html"),
+        *("links.csv", "effects.csv", "channels.csv"),
     }
     assert (alone / "bin/geomid_node").exists()
 

@@ -20,8 +20,8 @@ from geomid_ros.signals.kernels import filtered
 from geomid_ros.types import BoolArray, FloatArray
 
 _SEPARATIONS = (0.03, 0.05, 0.08)  # [s] at which the noise of filtered samples is another, and the motion the same
-_FLOATING = "the base floats: without its contacts its motion cannot be simulated"
-_APART = "commands and measurements have no time in common"
+_FLOATING = "the base floats, and its motion cannot be simulated without its contacts"
+_APART = "commands and measurements do not overlap in time"
 _UNRELATED = "the measured efforts do not follow from the commands by gains and feed-forward"
 _EXPLAINED = 0.9  # share of an effort's variance that a controller has to explain
 

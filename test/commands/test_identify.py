@@ -199,7 +199,7 @@ def test_the_node_s_file_says_the_same_as_options(tmp_path: Path) -> None:
         """/**:
   ros__parameters:
     use_sim_time: true
-    effects: [viscous_friction, effort_offset]
+    effects: [viscous_friction, coulomb_friction, effort_offset]
     candidates: []
     gamma: 1e-3
     wrenches: [wrist]
@@ -210,7 +210,7 @@ def test_the_node_s_file_says_the_same_as_options(tmp_path: Path) -> None:
     from_file = small(tmp_path / "a", "--config", tmp_path / "robot.yaml")
     assert from_file["gamma"] == 1e-3
     assert from_file["sigma"]["wrench/fx"] == 0.1
-    assert len(from_file["effects"]) == 6
+    assert len(from_file["effects"]) == 9
     options_win = small(tmp_path / "b", "--config", tmp_path / "robot.yaml", "--effects", "none", *WRIST, status=4)
     assert options_win["effects"] == []
     assert options_win["sigma"].keys() == from_file["sigma"].keys()

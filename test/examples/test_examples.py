@@ -48,7 +48,10 @@ def test_every_example_is_run_here() -> None:
 def test_identify(tmp_path: Path) -> None:
     text = output("identify.py", tmp_path)
     names = {path.name for path in (tmp_path / "geomid_out").iterdir()}
-    assert names == {"estimate.json", "identified.urdf", "posterior.npz", "identification.png", "report.html"}
+    assert names == {
+        *("estimate.json", "identified.urdf", "effects.yaml", "posterior.npz", "identification.png", "report.html"),
+        *("links.csv", "effects.csv", "channels.csv"),
+    }
     truth = {link["name"]: link["mass"] for link in json.loads((ROOT / "bags/arm7.truth.json").read_text())["links"]}
     (mass, std) = map(float, re.findall(r"^wrist_ft weighs ([\d.]+) ± ([\d.]+) kg", text, re.MULTILINE)[0])
     assert abs(mass - truth["tool"]) < 5.0 * std

@@ -24,7 +24,7 @@ def test_pairs_that_begin_closer_than_the_clearance_are_said_to_keep_half(cleara
     """The walls begin 0.05 m from the arm."""
     wish = Wish(duration=3.0, repeats=1, surroundings=Surroundings(avoid=WALLS, clearance=clearance))
     found = design(small_task(wish), wish, lambda *_: None)
-    assert ("half of what they have at the start" in found.closest) is (clearance > 0.05)
+    assert ("half of their distance at the start" in found.closest) is (clearance > 0.05)
 
 
 def test_in_a_tight_place_the_error_on_feasible_motions_is_foretold() -> None:

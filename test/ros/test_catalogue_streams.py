@@ -122,7 +122,7 @@ def test_48_a_motion_of_one_joint_leaves_links_untold_and_names_them(rig: Rig) -
     rig.feed(alone)
     rig.assert_same_as_twin()  # the last estimate is of all rows, from scratch
     begin = len(rig.arrays)
-    rig.link_says(begin, "link2", OK, "known in combination with other links only")
+    rig.link_says(begin, "link2", OK, "identifiable only in combination")
     rig.link_says(begin, "link3", OK, "mass")
     rig.feed(of_one_robot(4.0, 6.0, [0.8, 0.8, 0.8]))
     rig.assert_same_as_twin()

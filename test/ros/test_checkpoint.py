@@ -95,7 +95,7 @@ def test_killed_at_random_it_goes_on_with_what_was_safe(stage: Stage, tmp_path: 
         # The services of the one before are known for a while; that this one is there, it says itself.
         known = told(stage, lambda *_: True, "a node")
         assert int(known["rows"]) >= safe
-        assert ("goes on from" in known["beginning"]) == (safe > 0)
+        assert ("resumed from" in known["beginning"]) == (safe > 0)
         if safe:
             stage.observer.wait_for(lambda heard=inertias: heard, "an estimate")
         stage.observer.publish(MESSAGES[:HALF], KINDS)

@@ -160,7 +160,7 @@ def test_who_comes_late_gets_all_links(live: Live) -> None:
 def test_the_published_description_is_the_identified_urdf(live: Live) -> None:
     assert live.descriptions[-1].data == live.urdf
     bodies = {body.name: body for body in Robot(live.urdf, cuts=["wrist_ft"]).bodies}
-    for link in live.saved["links"]:
+    for link in live.saved["handover"]["urdf"]["links"]:
         assert bodies[link["name"]].parameters[0] == pytest.approx(link["mass"], rel=1e-8)
 
 

@@ -174,7 +174,6 @@ def test_a_franka(stage: Stage) -> None:
     setup.told(joint_states="/franka/joint_states")
     links = setup.saved()
     assert_masses_are_true(links, robot.truth)
-    assert "mass" not in links["panda_link7"]["cannot_tell"]
     assert "panda_leftfinger" in links["panda_link7"]["merged"]
 
 
