@@ -13,7 +13,7 @@ from geomid_ros.api.arguments import PathLike, Paths, bag_paths
 from geomid_ros.api.options import RecordingKeywords, RecordingOptions
 from geomid_ros.errors import InputError, unknown_name
 from geomid_ros.exports.descriptions import DESCRIPTIONS, Whole, as_described
-from geomid_ros.exports.handover import Judged, judge
+from geomid_ros.exports.handover import Judged, file_name, judge
 from geomid_ros.exports.model import read_model
 from geomid_ros.files.disk import staged, write_json, write_text
 from geomid_ros.files.models.effect_forms import effect_entry
@@ -48,6 +48,7 @@ class Gap:
         simulated: resimulations of these recordings in MuJoCo, before and after.
         not_simulated: why there is no resimulation; empty if there is one.
         reader: who will read the description that is written.
+        with_simulator: whether a simulator of the user's, which knows more than the description, was compared with.
     """
 
     session: Session
@@ -57,6 +58,7 @@ class Gap:
     simulated: Sequence[SimulatedAgain]
     not_simulated: str
     reader: str = URDF
+    with_simulator: bool = False
 
     @property
     def verdict(self) -> Verdict:
@@ -69,13 +71,15 @@ class Gap:
         return self.result.findings
 
     @cached_property
-    def handover(self) -> Judged:
+    def handover(self) -> Judged | None:
         """How well the description for :attr:`reader` predicts the held-out samples, loaded by the program that reads
-        it.
+        it; None beside a simulator of the user's, which has the rest.
 
         Raises:
             InputError: the program does not take it.
         """
+        if self.with_simulator:
+            return None
         return judge(self.session, self.reader, self._description, self.held_out)
 
     @cached_property
@@ -90,7 +94,7 @@ class Gap:
     def status(self) -> int:
         """The exit status: 4 for a doubtful recording, or a description that predicts worse than the one given."""
         judged = recording_verdict(self.session.findings)
-        return STATUS[DOUBTFUL] if self.handover.worse else judged.status
+        return STATUS[DOUBTFUL] if self.handover and self.handover.worse else judged.status
 
     @property
     def document(self) -> dict[str, Any]:
@@ -106,7 +110,8 @@ class Gap:
             "not_simulated": self.not_simulated,
         }
         remarks = {"causes": causes_entry(session.findings), "warnings": session.warnings(), "notes": session.notes}
-        return document | remarks | {"handover": {self.reader: self.handover.entry}}
+        judged = {self.reader: self.handover.entry} if self.handover else {}
+        return document | remarks | {"handover": judged}
 
     def report(self, path: PathLike, *, progress: Progress = silent) -> Path:
         """Write one HTML page with all results and plots, which needs no network.
@@ -159,7 +164,7 @@ class Gap:
     def _write(self, folder: Path, progress: Progress) -> list[Path]:
         files, document = write_found(folder, self.session, self.result), self.document
         write_json(folder / "gap.json", document)
-        description = folder / self.handover.name
+        description = folder / file_name(self.reader)
         if description not in files:
             files.append(description)
             write_text(description, self._description.text)
@@ -232,4 +237,5 @@ def find_gap(
         simulated=simulated_again(session.model, again),
         not_simulated=again.skipped,
         reader=reader,
+        with_simulator=bool(twins),
     )

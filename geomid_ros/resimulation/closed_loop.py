@@ -22,7 +22,7 @@ from geomid_ros.types import BoolArray, FloatArray
 _SEPARATIONS = (0.03, 0.05, 0.08)  # [s] at which the noise of filtered samples is another, and the motion the same
 _FLOATING = "the base floats, and its motion cannot be simulated without its contacts"
 _APART = "commands and measurements do not overlap in time"
-_UNRELATED = "the measured efforts do not follow from the commands by gains and feed-forward"
+_UNRELATED = "the measured efforts cannot be reproduced from the commands with gains and feed-forward"
 _EXPLAINED = 0.9  # share of an effort's variance that a controller has to explain
 
 

@@ -54,8 +54,10 @@ def show(found: Gap) -> None:
             say(console, "", f"- {what}")
 
 
-def _print_file(console: Console, judged: Judged) -> None:
+def _print_file(console: Console, judged: Judged | None) -> None:
     """Print how well the written description predicts, and where it does worse than the given one."""
+    if judged is None:
+        return
     say(console, "", judged.sentence)
     for sentence in judged.worse:
         say(console, "DOUBTFUL", f"  {sentence}")

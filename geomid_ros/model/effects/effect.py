@@ -382,6 +382,7 @@ class SensorEffect(Effect):
 
     place = "sensor"
     count = 6
+    of_sensor = True
 
     @abstractmethod
     def columns(self, motion: Motion, axes: Sequence[str]) -> FloatArray:

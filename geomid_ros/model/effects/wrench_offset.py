@@ -22,7 +22,6 @@ class WrenchOffset(SensorEffect):
     )
     settled_by = "static poses with the sensor in many orientations"
     like_a_payload = True
-    of_sensor = True
     corrected_in_samples = True
 
     def columns(self, motion: Motion, axes: Sequence[str]) -> FloatArray:
