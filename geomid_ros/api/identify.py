@@ -29,17 +29,17 @@ from geomid_ros.report.drawing import draw_identification, series_of
 from geomid_ros.report.identification_page import IdentificationPage, write_identification_page
 from geomid_ros.report.series import Series
 from geomid_ros.report.sheet import write_picture
-from geomid_ros.resimulation.closed_loop import Tracking
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.fitting import Fitting
 from geomid_ros.session.locking import read_with_locked
 from geomid_ros.session.recordings import Bags, Progress, read_bags, read_fitted, silent
 from geomid_ros.session.session import Session
-from geomid_ros.session.tracking import tracking_of
 from geomid_ros.types import FloatArray
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
+    from geomid_ros.resimulation.closed_loop import Tracking
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -136,6 +136,8 @@ class Identification:
         """
         if self.command is None:
             return None
+        from geomid_ros.session.tracking import tracking_of  # noqa: PLC0415 seldom asked for
+
         return tracking_of(Session(*self._again), self.written.model, self.bags, self.command)
 
     @property

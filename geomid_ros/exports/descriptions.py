@@ -18,21 +18,20 @@ import json
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 from geomid_ros.exports import formats
-from geomid_ros.exports.inertial import Export
-from geomid_ros.exports.model import Model
 from geomid_ros.files.models.effect_forms import joint_attributes, unsaid
-from geomid_ros.files.models.mjcf import mjcf
-from geomid_ros.files.models.mjcf_shapes import mjcf_shapes
 from geomid_ros.files.models.readers import DESCRIBED_FOR, ELEMENTS
 from geomid_ros.files.models.urdf import with_effects
 from geomid_ros.files.models.urdf_extensions import for_drake, for_gazebo
-from geomid_ros.files.shapes.meshes import MeshFinder
 from geomid_ros.model.effects import KnownEffect
 from geomid_ros.model.robot import Robot
 from geomid_ros.types import FloatArray
+
+if TYPE_CHECKING:
+    from geomid_ros.exports.inertial import Export
+    from geomid_ros.exports.model import Model
 
 _MOVEIT_NOTE = (
     "What reads it: MoveIt plans by limits alone; its DynamicsSolver, and ros2_control's controllers that compute",
@@ -134,6 +133,11 @@ def _drake(robot: DescribedRobot, _: Mapping[str, Path]) -> Whole:
 
 
 def _mujoco(robot: DescribedRobot, packages: Mapping[str, Path]) -> Whole:
+    # What only an MJCF needs takes as long to import as all else.
+    from geomid_ros.files.models.mjcf import mjcf  # noqa: PLC0415
+    from geomid_ros.files.models.mjcf_shapes import mjcf_shapes  # noqa: PLC0415
+    from geomid_ros.files.shapes.meshes import MeshFinder  # noqa: PLC0415
+
     shapes = mjcf_shapes(robot.urdf, str(robot.path), MeshFinder(robot.path, packages).find)
     missing = list(dict.fromkeys(shapes.missing))
     more = [f"{len(missing) - _MOST_MISSING} more shapes are missing"] if len(missing) > _MOST_MISSING else []

@@ -21,7 +21,6 @@ from geomid_ros.files.models.urdf import inertia_of, with_inertials
 from geomid_ros.model.effects import effect_class
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.samples import Samples
-from geomid_ros.resimulation.read_back import read_mjcf_back
 from geomid_ros.session.session import Session
 from geomid_ros.types import FloatArray
 
@@ -177,6 +176,8 @@ def judge(
     """
     name, program = file_name(reader), "MuJoCo" if reader == MUJOCO else "pinocchio"
     if reader == MUJOCO:
+        from geomid_ros.resimulation.read_back import read_mjcf_back  # noqa: PLC0415 others need no simulator
+
         written = read_mjcf_back(whole.text, session.robot)
     else:
         written = read_urdf_back(session.read_robot(whole.text, name), reader, whole.beside)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 from rich.console import Console
@@ -17,8 +18,10 @@ from geomid_ros.files.models.results import model_effects
 from geomid_ros.model.effects import EFFECTS, KnownEffect
 from geomid_ros.plausibility.verdict import USABLE
 from geomid_ros.report import gap_words, identification_words
-from geomid_ros.resimulation.closed_loop import Tracking
 from geomid_ros.signals.ledger import Account
+
+if TYPE_CHECKING:
+    from geomid_ros.resimulation.closed_loop import Tracking
 
 _MOST_REASONS = 5
 
