@@ -18,6 +18,7 @@ from geomid_ros.exports.model import read_model
 from geomid_ros.files.models.read_back import ReadBack, read_urdf_back
 from geomid_ros.files.models.readers import READERS
 from geomid_ros.files.models.urdf import with_inertials
+from geomid_ros.files.models.urdf_extensions import for_drake
 from geomid_ros.model.samples import Samples
 from geomid_ros.resimulation.read_back import read_mjcf_back
 from geomid_ros.types import FloatArray
@@ -52,6 +53,35 @@ def test_what_is_loaded_is_what_was_fitted(reader: str) -> None:
     judged = handed(reader).judged(found().judged)
     for name, alone in expected(reader).items():
         assert judged.alone[name] == pytest.approx(alone, rel=1e-4)
+
+
+@cache
+def rich() -> Identification:
+    """With springs, in whose rest the offsets are, and couplings of two joints."""
+    effects = ["viscous_friction", "coulomb_friction", "effort_offset", "spring", "coupled_viscous_friction"]
+    return geomid_ros.identify(BAGS / "arm3", BAGS / "arm3.urdf", effects=[*effects, "coupled_coulomb_friction"])
+
+
+@pytest.mark.parametrize("reader", ["mujoco", "gazebo"])
+def test_springs_rest_and_couplings_are_loaded_as_they_were_fitted(reader: str) -> None:
+    """What the file holds: all of it in an MJCF, all but couplings for Gazebo; no offset is left to a sensor."""
+    if reader == "mujoco":
+        pytest.importorskip("mujoco")
+    result = HandedOver(rich().session, rich().estimate, reader, {})
+    parameters = rich().estimate.within[reader]
+    names = [c.effect.name for c in rich().session.model.coefficients]
+    coupled = [parameters[30 + k] for k, name in enumerate(names) if name.startswith("coupled")]
+    assert np.any(coupled) == (reader == "mujoco")
+    assert not [effect for effect in result.model.effects if effect.effect == "effort_offset"]
+    rms = rich().session.rms(rich().judged, parameters)
+    assert [*result.judged(rich().judged).alone.values()] == pytest.approx(rms.tolist(), rel=1e-4)
+
+
+def test_drake_gets_no_link_without_a_mass() -> None:
+    """It would take it for one of 1 kg."""
+    empty = '<inertial><mass value="0"/><inertia ixx="1" ixy="0" ixz="0" iyy="1" iyz="0" izz="1"/></inertial>'
+    urdf = f'<robot name="r"><link name="a">{empty}</link><link name="b">{empty.replace("0", "2", 1)}</link></robot>'
+    assert for_drake(urdf, [], "r") == urdf.replace(empty, "")
 
 
 def test_mujoco_itself_needs_these_efforts() -> None:
