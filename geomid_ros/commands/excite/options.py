@@ -73,7 +73,7 @@ def motion_options(command: Callable[..., None]) -> Callable[..., None]:
             "--from",
             "model",
             type=click.Path(path_type=Path),
-            help="Target what this estimate.json left uncertain; posterior.npz is read beside it.",
+            help="Target what this estimate.json left uncertain; posterior.npz must be in the same folder.",
         ),
         click.option(
             "--for",
