@@ -133,7 +133,7 @@ class Judged:
     def worse(self) -> list[str]:
         """Sentences on the channels that it predicts worse than the description that it is from."""
         return [
-            f"'{name}' is predicted worse by {self.name} than by the description that it is from: RMS {own:.3g} "
+            f"'{name}' is predicted worse by {self.name} than by the given description: RMS {own:.3g} "
             f"instead of {self.given[name]:.3g}{self._why(name)}; {_ADVICE}"
             for name, own in self.alone.items()
             if min(own, self.corrected[name]) > _WORSE * self.given[name]
@@ -151,7 +151,7 @@ class Judged:
 
 
 _KINDS = ("alone", "corrected", "given")
-_ADVICE = "choose another reader (--for), or record more motion of this joint"
+_ADVICE = "choose another format (--for), or record more motion of this joint"
 
 
 def judge(

@@ -144,7 +144,7 @@ def verdict_sentence(result: GapResult) -> str:
 def of_every_joint(result: GapResult) -> list[str]:
     """The effects of the written model that need no name, in a sentence; none without such."""
     kinds = ", ".join(dict.fromkeys(effect_name(effect.effect) for effect in result.ordinary))
-    return [f"Written as well, for every joint has them: {kinds} (effects.yaml has each)."] if kinds else []
+    return [f"Also written, as every joint has them: {kinds} (values in effects.yaml)."] if kinds else []
 
 
 def in_short(result: GapResult) -> list[str]:

@@ -263,7 +263,7 @@ class Session:
     def notes(self) -> list[str]:
         """What is worth knowing, in sentences, and casts no doubt on results."""
         names = ", ".join(dict.fromkeys(self._unchecked))
-        unchecked = f"no checksums in {names}: nothing tells whether their numbers are still those that were recorded"
+        unchecked = f"no CRCs in {names}: corruption cannot be detected"
         return [*self.settled, unchecked] if names else self.settled
 
     def begin_recording(self, bag: Bag) -> None:

@@ -532,7 +532,7 @@ class TestAsFound:
         path = tmp_path / "a.mcap"
         path.write_bytes(file_of(Form(checksums=checksums), 1200))
         shown = " ".join(done("identify", path, "--urdf", URDF, "--out", tmp_path / "out").split())
-        assert ("Note: no checksums in a.mcap: nothing tells" in shown) != checksums
+        assert ("Note: no CRCs in a.mcap: corruption" in shown) != checksums
         assert document_of(tmp_path / "out")["warnings"] == []
 
     def test_the_command_for_a_bag_of_ros_1_makes_one_that_is_read(self, tmp_path: Path) -> None:
