@@ -211,7 +211,7 @@ def _named(findings: Sequence[Finding]) -> str:
     """The findings, each effect once with all places where it acts; of many, the surest."""
     if len(findings) > _MOST_NAMED:
         first = [f"{effect_name(f.effect)} {place(f.joint, f.link)}" for f in findings[:_MOST_NAMED_OF_MANY]]
-        return f"{len(findings)} effects, the surest {_listed(first)}"
+        return f"{len(findings)} effects, most certainly {_listed(first)}"
     places: dict[str, list[str]] = {}
     for finding in findings:
         places.setdefault(effect_name(finding.effect), []).append(place(finding.joint, finding.link))

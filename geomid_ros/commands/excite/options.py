@@ -23,7 +23,7 @@ def surroundings_options(command: Callable[..., None]) -> Callable[..., None]:
         click.option(
             "--collision/--no-collision",
             default=True,
-            help="Whether collisions are looked for; a URDF without shapes has none.",
+            help="Whether to check for collisions; a URDF without shapes needs --no-collision.",
         ),
         click.option(
             "--clearance",
