@@ -74,7 +74,7 @@ def robot_options(command: Callable[..., None]) -> Callable[..., None]:
             help="Wrench topic; ROLE is mounted or external, -ROLE reverses the sign; AXES as in fz,tx,ty.",
         ),
         click.option("--joint-topic", default="joint_states", show_default=True, help="Topic of the joint states."),
-        click.option("--merge", is_flag=True, help="Several publishers send joint states, each for some of the joints."),
+        click.option("--merge", is_flag=True, help="Several publishers send joint states, each for some joints."),
         click.option("--lock", type=Names(), metavar="JOINTS", help="Joints that stay at zero, separated by commas."),
         click.option(
             "--gain",

@@ -127,7 +127,7 @@ class Judged:
     def sentence(self) -> str:
         """How well it predicts beside the description that it is from, in sums over the channels."""
         own, given = (float(np.nansum(list(kind.values()))) for kind in (self.alone, self.given))
-        return f"{self.name}, loaded by {self.program}: residual RMS {own:.3g}, given description {given:.3g} (sums)"
+        return f"RMS of the residual, summed over the channels: {self.name} {own:.3g}, given description {given:.3g}"
 
     @property
     def worse(self) -> list[str]:

@@ -18,8 +18,8 @@ from geomid_ros.types import FloatArray
 SENTENCES = {
     "windows": f"Velocities simulated in MuJoCo with the written MJCF. The measured efforts are applied; every "
     f"{HORIZON:g} s the simulation restarts from the measured state.",
-    "closed_loop": "Efforts simulated in MuJoCo with the written MJCF: the whole motion under the recorded commands, with "
-    "the controller that explains the measured efforts best.",
+    "closed_loop": "Efforts simulated in MuJoCo with the written MJCF: the whole motion under the recorded commands, "
+    "with the controller that explains the measured efforts best.",
 }
 """How it was simulated, by kind."""
 
