@@ -13,7 +13,6 @@ WEAK = 0.5
 """Share of an effect's uncertainty: less that the data removed is little."""
 
 _GROUPS = (("c", "centre of mass"), ("I", "inertia"))
-_COMBINED = "All else is identified only in combination; predictions are unaffected."
 _ALONE = "this joint alone, back and forth,"
 _TELLS = {
     "viscous": f"{_ALONE} at several constant speeds, slow to fast",
@@ -64,10 +63,12 @@ def identified(links: Sequence[LinkEstimate]) -> list[str]:
     groups = {"mass": masses, "first moment": moments, "inertia": inertias}
     named = [f"{what} of {', '.join(names)}" for what, names in groups.items() if names]
     if not named:
-        return [f"Individually identified: no mass, first moment or inertia of any link. {_COMBINED}"]
+        return ["Individually identified: none. Only combinations are identified; predictions are unaffected."]
     sentence = f"Identified from the data (95 % interval within ±20 %): {'; '.join(named)}."
     whole = all(link.identified == QUANTITIES for link in links)
-    return [sentence] if whole else [sentence, _COMBINED]
+    return (
+        [sentence] if whole else [sentence, "All else is identified only in combination; predictions are unaffected."]
+    )
 
 
 def _of_axes(link: LinkEstimate) -> str:
