@@ -105,7 +105,7 @@ def _named(path: Path, side: Side) -> str:
 
 def _other_robot(source: str, links: Iterable[str], other: str, others: Iterable[str]) -> InputError:
     return InputError(
-        f"{source}: a model of another robot than {other}. Its links: {', '.join(links)}; those of the other: "
+        f"{source}: a model of another robot than {other}. Links of the first: {', '.join(links)}; of the second: "
         f"{', '.join(others)}"
     )
 

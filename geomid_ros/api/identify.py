@@ -193,7 +193,8 @@ class Identification:
     def not_written(self) -> str:
         """What the description for :attr:`reader` cannot hold, in a sentence; empty for nothing."""
         names = unsaid(model_effects(self.estimate, self.session.loaded.effects), ELEMENTS[self.reader])
-        return f"Not representable in {self.written.name}: {'; '.join(names)}" if names else ""
+        sentence = f"Not representable in {self.written.name}: {'; '.join(names)}"
+        return f"{sentence}. The file is fitted without them; estimate.json has them." if names else ""
 
     def plot(self) -> Figure:
         """Draw the bodies before and after, and the channels measured and predicted."""

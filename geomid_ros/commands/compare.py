@@ -21,7 +21,7 @@ from geomid_ros.commands.options import OUT, robot_options
     "--bag",
     multiple=True,
     type=click.Path(path_type=Path),
-    help="A bag that both are to predict; may be repeated.  [default: the held-out data of each]",
+    help="Bag that both models predict; may be repeated.  [default: the held-out data of each]",
 )
 @click.option("--out", default=Path("geomid_compare"), **OUT)
 @click.option("--json", "as_json", is_flag=True, help="Print the numbers as JSON instead of a table.")

@@ -17,38 +17,40 @@ from geomid_ros.files.models.readers import DESCRIBED_FOR
 @click.command()
 @click.argument("model", metavar="FROM", type=click.Path(path_type=Path))
 @click.option(
-    "--for", "tool", required=True, type=click.Choice([*CONTROLLERS, *DESCRIBED_FOR]), help="Who is to read it."
+    "--for", "tool", required=True, type=click.Choice([*CONTROLLERS, *DESCRIBED_FOR]), help="Format, or controller."
 )
 @click.option(
     "--frame",
     metavar="LINK",
-    help="The flange: a payload is what comes with or after this link, in its axes.  [default: for ur and franka the "
+    help="The flange: the payload is this link and all links after it, in its axes.  [default: for ur and franka the "
     "one link whose name ends with tool0 or link8]",
 )
 @click.option("--links", type=Names(), help="The payload is these links, separated by commas.")
 @click.option(
     "--without",
     type=click.Path(path_type=Path),
-    help="The payload is what this model (estimate.json or URDF) of the robot without it has not.",
+    help="Model of the robot without the payload (estimate.json or URDF); the payload is the difference.",
 )
 @click.option(
     "--into",
     metavar="MJCF",
     type=click.Path(path_type=Path),
-    help="For mujoco: print this file with what was identified of the bodies and joints of the same names, all else as "
-    "it is.",
+    help="For mujoco: print this file with the identified values of the bodies and joints of the same names; the rest "
+    "is unchanged.",
 )
 @click.option("--force", is_flag=True, help="Export a model whose verdict is not 'usable', too.")
 @package_option
 def export(**options: Any) -> None:
-    """Print an estimate in the terms of other software.
+    """Print an estimate in the format of other software.
 
-    FROM is an estimate.json with its identified.urdf beside it, or any URDF. For ur (Universal Robots) and franka, that
-    is the payload at the flange, as commands for the controller and its ROS driver. For urdf, moveit, isaac, gazebo and
-    drake it is the robot's URDF, for mujoco its MJCF, with inertias, friction, and what else each of these can say; or
-    with --frame the inertial of a payload. Standard deviations stand beside the numbers or behind them. What a format
-    cannot say is said. What the data did not show is not exported as a payload. A model whose verdict is not 'usable'
-    is refused without --force.
+    FROM is an estimate.json with its identified.urdf in the same folder, or any URDF. For ur (Universal Robots) and
+    franka, prints the payload at the flange, as commands for the controller and its ROS driver. For urdf, moveit,
+    isaac, gazebo and drake, prints a URDF of the robot; for mujoco, an MJCF. With --frame, prints the inertial of a
+    payload instead. Each format gets its own fit, with only the parameters that it can hold; a note lists the others.
+    Standard deviations are in comments. A payload that the data do not identify is refused, and so is a model whose
+    verdict is not 'usable', without --force.
+
+    Nothing is tested here: 'geomid identify --for' writes the same description and tests it on held-out data.
     """
     found = geomid_ros.export(**options)
     for heading, sentences in (("Warning", found.doubts), ("Note", found.notes)):

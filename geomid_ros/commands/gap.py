@@ -32,8 +32,10 @@ def gap(bags: tuple[Path, ...], out: Path, as_json: bool, **options: Any) -> Non
     """Diagnose the gap between simulation and robot.
 
     Compares BAGS (folders, folders of them, or .mcap and .db3 files) with the model of --urdf or --model. Names the
-    missing effects, adds them to the model, and shows how much of the gap they close on held-out data. Writes gap.json,
-    report.html, and the model: estimate.json, identified.urdf, identified.xml (MJCF) and effects.yaml.
+    missing effects, adds them to the model, and shows how much of the gap they close on held-out data. Writes
+    gap.json, report.html, the model (estimate.json, identified.urdf, identified.xml (MJCF) and effects.yaml), and the
+    description for --for. The exit status is 4 if the recording is doubtful, or if that description predicts a channel
+    worse than the given one.
     """
     from geomid_ros.commands.progress import progress_bar
     from geomid_ros.commands.results import gap as results

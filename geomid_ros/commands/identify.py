@@ -42,15 +42,19 @@ from geomid_ros.errors import one_line
     help="Start from this population.json, written by 'geomid fleet' for this type of robot.",
 )
 @reader_option
-@click.option("--command", help="Topic of the joints' set-points (JointState), to simulate what is held out.")
+@click.option(
+    "--command",
+    help="Topic of the recorded joint set-points (JointState), for a closed-loop simulation of the held-out data.",
+)
 @click.option("--out", default=Path("geomid_out"), **OUT)
 @click.option("--json", "as_json", is_flag=True, help="Print estimate.json instead of tables.")
 def identify(bags: tuple[Path, ...], out: Path, as_json: bool, **options: Any) -> None:
     """Identify link inertias from rosbags.
 
     Reads BAGS (folders, folders of them, or .mcap and .db3 files) and writes estimate.json, identified.urdf,
-    effects.yaml, posterior.npz, identification.png, report.html, and the description that --for asks for. How well
-    the result predicts is judged on data that were held out: the end of each bag, or the bags of --validate.
+    effects.yaml, posterior.npz, identification.png, report.html, tables (CSV), and the description for --for. The
+    result is tested on held-out data: the end of each bag, or the bags of --validate. The exit status is 4 if it is
+    doubtful, for example if the written file predicts a channel worse than the given description.
     """
     from geomid_ros.commands.progress import progress_bar
     from geomid_ros.commands.results import identification

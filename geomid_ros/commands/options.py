@@ -74,7 +74,7 @@ def robot_options(command: Callable[..., None]) -> Callable[..., None]:
             help="Wrench topic; ROLE is mounted or external, -ROLE reverses the sign; AXES as in fz,tx,ty.",
         ),
         click.option("--joint-topic", default="joint_states", show_default=True, help="Topic of the joint states."),
-        click.option("--merge", is_flag=True, help="Several publishers send joint states, each of some joints."),
+        click.option("--merge", is_flag=True, help="Several publishers send joint states, each for some joints."),
         click.option("--lock", type=Names(), metavar="JOINTS", help="Joints that stay at zero, separated by commas."),
         click.option(
             "--gain",
@@ -114,7 +114,7 @@ def recording_options(command: Callable[..., None]) -> Callable[..., None]:
         click.option(
             "--model",
             type=click.Path(path_type=Path),
-            help="Start from this estimate.json. Without --urdf, the robot is the identified.urdf beside it.",
+            help="Start from this estimate.json. Without --urdf, identified.urdf in the same folder is used.",
         ),
     ):
         command = option(command)
@@ -138,7 +138,8 @@ reader_option = click.option(
     type=click.Choice(DESCRIBED_FOR),
     default=URDF,
     show_default=True,
-    help="Software that will read the description: it is fitted within what such a file holds, and judged as itself.",
+    help="Format of the robot description. The file is fitted with what the format can hold, loaded again, and tested "
+    "on held-out data.",
 )
 
 package_option = click.option(

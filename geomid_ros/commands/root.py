@@ -17,7 +17,7 @@ COMMANDS = {
     "dashboard": "Show a running node on a local page.",
     "demo": "Watch a live identification of a simulated arm.",
     "excite": "Design an exciting trajectory.",
-    "export": "Print an estimate in the terms of other software.",
+    "export": "Print an estimate in the format of other software.",
     "fleet": "Identify many robots of a type from many bags.",
     "gap": "Diagnose the gap between simulation and robot.",
     "identify": "Identify link inertias from rosbags.",

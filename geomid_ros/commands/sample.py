@@ -51,7 +51,7 @@ _WIDEST = 3.0
 def sample(out: Path, **options: Any) -> None:
     """Sample robots from the posterior.
 
-    ESTIMATE is an estimate.json with the identified.urdf and the posterior.npz of the same run beside it. Links and
+    ESTIMATE is an estimate.json; identified.urdf and posterior.npz of the same run must be in its folder. Links and
     effects are sampled jointly, and every robot is physically consistent. Writes a description of each robot as 'geomid
     export' does (json: one robots.json). Also writes ranges.yaml with the 95 % range of each number (for isaac with the
     event terms of Isaac Lab), and torques.png, which compares the spread of joint torques with that of ranges of 20 %.

@@ -106,7 +106,7 @@ class Description(NamedTuple):
 def not_said(model: Model, files: tuple[str, ...]) -> list[str]:
     """What these files cannot say of a model's effects, in a sentence, if there is anything."""
     names = unsaid(model.known, files)
-    refit = [] if model.fitted else ["written by an earlier version: identify again, and the rest is fitted to make up"]
+    refit = [] if model.fitted else ["estimate.json is of an earlier version: identify again for a fit without these"]
     return [f"Not representable here: {'; '.join([*names, *refit])}"] if names else []
 
 

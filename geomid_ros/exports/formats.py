@@ -67,7 +67,7 @@ def ur_commands(export: Export) -> str:
     named = ", ".join(f"{key}: {number(entries[key])}" for key in _DIAGONAL_FIRST)
     weight = f"mass: {mass}, center_of_gravity: {centre}"
     return (
-        _commented([*comments(export), "  A UR wants all that its flange carries: the tool and what it holds."], "#")
+        _commented([*comments(export), "  On a UR, the payload is all that the flange carries, tool included."], "#")
         + f"\n# URScript\nset_target_payload({mass}, [{com}], [{inertia}])\n"
         + f"# URScript of older software, without the inertia\nset_payload({mass}, [{com}])\n"
         + f"\n# ROS 2, ur_msgs 2 with inertia\n{_UR_CALL} '{{{weight}, {named}}}'\n"

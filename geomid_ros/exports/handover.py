@@ -126,13 +126,13 @@ class Judged:
     def sentence(self) -> str:
         """How well it predicts beside the description that it is from, in sums over the channels."""
         own, given = (float(np.nansum(list(kind.values()))) for kind in (self.alone, self.given))
-        return f"{self.name}, loaded by {self.program}: residual RMS {own:.3g}, given description {given:.3g} (sums)"
+        return f"RMS of the residual, summed over the channels: {self.name} {own:.3g}, given description {given:.3g}"
 
     @property
     def worse(self) -> list[str]:
         """Sentences on the channels that it predicts worse than the description that it is from."""
         return [
-            f"'{name}' is predicted worse by {self.name} than by the description that it is from: RMS {own:.3g} "
+            f"'{name}' is predicted worse by {self.name} than by the given description: RMS {own:.3g} "
             f"instead of {self.given[name]:.3g}{self._why(name)}; {_ADVICE}"
             for name, own in self.alone.items()
             if min(own, self.corrected[name]) > _WORSE * self.given[name]
@@ -150,7 +150,7 @@ class Judged:
 
 
 _KINDS = ("alone", "corrected", "given")
-_ADVICE = "choose another reader (--for), or record more motion of this joint"
+_ADVICE = "choose another format (--for), or record more motion of this joint"
 
 
 def judge(

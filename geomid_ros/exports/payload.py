@@ -81,7 +81,7 @@ def each_link(model: Model) -> list[Export]:
 def _link_notes(body: MassiveLink) -> tuple[str, ...]:
     notes = []
     if body.merged:
-        notes.append(f"counts in {', '.join(body.merged)}: these links get no inertial")
+        notes.append(f"includes {', '.join(body.merged)}, whose own inertial is removed")
     if math.isfinite(body.from_data):
         notes.append(f"{100.0 * body.from_data:.0f} % from data")
     if body.unidentified:

@@ -50,7 +50,7 @@ class Payload:
             return mass
         moments = zip("xyz", self.weighed.moment, self.weighed.moment_std, strict=True)
         said = ", ".join(f"m {axis} {value:.4g} ± {SURE * std:.2g}" for axis, value, std in moments)
-        return f"{said} kg m (95 %{gain}) in '{self.weighed.link}'; the mass is not told by these motions: {mass}"
+        return f"{said} kg m (95 %{gain}) in '{self.weighed.link}'; these motions do not identify the mass: {mass}"
 
     @property
     def document(self) -> dict[str, Any]:

@@ -74,7 +74,7 @@ def verdict(
         impossible: what links no robot can have, in sentences.
     """
     warnings = [
-        f"'{channel}' is predicted worse than by the URDF: the motion tells too little of what acts there, or "
+        f"'{channel}' is predicted worse than by the URDF: the motion is too little informative there, or "
         "something acts that the model lacks"
         for channel in worse
     ]

@@ -144,7 +144,7 @@ def verdict_sentence(result: GapResult) -> str:
 def of_every_joint(result: GapResult) -> list[str]:
     """The effects of the written model that need no name, in a sentence; none without such."""
     kinds = ", ".join(dict.fromkeys(effect_name(effect.effect) for effect in result.ordinary))
-    return [f"Written as well, for every joint has them: {kinds} (effects.yaml has each)."] if kinds else []
+    return [f"Also written, as every joint has them: {kinds} (values in effects.yaml)."] if kinds else []
 
 
 def in_short(result: GapResult) -> list[str]:
@@ -211,7 +211,7 @@ def _named(findings: Sequence[Finding]) -> str:
     """The findings, each effect once with all places where it acts; of many, the surest."""
     if len(findings) > _MOST_NAMED:
         first = [f"{effect_name(f.effect)} {place(f.joint, f.link)}" for f in findings[:_MOST_NAMED_OF_MANY]]
-        return f"{len(findings)} effects, the surest {_listed(first)}"
+        return f"{len(findings)} effects, most certainly {_listed(first)}"
     places: dict[str, list[str]] = {}
     for finding in findings:
         places.setdefault(effect_name(finding.effect), []).append(place(finding.joint, finding.link))

@@ -13,16 +13,16 @@ WEAK = 0.5
 """Share of an effect's uncertainty: less that the data removed is little."""
 
 _GROUPS = (("c", "centre of mass"), ("I", "inertia"))
-_ALONE = "the joint alone to and fro"
+_ALONE = "this joint alone, back and forth,"
 _TELLS = {
     "viscous": f"{_ALONE} at several constant speeds, slow to fast",
     "coulomb": f"{_ALONE} at several constant speeds, slow to fast",
     "quadratic": f"{_ALONE} at several constant speeds, up to the fastest",
     "stribeck": f"{_ALONE} at very low constant speeds",
     "rotor": f"{_ALONE} with large accelerations",
-    "effort": f"{_ALONE}, both ways through the same places",
+    "effort": f"{_ALONE} through the same positions in both directions",
     "load": "the same motion with and without a known payload",
-    "wrench": "still poses with the sensor turned to all sides; of a force plate, a scale (--known total=MASS:STD)",
+    "wrench": "static poses in all orientations of the sensor; for a force plate, a scale (--known total=MASS:STD)",
 }
 
 
@@ -36,7 +36,7 @@ def uses(verdict: Verdict, estimate: Estimate, series: Sequence[ChannelFit], hel
         held_out: whether that was held out.
     """
     if verdict.word != USABLE:
-        return ["For nothing before what is said here is mended: numbers below show where it is wrong."]
+        return ["Do not use this result until the problem is corrected; the numbers below show where it is wrong."]
     return [*_predictions(series, held_out), *identified(estimate.links)]
 
 
@@ -45,13 +45,13 @@ def _predictions(series: Sequence[ChannelFit], held_out: bool) -> list[str]:
     if not ratios:
         return []
     better = [ratio for ratio in ratios if ratio < 1.0]
-    span = f": {100 * min(better):.0f} to {100 * max(better):.0f} % of the URDF's error remain" if better else ""
+    span = f"; {100 * min(better):.0f} to {100 * max(better):.0f} % of its error remain" if better else ""
     what = "held-out data" if held_out else "the fitted data"
     sentence = (
-        f"To predict what was measured in motions like the recorded ones (simulation, feed-forward, contacts): {what} "
-        f"are predicted better than by the URDF in {len(better)} of {len(ratios)} channels{span}."
+        f"Usable to predict efforts and wrenches in similar motions (simulation, feed-forward, contacts). On {what}, "
+        f"{len(better)} of {len(ratios)} channels are predicted better than by the URDF{span}."
     )
-    judge = "Nothing was held out, so this judges nothing new: give another recording with --validate."
+    judge = "Nothing was held out, so this is no test on new data: give another recording with --validate."
     return [sentence] if held_out else [sentence, judge]
 
 
@@ -63,10 +63,12 @@ def identified(links: Sequence[LinkEstimate]) -> list[str]:
     groups = {"mass": masses, "first moment": moments, "inertia": inertias}
     named = [f"{what} of {', '.join(names)}" for what, names in groups.items() if names]
     if not named:
-        return ["Identified by itself: no mass, first moment or inertia of any link; only combinations, which predict."]
-    sentence = f"Identified (95 % interval within 20 %, by the data): {'; '.join(named)}."
+        return ["Individually identified: none. Only combinations are identified; predictions are unaffected."]
+    sentence = f"Identified from the data (95 % interval within ±20 %): {'; '.join(named)}."
     whole = all(link.identified == QUANTITIES for link in links)
-    return [sentence] if whole else [sentence, "Only in combination: all else; predictions are unaffected."]
+    return (
+        [sentence] if whole else [sentence, "All else is identified only in combination; predictions are unaffected."]
+    )
 
 
 def _of_axes(link: LinkEstimate) -> str:
@@ -75,7 +77,7 @@ def _of_axes(link: LinkEstimate) -> str:
 
 def cannot_tell(quantities: Sequence[str]) -> str:
     """Those of :data:`QUANTITIES` that are not identified."""
-    return "anything" if len(quantities) == len(QUANTITIES) else grouped(quantities)
+    return "all" if len(quantities) == len(QUANTITIES) else grouped(quantities)
 
 
 def grouped(quantities: Sequence[str]) -> str:
@@ -90,7 +92,7 @@ def grouped(quantities: Sequence[str]) -> str:
 
 def tells_effect(effect: EffectEstimate) -> str:
     """The motion that would tell an effect."""
-    return _TELLS.get(effect.name.partition("_")[0], f"{_ALONE}, slow and fast, through its whole range")
+    return _TELLS.get(effect.name.partition("_")[0], f"{_ALONE} slow and fast, over its whole range")
 
 
 def telling(motions: Mapping[str, Sequence[str]]) -> list[str]:
@@ -102,6 +104,6 @@ def telling(motions: Mapping[str, Sequence[str]]) -> list[str]:
     sentences = [f"{grouped(quantities)}: {motion}" for motion, quantities in motions.items() if motion]
     rest = motions.get("", ())
     if rest:
-        weigh = "; a scale tells the mass (--known)" if "mass" in rest else ""
-        sentences.append(f"{grouped(rest)}: no motion that was tried{weigh}")
+        weigh = "; a weighed mass (--known) identifies the mass" if "mass" in rest else ""
+        sentences.append(f"{grouped(rest)}: none of the simulated motions{weigh}")
     return sentences

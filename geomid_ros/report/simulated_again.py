@@ -16,10 +16,10 @@ from geomid_ros.session.gap_simulation import Simulations
 from geomid_ros.types import FloatArray
 
 SENTENCES = {
-    "windows": f"Velocities in MuJoCo, from the written MJCF: every {HORIZON:g} s from the measured state anew, under "
-    "the measured efforts.",
-    "closed_loop": "Efforts in MuJoCo, from the written MJCF: the whole motion under the recorded commands, with the "
-    "controller that explains the measured efforts best.",
+    "windows": f"Velocities simulated in MuJoCo with the written MJCF. The measured efforts are applied; every "
+    f"{HORIZON:g} s the simulation restarts from the measured state.",
+    "closed_loop": "Efforts simulated in MuJoCo with the written MJCF: the whole motion under the recorded commands, "
+    "with the controller that explains the measured efforts best.",
 }
 """How it was simulated, by kind."""
 

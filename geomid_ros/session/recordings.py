@@ -79,7 +79,7 @@ class Bags:
         twice = next((path for path in (*self.fitted, *self.validate) if every[path.resolve()] > 1), None)
         if twice is not None:
             raise InputError(
-                f"{twice}: given twice. Fitted data cannot be used for testing; without --validate the end of each bag "
+                f"{twice}: given twice. Fit and test need different data; without --validate the end of each bag "
                 "is held out"
             )
         if not 0.0 <= self.share <= _MOST_HELD_OUT:

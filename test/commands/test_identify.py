@@ -248,7 +248,7 @@ def test_an_effect_that_only_some_joints_have(tmp_path: Path) -> None:
     text = done(*identify("arm3", *options, "--out", tmp_path / "b"))
     found = {(entry["name"], entry["joint"]) for entry in read(tmp_path / "b")["effects"]}
     assert found == {("viscous_friction", "joint2"), *(("coulomb_friction", f"joint{k}") for k in (1, 2, 3))}
-    table, _, others = text.partition("Joint effects")[2].partition("RMS of what remains")[0].partition("Other effects")
+    table, _, others = text.partition("Joint effects")[2].partition("RMS of the residual")[0].partition("Other effects")
     cells = {line.split()[0]: line.count("±") for line in map(str.strip, table.splitlines()) if "±" in line}
     assert cells == {"joint1": 1, "joint2": 1, "joint3": 1}
     assert "Viscous friction" in others

@@ -121,7 +121,7 @@ def test_a_file_worse_than_what_it_is_from_says_so_with_the_channel_and_what_it_
     lacks = {"a": ("spring of a",), "b": ()}
     judged = Judged("f.urdf", "pinocchio", {"a": 2.0, "b": 1.0}, {"a": 1.2, "b": 1.0}, {"a": 1.0, "b": 1.0}, lacks)
     (sentence,) = judged.worse
-    assert sentence.startswith("'a' is predicted worse by f.urdf than by the description that it is from: RMS 2 ")
+    assert sentence.startswith("'a' is predicted worse by f.urdf than by the given description: RMS 2 ")
     assert "it cannot hold spring of a" in sentence
     offsets = Judged("f.urdf", "pinocchio", {"a": 2.0}, {"a": 0.9}, {"a": 1.0}, {"a": ()})
     assert not offsets.worse, "an error of a sensor is no part of the robot"

@@ -184,7 +184,7 @@ def test_findings_come_with_the_one_that_matters_most_first(monkeypatch: pytest.
     assert second.parameters == wide
     assert [sizes["coefficient"].std for sizes in seen] == [0.01, 0.01], "another size is no doubt that it is there"
     assert second.settled_by == judged.name.effect.settled_by
-    assert second.sentence.startswith("One of several: ")
+    assert second.sentence.startswith("One of several explanations: ")
 
 
 def test_the_ranking_has_the_chosen_names_by_their_worth_and_then_the_best_of_the_others(

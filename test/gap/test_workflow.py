@@ -233,7 +233,7 @@ def test_of_a_payload_whose_mass_is_not_told_the_first_moment_is_said() -> None:
         assert abs(moment.value - true) < 3.0 * moment.std < 0.1 * true
     assert finding.moment["m y"].std > 0.01, "it lies along the axis"
     assert "m x 0.01" in finding.sentence
-    assert "its mass is not told by this motion" in finding.sentence
+    assert "this motion does not identify its mass" in finding.sentence
     assert any("m x 0.01" in sentence for sentence in in_short(result))
 
 

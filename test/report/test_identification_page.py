@@ -101,26 +101,27 @@ def test_what_was_planted_is_on_it(plain: Page) -> None:
 
 
 def test_the_verdict_comes_first_and_sections_in_order(plain: Page) -> None:
-    places = [plain.text.index(text) for text in ("usable To predict", "a warning", *SECTIONS[:1])]
+    places = [plain.text.index(text) for text in ("usable Usable to predict", "a warning", *SECTIONS[:1])]
     headings = [plain.text.index(f" {section} ") for section in SECTIONS]
     assert places == sorted(places)
     assert headings == sorted(headings)
 
 
 def test_what_it_is_good_for(plain: Page, tmp_path: Path) -> None:
-    assert "better than by the URDF in 3 of 3 channels: 10 to 10 % of the URDF's error remain" in plain.text
-    assert "Identified (95 % interval within 20 %, by the data): mass of link joint1, link joint2" in plain.text
+    assert "3 of 3 channels are predicted better than by the URDF; 10 to 10 % of its error remain" in plain.text
+    assert "Identified from the data (95 % interval within ±20 %): mass of link joint1, link joint2" in plain.text
     assert "first moment of link joint1 (x, y)" in plain.text
     assert "inertia of" not in plain.text
-    assert "Only in combination" in plain.text
+    assert "identified only in combination" in plain.text
     doubtful, _ = written(page_of("joint1", word="doubtful"), tmp_path)
-    assert "doubtful signs of joint1 are reversed For nothing before" in doubtful.text
-    assert "To predict" not in doubtful.text
+    assert "doubtful signs of joint1 are reversed Do not use this result" in doubtful.text
+    assert "Usable to predict" not in doubtful.text
 
 
 def test_what_would_tell_what_was_not_told(plain: Page) -> None:
-    assert f"link joint1 centre of mass, inertia com x: {POSES} Ixx: {FAST} Ixy: no motion that was tried" in plain.text
-    assert "Coulomb friction at joint1 the joint alone to and fro at several constant speeds" in plain.text
+    motions = f"com x: {POSES} Ixx: {FAST} Ixy: none of the simulated motions"
+    assert f"link joint1 centre of mass, inertia {motions}" in plain.text
+    assert "Coulomb friction at joint1 this joint alone, back and forth, at several constant speeds" in plain.text
 
 
 def test_marks_of_masses_are_to_scale(plain: Page) -> None:

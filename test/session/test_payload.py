@@ -154,7 +154,8 @@ def test_what_is_not_told_is_not_said_first() -> None:
     known = bare.identifier.solve().posterior
     untold = weigh_at(session(), known, [recording_of_the_last_joint(0)], "tool", 0.0)
     assert re.match(
-        r"m x 0\.026\S* ± 0\.00\S*, m y .*, m z 0\.10\S* ± .* kg m \(95 %\) in 'link3'; the mass", untold.sentence
+        r"m x 0\.026\S* ± 0\.00\S*, m y .*, m z 0\.10\S* ± .* kg m \(95 %\) in 'link3'; these motions do not",
+        untold.sentence,
     )
     assert untold.document["moment"]["value"] == untold.weighed.moment.tolist()
     assert re.match(r"1\.[23]\d* kg, from", weigh_at(session(), known, [recording(0, True)], "tool", 0.0).sentence)

@@ -23,7 +23,7 @@ def surroundings_options(command: Callable[..., None]) -> Callable[..., None]:
         click.option(
             "--collision/--no-collision",
             default=True,
-            help="Whether collisions are looked for; a URDF without shapes has none.",
+            help="Whether to check for collisions; a URDF without shapes needs --no-collision.",
         ),
         click.option(
             "--clearance",
@@ -73,7 +73,7 @@ def motion_options(command: Callable[..., None]) -> Callable[..., None]:
             "--from",
             "model",
             type=click.Path(path_type=Path),
-            help="Target what this estimate.json left uncertain; posterior.npz is read beside it.",
+            help="Target what this estimate.json left uncertain; posterior.npz must be in the same folder.",
         ),
         click.option(
             "--for",

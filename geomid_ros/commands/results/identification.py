@@ -43,8 +43,9 @@ def show(found: Identification) -> None:
     print_remarks(console, found.verdict, found.warnings, found.session.notes)
     _print_messages(console, found.session.pipeline.ledger.topics)
     console.print(
-        f"{estimate.rows_accepted} rows, {state} in {estimate.seconds:.1f} s, prior's weight {estimate.gamma:.1e}",
+        f"{estimate.rows_accepted} rows, {state} in {estimate.seconds:.1f} s, prior weight {estimate.gamma:.1e}",
     )
+    console.print("In the tables ± is one standard deviation.")
     console.print(_links_table(found))
     if found.verdict.word == USABLE:
         say(console, "", " ".join(identification_words.identified(found.links)))
@@ -65,11 +66,11 @@ def show(found: Identification) -> None:
 
 def _tracking(tracking: Tracking, name: str) -> str:
     if tracking.skipped:
-        return f"not simulated, as {tracking.skipped}"
+        return f"not simulated: {tracking.skipped}"
     worst = max(tracking.rms, key=lambda joint: tracking.rms[joint])
     return (
-        f"under the recorded commands a robot as in {name} is {tracking.total:.4f} rad (m) from the measured one, RMS "
-        f"of {len(tracking.rms)} joints; the most at '{worst}', {tracking.rms[worst]:.4f}"
+        f"simulated under the recorded commands, {name} deviates from the measured positions by {tracking.total:.4f} "
+        f"rad (m), RMS of {len(tracking.rms)} joints; the largest is '{worst}', {tracking.rms[worst]:.4f}"
     )
 
 
@@ -81,7 +82,7 @@ def _links_table(found: Identification) -> Table:
     table.add_column("\nlink", overflow="fold", min_width=14)
     headings = ("mass [kg]\nURDF", "\nidentified", "centre of\nmass [m]", "from\ndata", "dist. to\nprior")
     number_columns(table, headings)
-    table.add_column("cannot be\ntold alone", min_width=10)
+    table.add_column("not\nidentified", min_width=10)
     for link in found.links:
         names = lines([link.name, *(f"+ {name}" for name in link.merged)])
         masses = f"{nominal[link.name]:.3f}", f"{link.mass:.3f} ± {link.std_mass:.3f}"
@@ -144,10 +145,10 @@ def _joint_effects_table(effects: Sequence[EffectEstimate]) -> Table:
 
 def _channels_table(found: Identification) -> Table:
     """RMS per channel of the URDF, of the estimate, and of the written file alone and with the offsets beside it."""
-    table = plain_table("RMS of what remains, on " + ("held-out data" if found.held_out else "the same data"))
+    table = plain_table("RMS of the residual on " + ("held-out data" if found.held_out else "the same data"))
     table.add_column("channel", overflow="fold")
     file = found.handover
-    number_columns(table, ["unit", "URDF", "identified", "explained", f"{file.name}\nalone", "with\noffsets"])
+    number_columns(table, ["unit", "URDF", "identified", "explained", f"{file.name}\nalone", "with sensor\noffsets"])
     for channel in found.session.model.channels:
         before, now = found.rms_nominal[channel.name], found.rms[channel.name]
         if np.isfinite(now):

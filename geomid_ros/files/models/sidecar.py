@@ -37,9 +37,9 @@ FORMAT = 1
 _MOST_EFFECTS = 10_000
 _LARGEST = 1e50  # products of three still fit
 _HEADER = """\
-# What is known of this robot beside its bodies, in SI units. "urdf" and "mjcf" list the parameters that these files say
-# as well; whoever loads one of them adds the rest. "alone" is what both say in place of a parameter, fitted without the
-# friction that they cannot say; whoever adds that takes the parameter's value instead.
+# Effects of this robot's joints and sensors, in SI units. "urdf" and "mjcf" list the parameters that the URDF and the
+# MJCF also contain. If you load one of these files, add only the others. "alone" is the value in both files: it was
+# fitted without the friction that they cannot hold. If you add that friction, use the value under "parameters".
 # q, v, a: a joint's position, velocity and acceleration; tau: the effort that its gear transmits to the link.
 """
 

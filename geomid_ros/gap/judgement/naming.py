@@ -19,7 +19,7 @@ from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.types import FloatArray
 
 _NOTHING: Mapping[str, Quantity] = {}
-_BEFORE = {"confident": "", "tentative": "Perhaps ", "ambiguous": "One of several: "}
+_BEFORE = {"confident": "", "tentative": "Perhaps ", "ambiguous": "One of several explanations: "}
 
 
 def parameters(
@@ -108,7 +108,7 @@ def sentence(
     where = f" at link '{link}'" if link else f" at '{joint}'" if joint else ""
     untold = ""
     if moment:
-        untold = f"; its mass is not told by this motion: {_said(found['mass'])}"
+        untold = f"; this motion does not identify its mass: {_said(found['mass'])}"
         found, was = moment, {}
     said = [
         f"{name} {_said(q)}" + (f" instead of {was[name]:.4g}" if name in was else "")

@@ -21,7 +21,7 @@ class EffortOffset(JointEffect):
     of_sensor = True
     # Gravity is of the same form where a joint turns little: a wider prior lets an offset stand in for a mass.
     expected_share = 0.05
-    settled_by = "a recording in which gravity loads this joint in both directions"
+    settled_by = "a recording in which gravity loads the joint in both directions"
 
     def column(self, motion: JointMotion) -> FloatArray:
         return np.ones_like(motion.velocity)
