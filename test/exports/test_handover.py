@@ -4,23 +4,28 @@ from __future__ import annotations
 
 import json
 import re
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
 import numpy as np
 import pytest
-from files.recordings import BAGS
+from files.recordings import BAGS, QUICK
 
 import geomid_ros
 from geomid_ros.api.identify import Identification
 from geomid_ros.exports.handover import HandedOver, Judged
 from geomid_ros.exports.model import read_model
+from geomid_ros.files.models.mjcf import mjcf
 from geomid_ros.files.models.read_back import ReadBack, read_urdf_back
 from geomid_ros.files.models.readers import READERS
 from geomid_ros.files.models.urdf import with_inertials
 from geomid_ros.files.models.urdf_extensions import for_drake
+from geomid_ros.model.effects import KnownEffect, Quantity
 from geomid_ros.model.samples import Samples
+from geomid_ros.plausibility.verdict import DOUBTFUL, STATUS, USABLE
 from geomid_ros.resimulation.read_back import read_mjcf_back
+from geomid_ros.simulation import SimulationOptions, simulate
 from geomid_ros.types import FloatArray
 
 WRITTEN = [reader for reader in READERS if reader != "mjcf_joints"]
@@ -159,3 +164,64 @@ def predicted_by(read: ReadBack, samples: Samples) -> FloatArray:
     model = found().session.model
     _, predicted = model.predict(samples, read.parameters(model))
     return predicted[:, model.layout.efforts] + read.efforts(model.robot.joint_names, samples)
+
+
+def test_what_was_given_is_judged_in_the_same_way() -> None:
+    """The description's own inertias, and what it says of friction."""
+    judged = handed("urdf").judged(found().judged)
+    session = found().session
+    assert not any(session.robot.described_dynamics.values())
+    nominal = session.rms(found().judged, session.nominal_parameters)
+    assert [*judged.given.values()] == pytest.approx(nominal.tolist(), rel=1e-6)
+
+
+def test_a_file_worse_than_what_it_is_from_is_not_called_usable() -> None:
+    worse = Judged("f.urdf", "pinocchio", {"a": 2.0}, {"a": 2.0}, {"a": 1.0}, {"a": ()})
+    identified, gap = replace(found()), replace(geomid_ros.find_gap(BAGS / "arm3", BAGS / "arm3.urdf"))
+    assert (identified.verdict.word, gap.status) == (USABLE, 0)
+    for result in (identified, gap):
+        result.__dict__.pop("verdict", None)
+        result.__dict__["handover"] = worse
+    assert identified.verdict.word == DOUBTFUL
+    assert identified.verdict.reasons == (*worse.worse,)
+    assert gap.status == STATUS[DOUBTFUL]
+
+
+@pytest.mark.parametrize("ratio", [1.0, -1.0])
+def test_mujoco_feels_a_coupling_at_both_joints(ratio: float) -> None:
+    mujoco = pytest.importorskip("mujoco")
+    parameters = {"coefficient": Quantity(0.3, 0.1, "N m s/rad"), "ratio": Quantity(ratio, 0.0, "-")}
+    coupling = KnownEffect("coupled_viscous_friction", "joint2+joint3", "", parameters)
+    robot = found().session.robot
+    text = mjcf(robot, {}, [coupling])
+    model = mujoco.MjModel.from_xml_string(text)
+    data = mujoco.MjData(model)
+    data.qvel[:3] = 0.1, 0.4, 0.7
+    mujoco.mj_forward(model, data)
+    motor = 0.3 * (0.4 + ratio * 0.7)
+    np.testing.assert_allclose(data.qfrc_damper[:3], [0.0, -motor, -ratio * motor], atol=1e-12)
+    read = read_mjcf_back(text, robot)
+    assert read.attributes["joint2+joint3", "tendon/coef"] == ratio
+    assert read.attributes["joint2+joint3", "tendon/damping"] == pytest.approx(0.3)
+
+
+def test_drake_feels_a_rotor_behind_its_gear() -> None:
+    """By the square of the ratio."""
+    inside = '<drake:rotor_inertia value="0.01"/><drake:gear_ratio value="-10"/>'
+    transmission = f'<transmission name="t"><joint name="joint1"/><actuator name="a">{inside}</actuator></transmission>'
+    urdf = found().session.urdf.replace("</robot>", f"{transmission}</robot>").replace(
+        "<robot ", '<robot xmlns:drake="http://drake.mit.edu" '
+    )
+    read = read_urdf_back(found().session.read_robot(urdf, "file"), "drake")
+    assert read.attributes["joint1", "actuator/drake:rotor_inertia"] == pytest.approx(1.0)
+
+
+def test_under_the_recorded_commands_the_written_robot_is_where_the_measured_one_is(tmp_path: Path) -> None:
+    pytest.importorskip("mujoco")
+    recording = SimulationOptions(robot="arm3", seed=5, duration=12.0, longest_step=QUICK, hide=(), commands=True)
+    simulate(tmp_path / "bag", recording)
+    result = geomid_ros.identify(tmp_path / "bag", BAGS / "arm3.urdf", reader="mujoco", command="joint_commands")
+    tracking = result.tracking
+    assert tracking is not None
+    assert tracking.rms.keys() == {"joint1", "joint2", "joint3"}
+    assert tracking.total < 2e-3

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from geomid_ros.errors import GeomidError
-from geomid_ros.files.disk import write_bytes, write_text
+from geomid_ros.files.disk import staged, write_bytes, write_text
 
 BEFORE = "what was there before"
 
@@ -146,3 +146,28 @@ def test_a_read_only_folder_is_named(path: Path) -> None:
     finally:
         path.parent.chmod(0o755)
     assert path.read_text() == BEFORE
+
+
+def test_files_of_a_stage_come_together_or_not_at_all(tmp_path: Path) -> None:
+    with staged(tmp_path / "whole") as stage:
+        write_text(stage / "a", "1")
+        assert [*(tmp_path / "whole").iterdir()] == [stage]
+        write_text(stage / "b", "2")
+    assert {path.name: path.read_text() for path in (tmp_path / "whole").iterdir()} == {"a": "1", "b": "2"}
+
+
+def fail_midway(folder: Path) -> None:
+    with staged(folder) as stage:
+        write_text(stage / "a", "other")
+        write_text(stage / "none" / ".." / "a" / "b", "a file is no folder")
+
+
+@pytest.mark.parametrize("there", [False, True])
+def test_a_stage_that_fails_leaves_what_was_there(there: bool, tmp_path: Path) -> None:
+    folder = tmp_path / "out"
+    if there:
+        write_text(folder / "a", "kept")
+    with pytest.raises(GeomidError, match=rf"^{folder}/.*cannot be written"):
+        fail_midway(folder)
+    assert folder.exists() == there
+    assert not there or [path.read_text() for path in folder.iterdir()] == ["kept"]
