@@ -67,5 +67,6 @@ def identify(bags: tuple[Path, ...], out: Path, as_json: bool, **options: Any) -
     else:
         identification.show(found)
         click.echo(f"\nWritten: {', '.join(map(str, files))}")
-        click.echo(one_line(found.not_written))
+        if found.not_written:
+            click.echo(one_line(found.not_written))
     sys.exit(found.verdict.status)

@@ -6,12 +6,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from geomid_ros.errors import InputError
 from geomid_ros.estimation.estimate import QUANTITIES, SURE
 from geomid_ros.estimation.posterior import Posterior
 from geomid_ros.exports.formats import CONTROLLERS
 from geomid_ros.exports.inertial import Export, Summand, UncertainInertia, total
 from geomid_ros.files.models.judgements import verdict_entry
 from geomid_ros.model.samples import Samples
+from geomid_ros.plausibility.verdict import USABLE
 from geomid_ros.session.configuration import GAIN
 from geomid_ros.session.payload import WeighedPayload, weigh
 from geomid_ros.session.session import Session
@@ -80,8 +82,11 @@ class Payload:
         }
 
     def commands(self, controller: str) -> str:
-        """The text that sets the payload at a controller: ``ur`` or ``franka``. Raises InputError for one that the
-        controller refuses."""
+        """The text that sets the payload at a controller: ``ur`` or ``franka``. Raises InputError for one that is not
+        identified or doubtful, or that the controller refuses."""
+        if "mass" in self.weighed.cannot_tell or self.weighed.verdict.word != USABLE:
+            reasons = "; ".join(self.weighed.verdict.reasons) or "its mass is not identified"
+            raise InputError(f"no commands for {controller}: {reasons}; record more motion of all joints")
         return CONTROLLERS[controller].commands(Export(f"payload at '{self.frame}'", self.frame, self.inertial))
 
 

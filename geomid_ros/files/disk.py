@@ -121,7 +121,7 @@ def read_bytes(path: Path, what: str, most_bytes: int) -> bytes:
             raise InputError(f"{path}: not a regular file; expected a {what}")
         return _bounded(path, what, most_bytes)
     except OSError as error:
-        raise InputError(f"{path}: the {what} cannot be read ({error})") from error
+        raise InputError(f"{path}: the {what} cannot be read ({error.strerror or error})") from error
 
 
 def read_text(path: Path, what: str, most_bytes: int) -> str:

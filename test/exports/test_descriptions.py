@@ -176,7 +176,7 @@ CANNOT = {
     "moveit": {"rotor inertia of joint2", "spring of joint2"},
     "isaac": {"spring of joint2"},
     "gazebo": {"rotor inertia of joint2"},
-    "drake": {"coulomb friction of joint2", "spring of joint2"},
+    "drake": {"Coulomb friction of joint2", "spring of joint2"},
     "mujoco": set[str](),
 }
 

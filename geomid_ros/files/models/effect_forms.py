@@ -61,7 +61,8 @@ def unsaid(effects: Iterable[KnownEffect], files: Iterable[str]) -> list[str]:
         # A usual constant no format has, and no simulator needs.
         missing = [form.name for form in forms if not form.said_by(files) and form.name != cls.usual_constant]
         if missing and not cls.of_sensor:
-            what = effect.effect.replace("_", " ") + (f" ({', '.join(missing)})" if len(missing) < len(forms) else "")
+            name = cls.label if cls.label[0].isupper() else effect.effect.replace("_", " ")
+            what = name + (f" ({', '.join(missing)})" if len(missing) < len(forms) else "")
             found.setdefault(what, []).append(effect.link or effect.joint)
     return [what + (f" of {', '.join(places)}" if any(places) else "") for what, places in found.items()]
 
