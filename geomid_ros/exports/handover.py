@@ -17,7 +17,6 @@ from geomid_ros.files.models.handover import WrittenModel
 from geomid_ros.files.models.read_back import ReadBack, read_urdf_back
 from geomid_ros.files.models.readers import ELEMENTS, URDF
 from geomid_ros.files.models.results import model_effects
-from geomid_ros.files.models.urdf import inertia_of, with_inertials
 from geomid_ros.model.effects import effect_class
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.samples import Samples
@@ -56,8 +55,8 @@ class HandedOver:
 
     @cached_property
     def _whole(self) -> Whole:
-        session, merged = self.session, [name for link in self.estimate.links for name in link.merged]
-        urdf = with_inertials(session.urdf, {n: inertia_of(own) for n, own in self.model.inertias.items()}, merged)
+        session = self.session
+        urdf = session.with_inertias_of(self.estimate, self.model)
         robot = DescribedRobot(
             urdf,
             Path(session.robot.source),

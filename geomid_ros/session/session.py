@@ -425,9 +425,13 @@ class Session:
         """The robot description with the inertias and friction that were fitted for a URDF; every other character of it
         is kept."""
         written = self.written_model(estimate, URDF)
+        return with_effects(self.with_inertias_of(estimate, written), written.effects)
+
+    def with_inertias_of(self, estimate: Estimate, written: WrittenModel) -> str:
+        """The robot description with the inertias of a written model of an estimate, and its friction as it was."""
         merged = [name for link in estimate.links for name in link.merged]
         inertias = {name: inertia_of(own) for name, own in written.inertias.items()}
-        return with_effects(with_inertials(self.urdf, inertias, merged), written.effects)
+        return with_inertials(self.urdf, inertias, merged)
 
     def save(
         self,
