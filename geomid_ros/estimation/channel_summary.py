@@ -51,6 +51,11 @@ def joined(parts: Sequence[ChannelSummary]) -> FloatArray:
     return triangular(np.concatenate([part.factor for part in parts]))
 
 
+def together(parts: Sequence[ChannelSummary]) -> ChannelSummary:
+    """All ``parts`` (at least one) of a channel, whose weights are of the same time."""
+    return ChannelSummary(joined(parts), sum(part.count for part in parts), parts[0].time)
+
+
 def usable(coefficients: FloatArray, targets: FloatArray) -> BoolArray:
     """Which rows ``(..., D)`` have a target ``(...)`` and coefficients that are numbers: one NaN would spoil all."""
     return np.asarray(np.isfinite(targets) & np.all(np.isfinite(coefficients), axis=-1))

@@ -1,16 +1,20 @@
-"""Which effects beside the default ones the rows ask for: forward selection by evidence and by held-out blocks of time.
+"""Which effects beside the default ones the rows ask for, and which shape the default ones have.
 
-A candidate is tried that the score test promises most of: once beside the inertias as they were fitted, and once beside
-inertias that stay near the prior, because a link that has swallowed an effect hides it. It is taken if the marginal
-likelihood rises by more than :data:`LEAST_GAIN` after a penalty of ``log N`` (Schwarz 1978), and if on blocks that were
-held out the error falls visibly, and by more than one standard error over the blocks (Breiman et al., "Classification
-and regression trees", 1984, section 3.4.3). The search is linear in all coefficients; those that cannot be negative are
-not taken where they are.
+An effect that stands at a place in one of several shapes (the speed over which dry friction changes its sign) has the
+shape of the highest marginal likelihood. Then optional effects are added one by one, and one that another has made
+needless goes again. What decides is the squared size of an effect in units of its standard deviation, as blocks of time
+show it: what they say of it, each by itself, scatters far more than independent residuals would (jackknife; Liang and
+Zeger, "Longitudinal data analysis using generalized linear models", 1986). There are few blocks, so that the ratio to
+independent residuals is averaged over all effects of a kind. So an effect is believed that repeats.
+
+A candidate is tried beside the inertias as they were fitted, and beside inertias that stay near the prior, because a
+link that has swallowed an effect hides it. No effect is negative that cannot be.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Collection
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -21,14 +25,16 @@ from geomid_ros.estimation.problem import Problem
 from geomid_ros.estimation.profile_objective import Profile, ProfileObjective, StraightManifold, minimum
 from geomid_ros.geometry import definite
 from geomid_ros.geometry.manifold import Point
-from geomid_ros.model.effects import Place
+from geomid_ros.model.effects import joints_of
+from geomid_ros.model.measurement import Coefficient, Mechanism
 from geomid_ros.types import FloatArray, IntArray
 
-LEAST_GAIN = 12.0
-"""An effect that improves the score by less is not taken: e^-6 in probability."""
-_VISIBLE = 0.02  # of the standard deviation of a channel, at least
-_ERRORS = 1.0  # standard errors over the blocks
-_PROMISING = 0.5 * LEAST_GAIN
+_TIMES = 3.0
+"""Standard deviations that an effect is different from nothing."""
+_RARE = 6.0
+"""Twice the logarithm of how many times rarer an effect of two joints is than one of each."""
+_UNSURE_PROMISE = 3.0
+"""By so much a square may be too small to first order."""
 _PARALLEL = 1e-6  # a column that is so nearly a combination of others says nothing
 _LOOSE = 1.5  # times the usual spread: a link beyond it has left its prior
 _FREE = 1e-6  # weight of a coefficient's prior
@@ -37,31 +43,77 @@ _LEAST_SHARE = 1e-10  # of the target's sum of squares: no residual is smaller
 
 
 def choose(problem: Problem, earlier: IntArray | None = None) -> IntArray:
-    """The parameters without optional coefficients but for those that the rows ask for, by their columns.
+    """The parameters that the rows ask for, by their columns: all that are not optional, each in its best shape, and
+    the optional ones that are believed.
 
     Args:
         problem: with all coefficients.
-        earlier: what was chosen for fewer of the same rows: where they ask for all of it still, more is looked for
-            beside it, which takes a fraction of the time.
+        earlier: what was chosen for fewer of the same rows, to go on from.
     """
     rows = _Rows(problem)
-    every = range(problem.model.dimension)
-    optional = [column for column in every if column >= rows.first and rows.optional(column)]
-    base = np.setdiff1d(every, optional)
-    if not optional or not rows.enough:
-        return base
-    chosen = rows.fit(base if earlier is None else earlier)
-    if not chosen.asked_for:
-        chosen = rows.fit(base)
-    settled = set(map(rows.mechanism, np.setdiff1d(chosen.columns, base)))  # what was taken or refused
-    while left := [column for column in optional if rows.mechanism(column) not in settled]:
-        larger, column = _best(chosen, np.array(left))
+    if not (rows.has_choice and rows.enough):
+        return rows.standing
+    chosen = rows.fit(rows.standing if earlier is None else earlier)
+    chosen = _shaped(chosen, range(len(problem.model.robot.joints)))
+    chosen = _without_unbelieved(chosen)
+    refused: set[Mechanism] = set()
+    while len(left := rows.candidates(chosen.every, refused)):
+        column, larger = _best(chosen, left)
         if larger is None:
             break
-        if _asked_for(chosen, larger):
-            chosen = larger
-        settled.add(rows.mechanism(column))
-    return chosen.columns
+        refused.add(rows.mechanism(column))
+        if chosen.score - larger.score > rows.bounds([column])[0] and larger.is_believed(column):
+            chosen = _without_unbelieved(_shaped(larger, joints_of(rows.coefficient(column).place)))
+    return chosen.every
+
+
+def _shaped(fit: _Fit, joints: Collection[int]) -> _Fit:
+    """The fit in which every effect of ``joints`` that is not optional has the shape of the highest likelihood, one
+    after the other."""
+    rows = fit.rows
+    for mechanism in rows.always:
+        if not set(joints).intersection(joints_of(mechanism[1])):
+            continue
+        shapes = [column for column in rows.columns if rows.mechanism(column) == mechanism]
+        if len(shapes) > 1:
+            rest = np.setdiff1d(fit.every, shapes)
+            sets = [np.sort(np.append(rest, shape)) for shape in shapes]
+            fits = [rows.fit(columns, fit, spreads=fit.spreads) for columns in sets]
+            fit = min(fits, key=lambda shaped: shaped.score)
+    return rows.fit(fit.every, fit)
+
+
+def _without_unbelieved(fit: _Fit) -> _Fit:
+    """The fit without the optional effects that are not believed, the least one first."""
+    while len(fit.chosen):
+        beyond = fit.squares_of(fit.chosen) - fit.rows.bounds(fit.chosen)
+        if np.min(beyond) > 0.0 and fit.possible:
+            break
+        fit = fit.rows.fit(np.setdiff1d(fit.every, fit.chosen[np.argmin(beyond)]), fit)
+    return fit
+
+
+def _best(chosen: _Fit, left: IntArray) -> tuple[int, _Fit | None]:
+    """The column that improves a fit most, of those that may be believed, and the fit with it; None if none may."""
+    starts = list(dict.fromkeys((chosen, chosen.firm)))
+    beside = [start.beside(left) for start in starts]
+    promising = np.max([each.squares for each in beside], axis=0) > chosen.rows.bounds(left) - _UNSURE_PROMISE
+    gains = np.where(promising, np.max([each.gains for each in beside], axis=0), 0.0)
+    column = int(left[np.argmax(gains)])
+    if not np.any(promising):
+        return column, None
+    columns = np.sort(np.append(chosen.every, column))
+    return column, min((chosen.rows.fit(columns, start) for start in starts), key=lambda fit: fit.score)
+
+
+@dataclass(frozen=True)
+class _Beside:
+    """Other coefficients beside a fit: the ``gains`` in twice the log likelihood by independent residuals, and their
+    ``squares`` in units of their variances by blocks, each ``(columns,)``; zero for one that would be negative and
+    cannot be."""
+
+    gains: FloatArray
+    squares: FloatArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,24 +138,59 @@ class _Rows:
         columns = [len(channel.columns) for channel in self.problem.model.channels]
         return bool(np.any(self.counts > columns))
 
-    def optional(self, column: int) -> bool:
-        """Whether a coefficient may be left out."""
-        return self.problem.model.coefficients[column - self.first].optional
+    @property
+    def columns(self) -> range:
+        """The columns of the coefficients."""
+        return range(self.first, self.size)
+
+    def coefficient(self, column: int) -> Coefficient:
+        """The coefficient of a column."""
+        return self.problem.model.coefficients[column - self.first]
+
+    def mechanism(self, column: int) -> Mechanism:
+        """What there is once, whatever constants it has."""
+        return self.coefficient(column).mechanism
+
+    @cached_property
+    def standing(self) -> IntArray:
+        """The columns of all that may not be left out, in its usual shape."""
+        return np.array([c for c in range(self.size) if c < self.first or not self.coefficient(c).optional])
+
+    @cached_property
+    def always(self) -> list[Mechanism]:
+        """What is never left out."""
+        return [self.mechanism(column) for column in self.standing if column >= self.first]
+
+    @cached_property
+    def optional(self) -> list[int]:
+        """The columns of what may be left out."""
+        always = set(self.always)
+        return [column for column in self.columns if self.mechanism(column) not in always]
+
+    @property
+    def has_choice(self) -> bool:
+        """Whether anything may be left out, or have another shape."""
+        return len(self.standing) < self.size
+
+    def candidates(self, columns: IntArray, refused: Collection[Mechanism]) -> IntArray:
+        """The columns that may be added to others."""
+        there = {self.mechanism(column) for column in columns if column >= self.first} | {*refused}
+        return np.array([column for column in self.optional if self.mechanism(column) not in there], dtype=np.int64)
+
+    def bounds(self, columns: IntArray | list[int]) -> FloatArray:
+        """Squares, in units of the variance, above which coefficients are believed."""
+        pairs = [len(joints_of(self.coefficient(column).place)) > 1 for column in columns]
+        return np.asarray(_TIMES**2 + _RARE * np.array(pairs))
 
     def positive(self, column: int) -> bool:
         """Whether a coefficient cannot be negative."""
-        return self.problem.model.coefficients[column - self.first].positive
+        return self.coefficient(column).positive
 
     def allows(self, column: int, value: float) -> bool:
         """Whether a coefficient can have this value."""
-        coefficient = self.problem.model.coefficients[column - self.first]
+        coefficient = self.coefficient(column)
         form = coefficient.effect.own[coefficient.index]
         return form.above < value < form.below and (value > 0.0 or not coefficient.positive)
-
-    def mechanism(self, column: int) -> tuple[str, Place]:
-        """What there is once at a place, whatever constants it has."""
-        coefficient = self.problem.model.coefficients[column - self.first]
-        return coefficient.effect.name, coefficient.place
 
     @cached_property
     def products(self) -> list[tuple[IntArray, FloatArray]]:
@@ -137,15 +224,32 @@ class _Rows:
         best = np.sqrt(np.min(size, axis=0, initial=np.inf))
         return np.where(np.isfinite(best) & (best > 0.0), best, 1.0)
 
-    def fit(self, columns: IntArray, start: _Fit | None = None, *, firm: bool = False) -> _Fit:
-        """Fit these parameters, from an earlier fit where one is given; ``firm``: all links keep the usual spread."""
-        found = self._fit(columns, start, np.zeros((0, len(columns))), firm=firm)
-        every = np.zeros(self.size)
-        every[columns] = found.point.parameters
-        rows = driven_rows(self.problem.model, every)[:, columns]
-        return self._fit(columns, found, rows, firm=firm) if len(rows) else found
+    def fit(self, columns: IntArray, start: _Fit | None = None, *, spreads: FloatArray | None = None) -> _Fit:
+        """Fit these parameters, from an earlier fit where one is given; with ``spreads (links,)`` of the links, unless
+        these are to be found. Coefficients that would be negative and cannot be are zero."""
+        zero = np.zeros(0, dtype=np.int64) if start is None else start.zero
+        fit = self._non_negative_fit(np.setdiff1d(columns, zero), start, spreads)
+        fit = replace(fit, zero=np.setdiff1d(columns, fit.columns))
+        if len(wanted := np.intersect1d(fit.wanted, zero)):
+            fit = self._non_negative_fit(np.union1d(fit.columns, wanted), fit, spreads)
+        return replace(fit, zero=np.setdiff1d(columns, fit.columns))
 
-    def _fit(self, columns: IntArray, start: _Fit | None, held: FloatArray, *, firm: bool) -> _Fit:
+    def _non_negative_fit(self, columns: IntArray, start: _Fit | None, spreads: FloatArray | None) -> _Fit:
+        """The same, without the columns whose coefficients would be negative."""
+        fit = self._passive_fit(columns, start, spreads)
+        while len(negative := fit.negative):
+            fit = self._passive_fit(np.setdiff1d(fit.columns, negative), fit, spreads)
+        return fit
+
+    def _passive_fit(self, columns: IntArray, start: _Fit | None, spreads: FloatArray | None) -> _Fit:
+        """The same, in which coefficients may be negative, but no joint is driven by its dry friction."""
+        fit = self._fit(columns, start, np.zeros((0, len(columns))), spreads)
+        every = np.zeros(self.size)
+        every[columns] = fit.point.parameters
+        rows = driven_rows(self.problem.model, every)[:, columns]
+        return self._fit(columns, fit, rows, spreads) if len(rows) else fit
+
+    def _fit(self, columns: IntArray, start: _Fit | None, held: FloatArray, given: FloatArray | None) -> _Fit:
         """The same, with rows ``(r, columns)`` that are zero."""
         scales = self.scales[columns[columns >= self.first] - self.first]
         manifold = StraightManifold(self.first // 10, 0, scales)
@@ -157,6 +261,7 @@ class _Rows:
             before = np.zeros(self.size)
             before[start.columns] = start.point.parameters
             point, spreads = manifold.point(before[columns]), start.spreads
+        spreads = spreads if given is None else given
         own = np.append(columns, self.size)
         # In the order of its axes, in which such an index leaves nothing: else it is multiplied five times as slowly.
         products = np.ascontiguousarray(self.all_products[:, own[:, None], own])
@@ -176,7 +281,7 @@ class _Rows:
             trusted = objective(spreads)
             solution = minimum(trusted, point)
             point = solution.point
-            if firm:
+            if given is not None:
                 break
             earlier = spreads
             hessian = solution.evaluation.information + np.diag(trusted.weights)
@@ -190,19 +295,37 @@ class _Rows:
 
 @dataclass(frozen=True, eq=False)
 class _Fit:
-    """Where a fit of the ``columns`` of ``rows`` ended: at a ``point``, with the links' ``spreads``."""
+    """Where a fit of the ``columns`` of ``rows`` ended: at a ``point``, with the links' ``spreads``; coefficients of
+    other columns are held at ``zero``."""
 
     rows: _Rows
     columns: IntArray
     point: Point
     objective: ProfileObjective
     spreads: FloatArray
+    zero: IntArray = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
+
+    @property
+    def every(self) -> IntArray:
+        """The columns, with those that are held at zero."""
+        return np.union1d(self.columns, self.zero)
+
+    @property
+    def negative(self) -> IntArray:
+        """The columns of coefficients that are negative, and cannot be."""
+        negative = self.point.parameters < 0.0
+        return np.array([c for c in self.columns[negative] if c >= self.rows.first and self.rows.positive(c)])
+
+    @property
+    def wanted(self) -> IntArray:
+        """The columns that are held at zero though they need not be."""
+        return self.zero[self.beside(self.zero).gains > 0.0] if len(self.zero) else self.zero
 
     @cached_property
     def firm(self) -> _Fit:
         """The fit of the same parameters with links that keep the usual spread; this one, if they do here."""
-        loose = bool(np.any(self.spreads > _LOOSE * self.rows.problem.usual))
-        return self.rows.fit(self.columns, firm=True) if loose else self
+        usual = self.rows.problem.usual
+        return self.rows.fit(self.every, spreads=usual) if np.any(self.spreads > _LOOSE * usual) else self
 
     @cached_property
     def evaluation(self) -> Evaluation:
@@ -216,18 +339,13 @@ class _Fit:
 
     @cached_property
     def score(self) -> float:
-        """Minus twice the logarithm of the marginal likelihood, with a penalty for each coefficient."""
+        """Minus twice the logarithm of the marginal likelihood."""
         links = self.objective.manifold.inertial
         _, volume = np.linalg.slogdet(self.hessian[links, links])
         relative = self.spreads / self.rows.problem.usual
         width = 20.0 * float(np.sum(np.log(self.spreads)))
         width += CERTAINTY * float(np.sum(relative**-2 + 2.0 * np.log(relative)))
-        return 2.0 * self.evaluation.value + float(volume) + width + len(self.columns) * self._penalty
-
-    @property
-    def _penalty(self) -> float:
-        """Of each coefficient."""
-        return float(np.log(max(np.max(self.rows.counts), 1.0)))
+        return 2.0 * self.evaluation.value + float(volume) + width
 
     @cached_property
     def weights(self) -> FloatArray:
@@ -237,96 +355,75 @@ class _Fit:
     @property
     def possible(self) -> bool:
         """Whether all optional coefficients are in their ranges."""
-        return all(self.rows.allows(self.columns[place], self.point.parameters[place]) for place in self._optional)
-
-    @property
-    def _optional(self) -> list[int]:
-        """The places of the optional coefficients among the parameters."""
-        rows = self.rows
-        return [place for place, column in enumerate(self.columns) if column >= rows.first and rows.optional(column)]
-
-    @property
-    def asked_for(self) -> bool:
-        """Whether each optional coefficient improves the score by as much as one that is taken, by Wald's test."""
-        places = self._optional
-        values = self.objective.manifold.log(self.objective.profile.prior, self.point)[places]
-        gains = values**2 / np.diag(definite.inverse(self.hessian))[places] - self._penalty
-        return bool(np.all(gains >= LEAST_GAIN)) and self.possible
-
-    def gains(self, columns: IntArray) -> FloatArray:
-        """By how much each of other ``columns`` would improve the likelihood, by the score test; 0 for a coefficient
-        that would have a sign that it cannot have."""
-        products = np.tensordot(self.weights, self.rows.all_products, axes=1)
-        slopes = products[np.ix_(columns, np.append(self.columns, self.rows.size))] @ np.append(
-            self.point.parameters, -1.0
-        )
-        shared = self.objective.manifold.whiten(self.point, products[np.ix_(columns, self.columns)])
-        squares = np.diag(products)[columns]
-        left = squares - np.sum((shared @ definite.inverse(self.hessian)) * shared, axis=1)
-        positive = np.array([self.rows.positive(column) for column in columns])
-        telling = (left > _PARALLEL * squares) & ~(positive & (slopes > 0.0))
-        return np.where(telling, slopes**2 / np.where(telling, left, 1.0), 0.0)
+        every = np.zeros(self.rows.size)
+        every[self.columns] = self.point.parameters
+        return all(map(self.rows.allows, self.chosen.tolist(), every[self.chosen].tolist()))
 
     @cached_property
-    def held_out(self) -> FloatArray:
-        """Sums of squares of each fold's channels at the fit to the other folds ``(folds, channels)``, by one Newton
-        step from the fit to all."""
-        rows, manifold, folds = self.rows, self.objective.manifold, self.rows.problem.summary.folds
-        totals = np.zeros((folds, rows.size + 1, rows.size + 1))
-        for weight, (places, products) in zip(self.weights, rows.products, strict=True):
+    def chosen(self) -> IntArray:
+        """The columns that are optional."""
+        return np.intersect1d(self.every, self.rows.optional)
+
+    def is_believed(self, column: int) -> bool:
+        """Whether one of its coefficients is, beside links as they were fitted or such as stay near the prior."""
+        own = np.array([column])
+        fits = dict.fromkeys((self, self.firm))
+        return self.possible and any(fit.squares_of(own)[0] > self.rows.bounds(own)[0] for fit in fits)
+
+    @cached_property
+    def _folds(self) -> FloatArray:
+        """All columns and the target by each other, weighted, of each fold that has rows, ``(folds, n + 1, n + 1)``."""
+        size = self.rows.size + 1
+        totals = np.zeros((self.rows.problem.summary.folds, size, size))
+        for weight, (places, products) in zip(self.weights, self.rows.products, strict=True):
             totals[:, places[:, None], places] += weight * products
-        own = np.append(self.columns, rows.size)
-        parameters = np.append(self.point.parameters, -1.0)
+        return totals[np.any(totals, axis=(1, 2))]
+
+    @cached_property
+    def _slopes(self) -> FloatArray:
+        """Half the derivative of each fold's squares by every coefficient ``(folds, n + 1)``."""
+        vector = np.zeros(self.rows.size + 1)
+        vector[self.columns], vector[-1] = self.point.parameters, -1.0
+        return self._folds @ vector
+
+    def squares_of(self, columns: IntArray) -> FloatArray:
+        """Squares of some of its coefficients in units of their variances."""
+        inverse, manifold = definite.inverse(self.hessian), self.objective.manifold
+        slopes = manifold.whiten(self.point, self._slopes[:, self.columns])
+        real = self.columns >= self.rows.first
+        variances = np.diag(inverse)[real]
+        inflation = self._inflation(self.columns[real], (slopes @ inverse)[:, real], variances)
+        values = manifold.log(self.objective.profile.prior, self.point)[real]
+        squares = np.zeros(self.rows.size)
+        squares[self.columns[real]] = values**2 / (inflation * variances)
+        return np.asarray(squares[columns])
+
+    def beside(self, columns: IntArray) -> _Beside:
+        """What coefficients of other ``columns`` would be, to first order."""
+        manifold = self.objective.manifold
         whitener = manifold.whiten(self.point, np.eye(len(self.columns)))
-        moved = np.zeros((folds, rows.size + 1))
-        for fold, total in enumerate(totals[:, own[:, None], own]):
-            slope = whitener.T @ (total[:-1] @ parameters)
-            information = manifold.whiten(self.point, manifold.whiten(self.point, total[:-1, :-1]).T)
-            step = whitener @ np.linalg.solve(self.hessian - information, slope)
-            moved[fold, own] = parameters + np.append(step, 0.0)
-        squares = [
-            np.einsum("fi,fij,fj->f", moved[:, places], products, moved[:, places], optimize=True)
-            for places, products in rows.products
-        ]
-        return np.stack(squares, axis=1)
+        products = np.sum(self._folds, axis=0)
+        shared = products[np.ix_(self.columns, columns)]
+        projected = whitener @ definite.inverse(self.hessian) @ whitener.T @ shared
+        squares = np.diag(products)[columns]
+        left = squares - np.sum(shared * projected, axis=0)
+        telling = left > _PARALLEL * squares
+        left = np.where(telling, left, 1.0)
+        parts = (self._slopes[:, columns] - self._slopes[:, self.columns] @ projected) / left
+        values = -np.sum(self._slopes[:, columns], axis=0) / left
+        positive = np.array([self.rows.positive(column) for column in columns])
+        possible = telling & ~(positive & (values < 0.0))
+        inflation = self._inflation(columns, np.where(telling, parts, 0.0), 1.0 / left)
+        gains = np.where(possible, values**2 * left, 0.0)
+        return _Beside(gains, gains / inflation)
 
-
-def _best(chosen: _Fit, left: IntArray) -> tuple[_Fit | None, int]:
-    """The best of those with one column more that promise most; None if none promises enough."""
-    trials: dict[int, _Fit] = {}
-    for fitted in dict.fromkeys((chosen, chosen.firm)):
-        gains = fitted.gains(left)
-        column = int(left[np.argmax(gains)])
-        if np.max(gains) > _PROMISING and column not in trials:
-            columns = np.sort(np.append(chosen.columns, column))
-            fits = [chosen.rows.fit(columns, start) for start in dict.fromkeys((chosen, chosen.firm))]
-            trials[column] = min(fits, key=lambda fit: fit.score)
-    best = min(trials, key=lambda column: trials[column].score, default=-1)
-    return trials.get(best), best
-
-
-def _asked_for(chosen: _Fit, larger: _Fit) -> bool:
-    """Whether the rows ask for what a fit has beyond another.
-
-    A link that has swallowed an effect predicts other blocks of the same motion as well as the effect does. Then the
-    effect must do so beside inertias that stay near the prior, and no worse beside the others.
-    """
-    if chosen.score - larger.score < LEAST_GAIN or not larger.possible:
-        return False
-    mean, error = _change(chosen, larger)
-    if mean < -error:
-        return True
-    firm_mean, firm_error = _change(chosen.firm, larger.firm)
-    return mean < error and firm_mean < -firm_error
-
-
-def _change(before: _Fit, after: _Fit) -> tuple[float, float]:
-    """By how much the held-out errors of a block change, relative to those of all blocks, and the standard error of
-    that; infinite where the change is too small to be seen."""
-    total = np.sum(before.held_out, axis=0)
-    reached = total > 0.0
-    changes = np.sum((after.held_out - before.held_out)[:, reached] / total[reached], axis=1)
-    changes = changes[np.sum(before.held_out, axis=1) > 0.0]
-    if len(changes) < 2 or abs(np.sum(changes)) < 2.0 * _VISIBLE:
-        return 0.0, np.inf
-    return float(np.mean(changes)), _ERRORS * float(np.std(changes, ddof=1)) / np.sqrt(len(changes))
+    def _inflation(self, columns: IntArray, parts: FloatArray, variances: FloatArray) -> FloatArray:
+        """How much larger the variances of coefficients are than those by independent residuals, by what each fold says
+        of them, ``parts (folds, columns)``: of each kind the mean."""
+        count = len(parts)
+        if count < 2:
+            return np.ones(len(columns))
+        scatter = count / (count - 1.0) * np.sum((parts - np.mean(parts, axis=0)) ** 2, axis=0) / variances
+        kinds = np.array([self.rows.coefficient(column).effect.name for column in columns])
+        means = {kind: max(float(np.mean(scatter[kinds == kind])), 1.0) for kind in set(kinds.tolist())}
+        return np.array([means[kind] for kind in kinds.tolist()])

@@ -13,7 +13,7 @@ import numpy as np
 from geomid_ros.errors import InputError, unknown_name
 from geomid_ros.estimation import estimate_parts, uncertainty
 from geomid_ros.estimation.choice import choose
-from geomid_ros.estimation.estimate import Estimate
+from geomid_ros.estimation.estimate import SURE, Estimate
 from geomid_ros.estimation.file_fits import fit_files
 from geomid_ros.estimation.fit import INDEPENDENT, Fit, driven_rows, fit, settle
 from geomid_ros.estimation.objective import GeodesicObjective, ResidualObjective
@@ -136,18 +136,22 @@ def estimate(
         independent=_independent(summary, settings.cutoff),
         given_spreads=spreads,
     )
-    if warm is None:
-        columns = choose(_beside(settings.population, whole))
-    elif warm.effects_alone:
-        columns, warm = choose(_beside(settings.population, whole), _kept(model, warm)), None
+    solve = partial(_fit, tolerance=settings.tolerance, max_steps=settings.max_steps)
+    if warm is None or warm.effects_alone:
+        columns = choose(_beside(settings.population, whole), None if warm is None else _kept(model, warm))
+        solved = _with_population(settings.population, subproblem(whole, columns), solve)
+        result = _estimate(columns, model, solved[0], settings, begin)
+        while len(unsure := _unsure(model, result, columns)):
+            columns = np.setdiff1d(columns, unsure)
+            solved = _with_population(settings.population, subproblem(whole, columns), solve)
+            result = _estimate(columns, model, solved[0], settings, begin)
     else:
         columns = _kept(model, warm)
-    problem = subproblem(whole, columns)
-    start = None if warm is None else problem.manifold.point(warm.parameters[columns])
-    solve = partial(_fit, tolerance=settings.tolerance, max_steps=settings.max_steps)
-    warm_solve = partial(solve, start=start, spreads=None if warm is None else warm.spreads)
-    found, warnings = _with_population(settings.population, problem, warm_solve)
-    result = _estimate(columns, model, found, settings, begin)
+        problem = subproblem(whole, columns)
+        start = problem.manifold.point(warm.parameters[columns])
+        solved = _with_population(settings.population, problem, partial(solve, start=start, spreads=warm.spreads))
+        result = _estimate(columns, model, solved[0], settings, begin)
+    warnings = solved[1]
     within = fit_files(
         whole, columns, settings.files, lambda each: _with_population(settings.population, each, solve)[0]
     )
@@ -176,9 +180,23 @@ def _beside(population: Population | None, whole: Problem) -> Problem:
 
 def _kept(model: MeasurementModel, warm: WarmStart) -> IntArray:
     """The parameters that are not left out, by their columns."""
-    optional = [coefficient.optional for coefficient in model.coefficients]
-    first = model.dimension - len(optional)
-    return np.flatnonzero(np.append(np.full(first, True), ~np.array(optional, dtype=bool)) | (warm.parameters != 0.0))
+    first = model.dimension - len(model.coefficients)
+    there = [(c, value != 0.0) for c, value in zip(model.coefficients, warm.parameters[first:], strict=True)]
+    present = {c.mechanism for c, is_there in there if is_there}
+    kept = [is_there or not (c.optional or c.mechanism in present) for c, is_there in there]
+    return np.flatnonzero(np.append(np.full(first, True), np.array(kept, dtype=bool)))
+
+
+def _unsure(model: MeasurementModel, result: Estimate, columns: IntArray) -> IntArray:
+    """The columns of optional effects that may as well be nothing, the least of them; all at once that are smaller than
+    their deviations."""
+    first = model.dimension - len(model.coefficients)
+    own = columns[columns >= first]
+    always = {c.mechanism for c in model.coefficients if not c.optional}
+    sizes = np.array([abs(e.value) / max(e.std, np.finfo(float).tiny) for e in result.effects])
+    sizes[[model.coefficients[column - first].mechanism in always for column in own]] = np.inf
+    least = float(np.min(sizes, initial=np.inf))
+    return np.asarray(own[(sizes < SURE) & (sizes <= max(least, 1.0))])
 
 
 def _independent(summary: RowSummary, cutoff: float) -> float:
@@ -195,9 +213,7 @@ def least_inflation(summary: RowSummary, cutoff: float) -> float:
     return max(1.0 / (_OF_WHITE_NOISE * cutoff * summary.period), 1.0)
 
 
-def _fit(
-    problem: Problem, start: Point | None = None, spreads: FloatArray | None = None, **options: Any
-) -> Fit:
+def _fit(problem: Problem, start: Point | None = None, spreads: FloatArray | None = None, **options: Any) -> Fit:
     """A fit, in which no joint is driven by its dry friction; its problem has the rows that see to that."""
     if start is not None:
         # Which joints these are a rough solution tells.

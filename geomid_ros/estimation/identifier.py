@@ -42,14 +42,14 @@ class BufferSettings:
     still_speed: float = 1e-3
     still_distance: float = 1e-2
     forgetting_time: float = np.inf
-    folds: int = 8
-    block: int = 100
+    folds: int = 16
+    block: int = 8
 
     def __post_init__(self) -> None:
         if not self.forgetting_time > 0.0:
             raise InputError(f"forgetting time is {self.forgetting_time:g} s, expected a number greater than zero")
-        if self.folds < 1 or self.block < 1:
-            raise InputError(f"{self.folds} folds of {self.block} instants, expected at least one of each")
+        if self.folds < 2 or self.folds % 2 or self.block < 1:
+            raise InputError(f"{self.folds} folds of {self.block} instants, expected an even number of one or more")
 
 
 @dataclass(frozen=True, eq=False)

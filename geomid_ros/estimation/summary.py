@@ -15,7 +15,7 @@ from typing import Literal
 import numpy as np
 
 from geomid_ros.errors import InputError
-from geomid_ros.estimation.channel_summary import ChannelSummary, joined, triangular, usable
+from geomid_ros.estimation.channel_summary import ChannelSummary, joined, together, triangular, usable
 from geomid_ros.model.channels import Channel
 from geomid_ros.types import BoolArray, FloatArray, IntArray
 
@@ -61,16 +61,18 @@ class SummaryState:
 
 
 class RowSummary:
-    """Summaries of all groups in ``folds`` folds: blocks of ``block`` instants go to the folds in turn.
+    """Summaries of all groups in up to ``folds`` folds, an even number, that follow one another in time.
 
-    A row weighs ``exp(-age / forgetting_time)``; its age [s] is that of :meth:`add`.
+    They are of equally many instants, the last one apart: of ``block`` at first, and of twice as many each time when
+    all folds are full and two and two become one. A row weighs ``exp(-age / forgetting_time)``; its age [s] is that of
+    :meth:`add`.
     """
 
     # Rows wait until so many are there: a QR of many at once costs less than one of each.
     _CHUNK = 128
 
     def __init__(
-        self, channels: Sequence[Channel], folds: int = 8, block: int = 100, forgetting_time: float = np.inf
+        self, channels: Sequence[Channel], folds: int = 16, block: int = 8, forgetting_time: float = np.inf
     ) -> None:
         self.channels = tuple(channels)
         self.folds = folds
@@ -116,7 +118,7 @@ class RowSummary:
         self._complete = False
         self._time += elapsed
         self.weight *= float(np.exp(-elapsed / self._forgetting_time))
-        fold = self._instants // self._block % self.folds
+        fold = self._fold()
         self._instants += 1
         groups = np.arange(len(self.channels)) + len(self.channels) * np.asarray(unsettled)
         for channel in np.flatnonzero(usable(coefficients, targets)):
@@ -143,8 +145,8 @@ class RowSummary:
         times = np.cumsum(np.append(self._time, elapsed))[1:]
         begin = 0
         while begin < len(elapsed):
+            fold = self._fold()
             end = min(begin + self._block - self._instants % self._block, len(elapsed))
-            fold = self._instants // self._block % self.folds
             for index, group in enumerate(self.groups):
                 second, channel = divmod(index, len(self.channels))
                 own = taken[begin:end, channel] & (unsettled[begin:end, channel] == bool(second))
@@ -157,6 +159,18 @@ class RowSummary:
             self._instants += end - begin
             self._time = float(times[end - 1])
             begin = end
+
+    def _fold(self) -> int:
+        """The fold of the next instant, for which there is room."""
+        while self._instants >= self.folds * self._block:
+            parts = self.parts()
+            for index, own in enumerate(parts):
+                pairs = [own[first : first + 2] for first in range(0, self.folds, 2)]
+                empty = [ChannelSummary(own[0].factor[:0]) for _ in pairs]
+                for fold, part in enumerate([*map(together, pairs), *empty]):
+                    self._summaries[fold][index] = part
+            self._block *= 2
+        return self._instants // self._block
 
     def absorb_one(self) -> bool:
         """Absorb what waits of one channel; False if there was nothing."""
@@ -262,6 +276,8 @@ class RowSummary:
             for factors, counts in zip(state.factors, state.counts, strict=True)
         ]
         self._instants, self._time = state.instants, state.time
+        while self._instants > self.folds * self._block:
+            self._block *= 2
         self.rows, self.weight = state.rows, state.weight
         self._complete, self._factors = True, None
         self._summaries = summaries

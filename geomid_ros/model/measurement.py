@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from itertools import chain
 from types import MappingProxyType
+from typing import TypeAlias
 
 import numpy as np
 
@@ -40,6 +41,9 @@ from geomid_ros.model.samples import PIECE, Samples
 from geomid_ros.model.sensors import WORLD_FRAMES, WrenchSensor
 from geomid_ros.types import FloatArray, IntArray
 
+Mechanism: TypeAlias = tuple[str, Place, int]
+"""What there is once, in whatever shape: an effect by its name, where it is, and the index of the coefficient."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class Coefficient:
@@ -58,6 +62,11 @@ class Coefficient:
     def positive(self) -> bool:
         """Whether it lives on P(1)."""
         return self.index < self.effect.own_positives
+
+    @property
+    def mechanism(self) -> Mechanism:
+        """What it is, whatever constants its effect has: of coefficients that are the same, a model has one."""
+        return self.effect.name, self.place, self.index
 
     def parameters(self, value: float, std: float) -> dict[str, Quantity]:
         """Its effect's parameters: the one that it is, and the constants."""

@@ -255,8 +255,8 @@ class Configuration:
 
     @property
     def candidates(self) -> list[IdentifiedEffect]:
-        """The effects to identify where held-out data ask for them, with the constants to choose from."""
-        trials = [trial for effect in self._named("candidates") for trial in type(effect).trials()]
+        """The effects to identify where the data ask for them, and the other shapes of those that are everywhere."""
+        trials = [trial for key in ("effects", "candidates") for e in self._named(key) for trial in type(e).trials()]
         return [effect for effect in trials if isinstance(effect, IdentifiedEffect) and effect not in self.effects]
 
     def _named(self, key: str) -> list[IdentifiedEffect]:

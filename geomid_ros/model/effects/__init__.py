@@ -38,6 +38,7 @@ DEFAULT_EFFECTS = ("viscous_friction", "coulomb_friction", "rotor_inertia", "eff
 DEFAULT_CANDIDATES = (
     "load_friction",
     "stribeck_friction",
+    "saturating_friction",
     "quadratic_friction",
     "spring",
     "coupled_viscous_friction",
@@ -61,6 +62,7 @@ _FILES = (
     "gravity_tilt",
     "payload",
     "wrench_offset",
+    "saturating_friction",
     "quadratic_friction",
     "coupled_motor",
 )

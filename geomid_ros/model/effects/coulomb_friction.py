@@ -9,7 +9,7 @@ from geomid_ros.model.effects.parameters import EFFORT, ParameterForm
 from geomid_ros.model.effects.situation import JointMotion
 from geomid_ros.types import FloatArray
 
-SMOOTHINGS = (0.003, 0.02, 0.08)
+SMOOTHINGS = (0.003, 0.01, 0.02, 0.05, 0.1)
 """[rad/s or m/s] over which dry friction may change its sign."""
 SMOOTHING = ParameterForm("smoothing", ("rad/s", "m/s"), above=0.0, optional=True)
 """The same as a parameter."""
@@ -42,6 +42,11 @@ class CoulombFriction(JointEffect):
     def variants(cls) -> tuple[Effect, ...]:
         """One for each of :data:`SMOOTHINGS`."""
         return tuple(cls(smoothing) for smoothing in SMOOTHINGS)
+
+    @classmethod
+    def trials(cls) -> tuple[Effect, ...]:
+        """The same: the shape of dry friction is not known before."""
+        return cls.variants()
 
     def column(self, motion: JointMotion) -> FloatArray:
         return np.tanh(motion.velocity / self.smoothing)

@@ -34,7 +34,7 @@ class StribeckFriction(JointEffect):
     meaning = "effort sign(v) (level + excess exp(-(v/speed)^2)); smoothing as in coulomb_friction"
     parameters = (
         ParameterForm("level", EFFORT, above=0.0, optional=True, urdf="dynamics/friction", mjcf="joint/frictionloss"),
-        ParameterForm("excess", EFFORT),  # the coefficient: positive and in units as the level
+        ParameterForm("excess", EFFORT, above=0.0),
         ParameterForm("speed", ("rad/s", "m/s"), above=0.0),
         SMOOTHING,
     )
@@ -69,9 +69,8 @@ class StribeckFriction(JointEffect):
 
     @property
     def own_positives(self) -> int:
-        """None: an excess below zero, as far as :func:`held_from_driving` lets it, is dry friction that sets in
-        gradually, if not Stribeck's."""
-        return 0
+        """The excess: dry friction that sets in gradually is :class:`SaturatingFriction`."""
+        return 1
 
     def is_absurd(self, coefficients: FloatArray) -> bool:
         """Whether the excess is many times the level."""
@@ -100,12 +99,8 @@ class StribeckFriction(JointEffect):
 
     @classmethod
     def holding_friction(cls, values: Values) -> float:
-        """All of an excess holds a joint at rest.
-
-        One below zero takes off nothing: it says that friction at rest, which may have either sign, is smaller on
-        average. A simulated joint at rest is held by what is needed, too.
-        """
-        return max(values["excess"], 0.0)
+        """All of the excess holds a joint at rest."""
+        return values["excess"]
 
     def unsaid_efforts(self, values: Values, motion: Motion, place: Place) -> FloatArray:
         """What the motion takes off :meth:`holding_friction`."""
