@@ -227,7 +227,7 @@ def _summary(kind: str, rows: Sequence[Row]) -> list[str]:
         *(f"{total(name)}" for name in ("stribeck", "quadratic", "other")),
         f"{total('found')} of {total('true')}" if total("true") else "",
         *(f"{100 * total(name) / joints:.0f} %" for name in ("viscous", "coulomb")),
-        f"{np.mean(distances):.2f} ({np.median(distances):.2f})",
+        f"{np.median(distances):.2f} ({np.mean(distances):.3g})",
         f"{np.exp(np.mean(np.log(totals))):.3f}",
         f"{np.mean([each.seconds for each in rows]):.1f}",
     ]
@@ -242,7 +242,7 @@ def main() -> None:
     arguments = parser.parse_args()
     table = Table(box=box.SIMPLE_HEAD)
     headings = ("friction", "arms with a phantom", "Stribeck", "quadratic", "other", "true found", "viscous", "Coulomb")
-    for heading in (*headings, "distance² (median)", "held out", "s"):
+    for heading in (*headings, "distance² (mean)", "held out", "s"):
         table.add_column(heading, justify="left" if heading == "friction" else "right")
     found: dict[str, list[Row]] = {}
     for kind in arguments.kinds:
@@ -255,7 +255,7 @@ def main() -> None:
     console.print(table)
     console.print(
         "Phantoms are optional effects that the arm has not; viscous and Coulomb: joints whose 95 % interval holds the "
-        "truth; distance²: squared Mahalanobis distance of the truth per direction of the posterior, mean and median; "
+        "truth; distance²: squared Mahalanobis distance of the truth per direction of the posterior, median and mean; "
         "held out: geometric mean of the sums of the channels' RMS [N m]."
     )
 
