@@ -43,8 +43,8 @@ from geomid_ros.session.session import Session
 from geomid_ros.types import IntArray
 
 SETS = tuple(name for name in CASES if name != "human")
-_WINDOW = 10.0  # [s]
-_FASTER = 1.5  # a recording has slow and fast windows if the median speeds of its halves by speed differ by this
+_WINDOW = 2.0  # [s]
+_FASTER = (1.3, 20.0)  # factors between the median speeds of slow and fast windows: none differ, the slow ones rest
 _UNSURE = 2.0  # standard deviations
 
 Parts: TypeAlias = tuple[Samples, ...]
@@ -126,14 +126,15 @@ def _by_speed(name: str, samples: Samples) -> Iterator[Split]:
     """The slower half of a recording's windows for the faster one, if they differ."""
     seconds = 1e-9 * float(samples.stamps[-1] - samples.stamps[0])
     count = round(seconds / _WINDOW)
-    if count < 4:
+    if count < 2:
         return
     window = _windows(samples, count)
     squares = np.sum(np.concatenate([samples.velocity, samples.base_velocity], axis=1) ** 2, axis=1)
     speeds = np.sqrt([np.mean(squares[window == number]) for number in range(count)])
     order = np.argsort(speeds)
     slow, fast = order[: count // 2], order[count // 2 :]
-    if np.median(speeds[fast]) < _FASTER * np.median(speeds[slow]):
+    least, most = _FASTER
+    if not least * np.median(speeds[slow]) < np.median(speeds[fast]) < most * np.median(speeds[slow]):
         return
     train = tuple(samples.select(window == number) for number in np.sort(slow))
     yield Split(f"{name}: slow -> fast", train, tuple(samples.select(window == number) for number in np.sort(fast)))
