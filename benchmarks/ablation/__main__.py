@@ -2,8 +2,9 @@
 
     python -m benchmarks.ablation [--only signals ...] [--budget MINUTES] [--out out/ablation.json]
 
-A number is tried on the cases of its package that reach a line which reads it. A case changes if a figure does by more
-than 1 %, or a verdict. Finished numbers are kept in the file and not run again; delete it after a change of the code.
+A number is tried on the cases of its package that reach a line which reads it, until some have changed. A case changes
+if a figure does by more than 1 %, or a verdict. A number that nobody notices at zero or infinity is not scaled, too.
+Finished numbers are kept in the file and not run again; delete it after a change of the code.
 Numbers that are read when a module is imported are evaluated anew in the modules that hold them.
 """
 
@@ -28,7 +29,7 @@ from rich.table import Table
 
 from benchmarks.ablation.cases import cases
 from benchmarks.ablation.constants import PACKAGES, VARIANTS, Constant, constants
-from benchmarks.ablation.running import Baseline, Case, baseline, changed_by
+from benchmarks.ablation.running import ENOUGH, Baseline, Case, baseline, changed_by
 
 
 def main() -> None:
@@ -90,10 +91,12 @@ def _tried(package: str, left: Sequence[Constant], end: float) -> Iterable[tuple
 
 
 def _entry(constant: Constant, reached: Sequence[Case], usual: dict[str, Baseline]) -> dict[str, Any]:
-    value = constant.value
-    variants = constant.variants() if reached else {}
-    changed = {name: changed_by(constant, other, reached, usual) for name, other in variants.items()}
-    return {"value": str(value), "reached": len(reached), "changed": changed}
+    changed: dict[str, dict[str, list[str]]] = {}
+    for name, other in constant.variants().items() if reached else ():
+        if name not in ("0", "inf") and changed.keys() == {"0", "inf"} and not any(changed.values()):
+            break
+        changed[name] = changed_by(constant, other, reached, usual)
+    return {"value": str(constant.value), "reached": len(reached), "changed": changed}
 
 
 def _verdict(entry: dict[str, Any]) -> str:
@@ -126,7 +129,8 @@ def _print(package: str, known: Sequence[tuple[str, dict[str, Any]]]) -> None:
 
 def _cell(changed: dict[str, list[str]]) -> str:
     verdicts = sum(any(name.isupper() for name in names) for names in changed.values())
-    return f"{len(changed)} ({verdicts}v)" if verdicts else str(len(changed))
+    count = f"{len(changed)}+" if len(changed) == ENOUGH else str(len(changed))
+    return f"{count} ({verdicts}v)" if verdicts else count
 
 
 def _bench(case: str) -> str:

@@ -5,8 +5,7 @@ from __future__ import annotations
 import sys
 import threading
 import time
-from collections.abc import Callable, Sequence
-from contextlib import suppress
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from multiprocessing import get_context
 from multiprocessing.connection import Connection
@@ -21,18 +20,18 @@ Figures: TypeAlias = dict[str, float | str]
 """Numbers, and verdicts in words."""
 
 VISIBLE = 0.01  # a number that changes by this share is said to change
-_SLOWER = 20.0  # times the usual seconds, and at least so many: then a case is given up
+ENOUGH = 4  # cases that notice another value; more are not looked for
+_SLOWER = 10.0  # times the usual seconds, and at least half as many: then a case is given up
 _FOLDERS = tuple(f"{ROOT / package}/" for package in PACKAGES)
 _NO_ANSWER = "no answer"
 
 
 @dataclass(frozen=True, eq=False)
 class Case:
-    """A robot of a bench, for the numbers of some ``packages``; its data are read already."""
+    """A robot of a bench; its data are read already."""
 
     bench: str
     robot: str
-    packages: tuple[str, ...]
     run: Callable[[], Figures]
 
     @property
@@ -53,7 +52,7 @@ class Baseline:
 def baseline(case: Case) -> Baseline:
     """Run a case twice; figures that differ between both do not count."""
     ((figures, seconds),) = _answers([case], None, [np.inf])
-    with_lines = Case(case.bench, case.robot, case.packages, lambda: _traced(case.run))
+    with_lines = Case(case.bench, case.robot, lambda: _traced(case.run))
     ((again, _),) = _answers([with_lines], None, [np.inf])
     lines = frozenset(again.pop("lines"))
     changed = changes(figures, again)
@@ -63,12 +62,14 @@ def baseline(case: Case) -> Baseline:
 def changed_by(
     constant: Constant, value: Any, cases: Sequence[Case], known: dict[str, Baseline]
 ) -> dict[str, list[str]]:
-    """The figures that another value changes, by case; those of cases in which none does are left out."""
+    """The figures that another value changes, by case, of the first :data:`ENOUGH` cases in which any does."""
+    found: dict[str, list[str]] = {}
     patience = [_SLOWER * (0.5 + known[case.name].seconds) for case in cases]
-    found = {}
-    for case, (figures, _) in zip(cases, _answers(cases, (constant, value), patience), strict=True):
+    for case, (figures, _) in zip(cases, _answers(cases, (constant, value), patience), strict=False):
         if differing := changes(known[case.name].figures, figures):
             found[case.name] = differing
+            if len(found) == ENOUGH:
+                break
     return found
 
 
@@ -89,27 +90,29 @@ def _alike(before: float | str, after: float | str | None) -> bool:
 
 def _answers(
     cases: Sequence[Case], change: tuple[Constant, Any] | None, patience: Sequence[float]
-) -> list[tuple[Any, float]]:
+) -> Iterator[tuple[Any, float]]:
     """Figures and seconds of each case, in a process in which a number is changed; another one where that hangs."""
-    answers: list[tuple[Any, float]] = []
     context = get_context("fork")
-    while len(answers) < len(cases):
+    done = 0
+    while done < len(cases):
         receiver, sender = context.Pipe(duplex=False)
-        process = context.Process(target=_work, args=(cases[len(answers) :], change, sender), daemon=True)
+        process = context.Process(target=_work, args=(cases[done:], change, sender), daemon=True)
         process.start()
         sender.close()
-        with suppress(EOFError):
-            while len(answers) < len(cases):
-                given = patience[len(answers)]
-                if not receiver.poll(None if given == np.inf else given):
-                    break
-                answers.append(receiver.recv())
-        if len(answers) < len(cases):  # it hangs, or it died
-            answers.append(({"error": _NO_ANSWER}, np.inf))
-        process.kill()
-        process.join()
-        receiver.close()
-    return answers
+        try:
+            while done < len(cases) and receiver.poll(None if patience[done] == np.inf else patience[done]):
+                answer = receiver.recv()
+                done += 1
+                yield answer
+        except EOFError:
+            pass  # it died
+        finally:
+            process.kill()
+            process.join()
+            receiver.close()
+        if done < len(cases):
+            done += 1
+            yield {"error": _NO_ANSWER}, np.inf
 
 
 def _work(cases: Sequence[Case], change: tuple[Constant, Any] | None, sender: Connection) -> None:
