@@ -1,6 +1,6 @@
 """Which named numbers matter: each one alone off (zero, infinite), three times and a third as large.
 
-    python -m benchmarks.ablation [--only signals ...] [--budget MINUTES] [--out out/ablation.json]
+    python -m benchmarks.ablation [--only signals ...] [--variants 0 inf] [--cases TEXT ...] [--budget MINUTES] [--out out/ablation.json]
 
 A number is tried on the cases of its package that reach a line which reads it, until some have changed. A case changes
 if a figure does by more than 1 %, or a verdict. A number that nobody notices at zero or infinity is not scaled, too.
@@ -19,7 +19,7 @@ import json
 import sys
 import time
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -29,7 +29,7 @@ from rich.table import Table
 
 from benchmarks.ablation.cases import cases
 from benchmarks.ablation.constants import PACKAGES, VARIANTS, Constant, constants
-from benchmarks.ablation.running import ENOUGH, Baseline, Case, baseline, changed_by
+from benchmarks.ablation.running import ENOUGH, Baseline, baseline, changed_by
 
 
 def main() -> None:
@@ -43,9 +43,9 @@ def main() -> None:
         for package in dict.fromkeys(wanted)
     }
     for package, own in chosen.items():
-        left = [constant for constant in own if constant.label not in known]
+        left = [constant for constant in own if _variants(constant, known.get(constant.label), arguments.variants)]
         if left and not arguments.table:
-            for label, entry in _tried(package, left, end):
+            for label, entry in _tried(package, left, known, arguments, end):
                 known[label] = entry
                 arguments.out.parent.mkdir(parents=True, exist_ok=True)
                 arguments.out.write_text(json.dumps(known, indent=1))
@@ -62,6 +62,8 @@ def _parsed() -> argparse.Namespace:
         metavar="MODULE",
         help=f"of {', '.join(PACKAGES)}, e.g. signals.gates",
     )
+    parser.add_argument("--variants", nargs="+", default=list(VARIANTS), choices=VARIANTS, help="other values to try")
+    parser.add_argument("--cases", nargs="+", default=[""], metavar="TEXT", help="only those with it in their names")
     parser.add_argument("--budget", type=float, default=600.0, help="minutes (%(default)g)")
     parser.add_argument("--out", type=Path, default=Path("out/ablation.json"), help="finished numbers (%(default)s)")
     parser.add_argument("--table", action="store_true", help="only print what is known")
@@ -75,9 +77,22 @@ def _package(name: str) -> str:
     return package
 
 
-def _tried(package: str, left: Sequence[Constant], end: float) -> Iterable[tuple[str, dict[str, Any]]]:
+def _variants(constant: Constant, entry: dict[str, Any] | None, wanted: Collection[str]) -> dict[str, Any]:
+    """The values that are still to be tried: none of a number that no case reaches or that nobody needs."""
+    every = {name: value for name, value in constant.variants().items() if name in wanted}
+    if entry is None:
+        return every
+    changed = entry["changed"]
+    if not entry["reached"] or (changed.keys() >= {"0", "inf"} and not any(changed.values())):
+        return {}
+    return {name: value for name, value in every.items() if name not in changed}
+
+
+def _tried(
+    package: str, left: Sequence[Constant], known: dict[str, Any], arguments: argparse.Namespace, end: float
+) -> Iterable[tuple[str, dict[str, Any]]]:
     """Entries of the file, by the labels of the numbers, until the time is over."""
-    every = list(cases(package))
+    every = [case for case in cases(package) if any(text in case.name for text in arguments.cases)]
     usual: dict[str, Baseline] = {case.name: baseline(case) for case in every}
     print(f"{package}: {len(every)} cases, {sum(each.seconds for each in usual.values()):.1f} s each time", flush=True)
     for constant in left:
@@ -85,18 +100,12 @@ def _tried(package: str, left: Sequence[Constant], end: float) -> Iterable[tuple
             print(f"{package}: no time left for {constant.label} and what follows", flush=True)
             return
         reached = [case for case in every if usual[case.name].lines & constant.lines]
-        entry = _entry(constant, reached, usual)
+        entry = known.get(constant.label, {"value": str(constant.value), "reached": len(reached), "changed": {}})
+        while variants := _variants(constant, entry, arguments.variants):
+            name, other = next(iter(variants.items()))
+            entry["changed"][name] = changed_by(constant, other, reached, usual)
         print(f"{constant.label}: {_verdict(entry)}", flush=True)
         yield constant.label, entry
-
-
-def _entry(constant: Constant, reached: Sequence[Case], usual: dict[str, Baseline]) -> dict[str, Any]:
-    changed: dict[str, dict[str, list[str]]] = {}
-    for name, other in constant.variants().items() if reached else ():
-        if name not in ("0", "inf") and changed.keys() == {"0", "inf"} and not any(changed.values()):
-            break
-        changed[name] = changed_by(constant, other, reached, usual)
-    return {"value": str(constant.value), "reached": len(reached), "changed": changed}
 
 
 def _verdict(entry: dict[str, Any]) -> str:

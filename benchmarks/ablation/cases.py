@@ -45,6 +45,7 @@ _PLANTED = ("arm7", "ur10")  # recordings that faults are planted in
 _REALISTIC, _CLEAN, _FRICTION, _WATCHED = (1, 3), (1, 2), (1,), (0, 1)  # seeds
 _TOPICS = Topics("joint_states", "odom")
 _SECONDS = 60.0  # of a watched motion; the robot changes in the middle
+_BATCH, _READ = 500, 4000  # messages
 _LOAD = slice(60, 70)  # the parameters of the last link
 
 
@@ -62,11 +63,12 @@ def cases(package: str) -> Iterator[Case]:
 
 
 class Kept(Bag):
-    """A bag whose messages are in memory."""
+    """A bag whose first messages are in memory."""
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, most: int | None = None) -> None:
         super().__init__(path)
-        self._batches = list(super().batches(list(self.topics)))
+        messages = [message for batch in super().batches(list(self.topics)) for message in batch]
+        self._batches = [messages[begin : begin + _BATCH] for begin in range(0, len(messages[:most]), _BATCH)]
 
     def batches(self, topics: Collection[str]) -> Iterator[list[RawMessage]]:
         """As they were read."""
@@ -205,7 +207,7 @@ def _read() -> Iterator[Case]:
     for name in SETS:
         case = CASES[name]
         robot = Robot(case, candidates=False)
-        bags = [Kept(DATA / bag) for bag in (*case.train, *case.validate)]
+        bags = [Kept(DATA / bag, _READ) for bag in (*case.train, *case.validate)]
         _, configuration = robot.read()
 
         def run(robot: Robot = robot, configuration: Configuration = configuration, bags: list[Kept] = bags) -> Figures:
