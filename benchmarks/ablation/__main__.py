@@ -1,6 +1,6 @@
 """Which named numbers matter: each one alone off (zero, infinite), three times and a third as large.
 
-    python -m benchmarks.ablation [--only signals ...] [--variants 0 inf] [--cases TEXT ...] [--budget MINUTES] [--out out/ablation.json]
+    python -m benchmarks.ablation [--only signals ...] [--variants 0 inf] [--cases TEXT ...] [--budget MINUTES]
 
 A number is tried on the cases of its package that reach a line which reads it, until some have changed. A case changes
 if a figure does by more than 1 %, or a verdict. A number that nobody notices at zero or infinity is not scaled, too.

@@ -19,7 +19,8 @@ import geomid_ros
 
 ROOT = Path(geomid_ros.__file__).parent
 PACKAGES = ("estimation", "signals", "monitoring", "plausibility", "gap")
-VARIANTS = ("0", "inf", "x3", "x1/3")
+_FACTORS = {"x3": 3.0, "x1/3": 1.0 / 3.0}
+VARIANTS = ("0", "inf", *_FACTORS)
 _NAME = re.compile(r"_?[A-Z][A-Z0-9_]*")
 _HUGE = 10**6  # an integer that stands for infinity
 
@@ -54,17 +55,15 @@ class Constant:
     def variants(self) -> dict[str, Any]:
         """Other values by their names; several numbers are scaled, but never zero or infinite."""
         value = self.value
-        if isinstance(value, tuple):
-            return {
-                "x3": tuple(_scaled(each, 3.0) for each in value),
-                "x1/3": tuple(_scaled(each, 1.0 / 3.0) for each in value),
-            }
         if isinstance(value, np.ndarray):
-            return {"x3": 3.0 * value, "x1/3": value / 3.0}
-        whole = isinstance(value, int)
-        others = {"0": 0 if whole else 0.0, "inf": _HUGE if whole else np.inf}
-        others |= {"x3": _scaled(value, 3.0), "x1/3": _scaled(value, 1.0 / 3.0)}
-        return {name: other for name, other in others.items() if other != value}
+            others: dict[str, Any] = {"x3": 3.0 * value, "x1/3": value / 3.0}
+        elif isinstance(value, tuple):
+            others = {name: tuple(_scaled(each, factor) for each in value) for name, factor in _FACTORS.items()}
+        else:
+            none, huge = (0, _HUGE) if isinstance(value, int) else (0.0, np.inf)
+            others = {"0": none, "inf": huge}
+            others |= {name: _scaled(value, factor) for name, factor in _FACTORS.items()}
+        return {name: other for name, other in others.items() if not np.array_equal(other, value)}
 
     def change(self, value: Any) -> None:
         """Let every module see another value, and the module-level numbers that are computed from it theirs."""
@@ -190,7 +189,7 @@ def constants(package: str) -> list[Constant]:
             module = importlib.import_module(name)
             found += [Constant(name, "", own) for own, _ in source.assignments if _is_number(getattr(module, own))]
             found += _of_classes(name, source, module)
-    return found
+    return [constant for constant in found if constant.variants()]
 
 
 def _of_classes(name: str, source: Source, module: ModuleType) -> Iterator[Constant]:
