@@ -59,7 +59,7 @@ def test_a_case_notices_what_it_depends_on_and_nothing_else() -> None:
     assert not changed_by(other, 0, [case], known)
 
 
-def test_what_does_not_end_or_fails_is_a_change() -> None:
+def test_what_does_not_end_or_fails_changes_the_verdict() -> None:
     def run() -> Figures:
         if change_detection.BLOCK == 0:
             raise ValueError
@@ -70,4 +70,4 @@ def test_what_does_not_end_or_fails_is_a_change() -> None:
     case = Case("a bench", "a robot", run)
     known = {case.name: baseline(case)}
     for value in (0, 1):
-        assert changed_by(BLOCK, value, [case], known) == {case.name: ["block"]}
+        assert changed_by(BLOCK, value, [case], known) == {case.name: ["BLOCK"]}
