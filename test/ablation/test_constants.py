@@ -1,0 +1,73 @@
+"""A named number that is changed is changed everywhere, and only lines that read it are said to."""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+
+from benchmarks.ablation.constants import PACKAGES, Constant, constants
+from benchmarks.ablation.running import Case, Figures, baseline, changed_by
+from geomid_ros.monitoring import change_detection, wrench_sensors
+
+BLOCK = Constant("geomid_ros.monitoring.change_detection", "", "BLOCK")
+
+
+@pytest.fixture
+def changed() -> Iterator[int]:
+    """The block is three times as long."""
+    usual = change_detection.BLOCK
+    BLOCK.change(3 * usual)
+    yield usual
+    BLOCK.change(usual)
+
+
+def test_importers_and_computed_numbers_follow(changed: int) -> None:
+    assert 3 * changed == change_detection.BLOCK
+    assert change_detection.LATE == wrench_sensors.LATE == 6 * changed
+    assert pytest.approx(1.5 * changed) == change_detection._LARGEST_SHAPE
+
+
+def test_lines_that_read_it() -> None:
+    text, first = inspect.getsourcelines(change_detection.ChangeDetector.judge)
+    lines = {line for path, line in BLOCK.lines if path == change_detection.__file__}
+    reading = {first + number for number, line in enumerate(text) if "BLOCK" in line}
+    assert reading <= lines
+    assert {path for path, _ in BLOCK.lines} >= {wrench_sensors.__file__}, "through LATE"
+
+
+@pytest.mark.parametrize("package", PACKAGES)
+def test_every_number_has_other_values(package: str) -> None:
+    found = constants(package)
+    assert found
+    for constant in found:
+        others = constant.variants().values()
+        assert others, constant.label
+        assert not any(np.array_equal(other, constant.value) for other in others), constant.label
+
+
+def test_a_case_notices_what_it_depends_on_and_nothing_else() -> None:
+    def run() -> Figures:
+        return {"late": float(wrench_sensors.LATE), "verdict": "as it was"}
+
+    case = Case("a bench", "a robot", run)
+    known = {case.name: baseline(case)}
+    assert changed_by(BLOCK, 3 * BLOCK.value, [case], known) == {case.name: ["late"]}
+    other = Constant("geomid_ros.monitoring.change_detection", "", "_LAGS")
+    assert not changed_by(other, 0, [case], known)
+
+
+def test_what_does_not_end_or_fails_changes_the_verdict() -> None:
+    def run() -> Figures:
+        if change_detection.BLOCK == 0:
+            raise ValueError
+        while change_detection.BLOCK == 1:
+            pass
+        return {"block": 1.0}
+
+    case = Case("a bench", "a robot", run)
+    known = {case.name: baseline(case)}
+    for value in (0, 1):
+        assert changed_by(BLOCK, value, [case], known) == {case.name: ["BLOCK"]}
