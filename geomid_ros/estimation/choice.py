@@ -4,8 +4,8 @@ An effect that stands at a place in one of several shapes (the speed over which 
 shape of the highest marginal likelihood. Then optional effects are added one by one, and one that another has made
 needless goes again. What decides is the squared size of an effect in units of its standard deviation, as blocks of time
 show it: what they say of it, each by itself, scatters far more than independent residuals would (jackknife; Liang and
-Zeger, "Longitudinal data analysis using generalized linear models", 1986). There are few blocks, so that the ratio to
-independent residuals is averaged over all effects of a kind. So an effect is believed that repeats.
+Zeger, "Longitudinal data analysis using generalized linear models", 1986). So an effect is believed that
+repeats.
 
 A candidate is tried beside the inertias as they were fitted, and beside inertias that stay near the prior, because a
 link that has swallowed an effect hides it. No effect is negative that cannot be.
@@ -31,6 +31,8 @@ from geomid_ros.types import FloatArray, IntArray
 
 _TIMES = 3.0
 """Standard deviations that an effect is different from nothing."""
+_VISIBLE = 0.04
+"""Share of a channel's remaining squares that an effect explains at least."""
 _RARE = 6.0
 """Twice the logarithm of how many times rarer an effect of two joints is than one of each."""
 _UNSURE_PROMISE = 3.0
@@ -62,9 +64,9 @@ def choose(problem: Problem, earlier: IntArray | None = None) -> IntArray:
         if larger is None:
             break
         refused.add(rows.mechanism(column))
-        if chosen.score - larger.score > rows.bounds([column])[0] and larger.is_believed(column):
-            chosen = _without_unbelieved(_shaped(larger, joints_of(rows.coefficient(column).place)))
-    return chosen.every
+        if larger.possible and larger.is_visible_beside(chosen):
+            chosen = _shaped(larger, joints_of(rows.coefficient(column).place))
+    return _without_unbelieved(chosen).every
 
 
 def _shaped(fit: _Fit, joints: Collection[int]) -> _Fit:
@@ -86,7 +88,7 @@ def _shaped(fit: _Fit, joints: Collection[int]) -> _Fit:
 def _without_unbelieved(fit: _Fit) -> _Fit:
     """The fit without the optional effects that are not believed, the least one first."""
     while len(fit.chosen):
-        beyond = fit.squares_of(fit.chosen) - fit.rows.bounds(fit.chosen)
+        beyond = np.max([each.squares_of(fit.chosen) for each in (fit, fit.firm)], axis=0) - fit.rows.bounds(fit.chosen)
         if np.min(beyond) > 0.0 and fit.possible:
             break
         fit = fit.rows.fit(np.setdiff1d(fit.every, fit.chosen[np.argmin(beyond)]), fit)
@@ -94,13 +96,11 @@ def _without_unbelieved(fit: _Fit) -> _Fit:
 
 
 def _best(chosen: _Fit, left: IntArray) -> tuple[int, _Fit | None]:
-    """The column that improves a fit most, of those that may be believed, and the fit with it; None if none may."""
+    """The column that improves a fit most, and the fit with it; None if none improves it visibly."""
     starts = list(dict.fromkeys((chosen, chosen.firm)))
-    beside = [start.beside(left) for start in starts]
-    promising = np.max([each.squares for each in beside], axis=0) > chosen.rows.bounds(left) - _UNSURE_PROMISE
-    gains = np.where(promising, np.max([each.gains for each in beside], axis=0), 0.0)
+    gains = np.max([start.beside(left).gains for start in starts], axis=0)
     column = int(left[np.argmax(gains)])
-    if not np.any(promising):
+    if np.max(gains) < max(_VISIBLE * float(np.max(chosen.rows.counts)), chosen.rows.bounds([column])[0]):
         return column, None
     columns = np.sort(np.append(chosen.every, column))
     return column, min((chosen.rows.fit(columns, start) for start in starts), key=lambda fit: fit.score)
@@ -134,8 +134,8 @@ class _Rows:
 
     @property
     def enough(self) -> bool:
-        """Whether some channel has more independent rows than unknowns: fewer ask for nothing."""
-        columns = [len(channel.columns) for channel in self.problem.model.channels]
+        """Whether some channel has more independent rows than unknowns without a choice: fewer ask for nothing."""
+        columns = [len(np.intersect1d(channel.columns, self.standing)) for channel in self.problem.model.channels]
         return bool(np.any(self.counts > columns))
 
     @property
@@ -350,7 +350,7 @@ class _Fit:
     @cached_property
     def weights(self) -> FloatArray:
         """Inverse variances of the channels."""
-        return self.rows.counts / self.objective.profile.squares(self.point)
+        return self.rows.counts / self.left
 
     @property
     def possible(self) -> bool:
@@ -364,11 +364,15 @@ class _Fit:
         """The columns that are optional."""
         return np.intersect1d(self.every, self.rows.optional)
 
-    def is_believed(self, column: int) -> bool:
-        """Whether one of its coefficients is, beside links as they were fitted or such as stay near the prior."""
-        own = np.array([column])
-        fits = dict.fromkeys((self, self.firm))
-        return self.possible and any(fit.squares_of(own)[0] > self.rows.bounds(own)[0] for fit in fits)
+    @cached_property
+    def left(self) -> FloatArray:
+        """Sum of squares of each channel."""
+        return self.objective.profile.squares(self.point)
+
+    def is_visible_beside(self, smaller: _Fit) -> bool:
+        """Whether it leaves clearly less of some channel, links as they were fitted or such as stay near the prior."""
+        pairs = ((self, smaller), (self.firm, smaller.firm))
+        return any(bool(np.any(one.left < (1.0 - _VISIBLE) * other.left)) for one, other in pairs)
 
     @cached_property
     def _folds(self) -> FloatArray:
@@ -419,11 +423,12 @@ class _Fit:
 
     def _inflation(self, columns: IntArray, parts: FloatArray, variances: FloatArray) -> FloatArray:
         """How much larger the variances of coefficients are than those by independent residuals, by what each fold says
-        of them, ``parts (folds, columns)``: of each kind the mean."""
+        of them, ``parts (folds, columns)``; others of a kind count as one fold more."""
         count = len(parts)
         if count < 2:
             return np.ones(len(columns))
         scatter = count / (count - 1.0) * np.sum((parts - np.mean(parts, axis=0)) ** 2, axis=0) / variances
         kinds = np.array([self.rows.coefficient(column).effect.name for column in columns])
-        means = {kind: max(float(np.mean(scatter[kinds == kind])), 1.0) for kind in set(kinds.tolist())}
-        return np.array([means[kind] for kind in kinds.tolist()])
+        means = {kind: float(np.mean(scatter[kinds == kind])) for kind in set(kinds.tolist())}
+        of_kind = np.array([means[kind] for kind in kinds.tolist()])
+        return np.asarray(np.maximum(((count - 1.0) * scatter + of_kind) / count, 1.0))

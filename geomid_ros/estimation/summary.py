@@ -170,6 +170,7 @@ class RowSummary:
                 for fold, part in enumerate([*map(together, pairs), *empty]):
                     self._summaries[fold][index] = part
             self._block *= 2
+            self._complete = False
         return self._instants // self._block
 
     def absorb_one(self) -> bool:

@@ -73,16 +73,22 @@ def test_squared_errors_are_those_of_the_rows(seed: int, count: int) -> None:
 
 
 @SEEDS
-def test_each_fold_has_its_blocks_of_time(seed: int) -> None:
-    """In turn: instants 0 to 29 to the first fold, 30 to 59 to the second, and so on around."""
-    coefficients, targets = rows(seed, 500)
-    found = summary(coefficients, targets, folds=3, block=30)
-    fold = np.arange(500) // 30 % 3
+@pytest.mark.parametrize(("count", "block"), [(100, 30), (121, 60), (500, 240)])
+def test_folds_follow_one_another_in_time(seed: int, count: int, block: int) -> None:
+    """Of 30 instants each, and of twice as many each time when all are full."""
+    coefficients, targets = rows(seed, count)
+    found = summary(coefficients, targets, folds=4, block=30)
+    fold = np.arange(count) // block
     x = np.random.default_rng(seed).normal(size=DIMENSION)
-    for chosen in ([0], [1], [2], [0, 2], [0, 1, 2]):
+    for chosen in ([0], [1], [2], [0, 2], [0, 1, 2, 3]):
         weights = np.isin(fold, chosen).astype(float)
         expected = [weighted(coefficients, targets, k, x, weights) for k in range(len(CHANNELS))]
         np.testing.assert_allclose(content(found, x, chosen), expected, rtol=CONTENT)
+    again = RowSummary(CHANNELS, folds=4, block=30)
+    again.restore(found.state())
+    for later in (found, again):
+        later.add(coefficients[0], targets[0], 1.0)
+    np.testing.assert_allclose(again.counts([3]), found.counts([3]))
 
 
 @SEEDS
@@ -115,7 +121,7 @@ def test_many_instants_at_once_are_as_one_by_one(seed: int, forgetting_time: flo
     coefficients[::50, 1] = np.inf
     rng = np.random.default_rng(seed)
     unsettled, elapsed = rng.random(targets.shape) < 0.3, rng.random(len(targets))
-    for folds, block in ((3, 20), (1, 100)):
+    for folds, block in ((4, 20), (2, 1000)):
         alone, together = (RowSummary(CHANNELS, folds, block, forgetting_time) for _ in range(2))
         for row, target, seconds, group in zip(coefficients, targets, elapsed, unsettled, strict=True):
             alone.add(row, target, float(seconds), group)

@@ -39,7 +39,6 @@ DEFAULT_CANDIDATES = (
     "load_friction",
     "stribeck_friction",
     "saturating_friction",
-    "quadratic_friction",
     "spring",
     "coupled_viscous_friction",
     "coupled_coulomb_friction",

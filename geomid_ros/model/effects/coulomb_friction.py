@@ -9,7 +9,7 @@ from geomid_ros.model.effects.parameters import EFFORT, ParameterForm
 from geomid_ros.model.effects.situation import JointMotion
 from geomid_ros.types import FloatArray
 
-SMOOTHINGS = (0.003, 0.01, 0.02, 0.05, 0.1)
+SMOOTHINGS = (0.003, 0.01, 0.02, 0.05, 0.1, 0.2)
 """[rad/s or m/s] over which dry friction may change its sign."""
 SMOOTHING = ParameterForm("smoothing", ("rad/s", "m/s"), above=0.0, optional=True)
 """The same as a parameter."""

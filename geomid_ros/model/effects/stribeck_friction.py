@@ -13,7 +13,7 @@ from geomid_ros.types import FloatArray
 
 SPEEDS = tuple(float(speed) for speed in np.geomspace(0.03, 0.6, 25).round(4))
 """[rad/s or m/s] to choose Stribeck's speed from."""
-_TRIED = (0.03, 0.06, 0.12, 0.25, 0.5)  # [rad/s or m/s]
+_TRIED = (0.03, 0.06, 0.12, 0.25)  # [rad/s or m/s]
 _LARGEST_EXCESS = 4.0  # of the friction of a fast joint
 
 
