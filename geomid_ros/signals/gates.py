@@ -17,7 +17,7 @@ from geomid_ros.signals.arrived import Arrived
 from geomid_ros.signals.joint_messages import DRIVER_ERROR
 from geomid_ros.signals.motion_time import end_of, unlikely
 from geomid_ros.signals.periods import SHORT
-from geomid_ros.signals.usual_efforts import UsualEfforts
+from geomid_ros.signals.usual_efforts import CLEAR, UsualEfforts
 from geomid_ros.types import BoolArray, FloatArray, IntArray
 
 AHEAD = 5
@@ -40,7 +40,6 @@ _PERIODS, _FEWEST_PERIODS = 64, 32  # over which the period is measured; fewer m
 _TURN = 2.0 * np.pi
 _FASTEST = 2.0 * np.pi  # [rad/s, m/s] no limit above is believed, as many URDFs have placeholders
 _TOO_FAST = 1.5  # times the limit
-_CLEAR = 4.0  # times the steps of the messages around
 _BACK = 0.25  # of its height, that is left after a spike
 _SHORTEST_CONTACT = 33e-3  # [s] a collision of 40 ms is larger than a quarter of its height for so long
 _LEAST_SET = 20e-3  # [s] that a clock is set by
@@ -286,7 +285,7 @@ class JointGate:
         far = np.min(np.minimum(self._distance(away[:, 0], last[0]), self._distance(away[:, 0], back[0])), axis=0)
         jumps = (far > reach) & (self._distance(back[0], last[0]) < reach)
         jumps &= self._distance(later[0], last[0]) < 2.0 * reach
-        jumps &= far > _CLEAR * np.maximum(self._largest_step(self._last), self._largest_step(numbers[length:]))
+        jumps &= far > CLEAR * np.maximum(self._largest_step(self._last), self._largest_step(numbers[length:]))
         return (
             f"position of '{self._joints[int(np.argmax(jumps))]}' jumps, and back, faster than it can move"
             if jumps.any()

@@ -8,11 +8,12 @@ from geomid_ros.types import BoolArray, FloatArray
 
 CHUNK = 128
 """Messages that are learned from at once."""
+CLEAR = 4.0
+"""A jump is as many times the largest change between the messages before, or after."""
 _FEWEST_CHUNKS = 2
 _TAIL = 6  # messages of a chunk, at either end, that do not count
 _ABOVE = 2.0  # times what the change of all efforts together hardly exceeds
 _NEAR = 2  # messages
-_CLEAR = 4.0  # times the largest change between the messages before, or after
 _ONE_JOINT, _ALIKE = 0.97, 0.93  # largest share of one joint; squared cosine of the efforts before and after
 _OTHER = 2.5  # least factor
 _IN_RANGE, _IN_CHANGES, _IN_LIMIT = 1.5, 8.0, 0.02  # the height of a spike
@@ -86,7 +87,7 @@ class UsualEfforts:
             return 0.0
         steps = [np.diff(efforts, axis=0) * self._inverse_range for efforts in (before, after)]
         usual = max(float(np.max(np.sum(step**2, axis=1), initial=0.0)) for step in steps)
-        if not np.sum((new - old) ** 2) > _CLEAR**2 * usual:
+        if not np.sum((new - old) ** 2) > CLEAR**2 * usual:
             return 0.0
         alike = (old @ new) ** 2 > _ALIKE * (old @ old) * (new @ new)
         factor = (old @ new) / (old @ old)
