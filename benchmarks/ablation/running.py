@@ -117,13 +117,17 @@ def _answers(
 
 def _work(cases: Sequence[Case], change: tuple[Constant, Any] | None, sender: Connection) -> None:
     np.seterr(all="ignore")
+    failed = ""
     if change is not None:
         constant, value = change
-        constant.change(value)
+        try:
+            constant.change(value)
+        except ArithmeticError as error:  # of a number that is computed from it
+            failed = type(error).__name__
     for case in cases:
         begin = time.process_time()
         try:
-            figures = case.run()
+            figures = {"error": failed} if failed else case.run()
         except Exception as error:  # noqa: BLE001 any: it is what this value leads to
             figures = {"error": type(error).__name__}
         sender.send((figures, time.process_time() - begin))

@@ -24,7 +24,8 @@ from geomid_ros.types import BoolArray, FloatArray, IntArray
 
 NOT_MEASURED = "not measured"
 STANDING_STILL = "standing still"
-_LONGEST_STEP = 1.0  # [s]
+LONGEST_STEP = 1.0
+"""[s] between rows; a longer pause counts as so long."""
 
 
 @dataclass(frozen=True)
@@ -226,7 +227,7 @@ class Identifier:
     def _elapsed(self, stamp: int) -> float:
         """Seconds since the sample before; for another recording, or after a pause, not more than a little."""
         before, self._last_stamp = self._last_stamp, stamp
-        return 0.0 if before is None else min(max(0.0, 1e-9 * (stamp - before)), _LONGEST_STEP)
+        return 0.0 if before is None else min(max(0.0, 1e-9 * (stamp - before)), LONGEST_STEP)
 
     def _is_still(self, speed: float, pose: FloatArray) -> bool:
         still = (

@@ -23,6 +23,7 @@ from typing import NamedTuple
 import numpy as np
 
 from geomid_ros.estimation.channel_summary import triangular, usable
+from geomid_ros.estimation.identifier import LONGEST_STEP
 from geomid_ros.geometry import definite
 from geomid_ros.model.channels import Channel
 from geomid_ros.model.measurement import Rows
@@ -51,7 +52,6 @@ _LAGS = 3  # blocks over which energies may be correlated
 _UNLIKE = 2.0  # times the mean leverage of the rows before: another motion
 _UNRESOLVED = 1e-6  # of a column's sum of squares: directions in which a motion has shown less are not counted
 _LEAST_FLOOR = 1e-4  # of the measured values: below, rounding and the filter's ripple count
-_LONGEST_STEP = 1.0  # [s] between rows; a longer pause counts as so long
 
 
 @dataclass(frozen=True)
@@ -236,7 +236,7 @@ class _Cusum:
         """The weight that the rows before keep, bounded so that enough is known of what is normal."""
         previous, self._last_stamp = self._last_stamp, int(stamps[-1])
         steps = np.diff(stamps, prepend=stamps[0] if previous is None else previous) * 1e-9
-        elapsed = float(np.sum(np.clip(steps, 0.0, _LONGEST_STEP)))
+        elapsed = float(np.sum(np.clip(steps, 0.0, LONGEST_STEP)))
         fewest = 2.0 * _ROWS_PER_PARAMETER * max(len(self._channel.columns), 1)
         return max(float(np.exp(-elapsed / self._forgetting_time)), 1.0 - BLOCK / fewest)
 

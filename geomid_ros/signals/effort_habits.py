@@ -7,10 +7,10 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from geomid_ros.signals.saturation import STANDING
+from geomid_ros.signals.usual_efforts import CHUNK
 from geomid_ros.types import BoolArray, FloatArray, IntArray
 
-_CHUNK = 128  # messages that are learned from at once
-_FEWEST_CHUNKS, _MANY_CHUNKS, _SELDOM = 4, 64, 16  # after so many: told, seldom looked at; between two looks then
+_FEWEST_CHUNKS = 4  # before anything is told
 _LONGEST_HELD = 0.05  # [s] what is renewed at 20 Hz or more is hardly late
 _HELD = 4.0  # smallest changes, that one is on average: a coarse sensor's are one
 _COARSE = 0.25  # standard deviations
@@ -18,7 +18,7 @@ _MANY = 10  # changes, at least
 _ZEROS, _GAP = 0.05, 0.2  # of the messages; standard deviations about zero without any number but zero
 _ZERO_RUNS, _BRAKED = 0.02, 4.0  # of the messages; usual changes, that one from or to zero is on average
 _FILLED = 8.0  # standard deviations: a range that efforts fill
-_ENDS, _STEADY, _OVERFLOWS = 0.05, 0.05, 3  # of the range: a usual change is less; overflows in either direction
+_ENDS, _OVERFLOWS = 0.05, 3  # of the range: a usual change is less; overflows in either direction
 _ALIKE, _EVERY = 0.95, 8  # of the messages; looked at
 
 COARSE = "come in steps of a quarter or more of their variation: only what is larger is seen of the motion"
@@ -40,8 +40,8 @@ class EffortHabits:
         self._joints, self._turning = tuple(joints), turning
         self._wrong, self._note = wrong, note
         count = len(joints)
-        self._stamps = np.zeros(_CHUNK, dtype=np.int64)
-        self._positions, self._efforts = np.zeros((_CHUNK, count)), np.zeros((_CHUNK, count))
+        self._stamps = np.zeros(CHUNK, dtype=np.int64)
+        self._positions, self._efforts = np.zeros((CHUNK, count)), np.zeros((CHUNK, count))
         self._count = self._chunks = 0
         self._time, self._renewed = np.zeros(count), np.zeros(count)  # [s], and changes, while the joint moves
         self._messages, self._sum, self._squares, self._zeros = (np.zeros(count) for _ in range(4))
@@ -66,14 +66,14 @@ class EffortHabits:
         """
         taken = 0
         while taken < len(stamps):
-            part = slice(taken, taken + _CHUNK - self._count)
+            part = slice(taken, taken + CHUNK - self._count)
             end = self._count + len(stamps[part])
             self._stamps[self._count : end] = stamps[part]
             self._positions[self._count : end] = positions[part]
             self._efforts[self._count : end] = efforts[part]
             taken += end - self._count
             self._count = end
-            if end == _CHUNK:
+            if end == CHUNK:
                 self._learn(self._efforts)
                 self._count = 0
 
@@ -112,7 +112,7 @@ class EffortHabits:
         self._overflows += [np.sum(up[:-1] & down[1:], axis=0), np.sum(down[:-1] & up[1:], axis=0)]
         seldom = efforts[::_EVERY]
         self._alike += np.sum((seldom[:, :, None] == seldom[:, None]) & (seldom[:, :, None] != 0.0), axis=0)
-        if self._chunks >= _FEWEST_CHUNKS and (self._chunks < _MANY_CHUNKS or self._chunks % _SELDOM == 0):
+        if self._chunks >= _FEWEST_CHUNKS:
             self._tell()
 
     def _kinds(self) -> dict[str, BoolArray]:
@@ -133,7 +133,7 @@ class EffortHabits:
         dead = (share > _ZEROS) & (self._least > _GAP * spread)
         braked = (share > _ZERO_RUNS) & (self._jumps >= _MANY) & (self._jumped > _BRAKED * usual * self._jumps)
         zero = fine & ~held & (dead | braked)
-        over = fine & ~held & ~zero & (usual < _STEADY * full) & np.all(self._overflows >= _OVERFLOWS, axis=0)
+        over = fine & ~held & ~zero & (usual < _ENDS * full) & np.all(self._overflows >= _OVERFLOWS, axis=0)
         over &= full < _FILLED * spread  # else it is a few spikes that make the range
         same = np.triu(self._alike > _ALIKE * self._messages / _EVERY, 1) & np.outer(fine, fine)
         same &= np.outer(self._turning, self._turning)

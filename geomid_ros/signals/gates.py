@@ -16,7 +16,8 @@ import numpy as np
 from geomid_ros.signals.arrived import Arrived
 from geomid_ros.signals.joint_messages import DRIVER_ERROR
 from geomid_ros.signals.motion_time import end_of, unlikely
-from geomid_ros.signals.usual_efforts import UsualEfforts
+from geomid_ros.signals.periods import SHORT
+from geomid_ros.signals.usual_efforts import CLEAR, UsualEfforts
 from geomid_ros.types import BoolArray, FloatArray, IntArray
 
 AHEAD = 5
@@ -35,17 +36,14 @@ UNIT_CHANGED = (
 )
 _MOST = 3  # messages in a row that a fault lasts
 _USUAL_STEP = 1.9  # periods between two stamps, above which one may be ahead
-_LONGER = 1.1  # times the step that is usual where they are uneven
 _PERIODS, _FEWEST_PERIODS = 64, 32  # over which the period is measured; fewer may be one burst
 _TURN = 2.0 * np.pi
 _FASTEST = 2.0 * np.pi  # [rad/s, m/s] no limit above is believed, as many URDFs have placeholders
 _TOO_FAST = 1.5  # times the limit
-_CLEAR = 4.0  # times the steps of the messages around
 _BACK = 0.25  # of its height, that is left after a spike
 _SHORTEST_CONTACT = 33e-3  # [s] a collision of 40 ms is larger than a quarter of its height for so long
-_LEAST_SET, _LEAST_SET_IN_PERIODS = 20e-3, 1.5  # [s] that a clock is set by
-_REGULAR = 0.25  # periods, of the shortest step between stamps that are regular
-_LIKELY, _MUCH_LESS_LIKELY = 9.0, 25.0  # squares of standard deviations, of a joint and of all
+_LEAST_SET = 20e-3  # [s] that a clock is set by
+_MUCH_LESS_LIKELY = 25.0  # square of standard deviations, of all joints
 
 
 @dataclass(frozen=True)
@@ -235,8 +233,7 @@ class JointGate:
         self._stamps = np.concatenate([self._stamps, stamps])[-_PERIODS - 1 :]
         self._last = np.concatenate([self._last, numbers])[-AHEAD - 1 :]
         if self._efforts.add(numbers[:, 2]) and len(self._stamps) > _PERIODS:
-            steps = np.partition(np.diff(self._stamps), -_MOST)
-            self._usual_step = _LONGER * 1e-9 * float(steps[-_MOST])
+            self._usual_step = 1e-9 * float(np.partition(np.diff(self._stamps), -_MOST)[-_MOST])
 
     def _answer(self, stamps: IntArray, numbers: FloatArray, *, whole: bool) -> _Answer | None:
         """What the first of these messages, which is suspicious, is; None if more have to come, and ``whole`` is not
@@ -288,7 +285,7 @@ class JointGate:
         far = np.min(np.minimum(self._distance(away[:, 0], last[0]), self._distance(away[:, 0], back[0])), axis=0)
         jumps = (far > reach) & (self._distance(back[0], last[0]) < reach)
         jumps &= self._distance(later[0], last[0]) < 2.0 * reach
-        jumps &= far > _CLEAR * np.maximum(self._largest_step(self._last), self._largest_step(numbers[length:]))
+        jumps &= far > CLEAR * np.maximum(self._largest_step(self._last), self._largest_step(numbers[length:]))
         return (
             f"position of '{self._joints[int(np.argmax(jumps))]}' jumps, and back, faster than it can move"
             if jumps.any()
@@ -314,16 +311,15 @@ class JointGate:
         period, count = self._period, len(stamps)
         steps = 1e-9 * np.diff(stamps)
         step = 1e-9 * float(stamps[0] - self._stamps[-1])
-        least = max(_LEAST_SET, _LEAST_SET_IN_PERIODS * period)
-        if not np.isfinite(period) or abs(step - period) < least or min(len(self._stamps), len(self._last)) < count:
+        if not _LEAST_SET < abs(step - period) < np.inf or min(len(self._stamps), len(self._last)) < count:
             return False
-        if np.any((steps < _REGULAR * period) | (steps > _USUAL_STEP * period)):
+        if np.any((steps < SHORT * period) | (steps > _USUAL_STEP * period)):
             return False
         before = 1e-9 * (self._stamps[-count:] - self._stamps[-1])
         left, right = self._without_turns(self._last[-count:, 0], numbers[:, 0])
         ends = end_of(before, left), end_of(1e-9 * (stamps - stamps[0]), right)
         as_set, as_stamped = (unlikely(*ends, time) for time in (period, step))
-        return as_set < _LIKELY * numbers.shape[2] and as_stamped > as_set + _MUCH_LESS_LIKELY
+        return as_stamped > as_set + _MUCH_LESS_LIKELY
 
     def _without_turns(self, left: FloatArray, right: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Positions relative to the last of the first ones."""

@@ -15,7 +15,9 @@ FEWEST = 32
 """Messages that the period is inferred from."""
 FEWEST_IN_BURSTS = 320
 """The same, where messages come in bursts."""
-_SHORT, _IN_BURSTS = 0.25, 0.2  # of the mean step; the share of steps that are shorter, where messages come in bursts
+SHORT = 0.25
+"""A step between stamps that is shorter, as a share of the usual one, is one of a burst."""
+_IN_BURSTS = 0.2  # the share of such steps, where messages come in bursts
 _UNEVEN = 0.35  # of the time between bursts, that their ends may be off a line
 _PAUSE = 2.5  # times the time between bursts
 _LOST = 1.5  # periods that a burst is late by, if messages are missing
@@ -27,7 +29,7 @@ def in_bursts(stamps: IntArray, max_gap: int) -> bool:
     Steps longer than ``max_gap`` [ns] do not count."""
     steps = np.diff(stamps)
     steps = steps[steps <= max_gap]
-    return bool(len(steps) and np.mean(steps < _SHORT * np.mean(steps)) > _IN_BURSTS)
+    return bool(len(steps) and np.mean(steps < SHORT * np.mean(steps)) > _IN_BURSTS)
 
 
 class RegularClock:

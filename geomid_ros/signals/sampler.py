@@ -265,7 +265,7 @@ class VelocityChoice:
 
     _MEMORY = 100
     _RELATIVE_DISAGREEMENT = 0.05
-    _MANY, _IN_PROPORTION = 300, 0.99
+    _IN_PROPORTION = 0.99
 
     def __init__(self, joints: int) -> None:
         self._seen = np.zeros(joints, dtype=np.int64)
@@ -279,7 +279,7 @@ class VelocityChoice:
     def scaled(self) -> BoolArray:
         """At which joints the messages' velocities are the derivatives but for a factor ``(joints,)``."""
         given, both, derived = self._sums
-        told = (self._known >= self._MANY) & (both > 0.0) & (both**2 > self._IN_PROPORTION * given * derived)
+        told = (self._known >= self._MEMORY) & (both > 0.0) & (both**2 > self._IN_PROPORTION * given * derived)
         return np.asarray(told & (np.abs(both - derived) > self._RELATIVE_DISAGREEMENT * derived))
 
     def choose(

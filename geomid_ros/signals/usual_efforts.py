@@ -6,13 +6,14 @@ import numpy as np
 
 from geomid_ros.types import BoolArray, FloatArray
 
-_CHUNK = 128  # messages, of which the usual size and change are measured
+CHUNK = 128
+"""Messages that are learned from at once."""
+CLEAR = 4.0
+"""A jump is as many times the largest change between the messages before, or after."""
 _FEWEST_CHUNKS = 2
 _TAIL = 6  # messages of a chunk, at either end, that do not count
-_OF_ALL, _LARGE = 0.6, 0.1  # of the sum over joints that changes with the unit; that sum, at least, in ranges
 _ABOVE = 2.0  # times what the change of all efforts together hardly exceeds
 _NEAR = 2  # messages
-_CLEAR = 4.0  # times the largest change between the messages before, or after
 _ONE_JOINT, _ALIKE = 0.97, 0.93  # largest share of one joint; squared cosine of the efforts before and after
 _OTHER = 2.5  # least factor
 _IN_RANGE, _IN_CHANGES, _IN_LIMIT = 1.5, 8.0, 0.02  # the height of a spike
@@ -32,7 +33,7 @@ class UsualEfforts:
     def forget(self) -> None:
         """Begin to learn anew."""
         joints = len(self._least)
-        self._chunk = np.empty((_CHUNK, joints))
+        self._chunk = np.empty((CHUNK, joints))
         self._count = 0
         self._chunks = 0
         self._low, self._high = np.full(joints, np.inf), np.full(joints, -np.inf)
@@ -45,14 +46,14 @@ class UsualEfforts:
     @property
     def room(self) -> int:
         """Messages until the chunk is whole."""
-        return _CHUNK - self._count
+        return CHUNK - self._count
 
     def add(self, efforts: FloatArray) -> bool:
         """Take the efforts ``(N, joints)`` of messages, at most as many as there is room for. Returns whether the chunk
         was whole, so that something was learned."""
         self._chunk[self._count : self._count + len(efforts)] = efforts
         self._count += len(efforts)
-        if self._count < _CHUNK:
+        if self._count < CHUNK:
             return False
         self._learn(self._chunk)
         self._count = 0
@@ -69,11 +70,7 @@ class UsualEfforts:
         found: BoolArray = np.any(change > self.spike, axis=1)
         if self._chunks >= _FEWEST_CHUNKS:
             known = self._inverse_range > 0.0
-            sums = [np.abs(efforts[:, known]) @ self._inverse_range[known] for efforts in (after, before)]
-            size = np.where(np.minimum(*sums) > 0.0, np.maximum(*sums), 0.0)  # zeros are no efforts in another unit
-            total = change[:, known] @ self._inverse_range[known]
-            least = np.maximum(_OF_ALL * size, self._usual_total)
-            found = found | ((total > least) & (size > _LARGE * np.sum(known)))
+            found = found | (change[:, known] @ self._inverse_range[known] > self._usual_total)
         return found
 
     def factor(self, before: FloatArray, after: FloatArray) -> float:
@@ -90,7 +87,7 @@ class UsualEfforts:
             return 0.0
         steps = [np.diff(efforts, axis=0) * self._inverse_range for efforts in (before, after)]
         usual = max(float(np.max(np.sum(step**2, axis=1), initial=0.0)) for step in steps)
-        if not np.sum((new - old) ** 2) > _CLEAR**2 * usual:
+        if not np.sum((new - old) ** 2) > CLEAR**2 * usual:
             return 0.0
         alike = (old @ new) ** 2 > _ALIKE * (old @ old) * (new @ new)
         factor = (old @ new) / (old @ old)

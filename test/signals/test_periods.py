@@ -42,6 +42,16 @@ def test_times_are_those_of_the_measurement(size: int) -> None:
     assert np.all(np.diff(np.concatenate([later])) > 0)
 
 
+@pytest.mark.parametrize("lost", [3, 6, 9])
+def test_lost_messages_delay_those_after_them_at_once(lost: int) -> None:
+    """By as many periods, from the next burst but one on."""
+    measured, stamps = received(np.full(60, 10), np.zeros(60, dtype=np.int64))
+    clock = RegularClock(stamps[:320])
+    kept = np.r_[0:400, 400 + lost : len(stamps)]
+    error = (clock.times(stamps[kept]) - measured[kept]) / PERIOD
+    assert np.max(np.abs(error[420:] - np.mean(error[:400]))) < 0.5
+
+
 def test_uneven_bursts_are_refused() -> None:
     """Nothing says when their messages were measured: they are refused, and counted, whatever the blocks."""
     rng = np.random.default_rng(3)
