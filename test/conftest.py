@@ -5,10 +5,21 @@ import os
 
 import pytest
 
+from geomid_ros.geometry import compiled
+
 # As the commands and the node do: threads of the linear algebra library would only wait for each other.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 # What is imported and collected stays: to look for garbage in it, again and again, takes a twentieth of all the time.
 gc.disable()
+
+
+@pytest.fixture(params=["compiled", "numpy"])
+def either(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+    """With the compiled functions, and without them."""
+    if request.param == "numpy":
+        monkeypatch.setattr(compiled, "native", None)
+    elif compiled.native is None:
+        pytest.skip("built without a compiler: python setup.py build_ext --inplace")
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:

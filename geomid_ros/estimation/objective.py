@@ -13,7 +13,7 @@ from typing import Protocol
 
 import numpy as np
 
-from geomid_ros.geometry import symmetric
+from geomid_ros.geometry import compiled, pseudo_inertia, symmetric
 from geomid_ros.geometry.manifold import ParameterManifold, Point
 from geomid_ros.types import BoolArray, FloatArray, IntArray, frozen
 
@@ -200,12 +200,9 @@ class ResidualObjective(_WeightedObjective):
 
     def evaluate(self, point: Point) -> Evaluation:
         """Half of the objective at ``point`` with its derivatives in the tangent coordinates there."""
-        value, gradient, bends = _prior_terms(self.manifold, point, self.prior, self.prior_weights)
         residuals = self._augmented @ np.append(point.parameters, -1.0)
-        slope = self.manifold.whiten(point, (residuals @ self._augmented)[None, :-1])[0]
-        information = _information(self.manifold, point, self.products)
-        hessian = straight_hessian(self.manifold, information, self.prior_weights, bends, -gradient)
-        return Evaluation(value + 0.5 * float(residuals @ residuals), gradient + slope, information, hessian)
+        value, slope = 0.5 * float(residuals @ residuals), residuals @ self._augmented
+        return with_prior(self.manifold, point, self.prior, self.prior_weights, (value, slope[:-1], self.products))
 
 
 @dataclass(frozen=True, eq=False)
@@ -237,18 +234,10 @@ class ProductsObjective:
 
     def evaluate(self, point: Point) -> Evaluation:
         """As :meth:`ResidualObjective.evaluate`."""
-        value, gradient, bends = _prior_terms(self.manifold, point, self.prior, self.prior_weights)
         vector = np.append(point.parameters, -1.0)
         moved = self.products @ vector
-        information = _information(self.manifold, point, self.products)
-        hessian = straight_hessian(self.manifold, information, self.prior_weights, bends, -gradient)
-        slope = self.manifold.whiten(point, moved[None, :-1])[0]
-        return Evaluation(value + 0.5 * float(vector @ moved), gradient + slope, information, hessian)
-
-
-def _information(manifold: ParameterManifold, point: Point, products: FloatArray) -> FloatArray:
-    """Information ``(D, D)`` of rows with these products of their columns."""
-    return manifold.whiten(point, manifold.whiten(point, products[:-1, :-1]).T)
+        rows = 0.5 * float(vector @ moved), moved[:-1], self.products
+        return with_prior(self.manifold, point, self.prior, self.prior_weights, rows)
 
 
 def dual_square(manifold: ParameterManifold, point: Point, products: FloatArray) -> float:
@@ -281,11 +270,8 @@ def _prior_terms(
     Weights ``(D,)`` are equal within a block, so that the Hessian stays symmetric.
     """
     to_prior, bends = manifold.log_and_hessian(point, prior)
-    return 0.5 * float(weights @ to_prior**2), -weights * to_prior, _weighted(manifold, weights, bends)
-
-
-def _weighted(manifold: ParameterManifold, weights: FloatArray, blocks: FloatArray) -> FloatArray:
-    return weights[manifold.inertial].reshape(-1, symmetric.SIZE, 1) * blocks
+    bends = weights[manifold.inertial].reshape(-1, symmetric.SIZE, 1) * bends
+    return 0.5 * float(weights @ to_prior**2), -weights * to_prior, bends
 
 
 _UNITS = symmetric.to_matrix(np.eye(symmetric.SIZE))
@@ -293,21 +279,56 @@ _PRODUCTS = 0.5 * np.einsum("kim,lmj->klij", _UNITS, _UNITS).reshape(symmetric.S
 _PRODUCTS = (_PRODUCTS + _PRODUCTS.transpose(1, 0, 2)).reshape(-1, _PRODUCTS.shape[-1])
 
 
-def straight_hessian(
-    manifold: ParameterManifold, information: FloatArray, weights: FloatArray, bends: FloatArray, to_prior: FloatArray
-) -> FloatArray:
-    """Hessian ``(D, D)`` along straight lines of the parameters, of rows and a prior.
+def with_prior(
+    manifold: ParameterManifold,
+    point: Point,
+    prior: Point,
+    weights: FloatArray,
+    rows: tuple[float, FloatArray, FloatArray],
+) -> Evaluation:
+    """Half of an objective along straight lines: of rows and of the weighted squared distance to a prior.
 
-    Along a straight line the rows have no curvature but their ``information (D, D)``. The prior has that of its
-    weighted squared distance along geodesics, ``bends (links, 10, 10)`` and the ``weights (D,)`` themselves for what is
-    no link, and that of the line: of the linear function of the parameters whose gradient is ``to_prior (D,)``, minus
-    the prior's gradient. Per link ``tr(X exp(tQ))`` has the second derivative ``tr(X Q^2)``; a positive coefficient's
-    is the first again.
+    Args:
+        manifold, point, prior: Where, and from where distances are measured.
+        weights: Of the tangent coordinates to the prior ``(D,)``, equal within a link.
+        rows: Half of the rows' part, its derivative ``(D,)`` by the parameters, and the products ``(D + 1, D + 1)`` of
+            their columns and targets.
     """
-    matrices = symmetric.to_matrix(to_prior[manifold.inertial].reshape(manifold.links, symmetric.SIZE))
+    value, slope, products = rows
+    if compiled.native is None:
+        return _with_prior(manifold, point, prior, weights, rows)
+    size = manifold.dimension
+    gradient, information, hessian = np.empty(size), np.empty((size, size)), np.empty((size, size))
+    start = manifold.inertial.stop
+    value += compiled.native.second_order(
+        *(pseudo_inertia.COEFFICIENTS_TO_COORDINATES, point.pseudo_inertias, prior.pseudo_inertias),
+        *(point.parameters[start:], prior.parameters[start:], manifold.scales, weights, slope, products),
+        *(gradient, information, hessian),
+    )
+    return Evaluation(value, gradient, information, hessian)
+
+
+def _with_prior(
+    manifold: ParameterManifold,
+    point: Point,
+    prior: Point,
+    weights: FloatArray,
+    rows: tuple[float, FloatArray, FloatArray],
+) -> Evaluation:
+    """The same by numpy.
+
+    Along a straight line the rows have no curvature but their information. The prior has that of its weighted squared
+    distance along geodesics, and that of the line: of the linear function of the parameters whose gradient is minus the
+    prior's. Per link ``tr(X exp(tQ))`` has the second derivative ``tr(X Q^2)``; a positive coefficient's is the first
+    again.
+    """
+    value, slope, products = rows
+    far, gradient, bends = _prior_terms(manifold, point, prior, weights)
+    information = manifold.whiten(point, manifold.whiten(point, products[:-1, :-1]).T)
+    matrices = symmetric.to_matrix(-gradient[manifold.inertial].reshape(manifold.links, symmetric.SIZE))
     of_lines = (matrices.reshape(manifold.links, _PRODUCTS.shape[1]) @ _PRODUCTS.T).reshape(bends.shape)
     rest = weights[manifold.inertial.stop :].copy()
-    rest[: manifold.positives] += to_prior[manifold.positive]
+    rest[: manifold.positives] -= gradient[manifold.positive]
     hessian = information.copy()
     manifold.add_blocks(hessian, bends + of_lines, rest)
-    return hessian
+    return Evaluation(value + far, gradient + manifold.whiten(point, slope[None])[0], information, hessian)
