@@ -42,7 +42,7 @@ NATIVE = Extension(
     sources=sorted(glob(f"{SOURCES}/*.c")),
     depends=sorted(glob(f"{SOURCES}/*.h")),
     define_macros=[("Py_LIMITED_API", "0x030b0000"), ("PY_SSIZE_T_CLEAN", None)],
-    extra_compile_args=["-std=c11", "-O3", "-g0", "-fno-math-errno", "-fno-trapping-math"],
+    extra_compile_args=["-O3", "-g0", "-fno-math-errno", "-fno-trapping-math", "-Wno-psabi"],
     py_limited_api=True,
     optional=True,
 )
@@ -80,7 +80,6 @@ setup(
         "lz4",
         "manifold3d",
         "matplotlib",
-        "numba",
         "numpy>=1.26",
         "pin",
         "pycollada",

@@ -7,13 +7,11 @@ from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from functools import cached_property
-from importlib import import_module
-from types import ModuleType
 from typing import Protocol
 
 import numpy as np
 
-from geomid_ros.geometry import compiled, pseudo_inertia, symmetric
+from geomid_ros.geometry import compiled, projection, pseudo_inertia, symmetric
 from geomid_ros.geometry.manifold import ParameterManifold, Point
 from geomid_ros.types import BoolArray, FloatArray, IntArray, frozen
 
@@ -87,11 +85,6 @@ class _WeightedObjective(ABC):
         return frozen(self.prior_weight * self.confidence * np.ones(self.manifold.dimension))
 
 
-def _kernels() -> ModuleType:
-    """The compiled projections: only (19) needs them, and to import their compiler takes longer than to solve."""
-    return import_module("geomid_ros.geometry.projection")
-
-
 class GeodesicObjective(_WeightedObjective):
     """(19) for the rows; one whose hyperplane has no projection from the prior is set aside."""
 
@@ -103,7 +96,7 @@ class GeodesicObjective(_WeightedObjective):
     @cached_property
     def set_aside(self) -> BoolArray:
         """Rows that take no part because Proposition 2 gives them no projection from the prior, ``(N,)``."""
-        return np.asarray(self._at_prior[1] != _kernels().ROOT)
+        return np.asarray(self._at_prior[1] != projection.ROOT)
 
     @cached_property
     def value_at_prior(self) -> float:
@@ -120,7 +113,7 @@ class GeodesicObjective(_WeightedObjective):
 
         def measure(chunk: slice) -> None:
             normals = self.manifold.whiten(point, self.rows[chunk])
-            halves[chunk], statuses[chunk] = _kernels().measure(self.manifold, point, normals, self.targets[chunk])
+            halves[chunk], statuses[chunk] = projection.measure(self.manifold, point, normals, self.targets[chunk])
 
         list(_pool.map(measure, _chunks(len(self.rows))))
         return halves, statuses
@@ -155,7 +148,7 @@ class GeodesicObjective(_WeightedObjective):
     def _row_terms(self, point: Point, chunk: slice) -> tuple[float, FloatArray, FloatArray, FloatArray]:
         weights = self.weights[chunk]
         normals = self.manifold.whiten(point, self.rows[chunk])
-        projected = _kernels().project(self.manifold, point, normals, self.targets[chunk], weights)
+        projected = projection.project(self.manifold, point, normals, self.targets[chunk], weights)
         scaled = projected.direction * np.sqrt(weights)[:, None]
         return (
             float(weights @ projected.half_squared),

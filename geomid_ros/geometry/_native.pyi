@@ -1,5 +1,30 @@
 from geomid_ros.types import FloatArray, IntArray
 
+def eigenvectors(matrices: FloatArray, values: FloatArray, vectors: FloatArray, /) -> None: ...
+def measure(
+    normals: FloatArray,
+    offsets: FloatArray,
+    polynomial: FloatArray,
+    links: int,
+    positives: int,
+    half_squared: FloatArray,
+    status: IntArray,
+    /,
+) -> None: ...
+def project(
+    normals: FloatArray,
+    offsets: FloatArray,
+    polynomial: FloatArray,
+    links: int,
+    positives: int,
+    weights: FloatArray,
+    half_squared: FloatArray,
+    tangent: FloatArray,
+    direction: FloatArray,
+    curvature: FloatArray,
+    status: IntArray,
+    /,
+) -> None: ...
 def straight_lines(base: FloatArray, steps: FloatArray, ends: FloatArray, /) -> None: ...
 def second_order(
     basis: FloatArray,

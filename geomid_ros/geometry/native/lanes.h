@@ -11,18 +11,26 @@
 #include <string.h>
 
 #define LANES 8
+#define TINY 1e-300
 #define ROOT_HALF 0.70710678118654752440
 #define ROOT_TWO 1.41421356237309504880
 #define INLINE static inline __attribute__((always_inline))
 
 /* A function of which the loader takes the version for this processor. */
-#if defined(__x86_64__) && defined(__GLIBC__) && defined(__GNUC__) && !defined(__clang__)
-#define FOR_EACH_PROCESSOR __attribute__((target_clones("arch=skylake-avx512", "arch=haswell", "default")))
+#if defined(__x86_64__) && defined(__GLIBC__) && __GNUC__ >= 12 && !defined(__clang__)
+#define FOR_EACH_PROCESSOR __attribute__((target_clones("arch=x86-64-v4", "arch=x86-64-v3", "default")))
 #else
 #define FOR_EACH_PROCESSOR
 #endif
 
 typedef double Lane[LANES];
+typedef double Vector __attribute__((vector_size(8 * LANES))); /* the same in registers */
+
+INLINE Vector loaded(const double *lane) {
+    Vector result;
+    memcpy(&result, lane, sizeof result);
+    return result;
+}
 
 typedef struct {
     Lane values[10];    /* entries; after the decomposition the first four are the eigenvalues */
@@ -40,9 +48,8 @@ INLINE void rotate(Eigen *e, int p, int q, int k, int m) {
     const int kp = PLACE[k][p], kq = PLACE[k][q], mp = PLACE[m][p], mq = PLACE[m][q];
     for (int i = 0; i < LANES; i++) {
         const double apq = a[pq][i], half = 0.5 * (a[qq][i] - a[pp][i]);
-        const double size = fabs(half) + sqrt(half * half + apq * apq);
-        double tangent = apq / (size > 0.0 ? size : 1.0);
-        tangent = half >= 0.0 ? tangent : -tangent;
+        const double size = sqrt(half * half + apq * apq) + TINY; /* of nothing there is nothing to turn */
+        const double tangent = apq / (half + copysign(size, half));
         const double c = 1.0 / sqrt(tangent * tangent + 1.0), s = tangent * c;
         const double akp = a[kp][i], akq = a[kq][i], amp = a[mp][i], amq = a[mq][i];
         a[pp][i] -= tangent * apq;
