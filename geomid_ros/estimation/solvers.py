@@ -22,7 +22,7 @@ _HIDDEN = 1e-10
 _ROUNDING = 1e-13
 _SHORTEST = 1e-12  # step
 _NEARLY = 0.99  # of the radius: a step that long is as good as one to the ball's end
-_CLOSE = 1e-3  # relative width of a bracket
+_CLOSE = 1e-10  # relative width of a bracket
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,20 +128,22 @@ class _QuadraticModel:
 
         A step that does not fit without mu ends in the ball's last hundredth, by Newton's iteration for the inverse of
         its length (Nocedal & Wright, algorithm 4.3) inside a bracket; or, where the gradient has no part along the
-        eigenvector that leaves the cone, within a thousandth of the least mu.
+        eigenvector of the least eigenvalue, at the least mu but for rounding.
 
         Raises:
-            LinAlgError: H is not finite.
+            LinAlgError: g or H is not finite.
         """
-        if not np.all(np.isfinite(self._hessian)):
-            raise LinAlgError("the Hessian is not finite")
+        if not (np.all(np.isfinite(self._gradient)) and np.all(np.isfinite(self._hessian))):
+            raise LinAlgError("the objective's derivatives are not finite")
+        sizes = float(np.linalg.norm(self._hessian)), float(np.linalg.norm(self._gradient)) / radius
+        smallest = _ROUNDING * max(sizes)
         low, high, damping, trial = 0.0, np.inf, 0.0, self._undamped
         fitting: FloatArray | None = None
         while fitting is None or high - low > _CLOSE * high:
             length = np.inf if trial is None else float(np.linalg.norm(trial[0]))
             if trial is not None and length <= radius:
                 high, fitting = damping, trial[0]
-                if damping == 0.0 or length >= _NEARLY * radius:
+                if damping == 0.0 or not 0.0 < length < _NEARLY * radius:
                     break
             else:
                 low = damping
@@ -149,7 +151,7 @@ class _QuadraticModel:
                 aim = 0.5 * (1.0 + _NEARLY) * radius
                 damping += length**2 / trial[1] * (length / aim - 1.0)
             if trial is None or not low < damping < high:
-                least = max(low, _ROUNDING * float(np.linalg.norm(self._hessian)))
+                least = max(low, smallest)
                 damping = float(np.sqrt(least * high)) if fitting is not None else 10.0 * least
             trial = self._step(damping)
         return fitting
