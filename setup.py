@@ -7,7 +7,7 @@ import time
 from glob import glob
 from pathlib import Path
 
-from setuptools import find_packages, setup
+from setuptools import Extension, find_packages, setup
 from setuptools.command.sdist import sdist
 
 NAME = "geomid_ros"
@@ -34,6 +34,19 @@ class ReproducibleSdist(sdist):
         return str(path)
 
 
+SOURCES = f"{NAME}/geometry/native"
+# Without a compiler the package is built without it, and numpy computes the same, more slowly. One build serves all
+# versions of Python; without symbols for debuggers it does not depend on the folder in which it is built.
+NATIVE = Extension(
+    f"{NAME}.geometry._native",
+    sources=sorted(glob(f"{SOURCES}/*.c")),
+    depends=sorted(glob(f"{SOURCES}/*.h")),
+    define_macros=[("Py_LIMITED_API", "0x030b0000"), ("PY_SSIZE_T_CLEAN", None)],
+    extra_compile_args=["-O3", "-g0", "-fno-math-errno", "-fno-trapping-math", "-Wno-psabi"],
+    py_limited_api=True,
+    optional=True,
+)
+
 setup(
     name=NAME,
     version="0.1.0",
@@ -45,7 +58,9 @@ setup(
     python_requires=">=3.11",
     cmdclass={"sdist": ReproducibleSdist},
     packages=find_packages(include=[NAME, f"{NAME}.*"]),
-    package_data={NAME: ["py.typed"], "": ["*.urdf", "*.j2", "*.js"]},
+    package_data={NAME: ["py.typed"], "": ["*.urdf", "*.j2", "*.js", "*.pyi", "native/*"]},
+    ext_modules=[NATIVE],
+    options={"bdist_wheel": {"py_limited_api": "cp311"}},
     zip_safe=False,
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
@@ -65,7 +80,6 @@ setup(
         "lz4",
         "manifold3d",
         "matplotlib",
-        "numba",
         "numpy>=1.26",
         "pin",
         "pycollada",

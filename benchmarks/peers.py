@@ -149,21 +149,24 @@ def paper_cyclic(problem: Problem, weight: float) -> FloatArray:
     return cyclic(geodesic_objective(problem, weight), problem.prior_point, _TOLERANCE).point.parameters
 
 
-def geodesic(problem: Problem, weight: float) -> FloatArray:
+def geodesic(problem: Problem, weight: float, *, exact: bool = True) -> FloatArray:
     """(19) by the trust region, as the package offers it for raw rows."""
     if problem.manifold.dimension == 10 * problem.manifold.links:
         rows = problem.train
         bodies = problem.prior.reshape(-1, 10)
         tolerance = _TOLERANCE / min(weight, 1.0)  # as a distance from the minimum
-        found = solve_rows(rows.coefficients, rows.targets, rows.sigmas, bodies, weight, tolerance=tolerance)
+        options = {"tolerance": tolerance, "exact": exact}
+        found = solve_rows(rows.coefficients, rows.targets, rows.sigmas, bodies, weight, **options)
         return found.parameters.ravel()
+    if not exact:
+        problem = problem.with_train(problem.train.compressed())
     start = problem.manifold.point(residual(problem, weight))
     return trust_region(geodesic_objective(problem, weight), start, _TOLERANCE).point.parameters
 
 
 def compressed_geodesic(problem: Problem, weight: float) -> FloatArray:
-    """(19) for the rows compressed by QR."""
-    return geodesic(problem.with_train(problem.train.compressed()), weight)
+    """(19) for the principal rows; compressed by QR where there are coefficients beside the links."""
+    return geodesic(problem, weight, exact=False)
 
 
 def residual(problem: Problem, weight: float) -> FloatArray:

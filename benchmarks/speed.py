@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import os
-import tempfile
 import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
@@ -69,7 +67,7 @@ def run(report: Report) -> None:
     report.progress("speed: warm start and first calls")
     update = _warm_update()
     apart = mean_distance(problem, geodesic(problem, PAPER), compressed_geodesic(problem, PAPER))
-    compiling, cached = _first_solves()
+    first = in_fresh_process(_first_solve)
     cycling = alternation.cycles * alternation.seconds_per_cycle
     rows = [
         _line("Remark 3 / Euclidean LMI by CVXPY", seconds["remark_3"], seconds["lmi"], "0.25", "0.1"),
@@ -88,8 +86,7 @@ def run(report: Report) -> None:
         f"distance of a link) from the exact one. cyclic: {alternation.cycles} cycles of "
         f"{1e3 * alternation.seconds_per_cycle:.1f} ms to {_CLOSE:g} of the minimum"
         f"{', extrapolated' if alternation.extrapolated else ''}. trust_region from the prior itself: {exact.steps} "
-        f"steps. First solve in a new environment, compilation included: {compiling:.1f} s; in a new process "
-        f"afterwards: {cached:.1f} s."
+        f"steps. First solve in a new process: {first:.2f} s."
     )
     headings = ["", "ms", "ms of the other", "ratio", "must be", "aim"]
     report.table("Speed: 3,000 rows, 16 links, gamma 1e-2, relative gradient 1e-8", headings, rows, caption)
@@ -101,7 +98,7 @@ def run(report: Report) -> None:
             "steps_from_prior": exact.steps,
             "compressed_minimiser_distance": apart,
             "warm_update": update,
-            "first_solve": {"compiling": compiling, "cached": cached},
+            "first_solve": first,
         },
     )
 
@@ -163,18 +160,7 @@ def _warm_update() -> float:
     return best_of(lambda: session.identifier.solve(warm))
 
 
-def _first_solves() -> tuple[float, float]:
-    """Seconds of the first solve in a process, with an empty cache of compiled code and with the one it leaves."""
-    before = os.environ.get("NUMBA_CACHE_DIR")
-    with tempfile.TemporaryDirectory() as cache:
-        os.environ["NUMBA_CACHE_DIR"] = cache
-        times = in_fresh_process(_first_solve), in_fresh_process(_first_solve)
-    del os.environ["NUMBA_CACHE_DIR"]
-    if before is not None:
-        os.environ["NUMBA_CACHE_DIR"] = before
-    return times
-
-
 def _first_solve() -> float:
+    """Seconds of the first solve in a process."""
     body = np.array([[2.0, 0.0, 0.0, 0.0, 1.0, 0.0, 1.0, 0.0, 0.0, 1.0]])
     return best_of(lambda: solve_rows(np.eye(1, 10), np.array([2.5]), np.array(0.1), body), 1)

@@ -15,6 +15,6 @@ AnyArray: TypeAlias = NDArray[Any]
 
 def frozen(values: ArrayLike) -> FloatArray:
     """A read-only float64 copy of ``values``; arrays kept in frozen objects are made with it."""
-    array = np.array(values, dtype=np.float64)
+    array = np.array(values, dtype=np.float64, order="C")
     array.setflags(write=False)
     return array

@@ -5,10 +5,21 @@ import os
 
 import pytest
 
+from geomid_ros.geometry import compiled
+
 # As the commands and the node do: threads of the linear algebra library would only wait for each other.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 # What is imported and collected stays: to look for garbage in it, again and again, takes a twentieth of all the time.
 gc.disable()
+
+
+@pytest.fixture(params=["compiled", "numpy"])
+def either(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+    """With the compiled functions, and without them."""
+    if request.param == "numpy":
+        monkeypatch.setattr(compiled, "native", None)
+    elif compiled.native is None:
+        pytest.skip("built without a compiler: python setup.py build_ext --inplace")
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
@@ -29,13 +40,3 @@ def pytest_collection_finish() -> None:
     """From here on there is garbage, which the tests make."""
     gc.freeze()
     gc.enable()
-
-
-def pytest_sessionstart(session: pytest.Session) -> None:
-    """Compile the kernels once, before every worker would for itself."""
-    if session.config.getoption("numprocesses", None):
-        import numpy as np  # noqa: PLC0415
-
-        from geomid_ros.estimation.rows import solve_rows  # noqa: PLC0415
-
-        solve_rows(np.eye(1, 10), np.array([2.5]), np.array(0.1), np.array([[2.0, 0, 0, 0, 1, 0, 1, 0, 0, 1]]))

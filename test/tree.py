@@ -8,6 +8,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
 _MADE = {"build", "install", "log", "out", "geomid_out", "__pycache__"}
+_MADE_ENDS = (".egg-info", "_cache", ".hypothesis", ".so")
 
 
 def files() -> set[Path]:
@@ -21,7 +22,7 @@ def files() -> set[Path]:
 
 
 def _is_made(part: str) -> bool:
-    return part.startswith(".venv") or part.endswith((".egg-info", "_cache", ".hypothesis")) or part == "PKG-INFO"
+    return part.startswith(".venv") or part.endswith(_MADE_ENDS) or part == "PKG-INFO"
 
 
 def copy(to: Path) -> Path:

@@ -7,13 +7,11 @@ from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from functools import cached_property
-from importlib import import_module
-from types import ModuleType
 from typing import Protocol
 
 import numpy as np
 
-from geomid_ros.geometry import symmetric
+from geomid_ros.geometry import compiled, projection, pseudo_inertia, symmetric
 from geomid_ros.geometry.manifold import ParameterManifold, Point
 from geomid_ros.types import BoolArray, FloatArray, IntArray, frozen
 
@@ -87,11 +85,6 @@ class _WeightedObjective(ABC):
         return frozen(self.prior_weight * self.confidence * np.ones(self.manifold.dimension))
 
 
-def _kernels() -> ModuleType:
-    """The compiled projections: only (19) needs them, and to import their compiler takes longer than to solve."""
-    return import_module("geomid_ros.geometry.projection")
-
-
 class GeodesicObjective(_WeightedObjective):
     """(19) for the rows; one whose hyperplane has no projection from the prior is set aside."""
 
@@ -103,7 +96,7 @@ class GeodesicObjective(_WeightedObjective):
     @cached_property
     def set_aside(self) -> BoolArray:
         """Rows that take no part because Proposition 2 gives them no projection from the prior, ``(N,)``."""
-        return np.asarray(self._at_prior[1] != _kernels().ROOT)
+        return np.asarray(self._at_prior[1] != projection.ROOT)
 
     @cached_property
     def value_at_prior(self) -> float:
@@ -120,7 +113,7 @@ class GeodesicObjective(_WeightedObjective):
 
         def measure(chunk: slice) -> None:
             normals = self.manifold.whiten(point, self.rows[chunk])
-            halves[chunk], statuses[chunk] = _kernels().measure(self.manifold, point, normals, self.targets[chunk])
+            halves[chunk], statuses[chunk] = projection.measure(self.manifold, point, normals, self.targets[chunk])
 
         list(_pool.map(measure, _chunks(len(self.rows))))
         return halves, statuses
@@ -155,7 +148,7 @@ class GeodesicObjective(_WeightedObjective):
     def _row_terms(self, point: Point, chunk: slice) -> tuple[float, FloatArray, FloatArray, FloatArray]:
         weights = self.weights[chunk]
         normals = self.manifold.whiten(point, self.rows[chunk])
-        projected = _kernels().project(self.manifold, point, normals, self.targets[chunk], weights)
+        projected = projection.project(self.manifold, point, normals, self.targets[chunk], weights)
         scaled = projected.direction * np.sqrt(weights)[:, None]
         return (
             float(weights @ projected.half_squared),
@@ -200,12 +193,9 @@ class ResidualObjective(_WeightedObjective):
 
     def evaluate(self, point: Point) -> Evaluation:
         """Half of the objective at ``point`` with its derivatives in the tangent coordinates there."""
-        value, gradient, bends = _prior_terms(self.manifold, point, self.prior, self.prior_weights)
         residuals = self._augmented @ np.append(point.parameters, -1.0)
-        slope = self.manifold.whiten(point, (residuals @ self._augmented)[None, :-1])[0]
-        information = _information(self.manifold, point, self.products)
-        hessian = straight_hessian(self.manifold, information, self.prior_weights, bends, -gradient)
-        return Evaluation(value + 0.5 * float(residuals @ residuals), gradient + slope, information, hessian)
+        value, slope = 0.5 * float(residuals @ residuals), residuals @ self._augmented
+        return with_prior(self.manifold, point, self.prior, self.prior_weights, (value, slope[:-1], self.products))
 
 
 @dataclass(frozen=True, eq=False)
@@ -237,18 +227,10 @@ class ProductsObjective:
 
     def evaluate(self, point: Point) -> Evaluation:
         """As :meth:`ResidualObjective.evaluate`."""
-        value, gradient, bends = _prior_terms(self.manifold, point, self.prior, self.prior_weights)
         vector = np.append(point.parameters, -1.0)
         moved = self.products @ vector
-        information = _information(self.manifold, point, self.products)
-        hessian = straight_hessian(self.manifold, information, self.prior_weights, bends, -gradient)
-        slope = self.manifold.whiten(point, moved[None, :-1])[0]
-        return Evaluation(value + 0.5 * float(vector @ moved), gradient + slope, information, hessian)
-
-
-def _information(manifold: ParameterManifold, point: Point, products: FloatArray) -> FloatArray:
-    """Information ``(D, D)`` of rows with these products of their columns."""
-    return manifold.whiten(point, manifold.whiten(point, products[:-1, :-1]).T)
+        rows = 0.5 * float(vector @ moved), moved[:-1], self.products
+        return with_prior(self.manifold, point, self.prior, self.prior_weights, rows)
 
 
 def dual_square(manifold: ParameterManifold, point: Point, products: FloatArray) -> float:
@@ -281,11 +263,8 @@ def _prior_terms(
     Weights ``(D,)`` are equal within a block, so that the Hessian stays symmetric.
     """
     to_prior, bends = manifold.log_and_hessian(point, prior)
-    return 0.5 * float(weights @ to_prior**2), -weights * to_prior, _weighted(manifold, weights, bends)
-
-
-def _weighted(manifold: ParameterManifold, weights: FloatArray, blocks: FloatArray) -> FloatArray:
-    return weights[manifold.inertial].reshape(-1, symmetric.SIZE, 1) * blocks
+    bends = weights[manifold.inertial].reshape(-1, symmetric.SIZE, 1) * bends
+    return 0.5 * float(weights @ to_prior**2), -weights * to_prior, bends
 
 
 _UNITS = symmetric.to_matrix(np.eye(symmetric.SIZE))
@@ -293,21 +272,56 @@ _PRODUCTS = 0.5 * np.einsum("kim,lmj->klij", _UNITS, _UNITS).reshape(symmetric.S
 _PRODUCTS = (_PRODUCTS + _PRODUCTS.transpose(1, 0, 2)).reshape(-1, _PRODUCTS.shape[-1])
 
 
-def straight_hessian(
-    manifold: ParameterManifold, information: FloatArray, weights: FloatArray, bends: FloatArray, to_prior: FloatArray
-) -> FloatArray:
-    """Hessian ``(D, D)`` along straight lines of the parameters, of rows and a prior.
+def with_prior(
+    manifold: ParameterManifold,
+    point: Point,
+    prior: Point,
+    weights: FloatArray,
+    rows: tuple[float, FloatArray, FloatArray],
+) -> Evaluation:
+    """Half of an objective along straight lines: of rows and of the weighted squared distance to a prior.
 
-    Along a straight line the rows have no curvature but their ``information (D, D)``. The prior has that of its
-    weighted squared distance along geodesics, ``bends (links, 10, 10)`` and the ``weights (D,)`` themselves for what is
-    no link, and that of the line: of the linear function of the parameters whose gradient is ``to_prior (D,)``, minus
-    the prior's gradient. Per link ``tr(X exp(tQ))`` has the second derivative ``tr(X Q^2)``; a positive coefficient's
-    is the first again.
+    Args:
+        manifold, point, prior: Where, and from where distances are measured.
+        weights: Of the tangent coordinates to the prior ``(D,)``, equal within a link.
+        rows: Half of the rows' part, its derivative ``(D,)`` by the parameters, and the products ``(D + 1, D + 1)`` of
+            their columns and targets.
     """
-    matrices = symmetric.to_matrix(to_prior[manifold.inertial].reshape(manifold.links, symmetric.SIZE))
+    value, slope, products = rows
+    if compiled.native is None:
+        return _with_prior(manifold, point, prior, weights, rows)
+    size = manifold.dimension
+    gradient, information, hessian = np.empty(size), np.empty((size, size)), np.empty((size, size))
+    start = manifold.inertial.stop
+    value += compiled.native.second_order(
+        *(pseudo_inertia.COEFFICIENTS_TO_COORDINATES, point.pseudo_inertias, prior.pseudo_inertias),
+        *(point.parameters[start:], prior.parameters[start:], manifold.scales, weights, slope, products),
+        *(gradient, information, hessian),
+    )
+    return Evaluation(value, gradient, information, hessian)
+
+
+def _with_prior(
+    manifold: ParameterManifold,
+    point: Point,
+    prior: Point,
+    weights: FloatArray,
+    rows: tuple[float, FloatArray, FloatArray],
+) -> Evaluation:
+    """The same by numpy.
+
+    Along a straight line the rows have no curvature but their information. The prior has that of its weighted squared
+    distance along geodesics, and that of the line: of the linear function of the parameters whose gradient is minus the
+    prior's. Per link ``tr(X exp(tQ))`` has the second derivative ``tr(X Q^2)``; a positive coefficient's is the first
+    again.
+    """
+    value, slope, products = rows
+    far, gradient, bends = _prior_terms(manifold, point, prior, weights)
+    information = manifold.whiten(point, manifold.whiten(point, products[:-1, :-1]).T)
+    matrices = symmetric.to_matrix(-gradient[manifold.inertial].reshape(manifold.links, symmetric.SIZE))
     of_lines = (matrices.reshape(manifold.links, _PRODUCTS.shape[1]) @ _PRODUCTS.T).reshape(bends.shape)
     rest = weights[manifold.inertial.stop :].copy()
-    rest[: manifold.positives] += to_prior[manifold.positive]
+    rest[: manifold.positives] -= gradient[manifold.positive]
     hessian = information.copy()
     manifold.add_blocks(hessian, bends + of_lines, rest)
-    return hessian
+    return Evaluation(value + far, gradient + manifold.whiten(point, slope[None])[0], information, hessian)

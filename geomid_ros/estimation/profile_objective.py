@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
-from weakref import WeakKeyDictionary
 
 import numpy as np
 
-from geomid_ros.estimation.objective import Evaluation, straight_hessian
+from geomid_ros.estimation.objective import Evaluation, with_prior
 from geomid_ros.estimation.solvers import Solution, trust_region
+from geomid_ros.geometry import compiled
 from geomid_ros.geometry.manifold import ParameterManifold, Point
-from geomid_ros.types import FloatArray
+from geomid_ros.types import FloatArray, IntArray
 
 _STEPS = 40
 _RADIUS = 16.0  # of the first step: as an effect comes or goes, others move as far as it reached
@@ -28,18 +28,6 @@ class StraightManifold(ParameterManifold):
 
 
 @dataclass(frozen=True, eq=False)
-class _Terms:
-    """What does not depend on how far the prior is trusted: half of ``sum_c N_c log S_c`` with its slope ``(D,)`` and
-    information ``(D, D)``, the logarithm to the prior ``(D,)`` and the Hessian's blocks of half its square."""
-
-    value: float
-    slope: FloatArray
-    information: FloatArray
-    to_prior: FloatArray
-    bends: FloatArray
-
-
-@dataclass(frozen=True, eq=False)
 class Profile:
     """Channels of unknown noise: ``products (C, D + 1, D + 1)`` of all columns and the target, ``counts (C,)`` of rows,
     the ``least (C,)`` that a sum of squares may be; and the ``prior``."""
@@ -49,37 +37,30 @@ class Profile:
     counts: FloatArray
     least: FloatArray
     prior: Point
-    _known: WeakKeyDictionary[Point, _Terms] = field(default_factory=WeakKeyDictionary, init=False, repr=False)
-
-    @cached_property
-    def _flat(self) -> FloatArray:
-        """The products ``(C, (D + 1)^2)``."""
-        return self.products.reshape(len(self.products), -1)
 
     def squares(self, point: Point) -> FloatArray:
         """Sums of squares ``(C,)`` of the channels at ``point``, at least ``least (C,)``."""
-        vector = np.append(point.parameters, -1.0)
-        return np.asarray(np.maximum((self.products @ vector) @ vector, self.least))
+        return self.weighed(np.append(point.parameters, -1.0))[0]
 
-    def at(self, point: Point) -> _Terms:
-        """The terms at a point, computed once for each point that is in use."""
-        if point not in self._known:
-            self._known[point] = self._terms(point)
-        return self._known[point]
+    def weighed(self, vector: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Sums of squares ``(C,)`` at the parameters and -1, ``vector (D + 1,)``, and the sum ``(D + 1, D + 1)`` of the
+        products, each with its channel's count over its sum of squares."""
+        if compiled.native is None:
+            squares = np.maximum((self.products @ vector) @ vector, self.least)
+            return squares, np.tensordot(self.counts / squares, self.products, axes=1)
+        squares, total = np.empty(len(self.products)), np.empty(self.products.shape[1:])
+        compiled.native.weigh(*self._by_channel, vector, self.counts, self.least, squares, total)
+        return squares, total
 
-    def _terms(self, point: Point) -> _Terms:
-        vector = np.append(point.parameters, -1.0)
-        moved = self.products @ vector
-        squares = np.maximum(moved @ vector, self.least)
-        weights = self.counts / squares
-        rows = (weights @ self._flat).reshape(len(vector), -1)
-        half = self.manifold.whiten(point, rows[:, :-1])
-        return _Terms(
-            0.5 * float(self.counts @ np.log(squares)),
-            vector @ half,
-            self.manifold.whiten(point, half[:-1].T),
-            *self.manifold.log_and_hessian(point, self.prior),
-        )
+    @cached_property
+    def _by_channel(self) -> tuple[FloatArray, IntArray, IntArray]:
+        """The products; the columns that each channel has, one channel after the other; and where each channel's end.
+
+        An effort depends only on the links behind its joint, and on the joint's own effects.
+        """
+        channels, columns = np.nonzero(np.diagonal(self.products, axis1=1, axis2=2))
+        ends = np.searchsorted(channels, np.arange(len(self.products)), side="right")
+        return np.ascontiguousarray(self.products), columns.copy(), ends
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,19 +87,21 @@ class ProfileObjective:
         """The end of a step along a straight line."""
         return self.manifold.straight(point, tangent)
 
+    @cached_property
+    def _known_products(self) -> FloatArray:
+        return self.known.T @ self.known
+
     def evaluate(self, point: Point) -> Evaluation:
         """Value, gradient, information and Hessian along straight lines at ``point``."""
-        terms, links = self.profile.at(point), self.manifold.inertial
-        pull = self.weights * terms.to_prior
-        value, slope, information = terms.value + 0.5 * float(pull @ terms.to_prior), terms.slope, terms.information
+        profile = self.profile
+        vector = np.append(point.parameters, -1.0)
+        squares, products = profile.weighed(vector)
+        value, slope = 0.5 * float(profile.counts @ np.log(squares)), (products @ vector)[:-1]
         if len(self.known):
-            off = self.known @ np.append(point.parameters - self.profile.prior.parameters, 1.0)
-            normals = self.manifold.whiten(point, self.known[:, :-1])
-            value, slope = value + 0.5 * float(off @ off), slope + off @ normals
-            information = information + normals.T @ normals
-        bends = self.weights[links].reshape(-1, terms.bends.shape[-1], 1) * terms.bends
-        hessian = straight_hessian(self.manifold, information, self.weights, bends, pull)
-        return Evaluation(value, slope - pull, information, hessian)
+            off = self.known @ np.append(point.parameters - profile.prior.parameters, 1.0)
+            value, slope = value + 0.5 * float(off @ off), slope + off @ self.known[:, :-1]
+            products += self._known_products
+        return with_prior(self.manifold, point, profile.prior, self.weights, (value, slope, products))
 
 
 def minimum(objective: ProfileObjective, start: Point) -> Solution:

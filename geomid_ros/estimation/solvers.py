@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import cached_property
 
 import numpy as np
 from numpy.linalg import LinAlgError
@@ -22,6 +21,8 @@ _SHRINK_BELOW = 0.25
 _HIDDEN = 1e-10
 _ROUNDING = 1e-13
 _SHORTEST = 1e-12  # step
+_NEARLY = 0.99  # of the radius: a step that long is as good as one to the ball's end
+_CLOSE = 1e-10  # relative width of a bracket
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,9 +55,9 @@ def trust_region(
 ) -> Solution:
     """Minimise by Newton steps on the manifold inside a trust region.
 
-    The subproblem is solved exactly, in the eigenbasis of the Hessian where the Newton step does not fit (More &
-    Sorensen 1983); the radius follows the ratio of actual to predicted decrease (Nocedal & Wright, "Numerical
-    Optimization", algorithm 4.1). Every accepted step descends; where rounding hides the descent, the gradient shrinks.
+    The subproblem is solved as by More & Sorensen (1983); the radius follows the ratio of actual to predicted decrease
+    (Nocedal & Wright, "Numerical Optimization", algorithm 4.1). Every accepted step descends; where rounding hides the
+    descent, the gradient shrinks.
 
     Args:
         objective: What to minimise.
@@ -94,7 +95,7 @@ def trust_region(
             radius = 0.25 * length
         if ratio < _SHRINK_BELOW:
             radius = 0.25 * length
-        elif ratio > _EXPAND_ABOVE and length > 0.99 * radius:
+        elif ratio > _EXPAND_ABOVE and length >= _NEARLY * radius:
             radius = 2.0 * radius
         point, evaluation = candidate, trial
         values.append(evaluation.value)
@@ -120,39 +121,50 @@ class _QuadraticModel:
     def __init__(self, evaluation: Evaluation) -> None:
         self._gradient = evaluation.gradient
         self._hessian = evaluation.hessian
+        self._undamped = self._step(0.0)
 
     def minimiser(self, radius: float) -> FloatArray:
-        """``-(H + mu 1)^-1 g`` with the least mu >= 0 for which ``H + mu 1`` is positive definite and the step fits."""
-        newton = self._newton_step
-        if newton is not None and np.linalg.norm(newton) <= radius:
-            return newton
-        eigenvalues, basis = self._eigen
-        components = basis.T @ self._gradient
+        """``-(H + mu 1)^-1 g`` with the least mu >= 0 for which ``H + mu 1`` is positive definite and the step fits.
 
-        def length(damping: float) -> float:
-            return float(np.linalg.norm(components / (eigenvalues + damping)))
+        A step that does not fit without mu ends in the ball's last hundredth, by Newton's iteration for the inverse of
+        its length (Nocedal & Wright, algorithm 4.3) inside a bracket; or, where the gradient has no part along the
+        eigenvector of the least eigenvalue, at the least mu but for rounding.
 
-        floor = 1e-12 * float(np.max(np.abs(eigenvalues)))
-        damping = max(0.0, floor - float(eigenvalues[0]))
-        if length(damping) > radius:
-            low, high = damping, damping + float(np.linalg.norm(self._gradient)) / radius
-            while high - low > 1e-3 * high:
-                damping = 0.5 * (low + high)
-                low, high = (damping, high) if length(damping) > radius else (low, damping)
-            damping = high
-        return -(basis @ (components / (eigenvalues + damping)))
+        Raises:
+            LinAlgError: g or H is not finite.
+        """
+        if not (np.all(np.isfinite(self._gradient)) and np.all(np.isfinite(self._hessian))):
+            raise LinAlgError("the objective's derivatives are not finite")
+        sizes = float(np.linalg.norm(self._hessian)), float(np.linalg.norm(self._gradient)) / radius
+        smallest = _ROUNDING * max(sizes)
+        low, high, damping, trial = 0.0, np.inf, 0.0, self._undamped
+        fitting: FloatArray | None = None
+        while fitting is None or high - low > _CLOSE * high:
+            length = np.inf if trial is None else float(np.linalg.norm(trial[0]))
+            if trial is not None and length <= radius:
+                high, fitting = damping, trial[0]
+                if damping == 0.0 or not 0.0 < length < _NEARLY * radius:
+                    break
+            else:
+                low = damping
+            if trial is not None:
+                aim = 0.5 * (1.0 + _NEARLY) * radius
+                damping += length**2 / trial[1] * (length / aim - 1.0)
+            if trial is None or not low < damping < high:
+                least = max(low, smallest)
+                damping = float(np.sqrt(least * high)) if fitting is not None else 10.0 * least
+            trial = self._step(damping)
+        return fitting
 
-    @cached_property
-    def _newton_step(self) -> FloatArray | None:
-        """The step without damping, or None where the Hessian is not positive definite."""
+    def _step(self, damping: float) -> tuple[FloatArray, float] | None:
+        """``x = -(H + damping 1)^-1 g`` and ``x (H + damping 1)^-1 x``; None where that is not positive definite."""
+        damped = self._hessian.copy()
+        damped.flat[:: len(damped) + 1] += damping
         try:
-            return -definite.solved(self._hessian, self._gradient)
+            step, again = definite.solved_twice(damped, -self._gradient)
         except LinAlgError:
             return None
-
-    @cached_property
-    def _eigen(self) -> tuple[FloatArray, FloatArray]:
-        return np.linalg.eigh(self._hessian)
+        return step, float(step @ again)
 
 
 def cyclic(objective: Objective, start: Point, tolerance: float = 1e-8, max_steps: int = 20000) -> Solution:

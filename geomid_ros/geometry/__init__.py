@@ -1,1 +1,1 @@
-"""Floor 0: the geometry of physically possible inertias. Imports numpy and numba only."""
+"""Floor 0: the geometry of physically possible inertias. Imports numpy only."""

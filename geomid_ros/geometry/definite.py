@@ -26,6 +26,15 @@ def solved(matrix: FloatArray, right: FloatArray) -> FloatArray:
     return np.asarray(x)
 
 
+def solved_twice(matrix: FloatArray, right: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """The x of :func:`solved`, and the y with ``matrix y = x``."""
+    factor, x, failed = _lapack().dposv(matrix, right, lower=1)
+    if failed:
+        raise LinAlgError("not positive definite")
+    y, _ = _lapack().dpotrs(factor, x, lower=1)
+    return np.asarray(x), np.asarray(y)
+
+
 def solved_anyway(matrix: FloatArray, right: FloatArray) -> FloatArray:
     """The x with ``matrix (n, n) x = right (n,)``; the shortest of those that come nearest where rounding leaves the
     matrix not quite positive definite."""

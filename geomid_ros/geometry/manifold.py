@@ -19,7 +19,7 @@ from functools import cached_property
 
 import numpy as np
 
-from geomid_ros.geometry import pseudo_inertia, spd, symmetric
+from geomid_ros.geometry import compiled, pseudo_inertia, spd, symmetric
 from geomid_ros.types import FloatArray, IntArray, frozen
 
 _UNITS = symmetric.to_matrix(np.eye(symmetric.SIZE))
@@ -154,18 +154,25 @@ class ParameterManifold:
         Precise data confine the parameters to a thin slab of straight hyperplanes, which a geodesic leaves after a
         short way. Where the line would leave the cone, the eigenvalue approaches zero instead.
         """
-        steps = tangent[self.inertial].reshape(self.links, symmetric.SIZE)
+        return Point(
+            self._straight_links(base, tangent[self.inertial].reshape(self.links, symmetric.SIZE)),
+            base.positives * _lengthened(tangent[self.positive]),
+            base.reals + self.scales * tangent[self.real],
+        )
+
+    def _straight_links(self, base: Point, steps: FloatArray) -> FloatArray:
+        """Pseudo-inertias ``(links, 4, 4)`` at the ends of straight lines with tangent coordinates ``(links, 10)``."""
+        if compiled.native is not None:
+            ends = np.empty(base.pseudo_inertias.shape)
+            compiled.native.straight_lines(base.pseudo_inertias, steps, ends)
+            return ends
         matrices = symmetric.to_matrix(steps)
         whitened = _IDENTITY + matrices
         long = np.flatnonzero(np.sum(steps**2, axis=1) > _STRAIGHT**2)  # of others no eigenvalue can be below
         if len(long):
             values, vectors = np.linalg.eigh(matrices[long])
             whitened[long] = spd.composed(_lengthened(values), vectors)
-        return Point(
-            spd.congruence(base.root, whitened),
-            base.positives * _lengthened(tangent[self.positive]),
-            base.reals + self.scales * tangent[self.real],
-        )
+        return spd.congruence(base.root, whitened)
 
     def log(self, base: Point, point: Point) -> FloatArray:
         """Tangent coordinates ``(D,)`` at ``base`` of the geodesic to ``point`` (8)."""

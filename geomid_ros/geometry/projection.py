@@ -37,14 +37,12 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-import numba
 import numpy as np
 
-from geomid_ros.geometry.eigen4 import BUFFER, LANES, MATRIX, VECTORS, jacobi_eigh
-from geomid_ros.geometry.lambert import NEAR, lambert_near, lambert_w
+from geomid_ros.geometry import compiled, symmetric
+from geomid_ros.geometry.lambert import coefficients, lambert_w
 from geomid_ros.geometry.manifold import ParameterManifold, Point
-from geomid_ros.geometry.symmetric import COLUMNS, ROWS
-from geomid_ros.types import FloatArray, IntArray
+from geomid_ros.types import BoolArray, FloatArray, IntArray
 
 ROOT = 0
 NO_ROOT_LOW = 1  # b lies above what the neighbourhood reaches: the multiplier stops at the lower end
@@ -55,18 +53,6 @@ _NOISE = 1e-14  # eigenvalues smaller than this share of the largest are zeros t
 _RELATIVE_TOLERANCE = 1e-14
 _BRANCH_GAP = 1e-9  # 1 + W is not taken smaller: at the branch point slopes are infinite
 _CLOSE = -0.3659  # below it W is next to the branch point, under -0.9
-_ROOT_HALF = math.sqrt(0.5)
-
-# Links are worked on in blocks of LANES, each in a buffer of its own. Entry by entry the links lie side by side, so
-# that the compiler turns each operation into one on all of them. After the decomposition follow the basis of symmetric
-# matrices that the eigenvectors make (ten coordinates of each of ten), the curvature in the direction of each, a sum of
-# the first four with other sizes, and the sum of the curvatures over the rows.
-_BASIS = BUFFER
-_BENDS = _BASIS + 100 * LANES
-_SUM = _BENDS + 10 * LANES
-_SUMS = _SUM + 10 * LANES
-_BLOCK = _SUMS + 100 * LANES
-_VALUES = 4 * LANES
 
 
 @dataclass(frozen=True)
@@ -88,383 +74,6 @@ class Projection:
     status: IntArray
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "reassoc"})
-def _constraint(
-    multiplier: float,
-    values: FloatArray,
-    ends: tuple[float, float],
-    flat: float,
-    offset: float,
-    lambert: FloatArray,
-    moved: FloatArray,
-) -> tuple[float, float, float, float]:
-    """C(L), its slope, its curvature and its terms' size.
-
-    ``flat`` is the sum of x^2 over the reals, ``offset`` C's constant part. Of the values s, whose interval has these
-    ``ends``, ``lambert`` receives ``W(L s)`` and ``moved`` ``s exp(-W)``, which is ``W/L``.
-    """
-    inverse = 1.0 / multiplier if multiplier != 0.0 else 0.0
-    for k in range(len(values)):
-        lambert[k] = lambert_near(multiplier * values[k])
-        moved[k] = inverse * lambert[k] if multiplier != 0.0 else values[k]
-    one, other = -multiplier / (math.e * ends[0]), -multiplier / (math.e * ends[1])  # the extremes of L s
-    if max(one, other) > NEAR or min(one, other) < _CLOSE:
-        _correct_extremes(multiplier, values, lambert, moved)
-    total = offset - multiplier * flat
-    size = abs(offset) + abs(multiplier * flat)
-    slope = -flat
-    bend = 0.0
-    for k in range(len(values)):
-        steep = moved[k] / max(1.0 + lambert[k], _BRANCH_GAP)
-        total += moved[k]
-        size += abs(moved[k])
-        slope -= moved[k] * steep
-        bend += steep * steep * steep * (3.0 + 2.0 * lambert[k])
-    return total, slope, bend, size
-
-
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def _correct_extremes(multiplier: float, values: FloatArray, lambert: FloatArray, moved: FloatArray) -> None:
-    """W beyond the reach of ``lambert_near``; and ``s exp(-W)`` next to the branch point, where W is known less exactly
-    and only what the exponential makes of it agrees with where the projection lands."""
-    for k in range(len(values)):
-        z = multiplier * values[k]
-        if z > NEAR:
-            lambert[k] = lambert_w(z)
-            moved[k] = lambert[k] / multiplier
-        elif z < _CLOSE:
-            moved[k] = values[k] * math.exp(-lambert[k])
-
-
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def _interval(values: FloatArray) -> tuple[float, float]:
-    """The ends of the interval of multipliers; values that are zero but for rounding are set to zero."""
-    largest = 0.0
-    smallest = 0.0
-    for value in values:
-        largest = max(largest, value)
-        smallest = min(smallest, value)
-    noise = _NOISE * max(largest, -smallest)
-    for k in range(len(values)):
-        if abs(values[k]) <= noise:
-            values[k] = 0.0
-    low = -1.0 / (math.e * largest) if largest > noise else -math.inf
-    high = -1.0 / (math.e * smallest) if smallest < -noise else math.inf
-    return low, high
-
-
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def _root(
-    values: FloatArray, flat: float, offset: float, lambert: FloatArray, moved: FloatArray
-) -> tuple[float, int, float]:
-    """Root of C by Halley's method kept inside a shrinking bracket; its status; the excess C at the returned L.
-
-    ``lambert`` and ``moved`` receive what :func:`_constraint` makes of the values there.
-    """
-    low, high = ends = _interval(values)
-    total, slope, bend, size = _constraint(0.0, values, ends, flat, offset, lambert=lambert, moved=moved)
-    if slope == 0.0:
-        return 0.0, ROOT if total == 0.0 else (NO_ROOT_LOW if total < 0.0 else NO_ROOT_HIGH), total
-    # With one sign of eigenvalues only and no flat direction C falls to -b's own value at infinity.
-    if total > 0.0 and high == math.inf and flat == 0.0 and offset >= 0.0:
-        return 0.0, NO_ROOT_HIGH, total
-    if total < 0.0 and low == -math.inf and flat == 0.0 and offset <= 0.0:
-        return 0.0, NO_ROOT_LOW, total
-    rising = total > 0.0
-    end = high if rising else low
-    low, high = (0.0, high) if rising else (low, 0.0)
-    tried = False
-    multiplier = 0.0
-    for _ in range(_MAX_STEPS):
-        if abs(total) <= _RELATIVE_TOLERANCE * size:
-            break
-        rate = slope - 0.5 * total * bend / slope
-        candidate = multiplier - total / (rate if rate < 0.5 * slope else slope)
-        if candidate == multiplier:
-            break
-        if not (low < candidate < high):
-            if not tried and math.isfinite(end):
-                excess, _, _, _ = _constraint(end, values, ends, flat, offset, lambert=lambert, moved=moved)
-                if excess != 0.0 and (excess > 0.0) == rising:
-                    return end, NO_ROOT_HIGH if rising else NO_ROOT_LOW, excess
-                tried = True
-            candidate = 0.5 * (low + high)  # finite: towards an infinite end C is convex and Newton stays inside
-        multiplier = candidate
-        total, slope, bend, size = _constraint(multiplier, values, ends, flat, offset, lambert=lambert, moved=moved)
-        if total > 0.0:
-            low = multiplier
-        else:
-            high = multiplier
-    return multiplier, ROOT, total
-
-
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def _gather(x: FloatArray, first: int, links: int, block: FloatArray) -> bool:
-    """Put the X-bar of the links from ``first`` on into ``block``; False if the row touches none of them."""
-    touched = False
-    for k in range(10 * first, 10 * min(first + LANES, links)):
-        touched = touched or x[k] != 0.0
-    if touched:
-        for entry in range(10):
-            factor = 1.0 if entry < 4 else _ROOT_HALF
-            for lane in range(min(LANES, links - first)):
-                block[MATRIX + entry * LANES + lane] = factor * x[10 * (first + lane) + entry]
-            for lane in range(links - first, LANES):
-                block[MATRIX + entry * LANES + lane] = 0.0
-    return touched
-
-
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def _make_basis(block: FloatArray) -> None:
-    """Coordinates of the orthonormal ``v_k v_k^T`` and ``(v_k v_m^T + v_m v_k^T) / sqrt(2)`` of the eigenvectors v, in
-    the order of ``symmetric``."""
-    for pair in range(10):
-        k, m = VECTORS + LANES * ROWS[pair], VECTORS + LANES * COLUMNS[pair]
-        on, off = (0.5, _ROOT_HALF) if pair < 4 else (_ROOT_HALF, 1.0)
-        first = _BASIS + 10 * LANES * pair
-        for lane in range(LANES):
-            v, u, place = k + lane, m + lane, first + lane
-            v0, v1, v2, v3 = block[v], block[v + 4 * LANES], block[v + 8 * LANES], block[v + 12 * LANES]
-            u0, u1, u2, u3 = block[u], block[u + 4 * LANES], block[u + 8 * LANES], block[u + 12 * LANES]
-            block[place] = on * (v0 * u0 + u0 * v0)
-            block[place + LANES] = on * (v1 * u1 + u1 * v1)
-            block[place + 2 * LANES] = on * (v2 * u2 + u2 * v2)
-            block[place + 3 * LANES] = on * (v3 * u3 + u3 * v3)
-            block[place + 4 * LANES] = off * (v0 * u1 + u0 * v1)
-            block[place + 5 * LANES] = off * (v0 * u2 + u0 * v2)
-            block[place + 6 * LANES] = off * (v0 * u3 + u0 * v3)
-            block[place + 7 * LANES] = off * (v1 * u2 + u1 * v2)
-            block[place + 8 * LANES] = off * (v1 * u3 + u1 * v3)
-            block[place + 9 * LANES] = off * (v2 * u3 + u2 * v3)
-
-
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def _pair_curvatures(values: FloatArray, lambert: FloatArray, weight: float, block: FloatArray) -> None:
-    """``(s_k + s_l)(W_k - W_l) / (2 (s_k - s_l))`` with its limit for equal eigenvalues, times ``weight``.
-
-    The ``values`` s and ``lambert`` W are the four of every link of ``block``.
-    """
-    for pair in range(10):
-        k, m = LANES * ROWS[pair], LANES * COLUMNS[pair]
-        for lane in range(LANES):
-            s_k, s_l = values[k + lane], values[m + lane]
-            w_k, w_l = lambert[k + lane], lambert[m + lane]
-            middle = 0.5 * (w_k + w_l)
-            difference = s_k - s_l
-            apart = abs(difference) > 1e-7 * (abs(s_k) + abs(s_l))
-            above = middle > -1.0  # two extreme eigenvalues beyond the end: a kink
-            numerator = 0.5 * (s_k + s_l) * (w_k - w_l) if apart else (middle if above else 0.0)
-            denominator = difference if apart else (1.0 + middle if above else 1.0)
-            block[_BENDS + LANES * pair + lane] = weight * numerator / denominator
-
-
-@numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
-def _add_curvature(block: FloatArray) -> None:
-    """Add the links' curvatures to the upper triangles of their sums."""
-    for i in range(10):
-        for j in range(i, 10):
-            for lane in range(LANES):
-                term = 0.0
-                for pair in range(10):
-                    place = _BASIS + 10 * LANES * pair + lane
-                    bend = block[_BENDS + LANES * pair + lane]
-                    term += bend * block[place + LANES * i] * block[place + LANES * j]
-                block[_SUMS + 10 * LANES * i + LANES * j + lane] += term
-
-
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def _along_eigenvectors(block: FloatArray, sizes: FloatArray, first: int, links: int, result: FloatArray) -> None:
-    """The coordinates of ``sum sizes_k v_k v_k^T`` of the links from ``first`` on, into ``result (D,)``."""
-    for entry in range(10):
-        place = _BASIS + LANES * entry
-        for lane in range(LANES):
-            block[_SUM + LANES * entry + lane] = (
-                sizes[lane] * block[place + lane]
-                + sizes[LANES + lane] * block[place + 10 * LANES + lane]
-                + sizes[2 * LANES + lane] * block[place + 20 * LANES + lane]
-                + sizes[3 * LANES + lane] * block[place + 30 * LANES + lane]
-            )
-    for lane in range(min(LANES, links - first)):
-        for entry in range(10):
-            result[10 * (first + lane) + entry] = block[_SUM + LANES * entry + lane]
-
-
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def _bend_with_the_end(
-    x: FloatArray,
-    excited: IntArray,
-    blocks: FloatArray,
-    lambert: FloatArray,
-    extreme: int,
-    multiplier: float,
-    excess: float,
-    links: int,
-    weight: float,
-    curvature: FloatArray,
-) -> None:
-    """The part of the Hessian that arises because the end of the interval moves with the extreme eigenvalue.
-
-    With u the logarithms of the eigenvalues' sizes, e the extreme one and ``L = -1/(e s_e)`` throughout:
-    ``d2/du_k du_e = -W_k/(1 + W_k)``, ``d2/dq du_e = -L x`` on the reals, and
-    ``d2/du_e^2 = 1 + L C - sum_(k != e) W_k^2/(1 + W_k) - sum (L x)^2``.
-    """
-    in_links = _VALUES * len(excited)
-    mover = np.zeros(len(x))
-    others = np.zeros(len(x))
-    own = 1.0 + multiplier * excess
-    for k in range(len(lambert)):
-        bend = lambert[k] / (1.0 + lambert[k]) if k != extreme else 0.0
-        own -= lambert[k] * bend
-        index, place = k // _VALUES, k % _VALUES
-        lane = place % LANES
-        link = LANES * excited[index] + lane if k < in_links else 0
-        if link >= links and k < in_links:
-            continue
-        for entry in range(10 if k < in_links else 1):
-            column = 10 * link + entry if k < in_links else 10 * links + k - in_links
-            unit = 1.0
-            if k < in_links:
-                unit = blocks[excited[index], _BASIS + 10 * (place - lane) + LANES * entry + lane]
-            if k == extreme:
-                mover[column] = unit
-            else:
-                others[column] += bend * unit
-    for k in range(10 * links + len(lambert) - in_links, len(x)):
-        others[k] = multiplier * x[k]
-        own -= others[k] * others[k]
-    for i in range(len(x)):
-        for j in range(i, len(x)):
-            curvature[i, j] += weight * (own * mover[i] * mover[j] - mover[i] * others[j] - others[i] * mover[j])
-
-
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def _decompose(
-    x: FloatArray, links: int, positives: int, blocks: FloatArray, excited: IntArray, values: FloatArray
-) -> tuple[int, float]:
-    """Eigenvectors of a row into the blocks that it touches, which are listed in ``excited``, and into ``values`` the
-    eigenvalues block by block, then the positives. Returns the number of those blocks and the reals' sum of squares."""
-    active = 0
-    for index in range(len(blocks)):
-        block = blocks[index]
-        if _gather(x, LANES * index, links, block):
-            jacobi_eigh(block)
-            for k in range(_VALUES):
-                values[_VALUES * active + k] = block[k]
-            excited[active] = index
-            active += 1
-    for k in range(positives):
-        values[_VALUES * active + k] = x[10 * links + k]
-    flat = 0.0
-    for k in range(10 * links + positives, len(x)):
-        flat += x[k] * x[k]
-    return active, flat
-
-
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def _half_squared(multiplier: float, excess: float, flat: float, lambert: FloatArray) -> float:
-    """The dual function at the multiplier; at a root the excess is zero but for rounding."""
-    half = 0.5 * multiplier * multiplier * flat + multiplier * excess
-    for w in lambert:
-        half += 0.5 * w * w
-    return half
-
-
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def _measure_rows(
-    normals: FloatArray, offsets: FloatArray, links: int, positives: int, half_squared: FloatArray, status: IntArray
-) -> None:
-    """The values alone of what :func:`_project_rows` computes."""
-    blocks = np.zeros(((links + LANES - 1) // LANES, _BLOCK))
-    excited = np.zeros(len(blocks), dtype=np.int64)
-    room = np.zeros((3, _VALUES * len(blocks) + positives))
-    for row in range(normals.shape[0]):
-        active, flat = _decompose(normals[row], links, positives, blocks, excited, room[0])
-        count = _VALUES * active + positives
-        lambert = room[1, :count]
-        multiplier, status[row], excess = _root(room[0, :count], flat, offsets[row], lambert, room[2, :count])
-        half_squared[row] = _half_squared(multiplier, excess, flat, lambert)
-
-
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def _project_rows(
-    normals: FloatArray,
-    offsets: FloatArray,
-    weights: FloatArray,
-    links: int,
-    positives: int,
-    half_squared: FloatArray,
-    tangent: FloatArray,
-    direction: FloatArray,
-    curvature: FloatArray,
-    status: IntArray,
-) -> None:
-    """Fill the outputs for rows with the tangent coordinates ``normals``; ``offsets`` is the constant part of C.
-
-    Output arrays arrive as zeros.
-    """
-    blocks = np.zeros(((links + LANES - 1) // LANES, _BLOCK))
-    excited = np.zeros(len(blocks), dtype=np.int64)  # the blocks that the row touches
-    room = np.zeros((5, _VALUES * len(blocks) + positives))
-    for row in range(normals.shape[0]):
-        x = normals[row]
-        active, flat = _decompose(x, links, positives, blocks, excited, room[0])
-        in_links = _VALUES * active
-        count = in_links + positives
-        values, toward, along = room[0, :count], room[1, :count], room[2, :count]
-        lambert, moved = room[3, :count], room[4, :count]
-        multiplier, status[row], excess = _root(values, flat, offsets[row], lambert, moved)
-        half_squared[row] = _half_squared(multiplier, excess, flat, lambert)
-        state = status[row]
-        steepness = flat
-        for k in range(count):
-            w = lambert[k]
-            toward[k] = -w
-            w = max(w, _BRANCH_GAP - 1.0)  # the same in both parts of the Hessian: their infinities cancel
-            lambert[k] = w
-            along[k] = moved[k] / (1.0 + w)
-            steepness += along[k] * moved[k]
-        extreme = 0
-        if state != ROOT and count > 0:
-            # The end of the interval moves with the extreme eigenvalue.
-            extreme = int(np.argmin(multiplier * values))
-            toward[extreme] += multiplier * excess
-            lambert[extreme] -= multiplier * excess  # minus the gradient: what the curvature between a pair is made of
-        beyond = state != ROOT and multiplier != 0.0
-        share = 1.0 / math.sqrt(steepness) if state == ROOT and steepness > 0.0 else 0.0
-        for k in range(count):
-            along[k] *= share
-
-        for index in range(active):
-            begin, end = _VALUES * index, _VALUES * (index + 1)
-            first = LANES * excited[index]
-            block = blocks[excited[index]]
-            _make_basis(block)
-            _along_eigenvectors(block, toward[begin:end], first, links, tangent[row])
-            _along_eigenvectors(block, along[begin:end], first, links, direction[row])
-            _pair_curvatures(values[begin:end], lambert[begin:end], weights[row], block)
-            if beyond and begin <= extreme < end:
-                block[_BENDS + extreme - begin] = 0.0
-            _add_curvature(block)
-        for k in range(positives):
-            column = 10 * links + k
-            w = lambert[in_links + k]
-            tangent[row, column] = toward[in_links + k]
-            direction[row, column] = along[in_links + k]
-            if not (beyond and extreme == in_links + k):
-                curvature[column, column] += weights[row] * w / (1.0 + w)
-        for k in range(10 * links + positives, len(x)):
-            tangent[row, k] = -multiplier * x[k]
-            direction[row, k] = share * x[k]
-        if beyond and weights[row] != 0.0:
-            moving = (extreme, multiplier, excess, links, weights[row])
-            _bend_with_the_end(x, excited[:active], blocks, lambert, *moving, curvature)
-    for link in range(links):
-        for i in range(10):
-            for j in range(i, 10):
-                total = blocks[link // LANES, _SUMS + LANES * (10 * i + j) + link % LANES]
-                curvature[10 * link + i, 10 * link + j] += total
-
-
 def project(
     manifold: ParameterManifold,
     point: Point,
@@ -482,20 +91,16 @@ def project(
     """
     rows, dimension = normals.shape
     offsets = _offsets(manifold, point, normals, targets)
-    half, status = np.zeros(rows), np.zeros(rows, dtype=np.int64)
+    weights = np.ones(rows) if weights is None else weights
+    if compiled.native is None:
+        with np.errstate(all="ignore"):  # of values that are replaced, or of a step that is then refused
+            return _project(manifold, normals, offsets, weights)
+    half, status = np.empty(rows), np.empty(rows, dtype=np.int64)
     tangent, direction = np.zeros((rows, dimension)), np.zeros((rows, dimension))
     curvature = np.zeros((dimension, dimension))
-    _project_rows(
-        np.ascontiguousarray(normals),
-        offsets,
-        np.ones(rows) if weights is None else np.ascontiguousarray(weights),
-        manifold.links,
-        manifold.positives,
-        half_squared=half,
-        tangent=tangent,
-        direction=direction,
-        curvature=curvature,
-        status=status,
+    compiled.native.project(
+        *(np.ascontiguousarray(normals), offsets, coefficients(), manifold.links, manifold.positives),
+        *(np.ascontiguousarray(weights), half, tangent, direction, curvature, status),
     )
     curvature += np.triu(curvature, 1).T
     return Projection(half, tangent, direction, curvature, status)
@@ -506,8 +111,14 @@ def measure(
 ) -> tuple[FloatArray, IntArray]:
     """``half_squared`` and ``status`` of :func:`project` alone, for half the cost."""
     offsets = _offsets(manifold, point, normals, targets)
-    half, status = np.zeros(len(normals)), np.zeros(len(normals), dtype=np.int64)
-    _measure_rows(np.ascontiguousarray(normals), offsets, manifold.links, manifold.positives, half, status)
+    if compiled.native is None:
+        with np.errstate(all="ignore"):
+            roots = _Roots(manifold, normals, offsets)
+        return roots.half_squared, roots.status
+    half, status = np.empty(len(normals)), np.empty(len(normals), dtype=np.int64)
+    compiled.native.measure(
+        *(np.ascontiguousarray(normals), offsets, coefficients(), manifold.links, manifold.positives), half, status
+    )
     return half, status
 
 
@@ -515,3 +126,168 @@ def _offsets(manifold: ParameterManifold, point: Point, normals: FloatArray, tar
     """The constant part of C, ``(N,)``; a product of matrices would round a row differently in other company."""
     in_reals: FloatArray = np.sum(normals[:, manifold.real] * (point.reals / manifold.scales), axis=1)
     return in_reals - targets
+
+
+class _Roots:
+    """Roots of C of rows with the tangent coordinates ``normals (N, D)`` and C's constant parts ``offsets (N,)``, by
+    Halley's method kept inside a shrinking bracket; by numpy.
+
+    Attributes:
+        vectors: Eigenvectors of the links' X-bar ``(N, links, 4, 4)``.
+        values: Eigenvalues s of the links, then the positives ``(N, K)``; zero where only rounding makes them more.
+        flat: Sums of x^2 over the reals ``(N,)``.
+        multiplier, status, excess: L, how it ended, and C there, ``(N,)``.
+        lambert, moved: ``W(L s)`` and ``s exp(-W)``, ``(N, K)``.
+    """
+
+    def __init__(self, manifold: ParameterManifold, normals: FloatArray, offsets: FloatArray) -> None:
+        count = len(normals)
+        bars = symmetric.to_matrix(normals[:, manifold.inertial].reshape(count, manifold.links, symmetric.SIZE))
+        values, self.vectors = np.linalg.eigh(bars)
+        self.values = np.concatenate([values.reshape(count, 4 * manifold.links), normals[:, manifold.positive]], axis=1)
+        largest, smallest = np.max(self.values, axis=1, initial=0.0), np.min(self.values, axis=1, initial=0.0)
+        noise = _NOISE * np.maximum(largest, -smallest)
+        self.values[np.abs(self.values) <= noise[:, None]] = 0.0
+        self.flat = np.sum(normals[:, manifold.real] ** 2, axis=1)
+        self._offsets = offsets
+        self._low = np.where(largest > noise, -1.0 / (math.e * largest), -np.inf)
+        self._high = np.where(smallest < -noise, -1.0 / (math.e * smallest), np.inf)
+        self.multiplier, self.status = np.zeros(count), np.full(count, ROOT, dtype=np.int64)
+        self._find()
+        self.excess = self._constraint(np.arange(count), self.multiplier)[0]
+        self.lambert, self.moved = self._lambert(self.values, self.multiplier)
+
+    @property
+    def half_squared(self) -> FloatArray:
+        """The dual function at the multiplier ``(N,)``; at a root the excess is zero but for rounding."""
+        of_reals = 0.5 * self.multiplier**2 * self.flat + self.multiplier * self.excess
+        return np.asarray(of_reals + 0.5 * np.sum(self.lambert**2, axis=1))
+
+    @staticmethod
+    def _lambert(values: FloatArray, multiplier: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """``W(L s)`` and ``s exp(-W)``: next to the branch point W is less exact than what the exponential makes of
+        it."""
+        arguments = multiplier[:, None] * values
+        lambert = lambert_w(arguments)
+        moved = np.where(multiplier[:, None] != 0.0, lambert / multiplier[:, None], values)
+        return lambert, np.where(arguments < _CLOSE, values * np.exp(-lambert), moved)
+
+    def _constraint(self, rows: IntArray, multiplier: FloatArray) -> tuple[FloatArray, ...]:
+        """C(L) of these ``rows (n,)`` at multipliers ``(n,)``, its slope, its curvature and its terms' size."""
+        lambert, moved = self._lambert(self.values[rows], multiplier)
+        steep = moved / np.maximum(1.0 + lambert, _BRANCH_GAP)
+        of_reals, offset = multiplier * self.flat[rows], self._offsets[rows]
+        return (
+            offset - of_reals + np.sum(moved, axis=1),
+            -self.flat[rows] - np.sum(moved * steep, axis=1),
+            np.sum(steep**3 * (3.0 + 2.0 * lambert), axis=1),
+            np.abs(offset) + np.abs(of_reals) + np.sum(np.abs(moved), axis=1),
+        )
+
+    def _without_root(self, total: FloatArray, slope: FloatArray) -> BoolArray:
+        """Which rows have no root whatever L is, by C and its slope at zero: with one sign of eigenvalues only and no
+        flat direction, C falls to the constant part at infinity."""
+        bounded = self.flat == 0.0
+        above = (total > 0.0) & (self._high == np.inf) & bounded & (self._offsets >= 0.0)
+        below = (total < 0.0) & (self._low == -np.inf) & bounded & (self._offsets <= 0.0)
+        none = above | below | ((slope == 0.0) & (total != 0.0))
+        self.status[none] = np.where(total[none] < 0.0, NO_ROOT_LOW, NO_ROOT_HIGH)
+        return np.asarray(none | (slope == 0.0))
+
+    def _find(self) -> None:
+        """Find the multipliers and how they end."""
+        every = np.arange(len(self.multiplier))
+        total, slope, bend, size = self._constraint(every, self.multiplier)
+        rising = total > 0.0
+        ends = np.where(rising, self._high, self._low)
+        low, high = np.where(rising, 0.0, self._low), np.where(rising, self._high, 0.0)
+        searched = ~(self._without_root(total, slope) | (np.abs(total) <= _RELATIVE_TOLERANCE * size))
+        tried = ~np.isfinite(ends)
+        for _ in range(_MAX_STEPS):
+            rate = slope - 0.5 * total * bend / slope
+            candidate = self.multiplier - total / np.where(rate < 0.5 * slope, rate, slope)
+            searched &= candidate != self.multiplier
+            if not np.any(searched):
+                return
+            outside = searched & ~((low < candidate) & (candidate < high))
+            asked = np.flatnonzero(outside & ~tried)
+            excess = self._constraint(asked, ends[asked])[0]
+            beyond = asked[(excess != 0.0) & ((excess > 0.0) == rising[asked])]
+            self.status[beyond] = np.where(rising[beyond], NO_ROOT_HIGH, NO_ROOT_LOW)
+            self.multiplier[beyond] = ends[beyond]
+            searched[beyond] = False
+            tried[asked] = True
+            # The middle is finite: towards an infinite end C is convex and Newton stays inside.
+            candidate = np.where(outside, 0.5 * (low + high), candidate)
+            rows = np.flatnonzero(searched)
+            self.multiplier[rows] = candidate[rows]
+            total[rows], slope[rows], bend[rows], size[rows] = self._constraint(rows, candidate[rows])
+            above = total > 0.0
+            low = np.where(searched & above, self.multiplier, low)
+            high = np.where(searched & ~above, self.multiplier, high)
+            searched &= ~(np.abs(total) <= _RELATIVE_TOLERANCE * size)
+
+
+def _project(manifold: ParameterManifold, normals: FloatArray, offsets: FloatArray, weights: FloatArray) -> Projection:
+    """:func:`project` by numpy."""
+    roots = _Roots(manifold, normals, offsets)
+    every, found = np.arange(len(normals)), roots.status == ROOT
+    beyond = ~found & (roots.multiplier != 0.0)
+    toward, lambert = -roots.lambert, np.maximum(roots.lambert, _BRANCH_GAP - 1.0)
+    along = roots.moved / (1.0 + lambert)
+    steepness = roots.flat + np.sum(along * roots.moved, axis=1)
+    share = np.where(found & (steepness > 0.0), 1.0 / np.sqrt(steepness), 0.0)
+    first, in_links = symmetric.SIZE * manifold.links, 4 * manifold.links
+    extreme = np.zeros(len(normals), dtype=np.int64)
+    if roots.values.shape[1]:
+        # The end of the interval moves with the extreme eigenvalue.
+        extreme = np.argmin(roots.multiplier[:, None] * roots.values, axis=1)
+        correction = np.where(found, 0.0, roots.multiplier * roots.excess)
+        toward[every, extreme] += correction
+        lambert[every, extreme] -= correction  # minus the gradient: what the curvature between a pair is made of
+    bend = lambert / (1.0 + lambert)
+    bend[beyond, extreme[beyond]] = 0.0
+    basis = symmetric.congruence(np.swapaxes(roots.vectors, -1, -2))  # coordinates of pairs of eigenvectors, by rows
+
+    def by_link(each: FloatArray) -> FloatArray:
+        return each[:, :in_links].reshape(len(each), manifold.links, 4)
+
+    def in_coordinates(each: FloatArray, reals: FloatArray) -> FloatArray:
+        """Tangent coordinates of what is ``each (N, K)`` along the eigenvectors and the positives."""
+        links = np.einsum("nlk,nlkc->nlc", by_link(each), basis[..., :4, :]).reshape(len(each), first)
+        return np.concatenate([links, each[:, in_links:], reals], axis=1)
+
+    bends = _pair_curvatures(by_link(roots.values), by_link(lambert))
+    bends[..., :4] = by_link(bend)
+    curvature = np.zeros((manifold.dimension,) * 2)
+    blocks = np.einsum("n,nlp,nlpi,nlpj->lij", weights, bends, basis, basis, optimize=True)
+    manifold.add_blocks(curvature, blocks, np.append(weights @ bend[:, in_links:], np.zeros(len(manifold.scales))))
+    moved = roots.multiplier[:, None] * normals[:, manifold.real]
+    if np.any(beyond):
+        # d2/du_k du_e = -W_k/(1 + W_k), d2/dq du_e = -L x, d2/du_e^2 = 1 + L C - sum_k W_k^2/(1 + W_k) - sum (L x)^2
+        # of the logarithms u of the eigenvalues' sizes, e the extreme one.
+        own = 1.0 + roots.multiplier * roots.excess - np.sum(lambert * bend, axis=1) - np.sum(moved**2, axis=1)
+        unit = np.zeros(roots.values.shape)
+        unit[every, extreme] = 1.0
+        mover = in_coordinates(unit, np.zeros(moved.shape))
+        others, share_of = in_coordinates(bend, moved), np.where(beyond, weights, 0.0)[:, None]
+        mixed = (share_of * mover).T @ others
+        curvature += (share_of * own[:, None] * mover).T @ mover - mixed - mixed.T
+    return Projection(
+        roots.half_squared,
+        in_coordinates(toward, -moved),
+        share[:, None] * in_coordinates(along, normals[:, manifold.real]),
+        0.5 * (curvature + curvature.T),
+        roots.status,
+    )
+
+
+def _pair_curvatures(values: FloatArray, lambert: FloatArray) -> FloatArray:
+    """``(s_k + s_l)(W_k - W_l) / (2 (s_k - s_l))`` with its limit for equal eigenvalues, ``(..., 10)``, of the four
+    ``values`` s and ``lambert`` W of each link ``(..., 4)``."""
+    one, other = (values[..., pair] for pair in (symmetric.ROWS, symmetric.COLUMNS))
+    of_one, of_other = (lambert[..., pair] for pair in (symmetric.ROWS, symmetric.COLUMNS))
+    middle = 0.5 * (of_one + of_other)
+    apart = np.abs(one - other) > 1e-7 * (np.abs(one) + np.abs(other))
+    limit = np.where(middle > -1.0, middle / (1.0 + middle), 0.0)  # two extreme eigenvalues beyond the end: a kink
+    return np.where(apart, 0.5 * (one + other) * (of_one - of_other) / (one - other), limit)

@@ -16,7 +16,7 @@ from .running import done
 
 NAMES = sorted(COMMANDS)
 LIBRARIES = {
-    *("jinja2", "matplotlib", "mujoco", "numba", "pinocchio", "plotly", "rclpy", "rosbags", "scipy", "trimesh", "yaml"),
+    *("jinja2", "matplotlib", "mujoco", "pinocchio", "plotly", "rclpy", "rosbags", "scipy", "trimesh", "yaml"),
 }
 HEAVY = LIBRARIES | {"numpy", "rich"}
 

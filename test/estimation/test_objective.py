@@ -15,6 +15,7 @@ from geomid_ros.types import FloatArray
 
 from .problems import ALL, LINKS, Problem, human_like, problem
 
+pytestmark = pytest.mark.usefixtures("either")
 SEEDS = pytest.mark.parametrize("seed", range(4))
 BOTH = pytest.mark.parametrize("kind", ["geodesic", "residual"])
 SMALL = ParameterManifold(1, 1, np.array([0.1]))

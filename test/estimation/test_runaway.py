@@ -35,7 +35,7 @@ def minimiser(case: Case, kind: type[GeodesicObjective | ResidualObjective], gam
     flat, targets = rows.coefficients.reshape(-1, 30), rows.targets.ravel()
     arguments = (manifold, flat, targets, np.full(len(targets), NOISE), prior, gamma)
     start = trust_region(ResidualObjective(*arguments), prior, 1e-6).point
-    return prior, trust_region(kind(*arguments), start, max_steps=300).point
+    return prior, trust_region(kind(*arguments), start, max_steps=1500).point
 
 
 def mass(point: Point) -> float:

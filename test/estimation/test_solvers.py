@@ -9,7 +9,7 @@ import pytest
 from geometry import bodies
 
 from geomid_ros.estimation.objective import Evaluation, Objective
-from geomid_ros.estimation.solvers import SOLVERS, Solution, cyclic, trust_region
+from geomid_ros.estimation.solvers import SOLVERS, Solution, _QuadraticModel, cyclic, trust_region
 from geomid_ros.geometry import projection
 from geomid_ros.geometry.manifold import ParameterManifold, Point
 from geomid_ros.types import FloatArray
@@ -213,3 +213,56 @@ def test_trial_points_that_overflow_shorten_the_step(
 def _longer(tangent: FloatArray) -> FloatArray:
     """A thousand times as long, if it is not short."""
     return 1000.0 * tangent if np.linalg.norm(tangent) > 1e-4 else tangent
+
+
+def in_the_ball(hessian: FloatArray, gradient: FloatArray, radius: float) -> float:
+    """The least value of ``g x + x H x / 2`` in the ball, in the eigenbasis by bisection (More & Sorensen 1983)."""
+    values, basis = np.linalg.eigh(hessian)
+    components = basis.T @ gradient
+
+    def step(damping: float) -> FloatArray:
+        return np.asarray(-(basis @ (components / (values + damping))))
+
+    low = max(0.0, 1e-12 - float(values[0]))
+    high = low + float(np.linalg.norm(gradient)) / radius
+    if np.linalg.norm(step(low)) <= radius:
+        high = low
+    for _ in range(200):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if np.linalg.norm(step(middle)) > radius else (low, middle)
+    best = step(high)
+    return float(gradient @ best + 0.5 * best @ hessian @ best)
+
+
+@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("radius", [1e-3, 1.0, 1e3])
+@pytest.mark.parametrize("least", [1.0, 1e-6, 0.0, -1.0, -1e4])
+def test_a_step_is_nearly_the_best_in_its_ball(seed: int, radius: float, least: float) -> None:
+    """Whether the Hessian, whose condition is large, is positive definite or not."""
+    rng = np.random.default_rng(seed)
+    turned = np.linalg.qr(rng.normal(size=(12, 12)))[0]
+    hessian = (turned * np.append(least, 10.0 ** rng.uniform(-1.0, 6.0, size=11))) @ turned.T
+    gradient = rng.normal(size=12) * 10.0 ** rng.uniform(-3.0, 3.0)
+    hessian = 0.5 * (hessian + hessian.T)
+    step = _QuadraticModel(Evaluation(0.0, gradient, hessian, hessian)).minimiser(radius)
+    assert np.linalg.norm(step) <= radius
+    value = gradient @ step + 0.5 * step @ hessian @ step
+    assert value <= 0.97 * in_the_ball(hessian, gradient, radius)
+
+
+def test_a_gradient_that_does_not_say_which_way_down_still_gives_a_step() -> None:
+    hessian, gradient = np.diag([-1.0, 2.0, 5.0]), np.array([0.0, 1.0, 1.0])
+    step = _QuadraticModel(Evaluation(0.0, gradient, hessian, hessian)).minimiser(10.0)
+    np.testing.assert_allclose(step, [0.0, -1.0 / 3.0, -1.0 / 6.0], rtol=2e-3)
+
+
+def test_of_no_curvature_at_all_a_step_goes_to_the_end() -> None:
+    model = _QuadraticModel(Evaluation(0.0, np.ones(4), np.zeros((4, 4)), np.zeros((4, 4))))
+    np.testing.assert_allclose(model.minimiser(2.0), -np.ones(4), rtol=0.01)
+
+
+@pytest.mark.parametrize(("slope", "bend"), [(1.0, np.nan), (np.inf, 1.0), (np.nan, 1.0)])
+def test_where_derivatives_are_not_finite_there_is_no_step(slope: float, bend: float) -> None:
+    hessian = np.diag([1.0, bend])
+    with pytest.raises(np.linalg.LinAlgError, match="finite"):
+        _QuadraticModel(Evaluation(0.0, np.array([slope, 1.0]), hessian, hessian)).minimiser(1.0)

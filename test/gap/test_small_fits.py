@@ -106,16 +106,6 @@ def test_no_sum_of_squares_is_less_than_the_least() -> None:
     assert second == objective().profile.squares(start)[1]
 
 
-def test_what_the_channels_say_at_a_point_is_computed_once() -> None:
-    own = objective()
-    start, other = (own.manifold.point(np.append(scale * LINK, [0.2, -0.1])) for scale in (1.0, 1.1))
-    assert own.profile.at(start) is own.profile.at(start)
-    firm = replace(own, weights=2.0 * own.weights)
-    np.testing.assert_array_equal(firm.evaluate(start).information, own.evaluate(start).information)
-    assert firm.evaluate(start).value > own.evaluate(start).value
-    assert own.evaluate(other).value != own.evaluate(start).value
-
-
 def test_a_minimum_is_near_enough_where_no_step_promises_much() -> None:
     """Whatever the direction: within a twentieth of a standard deviation."""
     own = objective()

@@ -20,6 +20,9 @@ def test_they_are_solved_and_inverted_as_by_general_methods(size: int) -> None:
     matrix, right = of_size(size), np.arange(1.0, size + 1.0)
     given = matrix.copy()
     assert definite.solved(matrix, right) == pytest.approx(np.linalg.solve(matrix, right), rel=1e-12)
+    for once, twice in zip(definite.solved_twice(matrix, right), (1, 2), strict=True):
+        expected = np.linalg.solve(np.linalg.matrix_power(matrix, twice), right)
+        assert once == pytest.approx(expected, rel=1e-10)
     assert definite.inverse(matrix) == pytest.approx(np.linalg.inv(matrix), rel=1e-12, abs=1e-15)
     assert np.array_equal(matrix, given)
     assert np.array_equal(right, np.arange(1.0, size + 1.0))
@@ -34,5 +37,7 @@ def test_of_an_indefinite_one_nothing_is_solved_but_there_is_an_inverse() -> Non
     matrix = np.diag([1.0, -2.0, 4.0])
     with pytest.raises(np.linalg.LinAlgError):
         definite.solved(matrix, np.ones(3))
+    with pytest.raises(np.linalg.LinAlgError):
+        definite.solved_twice(matrix, np.ones(3))
     assert definite.inverse(matrix) == pytest.approx(np.diag([1.0, -0.5, 0.25]))
     assert definite.solved_anyway(matrix, np.ones(3)) == pytest.approx([1.0, -0.5, 0.25])

@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from geomid_ros.geometry import symmetric
-from geomid_ros.geometry.eigen4 import BUFFER, LANES, VECTORS, jacobi_eigh
+from geomid_ros.geometry import compiled
 from geomid_ros.types import FloatArray
 
 from . import bodies
 
+LANES = 8
 ROUNDING = 1e-14  # relative to the largest eigenvalue
 
 
@@ -39,11 +39,11 @@ def matrices() -> dict[str, FloatArray]:
 
 def decompose_all(stack: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Eigenvalues ``(LANES, 4)`` and vectors ``(LANES, 4, 4)`` of ``stack (LANES, 4, 4)``."""
-    buffer = np.full(BUFFER, np.nan)
-    buffer[:VECTORS] = stack[:, symmetric.ROWS, symmetric.COLUMNS].T.ravel()
-    jacobi_eigh(buffer)
-    values = buffer[: 4 * LANES].reshape(4, LANES).T
-    return values, buffer[VECTORS:].reshape(4, 4, LANES).transpose(2, 0, 1)
+    if compiled.native is None:
+        pytest.skip("built without a compiler")
+    values, vectors = np.full((LANES, 4), np.nan), np.full((LANES, 4, 4), np.nan)
+    compiled.native.eigenvectors(stack, values, vectors)
+    return values, vectors
 
 
 def decompose(matrix: FloatArray, lane: int = 3) -> tuple[FloatArray, FloatArray]:

@@ -24,6 +24,8 @@ from .planes import (
     project,
 )
 
+pytestmark = pytest.mark.usefixtures("either")
+
 EPSILON = float(np.finfo(float).eps)
 ON_THE_PLANE = 1e-11  # residual over the row's dual norm
 ROUNDING = 1e-9

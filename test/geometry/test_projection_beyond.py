@@ -26,6 +26,8 @@ from .planes import (
     spectrum,
 )
 
+pytestmark = pytest.mark.usefixtures("either")
+
 EPSILON = float(np.finfo(float).eps)
 ON_THE_PLANE = 1e-10  # residual over the row's dual norm
 ROUNDING = 1e-9

@@ -25,6 +25,8 @@ from .planes import (
     row_of,
 )
 
+pytestmark = pytest.mark.usefixtures("either")
+
 FIRST_DIFFERENCE = 1e-6
 SECOND_DIFFERENCE = 1e-5
 ROUNDING = 1e-9

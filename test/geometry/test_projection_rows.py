@@ -23,6 +23,8 @@ from .planes import (
     row_of,
 )
 
+pytestmark = pytest.mark.usefixtures("either")
+
 ROUNDING = 1e-9
 
 

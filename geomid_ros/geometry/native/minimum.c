@@ -1,0 +1,310 @@
+/* What the fits evaluate thousands of times, and the step between; objective.py and manifold.py have the formulas. */
+#include <Python.h>
+
+#include "native.h"
+
+#include "lanes.h"
+
+static const double SHRINKS_STRAIGHT = 0.5, SMALLEST_FACTOR = 0.05;
+
+/* Pseudo-inertias (links, 4, 4) at the ends of straight lines, with tangent coordinates `steps` (links, 10) at `base`. */
+FOR_EACH_PROCESSOR static void straight_lines(const double *base, const double *steps, int links, double *ends) {
+    for (int first = 0; first < links; first += LANES) {
+        const int some = links - first < LANES ? links - first : LANES;
+        Eigen own, step;
+        Lane roots[4], root[10], change[10], end[10];
+        gather(base + 16 * first, some, own.values);
+        diagonalise(&own);
+        for (int k = 0; k < 4; k++)
+            for (int i = 0; i < LANES; i++) roots[k][i] = sqrt(own.values[k][i]);
+        composed(&own, roots, root);
+        gather_coordinates(steps + 10 * first, some, step.values);
+        memcpy(change, step.values, sizeof change);
+        int longest = 0; /* of others no eigenvalue is long */
+        for (int i = 0; i < some; i++) {
+            double square = 0.0;
+            for (int a = 0; a < 10; a++) square += (a < 4 ? 1.0 : 2.0) * change[a][i] * change[a][i];
+            longest |= !(square <= SHRINKS_STRAIGHT * SHRINKS_STRAIGHT);
+        }
+        for (int k = 0; k < 4; k++)
+            for (int i = 0; i < LANES; i++) change[k][i] += 1.0;
+        if (longest) {
+            diagonalise(&step);
+            for (int k = 0; k < 4; k++)
+                for (int i = 0; i < LANES; i++) {
+                    const double size = step.values[k][i];
+                    double shrunk = size + SHRINKS_STRAIGHT;
+                    shrunk = 0.5 * exp(2.0 * (shrunk < 0.0 ? shrunk : 0.0));
+                    shrunk = shrunk > SMALLEST_FACTOR ? shrunk : SMALLEST_FACTOR;
+                    roots[k][i] = size > -SHRINKS_STRAIGHT ? 1.0 + size : shrunk;
+                }
+            composed(&step, roots, change);
+        }
+        congruent(root, change, end);
+        for (int i = 0; i < some; i++)
+            for (int r = 0; r < 4; r++)
+                for (int c = 0; c < 4; c++) ends[16 * (first + i) + 4 * r + c] = end[PLACE[r][c]][i];
+    }
+}
+
+/* Coordinates of the orthonormal v_k v_k^T and (v_k v_m^T + v_m v_k^T) / sqrt(2) of the columns v of a matrix; for a
+ * symmetric matrix G these are the rows of what takes coordinates of X to those of G X G. */
+INLINE void pairs(double v[4][4], double basis[10][10]) {
+    for (int a = 0; a < 10; a++) {
+        const int k = ROW[a], m = COLUMN[a];
+        for (int b = 0; b < 10; b++) {
+            const int r = ROW[b], c = COLUMN[b];
+            const double scale = 0.5 * (a < 4 ? 1.0 : ROOT_TWO) * (b < 4 ? 1.0 : ROOT_TWO);
+            basis[a][b] = scale * (v[r][k] * v[c][m] + v[r][m] * v[c][k]);
+        }
+    }
+}
+
+/* Half the squared distance to the prior by links: the logarithms' coordinates, the Hessians along geodesics, and the
+ * Jacobians of parameters by tangent coordinates. */
+typedef struct {
+    double logarithm[10], bends[10][10], jacobian[10][10];
+} Link;
+
+INLINE void links_terms(const double *inertias, const double *priors, const double *basis, int links, Link *result) {
+    for (int first = 0; first < links; first += LANES) {
+        const int some = links - first < LANES ? links - first : LANES;
+        Eigen own, between;
+        Lane sizes[4], root[10], inverse[10], prior[10], logarithm[10];
+        gather(inertias + 16 * first, some, own.values);
+        gather(priors + 16 * first, some, prior);
+        diagonalise(&own);
+        for (int k = 0; k < 4; k++)
+            for (int i = 0; i < LANES; i++) sizes[k][i] = sqrt(own.values[k][i]);
+        composed(&own, sizes, root);
+        for (int k = 0; k < 4; k++)
+            for (int i = 0; i < LANES; i++) sizes[k][i] = 1.0 / sizes[k][i];
+        composed(&own, sizes, inverse);
+        congruent(inverse, prior, between.values);
+        diagonalise(&between);
+        for (int k = 0; k < 4; k++)
+            for (int i = 0; i < LANES; i++) sizes[k][i] = log(between.values[k][i]);
+        composed(&between, sizes, logarithm);
+        for (int i = 0; i < some; i++) {
+            Link *link = result + first + i;
+            double turned[10][10], bend[10], vectors[4][4], own_root[4][4], taken[10][10];
+            for (int r = 0; r < 4; r++)
+                for (int c = 0; c < 4; c++) {
+                    vectors[r][c] = between.vectors[r][c][i];
+                    own_root[r][c] = root[PLACE[r][c]][i];
+                }
+            for (int a = 0; a < 10; a++) {
+                const double half = 0.5 * (sizes[ROW[a]][i] - sizes[COLUMN[a]][i]);
+                bend[a] = fabs(half) < 1e-6 ? 1.0 : half / tanh(half);
+                link->logarithm[a] = logarithm[a][i] * (a < 4 ? 1.0 : ROOT_TWO);
+            }
+            pairs(vectors, turned);
+            pairs(own_root, taken);
+            memset(link->bends, 0, sizeof link->bends);
+            memset(link->jacobian, 0, sizeof link->jacobian);
+            for (int a = 0; a < 10; a++)
+                for (int r = 0; r < 10; r++) {
+                    const double bent = bend[a] * turned[a][r], into = basis[10 * r + a];
+                    for (int c = 0; c < 10; c++) {
+                        link->bends[r][c] += bent * turned[a][c];
+                        link->jacobian[r][c] += into * taken[a][c];
+                    }
+                }
+        }
+    }
+}
+
+/* The second derivative of tr(X exp(Q)) by the coordinates of Q, of the coordinates (10,) of X. */
+INLINE void of_lines(const double *x, double result[10][10]) {
+    double matrix[4][4];
+    for (int r = 0; r < 4; r++)
+        for (int c = 0; c < 4; c++) matrix[r][c] = x[PLACE[r][c]] * (r == c ? 1.0 : ROOT_HALF);
+    /* tr(X (E_a E_b + E_b E_a)) / 2, where E_a has scale s_a at (i, j) and at (j, i) */
+    for (int a = 0; a < 10; a++)
+        for (int b = 0; b < 10; b++) {
+            const int i = ROW[a], j = COLUMN[a], k = ROW[b], m = COLUMN[b];
+            double sum = 0.0;
+            sum += j == k ? matrix[m][i] : 0.0; /* (i, j)(k, m) */
+            if (k != m) sum += j == m ? matrix[k][i] : 0.0;
+            if (i != j) sum += i == k ? matrix[m][j] : 0.0;
+            if (i != j && k != m) sum += i == m ? matrix[k][j] : 0.0;
+            result[a][b] = sum * (a < 4 ? 1.0 : ROOT_HALF) * (b < 4 ? 1.0 : ROOT_HALF);
+        }
+}
+
+typedef struct {
+    int links, positives, size;
+    const double *basis, *inertias, *priors; /* (10, 10), (links, 4, 4) */
+    const double *rest, *prior_rest, *scales; /* coefficients; the scales of the real ones */
+    const double *weights, *slope, *products; /* (D,), (D,), (D + 1, D + 1), of which the last row and column are unused */
+    double *gradient, *information, *hessian; /* (D,), (D, D), (D, D) */
+    Link *terms;
+} Problem;
+
+FOR_EACH_PROCESSOR static double second_order(const Problem *p) {
+    const int size = p->size, inertial = 10 * p->links, stride = size + 1;
+    double value = 0.0;
+    links_terms(p->inertias, p->priors, p->basis, p->links, p->terms);
+    for (int link = 0; link < p->links; link++) {
+        const Link *row = p->terms + link;
+        for (int a = 0; a < 10; a++) {
+            const double pull = p->weights[10 * link + a] * row->logarithm[a];
+            value += 0.5 * pull * row->logarithm[a];
+            double slope = 0.0;
+            for (int r = 0; r < 10; r++) slope += p->slope[10 * link + r] * row->jacobian[r][a];
+            p->gradient[10 * link + a] = slope - pull;
+        }
+        for (int other = link; other < p->links; other++) {
+            const Link *column = p->terms + other;
+            double half[10][10] = {{0.0}}, block[10][10] = {{0.0}};
+            for (int r = 0; r < 10; r++) {
+                const double *products = p->products + (long)(10 * link + r) * stride + 10 * other;
+                for (int k = 0; k < 10; k++)
+                    for (int c = 0; c < 10; c++) half[r][c] += products[k] * column->jacobian[k][c];
+            }
+            for (int k = 0; k < 10; k++)
+                for (int r = 0; r < 10; r++)
+                    for (int c = 0; c < 10; c++) block[r][c] += row->jacobian[k][r] * half[k][c];
+            for (int r = 0; r < 10; r++)
+                for (int c = 0; c < 10; c++) {
+                    p->information[(long)(10 * link + r) * size + 10 * other + c] = block[r][c];
+                    p->information[(long)(10 * other + c) * size + 10 * link + r] = block[r][c];
+                }
+        }
+    }
+    for (int k = inertial; k < size; k++) {
+        const int own = k - inertial, positive = own < p->positives;
+        const double length = positive ? p->rest[own] : p->scales[own - p->positives];
+        const double off = p->prior_rest[own];
+        const double logarithm = positive ? log(off / p->rest[own]) : (off - p->rest[own]) / length;
+        const double pull = p->weights[k] * logarithm;
+        value += 0.5 * pull * logarithm;
+        p->gradient[k] = p->slope[k] * length - pull;
+        const double *products = p->products + (long)k * stride;
+        for (int link = 0; link < p->links; link++) {
+            double row[10] = {0.0};
+            for (int r = 0; r < 10; r++)
+                for (int c = 0; c < 10; c++) row[c] += products[10 * link + r] * p->terms[link].jacobian[r][c];
+            for (int c = 0; c < 10; c++) {
+                p->information[(long)k * size + 10 * link + c] = length * row[c];
+                p->information[(long)(10 * link + c) * size + k] = length * row[c];
+            }
+        }
+        for (int m = inertial; m < size; m++) {
+            const int at = m - inertial;
+            const double other = at < p->positives ? p->rest[at] : p->scales[at - p->positives];
+            p->information[(long)k * size + m] = length * other * products[m];
+        }
+    }
+    memcpy(p->hessian, p->information, sizeof(double) * size * size);
+    for (int link = 0; link < p->links; link++) {
+        double pull[10], line[10][10];
+        const double weight = p->weights[10 * link];
+        for (int a = 0; a < 10; a++) pull[a] = weight * p->terms[link].logarithm[a];
+        of_lines(pull, line);
+        for (int r = 0; r < 10; r++)
+            for (int c = 0; c < 10; c++)
+                p->hessian[(long)(10 * link + r) * size + 10 * link + c] +=
+                    weight * p->terms[link].bends[r][c] + line[r][c];
+    }
+    for (int k = inertial; k < size; k++) {
+        const int own = k - inertial;
+        const double pull = own < p->positives ? log(p->prior_rest[own] / p->rest[own]) : 0.0;
+        p->hessian[(long)k * size + k] += p->weights[k] * (1.0 + pull);
+    }
+    return value;
+}
+
+/* Of channels' products (channels, size, size): the sums of squares at `vector`, and the sum of the products with each
+ * channel's count over them. A channel has no products but those of its `places`: other rows are left out, and of these
+ * what lies before the diagonal. */
+FOR_EACH_PROCESSOR static void weigh(
+    const double *restrict products, const long long *places, const long long *ends, const double *restrict vector,
+    const double *counts, const double *least, int channels, int size, double *squares, double *restrict total) {
+    memset(total, 0, sizeof(double) * size * size);
+    long long begin = 0;
+    for (int channel = 0; channel < channels; begin = ends[channel++]) {
+        const double *own = products + (long)channel * size * size;
+        double square = 0.0;
+        for (long long k = begin; k < ends[channel]; k++) {
+            const long long i = places[k], last = places[ends[channel] - 1];
+            const double *row = own + i * size;
+            Lane moved = {0.0};
+            long long j = i + 1;
+            for (; j + LANES <= last + 1; j += LANES)
+                for (int lane = 0; lane < LANES; lane++) moved[lane] += row[j + lane] * vector[j + lane];
+            for (; j <= last; j++) moved[0] += row[j] * vector[j];
+            double sum = 0.0;
+            for (int lane = 0; lane < LANES; lane++) sum += moved[lane];
+            square += vector[i] * (row[i] * vector[i] + 2.0 * sum);
+        }
+        square = square < least[channel] ? least[channel] : square; /* not a number stays that */
+        squares[channel] = square;
+        const double weight = counts[channel] / square;
+        for (long long k = begin; k < ends[channel]; k++) {
+            const long long i = places[k], last = places[ends[channel] - 1];
+            const double *row = own + i * size;
+            double *into = total + i * size;
+            for (long long j = i; j <= last; j++) into[j] += weight * row[j];
+        }
+    }
+    for (int i = 0; i < size; i++)
+        for (int j = 0; j < i; j++) total[(long)i * size + j] = total[(long)j * size + i];
+}
+
+PyObject *native_straight_lines(PyObject *module, PyObject *arguments) {
+    Py_buffer base, steps, ends;
+    (void)module;
+    if (!PyArg_ParseTuple(arguments, "y*y*w*", &base, &steps, &ends)) return NULL;
+    straight_lines(base.buf, steps.buf, (int)(ends.len / (16 * sizeof(double))), ends.buf);
+    release(3, (Py_buffer *[]){&base, &steps, &ends});
+    Py_RETURN_NONE;
+}
+
+PyObject *native_second_order(PyObject *module, PyObject *arguments) {
+    Py_buffer basis, inertias, priors, rest, prior_rest, scales, weights, slope, products, gradient, information, hessian;
+    (void)module;
+    if (!PyArg_ParseTuple(
+            arguments, "y*y*y*y*y*y*y*y*y*w*w*w*", &basis, &inertias, &priors, &rest, &prior_rest, &scales, &weights,
+            &slope, &products, &gradient, &information, &hessian))
+        return NULL;
+    Problem problem = {
+        .links = (int)(inertias.len / (16 * sizeof(double))),
+        .positives = (int)((rest.len - scales.len) / sizeof(double)),
+        .size = (int)(weights.len / sizeof(double)),
+        .basis = basis.buf,
+        .inertias = inertias.buf,
+        .priors = priors.buf,
+        .rest = rest.buf,
+        .prior_rest = prior_rest.buf,
+        .scales = scales.buf,
+        .weights = weights.buf,
+        .slope = slope.buf,
+        .products = products.buf,
+        .gradient = gradient.buf,
+        .information = information.buf,
+        .hessian = hessian.buf,
+    };
+    problem.terms = PyMem_Malloc((problem.links + 1) * sizeof(Link));
+    const double value = problem.terms ? second_order(&problem) : 0.0;
+    const int failed = problem.terms == NULL;
+    PyMem_Free(problem.terms);
+    release(
+        12, (Py_buffer *[]){
+                &basis, &inertias, &priors, &rest, &prior_rest, &scales, &weights, &slope, &products, &gradient,
+                &information, &hessian});
+    return failed ? PyErr_NoMemory() : PyFloat_FromDouble(value);
+}
+
+PyObject *native_weigh(PyObject *module, PyObject *arguments) {
+    Py_buffer products, places, ends, vector, counts, least, squares, total;
+    (void)module;
+    if (!PyArg_ParseTuple(
+            arguments, "y*y*y*y*y*y*w*w*", &products, &places, &ends, &vector, &counts, &least, &squares, &total))
+        return NULL;
+    weigh(
+        products.buf, places.buf, ends.buf, vector.buf, counts.buf, least.buf, (int)(counts.len / sizeof(double)),
+        (int)(vector.len / sizeof(double)), squares.buf, total.buf);
+    release(8, (Py_buffer *[]){&products, &places, &ends, &vector, &counts, &least, &squares, &total});
+    Py_RETURN_NONE;
+}

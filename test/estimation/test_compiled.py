@@ -1,0 +1,130 @@
+"""The compiled functions beside those of numpy that stand in for them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from geometry import bodies
+
+from geomid_ros.estimation.objective import Evaluation, ProductsObjective
+from geomid_ros.estimation.profile_objective import Profile, ProfileObjective
+from geomid_ros.geometry import compiled
+from geomid_ros.geometry.manifold import ParameterManifold, Point
+from geomid_ros.types import FloatArray
+
+pytestmark = pytest.mark.skipif(compiled.native is None, reason="built without a compiler")
+
+SEEDS = pytest.mark.parametrize("seed", range(3))
+# Fewer links than the compiled code takes at once, as many, and more; with and without coefficients of each kind.
+MANIFOLDS = pytest.mark.parametrize(
+    "manifold",
+    [
+        ParameterManifold(1, 0, np.zeros(0)),
+        ParameterManifold(3, 2, np.array([0.1, 20.0])),
+        ParameterManifold(8, 0, np.array([2.0])),
+        ParameterManifold(17, 3, np.zeros(0)),
+        ParameterManifold(0, 1, np.array([0.5])),
+    ],
+    ids=str,
+)
+ROUNDING = 1e-9  # of the largest entry; bodies are as much as 1e5 times as large in one direction as in another
+
+
+def sparse(rng: np.random.Generator, manifold: ParameterManifold, point: Point, channels: int = 4) -> Profile:
+    """Channels that have fewer and fewer of the columns, as efforts along an arm."""
+    size = manifold.dimension
+    products = np.zeros((channels, size + 1, size + 1))
+    for channel in range(channels):
+        rows = bodies.rows(rng, manifold, point, 2 * size + 3)
+        rows[:, channel * size // channels :: 2] = 0.0
+        columns = np.column_stack([rows, rows @ point.parameters * (1.0 + 0.1 * rng.normal(size=len(rows)))])
+        products[channel] = columns.T @ columns
+    prior = bodies.point(rng, manifold)
+    return Profile(manifold, products, 100.0 + np.arange(channels), np.full(channels, 1e-9), prior)
+
+
+def without(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(compiled, "native", None)
+
+
+def assert_same(one: Evaluation, other: Evaluation) -> None:
+    for name in ("value", "gradient", "information", "hessian"):
+        expected = np.asarray(getattr(other, name))
+        np.testing.assert_allclose(getattr(one, name), expected, rtol=0.0, atol=ROUNDING * np.max(np.abs(expected)))
+
+
+def weights(rng: np.random.Generator, manifold: ParameterManifold) -> FloatArray:
+    """Equal within a link."""
+    each = rng.uniform(0.1, 10.0, size=manifold.dimension)
+    each[manifold.inertial] = np.repeat(each[: manifold.links], 10)
+    return each
+
+
+@SEEDS
+@MANIFOLDS
+def test_an_objective_of_channels_is_the_same(
+    manifold: ParameterManifold, seed: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rng = np.random.default_rng(seed)
+    point = bodies.point(rng, manifold)
+    profile = sparse(rng, manifold, point)
+    known = rng.normal(size=(seed, manifold.dimension + 1))
+    objective = ProfileObjective(profile, weights(rng, manifold), known)
+    own, squares = objective.evaluate(point), profile.squares(point)
+    without(monkeypatch)
+    assert_same(own, objective.evaluate(point))
+    np.testing.assert_allclose(squares, profile.squares(point), rtol=ROUNDING)
+
+
+@SEEDS
+@MANIFOLDS
+def test_an_objective_of_products_is_the_same(
+    manifold: ParameterManifold, seed: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rng = np.random.default_rng(seed)
+    point = bodies.point(rng, manifold)
+    products = sparse(rng, manifold, point).products[0]
+    objective = ProductsObjective(manifold, products, bodies.point(rng, manifold), weights(rng, manifold), 1.0)
+    own = objective.evaluate(point)
+    without(monkeypatch)
+    assert_same(own, objective.evaluate(point))
+
+
+@SEEDS
+@MANIFOLDS
+@pytest.mark.parametrize("length", [0.01, 1.0, 30.0])
+def test_a_straight_step_ends_in_the_same_place(
+    manifold: ParameterManifold, seed: int, length: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rng = np.random.default_rng(seed)
+    base = bodies.point(rng, manifold)
+    step = length / np.sqrt(manifold.dimension) * rng.normal(size=manifold.dimension)
+    end = manifold.straight(base, step)
+    without(monkeypatch)
+    expected = manifold.straight(base, step)
+    largest = np.max(np.abs(expected.pseudo_inertias), axis=(1, 2), keepdims=True)
+    np.testing.assert_allclose(end.pseudo_inertias / largest, expected.pseudo_inertias / largest, rtol=0.0, atol=1e-12)
+
+
+@pytest.mark.usefixtures("either")
+def test_what_is_no_number_is_no_sum_of_squares() -> None:
+    manifold = ParameterManifold(1, 0, np.array([1.0]))
+    rng = np.random.default_rng(0)
+    profile = sparse(rng, manifold, bodies.point(rng, manifold))
+    nowhere = replace(bodies.point(rng, manifold), reals=np.full(1, np.nan))
+    assert np.all(np.isnan(profile.squares(nowhere)[:1]))
+
+
+@pytest.mark.usefixtures("either")
+def test_a_column_that_a_channel_does_not_have_does_not_matter_to_it() -> None:
+    manifold = ParameterManifold(1, 0, np.array([1.0, 3.0]))
+    rng = np.random.default_rng(1)
+    point = bodies.point(rng, manifold)
+    profile = sparse(rng, manifold, point)
+    profile.products[1, 11] = profile.products[1, :, 11] = 0.0
+    other = replace(point, reals=point.reals + np.array([0.0, 5.0]))
+    before, after = profile.squares(point), profile.squares(other)
+    assert after[1] == pytest.approx(before[1], rel=1e-12)
+    assert after[0] != pytest.approx(before[0], rel=1e-3)
