@@ -1,11 +1,11 @@
 """Which effects beside the default ones the rows ask for, and which shape the default ones have.
 
 An effect that stands at a place in one of several shapes (the speed over which dry friction changes its sign) has the
-shape of the highest marginal likelihood. Then optional effects are added one by one, and one that another has made
-needless goes again. What decides is the squared size of an effect in units of its standard deviation, as blocks of time
-show it: what they say of it, each by itself, scatters far more than independent residuals would (jackknife; Liang and
-Zeger, "Longitudinal data analysis using generalized linear models", 1986). So an effect is believed that
-repeats.
+shape of the highest marginal likelihood. Then optional effects are added one by one while they improve the fit visibly,
+and those go again that are not believed. What decides is the squared size of an effect in units of its standard
+deviation, as blocks of time show it: what they say of it, each by itself, scatters far more than independent residuals
+would (jackknife; Liang and Zeger, "Longitudinal data analysis using generalized linear models", 1986). So an effect is
+believed that repeats.
 
 A candidate is tried beside the inertias as they were fitted, and beside inertias that stay near the prior, because a
 link that has swallowed an effect hides it. No effect is negative that cannot be.
@@ -19,7 +19,7 @@ from functools import cached_property
 
 import numpy as np
 
-from geomid_ros.estimation.fit import CERTAINTY, driven_rows
+from geomid_ros.estimation.fit import CERTAINTY
 from geomid_ros.estimation.objective import Evaluation
 from geomid_ros.estimation.problem import Problem
 from geomid_ros.estimation.profile_objective import Profile, ProfileObjective, StraightManifold, minimum
@@ -35,8 +35,6 @@ _VISIBLE = 0.04
 """Share of a channel's remaining squares that an effect explains at least."""
 _RARE = 6.0
 """Twice the logarithm of how many times rarer an effect of two joints is than one of each."""
-_UNSURE_PROMISE = 3.0
-"""By so much a square may be too small to first order."""
 _PARALLEL = 1e-6  # a column that is so nearly a combination of others says nothing
 _LOOSE = 1.5  # times the usual spread: a link beyond it has left its prior
 _FREE = 1e-6  # weight of a coefficient's prior
@@ -98,22 +96,12 @@ def _without_unbelieved(fit: _Fit) -> _Fit:
 def _best(chosen: _Fit, left: IntArray) -> tuple[int, _Fit | None]:
     """The column that improves a fit most, and the fit with it; None if none improves it visibly."""
     starts = list(dict.fromkeys((chosen, chosen.firm)))
-    gains = np.max([start.beside(left).gains for start in starts], axis=0)
+    gains = np.max([start.gains(left) for start in starts], axis=0)
     column = int(left[np.argmax(gains)])
     if np.max(gains) < max(_VISIBLE * float(np.max(chosen.rows.counts)), chosen.rows.bounds([column])[0]):
         return column, None
     columns = np.sort(np.append(chosen.every, column))
     return column, min((chosen.rows.fit(columns, start) for start in starts), key=lambda fit: fit.score)
-
-
-@dataclass(frozen=True)
-class _Beside:
-    """Other coefficients beside a fit: the ``gains`` in twice the log likelihood by independent residuals, and their
-    ``squares`` in units of their variances by blocks, each ``(columns,)``; zero for one that would be negative and
-    cannot be."""
-
-    gains: FloatArray
-    squares: FloatArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -236,21 +224,13 @@ class _Rows:
 
     def _non_negative_fit(self, columns: IntArray, start: _Fit | None, spreads: FloatArray | None) -> _Fit:
         """The same, without the columns whose coefficients would be negative."""
-        fit = self._passive_fit(columns, start, spreads)
+        fit = self._fit(columns, start, spreads)
         while len(negative := fit.negative):
-            fit = self._passive_fit(np.setdiff1d(fit.columns, negative), fit, spreads)
+            fit = self._fit(np.setdiff1d(fit.columns, negative), fit, spreads)
         return fit
 
-    def _passive_fit(self, columns: IntArray, start: _Fit | None, spreads: FloatArray | None) -> _Fit:
-        """The same, in which coefficients may be negative, but no joint is driven by its dry friction."""
-        fit = self._fit(columns, start, np.zeros((0, len(columns))), spreads)
-        every = np.zeros(self.size)
-        every[columns] = fit.point.parameters
-        rows = driven_rows(self.problem.model, every)[:, columns]
-        return self._fit(columns, fit, rows, spreads) if len(rows) else fit
-
-    def _fit(self, columns: IntArray, start: _Fit | None, held: FloatArray, given: FloatArray | None) -> _Fit:
-        """The same, with rows ``(r, columns)`` that are zero."""
+    def _fit(self, columns: IntArray, start: _Fit | None, given: FloatArray | None) -> _Fit:
+        """The same, in which every coefficient may be negative."""
         scales = self.scales[columns[columns >= self.first] - self.first]
         manifold = StraightManifold(self.first // 10, 0, scales)
         inertias = self.problem.prior[: self.first]
@@ -267,9 +247,8 @@ class _Rows:
         products = np.ascontiguousarray(self.all_products[:, own[:, None], own])
         least = _LEAST_SHARE * products[:, -1, -1] + np.finfo(float).tiny
         weighed = self.problem.known
-        known = np.concatenate([weighed.rows[:, columns], held])
-        off = known @ prior.parameters - np.append(weighed.targets, np.zeros(len(held)))
-        known_rows = np.column_stack([known, off])
+        known = weighed.rows[:, columns]
+        known_rows = np.column_stack([known, known @ prior.parameters - weighed.targets])
         profile = Profile(manifold, products, self.counts, least, prior)
 
         def objective(spreads: FloatArray) -> ProfileObjective:
@@ -319,7 +298,7 @@ class _Fit:
     @property
     def wanted(self) -> IntArray:
         """The columns that are held at zero though they need not be."""
-        return self.zero[self.beside(self.zero).gains > 0.0] if len(self.zero) else self.zero
+        return self.zero[self.gains(self.zero) > 0.0] if len(self.zero) else self.zero
 
     @cached_property
     def firm(self) -> _Fit:
@@ -402,8 +381,9 @@ class _Fit:
         squares[self.columns[real]] = values**2 / (inflation * variances)
         return np.asarray(squares[columns])
 
-    def beside(self, columns: IntArray) -> _Beside:
-        """What coefficients of other ``columns`` would be, to first order."""
+    def gains(self, columns: IntArray) -> FloatArray:
+        """By how much each of other ``columns`` would improve twice the log likelihood, by the score test; zero for a
+        coefficient that would be negative and cannot be."""
         manifold = self.objective.manifold
         whitener = manifold.whiten(self.point, np.eye(len(self.columns)))
         products = np.sum(self._folds, axis=0)
@@ -411,15 +391,10 @@ class _Fit:
         projected = whitener @ definite.inverse(self.hessian) @ whitener.T @ shared
         squares = np.diag(products)[columns]
         left = squares - np.sum(shared * projected, axis=0)
-        telling = left > _PARALLEL * squares
-        left = np.where(telling, left, 1.0)
-        parts = (self._slopes[:, columns] - self._slopes[:, self.columns] @ projected) / left
-        values = -np.sum(self._slopes[:, columns], axis=0) / left
+        values = -np.sum(self._slopes[:, columns], axis=0)
         positive = np.array([self.rows.positive(column) for column in columns])
-        possible = telling & ~(positive & (values < 0.0))
-        inflation = self._inflation(columns, np.where(telling, parts, 0.0), 1.0 / left)
-        gains = np.where(possible, values**2 * left, 0.0)
-        return _Beside(gains, gains / inflation)
+        possible = (left > _PARALLEL * squares) & ~(positive & (values < 0.0))
+        return np.asarray(np.where(possible, values**2 / np.where(possible, left, 1.0), 0.0))
 
     def _inflation(self, columns: IntArray, parts: FloatArray, variances: FloatArray) -> FloatArray:
         """How much larger the variances of coefficients are than those by independent residuals, by what each fold says

@@ -6,7 +6,6 @@ import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import Any
 
 import numpy as np
 
@@ -15,7 +14,7 @@ from geomid_ros.estimation import estimate_parts, uncertainty
 from geomid_ros.estimation.choice import choose
 from geomid_ros.estimation.estimate import SURE, Estimate
 from geomid_ros.estimation.file_fits import fit_files
-from geomid_ros.estimation.fit import INDEPENDENT, Fit, driven_rows, fit, settle
+from geomid_ros.estimation.fit import INDEPENDENT, Fit, fit
 from geomid_ros.estimation.objective import GeodesicObjective, ResidualObjective
 from geomid_ros.estimation.population import Population
 from geomid_ros.estimation.population_prior import PopulationPrior, fit_with_population, unlike_population
@@ -31,7 +30,6 @@ from geomid_ros.types import BoolArray, FloatArray, IntArray, frozen
 _FAR = 2.0  # times the usual distance
 _SAME_MASS = 0.2  # logarithm of the ratio of masses
 _ROUNDING = 1e-9
-_ROUGHLY = 1e-3  # relative change of noise and spreads in a round
 _SPENT = (
     "the solver's budget of steps was spent before noise and spreads of the links had settled: masses are those of the "
     "last step; is the URDF this robot's, in SI units?"
@@ -136,7 +134,7 @@ def estimate(
         independent=_independent(summary, settings.cutoff),
         given_spreads=spreads,
     )
-    solve = partial(_fit, tolerance=settings.tolerance, max_steps=settings.max_steps)
+    solve = partial(fit, tolerance=settings.tolerance, max_steps=settings.max_steps)
     if warm is None or warm.effects_alone:
         columns = choose(_beside(settings.population, whole), None if warm is None else _kept(model, warm))
         solved = _with_population(settings.population, subproblem(whole, columns), solve)
@@ -211,18 +209,6 @@ def least_inflation(summary: RowSummary, cutoff: float) -> float:
     if not (np.isfinite(cutoff) and summary.period > 0.0):
         return 1.0
     return max(1.0 / (_OF_WHITE_NOISE * cutoff * summary.period), 1.0)
-
-
-def _fit(problem: Problem, start: Point | None = None, spreads: FloatArray | None = None, **options: Any) -> Fit:
-    """A fit, in which no joint is driven by its dry friction; its problem has the rows that see to that."""
-    if start is not None:
-        # Which joints these are a rough solution tells.
-        start, _, spreads, _ = settle(problem, start, spreads, within=_ROUGHLY, **options)
-        if len(rows := driven_rows(problem.model, start.parameters)):
-            return fit(problem.beside(rows), start, spreads, **options)
-    found = fit(problem, start, spreads, **options)
-    rows = driven_rows(problem.model, found.point.parameters)
-    return fit(problem.beside(rows), start, spreads, **options) if len(rows) else found
 
 
 def _estimate(

@@ -20,8 +20,6 @@ from geomid_ros.estimation.solvers import Solution, trust_region
 from geomid_ros.estimation.starting_point import USUAL_SPREAD_OF_LINKS
 from geomid_ros.geometry import definite
 from geomid_ros.geometry.manifold import Point
-from geomid_ros.model.dry_friction import held_from_driving
-from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.types import FloatArray
 
 CERTAINTY = 20.0
@@ -209,11 +207,3 @@ def _spreads(problem: Problem, objective: ProductsObjective, solution: Solution)
     squares = np.sum(errors.reshape(-1, 10), axis=1) + CERTAINTY * problem.usual**2
     spreads: FloatArray = np.sqrt(squares / (10.0 + CERTAINTY))
     return spreads
-
-
-def driven_rows(model: MeasurementModel, parameters: FloatArray) -> FloatArray:
-    """Rows ``(r, D)`` that keep those joints from being driven by their dry friction that parameters ``(D,)`` drive."""
-    first = model.dimension - len(model.coefficients)
-    terms = [(coefficient.effect, coefficient.place) for coefficient in model.coefficients]
-    own = held_from_driving(terms, parameters[first:])
-    return np.column_stack([np.zeros((len(own), first)), own])

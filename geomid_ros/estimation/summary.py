@@ -145,6 +145,7 @@ class RowSummary:
         times = np.cumsum(np.append(self._time, elapsed))[1:]
         begin = 0
         while begin < len(elapsed):
+            self._time = float(times[begin])
             fold = self._fold()
             end = min(begin + self._block - self._instants % self._block, len(elapsed))
             for index, group in enumerate(self.groups):

@@ -255,8 +255,10 @@ class Configuration:
 
     @property
     def candidates(self) -> list[IdentifiedEffect]:
-        """The effects to identify where the data ask for them, and the other shapes of those that are everywhere."""
-        trials = [trial for key in ("effects", "candidates") for e in self._named(key) for trial in type(e).trials()]
+        """The effects to identify where the data ask for them; if there are any, with the other shapes of those that
+        are everywhere."""
+        keys = ("effects", "candidates") if self["candidates"] else ()
+        trials = [trial for key in keys for effect in self._named(key) for trial in type(effect).trials()]
         return [effect for effect in trials if isinstance(effect, IdentifiedEffect) and effect not in self.effects]
 
     def _named(self, key: str) -> list[IdentifiedEffect]:

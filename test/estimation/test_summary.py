@@ -142,7 +142,7 @@ def test_unsettled_rows_are_kept_apart(seed: int) -> None:
     """Of each channel by itself; what is weighted alike is as if they were not."""
     coefficients, targets = rows(seed, 300)
     unsettled = np.random.default_rng(seed).random(targets.shape) < 0.3
-    found = RowSummary(CHANNELS, folds=3, block=20)
+    found = RowSummary(CHANNELS, folds=4, block=20)
     for row, target, group in zip(coefficients, targets, unsettled, strict=True):
         found.add(row, target, 1.0, group)
     x = np.random.default_rng(seed).normal(size=DIMENSION)
@@ -150,10 +150,10 @@ def test_unsettled_rows_are_kept_apart(seed: int) -> None:
         for k in range(len(CHANNELS)):
             expected = weighted(coefficients, targets, k, x, (unsettled[:, k] == group).astype(float))
             assert by_group(found, x)[int(group), k] == pytest.approx(expected, rel=CONTENT)
-    mixed = summary(coefficients, targets, folds=3, block=20)
+    mixed = summary(coefficients, targets, folds=4, block=20)
     np.testing.assert_allclose(content(found, x), content(mixed, x), rtol=CONTENT)
     np.testing.assert_allclose(found.rms(x), mixed.rms(x), rtol=CONTENT)
-    copy = RowSummary(CHANNELS, folds=3, block=20)
+    copy = RowSummary(CHANNELS, folds=4, block=20)
     copy.restore(found.state())
     np.testing.assert_array_equal(by_group(copy, x), by_group(found, x))
 
@@ -177,8 +177,8 @@ def test_rows_may_come_in_any_order_within_a_fold(seed: int) -> None:
     coefficients, targets = rows(seed, 300)
     order = np.random.default_rng(seed).permutation(300)
     x = np.random.default_rng(seed).normal(size=DIMENSION)
-    one = summary(coefficients, targets, folds=1)
-    other = summary(coefficients[order], targets[order], folds=1)
+    one = summary(coefficients, targets, folds=2, block=300)
+    other = summary(coefficients[order], targets[order], folds=2, block=300)
     np.testing.assert_allclose(content(one, x), content(other, x), rtol=CONTENT)
 
 
@@ -188,7 +188,7 @@ def test_forgetting_is_exponential_weighting_by_age(seed: int, count: int) -> No
     """Whichever fold and chunk a row is in, and whether or not its channel was measured since."""
     coefficients, targets = rows(seed, count)
     elapsed = np.random.default_rng(seed).uniform(0.0, 2.0, count)
-    found = RowSummary(CHANNELS, folds=3, block=20, forgetting_time=30.0)
+    found = RowSummary(CHANNELS, folds=4, block=20, forgetting_time=30.0)
     for row, target, step in zip(coefficients, targets, elapsed, strict=True):
         found.add(row, target, step)
     x = np.random.default_rng(seed).normal(size=DIMENSION)

@@ -32,7 +32,7 @@ def case() -> Case:
 
 
 def begun(of: Case, forgetting_time: float, hold: int) -> Identifier:
-    identifier = Identifier(of.model, buffer=BufferSettings(folds=3, block=20, forgetting_time=forgetting_time))
+    identifier = Identifier(of.model, buffer=BufferSettings(folds=4, block=20, forgetting_time=forgetting_time))
     identifier.hold(hold)
     return identifier
 

@@ -246,7 +246,7 @@ CRAFTED: dict[str, Callable[[dict[str, Any], dict[str, Any]], Any]] = {
     "new is 1, here None": lambda d, _: d["meaning"].update(new=1),
     "1000000000 folds": lambda d, _: d.update(folds=10**9),
     "0 folds": lambda d, v: (d.update(folds=0), v.update(counts=np.zeros(0))),
-    "7 folds, expected 8": lambda d, v: (d.update(folds=7), v.update(counts=np.zeros(42))),
+    "15 folds, expected 16": lambda d, v: (d.update(folds=15), v.update(counts=np.zeros(90))),
     "negative or not finite": lambda _, v: v.update(counts=-v["counts"]),
     "or not finite": lambda _, v: v.update(counts=v["counts"] * np.nan),
     "'joint1' are not finite": lambda _, v: v[FIRST].__setitem__(3, np.inf),

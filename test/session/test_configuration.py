@@ -129,8 +129,8 @@ class TestValues:
         assert [effect.name for effect in Configuration({"effects": names}).effects] == names[:2]
 
     def test_candidates_are_tried_with_some_constants_and_not_where_they_are_identified_anyway(self) -> None:
-        assert {effect.name for effect in Configuration().candidates} == set(DEFAULT_CANDIDATES)
-        configuration = Configuration({"effects": ["spring", "coulomb_friction"], "candidates": ["spring"]})
+        assert {effect.name for effect in Configuration().candidates} == {*DEFAULT_CANDIDATES, "coulomb_friction"}
+        configuration = Configuration({"effects": ["spring", "viscous_friction"], "candidates": ["spring"]})
         assert configuration.candidates == []
         several = Configuration({"candidates": ["stribeck_friction"]}).candidates
         assert len(several) == len(set(several)) > 1

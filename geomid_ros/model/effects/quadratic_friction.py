@@ -9,12 +9,15 @@ from geomid_ros.types import FloatArray
 
 
 class QuadraticFriction(JointEffect):
-    """Drag: effort ``c v |v|``. Friction that grows less than speed does is :class:`SaturatingFriction`."""
+    """Friction in proportion to the square of speed: effort ``c v |v|``.
+
+    Drag makes c positive; lubricant that grows thinner with speed makes it negative, beside viscous friction.
+    """
 
     name = "quadratic_friction"
     label = "friction proportional to the square of the speed"
     meaning = "effort coefficient v |v|"
-    parameters = (ParameterForm("coefficient", ("N m s^2/rad^2", "N s^2/m^2"), above=0.0),)
+    parameters = (ParameterForm("coefficient", ("N m s^2/rad^2", "N s^2/m^2")),)
     settled_by = "this joint at several constant speeds, up to its fastest"
 
     def column(self, motion: JointMotion) -> FloatArray:

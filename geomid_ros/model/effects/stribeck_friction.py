@@ -34,7 +34,7 @@ class StribeckFriction(JointEffect):
     meaning = "effort sign(v) (level + excess exp(-(v/speed)^2)); smoothing as in coulomb_friction"
     parameters = (
         ParameterForm("level", EFFORT, above=0.0, optional=True, urdf="dynamics/friction", mjcf="joint/frictionloss"),
-        ParameterForm("excess", EFFORT, above=0.0),
+        ParameterForm("excess", EFFORT),  # the coefficient: positive and in units as the level
         ParameterForm("speed", ("rad/s", "m/s"), above=0.0),
         SMOOTHING,
     )
@@ -99,8 +99,8 @@ class StribeckFriction(JointEffect):
 
     @classmethod
     def holding_friction(cls, values: Values) -> float:
-        """All of the excess holds a joint at rest."""
-        return values["excess"]
+        """All of the excess holds a joint at rest. One below zero, of an older file, takes off nothing."""
+        return max(values["excess"], 0.0)
 
     def unsaid_efforts(self, values: Values, motion: Motion, place: Place) -> FloatArray:
         """What the motion takes off :meth:`holding_friction`."""
