@@ -100,9 +100,7 @@ def solve_robot(store: Store, plan_name: str, name: str, bags: Sequence[str], lo
     """
     plan = _plan(store, plan_name)
     try:
-        session = Session(
-            plan.description, with_locked(plan.configuration, locked), plan.source, readers=READERS
-        )
+        session = Session(plan.description, with_locked(plan.configuration, locked), plan.source, readers=READERS)
         summary = total([_kept(store, bag, session) for bag in bags])
         results = _results(session, *solve(session, summary))
     except InputError as error:

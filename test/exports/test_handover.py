@@ -209,8 +209,10 @@ def test_drake_feels_a_rotor_behind_its_gear() -> None:
     """By the square of the ratio."""
     inside = '<drake:rotor_inertia value="0.01"/><drake:gear_ratio value="-10"/>'
     transmission = f'<transmission name="t"><joint name="joint1"/><actuator name="a">{inside}</actuator></transmission>'
-    urdf = found().session.urdf.replace("</robot>", f"{transmission}</robot>").replace(
-        "<robot ", '<robot xmlns:drake="http://drake.mit.edu" '
+    urdf = (
+        found()
+        .session.urdf.replace("</robot>", f"{transmission}</robot>")
+        .replace("<robot ", '<robot xmlns:drake="http://drake.mit.edu" ')
     )
     read = read_urdf_back(found().session.read_robot(urdf, "file"), "drake")
     assert read.attributes["joint1", "actuator/drake:rotor_inertia"] == pytest.approx(1.0)

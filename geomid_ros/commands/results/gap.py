@@ -70,12 +70,12 @@ def _findings_table(result: GapResult) -> Table:
     table.add_column("parameter")
     number_columns(table, ["value"])
     table.add_column("confidence")
-    number_columns(table, ["closes", "separable"])
+    number_columns(table, ["probability", "closes", "separable"])
     for finding in result.findings:
         names = lines(name.replace("_", " ") for name in finding.parameters)
         values = lines(map(gap_words.measured, finding.parameters.values()))
         where = gap_words.place(finding.joint, finding.link)
-        shares = (gap_words.percent(finding.share), gap_words.percent(finding.separability))
+        shares = map(gap_words.percent, (finding.probability, finding.share, finding.separability))
         table.add_row(gap_words.headline(finding.effect), where, names, values, finding.confidence, *shares)
     return table
 
@@ -95,9 +95,7 @@ def _channels_table(result: GapResult) -> Table:
     table.add_column("\nchannel", overflow="fold")
     headings = ["\nfloor", "\nnominal", "inertias\nonly", "written\nmodel", "moving\nalone", "moving,\nexpected"]
     number_columns(table, headings)
-    table.add_column(
-        f"gap above the floor, logarithmic\n{_AFTER} after {_INERTIAS} inertias only {_BEFORE} nominal"
-    )
+    table.add_column(f"gap above the floor, logarithmic\n{_AFTER} after {_INERTIAS} inertias only {_BEFORE} nominal")
     gaps = (result.gap.before, result.gap.inertias_only, result.gap.after)
     end = max(2.0, *(gap_words.worst(values) for values in gaps))
     for k, (name, unit, floor) in enumerate(zip(result.channels, result.units, result.corrected_floor, strict=True)):

@@ -100,6 +100,9 @@ class Effect(ABC):
     expected_share: ClassVar[float | None] = None
     """Its prior standard deviation about zero, as a share of what its channel measures; None where its prior is a first
     fit."""
+    usual: ClassVar[tuple[float, ...]] = ()
+    """Prior standard deviations of its own coefficients, which any robot may have; empty where these go with what is
+    measured."""
     scales_measurement: ClassVar[bool] = False
     """Whether it acts on what is measured after everything else."""
 
