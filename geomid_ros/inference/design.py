@@ -65,10 +65,12 @@ class ChannelRows:
 @dataclass(frozen=True, eq=False)
 class Lack:
     """What a channel's remainder is: ``coefficients (m,)`` of the features that were given, the share of the residual's
-    squares that each block ``explained (blocks,)``, and for how many parameters it counts (``freedom``)."""
+    squares that each block ``explained (blocks,)``, its sum of squares (``power``), and for how many parameters it
+    counts (``freedom``)."""
 
     coefficients: FloatArray
     explained: FloatArray
+    power: float
     freedom: float
 
 
@@ -169,8 +171,15 @@ class Design:
             own = [np.where(channel.block == block, mean, 0.0) for block in range(len(variances))]
             explained = np.array([float(each @ channel.remainder.squared @ each) for each in own])
             freedom = float(np.sum(inverse * channel.remainder.squared))
-            found.append(Lack(channel.scale * mean, explained / max(square, 1e-300), freedom))
+            power = float(mean @ channel.remainder.squared @ mean)
+            found.append(Lack(channel.scale * mean, explained / max(square, 1e-300), power, freedom))
         return found
+
+    def powers(self, terms: Sequence[Any], values: FloatArray) -> FloatArray:
+        """Sums of squares ``(C,)`` of what terms with these ``values (k,)`` add to each channel."""
+        places = np.column_stack([self._places_of_term(term) for term in terms])
+        own = zip(self.channels, places, strict=True)
+        return np.array([float(values @ _taken(c.products, place, place) @ values) for c, place in own])
 
     def _residuals(
         self, bodies: Sequence[int], terms: Sequence[Any], parameters: FloatArray

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from geomid_ros.estimation.estimate import is_told
@@ -13,10 +15,11 @@ from geomid_ros.gap.judgement.locate import strongest
 from geomid_ros.gap.result import Finding, Ranked, Rival, Unexplained, Verdict, confidence_of
 from geomid_ros.inference.fit import scattered
 from geomid_ros.inference.rao_score import score_test
-from geomid_ros.model.effects import EFFECTS, Quantity
+from geomid_ros.model.effects import EFFECTS, Quantity, Values
 from geomid_ros.model.measurement import MeasurementModel
 
 _NEAR = 20.0  # in minus twice a logarithm: rivals that are less likely than one in ten thousand are not worth a word
+_ALONG = 0.2  # of what has no name, as a root mean square, may lie along a name's columns
 _MOST_OF_IT = 0.5  # of a channel's squares
 
 
@@ -35,6 +38,7 @@ def _finding(model: MeasurementModel, analysis: Analysis, candidate: Candidate, 
     load = analysis.problem.situation.usual_load(candidate.place) if candidate.effect.scanned else 0.0
     parameters = naming.parameters(model, sized, candidate, _scanned_std(analysis, candidate), load)
     was = naming.known_before(model, search.prior, candidate, load)
+    parameters = _beside_remainder(analysis, candidate, parameters, was)
     moment = naming.first_moment(sized, candidate)
     if not any(map(_is_told, moment.values())) or _is_told(parameters["mass"]):
         moment = {}
@@ -55,6 +59,23 @@ def _finding(model: MeasurementModel, analysis: Analysis, candidate: Candidate, 
         settled_by=naming.settled_by(candidate.effect, joint, close) if confidence != "confident" else "",
         moment=moment,
     )
+
+
+def _beside_remainder(
+    analysis: Analysis, candidate: Candidate, parameters: dict[str, Quantity], was: Values
+) -> dict[str, Quantity]:
+    """Parameters that are as unsure as what has no name leaves them: a part of it may lie along the name's columns."""
+    if not candidate.terms:
+        return parameters
+    names, design, effect = analysis.names, analysis.search.design, candidate.effect
+    values = np.array([names.value(term) - analysis.search.prior.value(term) for term in candidate.terms])
+    powers, lacks = design.powers(candidate.terms, values) / names.squares, names.remainders(design)
+    left = np.array([lack.power for lack in lacks]) / names.squares
+    doubt = _ALONG * float(np.sqrt(np.sum(left[powers > 0.0]) / max(float(np.sum(powers)), 1e-300)))
+    sizes = effect.sizes(parameters)
+    changes = {name: abs(size.value - was.get(name, effect.nothing)) for name, size in sizes.items()}
+    wider = {name: replace(q, std=float(np.hypot(q.std, doubt * changes[name]))) for name, q in sizes.items()}
+    return parameters | wider
 
 
 def _is_told(quantity: Quantity) -> bool:
