@@ -24,7 +24,6 @@ _REFITS = 3  # more rounds, without a search
 _SETTLED = 0.5  # standard deviations
 _TOLD_BY_ROWS = 0.25  # directions for each row, which leaves most of the noise as it is
 _MEDIAN_OF_GAUSSIAN = 0.6745
-_CONTRADICTED = 4.0  # times the variance that other recordings state of the links
 _CLEARLY = 12.0  # in minus twice a logarithm: as unlikely as one in four hundred
 
 Columns = dict[EffectTerm, dict[int, FloatArray]]
@@ -71,7 +70,7 @@ def _with_changed_link(task: _Task, analysis: Analysis) -> Analysis:
     What contradicts other recordings loosens all links at once, or is told as a payload, which cannot be negative, or
     as what else may stand in the place of a lighter link. Of links that explain it about as well each is tried."""
     search, names = analysis.search, analysis.names
-    if search.prior.known is None or search.fit([]).inflation < _CONTRADICTED:
+    if search.prior.known is None:
         return analysis
     rests = [search.fit([]), *(search.without(names, c) for c in names.chosen)]
     priors = [search.prior.with_changed(link) for link in range(len(names.inertias))]
@@ -157,14 +156,16 @@ def _last_round(task: _Task, prior: NamesPrior, stage: str) -> _Round:
     noise, total = _beginning(task, prior)
     floor: FloatArray | None = None
     before: NamesFit | None = None
-    settling = False
+    settling, variances = False, tuple[FloatArray, ...]()
     rounds: list[_Round] = []
     for attempt in range(_ROUNDS + _REFITS):
         task.progress(stage, min(1.0, attempt / _ROUNDS))
         problem = LinearisedProblem(task.model, task.records, total, floor)
         rounds.clear()  # columns and their products are large, and go before others come
-        rounds.append(_round(task, prior, problem, noise, before, attempt=attempt, settling=settling))
-        found = rounds[-1].found
+        last = _round(task, prior, problem, noise, before, variances=variances, attempt=attempt, settling=settling)
+        rounds.append(last)
+        found, variances = last.found, last.search.design.variances
+        del last
         total = total_model(task.model, found)
         if settling and _same(before, found):
             break
@@ -193,19 +194,23 @@ def _round(
     noise: tuple[Autoregression, ...],
     before: NamesFit | None,
     *,
+    variances: Sequence[FloatArray],
     attempt: int,
     settling: bool,
 ) -> _Round:
     """A fit along what was found ``before``, and a search from there if the columns are good for that, with exchanges
     once it is ``settling``. The last attempt that searches does so to the end; those after it do not."""
     columns = problem.columns(task.tried, prior.terms)
-    search = Selection(problem.design(columns, noise), prior, task.tried)
+    design = problem.design(columns, noise)
+    search = Selection(design.given(variances) if variances else design, prior, task.tried)
     found = search.within_range(search.fit(before.chosen if before else ()))
-    if before is not None:
-        search = Selection(found.settled(search.design), prior, task.tried)
-        found = search.within_range(search.fit(found.chosen, found))
     is_last = attempt == _ROUNDS - 1
-    if is_last or (attempt < _ROUNDS and _near(total_model(task.model, found), problem.total)):
+    searches = is_last or (attempt < _ROUNDS and _near(total_model(task.model, found), problem.total))
+    if searches:  # what has no name yet must not become a part of the remainder, in whose place none would be found
+        found = search.grow(found, to_the_end=is_last)
+    search = Selection(found.settled(design), prior, task.tried)
+    found = search.within_range(search.fit(found.chosen, found))
+    if searches:
         found = search.settle(found) if settling else search.grow(found, to_the_end=is_last)
     return _Round(problem, columns, noise, search, found)
 

@@ -176,13 +176,16 @@ class Rounds:
         problem = SimpleNamespace(residual=lambda *_: 0.0, remainder=lambda *_: 0.0, valid=None)
         monkeypatch.setattr(analysis, "LinearisedProblem", lambda *_: problem)
 
-    def round(self, *given: Any, attempt: int, settling: bool) -> Any:
+    def round(self, *given: Any, variances: object, attempt: int, settling: bool) -> Any:
         _, _, _, noise, before = given
         assert settling == (attempt > 4)
+        assert variances == (attempt - 1 if attempt else ())
         assert attempt == len(self.noises)
         assert before is (attempt - 1 if attempt else None)
         self.noises.append(noise)
-        return SimpleNamespace(columns=None, found=attempt, search=SimpleNamespace(design=None))
+        return SimpleNamespace(
+            columns=None, found=attempt, search=SimpleNamespace(design=SimpleNamespace(variances=attempt))
+        )
 
     def noise(self, *_: Any) -> int:
         self.made += 1

@@ -12,14 +12,15 @@ from geomid_ros.gap.candidates import Candidate, NamesFit
 from geomid_ros.gap.judgement import naming
 from geomid_ros.gap.judgement.held_out import HeldOut
 from geomid_ros.gap.judgement.locate import strongest
-from geomid_ros.gap.result import Finding, Ranked, Rival, Unexplained, Verdict, confidence_of
+from geomid_ros.gap.result import SURE, Finding, Ranked, Rival, Unexplained, Verdict, confidence_of
 from geomid_ros.inference.fit import scattered
 from geomid_ros.inference.rao_score import score_test
 from geomid_ros.model.effects import EFFECTS, Quantity, Values
 from geomid_ros.model.measurement import MeasurementModel
 
 _NEAR = 20.0  # in minus twice a logarithm: rivals that are less likely than one in ten thousand are not worth a word
-_ALONG = 0.2  # of what has no name, as a root mean square, may lie along a name's columns
+_ALONG = 0.5  # of what has no name, as a root mean square, may lie along a name's columns
+_SURE_OF_SIZE = 3.0  # standard deviations
 _MOST_OF_IT = 0.5  # of a channel's squares
 
 
@@ -42,14 +43,15 @@ def _finding(model: MeasurementModel, analysis: Analysis, candidate: Candidate, 
     moment = naming.first_moment(sized, candidate)
     if not any(map(_is_told, moment.values())) or _is_told(parameters["mass"]):
         moment = {}
-    confidence = confidence_of(support.probability)
+    probability = min(support.probability, SURE) if _may_be_nothing(candidate, parameters, was) else support.probability
+    confidence = confidence_of(probability)
     close = [(EFFECTS[rival.effect](), rival.joint) for rival in rivals]
     return Finding(
         effect=candidate.name,
         joint=joint,
         link=link,
         parameters=parameters,
-        probability=support.probability,
+        probability=probability,
         rivals=tuple(rivals),
         separability=float(np.clip(score_test(search.design, without, candidate).separability, 0.0, 1.0)),
         loss=support.loss,
@@ -76,6 +78,13 @@ def _beside_remainder(
     changes = {name: abs(size.value - was.get(name, effect.nothing)) for name, size in sizes.items()}
     wider = {name: replace(q, std=float(np.hypot(q.std, doubt * changes[name]))) for name, q in sizes.items()}
     return parameters | wider
+
+
+def _may_be_nothing(candidate: Candidate, parameters: dict[str, Quantity], was: Values) -> bool:
+    """Whether all sizes may be what they were, or nothing: three standard deviations hold that."""
+    sizes, nothing = candidate.effect.sizes(parameters), candidate.effect.nothing
+    main = {"mass": sizes["mass"]} if candidate.payload is not None else sizes
+    return all(abs(size.value - was.get(name, nothing)) <= _SURE_OF_SIZE * size.std for name, size in main.items())
 
 
 def _is_told(quantity: Quantity) -> bool:
