@@ -10,7 +10,7 @@ import numpy as np
 from geomid_ros.estimation.estimate import LinksInformation
 from geomid_ros.gap.analysis import Analysis
 from geomid_ros.gap.candidates import NamesPrior
-from geomid_ros.gap.result import LIKELY, LinkChange
+from geomid_ros.gap.result import LIKELY, SURE, LinkChange
 from geomid_ros.inference.fit import fit, scattered
 from geomid_ros.model.effects import Quantity
 from geomid_ros.model.effects.places import AtJoint
@@ -52,7 +52,8 @@ def _changes(model: MeasurementModel, analysis: Analysis) -> Iterator[LinkChange
         loss = fit(search.design, prior, names.chosen, names, spreads).score - free
         # The link may have changed, and not its mass.
         odds = _ODDS * np.exp(0.5 * min(loss, float(np.max(told**2)), 1e3))
-        probability = float(odds / (1.0 + odds)) * (LIKELY if analysis.contested and moment else 1.0)
+        contested = analysis.contested and link == search.prior.changed_link
+        probability = min(float(odds / (1.0 + odds)), SURE if contested else 1.0)
         if probability >= LIKELY:
             body = model.robot.bodies[model.identified[link]]
             yield LinkChange(

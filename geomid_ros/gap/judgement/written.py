@@ -21,6 +21,7 @@ from geomid_ros.model.effects import DEFAULT_EFFECTS, EFFECTS, KnownEffect, Quan
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.types import FloatArray
 
+_REFITS = 2  # the second along what the first one found
 _LEAST_EVIDENCE = 12.0  # of an ordinary effect, that it is not nothing
 _UNCHANGED = 1e-3  # of its uncertainty: how much may move what is as it was
 _ORDINARY = tuple(cls() for name, cls in EFFECTS.items() if name in DEFAULT_EFFECTS)
@@ -75,14 +76,18 @@ class _Refit:
     def found(self, sure: Sequence[Candidate]) -> NamesFit:
         """The fit of the ``sure`` names, without those that cannot be, and of those ordinary effects that are there."""
         named, ordinary, found = [*sure], self._ordinary_beside(sure), self.analysis.names
-        problem = LinearisedProblem(self.model, self.records, self._without_unsure(sure), self.analysis.floor)
-        columns = problem.columns([*named, *ordinary], self.analysis.search.prior.terms)
-        design = problem.design(columns, self.analysis.noise).given(self.analysis.search.design.variances)
-        while True:
-            found = self._fit(problem, design, named, ordinary, found)
-            if (gone := self._untenable(found, ordinary)) is None:
-                return found
-            named, ordinary = ([c for c in own if c is not gone] for own in (named, ordinary))
+        total = self._without_unsure(sure)
+        for _ in range(_REFITS):
+            problem = LinearisedProblem(self.model, self.records, total, self.analysis.floor)
+            columns = problem.columns([*named, *ordinary], self.analysis.search.prior.terms)
+            design = problem.design(columns, self.analysis.noise).given(self.analysis.search.design.variances)
+            while True:
+                found = self._fit(problem, design, named, ordinary, found)
+                if (gone := self._untenable(found, ordinary)) is None:
+                    break
+                named, ordinary = ([c for c in own if c is not gone] for own in (named, ordinary))
+            total = total_model(self.model, found)
+        return found
 
     def _without_unsure(self, sure: Sequence[Candidate]) -> TotalModel:
         """What was found, without the names that are not sure: columns along a delay that is not there are others."""
