@@ -237,8 +237,11 @@ class GapResult:
 
 def effort_gains(findings: Sequence[Finding], channels: Sequence[str]) -> FloatArray:
     """Factors ``(C,)`` from true efforts to measured ones that sure findings say."""
-    gains = {f.joint: effect_class(f.effect).effort_scale(values_of(f)) for f in _sure(findings)}
-    return np.array([gains.get(channel, 1.0) for channel in channels])
+    gains = dict.fromkeys(channels, 1.0)
+    for finding in _sure(findings):
+        if finding.joint in gains:
+            gains[finding.joint] *= effect_class(finding.effect).effort_scale(values_of(finding))
+    return np.array([gains[channel] for channel in channels])
 
 
 def _sure(findings: Sequence[Finding]) -> tuple[Finding, ...]:
