@@ -92,9 +92,7 @@ def _sets() -> dict[str, Run]:
             airbot / "airbot_play.urdf",
             airbot / "chirp",
         ),
-        "kr300 model": Run(
-            "kr300 model", (kr300 / "FF_B",), kr300 / "FF_C", kr300 / "kr300.urdf", kr300 / "FF_A"
-        ),
+        "kr300 model": Run("kr300 model", (kr300 / "FF_B",), kr300 / "FF_C", kr300 / "kr300.urdf", kr300 / "FF_A"),
     }
 
 

@@ -6,8 +6,9 @@ import math
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
-from statistics import median
+from statistics import fmean, median
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -44,6 +45,9 @@ class Line:
         return f"{self.what:<62} {shown:>12} {self.count:>6}   {self.must:<18} {self.aim}"
 
 
+_PROBABILITIES = (0.0, 0.5, 0.8, 0.95, 0.99, 1.01)
+
+
 def figures(cases: Sequence[Judgement]) -> list[Line]:
     """The lines of the table."""
     single, double, none, outside, large = ([case for case in cases if case.kind == kind] for kind in KINDS)
@@ -72,8 +76,21 @@ def figures(cases: Sequence[Judgement]) -> list[Line]:
         _statistic("simulated again after, largest", fitted, lambda case: case.resimulated, max, "<= 1.5", ""),
         _statistic("seconds per run, median", cases, lambda case: case.seconds, median, "<= 10", "<= 3"),
         _statistic("processor seconds per run, median", cases, lambda case: case.processor_seconds, median, "", ""),
+        *reliability([pair for case in cases for pair in case.probabilities]),
         *_parameter_figures(cases),
     ]
+
+
+def reliability(pairs: Sequence[tuple[float, bool]]) -> list[Line]:
+    """For each range of stated probabilities, the share of names that are true, beside the mean of what was stated."""
+    lines = []
+    for low, high in pairwise(_PROBABILITIES):
+        own = [(stated, true) for stated, true in pairs if low <= stated < high]
+        share = 100.0 * sum(true for _, true in own) / len(own) if own else math.nan
+        stated = f"stated {100.0 * fmean(stated for stated, _ in own):.1f} %" if own else ""
+        what = f"names of probability {low:g} to {min(high, 1.0):g} that are true"
+        lines.append(Line(what, share, "%", len(own), stated, ""))
+    return lines
 
 
 def _all_right(case: Judgement) -> bool:

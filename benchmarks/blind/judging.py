@@ -29,7 +29,7 @@ class Judgement:
     channel on held-out data; ``channels``: of each. ``right``: hidden effects named confidently; ``listed``: hidden
     effects named at all, as rivals too; ``wrong``: confident names of what is not there. ``flagged``: an outside effect
     is reported as unexplained on its joint. ``errors``: of the parameters of what was named rightly, by ``effect``, in
-    the unit of :func:`parameter_errors`.
+    the unit of :func:`parameter_errors`. ``probabilities``: of all names, and whether they are true.
     """
 
     kind: str
@@ -55,6 +55,7 @@ class Judgement:
     errors: Mapping[str, float]
     seconds: float
     processor_seconds: float
+    probabilities: tuple[tuple[float, bool], ...]
 
 
 def judge(document: Mapping[str, Any]) -> Judgement:
@@ -94,6 +95,9 @@ def judge(document: Mapping[str, Any]) -> Judgement:
         ),
         seconds=document["seconds"],
         processor_seconds=document["processor_seconds"],
+        probabilities=tuple(
+            (finding["probability"], place in hidden.keys() | _also_true(hidden)) for place, finding in named.items()
+        ),
     )
 
 

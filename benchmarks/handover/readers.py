@@ -154,9 +154,7 @@ def installed(reader: str) -> bool:
 def _dynamics(urdf: str, joints: Sequence[str]) -> tuple[FloatArray, FloatArray]:
     found = {joint.get("name"): joint.find("dynamics") for joint in read_xml(urdf, "written file").findall("joint")}
     damping, friction = (
-        np.array(
-            [float(own.get(name, 0.0)) if (own := found.get(joint)) is not None else 0.0 for joint in joints]
-        )
+        np.array([float(own.get(name, 0.0)) if (own := found.get(joint)) is not None else 0.0 for joint in joints])
         for name in ("damping", "friction")
     )
     return damping, friction

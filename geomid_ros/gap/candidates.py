@@ -2,18 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TypeAlias
 
+import numpy as np
+
+from geomid_ros.inference.fit import JointFit
+from geomid_ros.inference.prior import Prior
+from geomid_ros.inference.selection import Selection
 from geomid_ros.model.columns import Columns, column_of
-from geomid_ros.model.effects import EFFECTS, AtSensor, Effect, MotionEffect, OnLink, Place, joints_of
+from geomid_ros.model.dry_friction import held_from_driving
+from geomid_ros.model.effects import DEFAULT_EFFECTS, EFFECTS, AtSensor, Effect, MotionEffect, OnLink, Place, joints_of
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.moving import REST, SIGN, SMOOTH_SIGN
+from geomid_ros.types import FloatArray
 
-_SCOUTS = 4  # one of so many scanned constants is tried before its name is chosen
-_PAYLOAD_PENALTY = 4.0  # mass and centre; what is said of its inertia is little
+_ODDS = 0.01  # of a name at a place; what joints of a robot that nothing is known of have is as likely as not
+_OF_COUPLED = 0.05  # of these: most joints have motors of their own
 
 
 def library_columns(model: MeasurementModel) -> Columns:
@@ -50,23 +57,6 @@ class EffectTerm:
         return joints_of(self.place)
 
 
-@dataclass(frozen=True)
-class CurveTerm:
-    """One linear coefficient of a free ``curve`` at a joint, the one of ``index``."""
-
-    joint: int
-    curve: str
-    index: int
-
-    @property
-    def joints(self) -> tuple[int, ...]:
-        """Its joint."""
-        return (self.joint,)
-
-
-Term: TypeAlias = EffectTerm | CurveTerm
-
-
 @dataclass(frozen=True, eq=False)
 class Candidate:
     """An effect at a place, with one value of the constant that is scanned, if there is one.
@@ -75,33 +65,62 @@ class Candidate:
         effect: with its constants.
         place: where it acts.
         terms: its coefficients, none for a payload, which is a body.
-        penalty: how many parameters it counts for.
-        scout: whether it stands for those of its group until one is chosen.
         known: whether the model has it, and it may have changed.
+        odds: prior odds.
     """
 
     effect: Effect
     place: Place
     terms: tuple[EffectTerm, ...]
-    penalty: float
-    scout: bool = True
     known: bool = False
+    odds: float = 1.0
 
     @staticmethod
-    def of(effect: Effect, place: Place, *, scout: bool = True, known: bool = False) -> Candidate:
-        """The candidate of an effect at a place."""
-        terms = tuple(_terms(effect, place))
-        penalty = len(terms) + (effect.scanned != 0.0) if terms else _PAYLOAD_PENALTY
-        return Candidate(effect, place, terms, penalty, scout, known)
+    def of(effect: Effect, place: Place, *, known: bool = False, ordinary: bool = False) -> Candidate:
+        """The candidate of an effect at a place; ``ordinary``: whether it is one that every joint may well have."""
+        odds = 1.0 if ordinary else _ODDS * (_OF_COUPLED if effect.place == "joints" else 1.0)
+        constants = 1 if known else len(effect.variants())
+        return Candidate(effect, place, tuple(_terms(effect, place)), known, odds / constants)
 
-    def excludes(self, other: Candidate | CurveCandidate) -> bool:
+    def excludes(self, other: Candidate) -> bool:
         """Whether both at once make no sense: one name and place, one a special case of the other, two payloads."""
-        if isinstance(other, CurveCandidate):
-            return False
         if self.payload is not None and other.payload is not None:
             return True
-        nested = self.effect.contains == other.name or other.effect.contains == self.name
-        return self.group == other.group or (nested and joints_of(self.place) == joints_of(other.place))
+        return self.includes(other) or other.includes(self)
+
+    def includes(self, other: Candidate) -> bool:
+        """Whether it is the same with another constant, or the other is a special case of it."""
+        nested = self.effect.contains == other.name and joints_of(self.place) == joints_of(other.place)
+        return self.group == other.group or nested
+
+    @property
+    def cost(self) -> float:
+        """Minus twice the logarithm of the prior odds."""
+        return -2.0 * float(np.log(self.odds))
+
+    @property
+    def usual(self) -> tuple[float, ...]:
+        """Prior standard deviations of the coefficients about what is known; 0 for a share of what is measured."""
+        return tuple(term.effect.usual[term.index] if term.effect.usual else 0.0 for term in self.terms)
+
+    @property
+    def rescales(self) -> bool:
+        """Whether it is a factor on what a channel measures."""
+        return self.effect.scales_measurement
+
+    @property
+    def confusable_with_payload(self) -> bool:
+        """Whether a payload may be found in its place."""
+        return self.effect.like_a_payload
+
+    @property
+    def relinearises(self) -> bool:
+        """Whether all other columns depend on its size."""
+        return bool(self.effect.far)
+
+    def is_out_of_range(self, coefficients: FloatArray) -> bool:
+        """Whether no robot that works has it with these ``coefficients (k,)``."""
+        return self.effect.is_absurd(coefficients)
 
     @property
     def name(self) -> str:
@@ -131,47 +150,30 @@ class Candidate:
         return self.name, self.place
 
 
-@dataclass(frozen=True, eq=False)
-class CurveCandidate:
-    """A free curve of one ``variable`` (position, velocity, load, time or a joint's name) at a joint; ``dry``:
-    whether it lets the level of dry friction vary, so that its columns add up to that of one level."""
-
-    variable: str
-    curve: str
-    joint: int
-    terms: tuple[Term, ...]
-    penalty: float
-    dry: bool = False
-
-    def excludes(self, other: Candidate | CurveCandidate) -> bool:
-        """Whether it is a curve of the same variable."""
-        return isinstance(other, CurveCandidate) and self.group == other.group
-
-    payload = None
-    positives = 0
-
-    @property
-    def group(self) -> tuple[str, int]:
-        """Variable and joint."""
-        return self.variable, self.joint
+NamesFit: TypeAlias = JointFit[Candidate, EffectTerm]
+NamesPrior: TypeAlias = Prior[EffectTerm]
+NamesSearch: TypeAlias = Selection[Candidate, EffectTerm]
 
 
-AnyCandidate: TypeAlias = Candidate | CurveCandidate
-
-
-def candidates(model: MeasurementModel, known: Collection[EffectTerm] = ()) -> list[Candidate]:
-    """All names for a robot with its sensors, and changes of what is ``known`` of it: it keeps its constants."""
+def candidates(model: MeasurementModel, known: Collection[EffectTerm] = (), *, bare: bool = True) -> list[Candidate]:
+    """All names for a robot with its sensors, and changes of what is ``known`` of it: it keeps its constants; ``bare``:
+    whether nothing is known of its joints, so that they have what joints have."""
     has = {(term.effect.name, term.place) for term in known}
     changes = [Candidate.of(*own, known=True) for own in dict.fromkeys((term.effect, term.place) for term in known)]
     found = [c for c in changes if set(c.terms) <= set(known)]
     found += [
-        Candidate.of(effect, place, scout=not effect.scanned or index % _SCOUTS == 0)
+        Candidate.of(effect, place, ordinary=bare and effect.name in DEFAULT_EFFECTS)
         for cls in EFFECTS.values()
-        for index, effect in enumerate(cls.variants())
+        for effect in cls.variants()
         for place in model.places.of(effect)
         if (effect.name, place) not in has
     ]
     return sorted(found, key=_order)
+
+
+def not_driving(terms: Sequence[EffectTerm], values: FloatArray) -> FloatArray:
+    """Rows that keep dry friction from driving a joint."""
+    return held_from_driving([(term.effect, term.place) for term in terms], values)
 
 
 def _order(candidate: Candidate) -> tuple[int, int]:

@@ -8,12 +8,21 @@ from typing import Literal, TypeAlias
 
 import numpy as np
 
-from geomid_ros.estimation.estimate import SURE
+from geomid_ros.estimation.estimate import SURE as OF_95
 from geomid_ros.model.effects import KnownEffect, Quantity, Values, effect_class, values_of
 from geomid_ros.types import FloatArray, IntArray
 
 Confidence: TypeAlias = Literal["confident", "tentative", "ambiguous"]
 Verdict: TypeAlias = Literal["no gap", "named", "incomplete", "unexplained"]
+
+
+SURE, LIKELY = 0.95, 0.5
+"""The least probabilities of a name that is sure, and of one that is tentative; a less likely one has rivals."""
+
+
+def confidence_of(probability: float) -> Confidence:
+    """A probability in a word."""
+    return "confident" if probability > SURE else "tentative" if probability >= LIKELY else "ambiguous"
 
 
 @dataclass(frozen=True)
@@ -30,7 +39,7 @@ class Finding(KnownEffect):
     """A named effect.
 
     Attributes:
-        confidence: how sure the name is.
+        probability: of the name, beside nothing and its rivals.
         rivals: other names for the same remainder.
         separability: share of the effect's columns, 0 to 1, outside the span of the inertias and the other findings for
             this motion.
@@ -42,7 +51,7 @@ class Finding(KnownEffect):
         moment: of a payload whose mass the motion does not tell, mass times centre of mass; empty of all others.
     """
 
-    confidence: Confidence
+    probability: float
     rivals: tuple[Rival, ...]
     separability: float
     loss: float
@@ -51,6 +60,11 @@ class Finding(KnownEffect):
     sentence: str
     settled_by: str
     moment: Mapping[str, Quantity] = field(default_factory=dict)
+
+    @property
+    def confidence(self) -> Confidence:
+        """The probability in a word."""
+        return confidence_of(self.probability)
 
 
 @dataclass(frozen=True)
@@ -63,7 +77,7 @@ class LinkChange:
         mass: by how much its mass is larger [kg].
         was: the mass that the model says [kg].
         loss: how much worse the score is if it has the model's inertia.
-        confidence: how sure that is.
+        probability: that it has changed.
         moment: of a link whose mass may be as it was, by how much its first moment is larger [kg m], about its frame's
             origin, by axis; empty of all others.
     """
@@ -73,18 +87,23 @@ class LinkChange:
     mass: Quantity
     was: float
     loss: float
-    confidence: Confidence
+    probability: float
     moment: Mapping[str, Quantity] = field(default_factory=dict)
+
+    @property
+    def confidence(self) -> Confidence:
+        """The probability in a word."""
+        return confidence_of(self.probability)
 
     @property
     def sentence(self) -> str:
         """In words, with the 95 % interval."""
         if self.moment:
-            changes = (f"{axis} by {q.value:.3g} ± {SURE * q.std:.2g} {q.unit}" for axis, q in self.moment.items())
-            by_mass = f"{self.mass.value:.2g} ± {SURE * self.mass.std:.2g} kg"
+            changes = (f"{axis} by {q.value:.3g} ± {OF_95 * q.std:.2g} {q.unit}" for axis, q in self.moment.items())
+            by_mass = f"{self.mass.value:.2g} ± {OF_95 * self.mass.std:.2g} kg"
             return f"link '{self.link}' has changed: first moment {', '.join(changes)} (mass by {by_mass})"
         less = "less" if self.mass.value < 0.0 else "more"
-        size = f"{abs(self.mass.value):.3g} ± {SURE * self.mass.std:.2g} kg"
+        size = f"{abs(self.mass.value):.3g} ± {OF_95 * self.mass.std:.2g} kg"
         return f"link '{self.link}' weighs {size} {less} than the {self.was:.3g} kg of the model"
 
 
@@ -218,8 +237,11 @@ class GapResult:
 
 def effort_gains(findings: Sequence[Finding], channels: Sequence[str]) -> FloatArray:
     """Factors ``(C,)`` from true efforts to measured ones that sure findings say."""
-    gains = {f.joint: effect_class(f.effect).effort_scale(values_of(f)) for f in _sure(findings)}
-    return np.array([gains.get(channel, 1.0) for channel in channels])
+    gains = dict.fromkeys(channels, 1.0)
+    for finding in _sure(findings):
+        if finding.joint in gains:
+            gains[finding.joint] *= effect_class(finding.effect).effort_scale(values_of(finding))
+    return np.array([gains[channel] for channel in channels])
 
 
 def _sure(findings: Sequence[Finding]) -> tuple[Finding, ...]:

@@ -12,20 +12,19 @@ import numpy as np
 from geomid_ros.errors import InputError
 from geomid_ros.estimation.estimate import LinksInformation
 from geomid_ros.estimation.fit import CERTAINTY
-from geomid_ros.gap.candidates import Candidate, EffectTerm, Term
+from geomid_ros.gap.analysis import analyse
+from geomid_ros.gap.candidates import Candidate, EffectTerm, NamesPrior, not_driving
+from geomid_ros.gap.evidence.linearised_problem import LinearisedProblem, root_mean_square, total_model
 from geomid_ros.gap.evidence.record import Records
-from geomid_ros.gap.fitting.fit import unfitted
-from geomid_ros.gap.fitting.linearised_problem import LinearisedProblem, root_mean_square, total_model
-from geomid_ros.gap.fitting.prior import Prior
 from geomid_ros.gap.judgement.changed_links import changed_links
 from geomid_ros.gap.judgement.folded import folded
 from geomid_ros.gap.judgement.held_out import HeldOut
 from geomid_ros.gap.judgement.locate import located
-from geomid_ros.gap.judgement.needed import confirmed
 from geomid_ros.gap.judgement.verdict import findings, ranking, unexplained, verdict
 from geomid_ros.gap.judgement.written import written
 from geomid_ros.gap.result import GapResult
-from geomid_ros.gap.search.analysis import analyse
+from geomid_ros.inference.fit import unfitted
+from geomid_ros.inference.prior import Prior
 from geomid_ros.model.effects import KnownEffect, effect_class, values_of
 from geomid_ros.model.measurement import Coefficient, MeasurementModel
 from geomid_ros.model.moving import REST
@@ -120,11 +119,10 @@ def find_gap(
         prior = _as_simulated(bare, Records.make(simulated, settings.cutoff), prior, report)
     analysis = analyse(bare, records, prior, report)
     report("judging", 0.0)
-    analysis = confirmed(bare, held, analysis)
     unseen = HeldOut(bare, held, analysis)
     left = unexplained(bare, analysis, unseen)
-    links = changed_links(bare, analysis, unseen)
-    kept = written(bare, records, analysis, findings(bare, analysis, unseen), links)
+    links = changed_links(bare, analysis)
+    kept = written(bare, records, analysis, findings(bare, analysis), links)
     files = HeldOut(bare, held, replace(analysis, names=kept.found))
     report("judging", 1.0)
     said = {term for candidate in kept.found.chosen for term in candidate.terms}
@@ -213,7 +211,7 @@ def _prior(
     deviations: FloatArray | None,
     known: LinksInformation | None,
     settings: GapSettings,
-) -> Prior:
+) -> NamesPrior:
     size, unknown = len(model.nominal_inertias), np.full(model.dimension, np.nan)
     values = unknown if nominal is None else nominal
     unsure = np.nan_to_num((unknown if deviations is None else deviations)[size:])
@@ -231,7 +229,9 @@ def _prior(
         values=strengths,
         spreads=spreads,
         certainty=_CERTAINTY_OF_IDENTIFIED if identified else CERTAINTY,
+        identified=identified,
         known=known if identified else None,
+        held=not_driving,
     )
 
 
@@ -241,8 +241,8 @@ def _term(coefficient: Coefficient) -> EffectTerm:
 
 
 def _with_beside(
-    model: MeasurementModel, records: Records, prior: Prior, beside: Sequence[KnownEffect]
-) -> tuple[Prior, list[tuple[Candidate, KnownEffect]]]:
+    model: MeasurementModel, records: Records, prior: NamesPrior, beside: Sequence[KnownEffect]
+) -> tuple[NamesPrior, list[tuple[Candidate, KnownEffect]]]:
     """The prior with the effects ``beside`` the model's coefficients, and each of these with its candidate."""
     if not beside:
         return prior, []
@@ -268,7 +268,7 @@ def _unsure_share(candidate: Candidate, known: KnownEffect) -> float:
     return max((size.std / abs(size.value) for size in sizes if size.value and np.isfinite(size.std)), default=0.0)
 
 
-def _with_least_spreads(model: MeasurementModel, records: Records, prior: Prior) -> Prior:
+def _with_least_spreads(model: MeasurementModel, records: Records, prior: NamesPrior) -> NamesPrior:
     """The prior with coefficients that may change by a small share of the measurement, if they are no larger: beside a
     spring an offset near zero is no better known than the spring's rest. The change of a larger one is to be named."""
     problem = LinearisedProblem(model, records, total_model(model, unfitted(prior)))
@@ -278,8 +278,8 @@ def _with_least_spreads(model: MeasurementModel, records: Records, prior: Prior)
 
 
 def _as_simulated(
-    model: MeasurementModel, records: Records, prior: Prior, report: Callable[[str, float], None]
-) -> Prior:
+    model: MeasurementModel, records: Records, prior: NamesPrior, report: Callable[[str, float], None]
+) -> NamesPrior:
     """What the user's simulator shows: its inertias with their payloads, and its effects, in place of the model's."""
     _check(model, records)
     found = analyse(model, records, replace(prior, known=None), report).names
@@ -289,7 +289,7 @@ def _as_simulated(
     return replace(prior, inertias=inertias, terms=found.terms, values=values, spreads=spreads, known=None)
 
 
-def _coefficients(model: MeasurementModel, prior: Prior, said: Collection[Term]) -> FloatArray:
+def _coefficients(model: MeasurementModel, prior: NamesPrior, said: Collection[EffectTerm]) -> FloatArray:
     """The model's own coefficients as they were given ``(coefficients,)``, NaN where it had none or a name has ``said``
     it."""
     terms = [_term(coefficient) for coefficient in model.coefficients]

@@ -17,9 +17,11 @@ from geomid_ros.files.models.effect_forms import payload_parameters
 from geomid_ros.files.models.gap_rivals import OpenFinding, read_open_findings
 from geomid_ros.gap.candidates import Candidate
 from geomid_ros.model.channels import is_wrench_channel
-from geomid_ros.model.effects import KnownEffect, OnLink, Place, effect_class, values_of
+from geomid_ros.model.effects import Effect, KnownEffect, OnLink, Place, effect_class, values_of
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.types import FloatArray, frozen
+
+_OF_BODY = 4.0  # parameters
 
 
 def open_questions(feasibility: Feasibility, path: Path) -> tuple[Judge, list[tuple[str, list[str]]]]:
@@ -72,7 +74,13 @@ def _any(model: MeasurementModel, effect: str, joint: str, link: str = "") -> Na
     place = places[link] if link in places else model.places.named(variants[0], joint)
     where = link or joint
     label = f"{cls.label} at {where}" if where else cls.label
-    return Name(variants, place, label, Candidate.of(variants[0], place).penalty)
+    return Name(variants, place, label, _penalty(variants[0], place))
+
+
+def _penalty(effect: Effect, place: Place) -> float:
+    """For how many parameters an effect counts: of a body its mass and centre, as little is said of its inertia."""
+    terms = Candidate.of(effect, place).terms
+    return float(len(terms) + bool(effect.scanned)) if terms else _OF_BODY
 
 
 def _link_of(model: MeasurementModel, place: Place) -> str:

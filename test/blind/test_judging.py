@@ -16,7 +16,14 @@ CABLE = {"effect": "cable_force", "joint": "joint2", "other": "joint3", "paramet
 
 def finding(effect: str, joint: str, confidence: str = "confident", **values: float) -> dict[str, Any]:
     parameters = {name: {"value": value, "std": 0.1, "unit": ""} for name, value in values.items()}
-    return {"effect": effect, "joint": joint, "confidence": confidence, "rivals": [], "parameters": parameters}
+    return {
+        "effect": effect,
+        "joint": joint,
+        "probability": 0.9,
+        "confidence": confidence,
+        "rivals": [],
+        "parameters": parameters,
+    }
 
 
 def document(

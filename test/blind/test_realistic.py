@@ -108,7 +108,7 @@ COULOMB = {"effect": "coulomb_friction", "joint": "j1", "parameters": {"level": 
 
 def finding(effect: str, joint: str, confidence: str = "confident", **values: float) -> dict[str, Any]:
     parameters = {name: {"value": value, "std": 0.1, "unit": ""} for name, value in values.items()}
-    shared = {"confidence": confidence, "rivals": [], "loss": 100.0}
+    shared = {"probability": 0.9, "confidence": confidence, "rivals": [], "loss": 100.0}
     return {"effect": effect, "joint": joint, "parameters": parameters, **shared}
 
 

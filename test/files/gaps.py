@@ -137,14 +137,14 @@ def _findings(case: Case, joint: str) -> tuple[Finding, ...]:
     parameters = {"level": Quantity(0.40123, 0.0049, "N m")}
     sentence = f"The joint {joint} rubs with 0.4 N m whatever its speed."
     settled = f"move {joint} at three constant speeds" if ambiguous else ""
-    confidence = "ambiguous" if ambiguous else "confident"
+    probability = 0.4 if ambiguous else 0.998
     return (
         Finding(
             effect="coulomb_friction",
             joint=joint,
             link="",
             parameters=parameters,
-            confidence=confidence,
+            probability=probability,
             rivals=rivals,
             separability=0.97,
             loss=812.0,
@@ -159,7 +159,7 @@ def _findings(case: Case, joint: str) -> tuple[Finding, ...]:
 def _links(case: Case, joint: str) -> tuple[LinkChange, ...]:
     if case != "incomplete":
         return ()
-    return (LinkChange("hand", joint, Quantity(-0.74, 0.05, "kg"), 1.2, 310.0, "confident"),)
+    return (LinkChange("hand", joint, Quantity(-0.74, 0.05, "kg"), 1.2, 310.0, 0.99),)
 
 
 def _unexplained(case: Case, joints: Sequence[str]) -> tuple[Unexplained, ...]:

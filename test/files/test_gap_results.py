@@ -54,6 +54,7 @@ def test_links_that_have_changed_are_in_it() -> None:
         "was": 1.2,
         "moment": {},
         "loss": 310.0,
+        "probability": 0.99,
         "confidence": "confident",
         "sentence": "link 'hand' weighs 0.74 ± 0.098 kg less than the 1.2 kg of the model",
     }

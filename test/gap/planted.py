@@ -13,8 +13,8 @@ import numpy as np
 import pinocchio as pin
 
 from geomid_ros.gap.candidates import library_columns
-from geomid_ros.gap.fitting.prior import Prior
 from geomid_ros.geometry import pseudo_inertia, spd
+from geomid_ros.inference.prior import Prior
 from geomid_ros.model.columns import Entries
 from geomid_ros.model.effects import Motion
 from geomid_ros.model.measurement import MeasurementModel

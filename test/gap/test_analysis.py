@@ -8,16 +8,15 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from geomid_ros.gap.candidates import Term
+from geomid_ros.gap import analysis
+from geomid_ros.gap.candidates import EffectTerm
 from geomid_ros.gap.evidence.record import TotalModel
-from geomid_ros.gap.search import analysis
-from geomid_ros.gap.search.beam_search import Search
 from geomid_ros.model.effects import AtJoint, OnRobot
 from geomid_ros.model.effects.gravity_tilt import GravityTilt
 from geomid_ros.model.effects.viscous_friction import ViscousFriction
 from geomid_ros.types import FloatArray
 
-from .small import PRIOR, Recording, at, curve
+from .small import at
 
 VISCOUS, OFFSET = at("viscous_friction", 0), at("effort_offset", 0)
 OTHER = at("viscous_friction", 1)
@@ -27,23 +26,23 @@ OTHER = at("viscous_friction", 1)
 class Found:
     """A fit: coefficients with their standard deviations."""
 
-    values: dict[Term, float]
+    values: dict[EffectTerm, float]
     chosen: tuple[Any, ...] = (VISCOUS,)
     std: float = 0.1
-    stds: dict[Term, float] = field(default_factory=dict)
+    stds: dict[EffectTerm, float] = field(default_factory=dict)
 
     @property
-    def terms(self) -> tuple[Term, ...]:
+    def terms(self) -> tuple[EffectTerm, ...]:
         return tuple(self.values)
 
     @property
     def covariance(self) -> FloatArray:
         return np.diag([self.stds.get(term, self.std) ** 2 for term in self.values])
 
-    def value(self, term: Term) -> float:
+    def value(self, term: EffectTerm) -> float:
         return self.values[term]
 
-    def place(self, term: Term) -> int:
+    def place(self, term: EffectTerm) -> int:
         return self.terms.index(term)
 
 
@@ -122,7 +121,6 @@ class TestFirstNoise:
         columns = {
             TERM: {0: own_column},
             OTHER.terms[0]: {1: alien},
-            curve(0, "time", "drift").terms[0]: {0: smooth},
         }
         residual = np.column_stack([left, np.zeros(self.COUNT)])
         problem: Any = SimpleNamespace(
@@ -144,55 +142,6 @@ class TestFirstNoise:
         assert self.noise(0.0, own=0.0, others=0.0, free=0.5).variances[0] > 2.0
 
 
-def searched(values: dict[Term, float], alike: dict[Term, Term] | None = None) -> Search:
-    recording = Recording(2, [VISCOUS, OFFSET, WAVE, DRIFT], alike)
-    return Search(recording.design(values), PRIOR, [VISCOUS, OFFSET], [WAVE, DRIFT])
-
-
-WAVE, DRIFT = curve(0, "position", "wave"), curve(0, "time", "drift")
-
-
-def test_what_names_leave_room_for_is_filled_by_curves() -> None:
-    search = searched({TERM: 0.3, WAVE.terms[0]: 0.3})
-    names, whole = analysis._with_and_without_curves(search, search.fit([VISCOUS]))
-    assert (set(names.chosen), set(whole.chosen)) == ({VISCOUS}, {VISCOUS, WAVE})
-
-
-def test_where_names_leave_no_room_both_are_the_same() -> None:
-    search = searched({TERM: 0.3})
-    names, whole = analysis._with_and_without_curves(search, search.fit([VISCOUS]))
-    assert names is whole is search.fit([VISCOUS])
-
-
-def test_a_curve_that_no_remainder_shows_is_not_worth_a_word() -> None:
-    """Its score is better, but no channel's remainder is visibly smaller, by seven percent."""
-    rises = {}
-    for size in np.linspace(0.015, 0.06, 16):
-        search = searched({WAVE.terms[0]: size})
-        bare, curved = search.fit([]), search.fit([WAVE])
-        assert bare.score - curved.score > 12.0
-        rises[float(np.sqrt(np.max(bare.squares / curved.squares)))] = analysis.with_curves(search, bare).chosen
-    faint = [chosen for rise, chosen in rises.items() if rise < 1.06]
-    plain = [chosen for rise, chosen in rises.items() if rise > 1.08]
-    assert len(faint) > 1
-    assert len(plain) > 1
-    assert set(faint) == {()}
-    assert set(plain) == {(WAVE,)}
-
-
-def test_no_more_than_four_curves_are_drawn() -> None:
-    waves = [curve(0, f"variable {k}", f"curve {k}") for k in range(6)]
-    recording = Recording(3, waves)
-    search = Search(recording.design({wave.terms[0]: 0.3 for wave in waves}), PRIOR, [], waves)
-    assert len(analysis.with_curves(search, search.fit([])).chosen) == 4
-
-
-def test_two_curves_in_the_place_of_one_that_is_like_their_sum() -> None:
-    """The better one of two alike is taken in the end."""
-    search = searched({WAVE.terms[0]: 0.3}, alike={DRIFT.terms[0]: WAVE.terms[0]})
-    assert set(analysis.with_curves(search, search.fit([])).chosen) == {WAVE}
-
-
 def test_the_first_noise_is_that_of_what_was_measured_however_many_columns_there_are() -> None:
     """Columns of as many directions as there are rows leave nothing, and what rounding says of the noise."""
     rng, rows, channels = np.random.default_rng(8), 80, 30
@@ -212,42 +161,6 @@ def test_the_first_noise_is_that_of_what_was_measured_however_many_columns_there
     assert 0.5 < np.mean([process.variances[-1] for process in found]) < 2.0
 
 
-@pytest.mark.parametrize(
-    ("second", "inflation", "expected"),
-    [
-        ((9.0, 5.0), 100.0, (2, True)),
-        ((5.0, 16.0), 100.0, (1, True)),
-        ((18.0, 5.0), 5.0, (2, False)),
-        ((18.0, 5.0), 3.0, None),
-        ((99.0, 95.0), 100.0, None),
-    ],
-)
-def test_each_link_that_may_have_been_changed_is_searched_with(
-    monkeypatch: pytest.MonkeyPatch, second: tuple[float, float], inflation: float, expected: tuple[int, bool] | None
-) -> None:
-    """Not that alone which explains best what contradicts other recordings before the names are searched anew; and it
-    is said whether another one explains the names that are found about as well. Where other recordings are hardly
-    contradicted, no link has been changed."""
-    first = {0: 60.0, 1: 10.0, 2: 20.0, 3: 23.0}
-    ends = dict(zip((1, 2), second, strict=True))
-    rest = SimpleNamespace(score=200.0, chosen=("before",), inflation=inflation)
-    names = SimpleNamespace(score=100.0, chosen=(), inertias=np.zeros((4, 10)))
-    prior = SimpleNamespace(known="others", with_changed=lambda link: link)
-    found: Any = SimpleNamespace(search=SimpleNamespace(prior=prior, design=None, fit=lambda *_: rest), names=names)
-
-    def fit(_design: None, link: int, chosen: tuple[str, ...], _start: object) -> SimpleNamespace:
-        return SimpleNamespace(score=(first if chosen == rest.chosen else ends)[link])
-
-    def searched(_task: None, link: int, _stage: str) -> SimpleNamespace:
-        return SimpleNamespace(names=SimpleNamespace(chosen=("after",)), link=link)
-
-    monkeypatch.setattr(analysis, "fit", fit)
-    monkeypatch.setattr(analysis, "_searched", searched)
-    monkeypatch.setattr(analysis, "replace", lambda each, contested: (each.link, contested))
-    task: Any = None
-    assert analysis._with_changed_link(task, found) == (expected or found)
-
-
 class Rounds:
     """Searches that do not settle: of each attempt what it was given, and the noise of what it left."""
 
@@ -260,15 +173,19 @@ class Rounds:
         monkeypatch.setattr(analysis, "_noise", self.noise)
         monkeypatch.setattr(analysis, "_typical_size", lambda *_: None)
         monkeypatch.setattr(analysis, "total_model", lambda *_: None)
-        problem = SimpleNamespace(residual=lambda *_: None, valid=None)
+        problem = SimpleNamespace(residual=lambda *_: 0.0, remainder=lambda *_: 0.0, valid=None)
         monkeypatch.setattr(analysis, "LinearisedProblem", lambda *_: problem)
 
-    def round(self, *given: Any) -> Any:
-        _, _, _, noise, before, attempt = given
+    def round(self, *given: Any, variances: object, attempt: int, settling: bool) -> Any:
+        _, _, _, noise, before = given
+        assert settling == (attempt > 4)
+        assert variances == (attempt - 1 if attempt else ())
         assert attempt == len(self.noises)
         assert before is (attempt - 1 if attempt else None)
         self.noises.append(noise)
-        return SimpleNamespace(columns=None, found=attempt)
+        return SimpleNamespace(
+            columns=None, found=attempt, search=SimpleNamespace(design=SimpleNamespace(variances=attempt))
+        )
 
     def noise(self, *_: Any) -> int:
         self.made += 1
@@ -281,26 +198,3 @@ def test_what_does_not_settle_is_fitted_in_the_noise_of_the_last_search(monkeypa
     analysis._last_round(task, None, "")  # type: ignore[arg-type]
     searches = ["first", 1, 2, 3, 4, 5]
     assert rounds.noises == [*searches, 5, 5, 5]
-
-
-@pytest.mark.parametrize(
-    ("attempt", "near", "settled"),
-    [(0, True, [False]), (0, False, []), (5, False, [True]), (5, True, [True]), (6, True, []), (8, False, [])],
-)
-def test_fits_after_the_last_search_do_not_search(
-    attempt: int, near: bool, settled: list[bool], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    said: list[bool] = []
-    search = SimpleNamespace(
-        without_absurd=lambda found: found,
-        fit=lambda _: "fitted",
-        prune=lambda found: found,
-        settle=lambda found, *, to_the_end: said.append(to_the_end) or found,
-    )
-    monkeypatch.setattr(analysis, "Search", lambda *_: search)
-    monkeypatch.setattr(analysis, "_near", lambda *_: near)
-    monkeypatch.setattr(analysis, "total_model", lambda *_: None)
-    problem: Any = SimpleNamespace(columns=lambda *_: None, design=lambda *_: None, total=None)
-    task: Any = SimpleNamespace(model=None, tried=(), curves=SimpleNamespace(candidates=()))
-    analysis._round(task, SimpleNamespace(terms=()), problem, (), None, attempt)  # type: ignore[arg-type]
-    assert said == settled

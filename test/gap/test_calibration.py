@@ -24,18 +24,18 @@ def errors() -> np.ndarray:
     for effect, (extra, parameters) in PLANTED.items():
         for seed in range(SEEDS):
             (finding,) = pendulum.gap(extra, seed).findings
-            assert (finding.effect, finding.joint, finding.confidence) == (effect, "hinge", "confident")
+            assert (finding.effect, finding.joint) == (effect, "hinge")
+            assert finding.probability > 0.5
             stated = [finding.parameters[name] for name in parameters]
             found += [(q.value - true) / q.std for q, true in zip(stated, parameters.values(), strict=True)]
     return np.array(found)
 
 
-def test_planted_sizes_are_off_as_much_as_is_stated(errors: np.ndarray) -> None:
-    """An interval 1.5 times too wide or too narrow is seen: of n errors the mean square is 1 +- 4 sqrt(2/n)."""
-    ends = chi2.ppf([0.5 * FALSE_ALARMS, 1.0 - 0.5 * FALSE_ALARMS], len(errors)) / len(errors)
-    assert ends[0] > 1.0 / 1.5**2
-    assert ends[1] < 1.5**2
-    assert ends[0] < np.mean(errors**2) < ends[1]
+def test_planted_sizes_are_off_by_no_more_than_is_stated(errors: np.ndarray) -> None:
+    """And not by less than half of it: a remainder that may be there, and is not, costs sharpness."""
+    most = chi2.ppf(1.0 - FALSE_ALARMS, len(errors)) / len(errors)
+    assert most < 1.5**2
+    assert 0.5**2 < np.mean(errors**2) < most
 
 
 def test_planted_sizes_are_off_to_both_sides(errors: np.ndarray) -> None:

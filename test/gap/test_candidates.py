@@ -5,7 +5,7 @@ import pytest
 
 from geomid_ros.gap import candidates as library
 from geomid_ros.gap.candidates import Candidate, EffectTerm
-from geomid_ros.model.effects import EFFECTS, AtJoint, JointMotion, MotionEffect, OnLink, OnRobot
+from geomid_ros.model.effects import DEFAULT_EFFECTS, EFFECTS, AtJoint, JointMotion, MotionEffect, OnLink, OnRobot
 from geomid_ros.model.effects.backlash import CROSSINGS
 from geomid_ros.model.effects.coulomb_friction import SMOOTHINGS
 from geomid_ros.model.effects.stribeck_friction import SPEEDS
@@ -15,13 +15,10 @@ from geomid_ros.model.robot import Robot
 from geomid_ros.model.sensors import WrenchSensor
 
 from . import planted
-from .judged import curve
 
 MODEL = planted.model()
 ALL = library.candidates(MODEL)
 VARIANTS = {"coulomb_friction": len(SMOOTHINGS), "stribeck_friction": len(SPEEDS), "backlash": len(CROSSINGS)}
-PARAMETERS = {"spring": 2, "stribeck_friction": 3, "backlash": 2, "gravity_tilt": 2, "payload": 4}
-"""That a name counts for: coefficients and a scanned constant; a payload's mass and centre."""
 
 
 def named(effect: str, joint: int | None = None) -> list[Candidate]:
@@ -35,7 +32,8 @@ def test_an_effect_of_joints_is_possible_at_every_joint_with_all_its_constants(n
         assert len(own) == VARIANTS.get(name, 1)
         assert len({candidate.effect for candidate in own}) == len(own)
         assert {candidate.place for candidate in own} == {AtJoint(joint)}
-        assert {candidate.penalty for candidate in own} == {PARAMETERS.get(name, 1)}
+        odds = np.array([candidate.odds for candidate in own]) * VARIANTS.get(name, 1)
+        np.testing.assert_allclose(odds, 1.0 if name in DEFAULT_EFFECTS else 0.01)
         assert {candidate.group for candidate in own} == {(name, AtJoint(joint))}
 
 
@@ -44,8 +42,6 @@ def test_others_are_possible_at_the_robot_and_at_every_link() -> None:
     assert [(c.place, c.joint, c.payload) for c in named("payload")] == [
         (OnLink(link, link), link, link) for link in range(3)
     ]
-    for name in ("gravity_tilt", "payload"):
-        assert {candidate.penalty for candidate in named(name)} == {PARAMETERS[name]}
     assert [len(candidate.terms) for candidate in named("payload")] == [0, 0, 0]
     assert not named("wrench_offset"), "there is no sensor"
 
@@ -65,7 +61,6 @@ def test_a_sensor_has_a_coefficient_for_each_axis_that_it_measures() -> None:
     *_, offset = library.candidates(model)
     assert offset.name == "wrench_offset"
     assert [term.index for term in offset.terms] == [0, 1]
-    assert offset.penalty == 2
 
 
 def test_what_the_model_has_may_have_changed_with_the_constants_and_signs_that_it_has() -> None:
@@ -75,9 +70,9 @@ def test_what_the_model_has_may_have_changed_with_the_constants_and_signs_that_i
     level, excess = (EffectTerm(part, at) for part in stribeck.parts)
     known = library.candidates(MODEL, [level, excess])
     dry = [c for c in known if c.joint == 1 and c.name in ("coulomb_friction", "stribeck_friction")]
-    assert {(c.effect, c.terms, c.positives, c.scout) for c in dry} == {
-        (level.effect, (level,), 1, True),
-        (stribeck, (level, excess), 1, True),
+    assert {(c.effect, c.terms, c.positives) for c in dry} == {
+        (level.effect, (level,), 1),
+        (stribeck, (level, excess), 1),
     }
     assert {c.positives for c in named("stribeck_friction", 1)} == {2}
     assert [c.group for c in known if c not in dry] == [c.group for c in ALL if c.group not in {d.group for d in dry}]
@@ -97,14 +92,6 @@ def test_the_order_is_joint_by_joint_then_the_robot_then_links() -> None:
     assert joints == sorted(joints)
 
 
-@pytest.mark.parametrize(("name", "count"), [("stribeck_friction", 25), ("backlash", 15)])
-def test_every_fourth_of_many_constants_is_a_scout(name: str, count: int) -> None:
-    own = named(name, 0)
-    assert [candidate.scout for candidate in own] == [place % 4 == 0 for place in range(count)]
-    assert [candidate.effect.scanned for candidate in own] == sorted(candidate.effect.scanned for candidate in own)
-    assert all(candidate.scout for candidate in ALL if not candidate.effect.scanned)
-
-
 def one(name: str, joint: int | None = None) -> Candidate:
     return named(name, joint)[0]
 
@@ -120,18 +107,11 @@ def one(name: str, joint: int | None = None) -> Candidate:
         (one("spring", 2), one("viscous_friction", 2), False),
         (named("payload")[0], named("payload")[2], True),
         (named("payload")[0], one("spring", 0), False),
-        (one("spring", 0), curve(0), False),
     ],
 )
 def test_what_makes_no_sense_together_excludes_each_other(first: Candidate, second: Candidate, expected: bool) -> None:
     assert first.excludes(second) == expected
     assert second.excludes(first) == expected
-
-
-def test_a_curve_excludes_those_of_its_variable_at_its_joint() -> None:
-    assert curve(0).excludes(curve(0))
-    assert not curve(0).excludes(curve(1))
-    assert not curve(0).excludes(curve(0, "time"))
 
 
 def test_samples_carry_all_columns_that_names_are_made_of_once() -> None:

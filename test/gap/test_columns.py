@@ -5,9 +5,9 @@ import pinocchio as pin
 import pytest
 from scipy.interpolate import CubicSpline
 
+from geomid_ros.gap.evidence.linearised_problem import LinearisedProblem, total_model
 from geomid_ros.gap.evidence.record import Records
-from geomid_ros.gap.fitting.fit import unfitted
-from geomid_ros.gap.fitting.linearised_problem import LinearisedProblem, total_model
+from geomid_ros.inference.fit import unfitted
 from geomid_ros.model.effects import AtJoint, OnRobot
 from geomid_ros.model.effects.effort_delay import EffortDelay
 from geomid_ros.model.effects.effort_gain import EffortGain

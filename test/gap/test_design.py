@@ -7,8 +7,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from geomid_ros.gap.candidates import Candidate, EffectTerm, Term
-from geomid_ros.gap.evidence.design import BLOCKS, Design, term_columns
+from geomid_ros.gap.candidates import Candidate, EffectTerm
+from geomid_ros.gap.evidence.design import design_of, term_columns
+from geomid_ros.gap.evidence.features import Features
 from geomid_ros.gap.evidence.noise import Autoregression
 from geomid_ros.model.effects import AtJoint, AtSensor, OnLink, OnRobot, Situation
 from geomid_ros.model.effects.effort_gain import EffortGain
@@ -16,7 +17,7 @@ from geomid_ros.model.effects.gravity_tilt import GravityTilt
 from geomid_ros.model.effects.payload import Payload
 from geomid_ros.model.effects.viscous_friction import ViscousFriction
 from geomid_ros.model.effects.wrench_offset import WrenchOffset
-from geomid_ros.model.measurement import MeasurementModel
+from geomid_ros.model.measurement import MeasurementModel, Rows
 from geomid_ros.model.robot import Robot
 from geomid_ros.model.sensors import WrenchSensor
 from geomid_ros.types import FloatArray
@@ -30,14 +31,15 @@ TARGETS = RNG.normal(size=(ROWS, CHANNELS))
 VALID = RNG.uniform(size=(ROWS, CHANNELS)) > 0.2
 SEGMENT = (np.arange(ROWS) >= 50).astype(int)
 BOTH, FIRST, SECOND = (EffectTerm(ViscousFriction(), AtJoint(joint)) for joint in range(3))
-COLUMNS: dict[Term, dict[int, FloatArray]] = {
+COLUMNS: dict[EffectTerm, dict[int, FloatArray]] = {
     BOTH: {0: RNG.normal(size=ROWS), 1: RNG.normal(size=ROWS)},
     FIRST: {0: RNG.normal(size=ROWS)},
     SECOND: {1: RNG.normal(size=ROWS)},
 }
 NOISE = (Autoregression((np.zeros(0), np.array([0.5])), np.array([1.0, 0.75])), Autoregression.white())
 RECORDS: Any = SimpleNamespace(segment=SEGMENT)
-DESIGN = Design.make(COEFFICIENTS, TARGETS, VALID, COLUMNS, NOISE, RECORDS)
+NOTHING = (Features(np.zeros((ROWS, 0)), np.zeros(0, dtype=np.intp), ()),) * CHANNELS
+DESIGN = design_of(Rows(COEFFICIENTS, TARGETS), VALID, COLUMNS, NOTHING, NOISE, RECORDS)
 
 
 def white(channel: int, values: FloatArray) -> FloatArray:
@@ -52,7 +54,7 @@ def white(channel: int, values: FloatArray) -> FloatArray:
     return np.array(result)
 
 
-def stacked(channel: int, bodies: list[int], terms: list[Term]) -> FloatArray:
+def stacked(channel: int, bodies: list[int], terms: list[EffectTerm]) -> FloatArray:
     """The whitened columns that a fit has, those that do not reach the channel zero."""
     zero = np.zeros(ROWS)
     again = [COEFFICIENTS[:, channel, 10 * body + k] for body in bodies for k in range(10)]
@@ -70,18 +72,8 @@ def test_products_are_those_of_the_whitened_columns() -> None:
         assert DESIGN.target_squares[channel] == pytest.approx(float(columns[:, -1] @ columns[:, -1]))
 
 
-def test_blocks_are_equal_parts_of_time() -> None:
-    for channel, blocks in enumerate(DESIGN.gather_blocks([0], [SECOND])):
-        columns = stacked(channel, [0], [SECOND])
-        parts = np.array_split(columns, BLOCKS)
-        assert len(blocks) == BLOCKS
-        for block, part in zip(blocks, parts, strict=True):
-            np.testing.assert_allclose(block, part.T @ part, atol=1e-10)
-    assert 5 <= BLOCKS <= 12, "fewer tell little, more are correlated"
-
-
 def test_crossed_products_are_those_with_a_candidate_s_columns() -> None:
-    candidate = Candidate(ViscousFriction(), AtJoint(0), (BOTH, SECOND), 2.0)
+    candidate = Candidate(ViscousFriction(), AtJoint(0), (BOTH, SECOND))
     found = DESIGN.own([candidate], [1], [FIRST])
     assert DESIGN.reached(candidate) == [0, 1]
     for channel in range(CHANNELS):
@@ -91,8 +83,8 @@ def test_crossed_products_are_those_with_a_candidate_s_columns() -> None:
 
 
 def test_products_of_a_candidate_are_zero_in_channels_that_it_does_not_reach() -> None:
-    both = Candidate(ViscousFriction(), AtJoint(0), (BOTH,), 1.0)
-    candidate = Candidate(ViscousFriction(), AtJoint(2), (SECOND,), 1.0)
+    both = Candidate(ViscousFriction(), AtJoint(0), (BOTH,))
+    candidate = Candidate(ViscousFriction(), AtJoint(2), (SECOND,))
     assert DESIGN.reached(candidate) == [1]
     found = DESIGN.own([both, candidate], [], [])
     assert (found.crossed.shape, found.squared.shape) == ((2, CHANNELS, 1, 10 * LINKS + 1), (2, CHANNELS, 1, 1))
@@ -102,7 +94,7 @@ def test_products_of_a_candidate_are_zero_in_channels_that_it_does_not_reach() -
 
 
 def test_a_payload_has_the_columns_of_its_link() -> None:
-    candidate = Candidate(Payload(), OnLink(1, 1), (), 4.0)
+    candidate = Candidate(Payload(), OnLink(1, 1), ())
     assert DESIGN.reached(candidate) == [0, 1]
     found = DESIGN.own([candidate], [], [FIRST])
     for channel in range(CHANNELS):
@@ -119,7 +111,7 @@ class TestColumns:
     COUNT = 30
     PREDICTED = RNG.normal(size=(COUNT, 5))
 
-    def columns(self, *terms: EffectTerm) -> dict[Term, dict[int, FloatArray]]:
+    def columns(self, *terms: EffectTerm) -> dict[EffectTerm, dict[int, FloatArray]]:
         motion = planted.recording(planted.rigid(planted.true_inertias(1, 0.1)), 1, 2.0).select(slice(self.COUNT))
         by_gravity = np.zeros((self.COUNT, 5, 3))
         by_gravity[:, 1:4, 1] = self.PREDICTED[:, 1:4]

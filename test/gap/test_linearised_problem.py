@@ -9,14 +9,14 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from geomid_ros.gap.candidates import EffectTerm, Term
+from geomid_ros.gap.candidates import EffectTerm
+from geomid_ros.gap.evidence.linearised_problem import LinearisedProblem, total_model
 from geomid_ros.gap.evidence.noise import Autoregression
 from geomid_ros.gap.evidence.record import Records
-from geomid_ros.gap.fitting.fit import JointFit, fit, unfitted
-from geomid_ros.gap.fitting.linearised_problem import LinearisedProblem, total_model
-from geomid_ros.gap.fitting.prior import Prior
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.geometry.manifold import Point
+from geomid_ros.inference.fit import JointFit, fit, unfitted
+from geomid_ros.inference.prior import Prior
 from geomid_ros.model.effects import AtJoint, Effect, OnRobot
 from geomid_ros.model.effects.effort_delay import EffortDelay
 from geomid_ros.model.effects.effort_gain import EffortGain
@@ -27,7 +27,7 @@ from geomid_ros.model.effects.viscous_friction import ViscousFriction
 from geomid_ros.model.samples import Samples
 
 from . import planted
-from .judged import PAYLOAD
+from .test_verdict import PAYLOAD
 
 MODEL = planted.model()
 INERTIAS = planted.true_inertias(3, 0.2)
@@ -45,7 +45,7 @@ def exact(seed: int = 3) -> Samples:
     return planted.recording(RIGID, seed, SECONDS, noise=0.0)
 
 
-def said(values: dict[Term, float]) -> JointFit:
+def said(values: dict[EffectTerm, float]) -> JointFit:
     """The planted robot with these coefficients, as if it were a fit."""
     known = np.array(list(values.values()))
     return unfitted(
@@ -60,7 +60,7 @@ def said(values: dict[Term, float]) -> JointFit:
     )
 
 
-def residual(samples: Samples, at: dict[Term, float], found: dict[Term, float]) -> np.ndarray:
+def residual(samples: Samples, at: dict[EffectTerm, float], found: dict[EffectTerm, float]) -> np.ndarray:
     """Of a model with the coefficients ``found``, linearised at others."""
     problem = LinearisedProblem(MODEL, Records.make([samples], planted.CUTOFF), total_model(MODEL, said(at)))
     own = said(found)
@@ -75,7 +75,7 @@ def with_efforts(samples: Samples, scale: Sequence[float], joints: Sequence[floa
 
 def test_what_a_model_says_of_everything_leaves_nothing() -> None:
     samples = with_efforts(exact(), [1.0, 1.0, 1.0], [0.0, 0.4, 0.0], [0.0, 0.0, 0.7])
-    values: dict[Term, float] = {VISCOUS: 0.4, OFFSET: 0.7}
+    values: dict[EffectTerm, float] = {VISCOUS: 0.4, OFFSET: 0.7}
     np.testing.assert_allclose(residual(samples, values, values), 0.0, atol=1e-9)
     less = residual(samples, values, {VISCOUS: 0.1, OFFSET: 0.2})
     expected = np.array([0.0, 0.3, 0.0]) * Records.make([samples], planted.CUTOFF).samples.velocity + [0.0, 0.0, 0.5]
@@ -86,7 +86,7 @@ def test_what_a_model_says_of_everything_leaves_nothing() -> None:
 def test_a_gain_is_the_whole_gain_wherever_it_is_linearised(at: float) -> None:
     """It scales all that is at its joint; of what a model with another gain predicts it is a column there."""
     samples = with_efforts(exact(), [1.0, 1.25, 1.0], [0.0, 0.4, 0.0], [0.0, 0.0, 0.0])
-    values: dict[Term, float] = {VISCOUS: 0.4, GAIN: 0.25}
+    values: dict[EffectTerm, float] = {VISCOUS: 0.4, GAIN: 0.25}
     np.testing.assert_allclose(residual(samples, {VISCOUS: 0.4, GAIN: at}, values), 0.0, atol=1e-9)
 
 
@@ -105,7 +105,7 @@ def test_a_gain_that_is_built_in_scales_all_columns_but_its_own() -> None:
 def test_a_tilt_is_the_whole_tilt_up_to_second_order(at: float, share: float) -> None:
     gravity = pin.exp3(np.array([0.03, 0.0, 0.0])).T @ MODEL.robot.gravity
     tilted = planted.recording(planted.rigid(INERTIAS, gravity), 3, SECONDS, noise=0.0)
-    values: dict[Term, float] = {TILT[0]: 0.03, TILT[1]: 0.0}
+    values: dict[EffectTerm, float] = {TILT[0]: 0.03, TILT[1]: 0.0}
     left = residual(tilted, {TILT[0]: at, TILT[1]: 0.0}, values)
     straight = residual(tilted, {}, {})
     assert np.linalg.norm(left) < share * np.linalg.norm(straight)
@@ -130,7 +130,7 @@ def test_a_gain_scales_a_tilt_and_a_delay_that_are_built_in() -> None:
     tilted = planted.recording(planted.rigid(INERTIAS, gravity), 3, SECONDS, noise=0.0)
     measured = Records.make([with_efforts(tilted, [1.0, 1.25, 1.0], [0.0] * 3, [0.0] * 3)], planted.CUTOFF)
     late = replace(measured, dense=measured.advanced(-0.005).dense)
-    values: dict[Term, float] = {TILT[0]: 0.03, TILT[1]: 0.0, DELAY: 0.005, GAIN: 0.25}
+    values: dict[EffectTerm, float] = {TILT[0]: 0.03, TILT[1]: 0.0, DELAY: 0.005, GAIN: 0.25}
     inner = slice(3, -3)
     left = residual(late.dense[0], values, values)[inner]
     plain = residual(late.dense[0], {}, {})[inner]

@@ -38,12 +38,6 @@ def unmeasured(samples: Samples, joints: Sequence[int]) -> Samples:
 TRAIN, UNSEEN = planted.recording(coulomb, SEED), planted.recording(coulomb, SEED + 1000, 15.0)
 
 
-def test_a_name_that_no_unseen_data_judge_is_not_sure() -> None:
-    (judged,) = find_gap(planted.model(), [TRAIN], [UNSEEN]).findings
-    (guessed,) = find_gap(planted.model(), [TRAIN], [unmeasured(UNSEEN, [JOINT])]).findings
-    assert (judged.confidence, guessed.confidence) == ("confident", "tentative")
-
-
 @pytest.mark.parametrize("unseen", [unmeasured(UNSEEN, range(3)), UNSEEN.select(slice(0, 8))], ids=["nothing", "short"])
 def test_unseen_data_that_judge_nothing_are_refused(unseen: Samples) -> None:
     with pytest.raises(InputError, match="nothing to judge on"):

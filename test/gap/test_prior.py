@@ -8,8 +8,8 @@ from scipy.stats import multivariate_normal
 
 from geomid_ros.estimation.estimate import LinksInformation
 from geomid_ros.estimation.profile_objective import StraightManifold
-from geomid_ros.gap.fitting.fit import fit
-from geomid_ros.gap.fitting.prior import Prior
+from geomid_ros.inference.fit import fit
+from geomid_ros.inference.prior import Prior
 
 from . import planted
 from .small import PRIOR, Recording, at

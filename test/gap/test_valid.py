@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from geomid_ros.gap.evidence.linearised_problem import LinearisedProblem, total_model
 from geomid_ros.gap.evidence.record import Records
-from geomid_ros.gap.fitting.fit import unfitted
-from geomid_ros.gap.fitting.linearised_problem import LinearisedProblem, total_model
+from geomid_ros.inference.fit import unfitted
 from geomid_ros.model.effects import AtJoint, identified_effect
 from geomid_ros.types import BoolArray
 

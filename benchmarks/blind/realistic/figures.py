@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Sequence
 from statistics import median
 
-from benchmarks.blind.figures import Line
+from benchmarks.blind.figures import Line, reliability
 from benchmarks.blind.realistic.judging import RealisticJudgement, Size
 
 _TITLES = {"model": "with --model", "urdf": "URDF alone"}
@@ -26,6 +26,7 @@ def figures(cases: Sequence[RealisticJudgement]) -> list[Line]:
         *(line for situation in _TITLES for line in _trouble(situation, cases)),
         *_of_sizes("confident sizes of the change", [s for case in cases for s in case.sizes if _is_change(case, s)]),
         *_of_sizes("all confident sizes", [size for case in cases for size in case.sizes]),
+        *reliability([pair for case in cases for pair in case.probabilities]),
         *(line for situation in _TITLES for line in _left(situation, cases)),
     ]
 

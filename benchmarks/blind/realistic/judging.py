@@ -41,6 +41,7 @@ class RealisticJudgement:
     ``counted``: the change shows in this situation. ``first``: it is the first name, and confident; ``right``: it is
     confident; ``listed``: it is named at all, as a rival too. ``wrong``: confident names of what is not there.
     ``false_delay``: a delay, however sure, that is 2 ms or more off. ``sizes``: of the confident names that are right.
+    ``probabilities``: of all names, and whether they are true.
     """
 
     seed: int
@@ -60,6 +61,7 @@ class RealisticJudgement:
     after: float
     resimulated: float
     seconds: float
+    probabilities: tuple[tuple[float, bool], ...]
 
 
 def judge(document: Mapping[str, Any], situation: str) -> RealisticJudgement:
@@ -91,6 +93,9 @@ def judge(document: Mapping[str, Any], situation: str) -> RealisticJudgement:
         after=_worst(gap["gap"]["after"].values()),
         resimulated=_worst((gap["resimulated"] or {}).get("after", {}).values()),
         seconds=document[situation]["seconds"],
+        probabilities=tuple(
+            (finding["probability"], _is_true(_place(finding), names, truth, situation)) for finding in findings
+        ),
     )
 
 

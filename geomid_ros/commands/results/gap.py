@@ -70,12 +70,12 @@ def _findings_table(result: GapResult) -> Table:
     table.add_column("parameter")
     number_columns(table, ["value"])
     table.add_column("confidence")
-    number_columns(table, ["closes", "separable"])
+    number_columns(table, ["probability", "closes", "separable"])
     for finding in result.findings:
         names = lines(name.replace("_", " ") for name in finding.parameters)
         values = lines(map(gap_words.measured, finding.parameters.values()))
         where = gap_words.place(finding.joint, finding.link)
-        shares = (gap_words.percent(finding.share), gap_words.percent(finding.separability))
+        shares = map(gap_words.percent, (finding.probability, finding.share, finding.separability))
         table.add_row(gap_words.headline(finding.effect), where, names, values, finding.confidence, *shares)
     return table
 

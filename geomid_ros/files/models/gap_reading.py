@@ -108,6 +108,9 @@ def _result(document: Mapping[str, Any], source: str) -> GapResult:
     )
 
 
+_OF_WORDS = {"confident": 0.99, "tentative": 0.7, "ambiguous": 0.3}
+
+
 def _finding(entry: Mapping[str, Any], where: str) -> Finding:
     effect = effect_of(entry, where)
     return Finding(
@@ -115,7 +118,7 @@ def _finding(entry: Mapping[str, Any], where: str) -> Finding:
         joint=effect.joint,
         link=effect.link,
         parameters=effect.parameters,
-        confidence=entry["confidence"],
+        probability=_probability(entry),
         rivals=tuple(Rival(own["effect"], own["joint"], number(own["loss"])) for own in entry["rivals"]),
         separability=number(entry["separability"]),
         loss=number(entry["loss"]),
@@ -134,9 +137,14 @@ def _change(entry: Mapping[str, Any]) -> LinkChange:
         mass=_quantities({"mass": entry["mass"]})["mass"],
         was=number(entry["was"]),
         loss=number(entry["loss"]),
-        confidence=entry["confidence"],
+        probability=_probability(entry),
         moment=_quantities(entry["moment"]),
     )
+
+
+def _probability(entry: Mapping[str, Any]) -> float:
+    """Of an older file, which has a word alone, one that this word stands for."""
+    return float(entry["probability"]) if "probability" in entry else _OF_WORDS[entry["confidence"]]
 
 
 def _quantities(entries: Mapping[str, Any]) -> dict[str, Quantity]:

@@ -8,7 +8,8 @@ verdict         ``no gap``, ``named``, ``incomplete`` or ``unexplained``
 findings        list of named effects, the surest first:
                 ``effect``, ``joint`` (a wrench sensor's topic, or empty for the whole robot), ``link`` (of a payload),
                 ``parameters`` {name: {``value``, ``std``, ``unit``}},
-                ``confidence`` (``confident``, ``tentative`` or ``ambiguous``),
+                ``probability`` (of the name beside nothing and its rivals), ``confidence`` (the same in a word:
+                ``confident`` above .95, ``tentative`` from .5, ``ambiguous``),
                 ``rivals`` [{``effect``, ``joint``, ``loss``}] other names for the same, ``loss`` by how much worse,
                 ``separability`` (0: this motion cannot tell it from the inertias, to 1: nothing like it),
                 ``loss`` (how much worse without it, a difference of -2 log p), ``share`` (of the gap that it closes),
@@ -18,7 +19,7 @@ findings        list of named effects, the surest first:
                 the motion does not tell; else empty)
 links           list of links that weigh something else than the model says, the surest first:
                 ``link``, ``joint`` (that moves it), ``mass`` {``value``, ``std``, ``unit``} (by how much more),
-                ``was`` (in the model), ``loss`` (as above), ``confidence`` and ``sentence``
+                ``was`` (in the model), ``loss``, ``probability``, ``confidence`` and ``sentence``
 unexplained     list of {``joint`` (or wrench channel), ``depends_on``, ``gap`` (times the floor)}
 ordinary        list of effects that no finding says and that are in the written model: beside a URDF alone, friction,
                 rotor inertia and offsets of all joints, as ``geomid identify`` finds them (as in the sidecar)
@@ -90,6 +91,7 @@ def _link(change: LinkChange) -> dict[str, Any]:
         "was": finite(change.was),
         "moment": {name: quantity_entry(quantity) for name, quantity in change.moment.items()},
         "loss": finite(change.loss),
+        "probability": change.probability,
         "confidence": change.confidence,
         "sentence": change.sentence,
     }
@@ -97,6 +99,7 @@ def _link(change: LinkChange) -> dict[str, Any]:
 
 def _finding(finding: Finding) -> dict[str, Any]:
     return effect_entry(finding) | {
+        "probability": finding.probability,
         "confidence": finding.confidence,
         "rivals": [
             {"effect": rival.effect, "joint": rival.joint, "loss": finite(rival.loss)} for rival in finding.rivals

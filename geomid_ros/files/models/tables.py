@@ -18,7 +18,7 @@ Rows: TypeAlias = list[dict[str, Any]]
 
 _BETWEEN = ";"
 _UNKNOWN = {"mass": "nan", "com": ["nan"] * 3, "inertia": [["nan"] * 3] * 3}
-_FINDING = ("confidence", "share", "separability", "loss", "sentence")
+_FINDING = ("probability", "confidence", "share", "separability", "loss", "sentence")
 
 
 def write_tables(folder: Path, found: Mapping[str, Rows]) -> list[Path]:

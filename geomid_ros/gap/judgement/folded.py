@@ -7,14 +7,13 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.optimize import nnls
 
-from geomid_ros.gap.candidates import EffectTerm
-from geomid_ros.gap.fitting.fit import JointFit
-from geomid_ros.gap.fitting.linearised_problem import LinearisedProblem
+from geomid_ros.gap.candidates import EffectTerm, NamesFit
+from geomid_ros.gap.evidence.linearised_problem import LinearisedProblem
 from geomid_ros.model.effects import MotionEffect, ParameterForm, joints_of
 from geomid_ros.model.effects.effect import LoadEffect
 
 
-def folded(problem: LinearisedProblem, found: JointFit) -> dict[tuple[str, str], float]:
+def folded(problem: LinearisedProblem, found: NamesFit) -> dict[tuple[str, str], float]:
     """By how much a joint's attributes, as ``dynamics/damping``, differ in a file that says nothing else of friction.
 
     Linear friction that was found beside a quadratic one is wrong without it. So the file has the least-squares fit of
@@ -32,7 +31,7 @@ def folded(problem: LinearisedProblem, found: JointFit) -> dict[tuple[str, str],
 
 
 def _changes(
-    problem: LinearisedProblem, found: JointFit, joint: int, said: Sequence[EffectTerm], unsaid: Sequence[EffectTerm]
+    problem: LinearisedProblem, found: NamesFit, joint: int, said: Sequence[EffectTerm], unsaid: Sequence[EffectTerm]
 ) -> list[float]:
     columns = problem.columns((), [*said, *unsaid])
     values = np.array([found.value(term) for term in (*said, *unsaid)])

@@ -6,14 +6,18 @@ from functools import cached_property
 
 import numpy as np
 
+from geomid_ros.gap.analysis import Analysis
+from geomid_ros.gap.candidates import NamesFit
+from geomid_ros.gap.evidence.linearised_problem import LinearisedProblem, root_mean_square, total_model
 from geomid_ros.gap.evidence.record import Records
-from geomid_ros.gap.fitting.fit import JointFit, unfitted
-from geomid_ros.gap.fitting.linearised_problem import LinearisedProblem, root_mean_square, total_model
 from geomid_ros.gap.judgement.locate import located
 from geomid_ros.gap.result import Gap, Located, Trace
-from geomid_ros.gap.search.analysis import Analysis
+from geomid_ros.inference.fit import unfitted
 from geomid_ros.model.measurement import MeasurementModel
-from geomid_ros.types import FloatArray
+from geomid_ros.types import BoolArray, FloatArray
+
+REACHED = 1.15
+"""A channel whose remainder is below this times the floor has reached it."""
 
 
 class HeldOut:
@@ -27,7 +31,7 @@ class HeldOut:
         self._analysis = analysis
         self._last = self._problem(analysis.names)
         self._untouched = unfitted(analysis.search.prior)
-        self._residuals: dict[JointFit, FloatArray] = {}
+        self._residuals: dict[NamesFit, FloatArray] = {}
 
     @cached_property
     def gap(self) -> Gap:
@@ -48,12 +52,11 @@ class HeldOut:
         return Gap(before, bare, after, self.gap.expected)
 
     @cached_property
-    def with_curves(self) -> FloatArray:
-        """What is left in units of the floor ``(C,)`` where free curves say it, too, or else beside the names alone."""
-        whole = self._analysis.whole
-        problem = self._problem(whole)
-        columns = problem.columns(whole.chosen, self._prior.terms, self._analysis.curves)
-        return np.fmin(self.gap.after, self._times_floor(problem.residual(columns, whole)))
+    def is_open(self) -> BoolArray:
+        """The channels ``(C,)`` whose gap is larger than noise and the uncertainty of all that was fitted explain."""
+        # A standard deviation from n values is itself uncertain by 1 / sqrt(2 n), relative.
+        reached = REACHED * (1.0 + 2.0 / np.sqrt(2.0 * np.maximum(self.counts, 1.0))) * self.gap.expected
+        return np.asarray(np.nan_to_num(self.gap.after) >= np.nan_to_num(reached, nan=np.inf))
 
     @cached_property
     def trace(self) -> Trace:
@@ -83,14 +86,14 @@ class HeldOut:
         """Number of independent instants of each channel ``(C,)``."""
         return np.asarray(np.sum(self._last.valid, axis=0, dtype=np.float64))
 
-    def times_floor(self, found: JointFit) -> FloatArray:
+    def times_floor(self, found: NamesFit) -> FloatArray:
         """Root mean square of what a fit leaves ``(C,)``, in units of the floor; NaN where nothing is measured."""
         return self._times_floor(self._residual(found))
 
-    def _problem(self, found: JointFit) -> LinearisedProblem:
+    def _problem(self, found: NamesFit) -> LinearisedProblem:
         return LinearisedProblem(self._model, self._records, total_model(self._model, found), self._analysis.floor)
 
-    def _residual(self, found: JointFit) -> FloatArray:
+    def _residual(self, found: NamesFit) -> FloatArray:
         if found not in self._residuals:
             problem = self._last if found is self._analysis.names else self._problem(found)
             self._residuals[found] = problem.residual(problem.columns(found.chosen, self._prior.terms), found)

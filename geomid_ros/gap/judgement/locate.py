@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from geomid_ros.gap.evidence.curves import hats, knots
+from geomid_ros.gap.evidence.features import hats, knots
 from geomid_ros.gap.evidence.record import Records
 from geomid_ros.gap.result import Located
 from geomid_ros.model.measurement import MeasurementModel

@@ -8,9 +8,7 @@ import numpy as np
 
 from geomid_ros.estimation.estimate import SURE
 from geomid_ros.estimation.uncertainty import physical_sensitivity
-from geomid_ros.gap.candidates import Candidate
-from geomid_ros.gap.fitting.fit import JointFit
-from geomid_ros.gap.fitting.prior import Prior
+from geomid_ros.gap.candidates import Candidate, NamesFit, NamesPrior
 from geomid_ros.gap.result import Confidence
 from geomid_ros.geometry import pseudo_inertia
 from geomid_ros.model.effects import AtSensor, Effect, OnLink, Quantity, Values
@@ -23,7 +21,7 @@ _BEFORE = {"confident": "", "tentative": "Perhaps ", "ambiguous": "One of severa
 
 
 def parameters(
-    model: MeasurementModel, found: JointFit, candidate: Candidate, unsure: float = 0.0, usual_load: float = 0.0
+    model: MeasurementModel, found: NamesFit, candidate: Candidate, unsure: float = 0.0, usual_load: float = 0.0
 ) -> dict[str, Quantity]:
     """A candidate's parameters and their standard deviations; ``unsure``: that of the logarithm of what was scanned;
     ``usual_load`` [N m or N]: standard deviation of what the joint's gear transmits."""
@@ -38,7 +36,7 @@ def parameters(
     return candidate.effect.quantities(values, covariance, sliding=sliding, unsure=unsure, usual_load=usual_load)
 
 
-def known_before(model: MeasurementModel, prior: Prior, candidate: Candidate, usual_load: float = 0.0) -> Values:
+def known_before(model: MeasurementModel, prior: NamesPrior, candidate: Candidate, usual_load: float = 0.0) -> Values:
     """The parameters of a candidate that the model had; empty if it had no such effect."""
     if not candidate.terms or not set(candidate.terms) <= set(prior.terms):
         return {}
@@ -51,12 +49,12 @@ def known_before(model: MeasurementModel, prior: Prior, candidate: Candidate, us
     return {name: quantity.value for name, quantity in found.items()}
 
 
-def _of_payload(found: JointFit, effect: Effect, link: int) -> dict[str, Quantity]:
+def _of_payload(found: NamesFit, effect: Effect, link: int) -> dict[str, Quantity]:
     values, covariance = _payload(found, link)
     return quantities(effect.parameters, zip(values, np.sqrt(np.maximum(np.diag(covariance), 0.0)), strict=True))
 
 
-def _payload(found: JointFit, link: int) -> tuple[FloatArray, FloatArray]:
+def _payload(found: NamesFit, link: int) -> tuple[FloatArray, FloatArray]:
     """Mass, centre of mass and inertia of what a link carries ``(10,)``, and their covariance ``(10, 10)``."""
     place = found.manifold.links - len(found.bodies) + found.bodies.index(link)
     rows = found.manifold.link(place)
@@ -65,7 +63,7 @@ def _payload(found: JointFit, link: int) -> tuple[FloatArray, FloatArray]:
     return values, derivative @ found.inverse[rows, rows] @ derivative.T
 
 
-def first_moment(found: JointFit, candidate: Candidate) -> dict[str, Quantity]:
+def first_moment(found: NamesFit, candidate: Candidate) -> dict[str, Quantity]:
     """Mass times centre of mass of a payload, about the origin of its link; empty of any other name.
 
     It is what gravity tells of a body whose mass is not told: where the joints do not move it up and down, or about a

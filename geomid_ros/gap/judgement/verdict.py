@@ -2,73 +2,60 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from geomid_ros.estimation.estimate import is_told
-from geomid_ros.gap.candidates import Candidate
-from geomid_ros.gap.fitting.fit import JointFit
+from geomid_ros.gap.analysis import Analysis
+from geomid_ros.gap.candidates import Candidate, NamesFit
 from geomid_ros.gap.judgement import naming
-from geomid_ros.gap.judgement.blocks import scattered
-from geomid_ros.gap.judgement.closing import CONFIDENT_RIVAL, Closing, is_open, open_curves
-from geomid_ros.gap.judgement.confidence import Evidence, moves_one_way
 from geomid_ros.gap.judgement.held_out import HeldOut
 from geomid_ros.gap.judgement.locate import strongest
-from geomid_ros.gap.judgement.unsure import (
-    as_unsure,
-    as_unsure_beside_others,
-    as_unsure_beside_remainder,
-    may_be_as_before,
-)
-from geomid_ros.gap.result import Finding, Ranked, Rival, Unexplained, Verdict
-from geomid_ros.gap.search.analysis import Analysis
-from geomid_ros.gap.search.beam_search import LEAST_GAIN, Search
-from geomid_ros.gap.search.score_test import score_test
-from geomid_ros.model.effects import EFFECTS, Quantity, joint_of
+from geomid_ros.gap.result import SURE, Finding, Ranked, Rival, Unexplained, Verdict, confidence_of
+from geomid_ros.inference.fit import scattered
+from geomid_ros.inference.rao_score import score_test
+from geomid_ros.model.effects import EFFECTS, Quantity, Values
 from geomid_ros.model.measurement import MeasurementModel
 
+_NEAR = 20.0  # in minus twice a logarithm: rivals that are less likely than one in ten thousand are not worth a word
+_ALONG = 0.5  # of what has no name, as a root mean square, may lie along a name's columns
+_SURE_OF_SIZE = 3.0  # standard deviations
+_MOST_OF_IT = 0.5  # of a channel's squares
 
-def findings(model: MeasurementModel, analysis: Analysis, unseen: HeldOut) -> list[tuple[Candidate, Finding]]:
-    """The names, the one that matters most first, judged on what was fitted and on ``unseen`` data."""
-    # Of the fit without curves: beside those that span a part of it, a size means something else.
+
+def findings(model: MeasurementModel, analysis: Analysis) -> list[tuple[Candidate, Finding]]:
+    """The names, the one that matters most first."""
     sized = scattered(analysis.search.design, analysis.names)
-    names = [c for c in analysis.whole.chosen if isinstance(c, Candidate)]
-    found = [(candidate, _finding(model, analysis, candidate, unseen, sized)) for candidate in names]
+    found = [(candidate, _finding(model, analysis, candidate, sized)) for candidate in analysis.supports]
     return sorted(found, key=lambda named: -named[1].loss)
 
 
-def _finding(
-    model: MeasurementModel, analysis: Analysis, candidate: Candidate, unseen: HeldOut, sized: JointFit
-) -> Finding:
-    search = analysis.search.unchanged(candidate)
-    whole = Closing(analysis, unseen, candidate).beside
-    without = search.without(whole, candidate)
-    loss = without.score - whole.score
-    rivals = _rivals(model, analysis, candidate, whole)
+def _finding(model: MeasurementModel, analysis: Analysis, candidate: Candidate, sized: NamesFit) -> Finding:
+    search, names, support = analysis.search, analysis.names, analysis.supports[candidate]
+    without = search.without(names, candidate)
+    rivals = [Rival(c.name, model.places.name(c.place), loss) for c, loss in support.rivals if loss < _NEAR]
     joint, link = model.places.name(candidate.place), naming.link_name(model, candidate)
-    close = [(EFFECTS[rival.effect](), rival.joint) for rival in rivals if rival.loss < CONFIDENT_RIVAL]
     load = analysis.problem.situation.usual_load(candidate.place) if candidate.effect.scanned else 0.0
     parameters = naming.parameters(model, sized, candidate, _scanned_std(analysis, candidate), load)
-    parameters = as_unsure(model, analysis, candidate, parameters, load)
-    was = naming.known_before(model, analysis.search.prior, candidate, load)
-    moment = as_unsure(model, analysis, candidate, naming.first_moment(sized, candidate), load)
+    was = naming.known_before(model, search.prior, candidate, load)
+    parameters = _beside_remainder(analysis, candidate, parameters, was)
+    moment = naming.first_moment(sized, candidate)
     if not any(map(_is_told, moment.values())) or _is_told(parameters["mass"]):
         moment = {}
-    evidence = Evidence(model=model, analysis=analysis, unseen=unseen, candidate=candidate, rivals=rivals, loss=loss)
-    confidence = evidence.confidence(parameters)
-    parameters = as_unsure_beside_others(model, analysis, candidate, parameters, load)
-    parameters = as_unsure_beside_remainder(candidate, parameters, was, evidence.closing.doubt)
-    if confidence == "confident" and may_be_as_before(candidate, parameters, was):
-        confidence = "tentative"
+    probability = min(support.probability, SURE) if _may_be_nothing(candidate, parameters, was) else support.probability
+    confidence = confidence_of(probability)
+    close = [(EFFECTS[rival.effect](), rival.joint) for rival in rivals]
     return Finding(
         effect=candidate.name,
         joint=joint,
         link=link,
         parameters=parameters,
-        confidence=confidence,
-        rivals=tuple(rival for rival in rivals if rival.loss < loss),
+        probability=probability,
+        rivals=tuple(rivals),
         separability=float(np.clip(score_test(search.design, without, candidate).separability, 0.0, 1.0)),
-        loss=loss,
-        share=evidence.share,
+        loss=support.loss,
+        share=_share(analysis, candidate, without),
         was=was,
         sentence=naming.sentence(candidate.effect, joint, link, parameters, was, confidence, moment=moment),
         settled_by=naming.settled_by(candidate.effect, joint, close) if confidence != "confident" else "",
@@ -76,88 +63,92 @@ def _finding(
     )
 
 
+def _beside_remainder(
+    analysis: Analysis, candidate: Candidate, parameters: dict[str, Quantity], was: Values
+) -> dict[str, Quantity]:
+    """Parameters that are as unsure as what has no name leaves them: a part of it may lie along the name's columns."""
+    if not candidate.terms:
+        return parameters
+    names, design, effect = analysis.names, analysis.search.design, candidate.effect
+    values = np.array([names.value(term) - analysis.search.prior.value(term) for term in candidate.terms])
+    powers, lacks = design.powers(candidate.terms, values) / names.squares, names.remainders(design)
+    left = np.array([lack.power for lack in lacks]) / names.squares
+    doubt = _ALONG * float(np.sqrt(np.sum(left[powers > 0.0]) / max(float(np.sum(powers)), 1e-300)))
+    sizes = effect.sizes(parameters)
+    changes = {name: abs(size.value - was.get(name, effect.nothing)) for name, size in sizes.items()}
+    wider = {name: replace(q, std=float(np.hypot(q.std, doubt * changes[name]))) for name, q in sizes.items()}
+    return parameters | wider
+
+
+def _may_be_nothing(candidate: Candidate, parameters: dict[str, Quantity], was: Values) -> bool:
+    """Whether all sizes may be what they were, or nothing: three standard deviations hold that."""
+    sizes, nothing = candidate.effect.sizes(parameters), candidate.effect.nothing
+    main = {"mass": sizes["mass"]} if candidate.payload is not None else sizes
+    return all(abs(size.value - was.get(name, nothing)) <= _SURE_OF_SIZE * size.std for name, size in main.items())
+
+
 def _is_told(quantity: Quantity) -> bool:
     return is_told(quantity.value, quantity.std)
+
+
+def _share(analysis: Analysis, candidate: Candidate, without: NamesFit) -> float:
+    """Of the gap that the inertias leave, over the channels that a name reaches: how much it closes beside others."""
+    squares, reached = analysis.names.squares, analysis.search.design.reached(candidate)
+    closed = np.sum(((without.squares - squares) / squares)[reached])
+    gap = np.sum((np.maximum(analysis.bare.squares, without.squares) / squares - 1.0)[reached])
+    return float(np.clip(closed / max(float(gap), 1e-300), 0.0, 1.0))
 
 
 def _scanned_std(analysis: Analysis, candidate: Candidate) -> float:
     """Standard deviation of the logarithm of a scanned constant, from the curvature of the score over its neighbours; 1
     where that says nothing, 0 for a name without one."""
-    if not candidate.effect.scanned:
+    if not candidate.effect.scanned or candidate.known:
         return 0.0
-    search, whole = analysis.search, analysis.whole
-    around = search.neighbours(candidate)
-    if len(around) < 2:
+    search, names = analysis.search, analysis.names
+    alike = sorted((c for c in search.hypotheses if c.group == candidate.group), key=lambda c: c.effect.scanned)
+    place = alike.index(candidate)
+    if not 0 < place < len(alike) - 1:
         return 1.0
-    scanned = [around[0], candidate, around[1]]
-    rest = [c for c in whole.chosen if c is not candidate]
+    scanned = alike[place - 1 : place + 2]
+    rest = [c for c in names.chosen if c is not candidate]
     logs = np.log([c.effect.scanned for c in scanned])
-    scores = [search.fit([*rest, c], whole).score for c in scanned]
+    scores = [search.fit([*rest, c], names).score for c in scanned]
     curvature = 2.0 * float(np.polyfit(logs - logs[1], scores, 2)[0])  # the score is minus twice a log likelihood
     step = 0.5 * float(logs[2] - logs[0])
     return min(1.0, float(np.sqrt(2.0 / curvature + step**2 / 12.0))) if curvature > 0.0 else 1.0
 
 
-def _rivals(model: MeasurementModel, analysis: Analysis, candidate: Candidate, whole: JointFit) -> list[Rival]:
-    found, search = [], analysis.search.unchanged(candidate)
-    for rival in search.rivals(whole, candidate):
-        (other,) = (c for c in rival.chosen if isinstance(c, Candidate) and c not in whole.chosen)
-        beside = _score_beside(search, whole, other)
-        found.append(Rival(other.name, model.places.name(other.place), rival.score - beside))
-    alike = candidate.effect.alike_one_way
-    if alike and moves_one_way(analysis, joint_of(candidate.place)):
-        joint = model.places.name(candidate.place)
-        found = [rival for rival in found if (rival.effect, rival.joint) != (alike, joint)]
-        found.append(Rival(alike, joint, 0.0))
-    return sorted(found, key=lambda rival: rival.loss)
-
-
-def _score_beside(search: Search, whole: JointFit, other: Candidate) -> float:
-    """The score beside which another name is a rival: where that would be taken beside all names, as one that unseen
-    data have refused, it is the score with all of them. What it explains besides is no doubt of a name."""
-    if any(other.excludes(chosen) for chosen in whole.chosen):
-        return whole.score
-    both = search.fit([*whole.chosen, other], whole)
-    taken = search.possible(both) and whole.score - both.score > LEAST_GAIN
-    return both.score if taken else whole.score
-
-
 def unexplained(model: MeasurementModel, analysis: Analysis, unseen: HeldOut) -> tuple[Unexplained, ...]:
-    """What free curves explain and no name does, and the channels whose gap on unseen data stays open."""
-    found = {}
-    for curve in open_curves(analysis, unseen):
-        joint, variable = model.channels[curve.joint].name, curve.variable
-        found[joint, variable] = Unexplained(joint, variable, float(unseen.gap.after[curve.joint]))
-    said = {joint for joint, _ in found}
-    for place in np.flatnonzero(is_open(unseen)):
-        joint = model.channels[place].name
-        if joint not in said:
-            variable = strongest(unseen.located[place])
-            found[joint, variable] = Unexplained(joint, variable, float(unseen.gap.after[place]))
-    return tuple(found.values())
+    """The channels whose gap on unseen data stays open, and on what the remainder depends: on the variable whose
+    features explain most of it, or else a curve of the unseen data."""
+    lacks, found = analysis.names.remainders(analysis.search.design), []
+    for place in np.flatnonzero(unseen.is_open):
+        explained = lacks[place].explained
+        known = len(explained) and np.max(explained) > _MOST_OF_IT
+        features = analysis.problem.features[place].depends_on
+        variable = features[int(np.argmax(explained))] if known else strongest(unseen.located[place])
+        found.append(Unexplained(model.channels[place].name, variable, float(unseen.gap.after[place])))
+    return tuple(found)
 
 
 def verdict(analysis: Analysis, unseen: HeldOut) -> Verdict:
-    """Of the whole run."""
-    if open_curves(analysis, unseen):
-        return "unexplained"
-    if np.any(is_open(unseen)):
-        return "incomplete"
+    """Of the whole run: unexplained where features explain most of a gap that stays open."""
+    if np.any(unseen.is_open):
+        lacks = analysis.names.remainders(analysis.search.design)
+        explained = np.array([np.sum(lack.explained) for lack in lacks])
+        return "unexplained" if np.any(explained[unseen.is_open] > _MOST_OF_IT) else "incomplete"
     return "named" if analysis.names.chosen else "no gap"
 
 
 def ranking(model: MeasurementModel, analysis: Analysis) -> tuple[Ranked, ...]:
     """Chosen names by what they are worth, then the others by what the score test says of them."""
-    whole = analysis.whole
-    chosen = []
-    for c in (c for c in whole.chosen if isinstance(c, Candidate)):
-        search = analysis.search.unchanged(c)
-        rest = search.without(whole, c)
-        separability = score_test(search.design, rest, c).separability
-        chosen.append(Ranked(c.name, model.places.name(c.place), rest.score - whole.score, separability, True))
+    search, names, chosen = analysis.search, analysis.names, []
+    for c, support in analysis.supports.items():
+        separability = score_test(search.design, search.without(names, c), c).separability
+        chosen.append(Ranked(c.name, model.places.name(c.place), support.loss, separability, True))
     others = [
         Ranked(t.candidate.name, model.places.name(t.candidate.place), t.gain, t.separability, False)
-        for t in analysis.search.ranked(whole)
-        if isinstance(t.candidate, Candidate) and np.isfinite(t.gain)
+        for t in search.ranked(names)
+        if np.isfinite(t.gain)
     ]
     return tuple(sorted(chosen, key=lambda r: -r.gain) + others[:20])

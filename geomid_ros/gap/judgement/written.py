@@ -8,24 +8,22 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from geomid_ros.estimation.starting_point import USUAL_SPREAD_OF_REALS
-from geomid_ros.gap.candidates import AnyCandidate, Candidate, EffectTerm
-from geomid_ros.gap.evidence.design import Design
+from geomid_ros.gap.analysis import Analysis
+from geomid_ros.gap.candidates import Candidate, EffectTerm, NamesFit, NamesPrior
+from geomid_ros.gap.evidence.linearised_problem import LinearisedProblem, total_model
 from geomid_ros.gap.evidence.record import Records, TotalModel
-from geomid_ros.gap.fitting.fit import JointFit, fit
-from geomid_ros.gap.fitting.linearised_problem import LinearisedProblem, total_model
-from geomid_ros.gap.fitting.prior import Prior
 from geomid_ros.gap.judgement import naming
-from geomid_ros.gap.judgement.blocks import scattered
 from geomid_ros.gap.judgement.changed_links import with_given_spreads
-from geomid_ros.gap.judgement.closing import is_identified
 from geomid_ros.gap.result import Finding, LinkChange
-from geomid_ros.gap.search.analysis import Analysis
-from geomid_ros.gap.search.beam_search import LEAST_GAIN, UNCHANGED
+from geomid_ros.inference.design import Design
+from geomid_ros.inference.fit import fit, scattered
 from geomid_ros.model.effects import DEFAULT_EFFECTS, EFFECTS, KnownEffect, Quantity, effect_class
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.types import FloatArray
 
 _REFITS = 2  # the second along what the first one found
+_LEAST_EVIDENCE = 12.0  # of an ordinary effect, that it is not nothing
+_UNCHANGED = 1e-3  # of its uncertainty: how much may move what is as it was
 _ORDINARY = tuple(cls() for name, cls in EFFECTS.items() if name in DEFAULT_EFFECTS)
 
 
@@ -34,7 +32,7 @@ class Written:
     """The ``found`` fit; ``findings`` and ``links`` with the sizes that it has; and, where nothing was known of joints
     before, their ``ordinary`` effects, which need no name."""
 
-    found: JointFit
+    found: NamesFit
     findings: tuple[Finding, ...]
     links: tuple[LinkChange, ...]
     ordinary: tuple[KnownEffect, ...]
@@ -57,7 +55,7 @@ def written(
     changed = [model.body_names.index(link.link) for link in links if link.confidence == "confident"]
     sure = [candidate for candidate, finding in findings if finding.confidence == "confident"]
     found = _Refit(model, records, analysis, changed).found(sure)
-    ordinary = [c for c in found.chosen if isinstance(c, Candidate) and c not in sure]
+    ordinary = [c for c in found.chosen if c not in sure]
     return Written(
         found,
         tuple(_findings_as_written(model, analysis, found, findings)),
@@ -68,24 +66,21 @@ def written(
 
 @dataclass(frozen=True, eq=False)
 class _Refit:
-    """Fits of what an ``analysis`` is sure of, the rest as it was; ``changed``: the links that are others now.
-
-    They are to all that is measured, rest and reversals included, as if its noise were white: a file is judged by what
-    it leaves of every sample.
-    """
+    """Fits of what an ``analysis`` is sure of, the rest as it was; ``changed``: the links that are others now."""
 
     model: MeasurementModel
     records: Records
     analysis: Analysis
     changed: Collection[int]
 
-    def found(self, sure: Sequence[Candidate]) -> JointFit:
+    def found(self, sure: Sequence[Candidate]) -> NamesFit:
         """The fit of the ``sure`` names, without those that cannot be, and of those ordinary effects that are there."""
         named, ordinary, found = [*sure], self._ordinary_beside(sure), self.analysis.names
         total = self._without_unsure(sure)
         for _ in range(_REFITS):
-            problem = LinearisedProblem(self.model, self.records, total)
-            design = problem.design_of_all(problem.columns([*named, *ordinary], self.analysis.search.prior.terms))
+            problem = LinearisedProblem(self.model, self.records, total, self.analysis.floor)
+            columns = problem.columns([*named, *ordinary], self.analysis.search.prior.terms)
+            design = problem.design(columns, self.analysis.noise).given(self.analysis.search.design.variances)
             while True:
                 found = self._fit(problem, design, named, ordinary, found)
                 if (gone := self._untenable(found, ordinary)) is None:
@@ -101,17 +96,17 @@ class _Refit:
         places = {(term.effect, term.place) for term in kept if isinstance(term, EffectTerm)}
         return replace(total, effects=tuple(own for own in total.effects if own[:2] in places))
 
-    def _untenable(self, found: JointFit, ordinary: Collection[Candidate]) -> AnyCandidate | None:
+    def _untenable(self, found: NamesFit, ordinary: Collection[Candidate]) -> Candidate | None:
         """One that cannot be; or else the least of the ordinary effects if it may as well be nothing; or else none."""
-        absurd = [c for c in found.chosen if self.analysis.search.is_absurd(found, c)]
+        absurd = [c for c in found.chosen if self.analysis.search.is_out_of_range(found, c)]
         if absurd or not ordinary:
             return min(absurd, key=lambda c: c not in ordinary, default=None)
         least = min(ordinary, key=lambda c: _evidence(found, c))
-        return least if _evidence(found, least) < LEAST_GAIN else None
+        return least if _evidence(found, least) < _LEAST_EVIDENCE else None
 
     def _ordinary_beside(self, sure: Sequence[Candidate]) -> list[Candidate]:
         """The ordinary effects of all joints and sensors where nothing is known of them."""
-        if is_identified(self.analysis) or self.analysis.search.prior.terms:
+        if self.analysis.search.prior.identified or self.analysis.search.prior.terms:
             return []
         ordinary = [Candidate.of(effect, place) for effect in _ORDINARY for place in self.model.places.of(effect)]
         return [c for c in ordinary if not any(c.excludes(other) for other in sure)]
@@ -122,19 +117,19 @@ class _Refit:
         design: Design,
         named: Sequence[Candidate],
         ordinary: Sequence[Candidate],
-        start: JointFit,
-    ) -> JointFit:
+        start: NamesFit,
+    ) -> NamesFit:
         names, spreads = self.analysis.names, self.analysis.search.prior.link_spreads
         prior = _with_ordinary(_as_given(self.analysis.search.prior, named), problem, named, ordinary)
-        if is_identified(self.analysis):
+        if self.analysis.search.prior.identified:
             prior = with_given_spreads(prior, names.inflation)
             held = np.isin(np.arange(len(names.spreads)), list(self.changed), invert=True)
-            spreads = np.where(held, UNCHANGED * prior.spread, names.spreads)
+            spreads = np.where(held, _UNCHANGED * prior.spread, names.spreads)
         found = scattered(design, fit(design, prior, named, start, spreads))
         return replace(found, chosen=(*named, *ordinary))
 
 
-def _evidence(found: JointFit, candidate: Candidate) -> float:
+def _evidence(found: NamesFit, candidate: Candidate) -> float:
     """By how much the score would be worse without it, to second order: its squared deviations from nothing."""
     places = [found.place(term) for term in candidate.terms]
     values = np.array([found.value(term) for term in candidate.terms])
@@ -142,8 +137,8 @@ def _evidence(found: JointFit, candidate: Candidate) -> float:
 
 
 def _with_ordinary(
-    prior: Prior, problem: LinearisedProblem, named: Sequence[Candidate], ordinary: Sequence[Candidate]
-) -> Prior:
+    prior: NamesPrior, problem: LinearisedProblem, named: Sequence[Candidate], ordinary: Sequence[Candidate]
+) -> NamesPrior:
     """A prior by which ordinary effects are a part of what is measured, as ``identify`` has it: a free offset would
     stand in for gravity."""
     said = {term for candidate in named for term in candidate.terms}
@@ -158,26 +153,27 @@ def _with_ordinary(
     )
 
 
-def _known(model: MeasurementModel, found: JointFit, candidate: Candidate) -> KnownEffect:
+def _known(model: MeasurementModel, found: NamesFit, candidate: Candidate) -> KnownEffect:
     """An effect as files have it."""
     parameters = naming.parameters(model, found, candidate)
     return KnownEffect(candidate.name, model.places.name(candidate.place), "", parameters)
 
 
-def _as_given(prior: Prior, sure: Sequence[AnyCandidate]) -> Prior:
+def _as_given(prior: NamesPrior, sure: Sequence[Candidate]) -> NamesPrior:
     """A prior by which only effects with a ``sure`` name may be others than they were."""
     named = {term for candidate in sure for term in candidate.terms}
-    factors = np.array([1.0 if term in named else UNCHANGED for term in prior.terms])
+    factors = np.array([1.0 if term in named else _UNCHANGED for term in prior.terms])
     return replace(prior, spreads=factors * prior.spreads)
 
 
 def _findings_as_written(
     model: MeasurementModel,
     analysis: Analysis,
-    found: JointFit,
+    found: NamesFit,
     findings: Sequence[tuple[Candidate, Finding]],
 ) -> Iterator[Finding]:
-    """A sure name that is impossible without the unsure ones is not sure itself."""
+    """A sure name that is impossible without the unsure ones is no surer than the likeliest of these."""
+    unsure = max((f.probability for _, f in findings if f.confidence != "confident"), default=0.0)
     for candidate, finding in findings:
         if finding.confidence != "confident":
             yield finding
@@ -187,7 +183,7 @@ def _findings_as_written(
             sized = {name: _moved(quantity, parameters[name].value) for name, quantity in finding.parameters.items()}
             yield _said_again(replace(finding, parameters=sized))
         else:
-            yield _said_again(replace(finding, confidence="tentative"))
+            yield _said_again(replace(finding, probability=finding.probability * unsure))
 
 
 def _said_again(finding: Finding) -> Finding:
@@ -196,7 +192,7 @@ def _said_again(finding: Finding) -> Finding:
     return replace(finding, sentence=naming.sentence(effect, finding.joint, finding.link, *sizes))
 
 
-def _as_written(link: LinkChange, model: MeasurementModel, analysis: Analysis, found: JointFit) -> LinkChange:
+def _as_written(link: LinkChange, model: MeasurementModel, analysis: Analysis, found: NamesFit) -> LinkChange:
     """A changed link with the size that was fitted; one that is not sure keeps that which it seemed to have."""
     if link.confidence != "confident":
         return link

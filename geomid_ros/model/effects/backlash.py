@@ -30,7 +30,6 @@ class Backlash(SituationEffect):
         ParameterForm("drag", ("N m s/rad", "N s/m"), above=0.0, optional=True, mjcf="backlash/damping"),
     )
     settled_by = "slow motion in which the load of this joint changes sign"
-    first_order = True
     largest = 0.2  # [rad]
     adds_up = False
 

@@ -35,7 +35,6 @@ class CoulombFriction(JointEffect):
     said_first = 1
     usual_constant = SMOOTHING.name
     settled_by = "slow motion of this joint, back and forth at several constant speeds"
-    alike_one_way = "effort_offset"
     is_dry_friction = True
 
     @classmethod

@@ -66,12 +66,8 @@ class Effect(ABC):
     # How it stands to other effects.
     contains: ClassVar[str] = ""
     """The effect that is a special case of it: of the two the simpler is right unless the richer one is needed."""
-    alike_one_way: ClassVar[str] = ""
-    """The effect that it cannot be told from at a joint that moves to one side only."""
     like_a_payload: ClassVar[bool] = False
     """Whether a payload may be found in its place."""
-    first_order: ClassVar[bool] = False
-    """Whether its columns are known to first order only, so that smaller effects may be what is left of it."""
     far: ClassVar[tuple[float, ...]] = ()
     """Changes of its coefficients after which the columns of all effects are others; empty if none does that."""
     before_gear: ClassVar[bool] = False
@@ -100,6 +96,9 @@ class Effect(ABC):
     expected_share: ClassVar[float | None] = None
     """Its prior standard deviation about zero, as a share of what its channel measures; None where its prior is a first
     fit."""
+    usual: ClassVar[tuple[float, ...]] = ()
+    """Prior standard deviations of its own coefficients, which any robot may have; empty where these go with what is
+    measured."""
     scales_measurement: ClassVar[bool] = False
     """Whether it acts on what is measured after everything else."""
 
@@ -275,11 +274,6 @@ class Effect(ABC):
     def wrench_shift(cls, values: Values) -> dict[str, float]:  # noqa: ARG003
         """What its wrench sensor shows beside the true wrench, by axis [N, N m]."""
         return {}
-
-    @classmethod
-    def behind_gain(cls, values: Values, gain: float) -> Values:  # noqa: ARG003
-        """Its parameters, if they stay as they were while the effort's ``gain`` changes."""
-        return values
 
     # What friction the motion and the load bring, beside what URDF and MJCF say.
 

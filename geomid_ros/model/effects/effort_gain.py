@@ -22,6 +22,7 @@ class EffortGain(SituationEffect):
     adds_up = False
     like_a_payload = True
     absorbed = True
+    usual = (0.1,)
     largest = 0.5  # more would show half or twice the effort
     scales_measurement = True
     corrected_in_samples = True

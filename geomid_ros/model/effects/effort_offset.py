@@ -17,7 +17,6 @@ class EffortOffset(JointEffect):
     meaning = "measured effort = true + offset; with a gain, gain (true + offset)"
     parameters = (ParameterForm("offset", EFFORT),)
     like_a_payload = True
-    alike_one_way = "coulomb_friction"
     of_sensor = True
     # Gravity is of the same form where a joint turns little: a wider prior lets an offset stand in for a mass.
     expected_share = 0.05
@@ -30,11 +29,6 @@ class EffortOffset(JointEffect):
     def effort_shift(cls, values: Values) -> float:
         """The offset."""
         return values["offset"]
-
-    @classmethod
-    def behind_gain(cls, values: Values, gain: float) -> Values:
-        """One that was added after a gain that is new."""
-        return {"offset": values["offset"] / gain}
 
     def unsaid_efforts(self, values: Values, motion: Motion, place: Place) -> float:  # noqa: ARG002
         """It is an error of the sensor, no effort."""

@@ -31,6 +31,7 @@ class GravityTilt(SituationEffect):
     far = (0.03, 0.03)
     turns_gravity = True
     absorbed = True
+    usual = (0.1, 0.1)  # [rad]
 
     def columns(self, situation: Situation, place: Place) -> FloatArray:
         tilt = situation.coefficients.get((self.name, place), np.zeros(2))

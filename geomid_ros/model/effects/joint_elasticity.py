@@ -21,7 +21,6 @@ class JointElasticity(SituationEffect):
     settled_by = "faster motion, or an encoder on the link side"
     adds_up = False
     like_a_payload = True
-    first_order = True
     largest = 1.0  # [rad/(N m)]
 
     @property

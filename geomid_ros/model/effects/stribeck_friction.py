@@ -44,7 +44,6 @@ class StribeckFriction(JointEffect):
     constant = "speed"
     adds_up = False
     contains = "coulomb_friction"
-    alike_one_way = "effort_offset"
     is_dry_friction = True
 
     @classmethod

@@ -7,12 +7,12 @@ from functools import cached_property
 
 import numpy as np
 
-from geomid_ros.gap.candidates import AnyCandidate, CurveTerm, EffectTerm, Term
-from geomid_ros.gap.evidence.curves import Curves
-from geomid_ros.gap.evidence.design import Design, term_columns
+from geomid_ros.gap.candidates import Candidate, EffectTerm, NamesFit
+from geomid_ros.gap.evidence.design import Columns, design_of, term_columns
+from geomid_ros.gap.evidence.features import Features, features
 from geomid_ros.gap.evidence.noise import Autoregression
 from geomid_ros.gap.evidence.record import Records, TotalModel
-from geomid_ros.gap.fitting.fit import JointFit
+from geomid_ros.inference.design import Design
 from geomid_ros.model.effects import Effect, Place, Situation, joints_of
 from geomid_ros.model.measurement import MeasurementModel, Rows
 from geomid_ros.types import BoolArray, FloatArray
@@ -20,7 +20,7 @@ from geomid_ros.types import BoolArray, FloatArray
 _FRICTION_ERROR = 0.7  # of the noise: where dry friction is less sure than this nothing is learnt and nothing judged
 
 
-def total_model(model: MeasurementModel, found: JointFit) -> TotalModel:
+def total_model(model: MeasurementModel, found: NamesFit) -> TotalModel:
     """The whole model that a joint fit says."""
     inertias = np.array([body.parameters for body in model.robot.bodies])
     inertias[list(model.identified)] = found.loaded_inertias
@@ -90,25 +90,27 @@ class LinearisedProblem:
         return sizes
 
     def columns(
-        self, candidates: Sequence[AnyCandidate], base: Sequence[Term], curves: Curves | None = None
-    ) -> dict[Term, dict[int, FloatArray]]:
-        """Columns of all candidates, of what the model already has, and of free curves."""
+        self, candidates: Sequence[Candidate], base: Sequence[EffectTerm]
+    ) -> dict[EffectTerm, dict[int, FloatArray]]:
+        """Columns of all candidates, and of what the model already has."""
         terms = dict.fromkeys([*base, *(term for candidate in candidates for term in candidate.terms)])
-        free = curves.columns(self.records, self.situation) if curves is not None else {}
-        columns = term_columns(self.model, self.records, list(terms), lambda: self.situation) | free
+        columns = term_columns(self.model, self.records, list(terms), lambda: self.situation)
         for channel in np.flatnonzero(self._scales != 1.0).tolist():
             for term, by_channel in columns.items():
-                scaled = isinstance(term, CurveTerm) or not term.effect.scales_measurement
-                if channel in by_channel and scaled:
+                if channel in by_channel and not term.effect.scales_measurement:
                     by_channel[channel] = by_channel[channel] * self._scales[channel]
         return columns
 
-    def design(self, columns: dict[Term, dict[int, FloatArray]], noise: Sequence[Autoregression]) -> Design:
-        """Whitened products."""
-        rows = self.rows
-        return Design.make(rows.coefficients, rows.targets, self.valid, columns, noise, self.records)
+    @cached_property
+    def features(self) -> list[Features]:
+        """What the remainder of each channel may consist of."""
+        return [features(self.model, self.records, self.situation, c) for c in range(len(self.model.channels))]
 
-    def usual_sizes(self, terms: Sequence[Term]) -> FloatArray:
+    def design(self, columns: Columns, noise: Sequence[Autoregression]) -> Design:
+        """Whitened rows."""
+        return design_of(self.rows, self.valid, columns, self.features, noise, self.records)
+
+    def usual_sizes(self, terms: Sequence[EffectTerm]) -> FloatArray:
         """The coefficients ``(terms,)`` with which columns are as large as what is measured, at most; 0 without any,
         infinite of columns that are zero."""
         measured, columns = root_mean_square(self.rows.targets), self.columns((), terms)
@@ -119,13 +121,14 @@ class LinearisedProblem:
             sizes.append(float(np.fmin.reduce(own, initial=np.inf)) if own else 0.0)
         return np.array(sizes)
 
-    def design_of_all(self, columns: dict[Term, dict[int, FloatArray]]) -> Design:
-        """Products of all that is measured, rest and reversals included, as if its noise were white."""
-        rows, noise = self.rows, (Autoregression.white(),) * len(self.model.channels)
-        measured = np.isfinite(rows.targets)
-        return Design.make(rows.coefficients, rows.targets, measured, columns, noise, self.records)
+    def design_of_all(self, columns: Columns) -> Design:
+        """Rows of all that is measured, rest and reversals included, as if its noise were white and nothing lacking."""
+        count, channels = len(self.records.samples), len(self.model.channels)
+        nothing = Features(np.zeros((count, 0)), np.zeros(0, dtype=np.intp), ())
+        white, measured = (Autoregression.white(),) * channels, np.isfinite(self.rows.targets)
+        return design_of(self.rows, measured, columns, (nothing,) * channels, white, self.records)
 
-    def residual(self, columns: dict[Term, dict[int, FloatArray]], found: JointFit) -> FloatArray:
+    def residual(self, columns: Columns, found: NamesFit) -> FloatArray:
         """Measured less predicted ``(N, C)``; of a delayed channel at the moment at which it was true."""
         rows = self.rows
         residual: FloatArray = rows.targets - rows.coefficients @ found.loaded_inertias.ravel()
@@ -134,7 +137,12 @@ class LinearisedProblem:
                 residual[:, channel] -= found.value(term) * column
         return residual
 
-    def variance(self, columns: dict[Term, dict[int, FloatArray]], found: JointFit) -> FloatArray:
+    def remainder(self, design: Design, found: NamesFit) -> FloatArray:
+        """The mean of what the model lacks ``(N, C)``, of the whitened rows of a ``design``."""
+        lacks = zip(self.features, found.remainders(design), strict=True)
+        return np.stack([features.columns @ lack.coefficients for features, lack in lacks], axis=1)
+
+    def variance(self, columns: Columns, found: NamesFit) -> FloatArray:
         """Of the prediction ``(N, C)``, from the uncertainty of what was fitted."""
         coefficients = self.rows.coefficients
         again = [coefficients[:, :, 10 * carrier : 10 * carrier + 10] for carrier in found.bodies]

@@ -4,51 +4,53 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any, Generic
 
 import numpy as np
 
-from geomid_ros.gap.candidates import AnyCandidate
-from geomid_ros.gap.evidence.design import CandidateProducts, Design
-from geomid_ros.gap.fitting.fit import JointFit
+from geomid_ros.inference.design import CandidateProducts, Design
+from geomid_ros.inference.fit import USUAL_SHARE, JointFit
+from geomid_ros.inference.hypothesis import Chosen
 from geomid_ros.types import BoolArray, FloatArray
 
 _LEAST_EIGENVALUE = 1e-7  # a combination of columns of which less is left is one of the others
+_DIRECTIONS_OF_BODY = 4.0  # mass and centre: what is said of its inertia is little
 _LEAST_LEFT = 1e-3  # of a channel's squares: so much the quadratic model may promise
 
 
 @dataclass(frozen=True)
-class Trial:
-    """A candidate's improvement of a fit by the score test, its penalty paid, and its separability: the share of its
+class Trial(Generic[Chosen]):
+    """A candidate's improvement of a fit by the score test, its cost paid, and its separability: the share of its
     columns that the other parameters, within their prior, cannot imitate."""
 
-    candidate: AnyCandidate
+    candidate: Chosen
     gain: float
     separability: float
 
 
-def score_tests(design: Design, current: JointFit, candidates: Sequence[AnyCandidate]) -> list[Trial]:
+def score_tests(design: Design, current: JointFit[Chosen, Any], candidates: Sequence[Chosen]) -> list[Trial[Chosen]]:
     """The score tests: by how much each candidate would improve the current fit, to second order.
 
     For fixed weights the step and the gain are those of the Gaussian model (Rao's score test); the gain is then taken
     from the sums of squares that the step leads to. Candidates with equally many columns are tested at once.
     """
     test = _Test(design, current)
-    by_size: dict[int, list[AnyCandidate]] = {}
+    by_size: dict[int, list[Chosen]] = {}
     for candidate in candidates:
         by_size.setdefault(len(candidate.terms), []).append(candidate)
     found = {candidate: trial for alike in by_size.values() for candidate, trial in test.of(alike).items()}
     return [found[candidate] for candidate in candidates]
 
 
-def score_test(design: Design, current: JointFit, candidate: AnyCandidate) -> Trial:
+def score_test(design: Design, current: JointFit[Chosen, Any], candidate: Chosen) -> Trial[Chosen]:
     """The score test of one candidate."""
     return score_tests(design, current, [candidate])[0]
 
 
-class _Test:
+class _Test(Generic[Chosen]):
     """What the score tests beside one fit share: G candidates of k columns in C channels, D parameters."""
 
-    def __init__(self, design: Design, current: JointFit) -> None:
+    def __init__(self, design: Design, current: JointFit[Chosen, Any]) -> None:
         self._design = design
         self._current = current
         self._counts = design.counts
@@ -58,16 +60,18 @@ class _Test:
         self._moved = self._products @ self._vector
         self._values = dict(zip(current.terms, current.point.reals.tolist(), strict=True))
 
-    def of(self, alike: Sequence[AnyCandidate]) -> dict[AnyCandidate, Trial]:
+    def of(self, alike: Sequence[Chosen]) -> dict[Chosen, Trial[Chosen]]:
         """The score tests of candidates with equally many columns."""
         own = self._design.own(alike, self._current.bodies, self._current.terms)
         jacobian = self._current.jacobian
         mixed = np.tensordot(own.crossed[..., :-1], self._weights, (1, 0)) @ jacobian
         solved = mixed @ self._current.inverse.T
         squared = np.tensordot(own.squared, self._weights, (1, 0))
+        trust = np.array([self._trust(candidate) for candidate in alike])
         left = squared - mixed @ solved.swapaxes(1, 2)
+        width = left + trust[:, :, None] * np.eye(trust.shape[1])
         slope = np.tensordot(own.crossed @ self._vector, self._weights, (1, 0))
-        step, largest = _steps(slope, squared, left)
+        step, largest = _steps(slope, squared, left, width)
         tangent = -(step[:, None] @ solved)[:, 0]
         gain = self._gain(own, step, tangent)
         energy = np.einsum("gk,gkl,gl->g", step, squared, step)
@@ -77,8 +81,23 @@ class _Test:
         impossible = self._is_impossible(alike, step)
         separability[impossible] = largest[impossible]
         gain[impossible | (largest <= _LEAST_EIGENVALUE)] = -np.inf
-        gain -= np.log(np.max(self._counts)) * np.array([candidate.penalty for candidate in alike])
+        gain -= np.sum(trust * step**2, axis=1) + np.array([candidate.cost for candidate in alike])
+        gain -= np.array([self._narrowed(*own) for own in zip(alike, width, trust, strict=True)])
         return {c: Trial(c, float(g), float(s)) for c, g, s in zip(alike, gain, separability, strict=True)}
+
+    def _trust(self, candidate: Chosen) -> FloatArray:
+        """Weights ``(k,)`` of a candidate's coefficients in their prior; of a body next to none."""
+        if candidate.payload is not None:
+            return np.full(10, 1e-12)
+        scales = self._design.scales(candidate.terms)
+        stds = [std or USUAL_SHARE * scale for std, scale in zip(candidate.usual, scales, strict=True)]
+        return np.array(stds) ** -2.0
+
+    def _narrowed(self, candidate: Chosen, width: FloatArray, trust: FloatArray) -> float:
+        """By how much the data narrow the coefficients, as minus twice a logarithm; of a body by a rule of thumb."""
+        if candidate.payload is not None:
+            return _DIRECTIONS_OF_BODY * float(np.log(np.max(self._counts)))
+        return float(np.linalg.slogdet(width)[1] - np.sum(np.log(trust)))
 
     def _gain(self, own: CandidateProducts, step: FloatArray, tangent: FloatArray) -> FloatArray:
         """What steps of the candidates' coefficients ``(G, k)`` and of all others ``(G, D)`` gain ``(G,)``."""
@@ -96,7 +115,7 @@ class _Test:
         gain -= np.einsum("gd,gd->g", tangent @ current.information, tangent) - curvatures @ weights
         return np.asarray(gain)
 
-    def _is_impossible(self, alike: Sequence[AnyCandidate], step: FloatArray) -> BoolArray:
+    def _is_impossible(self, alike: Sequence[Chosen], step: FloatArray) -> BoolArray:
         """Whether a coefficient that cannot be negative would become so ``(G,)``."""
         found = np.zeros(len(alike), dtype=bool)
         for index, candidate in enumerate(alike):
@@ -106,13 +125,12 @@ class _Test:
         return found
 
 
-def _steps(slope: FloatArray, squared: FloatArray, left: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """The steps ``(G, k)`` to the minimum of quadratic models, along what is ``left`` of the columns, and the largest
-    eigenvalue of that, relative to the columns' ``squared`` sizes, ``(G,)``."""
+def _steps(
+    slope: FloatArray, squared: FloatArray, left: FloatArray, width: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """The steps ``(G, k)`` to the minimum of quadratic models of ``width (G, k, k)``, and the largest eigenvalue of
+    what is ``left`` of the columns, relative to their ``squared`` sizes, ``(G,)``."""
     size = np.sqrt(np.maximum(np.diagonal(squared, axis1=1, axis2=2), 1e-300))
-    values, vectors = np.linalg.eigh(left / (size[:, :, None] * size[:, None, :]))
-    good = values > _LEAST_EIGENVALUE
-    inverse = np.divide(1.0, values, out=np.zeros_like(values), where=good)
-    components = inverse * ((slope / size)[:, None] @ vectors)[:, 0]
-    step = -(vectors @ components[:, :, None])[:, :, 0] / size
-    return np.asarray(step), np.max(values, axis=1)
+    values = np.linalg.eigvalsh(left / (size[:, :, None] * size[:, None, :]))
+    step = -np.linalg.solve(width + 1e-12 * size[:, :, None] ** 2 * np.eye(size.shape[1]), slope[:, :, None])
+    return np.asarray(step[:, :, 0]), np.max(values, axis=1)

@@ -8,28 +8,30 @@ So large errors of inertias make the prior wide instead of passing for an effect
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any, Generic
 
 import numpy as np
 
 from geomid_ros.estimation.profile_objective import Profile, ProfileObjective, StraightManifold, minimum
-from geomid_ros.gap.candidates import AnyCandidate, EffectTerm, Term
-from geomid_ros.gap.evidence.design import Design
-from geomid_ros.gap.fitting import prior as priors
-from geomid_ros.gap.fitting.prior import Prior
 from geomid_ros.geometry import definite, pseudo_inertia
 from geomid_ros.geometry.manifold import ParameterManifold, Point
-from geomid_ros.model.dry_friction import held_from_driving
+from geomid_ros.inference import prior as priors
+from geomid_ros.inference.design import BLOCKS, Design, Lack
+from geomid_ros.inference.hypothesis import Chosen, Term
+from geomid_ros.inference.prior import Prior
 from geomid_ros.types import FloatArray
 
 _LEAST_SHARE = 1e-10  # of the target's sum of squares: no residual is smaller
 _ROUNDS = 8
+USUAL_SHARE = 0.3
+"""Prior standard deviation of a coefficient, as a share of what is measured, where nothing else is known of it."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class JointFit:
+class JointFit(Generic[Chosen, Term]):
     """The minimum for some candidates.
 
     Attributes:
@@ -39,17 +41,19 @@ class JointFit:
         score: minus twice the log marginal likelihood, with the parameters' penalty.
         squares: whitened sums of squares ``(C,)``.
         information: Hessian ``(D, D)`` of half the score in tangent coordinates.
+        weights: the prior's share of it ``(D,)``, what other recordings say apart.
         spreads: of the links' errors ``(links,)``, geodesic distances.
         inflation: factor on the variances of what other recordings say.
     """
 
-    chosen: tuple[AnyCandidate, ...]
+    chosen: tuple[Chosen, ...]
     terms: tuple[Term, ...]
     point: Point
     manifold: ParameterManifold
     score: float
     squares: FloatArray
     information: FloatArray
+    weights: FloatArray
     spreads: FloatArray
     inflation: float
 
@@ -86,6 +90,14 @@ class JointFit:
         """Of the parameters ``(D, D)``."""
         return self.jacobian @ self.inverse @ self.jacobian.T
 
+    def settled(self, design: Design, among: Collection[int] | None = None) -> Design:
+        """The design beside the remainder that is most likely at this fit, of all channels unless ``among`` some."""
+        return design.settled(self.bodies, self.terms, self.point.parameters, among)
+
+    def remainders(self, design: Design) -> list[Lack]:
+        """What each channel's remainder is at this fit."""
+        return design.remainders(self.bodies, self.terms, self.point.parameters)
+
     def parameters_by_channel(self, design: Design) -> FloatArray:
         """How many parameters each channel determined, ``(C,)``: the trace of its share of the information."""
         weights = design.counts / self.squares
@@ -108,11 +120,11 @@ class JointFit:
 
 def fit(
     design: Design,
-    prior: Prior,
-    chosen: Sequence[AnyCandidate],
-    start: JointFit | None = None,
+    prior: Prior[Term],
+    chosen: Sequence[Chosen],
+    start: JointFit[Chosen, Term] | None = None,
     spread: float | FloatArray | None = None,
-) -> JointFit:
+) -> JointFit[Chosen, Term]:
     """Fit the chosen candidates together with all that is known, from an earlier fit where one is given.
 
     The links' spreads are estimated, and so is how far other recordings are trusted, unless a ``spread`` is given for
@@ -131,36 +143,38 @@ def fit(
 
 def _fit(
     design: Design,
-    prior: Prior,
-    chosen: Sequence[AnyCandidate],
-    start: JointFit | None,
+    prior: Prior[Term],
+    chosen: Sequence[Chosen],
+    start: JointFit[Chosen, Term] | None,
     spread: float | FloatArray | None = None,
-) -> JointFit:
-    """The minimum that is reached from the start, in which no joint is driven by its dry friction."""
+) -> JointFit[Chosen, Term]:
+    """The minimum that is reached from the start, in which what the prior holds at zero is zero."""
     found = _free_fit(design, prior, chosen, start, spread)
-    terms = [(term.effect, term.place) if isinstance(term, EffectTerm) else None for term in found.terms]
-    rows = held_from_driving(terms, found.point.reals)
+    rows = prior.held(found.terms, found.point.reals)
     return _free_fit(design, prior, chosen, found, spread, rows) if len(rows) else found
 
 
 def _free_fit(
     design: Design,
-    prior: Prior,
-    chosen: Sequence[AnyCandidate],
-    start: JointFit | None,
+    prior: Prior[Term],
+    chosen: Sequence[Chosen],
+    start: JointFit[Chosen, Term] | None,
     spread: float | FloatArray | None,
     driven: FloatArray | None = None,
-) -> JointFit:
+) -> JointFit[Chosen, Term]:
     """The minimum that is reached from the start; ``driven``: rows ``(r, terms)`` of the coefficients that are zero."""
     bodies = [c.payload for c in chosen if c.payload is not None]
     own = dict.fromkeys(term for c in chosen for term in c.terms)
     terms = (*prior.terms, *(term for term in own if term not in prior.terms))
     products = design.gather(bodies, terms)
-    scales = _scales(products, design, bodies, len(terms))
+    scales = design.scales(terms)
     manifold = StraightManifold(len(prior.inertias) // 10 + len(bodies), 0, scales)
     known = _known(manifold, prior, bodies)
     first = len(prior.inertias)
-    weights = np.full(manifold.dimension, 1e-6)
+    usual = {term: std for c in chosen for term, std in zip(c.terms, c.usual, strict=True)}
+    stds = [usual.get(term, 0.0) or USUAL_SHARE * scale for term, scale in zip(terms, scales, strict=True)]
+    weights = np.ones(manifold.dimension)
+    weights[manifold.real] = (scales / np.array(stds)) ** 2
     weights[first : manifold.inertial.stop] = priors.SPREAD_OF_PAYLOADS**-2
     held = np.array([term not in own for term in prior.terms], dtype=bool)
     places = manifold.real.start + np.flatnonzero(held)
@@ -198,9 +212,10 @@ def _free_fit(
     trusted = objective(spreads, inflation)
     found = trusted.evaluate(point)
     hessian = found.information + np.diag(trusted.weights)
-    score = 2.0 * found.value + _cost_of_spreads(hessian[:first, :first], spreads, prior)
-    score += priors.cost_of_inflation(rows, inflation) + prior.cost
-    score += sum(c.penalty for c in chosen) * float(np.log(np.max(counts, initial=1.0)))
+    _, volume = np.linalg.slogdet(hessian)
+    score = 2.0 * found.value + float(volume) - float(np.sum(np.log(trusted.weights))) + design.cost
+    score += _cost_of_spreads(spreads, prior) + priors.cost_of_inflation(rows, inflation) + prior.cost
+    score += sum(c.cost for c in chosen)
     return JointFit(
         chosen=tuple(chosen),
         terms=terms,
@@ -209,6 +224,7 @@ def _free_fit(
         score=score,
         squares=profile.squares(point),
         information=hessian,
+        weights=trusted.weights,
         spreads=spreads,
         inflation=inflation,
     )
@@ -221,7 +237,7 @@ def _zero_rows(driven: FloatArray | None, manifold: ParameterManifold, known: Po
     return np.column_stack([np.zeros((len(driven), manifold.real.start)), driven, driven @ known.reals])
 
 
-def unfitted(prior: Prior) -> JointFit:
+def unfitted(prior: Prior[Term]) -> JointFit[Any, Term]:
     """What is known before, as if it were a fit to no data."""
     manifold = StraightManifold(len(prior.inertias) // 10, 0, np.ones(len(prior.values)))
     size = manifold.dimension
@@ -233,23 +249,13 @@ def unfitted(prior: Prior) -> JointFit:
         score=np.inf,
         squares=np.zeros(0),
         information=np.eye(size),
+        weights=np.ones(size),
         spreads=prior.link_spreads,
         inflation=1.0,
     )
 
 
-def _scales(products: FloatArray, design: Design, bodies: Sequence[int], terms: int) -> FloatArray:
-    """Of each coefficient: the one with which its column is as large as the target."""
-    start = design.dimension + 10 * len(bodies)
-    counts = np.maximum(design.counts, 1.0)
-    squares = np.diagonal(products, axis1=1, axis2=2) / counts[:, None]
-    own, target = squares[:, start : start + terms], np.broadcast_to(squares[:, -1:], (len(squares), terms))
-    size = np.divide(target, own, out=np.full(own.shape, np.inf), where=own > 0.0)
-    best = np.sqrt(np.min(size, axis=0, initial=np.inf))
-    return np.where(np.isfinite(best) & (best > 0.0), best, 1.0)
-
-
-def _known(manifold: ParameterManifold, prior: Prior, bodies: Sequence[int]) -> Point:
+def _known(manifold: ParameterManifold, prior: Prior[Any], bodies: Sequence[int]) -> Point:
     links = prior.inertias.reshape(-1, 10)
     payloads = [priors.usual_payload(links, body) for body in bodies]
     reals = np.zeros(len(manifold.scales))
@@ -258,7 +264,11 @@ def _known(manifold: ParameterManifold, prior: Prior, bodies: Sequence[int]) -> 
 
 
 def _first_point(
-    manifold: ParameterManifold, known: Point, start: JointFit | None, bodies: Sequence[int], terms: Sequence[Term]
+    manifold: ParameterManifold,
+    known: Point,
+    start: JointFit[Chosen, Term] | None,
+    bodies: Sequence[int],
+    terms: Sequence[Term],
 ) -> Point:
     if start is None:
         return known
@@ -276,7 +286,7 @@ def _first_point(
 
 
 def _spreads(
-    manifold: ParameterManifold, point: Point, known: Point, hessian: FloatArray, first: int, prior: Prior
+    manifold: ParameterManifold, point: Point, known: Point, hessian: FloatArray, first: int, prior: Prior[Any]
 ) -> FloatArray:
     """MacKay's re-estimate: mean square of each link's errors, those that the data do not determine included."""
     unsure = np.diag(definite.inverse(hessian))[:first]
@@ -284,9 +294,27 @@ def _spreads(
     return np.asarray(np.sqrt((errors + prior.certainty * prior.link_spreads**2) / (10.0 + prior.certainty)))
 
 
-def _cost_of_spreads(hessian: FloatArray, spreads: FloatArray, prior: Prior) -> float:
-    """Of a ``hessian`` of the links: their volume, by Laplace's approximation, and the prior of the spreads."""
-    _, volume = np.linalg.slogdet(hessian)
+def _cost_of_spreads(spreads: FloatArray, prior: Prior[Any]) -> float:
+    """Of their inverse-gamma prior."""
     relative = spreads / prior.link_spreads
-    width = 20.0 * float(np.sum(np.log(spreads)))
-    return float(volume) + width + prior.certainty * float(np.sum(relative**-2.0 + 2.0 * np.log(relative)))
+    return prior.certainty * float(np.sum(relative**-2.0 + 2.0 * np.log(relative)))
+
+
+def scattered(design: Design, found: JointFit[Chosen, Term]) -> JointFit[Chosen, Term]:
+    """A fit with standard deviations at least as large as the scatter of blocks of time says.
+
+    Where the model has errors, what it says of one block differs from what it says of the next by more than noise
+    explains. The covariance of the tangent coordinates is then ``H^-1 sum_b(s_b s_b^T) H^-1`` with the slopes s_b of
+    the blocks about their mean (Liang and Zeger, "Longitudinal data analysis using generalized linear models", 1986).
+    """
+    slopes = np.zeros((BLOCKS, found.manifold.dimension))
+    vector, places = np.append(found.point.parameters, -1.0), design.places(found.bodies, found.terms)
+    weights = design.counts / found.squares
+    for channel, own, variances, weight in zip(design.channels, places, design.variances, weights, strict=True):
+        columns, residual = channel.whitened(vector, own, variances)
+        for block, rows in enumerate(np.array_split(np.arange(len(residual)), BLOCKS)):
+            slopes[block] += weight * (residual[rows] @ columns[rows, :-1]) @ found.jacobian
+    moved = (slopes - np.mean(slopes, axis=0)) @ found.inverse
+    squares = BLOCKS / (BLOCKS - 1.0) * np.sum(moved**2, axis=0)
+    factors = np.sqrt(np.maximum(squares / np.diag(found.inverse), 1.0))
+    return replace(found, information=found.information / np.outer(factors, factors))

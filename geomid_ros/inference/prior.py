@@ -5,15 +5,17 @@ Other recordings are those from which a model was identified before, beside the 
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import Generic
 
 import numpy as np
 
 from geomid_ros.estimation.estimate import LinksInformation
 from geomid_ros.estimation.profile_objective import ProfileObjective, StraightManifold
-from geomid_ros.gap.candidates import Term
 from geomid_ros.geometry import definite, pseudo_inertia
 from geomid_ros.geometry.manifold import ParameterManifold, Point
+from geomid_ros.inference.hypothesis import Term
 from geomid_ros.types import FloatArray
 
 SPREAD_OF_PAYLOADS = 3.0
@@ -26,8 +28,13 @@ _CERTAINTY = 4.0
 """That they are as exact as they say counts as much as so many of their rows."""
 
 
+def nothing_held(_: Sequence[object], values: FloatArray) -> FloatArray:
+    """No rows for ``values (k,)``."""
+    return np.zeros((0, len(values)))
+
+
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Prior:
+class Prior(Generic[Term]):
     """What is known before the fit.
 
     Attributes:
@@ -35,9 +42,11 @@ class Prior:
         spread: the usual size of their errors, a geodesic distance.
         terms, values, spreads: the coefficients ``(k,)`` of the effects that the model already has.
         certainty: how many directions of a link's error the usual spread counts as much as.
+        identified: whether all this was identified before, not guessed.
         known: what other recordings say of the links.
         changed_link: one that is another now than in the other recordings.
         cost: minus twice the logarithm of what this makes of the other recordings' probability.
+        held: rows ``(r, k)`` that hold combinations of coefficients at zero, for their terms and values.
     """
 
     inertias: FloatArray
@@ -46,9 +55,11 @@ class Prior:
     values: FloatArray
     spreads: FloatArray
     certainty: float
+    identified: bool = False
     known: LinksInformation | None = None
     changed_link: int | None = None
     cost: float = 0.0
+    held: Callable[[Sequence[Term], FloatArray], FloatArray] = nothing_held
 
     @property
     def link_spreads(self) -> FloatArray:
@@ -58,7 +69,7 @@ class Prior:
             spreads[self.changed_link] = _SPREAD_OF_CHANGED
         return spreads
 
-    def with_changed(self, link: int) -> Prior:
+    def with_changed(self, link: int) -> Prior[Term]:
         """The same of a robot of which a link has been changed since the other recordings: these say of the other links
         what they say whatever that one was, whose error has the usual spread."""
         if self.known is None:

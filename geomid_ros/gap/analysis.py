@@ -1,0 +1,279 @@
+"""Search and linearisation in turn, until the total model settles."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from geomid_ros.gap import candidates as library
+from geomid_ros.gap.candidates import Candidate, EffectTerm, NamesFit, NamesPrior, NamesSearch
+from geomid_ros.gap.evidence.linearised_problem import LinearisedProblem, total_model
+from geomid_ros.gap.evidence.noise import Autoregression, noise_by_repeats, runs_of
+from geomid_ros.gap.evidence.record import Records, TotalModel
+from geomid_ros.inference.fit import fit, unfitted
+from geomid_ros.inference.probability import Support, Supports
+from geomid_ros.inference.selection import Selection
+from geomid_ros.model.measurement import MeasurementModel
+from geomid_ros.types import BoolArray, FloatArray
+
+_ROUNDS = 6
+_REFITS = 3  # more rounds, without a search
+_SETTLED = 0.5  # standard deviations
+_TOLD_BY_ROWS = 0.25  # directions for each row, which leaves most of the noise as it is
+_MEDIAN_OF_GAUSSIAN = 0.6745
+_CLEARLY = 12.0  # in minus twice a logarithm: as unlikely as one in four hundred
+
+Columns = dict[EffectTerm, dict[int, FloatArray]]
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Analysis:
+    """Where the search ended: the last ``problem`` and ``search``; the fit with ``names`` and the one without
+    (``bare``); what ``supports`` each name; the standard deviation of each channel's noise, ``floor (C,)``, from
+    repeats of a motion if there are any, and the ``noise`` that rows were whitened by; ``contested``: whether the link
+    that has been changed may as well be another one."""
+
+    problem: LinearisedProblem
+    search: NamesSearch
+    bare: NamesFit
+    names: NamesFit
+    supports: dict[Candidate, Support[Candidate]]
+    floor: FloatArray
+    noise: tuple[Autoregression, ...]
+    contested: bool = False
+
+
+@dataclass(frozen=True, eq=False)
+class _Task:
+    """What is searched: the ``model`` in the ``records``, with candidates that are ``tried``; ``progress`` is told."""
+
+    model: MeasurementModel
+    records: Records
+    tried: Sequence[Candidate]
+    progress: Callable[[str, float], None]
+
+
+def analyse(
+    model: MeasurementModel, records: Records, prior: NamesPrior, progress: Callable[[str, float], None]
+) -> Analysis:
+    """Find the set of names that explains the records best, and what is to be thought of the links beside it."""
+    tried = library.candidates(model, prior.terms, bare=not prior.identified)
+    task = _Task(model, records, tried, progress)
+    return _with_changed_link(task, _searched(task, prior, "searching"))
+
+
+def _with_changed_link(task: _Task, analysis: Analysis) -> Analysis:
+    """An analysis, or one of a robot of which a link has been changed since it was identified, if that is the better.
+    What contradicts other recordings loosens all links at once, or is told as a payload, which cannot be negative, or
+    as what else may stand in the place of a lighter link. Of links that explain it about as well each is tried."""
+    search, names = analysis.search, analysis.names
+    if search.prior.known is None:
+        return analysis
+    rests = [search.fit([]), *(search.without(names, c) for c in names.chosen)]
+    priors = [search.prior.with_changed(link) for link in range(len(names.inertias))]
+    scores = [min(fit(search.design, prior, rest.chosen, rest).score for rest in rests) for prior in priors]
+    if min(scores) > names.score - _CLEARLY:
+        return analysis
+
+    def with_changed(prior: NamesPrior) -> tuple[float, Analysis]:
+        changed = _searched(task, prior, "searching with a link changed")
+        return fit(search.design, prior, changed.names.chosen, changed.names).score, changed
+
+    likely = [prior for prior, score in zip(priors, scores, strict=True) if score < min(scores) + _CLEARLY]
+    (score, changed), *others = sorted(map(with_changed, likely), key=lambda found: found[0])
+    contested = any(other < score + _CLEARLY for other, _ in others)
+    return replace(changed, contested=contested) if score < names.score - _CLEARLY else analysis
+
+
+def _searched(task: _Task, prior: NamesPrior, stage: str) -> Analysis:
+    """The names beside which the total model settles, and what speaks for each."""
+    last = _last_round(task, prior, stage)
+    problem = last.problem
+    search, names, supports = _supported(last.search, last.found)
+    task.progress(stage, 1.0)
+    design = search.design
+    left = problem.residual(last.columns, names) - problem.remainder(design, names)
+    rows = np.where(design.counts > 0.0, design.counts, np.nan)
+    lacking = np.array([lack.freedom for lack in names.remainders(design)])
+    freedom = np.maximum(rows - names.parameters_by_channel(design) - lacking, 1.0) / rows
+    repeats = noise_by_repeats(task.model, task.records)
+    return Analysis(
+        problem=problem,
+        search=search,
+        bare=search.fit([]),
+        names=names,
+        supports=supports,
+        noise=last.noise,
+        floor=repeats.floor(_root_mean_square(left, problem.valid) / np.sqrt(freedom)),
+    )
+
+
+def _supported(
+    search: NamesSearch, found: NamesFit
+) -> tuple[NamesSearch, NamesFit, dict[Candidate, Support[Candidate]]]:
+    """The names that are more likely than nothing in their places, beside the remainder that they leave, and what
+    speaks for each. The least likely ones go first, and the search goes on without them."""
+    tried = list(search.hypotheses)
+    while True:
+        kept, each = _worth_their_place(search, found)
+        gone = {c.group for c in found.chosen} - {c.group for c in kept.chosen}
+        if not gone:
+            return search, found, {candidate: each.of(candidate) for candidate in found.chosen}
+        tried = [c for c in tried if c.group not in gone]
+        search = Selection(kept.settled(search.design), search.prior, tried)
+        found = search.settle(search.fit(kept.chosen, kept))
+
+
+def _worth_their_place(search: NamesSearch, found: NamesFit) -> tuple[NamesFit, Supports[Candidate, EffectTerm]]:
+    """Without the names that are worth nothing, the least one first."""
+    while True:
+        each = Supports(search, found)
+        worth = {candidate: each.worth(candidate) for candidate in found.chosen}
+        least = min(worth, key=worth.__getitem__, default=None)
+        if least is None or worth[least] > 0.0:
+            return found, each
+        found = search.without(found, least)
+
+
+@dataclass(frozen=True, eq=False)
+class _Round:
+    """A ``problem`` linearised at what the round before had found, with its ``columns``, the ``search`` for its noise,
+    and what it ``found``."""
+
+    problem: LinearisedProblem
+    columns: Columns
+    noise: tuple[Autoregression, ...]
+    search: NamesSearch
+    found: NamesFit
+
+
+def _last_round(task: _Task, prior: NamesPrior, stage: str) -> _Round:
+    """Search and linearisation in turn, until the total model settles. One that does not is fitted along what the last
+    search has found, in the noise of that: it may have dropped names, with whose sizes all was linearised."""
+    noise, total = _beginning(task, prior)
+    floor: FloatArray | None = None
+    before: NamesFit | None = None
+    settling, variances = False, tuple[FloatArray, ...]()
+    rounds: list[_Round] = []
+    for attempt in range(_ROUNDS + _REFITS):
+        task.progress(stage, min(1.0, attempt / _ROUNDS))
+        problem = LinearisedProblem(task.model, task.records, total, floor)
+        rounds.clear()  # columns and their products are large, and go before others come
+        last = _round(task, prior, problem, noise, before, variances=variances, attempt=attempt, settling=settling)
+        rounds.append(last)
+        found, variances = last.found, last.search.design.variances
+        del last
+        total = total_model(task.model, found)
+        if settling and _same(before, found):
+            break
+        settling |= attempt >= _ROUNDS - 2 or _same(before, found)
+        before = found
+        if attempt < _ROUNDS - 1:
+            residual = problem.residual(rounds[-1].columns, found)
+            residual -= problem.remainder(rounds[-1].search.design, found)
+            floor = _typical_size(residual, problem.valid)
+            noise = _noise(residual, problem.valid, task.records)
+    return rounds[-1]
+
+
+def _beginning(task: _Task, prior: NamesPrior) -> tuple[tuple[Autoregression, ...], TotalModel]:
+    """The first noise, and the total model without names."""
+    problem = LinearisedProblem(task.model, task.records, total_model(task.model, unfitted(prior)))
+    columns = problem.columns(task.tried, prior.terms)
+    bare: NamesFit = fit(problem.design(columns, (Autoregression.white(),) * len(task.model.channels)), prior, ())
+    return _flexible_noise(problem, columns, bare, problem.valid), total_model(task.model, bare)
+
+
+def _round(
+    task: _Task,
+    prior: NamesPrior,
+    problem: LinearisedProblem,
+    noise: tuple[Autoregression, ...],
+    before: NamesFit | None,
+    *,
+    variances: Sequence[FloatArray],
+    attempt: int,
+    settling: bool,
+) -> _Round:
+    """A fit along what was found ``before``, and a search from there if the columns are good for that, with exchanges
+    once it is ``settling``. The last attempt that searches does so to the end; those after it do not."""
+    columns = problem.columns(task.tried, prior.terms)
+    design = problem.design(columns, noise)
+    search = Selection(design.given(variances) if variances else design, prior, task.tried)
+    found = search.within_range(search.fit(before.chosen if before else ()))
+    is_last = attempt == _ROUNDS - 1
+    searches = is_last or (attempt < _ROUNDS and _near(total_model(task.model, found), problem.total))
+    if searches:  # what has no name yet must not become a part of the remainder, in whose place none would be found
+        found = search.grow(found, to_the_end=is_last)
+    search = Selection(found.settled(design), prior, task.tried)
+    found = search.within_range(search.fit(found.chosen, found))
+    if searches:
+        found = search.settle(found) if settling else search.grow(found, to_the_end=is_last)
+    return _Round(problem, columns, noise, search, found)
+
+
+def _near(found: TotalModel, total: TotalModel) -> bool:
+    """Whether columns for one are good for the other."""
+    before = {(effect, place): coefficients for effect, place, coefficients in total.effects}
+    after = {(effect, place): coefficients for effect, place, coefficients in found.effects}
+    return all(
+        bool(np.all(np.abs(after.get(key, 0.0) - before.get(key, np.zeros(1))) < key[0].far))
+        for key in {**before, **after}
+        if key[0].far
+    )
+
+
+def _same(before: NamesFit | None, found: NamesFit) -> bool:
+    """Whether the same was found as in the round before, up to a share of the standard deviations."""
+    if before is None or {c.group for c in before.chosen} != {c.group for c in found.chosen}:
+        return False
+    stds = np.sqrt(np.diag(found.covariance))
+    shared = [term for term in found.terms if term in before.terms]
+    return all(abs(before.value(term) - found.value(term)) < _SETTLED * stds[found.place(term)] for term in shared)
+
+
+def _flexible_noise(
+    problem: LinearisedProblem, columns: Columns, bare: NamesFit, valid: BoolArray
+) -> tuple[Autoregression, ...]:
+    """First noise: what the motions of each channel's own joint and the whole robot's effects leave of the residual.
+
+    Of all their directions only so many are taken as rows can tell: of rows that are as few nothing but rounding errors
+    would be left, and what they say of the noise.
+    """
+    residual = problem.residual(columns, bare)
+    left = np.full(residual.shape, np.nan)
+    for channel in range(residual.shape[1]):
+        chosen = valid[:, channel]
+        own = [by[channel] for by in columns.values() if channel in by]
+        matrix = np.column_stack(own)[chosen] if own else np.zeros((np.count_nonzero(chosen), 0))
+        matrix = matrix / np.maximum(np.linalg.norm(matrix, axis=0), 1e-12)
+        directions, sizes, _ = np.linalg.svd(matrix, full_matrices=False)
+        most = int(_TOLD_BY_ROWS * len(matrix))
+        directions = directions[:, :most][:, sizes[:most] > 1e-6 * np.max(sizes, initial=0.0)]
+        rest = residual[chosen, channel]
+        left[chosen, channel] = rest - directions @ (directions.T @ rest)
+    return _noise(left, valid, problem.records)
+
+
+def _noise(residual: FloatArray, valid: BoolArray, records: Records) -> tuple[Autoregression, ...]:
+    used = valid & np.isfinite(residual)
+    channels = zip(residual.T, used.T, strict=True)
+    return tuple(Autoregression.fit(values, runs_of(own, records.segment)) for values, own in channels)
+
+
+def _typical_size(residual: FloatArray, valid: BoolArray) -> FloatArray:
+    """Of each channel ``(C,)``: the standard deviation that the median size would have if it were Gaussian."""
+    return _by_channel(lambda values: np.median(np.abs(values)), residual, valid) / _MEDIAN_OF_GAUSSIAN
+
+
+def _root_mean_square(residual: FloatArray, valid: BoolArray) -> FloatArray:
+    return np.sqrt(_by_channel(lambda values: np.mean(values**2), residual, valid))
+
+
+def _by_channel(function: Callable[[FloatArray], Any], residual: FloatArray, valid: BoolArray) -> FloatArray:
+    """A function of each channel's valid values ``(C,)``, NaN where there are none."""
+    channels = zip(residual.T, valid.T, strict=True)
+    return np.array([function(values[used]) if np.any(used) else np.nan for values, used in channels])

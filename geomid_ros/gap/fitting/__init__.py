@@ -1,1 +1,0 @@
-"""Inertias and effects fitted together under the geometric prior."""

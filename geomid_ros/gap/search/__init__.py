@@ -1,1 +1,0 @@
-"""Which effects are needed: score test, beam search, rivals."""

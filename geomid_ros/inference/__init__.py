@@ -1,0 +1,1 @@
+"""One Gaussian engine under the geometric prior: evidence, selection among hypotheses, and their probability."""

@@ -1,0 +1,241 @@
+"""Products of all columns that compete for the explanation of each channel, with the remainder integrated out."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from geomid_ros.inference.hypothesis import Hypothesis
+from geomid_ros.inference.remainder import Remainder
+from geomid_ros.types import FloatArray, IntArray
+
+BLOCKS = 8  # of time, whose scatter shows how far rows are independent
+
+
+@dataclass(frozen=True, eq=False)
+class ChannelRows:
+    """Whitened rows of a channel: ``columns (N, K + 1)`` with the target as the last, ``features (N, m)`` of a
+    remainder in their ``block (m,)``, which are ``scale (m,)`` times those given: a draw of a block with variance 1 has
+    a mean square of 1; ``place`` of each term among the columns."""
+
+    columns: FloatArray
+    features: FloatArray
+    scale: FloatArray
+    block: IntArray
+    place: Mapping[Any, int]
+
+    @staticmethod
+    def of(columns: FloatArray, features: FloatArray, block: IntArray, place: Mapping[Any, int]) -> ChannelRows:
+        """With features of any scale."""
+        sizes = np.bincount(block, np.sum(features**2, axis=0)) / max(len(columns), 1)
+        scale = 1.0 / np.sqrt(np.where(sizes > 0.0, sizes, 1.0))[block]
+        return ChannelRows(columns, features * scale, scale, block, place)
+
+    @property
+    def count(self) -> int:
+        """Number of rows."""
+        return len(self.columns)
+
+    @cached_property
+    def products(self) -> FloatArray:
+        """Of the columns ``(K + 2, K + 2)``; the last row is zero, for what does not reach the channel."""
+        return np.pad(self.columns.T @ self.columns, ((0, 1), (0, 1)))
+
+    @cached_property
+    def remainder(self) -> Remainder:
+        """Products with the features."""
+        crossed = np.pad(self.features.T @ self.columns, ((0, 0), (0, 1)))
+        return Remainder(self.features.T @ self.features, crossed, self.block, self.count)
+
+    def whitened(self, vector: FloatArray, taken: IntArray, variances: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Columns ``(N, n)`` that are ``taken`` and their sum with a ``vector (n,)``, white beside the remainder."""
+        padded = np.pad(self.columns, ((0, 0), (0, 1)))[:, taken]
+        rows = np.column_stack([padded, padded @ vector])
+        if len(self.block):
+            drawn = self.features * np.sqrt(variances[self.block])
+            directions, sizes, _ = np.linalg.svd(drawn, full_matrices=False)
+            rows -= directions @ ((1.0 - 1.0 / np.sqrt(1.0 + sizes**2))[:, None] * (directions.T @ rows))
+        return rows[:, :-1], rows[:, -1]
+
+
+@dataclass(frozen=True, eq=False)
+class Lack:
+    """What a channel's remainder is: ``coefficients (m,)`` of the features that were given, the share of the residual's
+    squares that each block ``explained (blocks,)``, its sum of squares (``power``), and for how many parameters it
+    counts (``freedom``)."""
+
+    coefficients: FloatArray
+    explained: FloatArray
+    power: float
+    freedom: float
+
+
+@dataclass(frozen=True, eq=False)
+class CandidateProducts:
+    """Products of the k columns of each of G candidates: ``crossed`` with the n columns of a fit and its target
+    ``(G, C, k, n + 1)``, ``squared`` with each other ``(G, C, k, k)``; zero where a column does not reach a channel."""
+
+    crossed: FloatArray
+    squared: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class Design:
+    """Rows of all channels, for ``dimension`` inertial columns, and the ``variances`` of each channel's remainder."""
+
+    channels: tuple[ChannelRows, ...]
+    dimension: int
+    variances: tuple[FloatArray, ...]
+    _known_places: dict[Hypothesis[Any], IntArray] = field(default_factory=dict, repr=False)
+    _known_scales: dict[Any, float] = field(default_factory=dict, repr=False)
+    _known_terms: dict[Any, IntArray] = field(default_factory=dict, repr=False)
+    _products: dict[tuple[int, bytes], tuple[FloatArray, float]] = field(default_factory=dict, repr=False)
+
+    @staticmethod
+    def of(channels: Sequence[ChannelRows], dimension: int) -> Design:
+        """With the usual remainder."""
+        return Design(tuple(channels), dimension, tuple(channel.remainder.usual for channel in channels))
+
+    def given(self, variances: Sequence[FloatArray]) -> Design:
+        """The same beside a remainder of these ``variances``, of each channel's blocks."""
+        return replace(self, variances=tuple(variances))
+
+    @cached_property
+    def _marginalised(self) -> list[tuple[FloatArray, float]]:
+        """Products and cost of each channel."""
+        found = []
+        for place, (channel, variances) in enumerate(zip(self.channels, self.variances, strict=True)):
+            key = place, variances.tobytes()
+            if key not in self._products:
+                products = channel.remainder.marginalised(channel.products, variances)
+                self._products[key] = products, channel.remainder.cost(variances)
+            found.append(self._products[key])
+        return found
+
+    @property
+    def cost(self) -> float:
+        """What the remainder adds to minus twice the log likelihood."""
+        return sum(cost for _, cost in self._marginalised)
+
+    @property
+    def counts(self) -> FloatArray:
+        """Rows of each channel."""
+        return np.array([float(channel.count) for channel in self.channels])
+
+    @property
+    def target_squares(self) -> FloatArray:
+        """Sum of squares of each channel's target."""
+        return np.array([products[-2, -2] for products, _ in self._marginalised])
+
+    def scales(self, terms: Sequence[Any]) -> FloatArray:
+        """Of each coefficient: the one with which its column is as large as the target in some channel, and smaller in
+        the others."""
+        return np.array([self._scale(term) for term in terms])
+
+    def _scale(self, term: Any) -> float:
+        if term not in self._known_scales:
+            places = zip(self.channels, self._places_of_term(term), strict=True)
+            squares = np.array([[c.products[-2, -2], c.products[place, place]] for c, place in places])
+            target, own = squares[squares[:, 1] > 0.0].T
+            scale = float(np.sqrt(np.min(target / own, initial=np.inf)))
+            self._known_scales[term] = scale if np.isfinite(scale) and scale > 0.0 else 1.0
+        return self._known_scales[term]
+
+    def gather(self, bodies: Sequence[int], terms: Sequence[Any]) -> FloatArray:
+        """Products ``(C, n, n)`` of the inertial columns, once more those of each link of ``bodies``, the terms'
+        and the target's."""
+        places = self.places(bodies, terms)
+        return np.array([_taken(p, own, own) for (p, _), own in zip(self._marginalised, places, strict=True)])
+
+    def settled(
+        self, bodies: Sequence[int], terms: Sequence[Any], parameters: FloatArray, among: Collection[int] | None = None
+    ) -> Design:
+        """Beside the remainder that is most likely for these ``parameters (D,)`` of the columns of :meth:`gather`, of
+        all channels unless it is ``among`` some."""
+        left, variances = self._residuals(bodies, terms, parameters), list(self.variances)
+        for place in range(len(left)) if among is None else among:
+            variances[place] = self.channels[place].remainder.settled(*left[place])
+        return self.given(variances)
+
+    def remainders(self, bodies: Sequence[int], terms: Sequence[Any], parameters: FloatArray) -> list[Lack]:
+        """What each channel's remainder is, beside these ``parameters (D,)``."""
+        left = self._residuals(bodies, terms, parameters)
+        found = []
+        for channel, (vector, square), variances in zip(self.channels, left, self.variances, strict=True):
+            inverse = channel.remainder.inverse(variances)
+            mean = -inverse @ (channel.remainder.crossed @ vector)
+            own = [np.where(channel.block == block, mean, 0.0) for block in range(len(variances))]
+            explained = np.array([float(each @ channel.remainder.squared @ each) for each in own])
+            freedom = float(np.sum(inverse * channel.remainder.squared))
+            power = float(mean @ channel.remainder.squared @ mean)
+            found.append(Lack(channel.scale * mean, explained / max(square, 1e-300), power, freedom))
+        return found
+
+    def powers(self, terms: Sequence[Any], values: FloatArray) -> FloatArray:
+        """Sums of squares ``(C,)`` of what terms with these ``values (k,)`` add to each channel."""
+        places = np.column_stack([self._places_of_term(term) for term in terms])
+        own = zip(self.channels, places, strict=True)
+        return np.array([float(values @ _taken(c.products, place, place) @ values) for c, place in own])
+
+    def _residuals(
+        self, bodies: Sequence[int], terms: Sequence[Any], parameters: FloatArray
+    ) -> list[tuple[FloatArray, float]]:
+        """Of each channel, the residual as a sum of its columns ``(K,)``, and its sum of squares."""
+        vector, found = np.append(parameters, -1.0), []
+        for channel, own in zip(self.channels, self.places(bodies, terms), strict=True):
+            whole = np.zeros(len(channel.products))
+            np.add.at(whole, own, vector)
+            whole[-1] = 0.0
+            found.append((whole, float(whole @ channel.products @ whole)))
+        return found
+
+    def places(self, bodies: Sequence[int], terms: Sequence[Any]) -> IntArray:
+        """In each channel ``(C, n)``, of the inertial columns, those of each link of ``bodies``, the terms' and the
+        target's."""
+        again = [10 * body + k for body in bodies for k in range(10)]
+        inertial = np.tile([*range(self.dimension), *again], (len(self.channels), 1))
+        own = [self._places_of_term(term) for term in terms]
+        return np.column_stack([inertial, *own, np.full(len(self.channels), -2)])
+
+    def _places_of_term(self, term: Any) -> IntArray:
+        """In each channel ``(C,)``; that of the zero row where it is absent."""
+        if term not in self._known_terms:
+            self._known_terms[term] = np.array([channel.place.get(term, -1) for channel in self.channels])
+        return self._known_terms[term]
+
+    def reached(self, candidate: Hypothesis[Any]) -> list[int]:
+        """The channels that a candidate can change."""
+        if candidate.payload is not None:
+            return list(range(len(self.channels)))
+        return [i for i, c in enumerate(self.channels) if any(term in c.place for term in candidate.terms)]
+
+    def own(self, alike: Sequence[Hypothesis[Any]], bodies: Sequence[int], terms: Sequence[Any]) -> CandidateProducts:
+        """Products of the columns of candidates, each of which has as many, with those of :meth:`gather`."""
+        crossed, squared = [], []
+        every = np.array([self._own_places(candidate) for candidate in alike])
+        places = self.places(bodies, terms)
+        for mine, others, (products, _) in zip(every.swapaxes(0, 1), places, self._marginalised, strict=True):
+            crossed.append(_taken(products, mine, others))
+            squared.append(_taken(products, mine, mine))
+        return CandidateProducts(np.stack(crossed, axis=1), np.stack(squared, axis=1))
+
+    def _own_places(self, candidate: Hypothesis[Any]) -> IntArray:
+        """Places of a candidate's columns in each channel ``(C, k)``."""
+        if candidate not in self._known_places:
+            body = candidate.payload
+            carried = None if body is None else np.tile(np.arange(10 * body, 10 * body + 10), (len(self.channels), 1))
+            own = [self._places_of_term(term) for term in candidate.terms]
+            self._known_places[candidate] = np.column_stack(own) if carried is None else carried
+        return self._known_places[candidate]
+
+
+def _taken(matrix: FloatArray, rows: IntArray, columns: IntArray) -> FloatArray:
+    """The entries ``(..., r, c)`` of a square matrix at rows ``(..., r)`` and columns ``(..., c)``, of which some count
+    from the end: several times faster than by two indices."""
+    size = len(matrix)
+    flat = (rows % size)[..., :, None] * size + (columns % size)[..., None, :]
+    return np.take(matrix, flat, mode="clip")

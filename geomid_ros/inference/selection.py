@@ -1,0 +1,204 @@
+"""Which hypotheses explain the data: grown by Rao's score test, fitted exactly, exchanged with rivals, and pruned."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Hashable, Iterator, Sequence
+from itertools import combinations
+from typing import Generic
+
+import numpy as np
+
+from geomid_ros.inference.design import Design
+from geomid_ros.inference.fit import JointFit, fit
+from geomid_ros.inference.hypothesis import Chosen, Term
+from geomid_ros.inference.prior import Prior
+from geomid_ros.inference.rao_score import Trial, score_tests
+
+KEPT_PROMISE = 2.5
+"""A hypothesis brings no more than so many times what the score test promises: of some 3,000 none did."""
+_SHORTLIST = 4
+_BODIES = 3
+_EXCHANGES = 4
+_MOST = 40
+_PLAUSIBLE = 0.5  # of a loss: what the score test must promise of a rival that is tried
+_CLEAR = 40.0  # a hypothesis whose loss is larger, to second order, need not be tried to be left out
+
+
+class Selection(Generic[Chosen, Term]):
+    """Search over sets of ``hypotheses`` for one design, by the fits' scores: minus twice their log evidence."""
+
+    def __init__(self, design: Design, prior: Prior[Term], hypotheses: Sequence[Chosen]) -> None:
+        self.design = design
+        self.prior = prior
+        self.hypotheses = list(hypotheses)
+        self._fits: dict[frozenset[Chosen], JointFit[Chosen, Term]] = {}
+        self._bodies: dict[frozenset[Chosen], list[Trial[Chosen]]] = {}
+        self._excluded: dict[Chosen, frozenset[Chosen]] = {}
+        self._contested_at: dict[Chosen, float] = {}  # the score at which another may stand in its place
+
+    def fit(self, chosen: Collection[Chosen], start: JointFit[Chosen, Term] | None = None) -> JointFit[Chosen, Term]:
+        """The joint fit of a set; each set is fitted once."""
+        key = frozenset(chosen)
+        if key not in self._fits:
+            self._fits[key] = fit(self.design, self.prior, list(chosen), start)
+        return self._fits[key]
+
+    def without(self, current: JointFit[Chosen, Term], *gone: Chosen) -> JointFit[Chosen, Term]:
+        """The fit without some of its hypotheses."""
+        return self.fit([c for c in current.chosen if c not in gone], current)
+
+    def ranked(self, current: JointFit[Chosen, Term], among: Sequence[Chosen] | None = None) -> list[Trial[Chosen]]:
+        """Hypotheses that could join, the best of each group, by the score test."""
+        excluded = set[Chosen]().union(*map(self._excluded_by, current.chosen))
+        possible = [c for c in (self.hypotheses if among is None else among) if c not in excluded]
+        best: dict[Hashable, Trial[Chosen]] = {}
+        for trial in score_tests(self.design, current, possible):
+            group = trial.candidate.group
+            if group not in best or trial.gain > best[group].gain:
+                best[group] = trial
+        return sorted(best.values(), key=lambda trial: -trial.gain)
+
+    def _excluded_by(self, chosen: Chosen) -> frozenset[Chosen]:
+        """The hypotheses that make no sense beside one that is chosen."""
+        if chosen not in self._excluded:
+            self._excluded[chosen] = frozenset(c for c in self.hypotheses if c.excludes(chosen))
+        return self._excluded[chosen]
+
+    def possible(self, found: JointFit[Chosen, Term]) -> bool:
+        """Whether no coefficient has a sign or a size that it cannot have, and no body outweighs the robot."""
+        return not any(self.is_out_of_range(found, candidate) for candidate in found.chosen)
+
+    def is_out_of_range(self, found: JointFit[Chosen, Term], candidate: Chosen) -> bool:
+        """Whether a hypothesis has a sign or a size that it cannot have."""
+        if candidate.payload is not None:
+            place = len(self.prior.inertias) // 10 + found.bodies.index(candidate.payload)
+            return bool(found.point.pseudo_inertias[place, 3, 3] > np.sum(self.prior.inertias[::10]))
+        values = np.array([found.value(term) for term in candidate.terms])
+        return bool(np.any(values[: candidate.positives] <= 0.0)) or candidate.is_out_of_range(values)
+
+    def grow(self, current: JointFit[Chosen, Term], to_the_end: bool = True) -> JointFit[Chosen, Term]:
+        """Grow and prune until nothing changes, or, unless ``to_the_end``, until a hypothesis is found on which all
+        columns depend. What is out of range goes first, and the search goes on."""
+        current = self.prune(self.within_range(current))
+        known = {c.group for c in current.chosen}
+        while (larger := self._grown(current)) is not None:
+            current = self.prune(larger)
+            if not to_the_end and any(c.relinearises and c.group not in known for c in current.chosen):
+                break
+        return current
+
+    def settle(self, current: JointFit[Chosen, Term]) -> JointFit[Chosen, Term]:
+        """Grow, and exchange hypotheses for others, until nothing changes."""
+        for _ in range(_EXCHANGES):
+            before = current.score
+            current = self._exchanged(self.grow(current))
+            if current.score >= before - 1e-6:
+                break
+        return current
+
+    def within_range(self, current: JointFit[Chosen, Term]) -> JointFit[Chosen, Term]:
+        """Without the hypotheses that cannot be, one after the other."""
+        while gone := [c for c in current.chosen if self.is_out_of_range(current, c)]:
+            current = min((self.without(current, c) for c in gone), key=lambda found: found.score)
+        return current
+
+    def _grown(self, current: JointFit[Chosen, Term]) -> JointFit[Chosen, Term] | None:
+        """The best set with one hypothesis more; None if nothing is worth it."""
+        if len(current.chosen) >= _MOST:
+            return None
+        best: JointFit[Chosen, Term] | None = None
+        for trial in self._promising(current, 0.0):
+            if best is not None and KEPT_PROMISE * trial.gain < current.score - best.score:
+                break
+            larger = self.fit([*current.chosen, trial.candidate], current)
+            if self.possible(larger) and larger.score < (best or current).score:
+                best = larger
+        return best
+
+    def _promising(
+        self, current: JointFit[Chosen, Term], least: float, instead_of: Chosen | None = None
+    ) -> list[Trial[Chosen]]:
+        """The hypotheses that are worth an exact fit: those that the score test prefers, and bodies; none of which it
+        promises less than ``least``; the best first."""
+        trials = [t for t in self.ranked(current) if t.gain > least and t.candidate.payload is None]
+        trials = [t for t in trials if instead_of is None or t.candidate is not instead_of][:_SHORTLIST]
+        if not current.bodies and (instead_of is None or instead_of.confusable_with_payload):
+            trials += [t for t in self._promising_bodies(current) if t.gain > least and t.candidate is not instead_of]
+        return sorted(trials, key=lambda trial: -trial.gain)
+
+    def _promising_bodies(self, current: JointFit[Chosen, Term]) -> list[Trial[Chosen]]:
+        """The bodies worth a trial. After the fit the score test says little of them: inertias that are nearly free,
+        because the body made all of them wrong, imitate it. So it is asked with the usual spread of the inertias."""
+        key = frozenset(current.chosen)
+        if key not in self._bodies:
+            firm = fit(self.design, self.prior, current.chosen, current, self.prior.link_spreads)
+            trials = self.ranked(firm, [c for c in self.hypotheses if c.payload is not None])
+            self._bodies[key] = [trial for trial in trials if trial.gain > 0.0][:_BODIES]
+        return self._bodies[key]
+
+    def prune(self, current: JointFit[Chosen, Term]) -> JointFit[Chosen, Term]:
+        """Without the hypotheses that are not worth their cost, the least one first, and without pairs that hold each
+        other up."""
+        while smaller := min(self._smaller(current), key=lambda found: found.score, default=None):
+            if smaller.score > current.score:
+                break
+            current = smaller
+        return current
+
+    def _smaller(self, current: JointFit[Chosen, Term]) -> Iterator[JointFit[Chosen, Term]]:
+        sets = [(c,) for c in current.chosen]
+        pairs = [pair for pair in combinations(current.chosen, 2) if self._overlap(*pair)]
+        for gone in (*sets, *pairs):
+            if self.estimated_loss(current, gone) < _CLEAR:
+                yield self.without(current, *gone)
+
+    def _overlap(self, first: Chosen, second: Chosen) -> bool:
+        """Whether two change a channel in common, both alone."""
+        reached = [self.design.reached(c) for c in (first, second)]
+        return reached[0] == reached[1]
+
+    def estimated_loss(self, current: JointFit[Chosen, Term], gone: Sequence[Chosen]) -> float:
+        """By how much the score is worse without some hypotheses, to second order, their costs not counted; 0 with a
+        body among them, whose loss is not nearly quadratic."""
+        if any(c.payload is not None for c in gone):
+            return 0.0
+        terms = list(dict.fromkeys(term for c in gone for term in c.terms))
+        places = [current.place(term) for term in terms]
+        values = np.array([current.value(term) - self.prior.value(term) for term in terms])
+        squared = float(values @ np.linalg.solve(current.covariance[np.ix_(places, places)], values))
+        count = float(np.max(self.design.counts))
+        return count * float(np.log1p(max(squared, 0.0) / count))
+
+    def rivals(self, current: JointFit[Chosen, Term], candidate: Chosen) -> list[JointFit[Chosen, Term]]:
+        """The best sets in which another stands in the place of one hypothesis, the best first; it may be the same with
+        another constant."""
+        rest = self.without(current, candidate)
+        least = _PLAUSIBLE * (rest.score - current.score)
+        fits = [self.fit([*rest.chosen, t.candidate], rest) for t in self._promising(rest, least, candidate)]
+        fits += [f for f in (self._rescaled(current, candidate),) if f is not None]
+        return sorted((f for f in fits if self.possible(f)), key=lambda found: found.score)
+
+    def _rescaled(self, current: JointFit[Chosen, Term], candidate: Chosen) -> JointFit[Chosen, Term] | None:
+        """The set in which factors of all channels stand in the place of a body: where all have changed alike, a body
+        that weighs more looks the same but for friction and inertia; None of anything else."""
+        factors = [c for c in self.hypotheses if c.rescales]
+        if candidate.payload is None or not factors:
+            return None
+        rest = [c for c in current.chosen if c is not candidate and c not in factors]
+        return self.fit([*rest, *factors], current)
+
+    def _exchanged(self, current: JointFit[Chosen, Term]) -> JointFit[Chosen, Term]:
+        """With others in the places of hypotheses where that improves the score. One that led all others is tried again
+        once the search has gained as much as it led by."""
+        for candidate in current.chosen:
+            if candidate not in current.chosen or current.score > self._contested_at.get(candidate, np.inf):
+                continue
+            others = [found for found in self.rivals(current, candidate) if candidate not in found.chosen]
+            best = min([current, *others], key=lambda found: found.score)
+            if best.score < current.score - 1e-3:
+                current = best
+            else:
+                loss = self.without(current, candidate).score - current.score
+                leads = [(1.0 - _PLAUSIBLE) * loss, *(other.score - current.score for other in others)]
+                self._contested_at[candidate] = current.score - min(leads)
+        return current

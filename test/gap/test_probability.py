@@ -1,0 +1,54 @@
+"""How often names are true that are stated with a probability, on designs of random columns."""
+
+import numpy as np
+
+from geomid_ros.inference.probability import Support, Supports
+from geomid_ros.inference.selection import Selection
+
+from .small import PRIOR, Recording, at
+
+CANDIDATES = [
+    at(name, joint)
+    for joint in (0, 1)
+    for name in ("viscous_friction", "effort_offset", "rotor_inertia", "load_friction")
+]
+VISCOUS, OFFSET, ROTOR = CANDIDATES[:3]
+
+
+def supports(sizes: dict[object, float], seed: int, alike: object = None) -> dict[object, Support]:
+    """Of what is found of a robot with these sizes of names; the rotor's column is nearly that of one ``alike``."""
+    columns = {ROTOR.terms[0]: alike.terms[0]} if alike else None  # type: ignore[attr-defined]
+    recording = Recording(seed, CANDIDATES, columns)
+    design = recording.design({c.terms[0]: size for c, size in sizes.items()})  # type: ignore[attr-defined]
+    selection = Selection(design, PRIOR, CANDIDATES)
+    found = selection.settle(selection.fit([]))
+    each = Supports(selection, found)
+    return {c: each.of(c) for c in found.chosen}
+
+
+def test_of_names_that_are_stated_as_sure_hardly_any_is_wrong() -> None:
+    """One in six names is there, of sizes about those that just show."""
+    rng, stated = np.random.default_rng(1), []
+    for seed in range(40):
+        sizes = {c: float(rng.uniform(0.0, 0.06)) for c in CANDIDATES if rng.random() < 1.0 / 6.0}
+        stated += [(support.probability, c in sizes) for c, support in supports(sizes, seed).items()]
+    sure = [true for probability, true in stated if probability > 0.95]
+    assert len(sure) > 15
+    assert np.mean(sure) >= 0.97
+    assert all(0.0 <= probability <= 1.0 for probability, _ in stated)
+
+
+def test_a_large_name_is_sure_and_one_with_an_equal_rival_is_not() -> None:
+    (alone,) = supports({VISCOUS: 0.3}, 2).values()
+    assert alone.probability > 0.999
+    for seed in range(4):
+        contested = supports({VISCOUS: 0.03}, seed, alike=VISCOUS)
+        for support in contested.values():
+            assert support.probability < 0.95
+            assert support.rivals[0][0] in (VISCOUS, ROTOR)
+
+
+def test_a_name_is_worth_no_more_than_its_size_says() -> None:
+    for seed in range(5):
+        for support in supports({VISCOUS: 0.05, OFFSET: 0.2}, seed).values():
+            assert support.worth <= support.loss

@@ -1,0 +1,103 @@
+"""A remainder that is integrated out, against the Gaussian likelihood of the rows themselves."""
+
+import numpy as np
+import pytest
+from scipy.optimize import minimize
+
+from geomid_ros.inference.design import ChannelRows
+from geomid_ros.inference.remainder import USUAL, Remainder
+from geomid_ros.types import FloatArray
+
+ROWS, COLUMNS = 120, 3
+BLOCK = np.repeat([0, 1, 2], [4, 6, 5])
+VARIANCES = np.array([0.5, 8.0, 0.02])
+
+
+def rows(seed: int, variances: FloatArray = VARIANCES, noise: float = 0.1) -> ChannelRows:
+    """Random columns and features, and what is measured of coefficients 1, 2, 3 beside a remainder of these
+    ``variances`` in units of the noise's."""
+    rng = np.random.default_rng(seed)
+    columns, features = rng.standard_normal((ROWS, COLUMNS)), rng.standard_normal((ROWS, len(BLOCK)))
+    made = ChannelRows.of(np.column_stack([columns, np.zeros(ROWS)]), features, BLOCK, {})
+    drawn = made.features @ (np.sqrt(variances[BLOCK]) * rng.standard_normal(len(BLOCK)))
+    target = columns @ [1.0, 2.0, 3.0] + noise * (drawn + rng.standard_normal(ROWS))
+    return ChannelRows.of(np.column_stack([columns, target]), features, BLOCK, {})
+
+
+def covariance(own: ChannelRows, variances: FloatArray) -> FloatArray:
+    """Of the rows, in units of the noise's variance."""
+    return np.eye(ROWS) + (own.features * variances[BLOCK]) @ own.features.T
+
+
+def test_a_block_s_draw_of_variance_one_has_a_mean_square_of_one() -> None:
+    own = rows(1)
+    for block in range(3):
+        squares = np.sum(own.features[:, block == BLOCK] ** 2) / ROWS
+        assert squares == pytest.approx(1.0)
+
+
+def test_products_are_those_of_generalised_least_squares() -> None:
+    own = rows(2)
+    found = own.remainder.marginalised(own.products, VARIANCES)[:-1, :-1]
+    exact = own.columns.T @ np.linalg.solve(covariance(own, VARIANCES), own.columns)
+    np.testing.assert_allclose(found, exact, rtol=1e-8, atol=1e-8)
+
+
+def test_whitened_rows_have_these_products() -> None:
+    own = rows(3)
+    taken, vector = np.arange(COLUMNS + 1), np.array([1.0, -2.0, 0.5, -1.0])
+    columns, residual = own.whitened(vector, taken, VARIANCES)
+    products = own.remainder.marginalised(own.products, VARIANCES)[:-1, :-1]
+    np.testing.assert_allclose(columns.T @ columns, products, atol=1e-8)
+    np.testing.assert_allclose(residual, columns @ vector, atol=1e-10)
+
+
+def test_the_cost_is_the_volume_of_the_covariance_and_nothing_at_the_usual_size_but_that() -> None:
+    own, usual = rows(4), np.full(3, USUAL)
+    for variances in (VARIANCES, usual):
+        prior = np.sum(np.log(variances / USUAL) + USUAL / variances - 1.0)
+        volume = np.linalg.slogdet(covariance(own, variances))[1]
+        assert own.remainder.cost(variances) == pytest.approx(volume + prior)
+    assert own.remainder.usual.tolist() == usual.tolist()
+
+
+def score(remainder: Remainder, vector: FloatArray, square: float, variances: FloatArray) -> float:
+    """Minus twice the log evidence, at the noise that suits."""
+    residual = remainder.crossed @ vector
+    left = square - residual @ remainder.inverse(variances) @ residual
+    return remainder.count * float(np.log(left)) + remainder.cost(variances)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_the_variances_that_are_settled_on_are_near_the_most_likely(seed: int) -> None:
+    """MacKay's fixed point leaves no more than a unit to be gained."""
+    own = rows(10 + seed)
+    vector = np.append([1.0, 2.0, 3.0, -1.0], 0.0)
+    square = float(vector @ own.products @ vector)
+    found = own.remainder.settled(vector, square)
+    best = minimize(
+        lambda logs: score(own.remainder, vector, square, np.exp(logs)), np.log(found), method="Nelder-Mead"
+    )
+    assert score(own.remainder, vector, square, found) < best.fun + 1.0
+
+
+def test_what_is_lacking_is_found_and_counts_as_parameters() -> None:
+    """Over recordings: large blocks are told as large, and small ones as no larger than usual."""
+    vector = np.append([1.0, 2.0, 3.0, -1.0], 0.0)
+    found = []
+    for seed in range(30):
+        own = rows(100 + seed)
+        found.append(own.remainder.settled(vector, float(vector @ own.products @ vector)))
+    medians = np.median(found, axis=0)
+    assert medians[1] == pytest.approx(VARIANCES[1], rel=0.5)
+    assert medians[2] < 1.5 * USUAL
+
+
+def test_without_features_nothing_changes() -> None:
+    own = rows(5)
+    bare = ChannelRows.of(own.columns, np.zeros((ROWS, 0)), np.zeros(0, dtype=np.intp), {})
+    none = bare.remainder.usual
+    assert none.shape == (0,)
+    np.testing.assert_array_equal(bare.remainder.marginalised(bare.products, none), bare.products)
+    assert bare.remainder.cost(none) == 0.0
+    assert bare.remainder.settled(np.ones(COLUMNS + 2), 1.0).shape == (0,)
