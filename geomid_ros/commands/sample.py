@@ -45,7 +45,6 @@ _WIDEST = 3.0
     show_default=True,
     help="Random seed; the same seed gives the same robots.",
 )
-
 @package_option
 @click.option("--out", default=Path("geomid_samples"), **OUT)
 def sample(out: Path, **options: Any) -> None:

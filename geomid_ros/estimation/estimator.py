@@ -195,9 +195,7 @@ def least_inflation(summary: RowSummary, cutoff: float) -> float:
     return max(1.0 / (_OF_WHITE_NOISE * cutoff * summary.period), 1.0)
 
 
-def _fit(
-    problem: Problem, start: Point | None = None, spreads: FloatArray | None = None, **options: Any
-) -> Fit:
+def _fit(problem: Problem, start: Point | None = None, spreads: FloatArray | None = None, **options: Any) -> Fit:
     """A fit, in which no joint is driven by its dry friction; its problem has the rows that see to that."""
     if start is not None:
         # Which joints these are a rough solution tells.

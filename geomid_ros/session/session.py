@@ -12,6 +12,18 @@ from typing import Any
 
 import numpy as np
 
+from geomid_ros.checks.check import Judge, JudgementTask, RecordingCheck, efforts_alone
+from geomid_ros.checks.hypotheses import Finding
+from geomid_ros.checks.unexplained import unexplained
+from geomid_ros.checks.verdict import (
+    REASON,
+    Verdict,
+    unlike,
+    verdict,
+    worse_channels,
+    worse_in_folds,
+    worse_on_rows,
+)
 from geomid_ros.errors import InputError
 from geomid_ros.estimation.estimate import Estimate, LinkEstimate
 from geomid_ros.estimation.estimator import EstimatorSettings, WarmStart
@@ -33,18 +45,6 @@ from geomid_ros.model.columns import Columns
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.robot import Robot
 from geomid_ros.model.samples import Samples
-from geomid_ros.plausibility.check import Judge, JudgementTask, RecordingCheck, efforts_alone
-from geomid_ros.plausibility.hypotheses import Finding
-from geomid_ros.plausibility.unexplained import unexplained
-from geomid_ros.plausibility.verdict import (
-    REASON,
-    Verdict,
-    unlike,
-    verdict,
-    worse_channels,
-    worse_in_folds,
-    worse_on_rows,
-)
 from geomid_ros.session.configuration import Configuration
 from geomid_ros.session.recorded import Recorded
 from geomid_ros.session.solidity import impossible_links

@@ -80,9 +80,7 @@ def test_links_that_move_alike_are_rivals() -> None:
     rows = np.column_stack([rows[:, :10], rows[:, :10], rows[:, 10:]])
     after = before.copy()
     after[1] *= 1.2
-    (changed,) = changed_links(
-        NAMES, *(measured(own, rows, random, before) for own in (before, after)), LIMIT, ALIKE
-    )
+    (changed,) = changed_links(NAMES, *(measured(own, rows, random, before) for own in (before, after)), LIMIT, ALIKE)
     assert {changed.link, *changed.rivals} == {"upper", "lower"}
     assert f"or {changed.rivals[0]} has changed instead" in changed.sentence
 

@@ -14,6 +14,7 @@ from files.recordings import BAGS, QUICK
 
 import geomid_ros
 from geomid_ros.api.identify import Identification
+from geomid_ros.checks.verdict import DOUBTFUL, STATUS, USABLE
 from geomid_ros.exports.handover import HandedOver, Judged
 from geomid_ros.exports.model import read_model
 from geomid_ros.files.models.mjcf import mjcf
@@ -23,7 +24,6 @@ from geomid_ros.files.models.urdf import with_inertials
 from geomid_ros.files.models.urdf_extensions import for_drake
 from geomid_ros.model.effects import KnownEffect, Quantity
 from geomid_ros.model.samples import Samples
-from geomid_ros.plausibility.verdict import DOUBTFUL, STATUS, USABLE
 from geomid_ros.resimulation.read_back import read_mjcf_back
 from geomid_ros.simulation import SimulationOptions, simulate
 from geomid_ros.types import FloatArray
@@ -209,8 +209,10 @@ def test_drake_feels_a_rotor_behind_its_gear() -> None:
     """By the square of the ratio."""
     inside = '<drake:rotor_inertia value="0.01"/><drake:gear_ratio value="-10"/>'
     transmission = f'<transmission name="t"><joint name="joint1"/><actuator name="a">{inside}</actuator></transmission>'
-    urdf = found().session.urdf.replace("</robot>", f"{transmission}</robot>").replace(
-        "<robot ", '<robot xmlns:drake="http://drake.mit.edu" '
+    urdf = (
+        found()
+        .session.urdf.replace("</robot>", f"{transmission}</robot>")
+        .replace("<robot ", '<robot xmlns:drake="http://drake.mit.edu" ')
     )
     read = read_urdf_back(found().session.read_robot(urdf, "file"), "drake")
     assert read.attributes["joint1", "actuator/drake:rotor_inertia"] == pytest.approx(1.0)

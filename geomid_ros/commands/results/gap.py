@@ -10,10 +10,10 @@ from rich.console import Console
 from rich.table import Table
 
 from geomid_ros.api.gap import Gap
+from geomid_ros.checks.verdict import recording_verdict
 from geomid_ros.commands.tables import lines, number_columns, plain_table, print_remarks, results_console, say
 from geomid_ros.exports.handover import Judged
 from geomid_ros.gap.result import GapResult
-from geomid_ros.plausibility.verdict import recording_verdict
 from geomid_ros.report import gap_words
 from geomid_ros.report.simulated_again import SimulatedAgain
 
@@ -95,9 +95,7 @@ def _channels_table(result: GapResult) -> Table:
     table.add_column("\nchannel", overflow="fold")
     headings = ["\nfloor", "\nnominal", "inertias\nonly", "written\nmodel", "moving\nalone", "moving,\nexpected"]
     number_columns(table, headings)
-    table.add_column(
-        f"gap above the floor, logarithmic\n{_AFTER} after {_INERTIAS} inertias only {_BEFORE} nominal"
-    )
+    table.add_column(f"gap above the floor, logarithmic\n{_AFTER} after {_INERTIAS} inertias only {_BEFORE} nominal")
     gaps = (result.gap.before, result.gap.inertias_only, result.gap.after)
     end = max(2.0, *(gap_words.worst(values) for values in gaps))
     for k, (name, unit, floor) in enumerate(zip(result.channels, result.units, result.corrected_floor, strict=True)):

@@ -23,6 +23,7 @@ from geomid_ros.types import FloatArray
 
 _There: TypeAlias = dict[tuple[Place, Effect, int], tuple[Coefficient, float]]
 
+
 @dataclass(frozen=True, eq=False)
 class WrittenModel:
     """The model that a file holds.

@@ -234,9 +234,7 @@ class LoadedModel:
 
 def known_effects(document: Mapping[str, Any], source: str) -> list[KnownEffect]:
     """The effects in a document of :mod:`geomid_ros.files.models.results`. Raises InputError for what is none."""
-    added = [
-        effect_of(entry, f"{source}: added[{index}]") for index, entry in enumerate(document.get("added", []))
-    ]
+    added = [effect_of(entry, f"{source}: added[{index}]") for index, entry in enumerate(document.get("added", []))]
     return combined([*_single_coefficients(document, source), *added])
 
 
