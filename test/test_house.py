@@ -160,7 +160,7 @@ NAMESAKES = {
     ("geomid_ros.commands.root", "payload"),
     ("geomid_ros.excitation.criteria", "payload"),
     ("geomid_ros.exports.descriptions", "viscous_friction"),
-    ("geomid_ros.checks.words", "effort_gain"),
+    ("geomid_ros.checks.causes", "effort_gain"),
     ("geomid_ros.session.configuration", "effort_gain"),
     ("geomid_ros.session.session", "effort_gain"),
     ("geomid_ros.session.session", "effort_delay"),

@@ -70,7 +70,8 @@ def answer(recording: Recording, fault: Fault, size: Any) -> tuple[str, str]:
         return SILENT, said
     for finding in session.findings:
         for cause in (finding.cause, *finding.rivals):
-            if cause.kind == fault.kind and (places is None or set(cause.places) == places):
+            right = cause.kind == fault.kind or (fault.said and fault.said in cause.sentence)
+            if right and (places is None or set(cause.places) == places):
                 return (NAMED if finding.sure else SUSPECTED), said
     return (WRONG if any(finding.sure for finding in session.findings) else SUSPECTED), said
 

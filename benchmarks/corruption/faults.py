@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from typing import Any, TypeAlias
 
 import numpy as np
+from scipy.signal import savgol_filter
 
 from benchmarks.corruption.recording import ARM3, SOURCES, Recording
 from geomid_ros.model.measurement import MeasurementModel
@@ -29,11 +30,12 @@ class Fault:
         name: what is wrong.
         plant: plants it.
         sizes: three of them; places of joints count from the base, those below zero from the tip.
-        kind: of the cause that is the right answer, see :data:`geomid_ros.checks.hypotheses.KINDS`; empty for an
+        kind: of the cause that is the right answer, see :data:`geomid_ros.checks.causes.KINDS`; empty for an
             answer that the ledger of messages gives.
         joints: the places of the joints that the answer has to name; None for all.
         noted: what the ledger has to say, for a fault of messages.
         refused: what the error has to say, where the recording may be refused.
+        said: what a sentence of another kind may say, which is as right.
         wrench: whether it needs a wrench sensor.
         slides: whether it needs a prismatic joint.
         doubted: whether it may have any name, as long as the result of an identification is doubted.
@@ -47,6 +49,7 @@ class Fault:
     joints: Callable[[Any], tuple[int, ...]] | None = None
     noted: str = ""
     refused: str = ""
+    said: str = ""
     wrench: bool = False
     slides: bool = False
     doubted: bool = False
@@ -409,8 +412,10 @@ def _efforts_late(recording: Recording, seconds: float) -> Recording:
     return _efforts(recording, effort)
 
 
-def _unsigned(recording: Recording, joint: int) -> Recording:
+def _unsigned(recording: Recording, which: int) -> Recording:
+    """Of the joint whose effort has both signs most evenly, or the next one in this respect."""
     effort = recording.effort.copy()
+    joint = np.argsort(np.abs(np.mean(effort > 0.0, axis=0) - 0.5))[which]
     effort[:, joint] = np.abs(effort[:, joint])
     return _efforts(recording, effort)
 
@@ -438,10 +443,15 @@ def _carried(recording: Recording, share: float) -> Recording:
     load = np.zeros_like(bodies)
     mass = share * float(np.sum(bodies[:, 0]))
     load[-1] = mass * np.array([1.0, 0.0, 0.0, 0.1, 0.02, 0.0, 0.02, 0.0, 0.0, 0.01])
-    still, none = np.zeros_like(recording.position), np.zeros((len(recording.stamps), 0))
-    stamps, wrenches = np.arange(len(still), dtype=np.int64), np.zeros((len(still), 0, 6))
-    poses = Samples(stamps, recording.position, still, still, still, none, none, none, wrenches)
-    rows = robot.joint_effort_rows(*robot.configuration(poses)).reshape(len(still), len(robot.joints), -1)
+    period, width = (
+        float(np.median(np.diff(recording.stamps))),
+        2 * round(0.1 / np.median(np.diff(recording.stamps))) + 5,
+    )
+    motion = (savgol_filter(recording.position, width, 4, order, period, axis=0) for order in range(3))
+    none = np.zeros((len(recording.stamps), 0))
+    stamps, wrenches = np.arange(len(none), dtype=np.int64), np.zeros((len(none), 0, 6))
+    moved = Samples(stamps, *motion, recording.effort, none, none, none, wrenches)
+    rows = robot.joint_effort_rows(*robot.configuration(moved)).reshape(len(none), len(robot.joints), -1)
     later = recording.stamps > np.median(recording.stamps)
     return _efforts(recording, recording.effort + later[:, None] * (rows @ load.ravel()))
 
@@ -518,9 +528,13 @@ FAULTS = [
         kind="description"),
     Fault(row=113, name="inertias in g", plant=_other_inertias, sizes=("grams", "moments", "grams and moments"),
         kind="description"),
-    Fault(row=117, name="time", plant=_other_time, sizes=(2.0, 0.5, 1000.0), kind="time"),
     Fault(
-        row=117, name="time without speeds", plant=_other_time_without_speeds, sizes=(2.0, 0.5, 1000.0), kind="time"
+        row=117, name="time", plant=_other_time, sizes=(2.0, 0.5, 1000.0), kind="time", said="stamps run",
+        refused="not in seconds",
+    ),
+    Fault(
+        row=117, name="time without speeds", plant=_other_time_without_speeds, sizes=(2.0, 0.5, 1000.0), kind="time",
+        refused="not in seconds",
     ),
     Fault(
         row=114, name="gravity in another unit", plant=_gravity_of_size, sizes=(1e-9, 1.0, 981.0, 9810.0),
@@ -530,7 +544,7 @@ FAULTS = [
     Fault(row=0, name="zero off", plant=_zero_off, sizes=((1, 30.0), (2, -20.0), (1, 90.0)), kind="zero",
         joints=lambda where: where[:1]),
     Fault(row=121, name="efforts late", plant=_efforts_late, sizes=(0.05, 0.1, -0.1), kind="late"),
-    Fault(row=0, name="no sign", plant=_unsigned, sizes=(0, 1, 2), kind="magnitude", joints=_one),
+    Fault(row=0, name="no sign", plant=_unsigned, sizes=(0, 1), kind="magnitude"),
     Fault(row=121, name="position frozen", plant=_position_frozen, sizes=((1, 0.2), (2, 0.3), (0, 0.15)), kind="frozen",
         joints=lambda where: where[:1]),
     Fault(row=121, name="encoder clipped", plant=_clipped, sizes=(0, 1, 2), doubted=True),

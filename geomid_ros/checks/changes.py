@@ -1,4 +1,4 @@
-"""Whether something changes during a recording: offsets, gains, what is carried, gravity in efforts, positions.
+"""Candidates of what begins during a recording, or comes late: offsets, gains, loads, gravity, positions, delays.
 
 Each is fitted as it would be from some instant on, or as it would grow, beside all that links, friction and curves
 explain of the whole recording. What a robot does where its friction follows another law is explained by those.
@@ -8,160 +8,191 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from typing import TypeAlias
 
 import numpy as np
 
-from geomid_ros.checks import words
-from geomid_ros.checks.evidence import Evidence
-from geomid_ros.checks.flexible import FlexibleFit, Gain, by_channel
-from geomid_ros.checks.hypotheses import Cause, Hypothesis
-from geomid_ros.checks.instants import NEARER, PLACES, after, elapsed
+from geomid_ros.checks.candidates import Candidate, Judged
+from geomid_ros.checks.causes import BIT_BY_BIT, Cause
+from geomid_ros.checks.flexible import Gain, by_channel
+from geomid_ros.checks.instants import FEWEST, elapsed
 from geomid_ros.checks.rows import payload_factor
 from geomid_ros.checks.subject import Subject
+from geomid_ros.checks.transforms import REASON
+from geomid_ros.signals.saturation import STANDING
 from geomid_ros.types import FloatArray
 
+PLACES = np.arange(1, 10) / 10.0
+"""Shares of the instants, from which on something may be another."""
+NEARER = (-0.05, 0.05)
+"""Where it is looked for, too, beside the best of them."""
 _WORTH = 0.05  # nats per instant: less promises nothing
 _STEP = 1e-4  # [rad, m] of a position, for a derivative
 _GAIN = 0.5  # standard deviations of what is tried: another gain,
 _ZERO = 0.3  # another zero of a position [rad, m],
+_USUAL = 0.1  # and a lag [s]
 _LEAST_OFFSET = 0.25  # of an effort's standard deviation: warm friction changes less
 _LEAST_GAIN = 0.1
 _LEAST_MASS = 0.01  # of the robot's: less is of no account
 _LEAST_ZERO = 0.02  # [rad, m]
 _ALL = (-1.3, -0.7)  # times gravity's efforts, which are missing then
 _MAIN = 0.5  # of the largest change: the joints that it is about
+_LEAST_LAG, _MOST_LAG = 0.03, 0.3  # [s] less hardly matters behind the filter; where more fits, it is no lag
+_COMMON = 0.8  # of what lags of their own explain: then they have one in common
+_TOLD = 0.9  # what is left of a channel whose lag can be told, over what is left without
+
+Columns: TypeAlias = Callable[[Subject], FloatArray]
+"""Makes the efforts ``(N, C, k)`` of a subject, by standard deviations of what may be wrong."""
+Said: TypeAlias = Callable[[Gain, str], tuple[Cause, list[int]] | None]
+"""What is said of what was fitted and when it began, and the channels that it is about; None if it is too small."""
 
 
 @dataclass(frozen=True, eq=False)
 class _Kind:
-    """Something that may change.
+    """Something that may change: its ``columns``, what is ``said`` of it, whether it may ``grow`` bit by bit, and
+    whether it is so ``first``, until some instant."""
 
-    Attributes:
-        columns: ``(N, C, k)`` its efforts, by standard deviations of its size.
-        said: what it says, from what was fitted and when it changes; None if it is too small or cannot be.
-        grows: whether it may also do so bit by bit.
-        first: whether it is so until some instant, not from then on.
-    """
-
-    columns: FloatArray
-    said: Callable[[Gain, str], tuple[Cause, list[int]] | None]
+    columns: Columns
+    said: Said
     grows: bool = False
     first: bool = False
 
 
-class Changes:
-    """Looks for what changes during a recording."""
+def changes(subject: Subject) -> Iterator[Candidate]:
+    """What may change, as far as it explains anything."""
+    yield from switches(subject)
+    fit = subject.flexible
+    for kind in _kinds(subject):
+        always = kind.columns(subject)
+        tried = {place: fit.promise(_later(subject, place, kind.first) * always) for place in PLACES}
+        best = max(tried, key=lambda place: tried[place])
+        near = {place: fit.promise(_later(subject, place, kind.first) * always) for place in best + np.array(NEARER)}
+        place = max(near | {best: tried[best]}, key=lambda place: (near | tried)[place])
+        when = f"{'until' if kind.first else 'from'} about {elapsed(subject.samples.stamps, place):.0f} s"
+        when, promise = when + ("" if kind.first else " on"), (near | tried)[place]
+        if kind.grows and (growing := fit.promise(_share(subject) * always)) > promise:
+            place, when, promise = np.nan, BIT_BY_BIT, growing
+        if promise < _WORTH:
+            continue
+        gain = fit.gain(_begun(subject, kind, place))
+        said = kind.said(gain, when)
+        if said is not None:
+            yield _candidate(kind, place, int(np.argmax(np.abs(gain.coefficients))), *said)
 
-    def __init__(self, subject: Subject, fit: FlexibleFit) -> None:
-        """
-        Args:
-            subject: what is judged.
-            fit: of it.
-        """
-        self._subject, self._fit = subject, fit
-        self._samples, self._names = subject.samples, subject.names
-        self._units = [subject.robot.joints[joint].unit for joint in subject.joints]
-        self._regressor = subject.regressor(subject.samples)
 
-    def hypotheses(self, nominal: Evidence) -> Iterator[Hypothesis]:
-        """What may change, as far as it explains anything; ``nominal`` is the evidence of nothing that does."""
-        for kind in self._kinds():
-            columns, when = self._best(kind)
-            if self._fit.promise(columns) < _WORTH:
-                continue
-            gain, always = self._fit.gain(columns), self._fit.gain(kind.columns)
-            said = kind.said(gain, when)
-            if said is not None:
-                beyond = gain.beyond(always) if always.per_instant > 0.0 else gain
-                yield hypothesis(said[0], said[1], beyond, nominal, len(self._samples), len(PLACES))
+def _candidate(kind: _Kind, place: float, main: int, cause: Cause, concerned: list[int]) -> Candidate:
+    def undo(subject: Subject) -> Judged:
+        gain, always = subject.flexible.gain(_begun(subject, kind, place)), subject.flexible.gain(kind.columns(subject))
+        beyond = gain.beyond(always) if always.per_instant > 0.0 else gain
+        return _judged(subject, beyond, main)
 
-    def _best(self, kind: _Kind) -> tuple[FloatArray, str]:
-        """The columns of the instant that promises most, and when that is."""
-        tried = [self._from(kind, place) for place in PLACES]
-        best = int(np.argmax([self._fit.promise(columns) for columns, _ in tried]))
-        near = [tried[best], *(self._from(kind, PLACES[best] + by) for by in NEARER)]
-        if kind.grows:
-            share = (np.arange(len(self._samples)) / len(self._samples))[:, None, None]
-            near.append((share * kind.columns, words.BIT_BY_BIT))
-        return max(near, key=lambda one: self._fit.promise(one[0]))
+    return Candidate(undo=undo, cause=cause, concerned=concerned, choices=len(PLACES), changes=True)
 
-    def _from(self, kind: _Kind, place: float) -> tuple[FloatArray, str]:
-        later = after(len(self._samples), place)
-        when = words.until if kind.first else words.from_on
-        return (later != kind.first)[:, None, None] * kind.columns, when(elapsed(self._samples.stamps, place))
 
-    def _kinds(self) -> Iterator[_Kind]:
-        fit, robot, prior = self._fit, self._subject.robot, self._subject.prior
-        offsets = np.broadcast_to(fit.spread[None, :, None], (*fit.measured.shape, 1))
-        yield _Kind(by_channel(offsets), self._offset, grows=True)
-        gain = _GAIN * fit.rigid[:, :, None]
-        yield _Kind(gain, self._gain, grows=True)
-        yield _Kind(by_channel(gain), self._gain_of_one, grows=True)
-        gravity = (self._regressor - self._subject.regressor(self._samples, weightless=True)) @ prior
-        for first in (False, True):
-            yield _Kind(gravity[:, :, None], self._gravity, first=first)
-        bodies = prior.reshape(-1, 10)
-        for place, body in enumerate(robot.bodies):
-            if len(robot.subtree(body.name)) == 1:
-                factor = payload_factor(bodies, place)
-                columns = self._regressor[:, :, 10 * place : 10 * place + 10] @ factor
-                yield _Kind(columns, self._payload(body.name, factor[0]))
-        yield _Kind(_ZERO * self._by_position(), self._zero, grows=True)
+def _judged(subject: Subject, gain: Gain, main: int) -> Judged:
+    """What a gain over the flexible fit is worth, with the size of its ``main`` column."""
+    nominal = subject.nominal
+    return Judged(
+        log=nominal.log + gain.per_instant * len(subject.samples),
+        sigmas=nominal.sigmas * gain.ratios,
+        opposite=np.zeros(len(nominal.sigmas), dtype=bool),
+        sizes=gain.coefficients[[main]],
+        deviations=gain.deviations[[main]],
+    )
 
-    def _by_position(self) -> FloatArray:
-        """Derivatives of the URDF's efforts by the positions of the joints ``(N, C, C)``."""
-        prior, found = self._subject.prior, []
-        now = self._regressor @ prior
-        for joint in self._subject.joints:
-            position = self._samples.position.copy()
-            position[:, joint] += _STEP
-            moved = self._subject.regressor(replace(self._samples, position=position)) @ prior
-            found.append((moved - now) / _STEP)
-        return np.stack(found, axis=2)
 
-    def _offset(self, gain: Gain, when: str) -> tuple[Cause, list[int]] | None:
+def _later(subject: Subject, place: float, first: bool) -> FloatArray:
+    return np.asarray((subject.shares >= place) != first, dtype=np.float64)[:, None, None]
+
+
+def _share(subject: Subject) -> FloatArray:
+    return subject.shares[:, None, None]
+
+
+def _begun(subject: Subject, kind: _Kind, place: float) -> FloatArray:
+    """The columns from a place on, or as they grow if it is NaN."""
+    weight = _share(subject) if np.isnan(place) else _later(subject, place, kind.first)
+    return np.asarray(weight * kind.columns(subject))
+
+
+def _kinds(subject: Subject) -> Iterator[_Kind]:
+    names = subject.names
+    every = [*range(len(names))]
+
+    def offset(gain: Gain, when: str) -> tuple[Cause, list[int]] | None:
         main = _main(gain.coefficients, _LEAST_OFFSET)
-        steps = gain.coefficients * self._fit.spread
-        said = [words.change(self._names[c], steps[c], self._units[c]) for c in main]
-        return (words.other_offset([self._names[c] for c in main], said, when), main) if main else None
+        steps = gain.coefficients * subject.spread
+        said = ", ".join(f"'{names[c]}' by {steps[c]:+.3g} {subject.units[c]}" for c in main)
+        return (Cause.of("offset", [names[c] for c in main], sizes=said, when=when), main) if main else None
 
-    def _gain(self, gain: Gain, when: str) -> tuple[Cause, list[int]] | None:
-        factor = 1.0 + _GAIN * float(gain.coefficients[0]) * float(np.median(self._share_of_first(gain)))
-        if abs(factor - 1.0) < _LEAST_GAIN:
-            return None
-        return words.gain_changes(self._names, factor, when, True), [*range(len(self._names))]
+    yield _Kind(lambda of: by_channel(np.broadcast_to(of.spread[None, :, None], (*of.measured.shape, 1))), offset, True)
 
-    def _gain_of_one(self, gain: Gain, when: str) -> tuple[Cause, list[int]] | None:
-        steps = _GAIN * gain.coefficients * self._share_of_first(gain)
-        main = _main(steps, _LEAST_GAIN)
+    def steps(gain: Gain) -> FloatArray:
+        first = np.std(subject.flexible.rigid, axis=0) / np.maximum(np.std(gain.rigid, axis=0), 1e-9)
+        return np.asarray(_GAIN * gain.coefficients * (first if len(gain.coefficients) > 1 else np.median(first)))
+
+    def drift(gain: Gain, when: str) -> tuple[Cause, list[int]] | None:
+        main = _main(steps(gain), _LEAST_GAIN)
+        factor = 1.0 + float(steps(gain)[main[0]]) if main else 1.0
         if len(main) != 1:
             return None
-        factor = 1.0 + float(steps[main[0]])
-        return words.gain_changes([self._names[main[0]]], factor, when, False), main
+        concerned = main if len(gain.coefficients) > 1 else every
+        return Cause.of(
+            "drift", [names[c] for c in concerned], when=when, factor=factor, every=concerned == every
+        ), concerned
 
-    def _share_of_first(self, gain: Gain) -> FloatArray:
-        """What was fitted to all of the time, as shares of what links take before it changes ``(C,)``."""
-        return np.asarray(np.std(self._fit.rigid, axis=0) / np.maximum(np.std(gain.rigid, axis=0), 1e-9))
+    yield _Kind(lambda of: _GAIN * of.flexible.rigid[:, :, None], drift, True)
+    yield _Kind(lambda of: by_channel(_GAIN * of.flexible.rigid[:, :, None]), drift, True)
 
-    def _gravity(self, gain: Gain, when: str) -> tuple[Cause, list[int]] | None:
-        if not _ALL[0] < gain.coefficients[0] < _ALL[1]:
-            return None
-        return words.gravity_goes(self._names, when), [*range(len(self._names))]
+    def switched(gain: Gain, when: str) -> tuple[Cause, list[int]] | None:
+        gone = _ALL[0] < gain.coefficients[0] < _ALL[1]
+        return (Cause.of("switched", names, when=when), every) if gone else None
 
-    def _payload(self, link: str, masses: FloatArray) -> Callable[[Gain, str], tuple[Cause, list[int]] | None]:
-        def said(gain: Gain, when: str) -> tuple[Cause, list[int]] | None:
-            mass, whole = float(masses @ gain.coefficients), float(np.sum(self._subject.prior[::10]))
-            if abs(mass) < _LEAST_MASS * whole:
-                return None
-            return words.payload_changes(link, mass, self._names, when), [*range(len(self._names))]
+    for first in (False, True):
+        yield _Kind(lambda of: of.weight[:, :, None], switched, first=first)
+    bodies = subject.prior.reshape(-1, 10)
+    for place, body in enumerate(subject.model.robot.bodies):
+        if len(subject.model.robot.subtree(body.name)) == 1:
+            yield _load(subject, place, body.name, payload_factor(bodies, place))
 
-        return said
-
-    def _zero(self, gain: Gain, when: str) -> tuple[Cause, list[int]] | None:
+    def slip(gain: Gain, when: str) -> tuple[Cause, list[int]] | None:
         main = _main(_ZERO * gain.coefficients, _LEAST_ZERO)
-        said = [words.displaced(self._names[c], -_ZERO * gain.coefficients[c], self._units[c] != "N") for c in main]
-        everywhere = [*range(len(self._names))]  # efforts of all joints depend on it
-        return (words.zero_changes([self._names[c] for c in main], said, when), everywhere) if main else None
+        sizes = -_ZERO * gain.coefficients
+        said = ", ".join(
+            f"'{names[c]}' by {1000.0 * sizes[c]:+.0f} mm"
+            if subject.units[c] == "N"
+            else f"'{names[c]}' by {np.degrees(sizes[c]):+.0f} degrees"
+            for c in main
+        )
+        return (Cause.of("slip", [names[c] for c in main], sizes=said, when=when), every) if main else None
+
+    yield _Kind(lambda of: _ZERO * _by_position(of), slip, True)
+
+
+def _load(subject: Subject, place: int, link: str, factor: FloatArray) -> _Kind:
+    """Something that a link takes up or puts down."""
+    whole = float(np.sum(subject.prior[::10]))
+
+    def said(gain: Gain, when: str) -> tuple[Cause, list[int]] | None:
+        mass = float(factor[0] @ gain.coefficients)
+        if abs(mass) < _LEAST_MASS * whole:
+            return None
+        way = "more" if mass > 0.0 else "less"
+        cause = Cause.of("load", subject.names, link=link, mass=abs(mass), way=way, when=when)
+        return cause, [*range(len(subject.names))]
+
+    return _Kind(lambda of: of.regressor[:, :, 10 * place : 10 * place + 10] @ factor, said)
+
+
+def _by_position(subject: Subject) -> FloatArray:
+    """Derivatives of the URDF's efforts by the positions of the joints ``(N, C, C)``."""
+    found = []
+    for joint in subject.joints:
+        position = subject.samples.position.copy()
+        position[:, joint] += _STEP
+        moved = subject.with_samples(replace(subject.samples, position=position))
+        found.append((moved.predicted - subject.predicted) / _STEP)
+    return np.stack(found, axis=2)
 
 
 def _main(sizes: FloatArray, least: float) -> list[int]:
@@ -169,11 +200,103 @@ def _main(sizes: FloatArray, least: float) -> list[int]:
     return [*np.flatnonzero(np.abs(sizes) > max(least, _MAIN * float(np.max(np.abs(sizes)))))]
 
 
-def hypothesis(
-    cause: Cause, concerned: list[int], gain: Gain, nominal: Evidence, instants: int, choices: int
-) -> Hypothesis:
-    """A cause that gains so much, beside others that are compared with the same nominal evidence."""
-    log = nominal.log + gain.per_instant * instants
-    found = replace(nominal, log=log, sigmas=nominal.sigmas * gain.ratios)
-    sources = np.arange(len(nominal.sigmas))
-    return Hypothesis(cause=cause, evidence=found, choices=choices, sources=sources, concerned=concerned)
+def switches(subject: Subject) -> Iterator[Candidate]:
+    """Efforts of all joints that are in another unit, or have the other sign, from some instant on."""
+    moves = np.any(np.abs(subject.samples.velocity[:, subject.joints]) > STANDING, axis=1)
+    moving = subject.part(moves)  # at rest stiction holds whatever it likes
+    if len(moving.samples) < FEWEST:
+        return
+    tried = {
+        (place, factor): _switched(moving, place, factor).log for place in PLACES for factor in _factors(moving, place)
+    }
+    place, factor = max(tried, key=lambda one: tried[one])
+    near = {(place + by, factor): _switched(moving, place + by, factor).log for by in NEARER}
+    place, factor = max(near | tried, key=lambda one: (near | tried)[one])
+    what = "the opposite sign" if factor == -1.0 else f"{factor:.2g} times the earlier value"
+    when = f"from about {elapsed(subject.samples.stamps, place):.0f} s on"
+    cause = Cause.of("stream", subject.names, factor=what, when=when)
+    yield Candidate(
+        undo=lambda of: _switched(of, place, factor),
+        cause=cause,
+        concerned=range(len(subject.joints)),
+        choices=len(tried),
+        allowed=not 1.0 / REASON <= factor <= REASON,
+        changes=True,
+        subject=moving,
+    )
+
+
+def _factors(subject: Subject, place: float) -> list[float]:
+    """What efforts may be multiplied by from a place on: the other sign, and where they become that large or small
+    another unit."""
+    later = subject.shares >= place
+
+    def size(part: np.ndarray) -> FloatArray:
+        measured, predicted = (np.sqrt(np.mean(e[part] ** 2, axis=0)) for e in (subject.measured, subject.predicted))
+        return np.asarray(np.maximum(measured, 1e-12) / np.maximum(predicted, 1e-12))
+
+    if np.all(later) or not np.any(later):
+        return []
+    factor = float(np.median(size(later) / size(~later)))
+    return [-1.0] if 1.0 / REASON <= factor <= REASON else [factor, -factor]
+
+
+def _switched(subject: Subject, place: float, factor: float) -> Judged:
+    """The better of two readings: efforts are in N m before the place, or after it."""
+    later = subject.shares >= place
+    readings = []
+    for sign in {1.0, float(np.sign(factor))}:
+        for part, size in ((later, 1.0 / factor), (~later, factor)):
+            gains = np.where(part, size, 1.0) * sign
+            mended = subject.with_efforts(subject.measured * gains[:, None])
+            volume = len(subject.joints) * float(np.sum(np.log(np.abs(gains))))
+            readings.append(Judged.mended(mended, subject.spread, volume=volume))
+    best = max(readings, key=lambda judged: judged.log)
+    return replace(best, sigmas=np.minimum(best.sigmas, subject.nominal.sigmas))
+
+
+def lags(subject: Subject) -> Iterator[Candidate]:
+    """Efforts that belong to the motion of a little earlier or later, on a subject of which the ``later`` instants are
+    known.
+
+    To first order a lag adds the derivative of the efforts, times the lag. What the links take tells it: friction turns
+    about at once, and what is left unexplained there looks like a lag. So it is fitted beside the curves of friction.
+    """
+    names, count = subject.names, len(subject.joints)
+    common = subject.flexible.gain(_rates(subject))
+    lag = _USUAL * float(common.coefficients[0])
+    if _LEAST_LAG < abs(lag) < _MOST_LAG:
+        yield _late(subject, [*range(count)], np.full(count, lag), _rates)
+    if count == 1:
+        return
+    gain = subject.flexible.gain(by_channel(_rates(subject)))
+    lags = _USUAL * gain.coefficients
+    told = gain.ratios < _TOLD
+    # Where more fits it is no lag, so it may be none elsewhere.
+    if common.per_instant > _COMMON * gain.per_instant or np.any(told & (np.abs(lags) >= _MOST_LAG)):
+        return
+    main = [*np.flatnonzero(told & (np.abs(lags) > _LEAST_LAG))]
+    if main:
+        yield _late(subject, main, lags[main], lambda of: by_channel(_rates(of))[:, :, main], len(names))
+
+
+def _late(subject: Subject, main: list[int], lags: FloatArray, columns: Columns, choices: int = 1) -> Candidate:
+    every, names = len(main) == len(subject.joints), [subject.names[c] for c in main]
+    times = [f"{1000.0 * abs(lag):.0f} ms {'late' if lag > 0.0 else 'early'}" for lag in lags]
+    each = ", ".join(f"that of '{name}' about {time}" for name, time in zip(names, times, strict=True))
+    cause = Cause.of("late", names, sizes=f"all are about {times[0]}" if len(set(times)) == 1 and every else each)
+
+    def undo(of: Subject) -> Judged:
+        gain = of.flexible.gain(columns(of))
+        return _judged(of, gain, 0)
+
+    return Candidate(undo=undo, cause=cause, concerned=main, choices=choices, subject=subject)
+
+
+def _rates(subject: Subject) -> FloatArray:
+    """By how much the efforts of the fitted links change in a usual lag ``(N, C, 1)``."""
+    links = subject.prior + subject.factor @ (subject.basis @ subject.flexible.links)
+    later = subject.later or subject.samples
+    next_ones = subject.with_samples(later)
+    times = (later.stamps - subject.samples.stamps) * 1e-9
+    return np.asarray(-_USUAL * (next_ones.regressor @ links - subject.flexible.rigid) / times[:, None])[:, :, None]

@@ -8,25 +8,26 @@ from typing import TypeAlias
 
 import numpy as np
 
+from geomid_ros.checks.causes import Finding
 from geomid_ros.checks.efforts import MEASURED, EffortCheck
-from geomid_ros.checks.hypotheses import Finding
 from geomid_ros.checks.instants import FEWEST, Instants, Stretch
 from geomid_ros.checks.wrenches import WrenchSensorCheck, can_be_judged
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.moving import SIGN
 from geomid_ros.model.samples import Samples
 from geomid_ros.model.sensors import WrenchSensor
-from geomid_ros.types import FloatArray
+from geomid_ros.types import FloatArray, IntArray
 
 _RENEWED = 2.0
 
 
 @dataclass(frozen=True, eq=False)
 class Excerpt:
-    """What is kept of a recording: ``samples``, a few instants of all of it, and a ``stretch``, the last at which
-    something moved; None if there were none."""
+    """What is kept of recordings: ``samples``, a few instants of all of them, the number of each one's recording
+    ``recordings (N,)``, and a ``stretch``, the last instants at which something moved; None if there were none."""
 
     samples: Samples
+    recordings: IntArray
     stretch: Samples | None
 
 
@@ -57,7 +58,7 @@ class JudgementTask:
         findings: list[Finding] = []
         remarks: list[str] = []
         if efforts_alone(self.model):
-            check = EffortCheck(self.model, excerpt.samples, self.gains, excerpt.stretch)
+            check = EffortCheck(self.model, excerpt.samples, self.gains, excerpt.stretch, excerpt.recordings)
             findings, remarks = check.findings(), check.remarks
         wrenches = filter(None, (self._wrench(sensor, excerpt) for sensor in self.model.mounted))
         return Judgement((*findings, *wrenches), tuple(remarks))
@@ -104,6 +105,10 @@ class RecordingCheck:
         self._instants.add(needed)
         self._stretch.add(needed)
 
+    def begin_recording(self) -> None:
+        """The samples to come are of another recording, which has to show the same."""
+        self._instants.begin_recording()
+
     @property
     def due(self) -> bool:
         """Whether half of what is known came after it was judged last: seldom, as time goes on."""
@@ -111,10 +116,10 @@ class RecordingCheck:
 
     def findings(self) -> tuple[Finding, ...]:
         """What seems to be wrong with the recording as a whole."""
-        samples, self._judged_at = self._instants.samples, self._instants.taken
-        if samples is None:
+        kept, self._judged_at = self._instants.kept, self._instants.taken
+        if kept is None:
             return ()
-        judgement = self._judge(self._task, Excerpt(samples, self._stretch.samples))
+        judgement = self._judge(self._task, Excerpt(*kept, self._stretch.samples))
         self.remarks = judgement.remarks
         return judgement.findings
 

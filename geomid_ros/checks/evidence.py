@@ -55,12 +55,19 @@ class Evidence:
         sigmas: ``(C,)`` of what is left, in standard deviations of the measured channels.
         links: ``(r,)`` the links' errors.
         friction: ``(C, 4)`` its coefficients, in standard deviations of the measured channels.
+        precision: ``(r + k, r + k)`` of the links' errors and of friction's coefficients that are not held at zero.
     """
 
     log: float
     sigmas: FloatArray
     links: FloatArray
     friction: FloatArray
+    precision: FloatArray
+
+    def deviations(self) -> FloatArray:
+        """Standard deviations ``(r,)`` of the links' errors."""
+        variances = np.diag(definite.inverse(self.precision))[: len(self.links)]
+        return np.asarray(np.sqrt(np.maximum(variances, 0.0)))  # rounding may leave next to nothing, of either sign
 
 
 def evidence(products: Products, tolerated: FloatArray, *, either_sign: bool = False) -> Evidence:
@@ -71,19 +78,6 @@ def evidence(products: Products, tolerated: FloatArray, *, either_sign: bool = F
         tolerated: ``(C, 4)`` standard deviations of friction's coefficients: about what explains all of a channel.
         either_sign: whether viscous and dry friction may be below zero.
     """
-    return _judged(products, tolerated, either_sign)[0]
-
-
-def deviations_of_links(products: Products, tolerated: FloatArray) -> FloatArray:
-    """Standard deviations ``(r,)`` of the links' errors that :func:`evidence` finds."""
-    found, precision = _judged(products, tolerated, either_sign=False)
-    variances = np.diag(definite.inverse(precision))[: len(found.links)]
-    return np.asarray(np.sqrt(np.maximum(variances, 0.0)))  # rounding may leave next to nothing, of either sign
-
-
-def _judged(products: Products, tolerated: FloatArray, either_sign: bool) -> tuple[Evidence, FloatArray]:
-    """The evidence, and the precision of the links' errors and of friction's coefficients that are not held at
-    zero."""
     channels, size = products.crossed.shape
     rank = size - 4
     precision = np.concatenate([np.ones(rank), (1.0 / tolerated**2).ravel()])
@@ -100,13 +94,13 @@ def _judged(products: Products, tolerated: FloatArray, either_sign: bool) -> tup
     weighted = float(np.sum(squares / sigmas**2) + precision @ mean**2)
     noise = float(products.counts @ np.log(2.0 * np.pi * sigmas**2))
     log_determinant = float(np.linalg.slogdet(posterior)[1] - np.sum(np.log(precision[~held])))
-    found = Evidence(
+    return Evidence(
         log=-0.5 * (weighted + noise + log_determinant),
         sigmas=sigmas,
         links=mean[:rank],
         friction=mean[rank:].reshape(channels, 4),
+        precision=posterior,
     )
-    return found, posterior
 
 
 def _solved(

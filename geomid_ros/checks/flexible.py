@@ -10,10 +10,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from geomid_ros.checks.evidence import Evidence, Products, evidence
-from geomid_ros.checks.readings import World
-from geomid_ros.model.samples import Samples
 from geomid_ros.signals.saturation import STANDING
-from geomid_ros.types import BoolArray, FloatArray, IntArray
+from geomid_ros.types import BoolArray, FloatArray
 
 _SLOW = 0.05  # of a joint's largest speed: below it stiction holds whatever it likes
 _CURVE = 0.5  # standard deviations of a channel that a curve may well explain
@@ -28,13 +26,14 @@ class Gain:
     Attributes:
         per_instant: gain of log evidence [nats].
         ratios: ``(C,)`` of what is left, over what is left without the columns.
-        coefficients: ``(k,)`` of the columns.
+        coefficients, deviations: ``(k,)`` of the columns.
         rigid: ``(N, C)`` what the links take beside them.
     """
 
     per_instant: float
     ratios: FloatArray
     coefficients: FloatArray
+    deviations: FloatArray
     rigid: FloatArray
 
     def beyond(self, other: Gain) -> Gain:
@@ -45,22 +44,32 @@ class Gain:
 class FlexibleFit:
     """Links, friction and curves fitted to the efforts of C joints at the instants at which each of them moves."""
 
-    def __init__(self, world: World, samples: Samples, joints: IntArray) -> None:
+    def __init__(
+        self,
+        *,
+        measured: FloatArray,
+        predicted: FloatArray,
+        columns: FloatArray,
+        tolerated: FloatArray,
+        position: FloatArray,
+        velocity: FloatArray,
+    ) -> None:
         """
         Args:
-            world: the robot under its gravity.
-            samples: N instants, those of the world.
-            joints: ``(C,)`` places of the joints.
+            measured, predicted: ``(N, C)`` the efforts, and those of the URDF's links.
+            columns: ``(N, C, r + 4)`` of the links' errors and of friction.
+            tolerated: ``(C, 4)`` standard deviations of friction's coefficients.
+            position, velocity: ``(N, C)`` of the joints.
         """
-        self.spread = world.spread
-        self.measured, self._predicted, self._tolerated = world.measured, world.predicted, world.tolerated
-        links, friction = world.columns[:, :, :-4], world.columns[:, :, -4:]
+        self.measured, self._predicted, self._tolerated = measured, predicted, tolerated
+        self.spread = np.std(measured, axis=0)
+        links, friction = columns[:, :, :-4], columns[:, :, -4:]
         self._rank = links.shape[2]
-        self._moving = moving(samples.velocity[:, joints]).astype(np.float64)
+        self._moving = moving(velocity).astype(np.float64)
         self._counts = np.maximum(np.sum(self._moving, axis=0), 1.0)
         self.instants = float(np.mean(self._counts))
         """How many instants there are, on average over channels."""
-        curves = by_channel(_curves(samples.position[:, joints], friction, world.predicted) * self.spread[:, None])
+        curves = by_channel(_curves(position, friction, predicted) * self.spread[:, None])
         self._columns = np.concatenate([links, curves], axis=2)
         self._friction = friction
         self._nominal = self._evidence(self._columns)
@@ -74,8 +83,13 @@ class FlexibleFit:
 
     @property
     def links(self) -> FloatArray:
-        """The links' errors ``(r,)`` that are found, see :meth:`World.links`."""
+        """The links' errors ``(r,)`` that are found."""
         return self._nominal.links[: self._rank]
+
+    @property
+    def nominal(self) -> Evidence:
+        """The evidence of nothing else."""
+        return self._nominal
 
     def promise(self, columns: FloatArray) -> float:
         """About the least that :meth:`gain` finds, at the noise that is left without the columns [nats per instant].
@@ -98,6 +112,7 @@ class FlexibleFit:
             per_instant=(found.log - self._nominal.log) / self.instants,
             ratios=found.sigmas / self._nominal.sigmas,
             coefficients=found.links[self._columns.shape[2] :],
+            deviations=found.deviations()[self._columns.shape[2] :],
             rigid=self._rigid(found.links[: self._rank]),
         )
 

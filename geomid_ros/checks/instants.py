@@ -8,24 +8,15 @@ import numpy as np
 
 from geomid_ros.model.moving import STILL
 from geomid_ros.model.samples import Samples
-from geomid_ros.types import BoolArray, IntArray
+from geomid_ros.types import IntArray
 
 FEWEST = 30
 """Instants that a recording is judged on."""
-PLACES = np.arange(1, 10) / 10.0
-"""Shares of the instants, from which on something may be another."""
-NEARER = (-0.05, 0.05)
-"""Where it is looked for, too, beside the best of them."""
 _MOST = 250
 _LONG = 800
 STEP = 20_000_000
 """[ns] between the instants of a stretch, at least: of what is behind the filter they show all."""
 _APART = 100_000_000  # [ns] nearer instants say the same twice
-
-
-def after(count: int, place: float) -> BoolArray:
-    """Which of so many instants come after a place ``(count,)``."""
-    return np.asarray(np.arange(count) >= place * count)
 
 
 def elapsed(stamps: IntArray, place: float) -> float:
@@ -41,7 +32,8 @@ class Instants:
     """
 
     def __init__(self) -> None:
-        self._kept: list[Samples] = []  # of one instant each
+        self._kept: list[tuple[int, Samples]] = []  # of one instant each, with the number of its recording
+        self._recording = 0
         self._apart = _APART
         self.taken = 0.0
         """How long the kept instants stand for, in least distances."""
@@ -55,7 +47,9 @@ class Instants:
         stamps = samples.stamps
         index = 0
         while index < len(stamps):
-            if self._last is not None and stamps[index] >= self._last:
+            if self._last is not None and stamps[index] < self._last:
+                self.begin_recording()
+            elif self._last is not None:
                 index += int(np.searchsorted(stamps[index:], self._last + self._apart))
                 if index == len(stamps):
                     return
@@ -64,17 +58,28 @@ class Instants:
 
     def _keep(self, instant: Samples) -> None:
         self._last = int(instant.stamps[0])
-        self._kept.append(instant)
+        self._kept.append((self._recording, instant))
         self.taken += self._apart / _APART
         if len(self._kept) > _MOST:
             self._kept = self._kept[::2]
             self._apart *= 2
 
+    def begin_recording(self) -> None:
+        """The samples to come are of another recording."""
+        self._recording += 1
+
     @property
     def samples(self) -> Samples | None:
         """All that are kept; None if there are none."""
-        kept = self._kept  # replaced or appended to by another thread
-        return Samples.concatenate(list(kept)) if kept else None
+        return None if (kept := self.kept) is None else kept[0]
+
+    @property
+    def kept(self) -> tuple[Samples, IntArray] | None:
+        """All that are kept, and the number of the recording that each is of ``(N,)``; None if there are none."""
+        kept = list(self._kept)  # replaced or appended to by another thread
+        if not kept:
+            return None
+        return Samples.concatenate([instant for _, instant in kept]), np.array([number for number, _ in kept])
 
 
 class Stretch:

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from geomid_ros.checks.hypotheses import Finding
+from geomid_ros.checks.causes import Finding
 from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.estimation.summary import RowSummary
 from geomid_ros.model.measurement import MeasurementModel

@@ -13,10 +13,9 @@ from itertools import permutations, product
 
 import numpy as np
 
-from geomid_ros.checks.hypotheses import Cause, Finding
+from geomid_ros.checks.causes import Cause, Finding, written
 from geomid_ros.checks.instants import FEWEST
 from geomid_ros.checks.rows import prior_factor
-from geomid_ros.checks.words import written
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.samples import Samples
 from geomid_ros.model.sensors import AXES, WrenchSensor

@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from geomid_ros.checks.hypotheses import Cause, Finding
+from geomid_ros.checks.causes import Cause, Finding
 from geomid_ros.errors import InputError
 from geomid_ros.estimation.identifier import Memory
 from geomid_ros.estimation.summary import RowSummary, SummaryState

@@ -8,7 +8,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-from geomid_ros.checks.hypotheses import Finding
+from geomid_ros.checks.causes import Finding
 from geomid_ros.estimation.estimate import Estimate
 from geomid_ros.files.models.gap_results import gap_document
 from geomid_ros.files.models.judgements import causes_entry

@@ -8,7 +8,7 @@ from typing import TypeAlias
 
 import numpy as np
 
-from geomid_ros.checks.hypotheses import Cause, Finding
+from geomid_ros.checks.causes import Cause, Finding
 from geomid_ros.errors import InputError
 from geomid_ros.model.samples import Samples
 from geomid_ros.session.session import Session

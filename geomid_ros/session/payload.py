@@ -9,7 +9,7 @@ from itertools import compress
 
 import numpy as np
 
-from geomid_ros.checks.hypotheses import Finding
+from geomid_ros.checks.causes import Finding
 from geomid_ros.checks.verdict import Verdict, recording_verdict
 from geomid_ros.errors import InputError
 from geomid_ros.estimation.estimate import QUANTITIES, Estimate, interval_of_positive

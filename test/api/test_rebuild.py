@@ -12,7 +12,7 @@ from files.recordings import BAGS
 from report.pages import Page
 
 import geomid_ros
-from geomid_ros.checks.hypotheses import Cause, Finding
+from geomid_ros.checks.causes import Cause, Finding
 from geomid_ros.files.models.judgements import causes_entry, doubts_of
 
 BAG, URDF = BAGS / "arm3", BAGS / "arm3.urdf"

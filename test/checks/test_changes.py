@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 from estimation.arms import ALL_EFFECTS, Case, Truth, arm, efforts, motion, samples
 
+from geomid_ros.checks.causes import Cause, Finding
 from geomid_ros.checks.check import JudgementTask, RecordingCheck
-from geomid_ros.checks.hypotheses import Cause, Finding
 from geomid_ros.model.samples import Samples
 from geomid_ros.types import FloatArray
 

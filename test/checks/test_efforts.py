@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from estimation.arms import Case, arm, efforts, motion, samples, shipped, truth
 
+from geomid_ros.checks.causes import Cause, Finding
 from geomid_ros.checks.check import JudgementTask, RecordingCheck
-from geomid_ros.checks.hypotheses import Cause, Finding
 from geomid_ros.model.measurement import MeasurementModel
 from geomid_ros.model.robot import Robot
 from geomid_ros.model.samples import Samples
@@ -195,7 +195,9 @@ def test_the_effort_of_one_joint_is_in_another_unit(robot: Case) -> None:
 def test_positions_are_in_degrees(robot: Case) -> None:
     own = robot.samples
     scaled = {name: DEGREES * getattr(own, name) for name in ("position", "velocity", "acceleration")}
-    assert named(robot.model, replace(own, **scaled)).kind == "degrees"
+    cause = named(robot.model, replace(own, **scaled))
+    assert cause.kind == "position"
+    assert "in degrees" in cause.sentence
 
 
 @shared("gravity", [(9.81, 0.0, 0.0), (0.0, -9.81, 0.0), (0.0, 6.94, -6.94)])

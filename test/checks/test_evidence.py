@@ -7,7 +7,7 @@ import pytest
 from scipy.optimize import minimize
 from scipy.stats import multivariate_normal
 
-from geomid_ros.checks.evidence import Evidence, Products, deviations_of_links, evidence
+from geomid_ros.checks.evidence import Evidence, Products, evidence
 from geomid_ros.types import FloatArray
 
 INSTANTS, CHANNELS, LINKS = 40, 2, 3
@@ -60,7 +60,7 @@ def test_the_links_are_as_unsure_as_the_normal_equations_say() -> None:
         places = [*range(LINKS), *range(LINKS + 4 * channel, LINKS + 4 * channel + 4)]
         precision[np.ix_(places, places)] += own.T @ own
     expected = np.sqrt(np.diag(np.linalg.inv(precision))[:LINKS])
-    assert deviations_of_links(products(columns, targets), tolerated) == pytest.approx(expected, rel=2e-3)
+    assert found(columns, targets, tolerated).deviations() == pytest.approx(expected, rel=2e-3)
 
 
 @pytest.mark.parametrize("seed", range(5))

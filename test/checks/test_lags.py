@@ -40,8 +40,8 @@ def with_lags(of: Case, late: list[int]) -> Samples:
 def test_all_efforts_are_late_or_early(robot: Case, late: int) -> None:
     cause = named(robot, with_lags(robot, [late] * len(robot.model.robot.joints)))
     assert cause.kind == "late"
-    (who, time) = re.findall(r"the (efforts|positions) come about (\d+) ms later", cause.sentence)[0]
-    assert who == ("efforts" if late > 0 else "positions")
+    (time, how) = re.findall(r"all are about (\d+) ms (late|early)", cause.sentence)[0]
+    assert how == ("late" if late > 0 else "early")
     assert float(time) == pytest.approx(10.0 * LATE, rel=0.4)
 
 

@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from benchmarks.measured_data import DATA
-from geomid_ros.checks.hypotheses import Finding
+from geomid_ros.checks.causes import Finding
 from geomid_ros.errors import InputError
 from geomid_ros.files.models.urdf import read_urdf
 from geomid_ros.session.configuration import Configuration

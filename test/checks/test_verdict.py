@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from estimation.arms import Case, arm
 
-from geomid_ros.checks.hypotheses import Cause, Finding
+from geomid_ros.checks.causes import Cause, Finding
 from geomid_ros.checks.verdict import Verdict, unlike, verdict, worse_channels, worse_on_rows
 from geomid_ros.estimation.estimate import Estimate, WeighedEstimate
 from geomid_ros.estimation.identifier import Identifier

@@ -11,8 +11,8 @@ import pytest
 from files.recordings import BAGS
 from scipy.spatial.transform import Rotation
 
+from geomid_ros.checks.causes import Cause
 from geomid_ros.checks.check import JudgementTask, RecordingCheck
-from geomid_ros.checks.hypotheses import Cause
 from geomid_ros.files.models.urdf import read_urdf
 from geomid_ros.model.samples import Samples
 from geomid_ros.model.sensors import WrenchSensor

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from geomid_ros.checks.hypotheses import Cause, Finding
+from geomid_ros.checks.causes import Cause, Finding
 from geomid_ros.checks.verdict import recording_verdict
 from geomid_ros.errors import InputError
 from geomid_ros.files.models.gap_model import write_model

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from geomid_ros.checks.hypotheses import Finding
+from geomid_ros.checks.causes import Finding
 from geomid_ros.checks.verdict import recording_verdict
 from geomid_ros.files.disk import write_json, write_text
 from geomid_ros.files.models.effect_forms import by_channel, coefficient_entry, combined, effect_entry, is_coefficient
